@@ -2,6 +2,6 @@
 
 import os
 
-# Before numpy is imported: the arrays are small, times are those of one core, and processes fill the others.
+# Set before numpy is imported: arrays are small, and campaigns use the other cores by processes.
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")

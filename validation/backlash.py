@@ -1,7 +1,7 @@
-"""Where joints lie in their backlash after random moves: what is believed against what is true.
+"""Campaign of the backlash estimate: estimated and true side of each joint after random moves.
 
-Tours of settled poses at random tilts, in all branches, with reversals and small moves, each once with
-backlash compensation and once without.
+Each tour is a sequence of poses at a random tilt, in all branches, with reversals and small moves. Tours run
+with backlash compensation, and a fifth of them also without.
 """
 
 import json
@@ -26,13 +26,13 @@ from validation.options import campaign_parser
 EXAMPLE = "example: python -m validation.backlash --tours 20 --poses 50 --arm nominal > backlash.json"
 MAX_TILT_RAD: Final = float(np.radians(30.0))
 LEAST_RATIO: Final = 10.0
-"""Of what backlash does to the tool: without compensation over with it."""
+"""Least ratio of the tool error from backlash without compensation to that with it."""
 
 
 def one_tour(
     arm_name: str, reference: Reference, backlash: BacklashMode, poses: int, seed: int
 ) -> list[RestState]:
-    """The settled poses of a tour, its tilt and goals from the seed."""
+    """Visit the poses of a tour, with tilt and goals from the seed."""
     arm = arm_named(arm_name)
     rng = np.random.default_rng([seed, 4])
     tilt, heading = rng.uniform(0.0, MAX_TILT_RAD), rng.uniform(-np.pi, np.pi)
@@ -41,11 +41,16 @@ def one_tour(
     return list(visit_poses(arm, reference, world, goals, backlash, seed))
 
 
-def summary(config_friction_Nm: np.ndarray, settled: Sequence[RestState]) -> dict[str, Any]:
-    """How often a side is claimed and how often rightly, and how far outputs and tool are off."""
+def summary(friction_Nm: np.ndarray, settled: Sequence[RestState]) -> dict[str, Any]:
+    """Summarize the claimed sides of the backlash, and the errors of outputs and tool.
+
+    Args:
+        friction_Nm: Friction of the outputs, shape (5,).
+        settled: States of the arm at rest.
+    """
     claimed = np.array([s.side for s in settled])
     true = np.array([s.true_side for s in settled])
-    loaded = np.abs([s.load_Nm for s in settled]) > config_friction_Nm
+    loaded = np.abs([s.load_Nm for s in settled]) > friction_Nm
     error = np.array([s.output_rad - s.goal_rad for s in settled])
     known = claimed != 0
     shift = np.linalg.norm([s.backlash_shift_m for s in settled], axis=1)
@@ -78,11 +83,11 @@ def summary(config_friction_Nm: np.ndarray, settled: Sequence[RestState]) -> dic
 
 
 def campaign(arm_name: str, tours: int, poses: int, seed: int, workers: int) -> dict[str, Any]:
-    """All tours, with and without compensation; with the same numbers everything comes again."""
+    """Run all tours, with and without compensation; the same arguments give the same result."""
     friction = configure(arm_named(arm_name).params).output_friction_Nm
     result: dict[str, Any] = {"arm": arm_name, "tours": tours, "seed": seed}
     modes: tuple[BacklashMode, ...] = ("on", "off")
-    # a fifth is enough to see what there is without compensation
+    # A fifth of the tours is enough to measure the effect of backlash without compensation.
     jobs = [(mode, seed + k) for mode in modes for k in range(tours if mode == "on" else max(1, tours // 5))]
     found: dict[str, list[RestState]] = {mode: [] for mode in modes}
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
@@ -106,15 +111,15 @@ def _rms_mrad(error: np.ndarray) -> float | None:
 
 
 def main() -> int:
-    """Print the result as JSON; exit status 1 if a side was claimed wrongly, or it hardly helps."""
-    options = campaign_parser("backlash", __doc__, EXAMPLE)
-    options.add_argument("--arm", default="nominal", help="nominal, as-built:SEED or calibrated:SEED")
-    options.add_argument("--tours", type=int, default=20, help="tours of each kind (default 20)")
-    options.add_argument("--poses", type=int, default=50, help="settled poses a tour (default 50)")
-    asked = options.parse_args()
-    if min(asked.tours, asked.poses, asked.workers) < 1 or asked.seed < 0:
-        options.error("tours, poses and workers are 1 or more, the seed is not negative")
-    found = campaign(asked.arm, asked.tours, asked.poses, asked.seed, asked.workers)
+    """Print the result as JSON; return 1 if a claimed side is wrong, or compensation helps too little."""
+    parser = campaign_parser("backlash", __doc__, EXAMPLE)
+    parser.add_argument("--arm", default="nominal", help="nominal, as-built:SEED or calibrated:SEED")
+    parser.add_argument("--tours", type=int, default=20, help="tours of each kind (default 20)")
+    parser.add_argument("--poses", type=int, default=50, help="settled poses a tour (default 50)")
+    options = parser.parse_args()
+    if min(options.tours, options.poses, options.workers) < 1 or options.seed < 0:
+        parser.error("tours, poses and workers are 1 or more, the seed is not negative")
+    found = campaign(options.arm, options.tours, options.poses, options.seed, options.workers)
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1
 

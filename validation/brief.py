@@ -1,7 +1,7 @@
-"""Every campaign in brief, two at a time: each in a minute or less of one core, each in its bounds or not.
+"""Brief runs of all campaigns, two at a time, each in a minute of one core at most.
 
-A line says what became of a campaign and what it took of a core. Exit status 1 if one is out of its bounds or
-broken; its standard error is then shown. The fuzz campaign takes a minute as it is: `make fuzz`.
+Each campaign prints a line with its verdict and its processor time. The exit status is 1 if a campaign fails;
+its standard error is then printed. The fuzz campaign, `make fuzz`, always takes a minute and is not included.
 """
 
 import os
@@ -18,19 +18,19 @@ from typing import Final
 
 ROOT: Final = Path(__file__).parents[1]
 SKIPPED: Final = 2
-"""Exit status of a campaign that lacks what it needs, and of one that does not know its arguments."""
-HANGS_S: Final = 600.0
-"""After which a campaign of a minute is taken to hang, on a machine that does other things."""
+"""Exit status of a campaign with a missing requirement, and of one with wrong arguments."""
+TIMEOUT_S: Final = 600.0
+"""Time after which a campaign of a minute is killed; the machine may be busy."""
 
 
 @dataclass(frozen=True, slots=True)
 class Brief:
-    """A campaign, and the arguments with which it takes a minute at most."""
+    """Frozen record of a campaign, and of arguments with which it takes a minute at most."""
 
     name: str
     arguments: str
     needs: str = ""
-    """What a machine may lack; the campaign is then skipped, which it says by its exit status."""
+    """Requirement that a machine may lack; the campaign then exits with SKIPPED."""
 
 
 BRIEFS: Final = (
@@ -51,73 +51,75 @@ BRIEFS: Final = (
     Brief("ur10", "", needs="MARSARM_DATA, a folder with the measured poses"),
     Brief("oracle", "--targets 2000", needs="EAIK"),
 )
-"""The longest first, so that two cores are done at about the same time."""
+"""Campaigns, the longest first, so that two cores finish at about the same time."""
 
 
 @dataclass(frozen=True, slots=True)
 class BriefResult:
-    """What became of a campaign."""
+    """Frozen record of a campaign that has ended."""
 
     brief: Brief
     status: int
+    """Exit status."""
     core_s: float
-    said: str
+    """Processor time."""
+    stderr: str
 
     @property
     def skipped(self) -> bool:
-        """Whether it lacked what it needs."""
+        """True if the machine lacks a requirement of the campaign."""
         return bool(self.brief.needs) and self.status == SKIPPED
 
     @property
     def failed(self) -> bool:
-        """Whether it is out of its bounds, or broken."""
+        """True if the campaign is out of its bounds, or crashed."""
         return self.status != 0 and not self.skipped
 
     def line(self) -> str:
-        """A line about it."""
+        """Format the verdict as a line of text."""
         verdict = "FAILED" if self.failed else "skipped" if self.skipped else "in bounds"
-        why = f", needs {self.brief.needs}" if self.skipped else ""
-        how = f", exit status {self.status}" if self.failed else ""
-        return f"{self.brief.name:<12} {verdict:<9} {self.core_s:4.0f} s{why}{how}"
+        needs = f", needs {self.brief.needs}" if self.skipped else ""
+        status = f", exit status {self.status}" if self.failed else ""
+        return f"{self.brief.name:<12} {verdict:<9} {self.core_s:4.0f} s{needs}{status}"
 
 
 def run(brief: Brief) -> BriefResult:
-    """Carry it out in a process of its own."""
+    """Run a campaign in a separate process."""
     command = [sys.executable, "-m", f"validation.{brief.name}", *shlex.split(brief.arguments)]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    with TemporaryFile() as said:
+    with TemporaryFile() as file:
         streams = (
             (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0),
-            (os.POSIX_SPAWN_DUP2, said.fileno(), 2),
+            (os.POSIX_SPAWN_DUP2, file.fileno(), 2),
         )
         process = os.posix_spawn(sys.executable, command, environment, file_actions=streams, setpgroup=0)
-        hangs = Timer(HANGS_S, os.killpg, (process, 9))
-        hangs.start()
-        _, status, spent = os.wait4(process, 0)
-        hangs.cancel()
-        said.seek(0)
-        lines = said.read().decode(errors="replace").split("\n")
-    words = "\n".join(line.rpartition("\r")[2] for line in lines)  # progress overwrites itself
-    return BriefResult(brief, os.waitstatus_to_exitcode(status), spent.ru_utime + spent.ru_stime, words)
+        timeout = Timer(TIMEOUT_S, os.killpg, (process, 9))
+        timeout.start()
+        _, status, usage = os.wait4(process, 0)
+        timeout.cancel()
+        file.seek(0)
+        lines = file.read().decode(errors="replace").split("\n")
+    stderr = "\n".join(line.rpartition("\r")[2] for line in lines)  # progress overwrites its line
+    return BriefResult(brief, os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime, stderr)
 
 
 def main(briefs: Sequence[Brief] = BRIEFS) -> int:
-    """Print a line for each; exit status 1 if one failed."""
-    options = ArgumentParser("python -m validation.brief", description=__doc__)
-    options.formatter_class = RawDescriptionHelpFormatter
+    """Run the campaigns and print a line for each; return 1 if one failed."""
+    parser = ArgumentParser("python -m validation.brief", description=__doc__)
+    parser.formatter_class = RawDescriptionHelpFormatter
     names = [brief.name for brief in briefs]
-    options.add_argument("--workers", type=int, default=2, help="at a time (default 2)")
-    options.add_argument("--only", choices=names, action="append", help="one of them; again for more")
-    asked = options.parse_args()
+    parser.add_argument("--workers", type=int, default=2, help="campaigns at a time (default 2)")
+    parser.add_argument("--only", choices=names, action="append", help="run only this campaign; repeatable")
+    options = parser.parse_args()
     os.chdir(ROOT)
-    wanted = [brief for brief in briefs if brief.name in (asked.only or names)]
+    wanted = [brief for brief in briefs if brief.name in (options.only or names)]
     failed = 0
-    with ThreadPoolExecutor(asked.workers) as pool:
+    with ThreadPoolExecutor(options.workers) as pool:
         for ended in pool.map(run, wanted):
             print(ended.line(), flush=True)
             if ended.failed:
                 failed += 1
-                print(ended.said, file=sys.stderr, flush=True)
+                print(ended.stderr, file=sys.stderr, flush=True)
     return 1 if failed else 0
 
 

@@ -1,7 +1,7 @@
-"""Calibration of as-built arms: how well, how honestly, how fast.
+"""Campaign of calibrations of as-built arms: accuracy, coverage of confidence intervals, and speed.
 
-Each arm is measured in a campaign, settled by the equations or, with --closed-loop, by flight software in the
-plant. Truth is what the equations say of the arm as it was drawn, without noise.
+Each arm is measured at equilibria of the equations or, with --closed-loop, by flight software in the plant.
+The truth is the noise-free equilibrium of the sampled arm.
 """
 
 import json
@@ -38,7 +38,7 @@ from validation.options import campaign_parser
 
 EXAMPLE: Final = "example: python -m validation.calibration --arms 20 --closed-loop > calibration.json"
 INTERVAL: Final = 1.645
-"""Sigmas of a 90 % interval."""
+"""Half width of a 90 % interval, in standard deviations."""
 NUMERIC: Final[dict[str, Any]] = {
     "method": "lm",
     "diff_step": 1e-4,
@@ -46,21 +46,25 @@ NUMERIC: Final[dict[str, Any]] = {
     "ftol": 1e-10,
     "gtol": 1e-10,
 }
-"""The equilibrium is good to 1e-11: smaller steps give worse derivatives."""
+"""Options of scipy; the equilibrium is accurate to 1e-11, so smaller steps give worse derivatives."""
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrationTrial:
-    """One arm."""
+    """Frozen record of the calibration of one arm."""
 
     seed: int
     closed_loop: bool
     files: Path | None = None
-    """Where its parameter file goes."""
+    """Folder for its parameter file."""
 
 
 def measure(trial: CalibrationTrial) -> tuple[Campaign, Array]:
-    """The campaign, and by how much motors stand beyond where they are believed to."""
+    """Measure an arm.
+
+    Returns:
+        The campaign, and the errors of the motor zeros, shape (5,), in rad.
+    """
     arm, plan = arm_named(f"as-built:{trial.seed}"), CampaignPlan(seed=trial.seed)
     if not trial.closed_loop:
         return simulate_campaign(arm, plan), hardstop_errors_rad(arm)
@@ -69,8 +73,8 @@ def measure(trial: CalibrationTrial) -> tuple[Campaign, Array]:
 
 
 def run(trial: CalibrationTrial) -> dict[str, Any]:
-    """Measure, fit, and hold it against the truth."""
-    (campaign, off_rad), nominal = measure(trial), nominal_params()
+    """Measure an arm, calibrate it, and compare the result with the truth."""
+    (campaign, zero_error_rad), nominal = measure(trial), nominal_params()
     check_data(nominal, campaign)
     found = calibrate(nominal, campaign)
     refused = ""
@@ -81,7 +85,7 @@ def run(trial: CalibrationTrial) -> dict[str, Any]:
     if trial.files is not None:
         _save(found, trial)
     before, held = found.before[:, found.held_out_poses], found.held_out_error
-    beside = compare_with_truth(arm_named(f"as-built:{trial.seed}"), found, off_rad)
+    comparison = compare_with_truth(arm_named(f"as-built:{trial.seed}"), found, zero_error_rad)
     state = arm_model(nominal, campaign, with_backlash=False).errors(found.best.values)
     inside = np.array([branch.startswith("shoulder-in") for branch in campaign.branch])
     length = np.linalg.norm(state[3:], axis=0)
@@ -99,8 +103,8 @@ def run(trial: CalibrationTrial) -> dict[str, Any]:
         "p_value": found.best.p_value,
         "rank_frames": found.frame_identifiability.rank,
         "rank_all": found.identifiability.rank,
-        "intervals_hold": [int(np.sum(np.abs(beside.sigmas) < INTERVAL)), beside.sigmas.size],
-        "truth_rms_mm": 1e3 * rms_m(beside.error),
+        "intervals_hold": [int(np.sum(np.abs(comparison.sigmas) < INTERVAL)), comparison.sigmas.size],
+        "truth_rms_mm": 1e3 * rms_m(comparison.error),
         "stateless_mm": {
             "shoulder-in": float(1e3 * np.median(length[inside])),
             "shoulder-out": float(1e3 * np.median(length[~inside])),
@@ -109,17 +113,17 @@ def run(trial: CalibrationTrial) -> dict[str, Any]:
 
 
 def speed(campaign: Campaign) -> dict[str, Any]:
-    """The fit, whole calibration, and scipy's least squares with numeric derivatives on the same residual."""
+    """Time the calibration, its fit, and scipy's least squares with numeric derivatives on its residual."""
     nominal, parameters = nominal_params(), arm_parameters()
     model = arm_model(nominal, campaign)
     prior = np.array([parameter.prior_sigma for parameter in parameters])
 
-    def residual(from_one: np.ndarray) -> np.ndarray:
-        scaled = from_one - 1.0  # steps of numeric derivatives are relative
+    def residual(shifted: np.ndarray) -> np.ndarray:
+        scaled = shifted - 1.0  # numeric derivatives use relative steps, so the start is at 1
         error = model.errors(scaled * prior)
         return np.concatenate([np.einsum("nij,jn->ni", model.whitener, error).ravel(), scaled])
 
-    _best_time(lambda: model(np.zeros(prior.size)))  # warm
+    _best_time(lambda: model(np.zeros(prior.size)))  # warm-up
     whole_s, _ = _best_time(lambda: calibrate(nominal, campaign))
     ours_s, ours = _best_time(lambda: fit(parameters, model))
     theirs_s, theirs = _best_time(lambda: least_squares(residual, np.ones(prior.size), **NUMERIC))
@@ -137,7 +141,7 @@ def speed(campaign: Campaign) -> dict[str, Any]:
 
 
 def _best_time(work: Any) -> tuple[float, Any]:
-    """The best of three: other work on the machine only adds."""
+    """Return the shortest of three times, and the result; other processes only add time."""
     spent = []
     for _ in range(3):
         start = time.perf_counter()
@@ -149,7 +153,7 @@ def _best_time(work: Any) -> tuple[float, Any]:
 def campaign(
     arms: int, seed: int, workers: int, closed_loop: bool, files: Path | None = None, with_speed: bool = True
 ) -> dict[str, Any]:
-    """All arms, and the checks; those of speed mean something only where nothing else runs."""
+    """Calibrate all arms, and check the results; checks of speed require an otherwise idle machine."""
     trials = [CalibrationTrial(seed + k, closed_loop, files) for k in range(arms)]
     results = []
     for result in local_runner(workers)(run, trials):
@@ -194,23 +198,34 @@ def _save(found: Calibration, trial: CalibrationTrial) -> None:
 
 
 def _quiet(*_: Any) -> None:
-    """Progress that nobody sees."""
+    """Ignore progress."""
 
 
 def main() -> int:
-    """Print the result as JSON; exit status 1 if something is out of bounds."""
-    options = campaign_parser("calibration", __doc__, EXAMPLE)
-    options.add_argument("--arms", type=int, default=20, help="as-built arms (default 20)")
-    options.add_argument("--closed-loop", action="store_true", help="three minutes an arm, not ten seconds")
-    options.add_argument("--files", type=Path, help="folder for the arms' parameter files, SEED.toml each")
-    options.add_argument("--without-speed", action="store_true", help="on a machine that does other things")
-    asked = options.parse_args()
-    if min(asked.arms, asked.workers) < 1 or asked.seed < 0:
-        options.error("arms and workers are 1 or more, the seed is not negative")
-    if asked.files is not None:
-        asked.files.mkdir(exist_ok=True)
+    """Print the result as JSON; return 1 if a check fails."""
+    parser = campaign_parser("calibration", __doc__, EXAMPLE)
+    parser.add_argument("--arms", type=int, default=20, help="as-built arms (default 20)")
+    parser.add_argument(
+        "--closed-loop",
+        action="store_true",
+        help="use the closed loop: three minutes an arm, not ten seconds",
+    )
+    parser.add_argument("--files", type=Path, help="folder for the arms' parameter files, SEED.toml each")
+    parser.add_argument(
+        "--without-speed", action="store_true", help="do not check the speed, on a machine that is not idle"
+    )
+    options = parser.parse_args()
+    if min(options.arms, options.workers) < 1 or options.seed < 0:
+        parser.error("arms and workers are 1 or more, the seed is not negative")
+    if options.files is not None:
+        options.files.mkdir(exist_ok=True)
     result = campaign(
-        asked.arms, asked.seed, asked.workers, asked.closed_loop, asked.files, not asked.without_speed
+        options.arms,
+        options.seed,
+        options.workers,
+        options.closed_loop,
+        options.files,
+        not options.without_speed,
     )
     print(json.dumps(result, indent=2))
     return 0 if result["in_bounds"] else 1

@@ -1,7 +1,7 @@
-"""How fast the closed loop runs, against a bare step of the model of commit 50fd31b, in one process.
+"""Speed of the closed loop, as a ratio to a bare step of the model of commit 50fd31b, in one process.
 
-`plant-50fd31b.mjb` is that model as MuJoCo compiled it, without textures. It is kept so that a ratio of today
-can be compared with one of another day: a plant that becomes quicker does not move the yardstick.
+`plant-50fd31b.mjb` is that model as MuJoCo compiled it, without textures. It is a fixed reference, so that
+ratios of different days are comparable even if the plant becomes faster.
 
 Example: python -m validation.closed_loop
 """
@@ -32,17 +32,18 @@ from sim.world import Surface, World
 REPEATS = 5
 BARE_STEPS = 40_000
 SETTLING_STEPS = 4_096
-YARDSTICK_MODEL = Path(__file__).with_name("plant-50fd31b.mjb")
+REFERENCE_MODEL = Path(__file__).with_name("plant-50fd31b.mjb")
 TARGET = Placement(Tool.APXS, (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
 
 
 @cache
 def nominal_reference() -> Reference:
+    """Return the reference of the nominal arm after its hardstop initialisation."""
     return initial_reference(arm_named("nominal"))
 
 
 def placement_loop(with_truth: bool = False) -> ClosedLoop:
-    """The arm at the ready pose in front of the target."""
+    """Make a closed loop with the nominal arm in the ready pose in front of the target."""
     arm = arm_named("nominal")
     world = World(surface=Surface(TARGET.target_N_m, TARGET.normal_N))
     return ClosedLoop(
@@ -51,9 +52,9 @@ def placement_loop(with_truth: bool = False) -> ClosedLoop:
 
 
 @cache
-def _yardstick() -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """The kept model at rest at the ready pose, held by its motors, brakes off."""
-    model = mujoco.MjModel.from_binary_path(str(YARDSTICK_MODEL))
+def _reference_model() -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Load the reference model at rest in the ready pose, held by its motors, brakes released."""
+    model = mujoco.MjModel.from_binary_path(str(REFERENCE_MODEL))
     data = mujoco.MjData(model)
     ready = arm_named("nominal").params.poses.ready_rad
     data.qpos[[model.joint(f"{name}_motor").qposadr[0] for name in JOINT_NAMES]] = ready
@@ -63,15 +64,15 @@ def _yardstick() -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 
 def bare_step_s() -> float:
-    """Seconds a bare mj_step of the kept model, to which every speed is a ratio."""
-    model, data = _yardstick()
+    """Measure the seconds of a bare mj_step of the reference model, to which every speed is a ratio."""
+    model, data = _reference_model()
     began = time.perf_counter()
     mujoco.mj_step(model, data, BARE_STEPS)
     return (time.perf_counter() - began) / BARE_STEPS
 
 
 def _realtime_factor() -> float:
-    """Mechanical time over wall time of a placement in the closed loop."""
+    """Measure simulated time over wall time of a placement in the closed loop."""
     loop = placement_loop()
     began = time.perf_counter()
     cycles = sum(1 for _ in PlacementRun(loop, TARGET))
@@ -79,6 +80,8 @@ def _realtime_factor() -> float:
 
 
 def time_calls(function: Callable[..., Any], times_s: list[float]) -> Callable[..., Any]:
+    """Wrap a function so that the duration of each call is appended to `times_s`."""
+
     def run(*args: Any) -> Any:
         began = time.perf_counter()
         result = function(*args)
@@ -88,8 +91,8 @@ def time_calls(function: Callable[..., Any], times_s: list[float]) -> Callable[.
     return run
 
 
-def _shares_us() -> dict[str, list[float]]:
-    """Microseconds of every cycle of a placement, by part."""
+def _part_times_us() -> dict[str, list[float]]:
+    """Measure the microseconds of each part of every cycle of a placement."""
     parts: dict[str, list[float]] = {"fsw_step": [], "sense": [], "apply": [], "plant_step": []}
     loop = placement_loop()
     loop.avionics.sense = time_calls(loop.avionics.sense, parts["sense"])  # type: ignore[method-assign]
@@ -105,13 +108,13 @@ def _shares_us() -> dict[str, list[float]]:
 
 
 def closed_loop() -> dict[str, Any]:
-    """Rates and times; each ratio is the median of pairs measured one after the other."""
+    """Measure the speed of the closed loop; each ratio is the median of alternating pairs."""
     pairs = [(bare_step_s(), _realtime_factor()) for _ in range(REPEATS)]
     bare_us = 1e6 * median(bare for bare, _ in pairs)
-    step_s = _yardstick()[0].opt.timestep
-    shares = _shares_us()
-    fsw = np.array(shares["fsw_step"])
-    means = {name: float(np.mean(times)) for name, times in shares.items()}
+    step_s = _reference_model()[0].opt.timestep
+    times_us = _part_times_us()
+    fsw = np.array(times_us["fsw_step"])
+    means = {name: float(np.mean(times)) for name, times in times_us.items()}
     ours_us = means["fsw_step"] + means["sense"] + means["apply"]
     return {
         "bare_step_us": bare_us,

@@ -1,7 +1,7 @@
-"""Whether a tool that touches rests: APXS placements and tool changes to MAHLI on many calibrated arms.
+"""Campaign of contacts at rest: APXS placements and tool changes to MAHLI on many calibrated arms.
 
-From half a second after the last change of set-point no contact is lost, no switch changes, and the force
-stays within 20 % of its mean over the last second; from two seconds on, or once the brakes hold, within 5 %.
+From 0.5 s after the last change of set-point, no contact is lost and no switch changes. The force stays
+within 20 % of its mean over the last second; from 2 s on, or once the brakes hold, within 5 %.
 """
 
 import json
@@ -28,21 +28,21 @@ from validation.tool_change import FIRST, MOST_DRAWS, SECOND, TILT_RAD, not_comp
 
 SOON_S, LATER_S, HELD_S = 0.5, 2.0, 4.0
 SOON, LATER = 0.20, 0.05
-"""How far the force may be off its mean, as a share of it."""
+"""Largest deviations of the force from its mean, as a share of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class ContactRest:
-    """A tool that touched, from then until four seconds after its command."""
+    """Frozen record of the contact of a tool, from the touch until 4 s after the command."""
 
     arm: str
     tool: str
     mean_N: float
-    """Over the last second."""
+    """Mean force over the last second."""
     soon: float
-    """The most that the force is off the mean from 0.5 s on, as a share of it."""
+    """Largest deviation of the force from its mean from 0.5 s on, as a share of it."""
     later: float
-    """The same from 2 s on or once the brakes hold."""
+    """Likewise from 2 s on or once the brakes hold."""
     lost: int
     """Cycles without contact."""
     switched: int
@@ -50,51 +50,54 @@ class ContactRest:
 
     @property
     def in_bounds(self) -> bool:
-        """Whether it rests."""
+        """True if the contact is at rest within the bounds."""
         return self.soon < SOON and self.later < LATER and self.lost == self.switched == 0
 
 
 def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: Tool, arm: str = "") -> ContactRest | str:
-    """How the tool rests that touches at the end of these commands; or the warning that ended them before.
+    """Measure the contact of a tool that touches at the end of these commands.
 
-    The loop goes on until four seconds after the last command.
+    The loop runs until 4 s after the last command.
+
+    Returns:
+        The measured contact, or the warning that ended the commands early.
     """
-    force_N, closed, asked, braked, evrs = [], [], [], [], []
+    force_N, closed, setpoint_count, braked, evrs = [], [], [], [], []
     commanded = run_sequence(loop, commands)
     for record in chain(commanded, (loop.cycle() for _ in range(round(HELD_S * CYCLE_HZ)))):
         evrs += record.outputs.evrs
         force_N.append(float(np.linalg.norm(tool_forces(loop.plant)[tool])))
         closed.append(record.sensors.switch_closed[list(TOOL_SWITCHES[tool])])
-        asked.append(record.outputs.drive.setpoint_count)
+        setpoint_count.append(record.outputs.drive.setpoint_count)
         braked.append(loop.braked)
     problem = not_completed(commands[-1], evrs)
     if problem is not None:
         return problem
-    last = int(np.flatnonzero(np.diff(np.array(asked), axis=0).any(axis=1))[-1]) + 1
+    last = int(np.flatnonzero(np.diff(np.array(setpoint_count), axis=0).any(axis=1))[-1]) + 1
     soon = last + round(SOON_S * CYCLE_HZ)
     later = min(last + round(LATER_S * CYCLE_HZ), max(soon, braked.index(True, last)))
     force, mean_N = np.array(force_N), float(np.mean(force_N[-CYCLE_HZ:]))
-    off = np.abs(force - mean_N) / mean_N
+    deviation = np.abs(force - mean_N) / mean_N
     changes = np.diff(np.array(closed[soon:]).astype(int), axis=0)
     return ContactRest(
         arm,
         tool.name,
         mean_N,
-        soon=float(off[soon:].max()),
-        later=float(off[later:].max()),
+        soon=float(deviation[soon:].max()),
+        later=float(deviation[later:].max()),
         lost=int(np.sum(force[soon:] == 0.0)),
         switched=int(np.abs(changes).sum()),
     )
 
 
 def one_arm(seed: int) -> list[ContactRest]:
-    """A placement and a tool change of one arm, at the first target where both are carried out."""
+    """Measure a placement and a tool change of one arm, at the first target where both succeed."""
     name = f"calibrated:{seed}"
     arm = arm_named(name)
     for draw in range(1, MOST_DRAWS + 1):
-        world, seen = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
-        loop = ClosedLoop(Setup(arm, world, joints5(seen.standoff_rad), draw, true_reference(arm)))
-        first = rest_after(loop, (place_command(seen),), FIRST, name)
+        world, preview = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
+        loop = ClosedLoop(Setup(arm, world, joints5(preview.standoff_rad), draw, true_reference(arm)))
+        first = rest_after(loop, (place_command(preview),), FIRST, name)
         second = (
             rest_after(loop, (ToolChange(SECOND),), SECOND, name) if isinstance(first, ContactRest) else first
         )
@@ -104,7 +107,7 @@ def one_arm(seed: int) -> list[ContactRest]:
 
 
 def document(arms: int, seed: int, workers: int) -> dict[str, object]:
-    """So many arms, and whether every contact rests."""
+    """Measure this many arms; in bounds if every contact is at rest."""
     found: list[ContactRest] = []
     with ProcessPoolExecutor(workers) as pool:
         for k, rests in enumerate(pool.map(one_arm, range(seed, seed + arms)), start=1):
@@ -121,11 +124,11 @@ def document(arms: int, seed: int, workers: int) -> dict[str, object]:
 
 
 def main() -> int:
-    """Print the result as JSON; exit status 1 if a contact does not rest."""
-    options = campaign_parser("contact", __doc__, "example: python -m validation.contact --arms 3")
-    options.add_argument("--arms", type=int, default=20, help="calibrated arms (default %(default)s)")
-    asked = options.parse_args()
-    found = document(asked.arms, asked.seed, asked.workers)
+    """Print the result as JSON; return 1 if a contact is not at rest."""
+    parser = campaign_parser("contact", __doc__, "example: python -m validation.contact --arms 3")
+    parser.add_argument("--arms", type=int, default=20, help="calibrated arms (default %(default)s)")
+    options = parser.parse_args()
+    found = document(options.arms, options.seed, options.workers)
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1
 

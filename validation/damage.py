@@ -1,7 +1,7 @@
-"""What becomes of a log that is damaged: single bits flipped, and the file cut; run it as a program.
+"""Campaign of damaged logs: single bits flipped, and the file truncated.
 
-Each damage must be harmless, every value as it was written, or be detected and its span told. Recovery must
-save every message of the chunks that are undamaged, and give no other value than was written.
+Each damage must be harmless, with every value as it was written, or be detected with its time span reported.
+Recovery must save every message of the undamaged chunks, and must not change a value.
 """
 
 import argparse
@@ -34,7 +34,7 @@ HERE: Final = Path("damaged.mcap")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Original:
-    """An undamaged file: its bytes, what is in them, and where its chunks with messages are."""
+    """Frozen record of an undamaged file: bytes, contents, and locations of chunks with messages."""
 
     data: bytes
     log: Log
@@ -42,14 +42,14 @@ class Original:
 
 
 def original(data: bytes) -> Original:
-    """An undamaged file, closed or cut short."""
-    found = read_records(HERE, data)
-    chunks = (chunk for chunk, index in zip(found.chunks, found.indexes, strict=True) if index)
+    """Parse an undamaged file, complete or truncated."""
+    records = read_records(HERE, data)
+    chunks = (chunk for chunk, index in zip(records.chunks, records.indexes, strict=True) if index)
     return Original(data, parse_log(HERE, data), tuple(chunks))
 
 
 def is_same_log(log: Log, written: Log) -> bool:
-    """Whether a log holds all that was written, bit for bit."""
+    """Check that a log holds all that was written, bit for bit."""
     return (
         log.header == written.header
         and log.time_ns.keys() == written.time_ns.keys()
@@ -60,12 +60,12 @@ def is_same_log(log: Log, written: Log) -> bool:
 
 
 def packet_bytes(packets: NDArray[np.void]) -> NDArray[np.uint8]:
-    """All bytes of packets, shape (n, bytes); numpy copies those between the fields only so."""
+    """Return all bytes of packets, shape (n, bytes), with the padding between fields."""
     return packets.view(np.uint8).reshape(len(packets), packets.dtype.itemsize)
 
 
 def is_part(log: Log, written: Log) -> bool:
-    """Whether every message of a log was written so."""
+    """Check that every message of a log was written with these values."""
     for topic, packets in log.packets.items():
         rows = np.searchsorted(written.time_ns[topic], log.time_ns[topic])
         at_its_time = np.array_equal(written.time_ns[topic][rows % len(written[topic])], log.time_ns[topic])
@@ -75,7 +75,7 @@ def is_part(log: Log, written: Log) -> bool:
 
 
 def times_in(damaged: bytes) -> dict[str, NDArray[np.uint64]]:
-    """Log times of all messages that are undamaged, by topic."""
+    """Return the log times [ns] of all undamaged messages, shape (n,), by topic."""
     found = salvage(damaged)
     heads = np.concatenate([np.zeros(0, MESSAGE_DTYPE), *(chunk.heads for chunk in found.chunks)])
     return {one.topic: heads["time_ns"][heads["channel"] == number] for number, one in found.channels.items()}
@@ -84,12 +84,18 @@ def times_in(damaged: bytes) -> dict[str, NDArray[np.uint64]]:
 def is_loss_reported(
     here_ns: Mapping[str, NDArray[np.uint64]], written: Log, lost: tuple[LostMessages, ...]
 ) -> bool:
-    """Whether what was written and is not here, times by topic, is all within the spans that are told."""
+    """Check that every missing message is within a reported time span.
+
+    Args:
+        here_ns: Log times of the messages that are present, shape (n,), by topic.
+        written: The undamaged log.
+        lost: The reported spans.
+    """
     for topic, times in written.time_ns.items():
         here = here_ns.get(topic, np.zeros(0, np.uint64))
         spans = [one for one in lost if one.topic in (topic, None)]
         for time_ns in np.setdiff1d(times, here).tolist():
-            # Several EVRs may be of one cycle, so that the ends of a span belong to it.
+            # A cycle may have several EVRs, so the ends of a span belong to it.
             if not any(
                 (one.after_ns is None or one.after_ns <= time_ns)
                 and (one.before_ns is None or time_ns <= one.before_ns)
@@ -100,15 +106,21 @@ def is_loss_reported(
 
 
 def judge_read(made: Original, damaged: bytes, cut_ns: int | None = None) -> str:
-    """What a strict read makes of damage: "harmless", "detected", "refused", "cut" or what is wrong with it.
+    """Judge a strict read of a damaged file.
 
-    `cut_ns` is the log time up to which a file that was cut holds complete chunks.
+    Args:
+        made: The undamaged file.
+        damaged: The damaged bytes.
+        cut_ns: Log time up to which a truncated file holds complete chunks.
+
+    Returns:
+        "harmless", "detected", "refused" or "cut", or a description of the error that begins with "WRONG".
     """
     try:
         log = parse_log(HERE, damaged)
     except LogDamaged as error:
-        told = is_loss_reported(times_in(damaged), made.log, error.lost)
-        return "detected" if told else f"WRONG: its span is not told: {error}"
+        is_reported = is_loss_reported(times_in(damaged), made.log, error.lost)
+        return "detected" if is_reported else f"WRONG: its span is not told: {error}"
     except LogNotReadable:
         return "refused"
     except LogError as error:
@@ -125,15 +137,25 @@ def judge_read(made: Original, damaged: bytes, cut_ns: int | None = None) -> str
 
 
 def judge_recovery(made: Original, damaged: bytes, is_hit: list[bool], folder: Path) -> str:
-    """What recovery makes of damage: "saved", "nothing to save" or what is wrong; `is_hit` is by chunk."""
+    """Judge the recovery of a damaged file.
+
+    Args:
+        made: The undamaged file.
+        damaged: The damaged bytes.
+        is_hit: True for each damaged chunk.
+        folder: Folder for temporary files.
+
+    Returns:
+        "saved" or "nothing to save", or a description of the error that begins with "WRONG".
+    """
     bad, good = folder / "bad.mcap", folder / "good.mcap"
     bad.write_bytes(damaged)
     try:
         recovered = recover(bad, good, lambda *_: None)
     except LogError as error:
-        # Where the header does not announce the channels, the first chunk alone says what messages mean.
-        is_mute = is_hit[0] and CHANNELS_KEY not in made.log.header
-        return "nothing to save" if all(is_hit) or is_mute else f"WRONG: {error}"
+        # If the header does not define the channels, only the first chunk does.
+        lacks_channels = is_hit[0] and CHANNELS_KEY not in made.log.header
+        return "nothing to save" if all(is_hit) or lacks_channels else f"WRONG: {error}"
     log = parse_log(good, good.read_bytes())
     if not is_part(log, made.log):
         return "WRONG: other values"
@@ -149,13 +171,13 @@ def judge_recovery(made: Original, damaged: bytes, is_hit: list[bool], folder: P
 
 
 def flips(made: Original, tries: int, seed: int) -> Iterator[tuple[int, int]]:
-    """Bytes and bits to flip."""
+    """Draw offsets of bytes, and bits in them, to flip."""
     random = np.random.default_rng(seed)
     yield from zip(random.integers(len(made.data), size=tries), random.integers(8, size=tries), strict=True)
 
 
 def flip_bits(made: Original, tries: int, seed: int, folder: Path) -> dict[str, Any]:
-    """Flip single bits, one at a time."""
+    """Flip single bits, one at a time, and count the judgements."""
     reads, saves, wrong = Counter[str](), Counter[str](), []
     for k, (at, bit) in enumerate(flips(made, tries, seed)):
         damaged = bytearray(made.data)
@@ -172,7 +194,7 @@ def flip_bits(made: Original, tries: int, seed: int, folder: Path) -> dict[str, 
 
 
 def truncate_file(made: Original, every: int, folder: Path) -> dict[str, Any]:
-    """Cut the file, at every so many bytes."""
+    """Truncate the file at multiples of `every` bytes, and count the judgements."""
     reads, saves, wrong = Counter[str](), Counter[str](), []
     for size in range(0, len(made.data), every):
         damaged = made.data[:size]
@@ -188,13 +210,13 @@ def truncate_file(made: Original, every: int, folder: Path) -> dict[str, Any]:
 
 
 def campaign(cycles: int, tries: int, seed: int, chunk_s: float = 0.0) -> dict[str, Any]:
-    """A closed log and one cut short, damaged in every way."""
+    """Damage a complete log and a truncated one in every way."""
     with TemporaryDirectory() as name:
         folder = Path(name)
         data = record_log(folder / "run.mcap", cycles, chunk_s).read_bytes()
         whole = original(data)
-        begun = whole.chunks[len(whole.chunks) * 3 // 5]
-        cut = original(data[: (begun.begin + begun.end) // 2])
+        last = whole.chunks[len(whole.chunks) * 3 // 5]
+        cut = original(data[: (last.begin + last.end) // 2])
         return {
             "cycles": cycles,
             "bytes": len(data),
@@ -206,13 +228,13 @@ def campaign(cycles: int, tries: int, seed: int, chunk_s: float = 0.0) -> dict[s
 
 
 def main() -> None:
-    """Damage and print."""
+    """Print the result as JSON; exit with 1 if a reaction is wrong."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cycles", type=int, default=CYCLES)
     parser.add_argument("--tries", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=6)
-    asked = parser.parse_args()
-    found = campaign(asked.cycles, asked.tries, asked.seed)
+    options = parser.parse_args()
+    found = campaign(options.cycles, options.tries, options.seed)
     print(json.dumps(found, indent=2))
     wrong = [one for part in found.values() if isinstance(part, dict) for one in part["wrong"]]
     sys.exit(1 if wrong else 0)

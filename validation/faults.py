@@ -1,7 +1,7 @@
-"""Random faults at random moments of random scenarios: how each ends, and what the arm does meanwhile.
+"""Campaign of random faults at random times of random scenarios: final states, largest forces and angles.
 
-A run of each scenario is forked at random moments; a fault is injected into each fork, which goes on until it
-is braked, until its scenario is over, or for 45 s and until it rests. Then a move is asked for.
+A run of each scenario is forked at random times, and a fault is injected into each fork. The fork continues
+until it is braked, until its scenario ends, or for 45 s and until it rests. Then a move is commanded.
 """
 
 import json
@@ -42,8 +42,10 @@ from sim.scenario.run import scenario_setup
 from sim.sequence import run_sequence
 from validation.options import campaign_parser
 
-GOES_ON_S = 45.0
+FORK_S = 45.0
+"""Longest time that a fork runs after its fault."""
 WIND_UP_RAD = 0.005
+"""Largest wind-up of a gear."""
 EXPECTED_ENDS = ("refusing", "stopped", "tolerated", "a later command refused")
 TILT_DEG = (6.0, -8.0)
 STILL: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -63,35 +65,36 @@ SIZES = {
     "switch_closed": (1.0, 0.5),
     "gravity_R_m_s2": (0.2, 0.1),
 }
-"""Of a bias and of noise."""
+"""Size of a bias, and of noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaultOutcome:
-    """What came of one fault."""
+    """Frozen record of an injected fault and its outcome."""
 
     scenario: str
     fault: str
     mode: str
-    """In which it began."""
+    """Mode of the arm when the fault began."""
     found: str
-    """The first fault that flight software reported, or none."""
+    """First fault that flight software reported, or none."""
     end: str
-    """One of AS_IT_SHOULD_BE, or what is not; stopped is braked and not refusing."""
+    """Final state: one of EXPECTED_ENDS, or an error; stopped is braked and not refusing."""
     braked: bool
     guarded_N: float
-    """Largest force on a tool while it was guarded, retracted or stopped from that."""
+    """Largest force on a tool in a guarded move, a retraction, or a stop of these."""
     free_N: float
-    """Likewise in free space."""
+    """Largest force on a tool in free space."""
     pressed_N: float
+    """Largest force on a tool in a preload."""
     hull_N: float
-    """Largest force of the rover's hull on the arm, bit boxes apart."""
+    """Largest force of the rover's hull on the arm, without the bit boxes."""
     beyond_rad: float
-    """How far an output was beyond its soft limits and their margin; negative is inside."""
+    """Largest excess of an output over its soft limits and their margin; negative is inside."""
 
 
 def random_fault(rng: np.random.Generator, at_s: float, has_rock: bool) -> InjectedFault:
-    """Any kind, any joint or sensor, of a size worth the name."""
+    """Draw a fault of any kind, at any joint or sensor, of a significant size."""
     joint = Joint(int(rng.integers(len(Joint))))
     match int(rng.integers(12 if has_rock else 11)):
         case 0:
@@ -126,7 +129,7 @@ def _sensor_fault(rng: np.random.Generator, at_s: float) -> SensorFault:
 
 
 def campaign(name: str, seed: int, count: int) -> list[FaultOutcome]:
-    """So many faults, each in a fork of one run of a scenario."""
+    """Inject this many faults, each into a fork of one run of a scenario."""
     scenario = load_scenario(name).tilted(*(float(v) for v in np.radians(TILT_DEG)))
     arm = arm_named("nominal")
     rng = np.random.default_rng([seed, *map(ord, name)])
@@ -143,55 +146,57 @@ def campaign(name: str, seed: int, count: int) -> list[FaultOutcome]:
 
 
 def _inject(name: str, loop: ClosedLoop, fault: InjectedFault, rest: tuple[Command, ...]) -> FaultOutcome:
-    began, move, watched = loop.state.mode, loop.state.move, _Watch(loop)
+    initial_mode, move, observed = loop.state.mode, loop.state.move, _Observer(loop)
     moving = move is not None and move.phase in (Phase.RELEASE, Phase.RUN)
-    last = loop.state.tick + round(GOES_ON_S * CYCLE_HZ)
+    last = loop.state.tick + round(FORK_S * CYCLE_HZ)
     for record in _continue_run(loop, rest):
-        watched.note(record)
+        observed.note(record)
         at_rest = not record.outputs.joint.busy
-        if (watched.responses and at_rest) or record.tick >= last:
+        if (observed.responses and at_rest) or record.tick >= last:
             break
-    if not watched.responses and loop.state.move is not None:
-        watched.note(loop.cycle((Stop(),)))
+    if not observed.responses and loop.state.move is not None:
+        observed.note(loop.cycle((Stop(),)))
     while loop.state.move is not None:
-        watched.note(loop.cycle())
+        observed.note(loop.cycle())
     for _ in range(round(0.25 * CYCLE_HZ)):
-        watched.note(loop.cycle())
+        observed.note(loop.cycle())
     braked = loop.braked
-    asked = loop.cycle((MoveJoints(STILL, relative=True),)).outputs.evrs
-    refusing = any(isinstance(evr, CommandRefused) for evr in asked)
+    reaction = loop.cycle((MoveJoints(STILL, relative=True),)).outputs.evrs
+    refusing = any(isinstance(evr, CommandRefused) for evr in reaction)
     return FaultOutcome(
         scenario=name,
         fault=_fault_name(fault),
-        mode=began.name,
-        found=watched.found[0] if watched.found else "none",
-        end=_end(loop, watched, braked, refusing, _must_be_found(loop, fault, moving)),
+        mode=initial_mode.name,
+        found=observed.found[0] if observed.found else "none",
+        end=_classify_end(loop, observed, braked, refusing, _must_be_found(loop, fault, moving)),
         braked=braked,
-        guarded_N=watched.most_N["guarded"],
-        free_N=watched.most_N["free"],
-        pressed_N=watched.most_N["pressed"],
-        hull_N=watched.most_N["hull"],
-        beyond_rad=watched.beyond_rad,
+        guarded_N=observed.most_N["guarded"],
+        free_N=observed.most_N["free"],
+        pressed_N=observed.most_N["pressed"],
+        hull_N=observed.most_N["hull"],
+        beyond_rad=observed.beyond_rad,
     )
 
 
-def _end(loop: ClosedLoop, watched: "_Watch", braked: bool, refusing: bool, must_be_found: bool) -> str:
-    """How it ended; AS_IT_SHOULD_BE tells which of these are."""
+def _classify_end(
+    loop: ClosedLoop, observed: "_Observer", braked: bool, refusing: bool, must_be_found: bool
+) -> str:
+    """Classify the final state; EXPECTED_ENDS lists the correct ones."""
     if loop.failure is not None:
         return "software error"
     if not braked:
         return "not braked"
     if loop.state.mode is Mode.FAULTED:
         return "refusing" if refusing else "faulted and not refusing"
-    if watched.responses:
-        return "stopped" if set(watched.responses) == {Response.STOP_AND_BRAKE} else "not refusing"
-    if watched.refused:
+    if observed.responses:
+        return "stopped" if set(observed.responses) == {Response.STOP_AND_BRAKE} else "not refusing"
+    if observed.refused:
         return "a later command refused"
-    return "overlooked" if must_be_found or watched.astray else "tolerated"
+    return "overlooked" if must_be_found or observed.has_tracking_error else "tolerated"
 
 
 def _must_be_found(loop: ClosedLoop, fault: InjectedFault, moving: bool) -> bool:
-    """Whether docs/faults.md tolerates no such fault, whatever the arm was doing then."""
+    """Check whether docs/faults.md requires that this fault is detected."""
     bounds = loop.config.params.monitors
     match fault:
         case SensorFault(kind="nan"):
@@ -199,7 +204,7 @@ def _must_be_found(loop: ClosedLoop, fault: InjectedFault, moving: bool) -> bool
         case SensorFault(kind="frozen", sensor="resolver_rad" | "current_A" | "gravity_R_m_s2"):
             return True
         case SensorFault(kind="biased", sensor="resolver_rad", size=size):
-            # what is not known of a gear comes on top of the bound
+            # The unknown position inside the backlash adds to the bound.
             return abs(size) > bounds.resolver_error_rad + 2 * float(loop.config.half_gap_rad.max())
         case MissedCycles(count=count):
             return count > bounds.missed_cycles
@@ -211,36 +216,36 @@ def _must_be_found(loop: ClosedLoop, fault: InjectedFault, moving: bool) -> bool
             return False
 
 
-class _Watch:
-    """What is seen of the arm while a fault is in it."""
+class _Observer:
+    """Observer of the arm after a fault: reported faults, largest forces and angles."""
 
     def __init__(self, loop: ClosedLoop):
         self._loop, self._mode = loop, loop.state.mode
         config = loop.config
-        # what the gap and the wind-up of a gear add to the motor's own limit
+        # Backlash and wind-up of a gear add to the limit of the motor.
         motor_rad = config.params.monitors.soft_limit_margin_rad
         self._margin = motor_rad + float(config.half_gap_rad.max()) + WIND_UP_RAD
         self.found: list[str] = []
         self.responses: list[str] = []
         self.refused = False
-        self.astray = False
-        """Whether a motor was far from its set-point for long: a fault that has an effect, whatever it is."""
-        self._off = 0
+        self.has_tracking_error = False
+        """True if a motor was far from its set-point for long, which shows that the fault has an effect."""
+        self._cycles_off = 0
         self.most_N = dict.fromkeys(("guarded", "free", "pressed", "hull"), 0.0)
         self.beyond_rad = -np.inf
 
     def note(self, record: CycleRecord) -> None:
-        """One cycle."""
+        """Evaluate one cycle."""
         loop, state, arm = self._loop, self._loop.state, self._loop.config.arm
         for evr in record.outputs.evrs:
             self.found += [type(evr).__name__] if isinstance(evr, FaultEvr) else []
             self.responses += [evr.response] if isinstance(evr, FaultResponse) else []
             self.refused |= isinstance(evr, CommandRefused)
         self._mode = self._mode if state.mode is Mode.FAULTED else state.mode
-        self._follow()
-        presses = self._mode is Mode.PRELOAD
-        guarded = self._mode in (Mode.GUARDED, Mode.RETRACTING)
-        kind = "pressed" if presses else "guarded" if guarded else "free"
+        self._note_tracking_error()
+        is_preload = self._mode is Mode.PRELOAD
+        is_guarded = self._mode in (Mode.GUARDED, Mode.RETRACTING)
+        kind = "pressed" if is_preload else "guarded" if is_guarded else "free"
         most_N = float(np.linalg.norm(tool_forces(loop.plant), axis=1).max())
         self.most_N[kind] = max(self.most_N[kind], most_N)
         self.most_N["hull"] = max(self.most_N["hull"], hull_force_N(loop.plant))
@@ -248,20 +253,20 @@ class _Watch:
         beyond = np.maximum(arm.soft_min_rad - output, output - arm.soft_max_rad).max() - self._margin
         self.beyond_rad = max(self.beyond_rad, float(beyond))
 
-    def _follow(self) -> None:
-        """How long a driven motor has truly been farther from its set-point than is allowed, twice over."""
+    def _note_tracking_error(self) -> None:
+        """Count the cycles in which a driven motor is truly off its set-point by over twice the bound."""
         move, bounds = self._loop.state.move, self._loop.config.params.monitors
         driven = move is not None and move.phase is Phase.RUN and not move.stopped
         off_rad = 0.0
         if move is not None and driven:
             apart = np.abs(self._loop.plant.motor_rad() - move.setpoint.motor_rad)
             off_rad = float(np.where(move.active, apart, 0.0).max())
-        self._off = self._off + 1 if off_rad > 2 * bounds.following_error_rad else 0
-        self.astray |= self._off > 2 * bounds.following_persistence
+        self._cycles_off = self._cycles_off + 1 if off_rad > 2 * bounds.following_error_rad else 0
+        self.has_tracking_error |= self._cycles_off > 2 * bounds.following_persistence
 
 
 def _continue_run(loop: ClosedLoop, rest: tuple[Command, ...]) -> Iterator[CycleRecord]:
-    """What was under way when the run was forked, and then what is still to come."""
+    """Complete the command in progress when the run was forked, and then run the remaining commands."""
     record = loop.cycle()
     yield record
     while record.outputs.joint.busy:
@@ -277,12 +282,12 @@ def _fault_name(fault: InjectedFault) -> str:
 
 
 def summary(cases: list[FaultOutcome]) -> dict[str, object]:
-    """The table by fault and scenario, and the worst of everything."""
+    """Summarize outcomes by fault and scenario, with the largest forces and angles."""
     table: dict[str, dict[str, dict[str, int]]] = {}
     for case in cases:
         cell = table.setdefault(case.fault, {}).setdefault(case.scenario, {})
         cell[case.end] = cell.get(case.end, 0) + 1
-    astray = [asdict(case) for case in cases if case.end not in EXPECTED_ENDS]
+    unexpected = [asdict(case) for case in cases if case.end not in EXPECTED_ENDS]
     over = [
         asdict(c)
         for c in cases
@@ -291,7 +296,7 @@ def summary(cases: list[FaultOutcome]) -> dict[str, object]:
     return {
         "count": len(cases),
         "ends": dict(Counter(case.end for case in cases)),
-        "not_as_it_should_be": astray,
+        "not_as_it_should_be": unexpected,
         "most_guarded_N": max(case.guarded_N for case in cases),
         "most_free_N": max(case.free_N for case in cases),
         "most_pressed_N": max(case.pressed_N for case in cases),
@@ -301,16 +306,16 @@ def summary(cases: list[FaultOutcome]) -> dict[str, object]:
         "table": {fault: table[fault] for fault in sorted(table)},
         "over": over,
         "tolerated": sorted({(case.fault, case.mode) for case in cases if case.end == "tolerated"}),
-        "in_bounds": not astray and not over,
+        "in_bounds": not unexpected and not over,
     }
 
 
 def document(count: int, seed: int, workers: int, only: str | None = None) -> dict[str, object]:
-    """So many faults over all scenarios, or in only one."""
+    """Inject this many faults into all scenarios, or into only one."""
     names = [only] if only else list(built_in_scenarios())
     counts = Counter(str(name) for name in np.random.default_rng([seed, 60]).choice(names, count))
     chunks = [
-        (name, 100 * seed + k, share) for name in names for k, share in enumerate(_shares(counts[name]))
+        (name, 100 * seed + k, size) for name in names for k, size in enumerate(_chunk_sizes(counts[name]))
     ]
     cases: list[FaultOutcome] = []
     with ProcessPoolExecutor(workers) as pool:
@@ -321,17 +326,17 @@ def document(count: int, seed: int, workers: int, only: str | None = None) -> di
     return summary(cases)
 
 
-def _shares(count: int, most: int = 100) -> list[int]:
+def _chunk_sizes(count: int, most: int = 100) -> list[int]:
     return [most] * (count // most) + ([count % most] if count % most else [])
 
 
 def main() -> int:
-    """Print the result as JSON; exit status 1 if one did not end as it should, or went too far."""
-    options = campaign_parser("faults", __doc__, "example: python -m validation.faults --count 60")
-    options.add_argument("--count", type=int, default=1000, help="faults in all (default %(default)s)")
-    options.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
-    asked = options.parse_args()
-    found = document(asked.count, asked.seed, asked.workers, asked.only)
+    """Print the result as JSON; return 1 if a final state is wrong, or a force or angle too large."""
+    parser = campaign_parser("faults", __doc__, "example: python -m validation.faults --count 60")
+    parser.add_argument("--count", type=int, default=1000, help="faults in all (default %(default)s)")
+    parser.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
+    options = parser.parse_args()
+    found = document(options.count, options.seed, options.workers, options.only)
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1
 

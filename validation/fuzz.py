@@ -1,6 +1,6 @@
-"""Feeds what reads files of others with broken ones: an error that says so is right, anything else is a bug.
+"""Fuzzing of the log reader and the importer with corrupt files: any reaction but a proper error is a bug.
 
-With atheris installed, coverage guides the changes; without it a seeded mutator makes them blindly.
+With atheris installed, coverage guides the mutations; without it a seeded mutator makes them at random.
 """
 
 import argparse
@@ -39,33 +39,34 @@ from validation.fuzz_inputs import (
 from validation.sample_logs import record_log
 
 MEMORY_BYTES: Final = 4 << 30
-"""Of address space, the libraries and their threads included."""
+"""Limit of the address space, with libraries and their threads."""
 SLOWEST_S: Final = 10.0
-"""For one input; the longest that the mutator makes takes a tenth of it."""
+"""Time limit of one input; the longest input of the mutator takes a tenth of it."""
 MOST_BYTES: Final = 1 << 30
-"""By which the memory of the process may grow for one input."""
+"""Limit of the growth in memory of the process for one input."""
 SEED_CYCLES: Final = 24
 POOL: Final = 64
-"""Inputs that are changed, the seeds and those that were accepted."""
+"""Largest number of inputs to mutate: the seeds, and accepted inputs."""
 
 
 class TooSlow(BaseException):
-    """An input took longer than any may; not an Exception, which a target may catch for a broken file."""
+    """Error for an input over the time limit; no Exception, because a target may catch those."""
 
 
 @dataclass(frozen=True, slots=True)
 class FuzzTarget:
-    """Something that takes the bytes of a file: True if it accepted them, False if it refused."""
+    """Frozen record of a function to fuzz."""
 
     name: str
     run: Callable[[bytes], bool]
+    """Function of the bytes of a file: True if it accepts them, False if it refuses them."""
     seeds: Callable[[], list[bytes]]
-    """Files that it accepts, to begin with."""
+    """Function that makes valid files to begin with."""
     mutate: Callable[[Random, bytes], bytes] = mutate_bytes
 
 
 def fuzz_reader(data: bytes) -> bool:
-    """Read a log and look at all that is in it; then save what can be saved of it."""
+    """Salvage a log, read it, and inspect all that it holds."""
     path = Path("fuzz.mcap")
     salvage(data)
     try:
@@ -79,7 +80,7 @@ def fuzz_reader(data: bytes) -> bool:
 
 
 def log_seeds() -> list[bytes]:
-    """A closed log, its beginning, and one without a cycle."""
+    """Make a complete log, its first half, and a log without a cycle."""
     with TemporaryDirectory() as folder:
         data = record_log(Path(folder) / "run.mcap", SEED_CYCLES, 0.0).read_bytes()
         empty = record_log(Path(folder) / "run.mcap", 0, 0.0).read_bytes()
@@ -87,7 +88,7 @@ def log_seeds() -> list[bytes]:
 
 
 def mutate_log(random: Random, data: bytes) -> bytes:
-    """Changes to the file, or inside its records."""
+    """Mutate the bytes of a log, or the contents of its records."""
     return (mutate_records if random.random() < 0.6 else mutate_bytes)(random, data)
 
 
@@ -99,7 +100,7 @@ TARGETS: Final = (
 
 @contextmanager
 def time_limit(seconds: float) -> Iterator[None]:
-    """Raise TooSlow when the block takes longer; end the process where that cannot be, within a library."""
+    """Raise TooSlow if the block takes longer; exit the process if a library blocks the signal."""
 
     def stop(*_: Any) -> None:
         raise TooSlow(f"longer than {seconds} s")
@@ -116,16 +117,16 @@ def time_limit(seconds: float) -> Iterator[None]:
 
 
 def fuzz(target: FuzzTarget, seed: int, seconds: float, most: int | None = None) -> dict[str, Any]:
-    """Change the seeds blindly until time is over, or `most` are tried, or a bug is found.
+    """Mutate inputs at random until the time is over, `most` are tried, or a bug is found.
 
-    Inputs that are accepted are changed again. Time and memory are measured out here, whatever a target says.
+    Accepted inputs are mutated again. Time and memory are measured outside the target.
     """
     random = np.random.default_rng(seed)
     pool, accepted, tries, slowest_s, largest_bytes = target.seeds(), 0, 0, 0.0, 0
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s and tries != most:
         data = target.mutate(random, pool[int(random.integers(len(pool)))])
-        file = write_input(target, data)  # before it is tried: some bugs end the process
+        file = write_input(target, data)  # written before the trial, because some bugs end the process
         began_s, bytes_before = time.monotonic(), peak_bytes()
         try:
             with time_limit(SLOWEST_S):
@@ -151,12 +152,12 @@ def fuzz(target: FuzzTarget, seed: int, seconds: float, most: int | None = None)
 
 
 def peak_bytes() -> int:
-    """The most memory that this process has had."""
+    """Return the peak memory of this process."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10  # KiB on Linux
 
 
 def check_cost(took_s: float, grown_bytes: int) -> None:
-    """Raise TooSlow or MemoryError where an input cost more than any may."""
+    """Raise TooSlow or MemoryError if an input exceeded a limit."""
     if took_s > SLOWEST_S:
         raise TooSlow(f"took {took_s:.1f} s, longer than {SLOWEST_S} s")
     if grown_bytes > MOST_BYTES:
@@ -164,14 +165,14 @@ def check_cost(took_s: float, grown_bytes: int) -> None:
 
 
 def write_input(target: FuzzTarget, data: bytes) -> Path:
-    """Where the input was written that a target is given."""
+    """Write an input to a file, and return its path."""
     path = Path(f"fuzz-{target.name}-{hashlib.sha256(data).hexdigest()[:12]}.bin")
     path.write_bytes(data)
     return path
 
 
 def fuzz_with_atheris(target: FuzzTarget, seed: int, seconds: float) -> dict[str, Any]:
-    """Let atheris change the seeds, in a process of its own, which ends with it."""
+    """Fuzz with atheris in a separate process, because atheris ends its process."""
     with TemporaryDirectory() as folder:
         for k, data in enumerate(target.seeds()):
             (Path(folder) / str(k)).write_bytes(data)
@@ -187,7 +188,7 @@ def fuzz_with_atheris(target: FuzzTarget, seed: int, seconds: float) -> dict[str
         ]
         limits = [
             f"-max_total_time={max(1, round(seconds))}",
-            f"-seed={seed + 1}",  # 0 would be a random one
+            f"-seed={seed + 1}",  # 0 means a random seed
             f"-timeout={SLOWEST_S:.0f}",
             f"-rss_limit_mb={MEMORY_BYTES >> 21}",
             f"-max_len={1 << 20}",
@@ -198,22 +199,22 @@ def fuzz_with_atheris(target: FuzzTarget, seed: int, seconds: float) -> dict[str
             [*command, *limits], capture_output=True, text=True, errors="replace", check=False
         )
     counts = [line.split() for line in ran.stderr.splitlines() if "number_of_executed_units" in line]
-    said = "\n".join((ran.stdout[-4000:], ran.stderr[-4000:]))  # what was raised is in the first
+    output = "\n".join((ran.stdout[-4000:], ran.stderr[-4000:]))  # tracebacks are on standard output
     return {
         "guided": True,
         "tries": int(counts[0][-1]) if counts else None,
-        "failed": None if ran.returncode == 0 else said,
+        "failed": None if ran.returncode == 0 else output,
     }
 
 
 def run_atheris(target: FuzzTarget, seed: int, arguments: list[str]) -> None:
-    """Run atheris here; it ends the process."""
+    """Run atheris, which ends this process."""
     import atheris
 
     def mutate(data: bytes, most: int, number: int) -> bytes:
         random = np.random.default_rng((seed, number))
-        made = atheris.Mutate(data, most) if random.random() < 0.4 else target.mutate(random, data)
-        return bytes(made[:most])
+        mutated = atheris.Mutate(data, most) if random.random() < 0.4 else target.mutate(random, data)
+        return bytes(mutated[:most])
 
     atheris.instrument_all()
     atheris.Setup([sys.argv[0], *arguments], lambda data: target.run(data) and None, custom_mutator=mutate)
@@ -221,27 +222,31 @@ def run_atheris(target: FuzzTarget, seed: int, arguments: list[str]) -> None:
 
 
 def main() -> None:
-    """Fuzz all targets, or one, and print what came of it."""
+    """Fuzz all targets, or one, and print the results as JSON; exit with 1 if a bug was found."""
     names = [target.name for target in TARGETS]
     parser = argparse.ArgumentParser(prog="python -m validation.fuzz", description=__doc__)
-    parser.add_argument("--seconds", type=float, default=60.0, help="for all targets together (default 60)")
-    parser.add_argument("--seed", type=int, default=0, help="of the changes (default 0)")
-    parser.add_argument("--target", choices=names, help="one of them alone")
-    parser.add_argument("--blind", action="store_true", help="without atheris, even if it is there")
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="time for all targets together (default 60)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the mutations (default 0)")
+    parser.add_argument("--target", choices=names, help="fuzz only this target")
+    parser.add_argument("--blind", action="store_true", help="do not use atheris, even if it is installed")
     parser.add_argument("--inside", choices=names, help=argparse.SUPPRESS)
-    asked, rest = parser.parse_known_args()
-    if asked.inside:
-        run_atheris(next(one for one in TARGETS if one.name == asked.inside), asked.seed, rest)
+    options, rest = parser.parse_known_args()
+    if options.inside:
+        run_atheris(next(one for one in TARGETS if one.name == options.inside), options.seed, rest)
         return
     if rest:
         parser.error(f"unknown: {' '.join(rest)}")
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    chosen = [one for one in TARGETS if asked.target in (None, one.name)]
-    has_atheris = importlib.util.find_spec("atheris") is not None and not asked.blind
+    chosen = [one for one in TARGETS if options.target in (None, one.name)]
+    has_atheris = importlib.util.find_spec("atheris") is not None and not options.blind
     if not has_atheris:
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     found = {
-        one.name: (fuzz_with_atheris if has_atheris else fuzz)(one, asked.seed, asked.seconds / len(chosen))
+        one.name: (fuzz_with_atheris if has_atheris else fuzz)(
+            one, options.seed, options.seconds / len(chosen)
+        )
         for one in chosen
     }
     print(json.dumps({"atheris": has_atheris, "targets": found}, indent=2))

@@ -1,4 +1,4 @@
-"""A target for fuzzers of the importer, files that it accepts, and changes to them."""
+"""Inputs for the fuzzer: mutated logs, mutated tables and mappings, and the import target."""
 
 import io
 import struct
@@ -37,25 +37,26 @@ NUMBERS: Final = (
     (1 << 63) - 1,
     (1 << 64) - 1,
 )
-"""What lengths and offsets break on."""
+"""Values that lengths and offsets are likely to mishandle."""
 LONGEST: Final = 1 << 20
+"""Inputs of this length are not extended."""
 
 
 def place(random: Random, data: bytes) -> int:
-    """Somewhere in the data, most often near its beginning or its end."""
+    """Return a random offset in the data, most often near its beginning or end."""
     near = int(random.integers(64))
     return int(random.choice((int(random.integers(len(data) + 1)), near, len(data) - near)))
 
 
 def flip(random: Random, data: bytearray) -> None:
-    """Change some bits."""
+    """Flip some bits."""
     for _ in range(int(random.integers(1, 5))):
         if data:
             data[int(random.integers(len(data)))] ^= 1 << int(random.integers(8))
 
 
 def number(random: Random, data: bytearray) -> None:
-    """Put a number where one may have been."""
+    """Overwrite some bytes with a number."""
     size = int(random.choice((1, 2, 4, 8)))
     value = int(NUMBERS[int(random.integers(len(NUMBERS)))]) & ((1 << 8 * size) - 1)
     at = max(0, place(random, data))
@@ -63,20 +64,20 @@ def number(random: Random, data: bytearray) -> None:
 
 
 def cut(random: Random, data: bytearray) -> None:
-    """Take a piece out, or all from some place on."""
+    """Delete a part, or everything from an offset on."""
     at = max(0, place(random, data))
     del data[at : at + int(random.integers(1, 256)) if random.random() < 0.7 else None]
 
 
 def repeat(random: Random, data: bytearray) -> None:
-    """Put a piece in again somewhere else."""
+    """Insert a copy of a part at another offset."""
     if len(data) < LONGEST:
         at, to = max(0, place(random, data)), max(0, place(random, data))
         data[to:to] = data[at : at + int(random.integers(1, 4096))]
 
 
 def noise(random: Random, data: bytearray) -> None:
-    """Write noise over a piece."""
+    """Overwrite a part with random bytes."""
     at = max(0, place(random, data))
     data[at : at + 16] = random.bytes(int(random.integers(1, 32)))
 
@@ -85,7 +86,7 @@ MUTATORS: Final[tuple[Callable[[Random, bytearray], None], ...]] = (flip, number
 
 
 def mutate_bytes(random: Random, data: bytes) -> bytes:
-    """The bytes with some changes of any kind."""
+    """Return the bytes with one to three random mutations."""
     out = bytearray(data)
     for _ in range(int(random.integers(1, 4))):
         MUTATORS[int(random.integers(len(MUTATORS)))](random, out)
@@ -93,7 +94,7 @@ def mutate_bytes(random: Random, data: bytes) -> bytes:
 
 
 def mutate_records(random: Random, data: bytes) -> bytes:
-    """A log with changes in the records of a chunk, or in its header, and with CRCs that fit them."""
+    """Mutate the records of a chunk of a log, or its header, and update the CRCs."""
     chunks, metadata = parts(data)
     if not chunks or random.random() < 0.2:
         return mutate_header(random, data, metadata)
@@ -106,7 +107,7 @@ def mutate_records(random: Random, data: bytes) -> bytes:
 
 
 def parts(data: bytes) -> tuple[list[ChunkLocation], dict[str, tuple[int, int]]]:
-    """Chunks, and where the format and header records begin and end, as far as they can be told."""
+    """Find the chunks, and begin and end of the format and header records, as far as they are readable."""
     chunks, metadata = [], {}
     for at, opcode, body in iter_records(data, len(MCAP0_MAGIC)):
         try:
@@ -121,14 +122,14 @@ def parts(data: bytes) -> tuple[list[ChunkLocation], dict[str, tuple[int, int]]]
 
 
 def pack_chunk(plain: bytes, like: ChunkLocation) -> bytes:
-    """A chunk record of these records, at the times of another."""
+    """Pack records into a chunk record, with the times of another chunk."""
     inner = zstandard.ZstdCompressor().compress(plain)
     head = CHUNK_HEAD.pack(like.first_ns, like.last_ns, len(plain), zlib.crc32(plain), 4, b"zstd", len(inner))
     return RECORD_HEAD.pack(6, len(head) + len(inner)) + head + inner
 
 
 def mutate_header(random: Random, data: bytes, metadata: dict[str, tuple[int, int]]) -> bytes:
-    """The log with changed texts in its header, whose CRC fits."""
+    """Mutate a text in the header of a log, and update its CRC."""
     if len(metadata) < 2:
         return mutate_bytes(random, data)
     begin, (header_at, end) = metadata[FORMAT_RECORD][0], metadata[HEADER_RECORD]
@@ -146,29 +147,30 @@ def mutate_header(random: Random, data: bytes, metadata: dict[str, tuple[int, in
 
 
 BETWEEN: Final = b"\n#---\n"
-"""What stands between the mapping and the table."""
+"""Separator of mapping and table in an input."""
 CELLS: Final = 50_000
+"""Largest number of cells of an imported table."""
 NOWHERE: Final = "/nowhere/m.toml"
-"""So that no path of a mapping leads to a file."""
+"""Path of the mapping, in a folder that does not exist, so that no relative path leads to a file."""
 
 
 def import_once(data: bytes) -> bool:
-    """Import these bytes; whether they made a log. Anything raised is a bug."""
+    """Import an input, and return whether it was accepted; any exception is a bug."""
     mapping, _, table = data.partition(BETWEEN)
     name = "t.parquet" if table.startswith(b"PAR1") else "t.csv"
     try:
-        made = convert_table(table, name, mapping, NOWHERE, cells=CELLS)
+        converted = convert_table(table, name, mapping, NOWHERE, cells=CELLS)
     except BadImport as error:
         if isinstance(error.__cause__, MemoryError):
-            raise MemoryError(str(error)) from error  # a small table asked for all of it
+            raise MemoryError(str(error)) from error  # a small table must not use all memory
         return False
     file = io.BytesIO()
-    write_table_log(file, made.header, made.series, made.commands)
-    with NamedTemporaryFile(suffix=".mcap") as kept:
-        kept.write(file.getvalue())
-        kept.flush()
-        log = read_log(Path(kept.name))
-    for one in made.series:
+    write_table_log(file, converted.header, converted.series, converted.commands)
+    with NamedTemporaryFile(suffix=".mcap") as log_file:
+        log_file.write(file.getvalue())
+        log_file.flush()
+        log = read_log(Path(log_file.name))
+    for one in converted.series:
         assert log[one.topic].tobytes() == one.data.tobytes()
     return True
 
@@ -201,7 +203,7 @@ WORDS = [b"nan", b"inf", b"-1", b"1e308", b"99999999999999999999", b"true", b"",
 
 
 def tables() -> list[bytes]:
-    """One table, as text and as two kinds of Parquet."""
+    """Make a table as CSV and as two kinds of Parquet."""
     columns: dict[str, Any] = {name: np.linspace(-1, 1, 6) for name in "abcde"}
     columns |= {
         "t": np.arange(6) / 64,
@@ -218,25 +220,25 @@ def tables() -> list[bytes]:
 
 
 def mutate_part(data: bytes, rng: np.random.Generator) -> bytes:
-    """The bytes with one to four changes."""
-    made = bytearray(data)
+    """Return the bytes with one to four mutations."""
+    mutated = bytearray(data)
     for _ in range(rng.integers(1, 5)):
-        at = int(rng.integers(len(made) + 1))
-        end = min(len(made), at + int(rng.integers(1, 40)))
+        at = int(rng.integers(len(mutated) + 1))
+        end = min(len(mutated), at + int(rng.integers(1, 40)))
         match int(rng.integers(6)):
-            case 0 if at < len(made):
-                made[at] ^= 1 << int(rng.integers(8))
+            case 0 if at < len(mutated):
+                mutated[at] ^= 1 << int(rng.integers(8))
             case 1:
-                made[at:end] = b""
+                mutated[at:end] = b""
             case 2:
-                made[at:at] = made[at:end]
+                mutated[at:at] = mutated[at:end]
             case 3:
-                made[at:at] = WORDS[int(rng.integers(len(WORDS)))]
+                mutated[at:at] = WORDS[int(rng.integers(len(WORDS)))]
             case 4:
-                made[at:end] = rng.bytes(end - at)
+                mutated[at:end] = rng.bytes(end - at)
             case 5:
-                del made[at:]
-    return bytes(made)
+                del mutated[at:]
+    return bytes(mutated)
 
 
 ODD: list[Any] = [0.0, -0.0, 1.5, -1e308, 1e308, 5e-324, np.nan, np.inf, -np.inf, 2.0**53, 2.0**63, 1e-9]
@@ -244,7 +246,7 @@ WHOLE = [0, 1, -1, 2**53 + 1, 2**63 - 1, -(2**63), 15_625_000]
 
 
 def random_column(rng: np.random.Generator, rows: int) -> Any:
-    """A column of any kind, odd values and holes in it."""
+    """Make a random column, which may have unusual and missing values."""
     mask = rng.random(rows) < rng.choice([0.0, 0.0, 0.0, 0.3])
     match int(rng.choice(6, p=[0.2, 0.15, 0.1, 0.03, 0.26, 0.26])):
         case 0:
@@ -260,7 +262,7 @@ def random_column(rng: np.random.Generator, rows: int) -> Any:
 
 
 def random_case(rng: np.random.Generator) -> bytes:
-    """A mapping without a slip, more or less, and a table of odd columns."""
+    """Make a mostly valid mapping, and a table of random columns."""
     rows = int(rng.integers(1, 12))
     columns = {name: random_column(rng, rows) for name in "abcden"}
     steps = rng.choice([1 / 64, 1 / 100, 1e-3, 0.5, 1e9], rows, p=[0.4, 0.3, 0.1, 0.15, 0.05])
@@ -302,12 +304,12 @@ name = "/joint.mode"
 
 
 def import_seeds() -> list[bytes]:
-    """Inputs that make a log."""
+    """Return valid inputs."""
     return [MAPPING + BETWEEN + table for table in tables()]
 
 
 def mutate_import(rng: np.random.Generator, data: bytes) -> bytes:
-    """The input with its mapping or its table changed, or another one altogether."""
+    """Mutate the mapping or the table of an input, or make a random input."""
     mapping, _, table = data.partition(BETWEEN)
     match int(rng.integers(3)):
         case 0:

@@ -1,8 +1,8 @@
-"""Hardstop initialisation again and again: how well it repeats, how far off it is, and what helps.
+"""Campaign of the hardstop initialisation: its repeatability, its error, and the effect of its corrections.
 
-As-built arms find every hardstop many times, each time at another temperature, with other friction, noise
-and pose: on Mars with the turret in the planned poses; and, a fifth as often, on Earth without it, in the
-poses of equal torque and in the poses of Mars, where the torque is another.
+As-built arms find every hardstop many times, each time with another temperature, friction, noise and pose.
+On Mars they have the turret and the planned poses. On Earth, a fifth as often, they have no turret. There the
+poses are those of equal torque, and those of Mars, in which the torque differs.
 """
 
 import json
@@ -26,13 +26,14 @@ from validation.options import campaign_parser
 EXAMPLE = "example: python -m validation.hardstops --arms 5 --repeats 50 > hardstops.json"
 ROUNDING: Final = 1e-9
 HARD_NM: Final = 340.0
+"""Press torque of the elevation on Earth in the poses of Mars."""
 Place = Literal["mars", "earth", "earth, poses of mars"]
 PLACES: Final[tuple[Place, ...]] = ("mars", "earth", "earth, poses of mars")
 
 
 @dataclass(frozen=True, slots=True)
 class HardstopTrial:
-    """One joint of one arm, once."""
+    """Frozen record of one repetition with one joint of one arm."""
 
     place: Place
     arm: int
@@ -42,7 +43,7 @@ class HardstopTrial:
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """What came of it."""
+    """Frozen record of the errors and loads of a trial."""
 
     trial: HardstopTrial
     outcome: str
@@ -55,7 +56,7 @@ class TrialResult:
 
 
 def arm_at(place: Place, seed: int) -> tuple[BuiltArm, World]:
-    """An as-built arm where it is to be initialised."""
+    """Return an as-built arm and the world in which it is initialised."""
     arm = arm_named(f"as-built:{seed}")
     if place == "mars":
         return arm, World()
@@ -64,7 +65,7 @@ def arm_at(place: Place, seed: int) -> tuple[BuiltArm, World]:
 
 
 def with_harder_press(arm: BuiltArm) -> BuiltArm:
-    """In the poses of Mars its load on Earth would leave the elevation too little to be felt by."""
+    """Raise the press torque of the elevation, which is too small for its load on Earth in poses of Mars."""
     elevation = replace(arm.params.joints.elevation, hardstop_press_Nm=HARD_NM)
     return replace(arm, params=replace(arm.params, joints=replace(arm.params.joints, elevation=elevation)))
 
@@ -93,7 +94,7 @@ def _result(trial: HardstopTrial, found: InitialisationResult) -> TrialResult:
 def campaign(
     arms: int, repeats: int, seed: int, workers: int, joints: Sequence[Joint] = tuple(Joint)
 ) -> dict[str, Any]:
-    """All trials; with the same numbers everything comes again."""
+    """Run all trials; the same arguments give the same result."""
     trials = [
         HardstopTrial(place, seed + arm, joint, repetition)
         for place in PLACES
@@ -121,7 +122,7 @@ def campaign(
         **never,
         "most_torque_Nm": {joint.name.lower(): _most(results, joint) for joint in joints},
         "most_current_share_of_limit": max(r.most_current_share for r in results),
-        **{place: _place(results, place, joints) for place in PLACES},
+        **{place: _summarize_place(results, place, joints) for place in PLACES},
         "earth_less_mars_mrad": {
             "equal torque": _mean_difference(results, "earth", joints),
             "other torque": _mean_difference(results, "earth, poses of mars", joints),
@@ -129,13 +130,15 @@ def campaign(
     }
 
 
-def _place(results: Sequence[TrialResult], place: Place, joints: Sequence[Joint]) -> dict[str, Any]:
+def _summarize_place(results: Sequence[TrialResult], place: Place, joints: Sequence[Joint]) -> dict[str, Any]:
     here = [r for r in results if r.trial.place == place]
-    return {joint.name.lower(): _joint([r for r in here if r.trial.joint is joint]) for joint in joints}
+    return {
+        joint.name.lower(): _summarize_joint([r for r in here if r.trial.joint is joint]) for joint in joints
+    }
 
 
-def _joint(results: Sequence[TrialResult]) -> dict[str, Any]:
-    """Repeatability within an arm, the worst arm's and pooled; and the arms' means."""
+def _summarize_joint(results: Sequence[TrialResult]) -> dict[str, Any]:
+    """Compute the repeatability within an arm, pooled and of the worst arm, and the means of the arms."""
     corrected, uncorrected = _by_arm(results, "zero_error_mrad"), _by_arm(results, "uncorrected_mrad")
     means = np.nanmean(corrected, axis=1)
     return {
@@ -155,21 +158,21 @@ def _joint(results: Sequence[TrialResult]) -> dict[str, Any]:
 
 
 def _mean_difference(results: Sequence[TrialResult], place: Place, joints: Sequence[Joint]) -> dict[str, Any]:
-    """How far an arm's mean there is from its mean on Mars: corrected for wind-up, and not."""
+    """Compute the largest difference of an arm's mean from its mean on Mars, for both kinds of error."""
     found = {}
     for joint in joints:
         of_joint = [r for r in results if r.trial.joint is joint]
-        there, mars = ([r for r in of_joint if r.trial.place == p] for p in (place, "mars"))
-        apart = {}
+        here, mars = ([r for r in of_joint if r.trial.place == p] for p in (place, "mars"))
+        largest = {}
         for name in ("zero_error_mrad", "uncorrected_mrad"):
-            means = np.nanmean(_by_arm(there, name), axis=1) - np.nanmean(_by_arm(mars, name), axis=1)
-            apart[name.removesuffix("_mrad")] = float(np.abs(means).max())
-        found[joint.name.lower()] = apart
+            differences = np.nanmean(_by_arm(here, name), axis=1) - np.nanmean(_by_arm(mars, name), axis=1)
+            largest[name.removesuffix("_mrad")] = float(np.abs(differences).max())
+        found[joint.name.lower()] = largest
     return found
 
 
 def _by_arm(results: Sequence[TrialResult], name: str) -> np.ndarray:
-    """(arms, repetitions)."""
+    """Arrange a value of the results in an array, shape (arms, repetitions)."""
     arms = sorted({r.trial.arm for r in results})
     rows = [sorted((r for r in results if r.trial.arm == arm), key=_repetition) for arm in arms]
     return np.array([[getattr(r, name) for r in row] for row in rows])
@@ -196,16 +199,16 @@ def _most(results: Sequence[TrialResult], joint: Joint) -> float:
 
 
 def main() -> int:
-    """Print the result as JSON; exit status 1 if a joint failed, or was pressed or driven too hard."""
-    options = campaign_parser("hardstops", __doc__, EXAMPLE)
-    options.add_argument("--arms", type=int, default=5, help="as-built arms (default 5)")
-    options.add_argument("--repeats", type=int, default=50, help="times each (default 50)")
-    options.add_argument("--joint", choices=list(Joint.__members__), help="one of them, in place of all")
-    asked = options.parse_args()
-    if min(asked.arms, asked.workers) < 1 or asked.repeats < 2 or asked.seed < 0:
-        options.error("arms and workers are 1 or more, repeats 2 or more, the seed is not negative")
-    joints = (Joint[asked.joint],) if asked.joint else tuple(Joint)
-    result = campaign(asked.arms, asked.repeats, asked.seed, asked.workers, joints)
+    """Print the result as JSON; return 1 if a joint failed, or exceeded its torque or current limit."""
+    parser = campaign_parser("hardstops", __doc__, EXAMPLE)
+    parser.add_argument("--arms", type=int, default=5, help="as-built arms (default 5)")
+    parser.add_argument("--repeats", type=int, default=50, help="repetitions (default 50)")
+    parser.add_argument("--joint", choices=list(Joint.__members__), help="only this joint, not all")
+    options = parser.parse_args()
+    if min(options.arms, options.workers) < 1 or options.repeats < 2 or options.seed < 0:
+        parser.error("arms and workers are 1 or more, repeats 2 or more, the seed is not negative")
+    joints = (Joint[options.joint],) if options.joint else tuple(Joint)
+    result = campaign(options.arms, options.repeats, options.seed, options.workers, joints)
     print(json.dumps(result, indent=2))
     return 0 if result["in_bounds"] else 1
 

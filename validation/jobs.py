@@ -1,4 +1,4 @@
-"""The five jobs of the arm in one document: scenarios, tool changes, contacts, and what stops them."""
+"""Campaigns of the five jobs of the arm in one document: scenarios, tool changes, contacts and faults."""
 
 import json
 import sys
@@ -10,21 +10,21 @@ EXAMPLE = "example: python -m validation.jobs --arms 2 --changers 2 --faults 60 
 
 
 def main() -> int:
-    """Print the result as JSON; exit status 1 if a part of it is out of its bounds."""
-    options = campaign_parser("jobs", __doc__, EXAMPLE)
-    options.add_argument(
+    """Print the results as JSON; return 1 if a campaign is out of its bounds."""
+    parser = campaign_parser("jobs", __doc__, EXAMPLE)
+    parser.add_argument(
         "--arms", type=int, default=20, help="arms of each kind for the scenarios (default 20)"
     )
-    options.add_argument(
+    parser.add_argument(
         "--changers", type=int, default=50, help="calibrated arms for the tool changes (default 50)"
     )
-    options.add_argument("--faults", type=int, default=1000, help="faults in all (default 1000)")
-    asked = options.parse_args()
+    parser.add_argument("--faults", type=int, default=1000, help="faults in all (default 1000)")
+    options = parser.parse_args()
     document = {
-        "scenarios": scenarios.document(asked.arms, asked.arms, asked.seed, asked.workers),
-        "tool_changes": tool_change.document(asked.changers, asked.arms, asked.seed, asked.workers),
-        "contacts": contact.document(asked.arms, asked.seed, asked.workers),
-        "faults": faults.document(asked.faults, asked.seed, asked.workers),
+        "scenarios": scenarios.document(options.arms, options.arms, options.seed, options.workers),
+        "tool_changes": tool_change.document(options.changers, options.arms, options.seed, options.workers),
+        "contacts": contact.document(options.arms, options.seed, options.workers),
+        "faults": faults.document(options.faults, options.seed, options.workers),
     }
     print(json.dumps(document, indent=2))
     return 0 if all(part["in_bounds"] for part in document.values()) else 1

@@ -1,4 +1,4 @@
-"""All about joint angles in one document: hardstops, backlash, and where joints fall to the other side."""
+"""Campaigns of joint angles in one document: hardstops, backlash, and its side in shoulder-in poses."""
 
 import json
 import sys
@@ -10,18 +10,18 @@ EXAMPLE = "example: python -m validation.joints --arms 4 --repeats 50 --tours 20
 
 
 def main() -> int:
-    """Print the result as JSON; exit status 1 if a part of it is out of its bounds."""
-    options = campaign_parser("joints", __doc__, EXAMPLE)
-    options.add_argument("--arms", type=int, default=4, help="as-built arms for the hardstops (default 4)")
-    options.add_argument("--repeats", type=int, default=50, help="times each (default 50)")
-    options.add_argument("--tours", type=int, default=20, help="tours of 50 poses (default 20)")
-    asked = options.parse_args()
-    if min(asked.arms, asked.tours, asked.workers) < 1 or asked.repeats < 2 or asked.seed < 0:
-        options.error("arms, tours and workers are 1 or more, repeats 2 or more, the seed is not negative")
+    """Print the results as JSON; return 1 if a campaign is out of its bounds."""
+    parser = campaign_parser("joints", __doc__, EXAMPLE)
+    parser.add_argument("--arms", type=int, default=4, help="as-built arms for the hardstops (default 4)")
+    parser.add_argument("--repeats", type=int, default=50, help="repetitions (default 50)")
+    parser.add_argument("--tours", type=int, default=20, help="tours of 50 poses (default 20)")
+    options = parser.parse_args()
+    if min(options.arms, options.tours, options.workers) < 1 or options.repeats < 2 or options.seed < 0:
+        parser.error("arms, tours and workers are 1 or more, repeats 2 or more, the seed is not negative")
     document = {
-        "hardstops": hardstops.campaign(asked.arms, asked.repeats, asked.seed, asked.workers),
-        "backlash": backlash.campaign("nominal", asked.tours, 50, asked.seed, asked.workers),
-        "shoulder_in": shoulder_in.document(shoulder_in.predictions(asked.seed, asked.workers)),
+        "hardstops": hardstops.campaign(options.arms, options.repeats, options.seed, options.workers),
+        "backlash": backlash.campaign("nominal", options.tours, 50, options.seed, options.workers),
+        "shoulder_in": shoulder_in.document(shoulder_in.predictions(options.seed, options.workers)),
     }
     print(json.dumps(document, indent=2))
     return 0 if all(part["in_bounds"] for part in document.values()) else 1

@@ -1,9 +1,9 @@
-"""Kill -9 of the whole process group at random moments of a recorded run: what is lost, and is the rest true.
+"""Campaign of killed runs: SIGKILL to the whole process group at random times, and a check of the log.
 
-Each run is a fork of this process, in a group of its own. It notes in shared memory when its log was open and
-when each of its cycles was recorded; this process notes when it kills. So the loss is seen from outside: the
-time from the last cycle in the log to the kill. The same run, unkilled, says how long it takes, so that the
-moments fall into it, and what a log ought to hold. Only kills of open logs count. Each log is recovered too.
+Each run is a fork of this process, in its own process group. It stores in shared memory when its log was
+opened and when each cycle was recorded; this process stores when it kills. The loss is the time from the last
+cycle in the log to the kill. The same run without a kill gives the duration, and the expected contents of a
+log. Only kills of open logs count. Each log is also recovered.
 
 Example: python -m validation.killed --kills 200
 """
@@ -39,23 +39,29 @@ CYCLES = 4000
 BOUND_S = 0.020
 STILL_S = 0.02
 MOST_RUNS = 3
-"""For each kill that is to count: some kills come before the log is open or after it is closed."""
+"""Largest number of runs for each kill that counts; a kill may be before the log is open, or too late."""
 
 
 @dataclass(frozen=True, slots=True)
 class Kill:
-    """What became of a log whose run was killed."""
+    """Frozen record of a kill and the log of the run."""
 
     outcome: str
-    """ "cut short", which alone counts; "not begun" or "closed" where no log was open; or what is wrong."""
+    """ "cut short", which counts; "not begun" or "closed" if no log was open; or an error, "wrong: ..."."""
     lost_s: float = 0.0
-    """Of the wall time before the kill, what the log lacks."""
+    """Wall time before the kill that the log lacks."""
     lost_cycles: int = 0
-    """That were run and are not in it: few where the machine gave the lost time to others."""
+    """Cycles that were run and are not in the log; few if other processes used the lost time."""
 
 
 def record_run(loop: ClosedLoop, path: Path, stamps_s: Any) -> None:
-    """Record the beginning of a placement; note when the log was open, and when each cycle was in it."""
+    """Record the beginning of a placement, and the times when the log was opened and each cycle recorded.
+
+    Args:
+        loop: The closed loop.
+        path: The log.
+        stamps_s: Array for the times, shape (1 + CYCLES,), in seconds of the monotonic clock.
+    """
     with Recorder(path, {"seed": "0"}, loop.config) as recorder:
         stamps_s[0] = time.monotonic()
         for number, record in enumerate(islice(PlacementRun(loop, TARGET), CYCLES), 1):
@@ -64,7 +70,7 @@ def record_run(loop: ClosedLoop, path: Path, stamps_s: Any) -> None:
 
 
 def start(loop: ClosedLoop, path: Path, stamps_s: Any) -> int:
-    """Record in a process group of its own; its number."""
+    """Fork a run in its own process group, and return its process number."""
     child = os.fork()
     if child:
         return child
@@ -74,7 +80,7 @@ def start(loop: ClosedLoop, path: Path, stamps_s: Any) -> int:
 
 
 def is_start_of(log: Log, whole: Log) -> bool:
-    """Whether a log holds what the whole one begins with, bit for bit, and nothing else."""
+    """Check that a log holds the beginning of the complete one, bit for bit, and nothing else."""
     packets = all(
         rows.tobytes() == whole[topic][: len(rows)].tobytes() for topic, rows in log.packets.items()
     )
@@ -84,7 +90,7 @@ def is_start_of(log: Log, whole: Log) -> bool:
 
 
 def is_recovered(path: Path, log: Log, whole: Log) -> bool:
-    """Whether recovery makes a whole log of one cut short, with every message of its closed chunks."""
+    """Check that recovery makes a complete log of a truncated one, with all messages of its closed chunks."""
     try:
         recover(path, path.with_name("good.mcap"), lambda *_: None)
         good = read_log(path.with_name("good.mcap"))
@@ -95,19 +101,19 @@ def is_recovered(path: Path, log: Log, whole: Log) -> bool:
 
 
 def kill_at(child: int, at_s: float) -> float:
-    """Kill the group of a process at a moment on the monotonic clock; the moment that it was."""
+    """Kill the process group of a child at a time of the monotonic clock, and return the actual time."""
     time.sleep(max(0.0, at_s - time.monotonic()))
     killed_s = time.monotonic()
     try:
         os.killpg(child, signal.SIGKILL)
-    except ProcessLookupError:  # between the fork and its group
+    except ProcessLookupError:  # the child has not made its group yet
         os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)
     return killed_s
 
 
 def wait_until_still(path: Path) -> None:
-    """Wait until nobody writes to a file: the writer is not a child of this process, to be waited for."""
+    """Wait until a file does not grow any more: its writer is no child of this process, to be waited for."""
     sizes = [-1, -2]
     while sizes[-1] != sizes[-2]:
         time.sleep(STILL_S)
@@ -115,14 +121,22 @@ def wait_until_still(path: Path) -> None:
 
 
 def one_kill(loop: ClosedLoop, path: Path, stamps_s: Any, after_s: float, whole: Log) -> Kill:
-    """Kill a run so long after its fork, and look at its log."""
+    """Kill a run at a time after its fork, and check its log.
+
+    Args:
+        loop: The closed loop.
+        path: The log.
+        stamps_s: Array for the times of the run, shape (1 + CYCLES,).
+        after_s: Time from the fork to the kill.
+        whole: Log of the complete run.
+    """
     stamps_s[:] = 0.0
     path.unlink(missing_ok=True)
     forked_s = time.monotonic()
     killed_s = kill_at(start(loop, path, stamps_s), forked_s + after_s)
     wait_until_still(path)
-    noted = int(np.count_nonzero(stamps_s))
-    if noted == 0 and not path.exists():
+    stamp_count = int(np.count_nonzero(stamps_s))
+    if stamp_count == 0 and not path.exists():
         return Kill("not begun")
     try:
         log = read_log(path)
@@ -134,16 +148,16 @@ def one_kill(loop: ClosedLoop, path: Path, stamps_s: Any, after_s: float, whole:
         return Kill("closed" if len(log["/joint"]) == CYCLES else "wrong: closed before the end of the run")
     if not is_recovered(path, log, whole):
         return Kill("wrong: not all of it was recovered")
-    kept = len(log.packets.get("/joint", ()))
-    if kept >= noted:
+    logged = len(log.packets.get("/joint", ()))
+    if logged >= stamp_count:
         return Kill("cut short")
-    # Where this process had to wait between looking at the clock and killing, the run says how late it was.
-    lost_s = max(killed_s, float(stamps_s[noted - 1])) - float(stamps_s[kept])
-    return Kill("cut short", lost_s, noted - 1 - kept)
+    # If this process was interrupted between reading the clock and the kill, the last stamp is later.
+    lost_s = max(killed_s, float(stamps_s[stamp_count - 1])) - float(stamps_s[logged])
+    return Kill("cut short", lost_s, stamp_count - 1 - logged)
 
 
 def kill_runs(number: int, seed: int) -> Iterator[Kill]:
-    """Every kill until so many have hit an open log, or something is wrong with so many runs."""
+    """Kill runs until `number` kills have hit an open log or failed a check, or too many runs have not."""
     random = np.random.default_rng(seed)
     shared = mmap.mmap(-1, 8 * (1 + CYCLES))
     stamps_s = np.frombuffer(shared, np.float64)
@@ -159,7 +173,7 @@ def kill_runs(number: int, seed: int) -> Iterator[Kill]:
             forked_s = time.monotonic()
             kill = one_kill(loop, path, stamps_s, part * median(lengths_s), whole)
             yield kill
-            if kill.outcome == "closed":  # how fast the machine is changes
+            if kill.outcome == "closed":  # update the duration: the speed of the machine varies
                 lengths_s.append(float(stamps_s[-1]) - forked_s)
             counted += kill.outcome not in ("closed", "not begun")
             print(f"{counted} of {number} kills", file=sys.stderr)
@@ -168,7 +182,7 @@ def kill_runs(number: int, seed: int) -> Iterator[Kill]:
 
 
 def spread(losses: Sequence[float]) -> dict[str, float] | None:
-    """What of the losses to print; None of none."""
+    """Return median, 99th percentile and maximum of losses; None if there is none."""
     if not losses:
         return None
     return {
@@ -179,20 +193,20 @@ def spread(losses: Sequence[float]) -> dict[str, float] | None:
 
 
 def measure_losses(number: int, seed: int) -> dict[str, Any]:
-    """Counts of outcomes, what is wrong, and the losses of the logs that were cut short."""
-    found = list(kill_runs(number, seed))
-    outcomes = [kill.outcome for kill in found]
-    short = [kill for kill in found if kill.outcome == "cut short"]
-    lost_ms = [1e3 * kill.lost_s for kill in short]
+    """Count outcomes and errors, and summarize the losses of truncated logs."""
+    kills = list(kill_runs(number, seed))
+    outcomes = [kill.outcome for kill in kills]
+    truncated = [kill for kill in kills if kill.outcome == "cut short"]
+    lost_ms = [1e3 * kill.lost_s for kill in truncated]
     wrong = [outcome for outcome in outcomes if outcome.startswith("wrong")]
-    named = {name: outcomes.count(name) for name in ("cut short", "closed", "not begun")}
+    counts = {name: outcomes.count(name) for name in ("cut short", "closed", "not begun")}
     return {
-        "runs": len(found),
-        "kills": len(short) + len(wrong),
-        "outcomes": {**named, "wrong": len(wrong)},
+        "runs": len(kills),
+        "kills": len(truncated) + len(wrong),
+        "outcomes": {**counts, "wrong": len(wrong)},
         "wrong": wrong,
         "lost_ms": spread(lost_ms),
-        "lost_cycles": spread([kill.lost_cycles for kill in short]),
+        "lost_cycles": spread([kill.lost_cycles for kill in truncated]),
         "beyond_bound": sum(one > 1e3 * BOUND_S for one in lost_ms),
         "bound_ms": 1e3 * BOUND_S,
         "load_average": os.getloadavg()[0],
@@ -200,16 +214,18 @@ def measure_losses(number: int, seed: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Kill and print; exit status 1 if a log is wrong, one lost too much, or too few were open."""
-    options = argparse.ArgumentParser(prog="python -m validation.killed", description=__doc__)
-    options.formatter_class = argparse.RawDescriptionHelpFormatter
-    options.add_argument("--kills", type=int, default=200, help="how many of open logs (default 200)")
-    options.add_argument("--seed", type=int, default=0, help="of the moments (default 0)")
-    asked = options.parse_args()
-    warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside the idle threads of a library
-    found = measure_losses(asked.kills, asked.seed)
+    """Print the result as JSON; exit with 1 if a log is wrong or lost too much, or too few were open."""
+    parser = argparse.ArgumentParser(prog="python -m validation.killed", description=__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument(
+        "--kills", type=int, default=200, help="number of kills with an open log (default 200)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the times (default 0)")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", DeprecationWarning)  # Python warns of a fork with idle library threads
+    found = measure_losses(options.kills, options.seed)
     print(json.dumps(found, indent=2))
-    sys.exit(1 if found["wrong"] or found["beyond_bound"] or found["kills"] < asked.kills else 0)
+    sys.exit(1 if found["wrong"] or found["beyond_bound"] or found["kills"] < options.kills else 0)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""The campaign of the inverse kinematics: millions of targets and joint vectors, each answer checked.
+"""Campaign of the inverse kinematics: millions of targets and joint vectors, with a check of every solution.
 
-A target is tried for what its answers do, a joint vector for whether it is among the answers to its target.
+Solutions of a target must meet it. A joint vector must be among the solutions of its own target.
 """
 
 import json
@@ -37,16 +37,19 @@ from validation.kinematics_trials import (
 from validation.options import campaign_parser
 
 CHUNK: Final = 10_000
-"""Targets, and as many vectors, at a time."""
+"""Number of targets, and of vectors, in a chunk."""
 EXAMPLES: Final = 3
-"""Kept of each failure near each kind of double root."""
+"""Examples that are kept of each failure near each kind of double root."""
 INSIDE_RAD: Final = 1e-6
 """A vector this far inside its limits must be called valid."""
+PROGRESS_S: Final = 10.0
+"""Time between two lines of progress."""
+EXAMPLE = "example: python -m validation.kinematics --targets 200000 --vectors 200000 > campaign.json"
 
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """What one process does at a time; its seed is its own."""
+    """Frozen record of the work of one process at a time, with its own seed."""
 
     index: int
     case: Case
@@ -57,35 +60,35 @@ class Chunk:
 
 @dataclass(slots=True)
 class Tally:
-    """What was found in one case; tallies add up."""
+    """Counts of one case, which add up."""
 
     targets: int = 0
     vectors: int = 0
     roots: int = 0
     worst_error: float = 0.0
-    """Of any root that is said to meet its target: metres or radians, whichever is larger."""
+    """Largest error of a root that claims to meet its target: the larger of metres and radians."""
     off: int = 0
     """Roots beyond the tolerance of their case."""
     valid_outside_limits: int = 0
     missed: Counter[str] = field(default_factory=Counter)
-    """Vectors clear of double roots that are not among the answers to their own targets, by what is near."""
+    """Vectors clear of double roots that are no solution of their targets, by kind of the nearest one."""
     near: Counter[str] = field(default_factory=Counter)
-    """All vectors, by what is near."""
+    """All vectors, by kind of the double root nearby."""
     not_called_valid: int = 0
     """Vectors found and inside the limits, but called something else than valid."""
     indistinct: int = 0
-    """Vectors not found where two roots meet: there an answer that meets the target is enough."""
+    """Vectors not found where two roots meet; there any solution that meets the target is enough."""
     unanswered: Counter[str] = field(default_factory=Counter)
-    """Of the indistinct ones those whose target has no good answer, and no branch named as singular."""
+    """Indistinct vectors whose target has neither a correct solution nor a branch named as singular."""
     workspace: int = 0
     workspace_at_most_four: int = 0
     verdicts: Counter[str] = field(default_factory=Counter)
-    """Of all branches of the targets, without those of the vectors."""
+    """Verdicts of all branches of the targets, without those of the vectors."""
     exceptions: int = 0
     examples: list[dict[str, Any]] = field(default_factory=list)
 
     def add(self, other: "Tally") -> None:
-        """Count the other in."""
+        """Add the counts of another tally."""
         self.worst_error = max(self.worst_error, other.worst_error)
         for example in other.examples:
             self._keep(example)
@@ -96,26 +99,26 @@ class Tally:
 
     @property
     def failures(self) -> int:
-        """Whatever must not occur."""
+        """Number of events that must not occur."""
         counts = (self.off, self.valid_outside_limits, self.not_called_valid, self.exceptions)
         return sum(counts) + self.missed.total() + self.unanswered.total()
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values, the counters from the most frequent down."""
+        """Return the JSON document, with counters in descending order."""
         values = {name: getattr(self, name) for name in self.__slots__}
         counters = {name: dict(v.most_common()) for name, v in values.items() if isinstance(v, Counter)}
         return {"failures": self.failures, **values, **counters}
 
     def note(self, trial: Trial, what: str, where: Any, **more: Any) -> None:
-        """Keep an example: enough to run it again."""
+        """Keep an example, with all that is necessary to repeat it."""
         gravity = trial.gravity_R_m_s2
-        again = {"arm": trial.arm_name, "tool": trial.tool.name, "gravity_R_m_s2": gravity}
-        values = {"what": what, "near": where, **again, **more}
+        setup = {"arm": trial.arm_name, "tool": trial.tool.name, "gravity_R_m_s2": gravity}
+        values = {"what": what, "near": where, **setup, **more}
         self._keep({name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in values.items()})
 
     def _keep(self, example: dict[str, Any]) -> None:
-        alike = [e for e in self.examples if all(e[word] == example[word] for word in ("what", "near"))]
-        if len(alike) < EXAMPLES:
+        similar = [e for e in self.examples if all(e[key] == example[key] for key in ("what", "near"))]
+        if len(similar) < EXAMPLES:
             self.examples.append(example)
 
 
@@ -134,43 +137,43 @@ COUNTS: Final = (
 
 
 def plan_chunks(n_targets: int, n_vectors: int, seed: int, case: Case | None = None) -> list[Chunk]:
-    """Chunks for about so many targets and vectors, the cases in turn, or those of one case."""
+    """Plan chunks for about this many targets and vectors, with all cases in turn, or those of one case."""
     per_round = [one for one in CASES for _ in range(one.chunks)]
-    wanted = max(n_targets, n_vectors)
-    rounds = max(1, round(wanted / (CHUNK * len(per_round))))
+    larger = max(n_targets, n_vectors)
+    rounds = max(1, round(larger / (CHUNK * len(per_round))))
     count = rounds * len(per_round)
     chunks = [
-        Chunk(k, per_round[k % len(per_round)], -(-n_targets // count), -(-n_vectors // count), own)
-        for k, own in enumerate(np.random.SeedSequence(seed).spawn(count))
+        Chunk(k, per_round[k % len(per_round)], -(-n_targets // count), -(-n_vectors // count), chunk_seed)
+        for k, chunk_seed in enumerate(np.random.SeedSequence(seed).spawn(count))
     ]
     return [chunk for chunk in chunks if case is None or chunk.case == case]
 
 
 def run_chunk(chunk: Chunk) -> Tally:
-    """Try all of the chunk; an exception, or a numerical warning, is counted and ends one tool's part."""
+    """Try all targets and vectors; an exception or a numerical warning is counted, and ends its trial."""
     rng, tally = np.random.default_rng(chunk.seed), Tally()
     parts = list(trials(chunk.case, rng))
     for trial in parts:
-        own = Tally()
+        part = Tally()
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
-                _try_targets(own, trial, chunk, rng, -(-chunk.targets // len(parts)))
-                _try_vectors(own, trial, chunk, rng, -(-chunk.vectors // len(parts)))
+                _try_targets(part, trial, chunk, rng, -(-chunk.targets // len(parts)))
+                _try_vectors(part, trial, chunk, rng, -(-chunk.vectors // len(parts)))
         except Exception:
-            own.exceptions += 1
-            own.note(trial, "exception", None, chunk=chunk.index, trace=traceback.format_exc())
-        tally.add(own)
+            part.exceptions += 1
+            part.note(trial, "exception", None, chunk=chunk.index, trace=traceback.format_exc())
+        tally.add(part)
     return tally
 
 
-def _answers(trial: Trial, p_m: Array, approach: Array) -> IkResult:
+def _solve(trial: Trial, p_m: Array, approach: Array) -> IkResult:
     return inverse_kinematics(trial.arm, trial.tool, p_m, approach, trial.gravity_R_m_s2)
 
 
 def _try_targets(tally: Tally, trial: Trial, chunk: Chunk, rng: np.random.Generator, n: int) -> None:
     p_m, approach, aim = targets(trial, rng, n)
-    answers = _answers(trial, p_m, approach)
+    answers = _solve(trial, p_m, approach)
     tally.targets += n
     _check_roots(tally, trial, chunk, answers, p_m, approach, [Aim(int(k)).name for k in aim])
     valid = (answers.verdict == BranchVerdict.VALID).sum(axis=0)[aim == Aim.WORKSPACE]
@@ -183,7 +186,7 @@ def _try_targets(tally: Tally, trial: Trial, chunk: Chunk, rng: np.random.Genera
 def _try_vectors(tally: Tally, trial: Trial, chunk: Chunk, rng: np.random.Generator, n: int) -> None:
     q, near = vectors(trial, rng, n)
     X_RT = trial.tool_pose(q)
-    answers = _answers(trial, X_RT.p, X_RT.R[:, 0])
+    answers = _solve(trial, X_RT.p, X_RT.R[:, 0])
     names = [near_name(k) for k in near]
     tally.vectors += n
     tally.near.update(names)
@@ -206,18 +209,18 @@ def _check_roots(
     approach: Array,
     names: list[Any],
 ) -> Array:
-    """Forward check of all claimed roots; those that are valid must be inside the limits."""
+    """Check claimed roots by forward kinematics, and valid ones for the limits; return the errors, (S, n)."""
     error = root_errors(trial, answers, p_m, approach)
-    there = claimed_roots(answers)
-    tally.roots += int(there.sum())
-    if there.any():
-        tally.worst_error = max(tally.worst_error, float(error[there].max()))
-    off = np.argwhere(there & ~(error <= chunk.case.tolerance_m))
+    claimed = claimed_roots(answers)
+    tally.roots += int(claimed.sum())
+    if claimed.any():
+        tally.worst_error = max(tally.worst_error, float(error[claimed].max()))
+    off = np.argwhere(claimed & ~(error <= chunk.case.tolerance_m))
     tally.off += len(off)
     for branch, k in off[:EXAMPLES]:
-        root, left = answers.output_rad[:, branch, k], float(error[branch, k])
+        root, root_error = answers.output_rad[:, branch, k], float(error[branch, k])
         target = {"p_RoTo_R_m": p_m[:, k], "approach_R": approach[:, k]}
-        tally.note(trial, "off", names[k], chunk=chunk.index, root_rad=root, error=left, **target)
+        tally.note(trial, "off", names[k], chunk=chunk.index, root_rad=root, error=root_error, **target)
     beyond = limit_excess(trial.arm, answers.output_rad).max(axis=0)
     tally.valid_outside_limits += int(((answers.verdict == BranchVerdict.VALID) & ~(beyond <= 0)).sum())
     return error
@@ -226,13 +229,14 @@ def _check_roots(
 def _check_verdicts(
     tally: Tally, trial: Trial, answers: IkResult, q: Array, distance: Array, names: list[str]
 ) -> None:
-    same, at = distance.argmin(axis=0), np.arange(q.shape[1])
-    found = distance[same, at] < SAME_RAD
+    """Check that vectors which are found, and inside their limits, are called valid."""
+    nearest, at = distance.argmin(axis=0), np.arange(q.shape[1])
+    found = distance[nearest, at] < SAME_RAD
     inside = limit_excess(trial.arm, q).max(axis=0) < -INSIDE_RAD
-    wrong = np.flatnonzero(found & inside & (answers.verdict[same, at] != BranchVerdict.VALID))
+    wrong = np.flatnonzero(found & inside & (answers.verdict[nearest, at] != BranchVerdict.VALID))
     tally.not_called_valid += wrong.size
     for k in wrong[:EXAMPLES]:
-        verdict = BranchVerdict(int(answers.verdict[same[k], k])).name
+        verdict = BranchVerdict(int(answers.verdict[nearest[k], k])).name
         tally.note(trial, "not called valid", names[k], vector_rad=q[:, k], verdict=verdict)
 
 
@@ -246,7 +250,7 @@ def _sort_lost(
     distance: Array,
     near: Kinds,
 ) -> None:
-    """Vectors not among the answers: missed where the pose is clear of double roots, else indistinct."""
+    """Count vectors that are no solution as missed if they are clear of double roots, else as indistinct."""
     sigma = smallest_singular_value(trial, q[:, lost])
     for k, s in zip(lost, sigma, strict=True):
         name, clear = near_name(near[k]), bool(s > CLEAR_SIGMA)
@@ -259,24 +263,20 @@ def _sort_lost(
         tally.note(trial, "missed" if clear else "unanswered", name, **more)
 
 
-EXAMPLE = "example: python -m validation.kinematics --targets 200000 --vectors 200000 > campaign.json"
-SAY_EVERY_S = 10.0
-
-
 def run_kinematics_campaign(
     n_targets: int, n_vectors: int, seed: int = 0, workers: int = 1
 ) -> dict[str, Any]:
-    """Run it and sum up, by case; with the same seed and numbers everything comes again."""
+    """Run the campaign and sum up by case; the same seed and numbers give the same result."""
     began = time.monotonic()
     tallies = {case.name: Tally() for case in CASES}
     chunks = plan_chunks(n_targets, n_vectors, seed)
-    said = began
+    printed = began
     for done, (chunk, tally) in enumerate(_results(chunks, workers), 1):
         tallies[chunk.case.name].add(tally)
         now = time.monotonic()
-        if now - said > SAY_EVERY_S or done == len(chunks):
-            said = now
-            _say(done, len(chunks), now - began, tallies)
+        if now - printed > PROGRESS_S or done == len(chunks):
+            printed = now
+            _print_progress(done, len(chunks), now - began, tallies)
     return {
         "seed": seed,
         "targets": sum(t.targets for t in tallies.values()),
@@ -291,7 +291,7 @@ def run_kinematics_campaign(
 
 
 def _results(chunks: Sequence[Chunk], workers: int) -> Iterator[tuple[Chunk, Tally]]:
-    """As they come; the order changes nothing but which examples are kept."""
+    """Yield tallies when they are ready; their order affects only the choice of examples."""
     if workers == 1:
         yield from ((chunk, run_chunk(chunk)) for chunk in chunks)
         return
@@ -306,21 +306,21 @@ def _share(tallies: dict[str, Tally]) -> float:
     return sum(t.workspace_at_most_four for t in tallies.values()) / max(workspace, 1)
 
 
-def _say(done: int, of: int, spent_s: float, tallies: dict[str, Tally]) -> None:
+def _print_progress(done: int, total: int, spent_s: float, tallies: dict[str, Tally]) -> None:
     failures = sum(t.failures for t in tallies.values())
-    left_s = spent_s / done * (of - done)
-    print(f"marsarm: {done} of {of} chunks, {failures} failures, {left_s:.0f} s to go", file=sys.stderr)
+    left_s = spent_s / done * (total - done)
+    print(f"marsarm: {done} of {total} chunks, {failures} failures, {left_s:.0f} s to go", file=sys.stderr)
 
 
 def main() -> int:
-    """Print the result as JSON; exit status 1 if anything failed."""
-    options = campaign_parser("kinematics", __doc__, EXAMPLE)
-    options.add_argument("--targets", type=int, default=200_000, help="random targets (default 200000)")
-    options.add_argument("--vectors", type=int, default=200_000, help="random joint vectors (default 200000)")
-    asked = options.parse_args()
-    if min(asked.targets, asked.vectors, asked.workers) < 1 or asked.seed < 0:
-        options.error("targets, vectors and workers are 1 or more, the seed is not negative")
-    result = run_kinematics_campaign(asked.targets, asked.vectors, asked.seed, asked.workers)
+    """Print the result as JSON; return 1 if there is a failure."""
+    parser = campaign_parser("kinematics", __doc__, EXAMPLE)
+    parser.add_argument("--targets", type=int, default=200_000, help="random targets (default 200000)")
+    parser.add_argument("--vectors", type=int, default=200_000, help="random joint vectors (default 200000)")
+    options = parser.parse_args()
+    if min(options.targets, options.vectors, options.workers) < 1 or options.seed < 0:
+        parser.error("targets, vectors and workers are 1 or more, the seed is not negative")
+    result = run_kinematics_campaign(options.targets, options.vectors, options.seed, options.workers)
     print(json.dumps(result, indent=2))
     return 1 if result["failures"] else 0
 

@@ -1,9 +1,8 @@
-"""Where the kinematics campaign aims: everywhere, and more often close to where an inverse goes wrong.
+"""Random targets and joint vectors of the kinematics campaign, with emphasis on singularities and limits.
 
-Two roots meet where the elbow is straight, where the approach is parallel to the pitch axes and where the
-turret axis passes right over or under the azimuth axis. Joint vectors come at distances from there that are
-uniform in their logarithm, from a microradian to a third of a radian; so do targets around the reach and the
-edges of the workspace.
+Two roots meet if the elbow is straight, if the approach is parallel to the pitch axes, or if the turret axis
+intersects the azimuth axis. Distances of joint vectors from there have a uniform logarithm, from 1 urad to
+0.3 rad. So have distances of targets from the faces of the workspace.
 """
 
 from enum import IntFlag
@@ -23,7 +22,7 @@ from validation.kinematics_trials import Trial, task_jacobian
 NEAREST: Final = 1e-6
 FARTHEST: Final = 0.3
 REFINED_SHARE: Final = 0.3
-"""Of the vectors near a double root, how many are measured from that of the real, hanging arm."""
+"""Share of the vectors near a double root whose distance is from the double root of the deflected arm."""
 SECANT_STEPS: Final = 5
 SECANT_FIRST_RAD: Final = 1e-3
 SECANT_REACH_RAD: Final = 0.1
@@ -33,24 +32,25 @@ Kinds = NDArray[np.int64]
 
 
 class Near(IntFlag):
-    """What a joint vector is near; several at once are a crossing of double roots."""
+    """Double roots and limits that a joint vector is near; several flags are a crossing of double roots."""
 
     NOTHING = 0
     ELBOW = 1
-    """Straight."""
+    """Straight elbow."""
     WRIST = 2
-    """The approach parallel to the pitch axes."""
+    """Approach parallel to the pitch axes."""
     SHOULDER = 4
-    """The turret axis over or under the azimuth axis."""
+    """Turret axis over or under the azimuth axis."""
     LIMIT = 8
+    """Soft limit of a joint."""
 
 
 JOINT_OF: Final = {Near.ELBOW: Joint.ELBOW, Near.WRIST: Joint.TURRET, Near.SHOULDER: Joint.ELEVATION}
-"""The joint that is moved to come near; the shoulder last, for it depends on the elbow."""
+"""Joint that is moved towards each double root; the shoulder is last, because it depends on the elbow."""
 
 
 class Aim(IntFlag):
-    """How a target was drawn."""
+    """Method by which a target was drawn."""
 
     WORKSPACE = 0
     """Uniform in the primary workspace and its wedge of approaches."""
@@ -62,29 +62,38 @@ class Aim(IntFlag):
 
 
 def near_name(kind: int) -> str:
-    """For instance `elbow+wrist`."""
+    """Return the name of a combination of flags, such as `elbow+wrist`."""
     return "+".join(str(flag.name).lower() for flag in Near(int(kind))) or "nothing"
 
 
 def log_distances(rng: np.random.Generator, n: int) -> Array:
-    """Either sign, logarithm uniform."""
+    """Draw distances of either sign with a uniform logarithm, shape (n,)."""
     sizes: Array = 10.0 ** rng.uniform(np.log10(NEAREST), np.log10(FARTHEST), n)
     return sizes * rng.choice([-1.0, 1.0], n)
 
 
 def vectors(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Kinds]:
-    """Joint vectors (5, n) inside the soft limits, and what each is near."""
+    """Draw joint vectors inside the soft limits, most of them near double roots or limits.
+
+    Args:
+        trial: Arm, tool and gravity.
+        rng: Source of randomness.
+        n: Number of vectors.
+
+    Returns:
+        Output angles in rad, shape (5, n), and flags of Near, shape (n,).
+    """
     low, high = trial.arm.soft_min_rad[:, None], trial.arm.soft_max_rad[:, None]
     plain = rng.uniform(low, high, (5, n))
     kind = rng.choice(16, n, p=np.array([20, 1, 1, 1, 1, 1, 1, 1, 1, *[0] * 7]) / 28)
     q = plain.copy()
     for flag, joint in JOINT_OF.items():
-        there = np.flatnonzero(kind & flag)
-        q[joint, there] = _double_root(trial, flag, rng, q[:, there])
+        flagged = np.flatnonzero(kind & flag)
+        q[joint, flagged] = _double_root(trial, flag, rng, q[:, flagged])
         if not trial.is_drawing:
-            some = there[rng.random(there.size) < REFINED_SHARE]
+            some = flagged[rng.random(flagged.size) < REFINED_SHARE]
             q[joint, some] = _refine_singular_angle(trial, joint, q[:, some])
-        q[joint, there] += log_distances(rng, there.size)
+        q[joint, flagged] += log_distances(rng, flagged.size)
     _put_near_limits(q, np.flatnonzero(kind & Near.LIMIT), low, high, rng)
     q = wrap_into_limits(trial.arm, q)
     inside = limit_excess(trial.arm, q).max(axis=0) <= 0  # NaN where there is no such pose
@@ -92,15 +101,15 @@ def vectors(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Kind
 
 
 def _double_root(trial: Trial, flag: Near, rng: np.random.Generator, q: Array) -> Array:
-    """The angle of the flag's joint at the double root of the nearest square arm with a radial tool."""
+    """Compute the angle of a joint at the double root of the nearest orthogonal arm with a radial tool."""
     n = q.shape[1]
     if flag is Near.ELBOW:
         return np.zeros(n)
     if flag is Near.WRIST:
         boresight = trial.arm.X_FT[trial.tool].R[:, 0]
-        square: Array = rng.choice([-0.5, 0.5], n) * np.pi - np.arctan2(boresight[1], boresight[0])
-        return square
-    # the forward component of a point of the turret axis is A + B cos + C sin of the elevation
+        turret: Array = rng.choice([-0.5, 0.5], n) * np.pi - np.arctan2(boresight[1], boresight[0])
+        return turret
+    # The forward component of a point on the turret axis is A + B cos(elevation) + C sin(elevation).
     f0, f1, f2 = (_forward_component(trial, q, angle) for angle in (0.0, np.pi / 2, np.pi))
     A, B = 0.5 * (f0 + f2), 0.5 * (f0 - f2)
     C = f1 - A
@@ -111,7 +120,7 @@ def _double_root(trial: Trial, flag: Near, rng: np.random.Generator, q: Array) -
 
 
 def _forward_component(trial: Trial, q: Array, elevation_rad: float) -> Array:
-    """How far ahead of the azimuth axis the tool's foot on the turret axis is, at another elevation."""
+    """Compute how far the tool's foot on the turret axis is ahead of the azimuth axis, at an elevation."""
     q = q.copy()
     q[Joint.ELEVATION] = elevation_rad
     frames = forward(trial.arm, q)
@@ -122,7 +131,10 @@ def _forward_component(trial: Trial, q: Array, elevation_rad: float) -> Array:
 
 
 def _refine_singular_angle(trial: Trial, joint: Joint, q: Array) -> Array:
-    """The joint's angle where this very arm is singular, by secant steps; where they fail, as it was."""
+    """Find the angle of a joint at which this arm is singular, by the secant method.
+
+    Where the method fails, the angle is unchanged.
+    """
     usable = np.isfinite(q).all(axis=0)
     start = q[joint].copy()
     q = q[:, usable].copy()
@@ -146,40 +158,59 @@ def _determinant(trial: Trial, q: Array) -> Array:
     return np.asarray(np.linalg.det(J), np.float64)
 
 
-def _put_near_limits(q: Array, there: Kinds, low: Array, high: Array, rng: np.random.Generator) -> None:
-    joint = rng.integers(5, size=there.size)
-    inward = np.abs(log_distances(rng, there.size))
-    upper = rng.random(there.size) < 0.5
-    q[joint, there] = np.where(upper, high[joint, 0] - inward, low[joint, 0] + inward)
+def _put_near_limits(q: Array, flagged: Kinds, low: Array, high: Array, rng: np.random.Generator) -> None:
+    """Move a random joint of the flagged vectors to the inside of a soft limit, in place."""
+    joint = rng.integers(5, size=flagged.size)
+    inward = np.abs(log_distances(rng, flagged.size))
+    upper = rng.random(flagged.size) < 0.5
+    q[joint, flagged] = np.where(upper, high[joint, 0] - inward, low[joint, 0] + inward)
 
 
 def targets(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Array, Kinds]:
-    """Positions (3, n) and unit approaches (3, n) in the rover frame, and how each was drawn."""
+    """Draw targets in the workspace, near its faces, near double roots, and anywhere in reach.
+
+    Args:
+        trial: Arm, tool and gravity.
+        rng: Source of randomness.
+        n: Number of targets.
+
+    Returns:
+        Positions in metres and unit approach vectors in the rover frame, shape (3, n) each, and values of
+        Aim, shape (n,).
+    """
     aim = rng.choice(4, n, p=[0.6, 0.15, 0.15, 0.1])
     p_m, approach = _workspace(rng, n, aim == Aim.EDGE)
-    there = aim == Aim.SINGULAR
-    p_m[:, there], approach[:, there] = _around_double_roots(trial, rng, int(there.sum()))
-    there = aim == Aim.ANYWHERE
-    size = int(there.sum())
-    p_m[:, there] = trial.arm.X_CF.p[:, :1] + REACH_M * rng.random(size) * _directions(rng, size)
-    approach[:, there] = _directions(rng, size)
+    singular = aim == Aim.SINGULAR
+    p_m[:, singular], approach[:, singular] = _around_double_roots(trial, rng, int(singular.sum()))
+    anywhere = aim == Aim.ANYWHERE
+    size = int(anywhere.sum())
+    p_m[:, anywhere] = trial.arm.X_CF.p[:, :1] + REACH_M * rng.random(size) * _directions(rng, size)
+    approach[:, anywhere] = _directions(rng, size)
     return p_m, approach, aim
 
 
 def workspace_targets(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
-    """Positions and approaches (3, n), uniform in the primary workspace, in the rover frame."""
+    """Draw targets uniformly in the primary workspace.
+
+    Args:
+        rng: Source of randomness.
+        n: Number of targets.
+
+    Returns:
+        Positions in metres and unit approach vectors in the rover frame, shape (3, n) each.
+    """
     return _workspace(rng, n, np.zeros(n, bool))
 
 
 def _workspace(rng: np.random.Generator, n: int, edge: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """As sim.workspace.random_surface; those on the edge near one of the faces, some of them outside."""
+    """Draw targets as `sim.workspace.random_surface` does; those of `edge` near a face, on either side."""
     low = np.array([0.0, TOP_Z_M, 0.0, -WEDGE_SIDE_RAD])[:, None]
     high = np.array([RADIUS_M, BOTTOM_Z_M, np.pi / 2, WEDGE_SIDE_RAD])[:, None]
     u = rng.random((4, n))
     u[0] = np.sqrt(u[0])
     values = low + (high - low) * u
     face, upper, off = rng.integers(4, size=n), rng.random(n) < 0.5, log_distances(rng, n)
-    upper |= face == 0  # the axis of the cylinder is no face
+    upper |= face == 0  # the lower bound of the radius, the axis of the cylinder, is no face
     at = np.arange(n)
     on_face = np.where(upper, high[face, 0], low[face, 0]) + off
     values[face, at] = np.where(edge, on_face, values[face, at])
@@ -191,7 +222,7 @@ def _workspace(rng: np.random.Generator, n: int, edge: NDArray[np.bool_]) -> tup
 
 
 def _around_double_roots(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Array]:
-    """Small steps away from the targets of vectors near double roots, in position and approach."""
+    """Draw targets at small distances from those of vectors near double roots, in position and approach."""
     q, _ = vectors(trial, rng, n)
     X_RT = trial.tool_pose(q)
     p_m = X_RT.p + log_distances(rng, n) * _directions(rng, n)
@@ -200,5 +231,6 @@ def _around_double_roots(trial: Trial, rng: np.random.Generator, n: int) -> tupl
 
 
 def _directions(rng: np.random.Generator, n: int) -> Array:
+    """Draw unit vectors uniformly on the sphere, shape (3, n)."""
     v = rng.normal(size=(3, n))
     return v / norm(v)

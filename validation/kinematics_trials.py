@@ -1,4 +1,4 @@
-"""What an answer of the inverse kinematics is held to, computed anew from forward kinematics alone."""
+"""Arms, tools and gravities of the kinematics campaign, and checks of solutions by forward kinematics."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -31,24 +31,33 @@ MAX_TILT_RAD: Final = np.radians(30.0)
 CALIBRATED_SEEDS: Final = 50
 SKEW_SEEDS: Final = 50
 RIGID_M: Final = 1e-9
+"""Tolerance of a rigid arm."""
 DEFLECTED_M: Final = 1e-6
+"""Tolerance of an arm deflected by gravity."""
+STEP_RAD: Final = 1e-4
+"""Step of central differences; an equilibrium is accurate to 1e-11, so the derivative is to 1e-7."""
+SAME_RAD: Final = 1e-6
+"""Joint vectors closer than this are the same root."""
+CLEAR_SIGMA: Final = 1e-4
+"""A pose with a larger smallest singular value must be among the solutions of its own target."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A kind of arm under a kind of gravity."""
+    """Frozen record of a kind of arm under a kind of gravity."""
 
     name: str
     chunks: int
-    """Of each round of chunks, how many are this case: close to singularities the rigid arm
-    of the drawing is a hundred times cheaper than the others."""
+    """Number of chunks of this case in a round; near singularities the nominal rigid arm is a hundred times
+    faster than the others."""
     arm: str
-    """nominal, calibrated or skew: the drawing with a tool whose boresight misses the turret axis."""
+    """nominal, calibrated, or skew: the nominal arm with a tool whose boresight misses the turret axis."""
     gravity: str
     """none, mars (tilted up to 30 degrees) or earth (level)."""
 
     @property
     def tolerance_m(self) -> float:
+        """Largest error of a solution: the larger of metres and radians."""
         return RIGID_M if self.gravity == "none" else DEFLECTED_M
 
 
@@ -64,7 +73,7 @@ CASES: Final = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """One arm with one tool under one gravity: what a batch of targets is tried on."""
+    """Frozen record of an arm with a tool under a gravity, on which a batch of targets is tried."""
 
     arm_name: str
     arm: Arm
@@ -72,19 +81,22 @@ class Trial:
     gravity_R_m_s2: Array | None
 
     def tool_pose(self, output_rad: Array) -> Pose:
-        """X_RT of the tool for output angles (5, ...): of the arm at rest under this gravity, or rigid."""
+        """Compute the pose X_RT of the tool for output angles of shape (5, ...).
+
+        The arm is in static equilibrium under the gravity, or rigid if there is none.
+        """
         if self.gravity_R_m_s2 is None:
             return tool_pose(self.arm, forward(self.arm, output_rad), self.tool)
         return tool_pose(self.arm, settle_output(self.arm, output_rad, self.gravity_R_m_s2).frames, self.tool)
 
     @property
     def is_drawing(self) -> bool:
-        """Rigid and square with a radial tool: its double roots are where the drawing shows them."""
+        """True for the nominal rigid arm, which is orthogonal: its double roots have closed forms."""
         return self.gravity_R_m_s2 is None and self.arm_name == "nominal"
 
 
 def trials(case: Case, rng: np.random.Generator) -> Iterator[Trial]:
-    """One for each tool, all of one arm under one gravity; but every skew tool is another one."""
+    """Draw an arm and a gravity, and yield a trial for each tool; each skew tool is drawn separately."""
     gravity = _gravity(case.gravity, rng)
     seed = int(rng.integers(CALIBRATED_SEEDS))
     for tool in Tool:
@@ -98,13 +110,19 @@ def trials(case: Case, rng: np.random.Generator) -> Iterator[Trial]:
 
 @lru_cache(maxsize=256)
 def arm_of(name: str) -> Arm:
-    """nominal, calibrated:SEED, as-built:SEED or skew:SEED."""
+    """Build the arm named nominal, calibrated:SEED, as-built:SEED or skew:SEED."""
     kind, _, seed = name.partition(":")
     return skew_tool(int(seed)) if kind == "skew" else build_arm(arm_named(name).params)
 
 
 def skew_tool(seed: int, offset_m: float = 0.06, tilt_rad: float = 0.8) -> Arm:
-    """The drawing with one tool that passes the turret axis at up to so much and leans up to so much."""
+    """Build the nominal arm with a random tool, whose boresight misses the turret axis.
+
+    Args:
+        seed: Seed of the tool.
+        offset_m: Largest distance of the tool from the radial direction.
+        tilt_rad: Largest tilt of the tool.
+    """
     rng = np.random.default_rng(seed)
     arm = arm_of("nominal")
     clock = rotation_z(rng.uniform(-np.pi, np.pi))
@@ -123,48 +141,68 @@ def _gravity(name: str, rng: np.random.Generator) -> Array | None:
     return gravity_in_rover(tilt * np.cos(heading), tilt * np.sin(heading), GRAVITY_M_S2[name])
 
 
-STEP_RAD: Final = 1e-4
-"""Of the central differences; `rest` is good to 1e-11, so the derivative is to 1e-7."""
-SAME_RAD: Final = 1e-6
-CLEAR_SIGMA: Final = 1e-4
-"""A pose with a larger smallest singular value must be among the answers to its own target."""
-
-
 def claimed_roots(answers: IkResult) -> Flags:
-    """Roots (S, ...) that are said to meet the target.
+    """Return which roots claim to meet the target, shape (S, ...).
 
-    Where an arm hangs or is not square, a root far outside the limits has no angles and no error.
+    If an arm is deflected or not orthogonal, a root far outside the limits has no angles and no error.
     """
     has_angles = (answers.verdict == BranchVerdict.VALID) | (answers.verdict == BranchVerdict.OUTSIDE_LIMITS)
     return has_angles & ((answers.verdict == BranchVerdict.VALID) | np.isfinite(answers.error))
 
 
 def root_errors(trial: Trial, answers: IkResult, p_m: Array, approach: Array) -> Array:
-    """(S, n): how far each claimed root leaves the tool, the larger of metres and radians; else NaN."""
+    """Compute the pose error of each claimed root.
+
+    Args:
+        trial: Arm, tool and gravity.
+        answers: Result of the inverse kinematics.
+        p_m: Target positions in the rover frame, shape (3, n).
+        approach: Target unit approach vectors in the rover frame, shape (3, n).
+
+    Returns:
+        The larger of the errors in metres and radians, shape (S, n); NaN for other roots.
+    """
     roots = claimed_roots(answers)
     worst = np.full(roots.shape, np.nan)
     X_RT = trial.tool_pose(answers.output_rad[:, roots])
     which = np.nonzero(roots)[1]
-    off_m, off_axis = norm(X_RT.p - p_m[:, which]), norm(X_RT.R[:, 0] - approach[:, which])
-    worst[roots] = np.maximum(off_m, off_axis)
+    error_m, error_axis = norm(X_RT.p - p_m[:, which]), norm(X_RT.R[:, 0] - approach[:, which])
+    worst[roots] = np.maximum(error_m, error_axis)
     return worst
 
 
 def root_distances(answers: IkResult, q: Array) -> Array:
-    """(S, n): from each claimed root to the vector of its target, whole turns apart; else infinite."""
+    """Compute the distance of each claimed root from the joint vector of its target, modulo full turns.
+
+    Args:
+        answers: Result of the inverse kinematics.
+        q: Joint vectors in rad, shape (5, n).
+
+    Returns:
+        Largest joint difference in rad, shape (S, n); infinite for other roots.
+    """
     distance = np.abs(wrap_angle(answers.output_rad - q[:, None])).max(axis=0)
     return np.where(claimed_roots(answers), distance, np.inf)
 
 
 def task_jacobian(trial: Trial, q: Array) -> Array:
-    """(5, 5, n): position and approach by the joints, the load's response included; central differences."""
+    """Compute the Jacobian of position and approach by central differences, with the change of deflection.
+
+    Args:
+        trial: Arm, tool and gravity.
+        q: Joint vectors in rad, shape (5, n).
+
+    Returns:
+        Derivatives of the position in m/rad, and of the approach along the other two tool axes, shape
+        (5, 5, n).
+    """
     n = q.shape[1]
-    moves = STEP_RAD * np.stack([np.eye(5), -np.eye(5)], axis=-1)
-    X = trial.tool_pose((q[:, None, None] + moves[..., None]).reshape(5, -1))
+    steps = STEP_RAD * np.stack([np.eye(5), -np.eye(5)], axis=-1)
+    X = trial.tool_pose((q[:, None, None] + steps[..., None]).reshape(5, -1))
     p, x = ((v[:, :, 0] - v[:, :, 1]) / (2 * STEP_RAD) for v in (X.p.reshape(3, 5, 2, n), _x_axes(X.R, n)))
     R_RT = trial.tool_pose(q).R
-    turns = [dot(R_RT[:, k, None], x) for k in (1, 2)]
-    return np.concatenate([p, np.stack(turns)])
+    tilts = [dot(R_RT[:, k, None], x) for k in (1, 2)]
+    return np.concatenate([p, np.stack(tilts)])
 
 
 def _x_axes(R: Array, n: int) -> Array:
@@ -172,6 +210,6 @@ def _x_axes(R: Array, n: int) -> Array:
 
 
 def smallest_singular_value(trial: Trial, q: Array) -> Array:
-    """(n): 0 where two roots meet."""
+    """Compute the smallest singular value of the task Jacobian, shape (n,); it is 0 where two roots meet."""
     J = np.moveaxis(task_jacobian(trial, q), -1, 0)
     return np.asarray(np.linalg.svd(J, compute_uv=False)[:, -1], np.float64)

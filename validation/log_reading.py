@@ -1,4 +1,4 @@
-"""How fast a log of ten minutes becomes numpy arrays, against the reader that comes with MCAP, in one run."""
+"""Speed of reading a log of ten minutes into numpy arrays, compared with the stock reader of MCAP."""
 
 import json
 import time
@@ -19,16 +19,17 @@ CYCLES: Final = 38_400
 """Ten minutes at 64 Hz."""
 REPEATS: Final = 5
 PART_NS: Final = (300 * 10**9, 310 * 10**9)
+"""Log times of a part that is read alone."""
 
 
 def stock(path: Path) -> int:
-    """Iterate over all messages with every CRC checked, decode none; how many there are."""
+    """Iterate over all messages with every CRC checked, without decoding them, and return their number."""
     with path.open("rb") as file:
         return sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages())
 
 
 def stock_to_numpy(path: Path) -> dict[str, Any]:
-    """The same, and the messages of each topic as one array of bytes."""
+    """Read all messages with every CRC checked, and return those of each topic as an array of bytes."""
     bodies: dict[str, list[bytes]] = {}
     with path.open("rb") as file:
         for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
@@ -37,14 +38,14 @@ def stock_to_numpy(path: Path) -> dict[str, Any]:
 
 
 def seconds(job: Callable[[], Any]) -> float:
-    """Processor time of a job [s]; others on the machine do not count."""
+    """Measure the processor time of a job, which other processes do not affect much."""
     began = time.process_time()
     job()
     return time.process_time() - began
 
 
 def log_reading(cycles: int = CYCLES) -> dict[str, Any]:
-    """Seconds of processor time for all channels; each ratio is the median of pairs, one after the other."""
+    """Measure processor times for all channels; each ratio is the median of alternating pairs."""
     with TemporaryDirectory() as folder:
         path = record_log(Path(folder) / "run.mcap", cycles, CHUNK_S)
         jobs: tuple[Callable[[], Any], ...] = (

@@ -1,17 +1,17 @@
-"""Options that all campaigns have on the command line."""
+"""Command-line options that all campaigns share."""
 
 import argparse
 from typing import Any
 
 
-def campaign_parser(name: str, what: Any, example: str) -> argparse.ArgumentParser:
-    """Make the parser of `python -m validation.NAME`, with the options that all have."""
-    options = argparse.ArgumentParser(
+def campaign_parser(name: str, description: Any, example: str) -> argparse.ArgumentParser:
+    """Make the parser of `python -m validation.NAME`, with the options that all campaigns share."""
+    parser = argparse.ArgumentParser(
         prog=f"python -m validation.{name}",
-        description=what,
+        description=description,
         epilog=example,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    options.add_argument("--workers", type=int, default=2, help="processes (default 2)")
-    options.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
-    return options
+    parser.add_argument("--workers", type=int, default=2, help="number of processes (default 2)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default 0)")
+    return parser

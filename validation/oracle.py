@@ -1,8 +1,8 @@
-"""An oracle for the rigid arm of the drawing: EAIK 1.2, which finds the roots of a full pose by other means.
+"""Oracle for the inverse kinematics of the nominal rigid arm: EAIK 1.2, which uses another method.
 
-A target here is a position and an approach; the spin about the approach is free and differs between roots.
-EAIK takes full poses, so it is asked once for each different pose among our roots, and the union of what it
-finds is compared. It knows the arm from azimuth joint to turret interface; the tool is taken off first.
+A target here is a position and an approach; the rotation about the approach is free and differs between
+roots. EAIK needs full poses. It is called once for each distinct pose of our roots, and all its roots are
+compared with ours. Its chain is from azimuth joint to turret interface, so the tool is removed first.
 """
 
 import argparse
@@ -22,16 +22,25 @@ from validation.kinematics_samples import workspace_targets
 from validation.kinematics_trials import Trial, arm_of, claimed_roots, smallest_singular_value
 
 SAME_POSE: Final = 1e-9
+"""Poses with matrix elements closer than this are equal."""
 SAME_RAD: Final = 1e-6
+"""Roots with joint angles closer than this are equal."""
 MEETS: Final = 1e-9
+"""A root whose matrix elements are closer to the pose than this solves it."""
 EXAMPLES: Final = 20
+"""Largest number of differences that are listed."""
+KINDS: Final = ("workspace", "vectors")
 
 
 class Eaik:
-    """The arm of the drawing without a tool; ImportError where the package is not installed."""
+    """EAIK model of the nominal arm without a tool.
+
+    Raises:
+        ImportError: EAIK is not installed.
+    """
 
     def __init__(self) -> None:
-        from eaik.IK_DH import DhRobot  # needs numpy and nothing else of what the package asks for
+        from eaik.IK_DH import DhRobot  # of the dependencies it needs only numpy
 
         joints = [link.transform for link in nominal_params().links.in_order()[1:]]
         if any(link.theta_rad or link.beta_rad or link.b_m for link in joints):
@@ -42,25 +51,40 @@ class Eaik:
 
     @property
     def family(self) -> str:
+        """Kinematic family that EAIK assigns to the arm."""
         return str(self.robot.getKinematicFamily())
 
     def roots(self, X_1F: Array) -> Array:
-        """The roots (5, k) of a pose (4, 4) of the turret interface from Arm1.
+        """Find the roots of a pose.
 
-        What reaches a pose only nearly, EAIK marks as least squares. Where two azimuths nearly coincide it
-        also marks roots that miss the pose by a mere 1e-12; its own forward kinematics takes the mark off.
+        EAIK marks approximate solutions as least squares. If two azimuths nearly coincide, it also marks
+        roots with errors of only 1e-12. Its own forward kinematics identifies these.
+
+        Args:
+            X_1F: Pose of the turret interface in the Arm1 frame, shape (4, 4).
+
+        Returns:
+            Output angles of the roots, shape (5, k), in rad.
         """
         solution = self.robot.IK(X_1F)
-        at_best = zip(solution.Q, solution.is_LS, strict=True)
-        real = [q for q, least_squares in at_best if not least_squares or self._error(q, X_1F) < MEETS]
-        return np.array(real).reshape(-1, 5).T
+        marked = zip(solution.Q, solution.is_LS, strict=True)
+        exact = [q for q, least_squares in marked if not least_squares or self._error(q, X_1F) < MEETS]
+        return np.array(exact).reshape(-1, 5).T
 
     def _error(self, q: Array, X_1F: Array) -> float:
         return float(np.abs(self.robot.fwdKin(q) - X_1F).max())
 
 
 def interface_poses(trial: Trial, output_rad: Array) -> Array:
-    """(n, 4, 4): the turret interface from Arm1 for outputs (5, n)."""
+    """Compute the pose of the turret interface in the Arm1 frame.
+
+    Args:
+        trial: Arm and tool.
+        output_rad: Output angles, shape (5, n).
+
+    Returns:
+        Homogeneous transforms, shape (n, 4, 4).
+    """
     ends = forward(trial.arm, output_rad).X_RF
     R_R1, p_R1 = ends.R[:, :, 0, 0], ends.p[:, 0, 0]
     X = np.zeros((output_rad.shape[1], 4, 4))
@@ -71,7 +95,7 @@ def interface_poses(trial: Trial, output_rad: Array) -> Array:
 
 
 def distinct_poses(poses: Array) -> list[int]:
-    """Indices of the first of each set of equal poses (n, 4, 4)."""
+    """Return the index of the first of each set of equal poses of shape (n, 4, 4)."""
     flat = poses.reshape(len(poses), -1)
     chosen: list[int] = []
     for k in range(len(flat)):
@@ -82,7 +106,7 @@ def distinct_poses(poses: Array) -> list[int]:
 
 @dataclass(slots=True)
 class Comparison:
-    """Our roots against the oracle's; comparisons add up over targets."""
+    """Counts of roots found here and by the oracle, summed over targets."""
 
     targets: int = 0
     calls: int = 0
@@ -91,10 +115,11 @@ class Comparison:
     only_ours: int = 0
     only_theirs: int = 0
     widest_rad: float = 0.0
-    """Of roots that both have, the largest distance between the two, over all joints."""
+    """Largest difference of a joint angle between roots that both found."""
     examples: list[dict[str, Any]] = field(default_factory=list)
 
     def note(self, trial: Trial, what: str, roots: Array) -> None:
+        """Keep roots, shape (5, k), as examples."""
         for root in roots.T[: max(EXAMPLES - len(self.examples), 0)]:
             sigma = float(smallest_singular_value(trial, root[:, None])[0])
             self.examples.append(
@@ -103,32 +128,49 @@ class Comparison:
 
 
 def compare(eaik: Eaik, tool: Tool, p_m: Array, approach: Array) -> Comparison:
-    """For targets (3, n): whether our roots and the oracle's are the same, modulo whole turns."""
+    """Compare our roots of targets with the oracle's, modulo full turns.
+
+    Args:
+        eaik: The oracle.
+        tool: Tool at the targets.
+        p_m: Positions in the rover frame, shape (3, n).
+        approach: Unit approach vectors in the rover frame, shape (3, n).
+    """
     trial = Trial("nominal", arm_of("nominal"), tool, None)
     answers = inverse_kinematics(trial.arm, tool, p_m, approach)
     roots = claimed_roots(answers)
-    seen = Comparison(targets=p_m.shape[1])
-    for k in range(seen.targets):
+    comparison = Comparison(targets=p_m.shape[1])
+    for k in range(comparison.targets):
         ours = answers.output_rad[:, roots[:, k], k]
         poses = interface_poses(trial, ours)
-        asked = poses[distinct_poses(poses)]
-        theirs = np.concatenate([np.zeros((5, 0)), *(eaik.roots(X_1F) for X_1F in asked)], axis=1)
-        apart = np.abs(wrap_angle(ours[:, :, None] - theirs[:, None])).max(axis=0)
-        from_ours, from_theirs = apart.min(axis=1, initial=np.inf), apart.min(axis=0, initial=np.inf)
-        alone, lost = from_ours > SAME_RAD, from_theirs > SAME_RAD
-        seen.calls += len(asked)
-        seen.ours += ours.shape[1]
-        seen.theirs += theirs.shape[1]
-        seen.only_ours += int(alone.sum())
-        seen.only_theirs += int(lost.sum())
-        seen.widest_rad = max(seen.widest_rad, float(from_ours[~alone].max(initial=0.0)))
-        seen.note(trial, "only ours", ours[:, alone])
-        seen.note(trial, "only theirs", theirs[:, lost])
-    return seen
+        distinct = poses[distinct_poses(poses)]
+        theirs = np.concatenate([np.zeros((5, 0)), *(eaik.roots(X_1F) for X_1F in distinct)], axis=1)
+        distance = np.abs(wrap_angle(ours[:, :, None] - theirs[:, None])).max(axis=0)
+        to_theirs, to_ours = distance.min(axis=1, initial=np.inf), distance.min(axis=0, initial=np.inf)
+        only_ours, only_theirs = to_theirs > SAME_RAD, to_ours > SAME_RAD
+        comparison.calls += len(distinct)
+        comparison.ours += ours.shape[1]
+        comparison.theirs += theirs.shape[1]
+        comparison.only_ours += int(only_ours.sum())
+        comparison.only_theirs += int(only_theirs.sum())
+        comparison.widest_rad = max(comparison.widest_rad, float(to_theirs[~only_ours].max(initial=0.0)))
+        comparison.note(trial, "only ours", ours[:, only_ours])
+        comparison.note(trial, "only theirs", theirs[:, only_theirs])
+    return comparison
 
 
 def random_targets(tool: Tool, kind: str, rng: np.random.Generator, n: int) -> tuple[Array, Array]:
-    """Of kind `workspace`, the primary one, or `vectors`: poses of random joint vectors in their limits."""
+    """Draw random targets.
+
+    Args:
+        tool: Tool at the targets.
+        kind: `workspace` for the primary workspace, `vectors` for poses of random joint vectors.
+        rng: Source of randomness.
+        n: Number of targets.
+
+    Returns:
+        Positions in metres and unit approach vectors in the rover frame, shape (3, n) each.
+    """
     if kind == "workspace":
         return workspace_targets(rng, n)
     arm = arm_of("nominal")
@@ -137,35 +179,32 @@ def random_targets(tool: Tool, kind: str, rng: np.random.Generator, n: int) -> t
     return X_RT.p, X_RT.R[:, 0]
 
 
-KINDS: Final = ("workspace", "vectors")
-
-
 def main() -> int:
-    """Print the comparison as JSON; exit status 1 where the two differ, 2 without the oracle."""
+    """Print the comparison as JSON; return 1 if roots differ, 2 without the oracle."""
     parser = argparse.ArgumentParser(
         prog="python -m validation.oracle",
         description=__doc__,
         epilog="example: python -m validation.oracle --targets 100000",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--targets", type=int, default=100_000, help="in all (default 100000)")
-    parser.add_argument("--seed", type=int, default=0, help="of the targets (default 0)")
-    asked = parser.parse_args()
+    parser.add_argument("--targets", type=int, default=100_000, help="number of targets (default 100000)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the targets (default 0)")
+    options = parser.parse_args()
     try:
         eaik = Eaik()
     except ImportError as missing:
         print(f"marsarm: the oracle is not installed ({missing}); `make oracle` installs it", file=sys.stderr)
         return 2
-    each = -(-asked.targets // (len(Tool) * len(KINDS)))
+    each = -(-options.targets // (len(Tool) * len(KINDS)))
     results, differ = {}, False
     for kind in KINDS:
         for tool in Tool:
             print(f"marsarm: {each} targets from {kind}, {tool.name}", file=sys.stderr)
-            rng = np.random.default_rng([asked.seed, int(tool), KINDS.index(kind)])
-            seen = compare(eaik, tool, *random_targets(tool, kind, rng, each))
-            differ |= bool(seen.only_ours or seen.only_theirs)
-            results[f"{kind} {tool.name}"] = asdict(seen)
-    print(json.dumps({"family": eaik.family, "seed": asked.seed, "results": results}, indent=2))
+            rng = np.random.default_rng([options.seed, int(tool), KINDS.index(kind)])
+            comparison = compare(eaik, tool, *random_targets(tool, kind, rng, each))
+            differ |= bool(comparison.only_ours or comparison.only_theirs)
+            results[f"{kind} {tool.name}"] = asdict(comparison)
+    print(json.dumps({"family": eaik.family, "seed": options.seed, "results": results}, indent=2))
     return int(differ)
 
 

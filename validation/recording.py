@@ -1,10 +1,10 @@
-"""What recording costs the closed loop: cycles with and without a log, in turns, in one run.
+"""Cost of recording in the closed loop: cycles with and without a log, alternating in one run.
 
-A cycle is timed as `marsarm run` goes through it: flight software, plant, judge, and with a log the truth and
-the recorder. Stretches with and without take turns, so that a machine that gets slower does so for both. Each
-stretch with a log has a recorder of its own, so that none runs beside the others. The end of a log, with all
-that is left to write, comes once in a run, and counts once. Beside each pair of stretches the bare physics is
-timed: what truth and recorder take of a cycle is told in steps of it, whatever the machine.
+A cycle is timed as in `marsarm run`: flight software, plant, checks, and with a log the truth and the
+recorder. Stretches with and without a log alternate, so that a slower machine affects both. Each stretch with
+a log has its own recorder, so that no other one runs during a stretch without. Closing a log happens once in
+a run, and counts once. The bare physics is timed with each pair of stretches. Truth and recorder are measured
+in its steps, which makes the result independent of the machine.
 
 Example: python -m validation.recording
 """
@@ -35,56 +35,65 @@ from validation.closed_loop import bare_step_s, nominal_reference, time_calls
 
 SCENARIO = "contact-science"
 STRETCH = 1000
-"""Cycles between two turns."""
+"""Cycles in a stretch."""
 FIRST = 500
-"""Cycles of warming up."""
-
-
+"""Cycles of warm-up."""
 MOST_COST = 0.10
-"""Of the rate without a log."""
+"""Largest loss of rate by a log, as a share of the rate without one."""
 MOST_LATER_MS = 1.0
-"""The 99.9th percentile of a cycle."""
+"""Largest increase of the 99.9th percentile of a cycle."""
 MOST_BARE_STEPS = 0.65
-"""Of truth and recorder in a cycle."""
+"""Largest time of truth and recorder in a cycle, in bare steps."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Times of cycles, one after the other."""
+    """Frozen record of the times of consecutive cycles."""
 
     cycles_us: NDArray[np.float64]
-    """Shape (STRETCH,)."""
+    """Time of each cycle, shape (STRETCH,)."""
     writes_us: NDArray[np.float64]
-    """Of the recorder, as much of each cycle; none if there is no log."""
+    """Time of the recorder in each cycle, shape (STRETCH,); empty without a log."""
     end_us: float = 0.0
-    """Of the log, if there is one."""
+    """Time to close the log, if there is one."""
 
 
 def recording() -> dict[str, Any]:
-    """Ratio of the rates, times of a cycle in microseconds, and whether both are in bounds."""
+    """Measure the ratio of the rates, and times of a cycle in microseconds, and check their bounds."""
     with TemporaryDirectory() as folder:
-        turns = list(_in_turns(Path(folder) / "run.mcap"))
-    pairs = [(without, recorded) for without, recorded, _ in turns]
-    alone, beside = (np.concatenate([one.cycles_us for one in turn]) for turn in zip(*pairs, strict=True))
-    longer = median(float(recorded.cycles_us.sum() / without.cycles_us.sum()) for without, recorded in pairs)
+        stretches = list(_alternate(Path(folder) / "run.mcap"))
+    pairs = [(without, recorded) for without, recorded, _ in stretches]
+    without_us, with_us = (
+        np.concatenate([one.cycles_us for one in side]) for side in zip(*pairs, strict=True)
+    )
+    time_ratio = median(
+        float(recorded.cycles_us.sum() / without.cycles_us.sum()) for without, recorded in pairs
+    )
     end_us = median(recorded.end_us for _, recorded in pairs)
-    run_us = float(alone.mean()) * (len(alone) + len(beside))
+    run_us = float(without_us.mean()) * (len(without_us) + len(with_us))
     return {
-        "cycles": len(alone) + len(beside),
-        "median_us": {"without": float(np.median(alone)), "with": float(np.median(beside))},
+        "cycles": len(without_us) + len(with_us),
+        "median_us": {"without": float(np.median(without_us)), "with": float(np.median(with_us))},
         "end_ms": end_us / 1e3,
         **judge_cost(
-            1 / (longer + end_us / run_us),
-            float(np.percentile(alone, 99.9)),
-            float(np.percentile(beside, 99.9)),
-            median(bare_steps for _, _, bare_steps in turns),
+            1 / (time_ratio + end_us / run_us),
+            float(np.percentile(without_us, 99.9)),
+            float(np.percentile(with_us, 99.9)),
+            median(bare_steps for _, _, bare_steps in stretches),
         ),
         "load_average": os.getloadavg()[0],
     }
 
 
 def judge_cost(rate_ratio: float, alone_us: float, beside_us: float, bare_steps: float) -> dict[str, Any]:
-    """Judge the ratio of the rates, 99.9th percentiles of a cycle, and what truth and recorder take of it."""
+    """Compare the cost of recording with its bounds.
+
+    Args:
+        rate_ratio: Rate with a log over rate without.
+        alone_us: 99.9th percentile of a cycle without a log.
+        beside_us: 99.9th percentile of a cycle with a log.
+        bare_steps: Time of truth and recorder in a cycle, in bare steps.
+    """
     later_ms = (beside_us - alone_us) / 1e3
     return {
         "rate_with_by_without": rate_ratio,
@@ -102,10 +111,12 @@ def judge_cost(rate_ratio: float, alone_us: float, beside_us: float, bare_steps:
     }
 
 
-def _in_turns(path: Path) -> Iterator[tuple[Stretch, Stretch, float]]:
-    """A stretch without a log, one with a log, and bare steps that truth and recorder take of a cycle of it.
+def _alternate(path: Path) -> Iterator[tuple[Stretch, Stretch, float]]:
+    """Run stretches without and with a log alternately.
 
-    Of the means from one sample to the next it is the median: the machine may give time to others.
+    Yields:
+        A stretch without a log, one with a log, and the bare steps that truth and recorder take in a cycle:
+        the median of means between two samples, because other processes may interrupt.
     """
     arm, scenario = arm_named("nominal"), load_scenario(SCENARIO)
     loop = ClosedLoop(scenario_setup(scenario, arm, nominal_reference(), 0))
@@ -115,10 +126,10 @@ def _in_turns(path: Path) -> Iterator[tuple[Stretch, Stretch, float]]:
     list(islice(cycles, FIRST))
     while True:
         loop.with_truth = False
-        without = _stretch(cycles, None)
+        without = _time_stretch(cycles, None)
         loop.with_truth = True
         truth_s.clear()
-        recorded = _stretch(cycles, Recorder(path, {}, loop.config))
+        recorded = _time_stretch(cycles, Recorder(path, {}, loop.config))
         if len(recorded.cycles_us) < STRETCH:
             return
         spent_s = np.array(truth_s[:STRETCH]) + 1e-6 * recorded.writes_us
@@ -129,7 +140,7 @@ def _in_turns(path: Path) -> Iterator[tuple[Stretch, Stretch, float]]:
         )
 
 
-def _stretch(cycles: Iterator[CycleRecord], recorder: Recorder | None) -> Stretch:
+def _time_stretch(cycles: Iterator[CycleRecord], recorder: Recorder | None) -> Stretch:
     times_s, write_s = [time.perf_counter()], list[float]()
     write = None if recorder is None else time_calls(recorder.write, write_s)
     for record in islice(cycles, STRETCH):
@@ -144,7 +155,7 @@ def _stretch(cycles: Iterator[CycleRecord], recorder: Recorder | None) -> Stretc
 
 
 def main() -> None:
-    """Measure and print; exit status 1 if recording costs too much."""
+    """Print the result as JSON; exit with 1 if recording costs too much."""
     found = recording()
     print(json.dumps(found, indent=2))
     sys.exit(0 if found["in_bounds"] else 1)

@@ -1,7 +1,7 @@
-"""Every scenario on several arms, recorded and replayed: not one output may differ, none be left out.
+"""Campaign of replays: every scenario on several arms is recorded and replayed with equal outputs.
 
-Each run is an arm, a tilt and a seed of its own; the log is read back from its file. The rate is that of the
-replay, in units of real time and of the run that it replays.
+Each run has its own arm, tilt and seed, and the log is read back from its file. The rate of the replay is
+relative to real time, and to the run that it replays.
 """
 
 import json
@@ -23,15 +23,14 @@ from sim.scenario.file import built_in_scenarios
 from validation.options import campaign_parser
 
 TILT_DEG = (6.0, -4.0)
-"""Roll and pitch of the arms that are not nominal."""
-
+"""Roll and pitch of the rover, with arms other than the nominal one."""
 NOT_REPLAYED = "not replayed"
-"""The outcome of a run that was refused, or whose log was; it counts as not identical."""
+"""Outcome of a run that was refused, or whose log was refused; it counts as not identical."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayOutcome:
-    """One scenario on one arm."""
+    """Frozen record of a scenario on an arm and its replay."""
 
     scenario: str
     arm: str
@@ -45,11 +44,11 @@ class ReplayOutcome:
 
 
 def silent(*_: object) -> None:
-    """No progress bar in a worker."""
+    """Ignore progress."""
 
 
 def replay_one(scenario: str, arm: str) -> ReplayOutcome:
-    """Run a scenario on an arm, and replay its log."""
+    """Run a scenario on an arm, record it, and replay its log."""
     with TemporaryDirectory() as folder:
         log = Path(folder) / "run.mcap"
         seed = int(arm.partition(":")[2] or 0)
@@ -75,7 +74,7 @@ def replay_one(scenario: str, arm: str) -> ReplayOutcome:
 
 
 def document(arms: int, seed: int, workers: int, only: str | None = None) -> dict[str, object]:
-    """Every scenario, or only one, on the nominal arm, and on so many calibrated and as-built ones."""
+    """Replay every scenario, or only one, on the nominal arm and on this many of each other kind."""
     names = ["nominal", *(f"{k}:{seed + n}" for n in range(1, arms + 1) for k in ("calibrated", "as-built"))]
     jobs = list(product([only] if only else built_in_scenarios(), names))
     ran: list[ReplayOutcome] = []
@@ -88,7 +87,7 @@ def document(arms: int, seed: int, workers: int, only: str | None = None) -> dic
 
 
 def summarize(ran: list[ReplayOutcome]) -> dict[str, object]:
-    """What came of all that was asked."""
+    """Return the JSON document of the requested runs."""
     return {
         "asked": len(ran),
         "replayed": sum(r.outcome != NOT_REPLAYED for r in ran),
@@ -99,11 +98,12 @@ def summarize(ran: list[ReplayOutcome]) -> dict[str, object]:
 
 
 def main() -> None:
-    options = campaign_parser("replays", __doc__, "example: python -m validation.replays --arms 1")
-    options.add_argument("--arms", type=int, default=3, help="arms of each kind but nominal (default 3)")
-    options.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
-    asked = options.parse_args()
-    found = document(asked.arms, asked.seed, asked.workers, asked.only)
+    """Print the result as JSON; exit with 1 if a replay is not identical."""
+    parser = campaign_parser("replays", __doc__, "example: python -m validation.replays --arms 1")
+    parser.add_argument("--arms", type=int, default=3, help="arms of each kind but nominal (default 3)")
+    parser.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
+    options = parser.parse_args()
+    found = document(options.arms, options.seed, options.workers, options.only)
     print(json.dumps(found, indent=2))
     sys.exit(found["identical"] != found["asked"])
 

@@ -1,4 +1,4 @@
-"""Logs to measure with: an arm finds its hardstops, again and again until the log is long enough."""
+"""Sample logs of any length, which repeat the beginning of a hardstop initialisation."""
 
 from dataclasses import replace
 from functools import cache
@@ -15,19 +15,19 @@ from sim.record import CycleRecord
 from sim.world import World
 
 PERIOD: Final = 8192
-"""Cycles after which it begins again."""
+"""Cycles after which the recorded cycles repeat."""
 
 
 @cache
 def hardstop_cycles(cycles: int) -> tuple[CycleRecord, ...]:
-    """The first cycles of a hardstop initialisation, the truth of the plant with them."""
+    """Run the first cycles of a hardstop initialisation; the records contain the truth of the plant."""
     arm = arm_named("nominal")
     loop = ClosedLoop(Setup(arm, World(), arm.params.poses.ready_rad), with_truth=True)
     return tuple(loop.cycle((CalibrateAll(),) if tick == 0 else ()) for tick in range(cycles))
 
 
 def record_log(path: Path, cycles: int, chunk_s: float) -> Path:
-    """A closed log of so many cycles."""
+    """Write a complete log of this many cycles."""
     config = configure(arm_named("nominal").params)
     with Recorder(path, {"seed": "0", "arm": "nominal"}, config, chunk_s=chunk_s) as recorder:
         for tick, record in zip(range(cycles), cycle(hardstop_cycles(min(max(cycles, 1), PERIOD)))):

@@ -1,8 +1,8 @@
-"""The five jobs on many arms: every scenario on the nominal arm, on calibrated and on as-built arms, tilted.
+"""Campaign of the scenarios: each on the nominal arm, on calibrated and on as-built arms, on a tilted rover.
 
-The rover is tilted by what the requirement allows, any way: 30 deg where an instrument is placed, 20 deg
-where samples are taken and moved. Every arm is taught its places. A press may be off by twice as much on an
-as-built arm.
+The tilt is the largest that the requirement allows, in a random direction: 30 deg to place an instrument,
+20 deg to take and move samples. Every arm is taught its places. On an as-built arm the bound of a preload is
+twice as large.
 """
 
 import json
@@ -25,14 +25,16 @@ from sim.sequence import Outcome
 from validation.options import campaign_parser
 
 TILT_DEG = {"contact-science": 30.0, "tool-change": 30.0}
-"""Of the scenarios that place an instrument; the others have the next."""
+"""Tilt in scenarios that place an instrument."""
 SAMPLING_TILT_DEG = 20.0
+"""Tilt in the other scenarios."""
 AS_BUILT_SHARE = 0.2
+"""Bound of the preload error of an as-built arm, as a share of the preload."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScenarioOutcome:
-    """One scenario on one arm."""
+    """Frozen record of a scenario on an arm."""
 
     scenario: str
     arm: str
@@ -45,24 +47,24 @@ class ScenarioOutcome:
 
 
 def run_on_arm(name: str, names: tuple[str, ...]) -> list[ScenarioOutcome]:
-    """Scenarios on one arm, whose joints have been at their hardstops."""
+    """Run scenarios on one arm, after it has found its hardstops."""
     reference = initial_reference(arm_named(name))
     return [run_scenario_on(name, scenario_name, reference) for scenario_name in names]
 
 
 def run_scenario_on(name: str, scenario_name: str, reference: Reference) -> ScenarioOutcome:
-    """A scenario on one arm, taught its places; both of them say which way the rover is tilted."""
+    """Run a scenario on one arm, taught its places; the direction of the tilt depends on both."""
     seed, k = int(name.partition(":")[2] or 0), list(built_in_scenarios()).index(scenario_name)
     tilt = np.radians(TILT_DEG.get(scenario_name, SAMPLING_TILT_DEG)) * (1 - 1e-9)
     heading = float(np.random.default_rng([seed, k, 70]).uniform(-np.pi, np.pi))
-    # of a roll and a pitch that together tilt by so much
+    # Roll and pitch that together give this tilt.
     roll = float(np.arcsin(np.sin(tilt) * np.sin(heading)))
     pitch = float(np.arctan(np.tan(tilt) * np.cos(heading)))
-    scenario = _bounds_for(name, load_scenario(scenario_name).tilted(roll, pitch))
+    scenario = _set_bounds(name, load_scenario(scenario_name).tilted(roll, pitch))
     return _run(scenario, name, seed, reference)
 
 
-def _bounds_for(arm: str, scenario: Scenario) -> Scenario:
+def _set_bounds(arm: str, scenario: Scenario) -> Scenario:
     def bound(check: Check) -> Check:
         wider = isinstance(check, Preloaded) and arm.startswith("as-built")
         return replace(check, share=AS_BUILT_SHARE) if wider else check  # type: ignore[call-arg]
@@ -97,12 +99,12 @@ def _run(scenario: Scenario, name: str, seed: int, reference: Reference) -> Scen
 
 
 def in_bounds(case: ScenarioOutcome) -> bool:
-    """Whether this is as it must be: an arm that is not calibrated may miss, and no arm refuses or faults."""
+    """Check an outcome: an as-built arm must complete its scenario, other arms must also pass all checks."""
     return case.outcome == Outcome.DONE if case.arm.startswith("as-built") else case.passed
 
 
 def summary(ran: list[ScenarioOutcome]) -> dict[str, object]:
-    """By kind of arm and scenario: how many passed, the largest of each measure, and all that failed."""
+    """Summarize outcomes by kind of arm and scenario: counts, ranges of measured values, and failures."""
     table: dict[str, dict[str, object]] = {}
     for kind in sorted({r.arm.partition(":")[0] for r in ran}):
         table[kind] = {}
@@ -124,7 +126,7 @@ def summary(ran: list[ScenarioOutcome]) -> dict[str, object]:
 def document(
     calibrated: int, as_built: int, seed: int, workers: int, only: str | None = None
 ) -> dict[str, object]:
-    """Every scenario, or only one, on the nominal arm and on so many others."""
+    """Run every scenario, or only one, on the nominal arm and on this many others."""
     names = (only,) if only else tuple(built_in_scenarios())
     arms = ["nominal"]
     arms += [f"calibrated:{seed + k}" for k in range(1, calibrated + 1)]
@@ -147,15 +149,15 @@ def document(
 
 
 def main() -> int:
-    """Print the result as JSON; exit status 1 if a scenario is out of its bounds."""
-    options = campaign_parser(
+    """Print the result as JSON; return 1 if a scenario is out of its bounds."""
+    parser = campaign_parser(
         "scenarios", __doc__, "example: python -m validation.scenarios --calibrated 2 --as-built 0"
     )
-    options.add_argument("--calibrated", type=int, default=20, help="calibrated arms (default %(default)s)")
-    options.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
-    options.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
-    asked = options.parse_args()
-    found = document(asked.calibrated, asked.as_built, asked.seed, asked.workers, asked.only)
+    parser.add_argument("--calibrated", type=int, default=20, help="calibrated arms (default %(default)s)")
+    parser.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
+    parser.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
+    options = parser.parse_args()
+    found = document(options.calibrated, options.as_built, options.seed, options.workers, options.only)
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1
 

@@ -1,9 +1,9 @@
-"""The paper's Figure 7: where joints fall to the other side of their gap, predictions without it are off.
+"""Campaign of Figure 7 of the paper: prediction errors in poses where joints change their backlash side.
 
-Four groups of poses over the workspace, on Earth, with stand-in turrets of 8 and 19 kg, level and
-rolled by 20 degrees, shoulder-out first and then 30 % shoulder-in. The drill's place is predicted from
-the encoders after hardstop initialisation: once as if every joint still lay on the side of its gap where it
-was pressed against its hardstop, once with the state that flight software believes.
+There are four groups of poses over the workspace, on Earth, with stand-in turrets of 8 and 19 kg, level and
+rolled by 20 degrees. In each group 70 % of the poses are shoulder-out, then 30 % are shoulder-in. The
+position of the drill is predicted from the encoders after the hardstop initialisation. One prediction assumes
+the backlash side at the hardstop for every joint, the other uses the estimate of flight software.
 """
 
 import json
@@ -36,10 +36,11 @@ EXAMPLE = "example: python -m validation.shoulder_in --picture docs/shoulder-in.
 GROUPS: Final = ((8.0, 0.0), (8.0, 20.0), (19.0, 0.0), (19.0, 20.0))
 """Mass of the stand-in turret [kg], roll of the rover [deg]."""
 POSES: Final = 40
-"""Of each group."""
+"""Number of poses in each group."""
 SHOULDER_IN: Final = 0.3
+"""Share of shoulder-in poses in a group."""
 MOST_LEFT: Final = 0.1
-"""Of what the gaps do to a prediction, with the believed state."""
+"""Largest ratio of the prediction error with the estimated side to that with the side at the hardstop."""
 WITH_SHOULDER: Final = {
     shoulder: [name for name in BRANCHES if name.startswith(f"shoulder-{shoulder}")]
     for shoulder in ("out", "in")
@@ -52,22 +53,25 @@ SERIES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """How far the drill was from where it was predicted, and how many joints had fallen to the other side."""
+    """Frozen record of the prediction errors of the drill in a pose."""
 
     shoulder_in: bool
     as_initialised_mm: float
+    """Error with the side of the backlash at the hardstop."""
     with_state_mm: float
+    """Error with the estimated side."""
     fallen: int
+    """Number of joints that have changed the side of their backlash."""
 
 
 def with_stand_in_turret(mass_kg: float) -> BuiltArm:
-    """The nominal arm with a stand-in turret, which flight software knows."""
+    """Return the nominal arm with a stand-in turret that flight software knows."""
     turret, nominal = StandInTurret(mass_kg), arm_named("nominal")
     return replace(nominal, effects=(*nominal.effects, turret), params=turret.on_params(nominal.params))
 
 
 def group(index: int, seed: int, poses: int, reference: Reference) -> list[Prediction]:
-    """One group of poses, shoulder-out and then shoulder-in."""
+    """Predict one group of poses, shoulder-out and then shoulder-in."""
     mass_kg, roll_deg = GROUPS[index]
     arm = with_stand_in_turret(mass_kg)
     world = World("earth", tilt_roll_rad=float(np.radians(roll_deg)))
@@ -83,7 +87,7 @@ def group(index: int, seed: int, poses: int, reference: Reference) -> list[Predi
 def predictions(
     seed: int, workers: int, poses: int = POSES, groups: int = len(GROUPS)
 ) -> list[list[Prediction]]:
-    """The first groups, or all."""
+    """Predict the first groups, or all."""
     reference = initial_reference(arm_named("nominal"), seed)
     one_group = partial(group, seed=seed, poses=poses, reference=reference)
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
@@ -93,15 +97,15 @@ def predictions(
 def _predict(config: Config, s: RestState, shoulder_in: bool) -> Prediction:
     pressed = settle(config.arm, s.motor_rad, config.half_gap_rad, s.gravity_R_m_s2)
     believed = settle_output(config.arm, s.motor_rad + s.believed_gear_rad, s.gravity_R_m_s2)
-    off = [
+    error_mm = [
         1e3 * float(np.linalg.norm(tool_pose(config.arm, pose.frames, Tool.DRILL).p - s.p_RoTo_R_m))
         for pose in (pressed, believed)
     ]
-    return Prediction(shoulder_in, off[0], off[1], int(np.count_nonzero(s.true_side < 0)))
+    return Prediction(shoulder_in, error_mm[0], error_mm[1], int(np.count_nonzero(s.true_side < 0)))
 
 
 def document(groups: Sequence[Sequence[Prediction]]) -> dict[str, Any]:
-    """The means that the picture shows."""
+    """Return the mean errors as a JSON document."""
     every = [p for poses in groups for p in poses]
     found = {
         name: {
@@ -111,8 +115,8 @@ def document(groups: Sequence[Sequence[Prediction]]) -> dict[str, Any]:
         }
         for name, inside in (("shoulder_out", False), ("shoulder_in", True))
     }
-    left = [one["with_state_mm"] <= MOST_LEFT * one["as_initialised_mm"] for one in found.values()]
-    return {"poses": len(every), "in_bounds": all(left), **found}
+    in_bounds = [one["with_state_mm"] <= MOST_LEFT * one["as_initialised_mm"] for one in found.values()]
+    return {"poses": len(every), "in_bounds": all(in_bounds), **found}
 
 
 def _mean(values: Sequence[float]) -> float:
@@ -120,9 +124,9 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def draw(groups: Sequence[Sequence[Prediction]], path: Path) -> None:
-    """Both predictions over the poses, as in the paper's figure."""
+    """Draw both prediction errors over the poses, as in the figure of the paper."""
 
-    def on(figure: Any) -> None:
+    def draw_figure(figure: Any) -> None:
         axes = figure.subplots()
         every = [p for poses in groups for p in poses]
         number = np.arange(1, len(every) + 1)
@@ -140,8 +144,8 @@ def draw(groups: Sequence[Sequence[Prediction]], path: Path) -> None:
                 transform=axes.get_xaxis_transform(),
             )
         for name, colour, label in SERIES:
-            off_mm = [getattr(p, name) for p in every]
-            axes.plot(number, off_mm, ".-", color=colour, linewidth=0.6, label=label)
+            error_mm = [getattr(p, name) for p in every]
+            axes.plot(number, error_mm, ".-", color=colour, linewidth=0.6, label=label)
         axes.set(
             xlabel="pose",
             ylabel="drill from its predicted place [mm]",
@@ -150,25 +154,27 @@ def draw(groups: Sequence[Sequence[Prediction]], path: Path) -> None:
         )
         figure.legend(loc="outside lower center", ncols=3, fontsize=9)
 
-    problem = save_figure(path, (11, 4.2), 110, on)
+    problem = save_figure(path, (11, 4.2), 110, draw_figure)
     if problem is not None:
         print(f"marsarm: {problem}", file=sys.stderr)
 
 
 def main() -> int:
-    """Print the means as JSON, and draw the picture; exit status 1 if the state hardly helps."""
-    options = campaign_parser("shoulder_in", __doc__, EXAMPLE)
-    options.add_argument("--picture", type=Path, help="where to draw it, .png")
-    options.add_argument("--poses", type=int, default=POSES, help="of each group (default %(default)s)")
-    options.add_argument("--groups", type=int, default=len(GROUPS), help="so many (default %(default)s)")
-    asked = options.parse_args()
-    if not 1 <= asked.groups <= len(GROUPS):
-        options.error(f"groups: {asked.groups} is not within 1 .. {len(GROUPS)}")
-    if asked.poses < 2 or asked.workers < 1 or asked.seed < 0:
-        options.error("poses are 2 or more, workers 1 or more, the seed is not negative")
-    groups = predictions(asked.seed, asked.workers, asked.poses, asked.groups)
-    if asked.picture is not None:
-        draw(groups, asked.picture)
+    """Print the means as JSON, and draw the picture; return 1 if the estimate helps too little."""
+    parser = campaign_parser("shoulder_in", __doc__, EXAMPLE)
+    parser.add_argument("--picture", type=Path, help="file for the picture, .png")
+    parser.add_argument("--poses", type=int, default=POSES, help="poses in each group (default %(default)s)")
+    parser.add_argument(
+        "--groups", type=int, default=len(GROUPS), help="number of groups (default %(default)s)"
+    )
+    options = parser.parse_args()
+    if not 1 <= options.groups <= len(GROUPS):
+        parser.error(f"groups: {options.groups} is not within 1 .. {len(GROUPS)}")
+    if options.poses < 2 or options.workers < 1 or options.seed < 0:
+        parser.error("poses are 2 or more, workers 1 or more, the seed is not negative")
+    groups = predictions(options.seed, options.workers, options.poses, options.groups)
+    if options.picture is not None:
+        draw(groups, options.picture)
     found = document(groups)
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1

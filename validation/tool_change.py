@@ -1,8 +1,8 @@
-"""Relative tool change: how far the second tool is from the first one's spot, and what absolute moves give.
+"""Campaign of tool changes: distance of the second tool from the spot of the first, against absolute moves.
 
-Calibrated arms are 50 K warmer or colder than flight software knows, and all their springs are a fifth softer
-or stiffer than it takes them to be. The APXS is placed, the tool changed to MAHLI, and on the same arm and
-target MAHLI placed by its coordinates alone. As-built arms are flown with the parameters of the drawing.
+Calibrated arms are 50 K warmer or colder than flight software assumes, and all their springs are a fifth
+softer or stiffer. The APXS is placed, and the tool changed to MAHLI. On the same arm and target, MAHLI is
+also placed by coordinates alone. As-built arms are flown with the nominal parameters.
 """
 
 import json
@@ -36,29 +36,29 @@ STIFFNESS = 1.2
 TILT_RAD = float(np.radians(30.0))
 POSES = 5
 FROM_SPOT_MM = 10.0
-"""What is asked of a tool change on a calibrated arm."""
+"""Largest distance from the spot after a tool change on a calibrated arm."""
 MOST_DRAWS = 25
 FIRST, SECOND = Tool.APXS, Tool.MAHLI
 
 
 @dataclass(frozen=True, slots=True)
 class ToolChangeErrors:
-    """One tool change, lateral distances [mm]."""
+    """Frozen record of the lateral distances of a tool change."""
 
     from_spot_mm: float
-    """Second tool, placed by the tool change, from where the first one truly touched."""
+    """Second tool, placed by the tool change, from the true contact of the first."""
     absolute_mm: float
     """Second tool, placed by its coordinates, from the target."""
     twice_absolute_mm: float
-    """Second tool, placed by its coordinates, from where the first one, placed likewise, truly touched."""
+    """Second tool, placed by its coordinates, from the true contact of the first, placed likewise."""
     tool_frames_mm: float
-    """What the two tool frames' own errors make of the first of these."""
+    """Contribution of the errors of both tool frames to `from_spot_mm`."""
     rest_mm: float
-    """What is left of it without them."""
+    """Lateral distance of `from_spot_mm` without this contribution."""
 
 
 def unknown_to_flight(seed: int) -> tuple[Effect, ...]:
-    """Warmer or colder, softer or stiffer, everything alike."""
+    """Draw effects that flight software does not know: warmer or colder, and softer or stiffer springs."""
     warm, stiff = np.random.default_rng([seed, 50]).choice([-1.0, 1.0], 2)
     factor = float(STIFFNESS**stiff)
     springs = [LinkStiffness(frame, factor) for frame in SPRING_FRAMES]
@@ -66,7 +66,11 @@ def unknown_to_flight(seed: int) -> tuple[Effect, ...]:
 
 
 def one_arm(kind: str, seed: int, poses: int) -> tuple[list[ToolChangeErrors], list[str]]:
-    """The tool changes of one arm, and why others were not carried out; those are drawn again."""
+    """Measure tool changes of one arm, with new targets for those that fail.
+
+    Returns:
+        The errors of completed tool changes, and the reasons of the failures.
+    """
     name = f"{kind}:{seed}"
     reference = initial_reference(arm_named(name))
     found: list[ToolChangeErrors] = []
@@ -83,12 +87,12 @@ def one_arm(kind: str, seed: int, poses: int) -> tuple[list[ToolChangeErrors], l
 
 
 def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors | str:
-    """The tool change at a target of this arm, or why a command was not carried out."""
+    """Measure the tool change at a random target; return its errors, or why a command failed."""
     arm, seed = arm_named(name), int(name.partition(":")[2])
-    world, seen = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
+    world, preview = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
     effects = unknown_to_flight(seed) if name.startswith("calibrated") else ()
-    loop = ClosedLoop(Setup(arm, world, joints5(seen.standoff_rad), draw, reference, effects))
-    place = place_command(seen)
+    loop = ClosedLoop(Setup(arm, world, joints5(preview.standoff_rad), draw, reference, effects))
+    place = place_command(preview)
     target, axis = np.array(place.p_RoTo_R_m), np.array(place.approach_R)
     first = _touch(loop, (place,))
     if isinstance(first, str):
@@ -111,22 +115,23 @@ def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors |
     )
 
 
-def place_command(seen: Preview) -> PlaceTool:
-    """The command that places the tool where the preview looked."""
-    target = p_R_from_N(np.array(seen.placement.target_N_m))
-    axis = -np.array(seen.placement.normal_N) / np.linalg.norm(seen.placement.normal_N)
-    return PlaceTool(seen.placement.tool, vector3(target), vector3(axis), branch=seen.placement.branch)
+def place_command(preview: Preview) -> PlaceTool:
+    """Return the command of a previewed placement."""
+    placement = preview.placement
+    target = p_R_from_N(np.array(placement.target_N_m))
+    axis = -np.array(placement.normal_N) / np.linalg.norm(placement.normal_N)
+    return PlaceTool(placement.tool, vector3(target), vector3(axis), branch=placement.branch)
 
 
 def not_completed(command: Command, evrs: Sequence[Evr]) -> str | None:
-    """The warning that ended a command before its end; None if it was completed."""
+    """Return the warning that ended a command early; None if it was completed."""
     if CommandCompleted(type(command).__name__) in evrs:
         return None
     return next((evr.message for evr in evrs if evr.severity >= Severity.WARNING_LO), "no reason")
 
 
 def _touch(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array, Array] | str:
-    """True place and attitude of the tool that touches at the end, or the warning that ended it before."""
+    """Run commands; return true position and rotation of the touching tool, or the warning of a failure."""
     evrs = [evr for record in run_sequence(loop, commands) for evr in record.outputs.evrs]
     problem = not_completed(commands[-1], evrs)
     if problem is not None:
@@ -136,7 +141,10 @@ def _touch(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array, Arra
 
 
 def _tool_shift(arm: BuiltArm, tool: Tool) -> Array:
-    """By how much a tool's origin is off its place on the turret, in tool axes; for arms flown as drawn."""
+    """Return the position error of a tool on the turret, in tool axes, shape (3,), in metres.
+
+    It is relative to the nominal parameters.
+    """
     return sum(
         (
             np.array(effect.screw[3:])
@@ -147,12 +155,12 @@ def _tool_shift(arm: BuiltArm, tool: Tool) -> Array:
     )
 
 
-def _lateral_mm(apart_m: Array, axis: Array) -> float:
-    return 1e3 * float(np.linalg.norm(apart_m - (apart_m @ axis) * axis))
+def _lateral_mm(difference_m: Array, axis: Array) -> float:
+    return 1e3 * float(np.linalg.norm(difference_m - (difference_m @ axis) * axis))
 
 
 def summary(changes: list[ToolChangeErrors]) -> dict[str, object]:
-    """Three times the root mean square of each lateral distance, and the largest."""
+    """Return three times the root mean square of each lateral distance, and the largest."""
     table = np.array([[getattr(c, name) for name in ToolChangeErrors.__slots__] for c in changes])
     three_sigma = 3 * np.sqrt(np.mean(table**2, axis=0))
     named = {
@@ -165,7 +173,7 @@ def summary(changes: list[ToolChangeErrors]) -> dict[str, object]:
 def document(
     calibrated: int, as_built: int, seed: int, workers: int, poses: int = POSES
 ) -> dict[str, object]:
-    """The tool changes of so many arms, and which were not carried out."""
+    """Measure tool changes of this many arms."""
     found: dict[str, list[ToolChangeErrors]] = {}
     failed: dict[str, list[str]] = {}
     with ProcessPoolExecutor(workers) as pool:
@@ -184,15 +192,15 @@ def document(
 
 
 def main() -> int:
-    """Print the result as JSON; exit status 1 if a calibrated arm is too far from the spot."""
-    options = campaign_parser(
-        "tool_change", __doc__, "example: python -m validation.tool_change --as-built 0"
+    """Print the result as JSON; return 1 if a calibrated arm is too far from the spot, or fails."""
+    parser = campaign_parser("tool_change", __doc__, "example: python -m validation.tool_change --as-built 0")
+    parser.add_argument("--calibrated", type=int, default=50, help="calibrated arms (default %(default)s)")
+    parser.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
+    parser.add_argument(
+        "--poses", type=int, default=POSES, help="tool changes of each arm (default %(default)s)"
     )
-    options.add_argument("--calibrated", type=int, default=50, help="calibrated arms (default %(default)s)")
-    options.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
-    options.add_argument("--poses", type=int, default=POSES, help="of each arm (default %(default)s)")
-    asked = options.parse_args()
-    found = document(asked.calibrated, asked.as_built, asked.seed, asked.workers, asked.poses)
+    options = parser.parse_args()
+    found = document(options.calibrated, options.as_built, options.seed, options.workers, options.poses)
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1
 

@@ -1,4 +1,4 @@
-"""A real arm: a UR10's measured poses, fitted on one part and judged on the other, and across two series."""
+"""Calibration of a real arm, a UR10: measured poses of two series, with held-out parts and across series."""
 
 import json
 import os
@@ -20,52 +20,54 @@ EXAMPLE = "example: MARSARM_DATA=~/data python -m validation.ur10 > ur10.json"
 FILES = Path(__file__).parents[1] / "models" / "ur10"
 TABLES = {"a": "series_a_grid.csv", "c": "series_c_random_poses.csv"}
 BOUNDS_MM = {"a": 0.50, "c": 0.52, "a_to_c": 0.60}
-"""Root mean square of the position error of poses that were held out."""
+"""Bounds of the root mean square position error of held-out poses."""
 JOINTS = 6
 LEAST_VISITS = 3
+"""Least number of poses of each series in a degree that is compared."""
 LEAST_DEGREES = 8
-KEPT = ("steps", "moves_target_m", "joints", "temperature")
+"""Least number of degrees for a comparison."""
+KEYS = ("steps", "moves_target_m", "joints", "temperature")
 
 
 def main() -> int:
-    """Print the result as JSON; exit status 1 if a bound is broken, 2 without the data."""
-    options = campaign_parser("ur10", __doc__, EXAMPLE)
-    options.add_argument(
+    """Print the result as JSON; return 1 if a bound is exceeded, 2 without the data."""
+    parser = campaign_parser("ur10", __doc__, EXAMPLE)
+    parser.add_argument(
         "--data", type=Path, default=os.environ.get("MARSARM_DATA"), help="folder with the data"
     )
-    asked = options.parse_args()
-    if asked.data is None or not (asked.data / "ur10-tracker").is_dir():
-        options.error("data: there is no folder ur10-tracker; name its folder by --data or MARSARM_DATA")
-    found = document(asked.data / "ur10-tracker")
+    options = parser.parse_args()
+    if options.data is None or not (options.data / "ur10-tracker").is_dir():
+        parser.error("data: there is no folder ur10-tracker; name its folder by --data or MARSARM_DATA")
+    found = document(options.data / "ur10-tracker")
     print(json.dumps(found, indent=2))
     return 0 if found["passed"] else 1
 
 
 def document(folder: Path) -> dict[str, Any]:
-    """Every number that is held to a bound, and what each effect explains."""
-    with tempfile.TemporaryDirectory() as made:
-        reports = {name: _series(folder, name, Path(made)) for name in TABLES}
+    """Calibrate both series, validate one on the other, and compare the errors with their bounds."""
+    with tempfile.TemporaryDirectory() as output:
+        reports = {name: _calibrate_series(folder, name, Path(output)) for name in TABLES}
         from_a = SerialRequest(
-            Path(made) / "a.toml", folder / TABLES["c"], FILES / "series_c.toml", terms="none"
+            Path(output) / "a.toml", folder / TABLES["c"], FILES / "series_c.toml", terms="none"
         )
-        reports["a_to_c"] = calibrate_serial(from_a, _tell)
-    checks = {name: _check(reports[name], bound) for name, bound in BOUNDS_MM.items()}
+        reports["a_to_c"] = calibrate_serial(from_a, _print_progress)
+    checks = {name: _check_error(reports[name], bound) for name, bound in BOUNDS_MM.items()}
     temperature = {name: serial_json(reports[name], None)["temperature"]["explains"] for name in TABLES}
     return {
         "passed": all(one["passed"] for one in checks.values()) and set(temperature.values()) == {"nothing"},
         "held_out_position_rms": checks,
         "temperature_explains": temperature,
-        "waves_in_common": [_in_common(reports["a"], reports["c"], k) for k in range(JOINTS)],
-        **{name: _short(report) for name, report in reports.items()},
+        "waves_in_common": [_compare_periodic(reports["a"], reports["c"], k) for k in range(JOINTS)],
+        **{name: _select_keys(report) for name, report in reports.items()},
     }
 
 
-def _series(folder: Path, name: str, made: Path) -> SerialReport:
+def _calibrate_series(folder: Path, name: str, output: Path) -> SerialReport:
     request = SerialRequest(FILES / "arm.toml", folder / TABLES[name], FILES / f"series_{name}.toml")
-    return calibrate_serial(replace(request, nested=True, out=made / f"{name}.toml"), _tell)
+    return calibrate_serial(replace(request, nested=True, out=output / f"{name}.toml"), _print_progress)
 
 
-def _check(report: SerialReport, bound_mm: float) -> dict[str, Any]:
+def _check_error(report: SerialReport, bound_mm: float) -> dict[str, Any]:
     fresh = report.steps[-1].fresh
     assert fresh is not None
     rms_mm = fresh.rms_m * 1e3
@@ -77,8 +79,8 @@ def _check(report: SerialReport, bound_mm: float) -> dict[str, Any]:
     }
 
 
-def _in_common(one: SerialReport, other: SerialReport, joint: int) -> dict[str, Any]:
-    """The waves of a joint as two series found them, at degrees that both stood at; slopes taken out."""
+def _compare_periodic(one: SerialReport, other: SerialReport, joint: int) -> dict[str, Any]:
+    """Compare the periodic errors of a joint from two series, at degrees that both visit, without slopes."""
     at_rad = np.radians(np.arange(-179.5, 180.0))
     visits = [_visits(report, joint) for report in (one, other)]
     at_rad = at_rad[np.all(np.array(visits) >= LEAST_VISITS, axis=0)]
@@ -86,7 +88,7 @@ def _in_common(one: SerialReport, other: SerialReport, joint: int) -> dict[str, 
     if at_rad.size < LEAST_DEGREES:
         return {"name": name, "degrees": at_rad.size}
     line = np.stack([np.ones(at_rad.size), at_rad], axis=1)
-    curves = np.array([_waves_rad(report, joint, at_rad) for report in (one, other)]).T
+    curves = np.array([_periodic_rad(report, joint, at_rad) for report in (one, other)]).T
     curves -= line @ np.linalg.lstsq(line, curves, rcond=None)[0]
     return {
         "name": name,
@@ -98,24 +100,25 @@ def _in_common(one: SerialReport, other: SerialReport, joint: int) -> dict[str, 
 
 
 def _visits(report: SerialReport, joint: int) -> Integers:
-    """How many poses of the fit are within each degree."""
+    """Count the fitted poses in each degree of a joint, shape (360,)."""
     degrees = np.degrees(report.part.joint_rad[joint])
     return np.bincount(np.floor(np.mod(degrees + 180, 360)).astype(int), minlength=360)
 
 
-def _waves_rad(report: SerialReport, joint: int, at_rad: Array) -> Array:
+def _periodic_rad(report: SerialReport, joint: int, at_rad: Array) -> Array:
+    """Compute the periodic error of a joint at angles of shape (n,)."""
     arm = report.steps[-1].found.arm
     phase = at_rad[:, None] * np.arange(1, arm.orders + 1)
     amplitudes = arm.links[joint].periodic_rad(arm.orders)
     return periodic_error_rad(np.concatenate([np.cos(phase), np.sin(phase)], axis=1), amplitudes)
 
 
-def _short(report: SerialReport) -> dict[str, Any]:
+def _select_keys(report: SerialReport) -> dict[str, Any]:
     whole = serial_json(report, None)
-    return {name: whole[name] for name in KEPT}
+    return {name: whole[name] for name in KEYS}
 
 
-def _tell(done: float, total: float, what: str) -> None:
+def _print_progress(done: float, total: float, what: str) -> None:
     print(f"{what}: {done:.0f} of {total:.0f}", file=sys.stderr)
 
 

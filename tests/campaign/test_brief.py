@@ -1,4 +1,4 @@
-"""Every campaign has a brief version, and one that is broken is told from one that is skipped."""
+"""Tests of the brief campaigns: each campaign has one, and failed and skipped campaigns are distinguished."""
 
 import re
 import sys
@@ -15,7 +15,7 @@ WHOLE = {
     "joints": ("hardstops", "backlash", "shoulder_in"),
 }
 OTHERWISE = {"brief", "fuzz", "benchmarks"}
-"""This list itself, what takes a minute as it is, and benchmarks of speed."""
+"""The list of brief campaigns itself, the fuzzer, which takes a minute, and benchmarks of speed."""
 
 
 def test_every_campaign_that_make_runs_has_a_brief_version() -> None:
@@ -28,7 +28,7 @@ def test_every_campaign_that_make_runs_has_a_brief_version() -> None:
 def test_a_campaign_that_does_not_know_its_arguments_has_failed() -> None:
     ended = run(Brief("kinematics", "--targets none"))
     assert (ended.failed, ended.skipped) == (True, False)
-    assert "invalid int value" in ended.said
+    assert "invalid int value" in ended.stderr
     assert ended.line().startswith("kinematics   FAILED")
 
 

@@ -1,4 +1,4 @@
-"""The jobs of the arm, each as its scenario has it, at the tilt of the requirement."""
+"""Tests of the jobs of the arm, each by its scenario, at the tilt of the requirement."""
 
 import pytest
 
@@ -9,7 +9,7 @@ from validation.scenarios import run_scenario_on
 from validation.tool_change import ToolChangeErrors, one_target
 
 MISSES = {("calibrated:3", "sampling")}
-"""While the press is released, the force across the tool is too large a share: docs/jobs.md."""
+"""Scenarios in which the lateral force during the release of a preload is too large; see docs/jobs.md."""
 
 
 @pytest.mark.slow
@@ -24,14 +24,14 @@ def test_a_job_is_done_on_an_arm_whose_parameters_are_its_own(name, arm_name, re
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(built_in_scenarios()))
 def test_an_arm_that_is_not_calibrated_refuses_no_job(name):
-    """The drawing's parameters on another arm."""
+    """Fly an as-built arm with the nominal parameters."""
     ran = run_scenario_on("as-built:1", name, true_reference(arm_named("as-built:1")))
     assert (ran.outcome, ran.failed) == ("done", ())
 
 
 @pytest.mark.slow
 def test_a_tool_change_comes_closer_to_the_spot_than_coordinates_to_their_target():
-    """On an arm fifty kelvin off and a fifth softer or stiffer than flight software knows."""
+    """Use an arm 50 K warmer or colder, and a fifth softer or stiffer, than flight software assumes."""
     reference = true_reference(arm_named("calibrated:7"))
     tried = (one_target("calibrated:7", reference, draw) for draw in range(9))
     changed = next(found for found in tried if isinstance(found, ToolChangeErrors))

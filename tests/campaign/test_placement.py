@@ -1,4 +1,4 @@
-"""Placements of the APXS at random reachable targets, closed loop, plant against flight software."""
+"""Tests of APXS placements at random reachable targets in the closed loop."""
 
 from functools import cache
 
@@ -18,7 +18,7 @@ TARGETS = range(3)
 
 @cache
 def found_at_its_hardstops(name: str) -> Reference:
-    """What flight software remembers of an arm after every joint was at its hardstop."""
+    """Return the reference of flight software after every joint was at its hardstop."""
     runs = list(initialise_joints(arm_named(name)))
     assert [run.outcome for run in runs] == 5 * [Outcome.DONE]
     return runs[-1].reference

@@ -1,4 +1,4 @@
-"""The campaign of faults draws every kind of fault there is, each one that can be."""
+"""Test that the campaign of faults draws every possible kind of fault."""
 
 import numpy as np
 

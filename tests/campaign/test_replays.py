@@ -1,4 +1,4 @@
-"""What the benchmark of replays makes of runs that could not be replayed."""
+"""Tests of the campaign of replays with runs that cannot be replayed."""
 
 import json
 import sys

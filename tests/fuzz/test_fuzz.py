@@ -1,4 +1,4 @@
-"""A few broken files for each thing that reads files of others; `make fuzz` tries many more."""
+"""Tests of the log reader and the importer with a few corrupt files; `make fuzz` tries many more."""
 
 import time
 from pathlib import Path
@@ -31,7 +31,7 @@ def test_the_seeds_are_accepted(target: FuzzTarget) -> None:
 
 
 def hides_all(work: Any) -> FuzzTarget:
-    """A target that takes whatever goes wrong for a broken file, as decoders do."""
+    """Make a target that treats every exception as a corrupt file, as decoders do."""
 
     def run(_: bytes) -> bool:
         try:

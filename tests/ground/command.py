@@ -1,4 +1,4 @@
-"""The command line in a process of its own, as a user starts it."""
+"""Helper that runs the command line in a separate process, as a user does."""
 
 import os
 import subprocess
@@ -11,9 +11,13 @@ ROOT = Path(__file__).resolve().parents[2]
 def marsarm(
     folder: Path, *words: str, before: str = "", **variables: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run a command in a folder to its end; it is the command of this tree, whatever is installed.
+    """Run the command line of this tree, not an installed one, until it exits.
 
-    What is to be done in its process before is Python.
+    Args:
+        folder: Working directory.
+        *words: Arguments of `marsarm`.
+        before: Python code that runs first in its process.
+        **variables: Environment variables.
     """
     command = [sys.executable, "-c", f"{before}\nfrom ground.cli.app import main; main()", *words]
     env = os.environ | {"PYTHONPATH": str(ROOT)} | variables

@@ -1,6 +1,6 @@
-"""Makes the reference runs anew: `python -m tests.replay.remake [NAME ...]`.
+"""Record the reference runs again: `python -m tests.replay.remake [NAME ...]`.
 
-What would change is printed before it replaces anything; a file whose run is the same stays as it is.
+All differences are printed before a file is replaced. A file with an identical run is not changed.
 """
 
 import sys
@@ -30,7 +30,7 @@ def path_of(run: ReferenceRun, folder: Path = FOLDER) -> Path:
 
 
 def make(run: ReferenceRun, folder: Path) -> Path:
-    """The log of a run."""
+    """Carry out a run, and write its log."""
     loop, path = run.loop(), path_of(run, folder)
     header = run_header(
         loop, run.arm, run.seed, {"reference": run.name}, [command for command, _ in run.asks]
@@ -42,20 +42,20 @@ def make(run: ReferenceRun, folder: Path) -> Path:
 
 
 def between(old: Path, new: Path) -> Differences:
-    """What a run gave then against what it gives now."""
-    was, now = read_log(old), read_log(new)
-    sides = [behaviour_from_log(log, len(log[SENSOR_TOPIC])) for log in (was, now)]
-    return compare_behaviours(*sides)
+    """Compare the outputs of the old and the new log of a run."""
+    logs = read_log(old), read_log(new)
+    behaviours = [behaviour_from_log(log, len(log[SENSOR_TOPIC])) for log in logs]
+    return compare_behaviours(*behaviours)
 
 
 def stale(old: Path, new: Path) -> list[str]:
-    """What the headers say differently of what goes into a run, or of the processor."""
+    """List the keys of inputs and processor in which the headers of the old and the new log differ."""
     was, now = read_log(old).header, read_log(new).header
     return [key for key in STARTS_WITH if was.get(key) != now.get(key)]
 
 
 def remake(run: ReferenceRun, console: Console) -> None:
-    """Make one anew, say what differs from what is there, and replace that if anything does."""
+    """Record a run again, print the differences from the old file, and replace it if there are any."""
     old = path_of(run)
     with TemporaryDirectory(dir=FOLDER) as folder:
         new = make(run, Path(folder))
@@ -70,7 +70,7 @@ def remake(run: ReferenceRun, console: Console) -> None:
 
 
 def tell(run: ReferenceRun, old: Path, new: Path, console: Console) -> bool:
-    """Print what differs; whether anything does."""
+    """Print the differences, and return whether there are any."""
     found, headers = between(old, new), stale(old, new)
     console.print(f"{run.name}: {verdict_line(found)}", soft_wrap=True)
     if not found.identical:
@@ -82,6 +82,7 @@ def tell(run: ReferenceRun, old: Path, new: Path, console: Console) -> bool:
 
 
 def main(names: Sequence[str]) -> None:
+    """Record these runs again, or all."""
     known = [run.name for run in RUNS]
     unknown = [name for name in names if name not in known]
     if unknown:

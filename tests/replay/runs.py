@@ -1,4 +1,4 @@
-"""The reference runs: short pieces of what the arm does, each on its own arm in its own world."""
+"""Reference runs: short command sequences, each with its own arm and world."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -36,48 +36,49 @@ from tests.sim.lab import true_reference
 
 LEVEL = World()
 LONG = 4000
-"""Cycles in which every command here comes to its end."""
+"""Cycles in which every command of a run completes."""
 REST = 8
 
 ROCK = Surface((2.05, 0.1, -0.25), (-0.50443327, 0.10088665, -0.85753656))
 IN = (0.50443327, -0.10088665, 0.85753656)
 FRONT_OF_ROCK = (1.9539268, 0.10121064, 0.86020956)
-"""Of its face, 12 mm in front of it; RMECH."""
+"""Point 12 mm in front of the face of the rock, RMECH."""
 APXS_THERE = (29.631, -12.689, 120.225, -42.279, 113.491)
 APXS_ROCK = Surface((2.046, 0.1008, -0.2568), ROCK.normal_N)
-"""Closer by 8 mm, as far as the arm bends under its weight."""
+"""Rock closer by 8 mm, which is the deflection of the arm under its weight."""
 NEAR_ROCK = Surface((2.044, 0.1012, -0.2602), ROCK.normal_N)
-"""By another 4 mm, for an arm that hangs higher."""
+"""Rock closer by another 4 mm, for an arm that is deflected less."""
 DRILL_ROCK = Surface((2.046, 0.1008, -0.2568), ROCK.normal_N)
 TURRET_AT_ITS_STOP = (-87.7, -153.4, -157.8, -184.2, -21.627)
 DRILL_THERE = (31.006, -51.53, 114.065, 183.206, 200.107)
 
 
 def beyond(distance_m: float) -> tuple[float, float, float]:
-    """A point farther along the way into the rock."""
+    """Return a point at a distance from FRONT_OF_ROCK towards the rock."""
     x, y, z = np.array(FRONT_OF_ROCK) + distance_m * np.array(IN)
     return (float(x), float(y), float(z))
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceRun:
-    """Commands, each with the cycles after which the next one comes at the latest."""
+    """Frozen record of a reference run."""
 
     name: str
     start_deg: tuple[float, ...] | None
-    """None for the ready pose."""
+    """Start pose; None for the ready pose."""
     asks: tuple[tuple[Command, int], ...]
+    """Commands, each with the number of cycles after which the next one is sent at the latest."""
     ends_with: str
-    """The event that shows that it came to what it is there for."""
+    """Name of the event that shows that the run has reached its purpose."""
     arm: str = "nominal"
     world: World = LEVEL
     known: bool = True
-    """Whether the joints have found their hardstops."""
+    """True if the joints have found their hardstops."""
     effects: tuple[Effect, ...] = ()
     seed: int = 0
 
     def loop(self) -> ClosedLoop:
-        """The run before its first cycle."""
+        """Make the closed loop of the run, before its first cycle."""
         arm: BuiltArm = arm_named(self.arm)
         start = (
             arm.params.poses.ready_rad
@@ -88,7 +89,7 @@ class ReferenceRun:
         return ClosedLoop(Setup(arm, self.world, start, self.seed, reference, self.effects))
 
     def cycles(self, loop: ClosedLoop) -> Iterator[CycleRecord]:
-        """Every cycle, and a few at rest."""
+        """Carry out the commands cycle by cycle, and a few cycles at rest."""
         for command, most in self.asks:
             for k in range(most):
                 record = loop.cycle((command,) if k == 0 else ())

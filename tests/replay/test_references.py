@@ -1,4 +1,4 @@
-"""Today's flight software does in every reference run what it did when the run was recorded, bit for bit."""
+"""Tests that today's flight software replays every reference run bit for bit."""
 
 import json
 import warnings
@@ -21,7 +21,7 @@ MOST_BYTES = 1_500_000
 
 
 def silent(*_) -> None:
-    """No progress bar."""
+    """Ignore progress."""
 
 
 @pytest.mark.filterwarnings("always:.*is compared to")

@@ -1,4 +1,4 @@
-"""Reference runs made anew: the same run is the same, and what differs is printed."""
+"""Tests of recording reference runs again: an identical run is recognised, and differences are printed."""
 
 from io import StringIO
 
@@ -11,7 +11,7 @@ from tests.replay.runs import RUNS
 (SHORT,) = (run for run in RUNS if run.name == "no-number")
 
 
-def told(old, new) -> tuple[bool, str]:
+def print_differences(old, new) -> tuple[bool, str]:
     console = Console(file=StringIO(), width=200)
     return tell(SHORT, old, new, console), console.file.getvalue()
 
@@ -19,17 +19,17 @@ def told(old, new) -> tuple[bool, str]:
 def test_a_run_that_is_made_again_is_the_same(tmp_path):
     again = tmp_path / "again"
     again.mkdir()
-    differs, said = told(make(SHORT, tmp_path), make(SHORT, again))
+    differs, printed = print_differences(make(SHORT, tmp_path), make(SHORT, again))
     assert not differs
-    assert said == "no-number: identical: 81 ticks, 1.3 s, 25 channels\n"
+    assert printed == "no-number: identical: 81 ticks, 1.3 s, 25 channels\n"
 
 
 def test_what_differs_is_printed():
-    differs, said = told(FOLDER / "fault.mcap", path_of(SHORT))
+    differs, printed = print_differences(FOLDER / "fault.mcap", path_of(SHORT))
     assert differs
-    assert "recorded is what the file held, replayed the run made anew" in said
-    assert "missing  ResolverDisagrees" in said
-    assert "header    has another commands" in said
+    assert "recorded is what the file held, replayed the run made anew" in printed
+    assert "missing  ResolverDisagrees" in printed
+    assert "header    has another commands" in printed
 
 
 def test_a_name_that_is_no_run_is_refused():

@@ -1,4 +1,4 @@
-"""What rover and links may do that no effect of the catalogue says."""
+"""Effects of rover and links that the catalogue lacks, for blind cases with an unknown cause."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final, Literal
@@ -15,14 +15,14 @@ Angle = Annotated[float, ParameterSpec(-0.02, 0.02, unit="rad", typical=2e-4, ne
 
 @dataclass(frozen=True, slots=True)
 class SettlingRover(EachCycle):
-    """The ground gives way under the rover: its body turns by an angle from when a session begins."""
+    """Ground that settles under the rover: its body rotates by an angle from the beginning of a session."""
 
     axis: Literal["x", "y", "z"]
     angle_rad: Angle
     settles_s: Annotated[float, ParameterSpec(0.1, 1e4, unit="s", typical=8.0)] = 8.0
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """More and more slowly."""
+        """Rotate the body, exponentially slower with time."""
         turned_rad = -self.angle_rad * float(np.expm1(-plant.data.time / self.settles_s))
         plant.model.qpos_spring[plant.at.springs[0]["xyz".index(self.axis)]] = turned_rad
         return None, Disturbance()
@@ -30,7 +30,7 @@ class SettlingRover(EachCycle):
 
 @dataclass(frozen=True, slots=True)
 class RockingLink(EachCycle):
-    """A loose fitting lets a link lie over by an angle, to the side to which gravity pulls it."""
+    """Loose fitting that lets a link tilt by an angle, to the side to which gravity pulls it."""
 
     link: Literal["link1", "link2", "link3", "link4"]
     axis: Literal["y", "z"]
@@ -38,7 +38,7 @@ class RockingLink(EachCycle):
     sharp: Annotated[float, ParameterSpec(0.1, 100.0, unit="1", typical=8.0)] = 8.0
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """By the side alone, as soon as gravity has one."""
+        """Tilt the link by the full angle, smoothed where gravity has nearly no component to a side."""
         body = plant.model.body(f"{self.link}_far").id
         pull_B = plant.data.xmat[body].reshape(3, 3).T @ plant.model.opt.gravity
         across = float(pull_B["xyz".index("z" if self.axis == "y" else "y")])

@@ -1,4 +1,4 @@
-"""Output that nobody takes."""
+"""Tests of output to a full disk or a closed pipe."""
 
 import subprocess
 import sys

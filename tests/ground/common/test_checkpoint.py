@@ -1,4 +1,4 @@
-"""Results that survive a kill: the next run goes on where the last one was."""
+"""Tests of result files: an interrupted run continues from them."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Work on many cores or on a cluster, behind one interface."""
+"""Tests of the runners on many cores and on a cluster."""
 
 import os
 import sys
@@ -44,7 +44,7 @@ def test_without_ray_a_cluster_is_refused_with_what_to_do(monkeypatch):
 
 
 def test_on_a_cluster_results_come_as_they_are_done(monkeypatch):
-    """The calls that are made of ray, and in which order; a cluster itself is not there to be tried."""
+    """Check the calls of ray and their order; no cluster is available in tests."""
     started = []
     ray = SimpleNamespace(
         init=lambda **options: started.append(options),

@@ -1,4 +1,4 @@
-"""Exact intervals of rates."""
+"""Tests of exact confidence intervals of proportions."""
 
 import pytest
 from scipy.stats import binom
@@ -8,12 +8,12 @@ from ground.common.rates import clopper_pearson, estimate_rate
 
 @pytest.mark.parametrize(("hits", "of"), [(0, 60), (3, 60), (60, 60), (17, 40)])
 def test_the_interval_of_a_rate_is_that_of_the_binomial(hits, of):
-    told = estimate_rate(hits, of)
+    rate = estimate_rate(hits, of)
     if hits:
-        assert binom.sf(hits - 1, of, told.least) == pytest.approx(0.025)
+        assert binom.sf(hits - 1, of, rate.least) == pytest.approx(0.025)
     if hits < of:
-        assert binom.cdf(hits, of, told.most) == pytest.approx(0.025)
-    assert told.least <= hits / of <= told.most
+        assert binom.cdf(hits, of, rate.most) == pytest.approx(0.025)
+    assert rate.least <= hits / of <= rate.most
 
 
 def test_hits_beyond_the_cases_are_refused():

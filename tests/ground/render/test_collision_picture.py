@@ -1,4 +1,4 @@
-"""The picture of the shapes that stand for arm and rover."""
+"""Test of the picture of the collision shapes of arm and rover."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def test_the_shapes_of_arm_and_rover_are_in_the_picture(tmp_path: Path) -> None:
     drawn = save_collision_picture(PARAMS, READY, tmp_path / "shapes.png", size=(160, 90))
     image = np.asarray(PIL.Image.open(tmp_path / "shapes.png").convert("RGB")).astype(int)
     assert image.shape == (90, 160, 3)
-    if drawn.renderer == "opengl":  # rays do not see what is transparent
+    if drawn.renderer == "opengl":  # rays do not hit transparent geoms
         bluish = image[..., 2] > image[..., 0] + 30
         assert 0.005 < bluish.mean() < 0.5
 

@@ -1,4 +1,4 @@
-"""Numbers as lines of blocks."""
+"""Tests of sparklines."""
 
 import numpy as np
 

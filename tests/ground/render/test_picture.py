@@ -139,7 +139,7 @@ def test_both_renderers_see_the_same_scene(model, data, tmp_path):
     drawn = pixels(save_picture(model, data, "front", tmp_path / "a.png", SIZE).path).astype(float)
     cast = RayCamera(model, 0, SIZE).take(data).astype(float)
 
-    # The light differs a little, the outlines do not: compare the colours below the horizon.
+    # Lighting differs slightly, outlines do not: compare the colours below the horizon.
     def hue(image: np.ndarray) -> np.ndarray:
         return (image - image.mean(axis=2, keepdims=True))[70:].ravel()
 
@@ -230,7 +230,7 @@ def test_missing_pillow_is_a_message(model, data, tmp_path, monkeypatch):
 
 
 class Probe:
-    """Stands for the process that tries to draw."""
+    """Stand-in for the process that tries to draw."""
 
     def __init__(self, returncode: int, stderr: str = "") -> None:
         self.returncode, self.stderr = returncode, stderr

@@ -1,4 +1,4 @@
-"""A tilted rover is drawn tilted, on a slope, under a level horizon; a level one as ever."""
+"""Tests of pictures of a tilted rover, on a slope with a level horizon, and of a level one."""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,4 @@
-"""The verb `hardstop` as a user starts it."""
+"""Tests of `marsarm hardstop` as a user runs it."""
 
 import json
 
@@ -13,7 +13,7 @@ from tests.ground.command import marsarm
 
 
 def quiet(*_) -> None:
-    """Progress that nobody sees."""
+    """Ignore progress."""
 
 
 def test_one_joint_is_found_and_drawn(tmp_path):
@@ -45,7 +45,7 @@ def test_repetitions_are_of_other_days_and_the_same_again():
     turret = first["joints"]["turret"]
     assert turret["found"] == 3
     assert 0 < turret["zero_error_3_sigma_mrad"] < 0.3
-    # without wind-up every day's friction is in it
+    # without the wind-up correction, the error contains the friction, which varies from day to day
     assert abs(turret["uncorrected_error_mrad"]) > 1.0
 
 

@@ -1,4 +1,4 @@
-"""The placement job where the machine fails it."""
+"""Tests of placements with failures of the machine."""
 
 from dataclasses import replace
 

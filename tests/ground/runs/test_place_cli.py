@@ -1,4 +1,4 @@
-"""`marsarm place` as a user meets it: what it prints, what it refuses, and what it leaves on the disk."""
+"""Tests of `marsarm place` as a user runs it: output, errors and files."""
 
 import json
 

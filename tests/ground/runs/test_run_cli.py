@@ -1,4 +1,4 @@
-"""`marsarm run` and `marsarm scenarios` as a user meets them."""
+"""Tests of `marsarm run` and `marsarm scenarios` as a user runs them."""
 
 import json
 
