@@ -213,7 +213,7 @@ def _tuple_name(kind: Any) -> str:
 E = TypeVar("E", bound=Definition)
 
 
-def filter_dictionary(whole: Dictionary, pattern: str) -> Dictionary:
+def filter_dictionary(dictionary: Dictionary, pattern: str) -> Dictionary:
     """Select the entries that match a pattern, and the matching fields of other entries; ignore case.
 
     A field matches by its own name, or with its entry as /sensors.current_A or /sensors/current_A.
@@ -222,13 +222,13 @@ def filter_dictionary(whole: Dictionary, pattern: str) -> Dictionary:
         BadRequest: nothing matches.
     """
     part = Dictionary(
-        commands=tuple(_matching_entries(whole.commands, pattern)),
-        evrs=tuple(_matching_entries(whole.evrs, pattern)),
-        packets=tuple(_matching_entries(whole.packets, pattern)),
-        parameters=tuple(one for one in whole.parameters if _matches(one.name, pattern)),
+        commands=tuple(_matching_entries(dictionary.commands, pattern)),
+        evrs=tuple(_matching_entries(dictionary.evrs, pattern)),
+        packets=tuple(_matching_entries(dictionary.packets, pattern)),
+        parameters=tuple(one for one in dictionary.parameters if _matches(one.name, pattern)),
     )
     if not any((part.commands, part.evrs, part.packets, part.parameters)):
-        raise BadRequest(f"dictionary: nothing is called {pattern!r}; {_suggest_name(whole, pattern)}")
+        raise BadRequest(f"dictionary: nothing is called {pattern!r}; {_suggest_name(dictionary, pattern)}")
     return part
 
 
@@ -251,11 +251,11 @@ def _matches(name: str, pattern: str) -> bool:
     return fnmatchcase(name.lower(), pattern.lower())
 
 
-def _suggest_name(whole: Dictionary, pattern: str) -> str:
+def _suggest_name(dictionary: Dictionary, pattern: str) -> str:
     """Suggest a similar name; a list of all names would be a page."""
-    entries: list[Definition] = [*whole.commands, *whole.evrs, *whole.packets]
-    names = [entry.name for entry in entries] + [one.name for one in whole.parameters]
-    names += [channel_name(packet.name, one.name) for packet in whole.packets for one in packet.fields]
+    entries: list[Definition] = [*dictionary.commands, *dictionary.evrs, *dictionary.packets]
+    names = [entry.name for entry in entries] + [one.name for one in dictionary.parameters]
+    names += [channel_name(packet.name, one.name) for packet in dictionary.packets for one in packet.fields]
     meant, _, _ = did_you_mean(pattern, names).rpartition("there are ")
     return (
         f"{meant}`marsarm dictionary` lists all there is, "

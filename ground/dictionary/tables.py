@@ -16,41 +16,41 @@ FIELD_PATTERN: Final = re.compile(r"\{e\.(\w+)[^}]*\}")
 """Placeholder in the message of an EVR: name of the field and its format."""
 
 
-def dictionary_json(whole: Dictionary) -> dict[str, Any]:
+def dictionary_json(dictionary: Dictionary) -> dict[str, Any]:
     """Return the dictionary as a JSON document."""
-    return asdict(whole)
+    return asdict(dictionary)
 
 
-def dictionary_tables(whole: Dictionary) -> None:
+def dictionary_tables(dictionary: Dictionary) -> None:
     """Print the dictionary by section: heading, sentence and fields of each entry."""
     console = Console(highlight=False)
-    for title, entries in _sections(whole):
+    for title, entries in _sections(dictionary):
         console.rule(title, align="left")
         for entry in entries:
             console.print(f"\n[bold]{escape(_heading(entry))}[/bold]  {escape(_sentence(entry))}")
             if entry.fields:
                 console.print(_table(entry.fields))
-    if whole.parameters:
+    if dictionary.parameters:
         console.rule("parameters", align="left")
-        console.print(_table(whole.parameters))
+        console.print(_table(dictionary.parameters))
 
 
-def dictionary_markdown(whole: Dictionary) -> str:
+def dictionary_markdown(dictionary: Dictionary) -> str:
     """Return the dictionary as a Markdown page."""
-    return "\n".join(_markdown(whole)) + "\n"
+    return "\n".join(_markdown(dictionary)) + "\n"
 
 
-def _markdown(whole: Dictionary) -> Iterator[str]:
+def _markdown(dictionary: Dictionary) -> Iterator[str]:
     yield "# Dictionary"
-    for title, entries in _sections(whole):
+    for title, entries in _sections(dictionary):
         yield f"\n## {title.capitalize()}"
         for entry in entries:
             yield f"\n### {_heading(entry)}\n{_sentence(entry)}"
             if entry.fields:
                 yield from _markdown_table(entry.fields)
-    if whole.parameters:
+    if dictionary.parameters:
         yield "\n## Parameters"
-        yield from _markdown_table(whole.parameters)
+        yield from _markdown_table(dictionary.parameters)
 
 
 def _markdown_table(fields: Iterable[FieldDefinition]) -> Iterator[str]:
@@ -59,11 +59,11 @@ def _markdown_table(fields: Iterable[FieldDefinition]) -> Iterator[str]:
         yield "| " + " | ".join(cell.replace("|", "\\|").replace("*", "\\*") for cell in _cells(one)) + " |"
 
 
-def _sections(whole: Dictionary) -> Iterator[tuple[str, tuple[Definition, ...]]]:
+def _sections(dictionary: Dictionary) -> Iterator[tuple[str, tuple[Definition, ...]]]:
     sections: dict[str, tuple[Definition, ...]] = {
-        "commands": whole.commands,
-        "event reports": whole.evrs,
-        "channels": whole.packets,
+        "commands": dictionary.commands,
+        "event reports": dictionary.evrs,
+        "channels": dictionary.packets,
     }
     yield from ((title, entries) for title, entries in sections.items() if entries)
 

@@ -198,11 +198,11 @@ def compare_behaviours(
     )
 
 
-def _comparable(topic: str, ours: TopicSeries, theirs: TopicSeries) -> tuple[list[str], list[str]]:
+def _comparable(topic: str, recorded: TopicSeries, replayed: TopicSeries) -> tuple[list[str], list[str]]:
     """Return the fields that both runs have in equal shape, and sentences about the others."""
-    lone = sorted(ours.fields.keys() ^ theirs.fields.keys())
-    both = [name for name in ours.fields if name in theirs.fields]
-    comparable = [name for name in both if ours.fields[name].shape[1:] == theirs.fields[name].shape[1:]]
+    lone = sorted(recorded.fields.keys() ^ replayed.fields.keys())
+    both = [name for name in recorded.fields if name in replayed.fields]
+    comparable = [name for name in both if recorded.fields[name].shape[1:] == replayed.fields[name].shape[1:]]
     sentences = [f"{channel_name(topic, name)}: only one side has it; not compared" for name in lone]
     sentences += [
         f"{channel_name(topic, name)}: has another shape; not compared"
@@ -236,11 +236,11 @@ def _evr_length_difference(recorded: Behaviour, replayed: Behaviour) -> LengthDi
 
 
 def _channel_difference(
-    channel: str, name: str, ours: TopicSeries, theirs: TopicSeries, tolerance: float
+    channel: str, name: str, recorded: TopicSeries, replayed: TopicSeries, tolerance: float
 ) -> ChannelDifference | None:
     """Compare a channel at the ticks that both runs have; None if it is the same."""
-    ticks, mine, yours = np.intersect1d(ours.ticks, theirs.ticks, return_indices=True)
-    a, b = ours.fields[name][mine], theirs.fields[name][yours]
+    ticks, recorded_rows, replayed_rows = np.intersect1d(recorded.ticks, replayed.ticks, return_indices=True)
+    a, b = recorded.fields[name][recorded_rows], replayed.fields[name][replayed_rows]
     if not a.size:
         return None
     shape = a.shape[1:]

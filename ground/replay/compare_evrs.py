@@ -63,41 +63,41 @@ def evr_differences(
 
 
 def _pair_evrs(
-    ours: list[EvrEntry], theirs: list[EvrEntry], key: str
+    recorded: list[EvrEntry], replayed: list[EvrEntry], key: str
 ) -> tuple[list[tuple[EvrEntry, EvrEntry]], tuple[list[EvrEntry], list[EvrEntry]]]:
     """Pair events of equal message or name in order; return the pairs and the events without a partner."""
     pairs, rest = [], []
-    free = _group_by(theirs, key)
-    for one in ours:
+    free = _group_by(replayed, key)
+    for one in recorded:
         partners = free.get(getattr(one, key))
         if partners:
             pairs.append((one, partners.pop(0)))
         else:
             rest.append(one)
     taken = {id(other) for _, other in pairs}
-    return pairs, (rest, [other for other in theirs if id(other) not in taken])
+    return pairs, (rest, [other for other in replayed if id(other) not in taken])
 
 
 def _compare_tick(
-    ours: list[EvrEntry],
-    theirs: list[EvrEntry],
+    recorded: list[EvrEntry],
+    replayed: list[EvrEntry],
     tolerance: float,
     unpaired: tuple[list[EvrEntry], list[EvrEntry]],
 ) -> list[EvrDifference]:
     """Compare the events of one tick by name; `unpaired` receives those without a partner."""
     found = []
-    mine, yours = _group_by(ours, "name"), _group_by(theirs, "name")
-    for name in dict.fromkeys((*mine, *yours)):
-        for one, other in zip_longest(mine.get(name, []), yours.get(name, [])):
+    recorded_by_name, replayed_by_name = _group_by(recorded, "name"), _group_by(replayed, "name")
+    for name in dict.fromkeys((*recorded_by_name, *replayed_by_name)):
+        for one, other in zip_longest(recorded_by_name.get(name, []), replayed_by_name.get(name, [])):
             if one is None:
                 unpaired[1].append(other)
             elif other is None:
                 unpaired[0].append(one)
             elif not _evrs_equal(one, other, tolerance):
                 found.append(EvrDifference(EvrChange.CHANGED, one, other))
-    names = [[evr.name for evr in side] for side in (ours, theirs)]
+    names = [[evr.name for evr in side] for side in (recorded, replayed)]
     if names[0] != names[1] and sorted(names[0]) == sorted(names[1]):
-        one, other = next((a, b) for a, b in zip(ours, theirs, strict=True) if a.name != b.name)
+        one, other = next((a, b) for a, b in zip(recorded, replayed, strict=True) if a.name != b.name)
         found.append(EvrDifference(EvrChange.CHANGED, one, other))
     return found
 

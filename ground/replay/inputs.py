@@ -78,7 +78,7 @@ def _start_conditions(log: Log, notes: list[str]) -> tuple[Params, Mode, Referen
     lacking = [name for name in REQUIRED_KEYS if name not in log.header]
     if lacking:
         raise BadJson(
-            f"its header has no {', '.join(lacking)}, so nobody knows what flight software began with; "
+            f"its header has no {', '.join(lacking)}, so its start conditions are unknown; "
             f"record it with this marsarm, or import it with a [start]"
         )
     document = _header_document(log, "params")
@@ -126,7 +126,7 @@ def _count_whole_ticks(log: Log, notes: list[str]) -> int:
     ticks = log.ticks(SENSOR_TOPIC)
     if ticks[0] != 0:
         raise NotReplayable(
-            f"log {log.path}: begins at tick {ticks[0]}; what flight software knew by then is unknown; "
+            f"log {log.path}: begins at tick {ticks[0]}; the state of flight software there is unknown; "
             "give a log that begins at tick 0"
         )
     breaks = np.flatnonzero(np.diff(ticks) != 1)
@@ -138,9 +138,9 @@ def _count_whole_ticks(log: Log, notes: list[str]) -> int:
     if end == len(ticks) and not log.truncated:
         return end
     if end == 1:
-        raise NotReplayable(f"log {log.path}: holds no tick that is surely whole; give a longer log")
+        raise NotReplayable(f"log {log.path}: holds no tick that is surely complete; give a longer log")
     why = "the log was cut short" if end == len(ticks) else f"something after tick {end - 1} is missing"
-    notes.append(f"{why}: replayed up to tick {end - 2}, the last that is surely whole")
+    notes.append(f"{why}: replayed up to tick {end - 2}, the last that is surely complete")
     return end - 1
 
 

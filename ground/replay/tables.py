@@ -62,9 +62,9 @@ def replay_table(report: ReplayReport) -> None:
     """Print a replay: events first, then lengths, then channel by channel."""
     console = Console(highlight=False)
     console.print(f"{report.request.log}: {verdict_line(report.differences)}", soft_wrap=True, markup=False)
-    made = report.header
+    header = report.header
     console.print(
-        f"recorded  by marsarm {made.get('marsarm')}, git {made.get('git')}, numpy {made.get('numpy')}",
+        f"recorded  by marsarm {header.get('marsarm')}, git {header.get('git')}, numpy {header.get('numpy')}",
         soft_wrap=True,
     )
     if not report.same_processor:

@@ -185,25 +185,27 @@ def locate_by_index(
         each chunk is tiled, shape (k,).
     """
     sizes = [[end - begin for begin, end in of_chunk] for of_chunk in indexes]
-    whole = [k for k, of_chunk in enumerate(sizes) if not any(size % 16 for size in of_chunk)]
+    usable = [k for k, of_chunk in enumerate(sizes) if not any(size % 16 for size in of_chunk)]
     view = memoryview(data)
-    pairs = b"".join(view[begin:end] for k in whole for begin, end in indexes[k])
-    chunk = np.repeat(whole, [sum(sizes[k]) // 16 for k in whole]).astype(np.int64)
+    pairs = b"".join(view[begin:end] for k in usable for begin, end in indexes[k])
+    chunk = np.repeat(usable, [sum(sizes[k]) // 16 for k in usable]).astype(np.int64)
     offset = np.frombuffer(pairs, "<u8")[1::2]
     is_tiled = np.diff(begins) > MESSAGE_DTYPE.itemsize
     room = np.diff(begins) - MESSAGE_DTYPE.itemsize
     is_tiled[chunk[offset > room.clip(0)[chunk].astype(np.uint64)]] = False
-    kept = is_tiled[chunk]
-    chunk = chunk[kept]
-    starts = np.sort(begins[chunk] + offset[kept].astype(np.int64))
+    is_kept = is_tiled[chunk]
+    chunk = chunk[is_kept]
+    starts = np.sort(begins[chunk] + offset[is_kept].astype(np.int64))
     heads = heads_at(buffer, starts)
     # A damaged length may be any number. Unsigned sums wrap around, so only the true length matches.
     ends = starts.astype(np.uint64) + heads["length"] + np.uint64(RECORD_HEAD.size)
     is_first, is_last = np.diff(chunk, prepend=-1) != 0, np.diff(chunk, append=-1) != 0
-    due = np.where(is_last, begins[chunk + 1], np.roll(starts, -1)).astype(np.uint64)
-    fits = (heads["opcode"] == Opcode.MESSAGE) & (heads["length"] >= MESSAGE_OVERHEAD) & (ends == due)
-    fits &= ~is_first | (starts == begins[chunk])
-    is_tiled[chunk[~fits]] = False
+    expected = np.where(is_last, begins[chunk + 1], np.roll(starts, -1)).astype(np.uint64)
+    is_consistent = (
+        (heads["opcode"] == Opcode.MESSAGE) & (heads["length"] >= MESSAGE_OVERHEAD) & (ends == expected)
+    )
+    is_consistent &= ~is_first | (starts == begins[chunk])
+    is_tiled[chunk[~is_consistent]] = False
     is_tiled[np.bincount(chunk, minlength=len(indexes)) == 0] = False
-    sure = is_tiled[chunk]
-    return (starts, heads, is_tiled) if sure.all() else (starts[sure], heads[sure], is_tiled)
+    is_sure = is_tiled[chunk]
+    return (starts, heads, is_tiled) if is_sure.all() else (starts[is_sure], heads[is_sure], is_tiled)

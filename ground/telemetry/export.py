@@ -153,7 +153,7 @@ def _output_files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path
             raise BadOutput(f"out {out}: with --csv its name must end in .csv, or be that of a folder")
         if len(topics) != 1:
             raise BadOutput(
-                f"out {out}: one file holds one table, and {len(topics)} topics are asked for; "
+                f"out {out}: one file holds one table, and {len(topics)} topics are selected; "
                 f"name one with --topic, or give a folder"
             )
         return {topics[0]: check_output(out, TABLE_SUFFIXES, "out")}

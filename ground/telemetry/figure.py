@@ -40,7 +40,7 @@ def save_log_figure(channels: Sequence[ChannelSeries], evrs: Sequence[EvrEntry],
     """
     if len(channels) > MAX_PANELS:
         raise TooManyChannels(
-            f"{len(channels)} channels are asked for; a picture has room for {MAX_PANELS}; "
+            f"{len(channels)} channels are selected; a figure has room for {MAX_PANELS}; "
             f"name fewer, such as {channels[0].name}, or draw several"
         )
 

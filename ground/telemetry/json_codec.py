@@ -93,15 +93,15 @@ def _decode_record(kind: type, value: Any, place: str, notes: list[str], base: A
     hints = get_type_hints(kind, include_extras=True)
     known = {f.name: f for f in fields(kind)}
     notes += [f"{place}.{name} is not known today: left out" for name in value if name not in known]
-    made = {}
+    values = {}
     for name, field in known.items():
         inner = None if base is None else getattr(base, name)
         if name in value:
-            made[name] = record_from_json(hints[name], value[name], f"{place}.{name}", notes, inner)
+            values[name] = record_from_json(hints[name], value[name], f"{place}.{name}", notes, inner)
         else:
-            made[name] = _default_of(field, inner, place)
-            notes.append(f"{place}.{name} was not known then: today's {made[name]!r:.80} is taken")
-    return kind(**made)
+            values[name] = _default_of(field, inner, place)
+            notes.append(f"{place}.{name} was not known then: today's {values[name]!r:.80} is taken")
+    return kind(**values)
 
 
 def _default_of(field: Field[Any], base: Any, place: str) -> Any:

@@ -55,7 +55,7 @@ def span_text(after_ns: int | None, before_ns: int | None) -> str:
 
 def trailing_bytes_text(size: int) -> str:
     """Format the note about bytes after the end of the log."""
-    return f"{size} bytes behind the end of the log are left out; a file holds one log"
+    return f"{size} bytes after the end of the log are left out; a file holds one log"
 
 
 def summarize_losses(lost: Sequence[LostMessages]) -> str:

@@ -60,9 +60,7 @@ def recover(bad: Path, good: Path, progress: Progress) -> RecoveryReport:
         saved, duplicates = _write(file, found, lost, progress)
         file.flush()
         parse_log(bad, Path(file.name).read_bytes())
-    notes = (
-        (*found.notes, f"{duplicates} messages that were there twice left out") if duplicates else found.notes
-    )
+    notes = (*found.notes, f"{duplicates} duplicate messages left out") if duplicates else found.notes
     return RecoveryReport(saved, lost, HEADER_RECORD not in found.metadata, notes)
 
 

@@ -248,7 +248,7 @@ def sort_chunks(chunks: Sequence[IntactChunk], notes: list[str]) -> list[IntactC
     once = list({chunk.plain: chunk for chunk in chunks}.values())
     if len(once) < len(chunks):
         count = len(chunks) - len(once)
-        notes.append("1 chunk stands in it twice" if count == 1 else f"{count} chunks stand in it twice")
+        notes.append("1 chunk is in it twice" if count == 1 else f"{count} chunks are in it twice")
     ordered = sorted(once, key=_chunk_sort_key)
     if ordered != once:
         notes.append("its chunks are out of order")

@@ -258,7 +258,7 @@ def import_tables(report: ImportReport) -> None:
         )
     for one in report.incomplete:
         lacks = ", ".join(one.fields)
-        console.print(f"{one.topic} is not whole, so it is kept as {one.kept_as}; it lacks {lacks}")
+        console.print(f"{one.topic} is incomplete, so it is kept as {one.kept_as}; it lacks {lacks}")
     if report.replayable:
         console.print(
             f"replay    {pluralize(report.commands, 'command')}; `marsarm replay {report.request.log}`"

@@ -45,7 +45,7 @@ class InputColumn:
     values: NDArray[Any]
     """Values as float64, int64 or bool, or indices into `words`, shape (n,); arbitrary where not `given`."""
     given: NDArray[np.bool_]
-    """Whether each row has a value, shape (n,)."""
+    """True in rows with a value, shape (n,)."""
     words: tuple[str, ...] = ()
     """Different names of a column of names."""
 

@@ -98,7 +98,7 @@ def custom_target(name: str, columns: int, unit: str, single: bool) -> ChannelTa
         return "write /imported/NAME.FIELD, words of a-z and 0-9 joined by one _, as /imported/arm.speed_m_s"
     if f"/{match[1]}" in TOPICS:
         name = match[1]
-        return f"{IMPORT_PREFIX}{name} is for what there is of an incomplete /{name}; choose another name"
+        return f"{IMPORT_PREFIX}{name} is reserved for an incomplete /{name}; choose another name"
     field = match[2]
     kept_unit = unit_of(field) or ("bool" if unit == "bool" else "1")
     if unit not in conversions(kept_unit):

@@ -108,12 +108,12 @@ def _convert_numbers(
     rows: NDArray[np.int64],
 ) -> NDArray[np.float64]:
     """Convert numbers; refuse a finite number that becomes infinite or NaN."""
-    made = convert_to_si(channel, values, k)
-    beyond = np.flatnonzero(np.isfinite(values) & ~np.isfinite(made))
+    converted = convert_to_si(channel, values, k)
+    beyond = np.flatnonzero(np.isfinite(values) & ~np.isfinite(converted))
     if beyond.size:
         what = f"{values[beyond[0]]} is too large for its gain, offset and unit; are they right?"
         raise table.error_at(what, int(rows[beyond[0]]), column.name)
-    return made
+    return converted
 
 
 def _check_exact(
@@ -174,13 +174,13 @@ def _convert_counts_exactly(
 ) -> NDArray[np.int64]:
     """Compute gain * value + offset in integers; a result that overflows 64 bits is far from its float."""
     gain, offset = gain_and_offset
-    made = values * np.int64(gain) + np.int64(offset)
-    about = values.astype(np.float64) * gain + offset
-    beyond = np.flatnonzero(np.abs(made.astype(np.float64) - about) > INT64_LIMIT / 2)
+    converted = values * np.int64(gain) + np.int64(offset)
+    approximate = values.astype(np.float64) * gain + offset
+    beyond = np.flatnonzero(np.abs(converted.astype(np.float64) - approximate) > INT64_LIMIT / 2)
     if beyond.size:
         what = f"{values[beyond[0]]} with its gain and offset has more than 64 bits; are they right?"
         raise table.error_at(what, int(rows[beyond[0]]), column.name)
-    return made
+    return converted
 
 
 def _convert_flags(

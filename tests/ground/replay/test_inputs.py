@@ -52,7 +52,10 @@ def with_boot(**values: object) -> Log:
 
 
 REFUSED = {
-    "an old log": (with_header(boot=None, params=None), "its header has no params, boot, so nobody knows"),
+    "an old log": (
+        with_header(boot=None, params=None),
+        "its header has no params, boot, so its start conditions",
+    ),
     "other parameters": (with_params("motion", settle_time_s=0.26), "do not match their own digest"),
     "torn parameters": (with_header(params="{"), "params: is not JSON (Expecting property name"),
     "parameters of another kind": (with_header(params="[]"), "params: [] is not the fields of a Params"),
@@ -63,7 +66,7 @@ REFUSED = {
     "torn arguments": (with_commands(CommandEntry(0, "Stop", "{")), "Expecting property name"),
     "no sensors": (replace(LOG, packets={}), "has no /sensors, so there is nothing to replay; give"),
     "a late beginning": (with_sensor_ticks(np.arange(5, 9)), "begins at tick 5; what flight software knew"),
-    "one tick": (replace(with_sensor_ticks(np.arange(1)), truncated=True), "no tick that is surely whole"),
+    "one tick": (replace(with_sensor_ticks(np.arange(1)), truncated=True), "no tick that is surely complete"),
     "no currents": (without_field("current_A"), "/sensors.current_A is missing"),
 }
 
@@ -103,7 +106,7 @@ def test_a_log_cut_short_is_replayed_to_the_last_tick_that_is_surely_whole():
     inputs = inputs_from_log(replace(LOG, truncated=True))
     assert inputs.ticks == TICKS - 1
     assert inputs.notes == (
-        f"the log was cut short: replayed up to tick {TICKS - 2}, the last that is surely whole",
+        f"the log was cut short: replayed up to tick {TICKS - 2}, the last that is surely complete",
     )
 
 
@@ -111,7 +114,7 @@ def test_a_missing_tick_ends_the_replay():
     inputs = inputs_from_log(with_sensor_ticks(np.concatenate([np.arange(20), np.arange(30, 50)])))
     assert inputs.ticks == 19
     assert inputs.notes == (
-        "something after tick 19 is missing: replayed up to tick 18, the last that is surely whole",
+        "something after tick 19 is missing: replayed up to tick 18, the last that is surely complete",
     )
 
 
@@ -129,7 +132,7 @@ def test_a_recovered_log_is_replayed_up_to_the_first_lost_input(topic, after_tic
     lost = LostMessages(topic, 1, None if after_tick is None else after_tick * TICK_NS, None)
     recovered = replace(LOG, lost=(lost,))
     if ticks is None:
-        with pytest.raises(NotReplayable, match="no tick that is surely whole"):
+        with pytest.raises(NotReplayable, match="no tick that is surely complete"):
             inputs_from_log(recovered)
     else:
         inputs = inputs_from_log(recovered)

@@ -89,7 +89,7 @@ def test_events_and_commands_are_tables_too(log: Log, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("out", "topics", "why"),
     [
-        ("all.parquet", [], "one file holds one table, and 7 topics are asked for; name one with --topic"),
+        ("all.parquet", [], "one file holds one table, and 7 topics are selected; name one with --topic"),
         ("run.txt", ["/joint"], "no such"),
         ("nowhere/joint.csv", ["/joint"], "there is no folder"),
         ("nowhere/tables", [], "there is no folder"),

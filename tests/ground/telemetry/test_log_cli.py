@@ -111,8 +111,8 @@ def test_what_stands_behind_a_log_is_said_by_every_verb(folder, written):
     found = run_json(folder, "info", "two.mcap")
     assert (found["closed"], found["bytes_behind"], found["cycles"]) == (True, len(written), CYCLES)
     for words in (("export", "two.mcap", "tables"), ("channels", "two.mcap")):
-        assert "behind the end of the log" in marsarm(folder, "log", *words).stderr
-    assert "behind the end of the log" in run_json(folder, "recover", "two.mcap", "g.mcap")["notes"][0]
+        assert "after the end of the log" in marsarm(folder, "log", *words).stderr
+    assert "after the end of the log" in run_json(folder, "recover", "two.mcap", "g.mcap")["notes"][0]
 
 
 @pytest.mark.parametrize("verb", [["export", "--topic", "/joint"], ["plot", "/joint/mode", "--out"]])

@@ -99,7 +99,7 @@ def test_two_runs_in_one_file_do_not_become_one_log(
     (tmp_path / "first.mcap").write_bytes(first)
     assert is_part(read_log(tmp_path / "good.mcap"), read_log(tmp_path / "first.mcap"))
     assert recovered.saved["/joint"] == (N_CYCLES if end == "closed" else 8)
-    assert "behind the end of the log are left out" in recovered.notes[0]
+    assert "after the end of the log are left out" in recovered.notes[0]
 
 
 @pytest.mark.parametrize("behind", [b"garbage", b"\0" * 4096])
@@ -125,7 +125,7 @@ def test_chunks_out_of_order_are_put_in_order(tmp_path: Path, data: bytes) -> No
 def test_a_chunk_that_is_there_twice_is_saved_once(tmp_path: Path, data: bytes) -> None:
     a, b = (chunk_of(data, tick) for tick in (4, 5))
     recovered = saved(tmp_path, data[:b] + data[a:b] + data[b:])
-    assert recovered.notes == ("1 chunk stands in it twice",)
+    assert recovered.notes == ("1 chunk is in it twice",)
     assert read_log(tmp_path / "good.mcap").ticks("/joint").tolist() == list(range(N_CYCLES))
 
 

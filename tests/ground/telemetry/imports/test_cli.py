@@ -54,7 +54,7 @@ def test_people_read_why_a_packet_is_not_whole(words: list[str]) -> None:
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0
     output = " ".join(result.output.split())
-    assert "/sensors is not whole, so it is kept as /imported/sensors; it lacks cycle" in output
+    assert "/sensors is incomplete, so it is kept as /imported/sensors; it lacks cycle" in output
 
 
 def test_one_is_counted_as_one(words: list[str], tmp_path: Path) -> None:

@@ -72,7 +72,7 @@ MAPPINGS = {
         "ends in rad, not in what m/s is kept in; write speed_m_s",
     ),
     "free name": (TIME + FREE.replace("/arm", "/Arm__x"), "words of a-z and 0-9 joined by one _"),
-    "taken name": (TIME + FREE.replace("/arm", "/sensors"), "is for what there is of an incomplete /sensors"),
+    "taken name": (TIME + FREE.replace("/arm", "/sensors"), "is reserved for an incomplete /sensors"),
     "too few columns": (
         TIME + CURRENT.replace(', "e"', ""),
         "m.toml:6: columns: 4 given; /sensors.current_A takes 5, one for each joint: AZIMUTH, ELEVATION",
