@@ -1,4 +1,4 @@
-"""Every event says what happened in one sentence; no event and no command is left without a test."""
+"""Every event describes itself in one sentence; every event and every command has a test."""
 
 import ast
 import typing
@@ -20,7 +20,7 @@ EVRS = [
 COMMANDS = typing.get_args(commands.Command)
 TESTS = Path(__file__).parents[1]
 ELSEWHERE = {evrs.SoftwareError}
-"""Said by the loop around flight software, and tested there."""
+"""Events of the loop around flight software, which is tested there."""
 
 SENTENCES = {
     evrs.Booted("ab12"): "flight software up, parameters ab12",
@@ -120,7 +120,7 @@ def test_every_event_is_frozen_hashable_and_equal_to_its_like(kind):
 
 @cache
 def used() -> set[str]:
-    """The names that the code of the other tests uses; imports, comments and strings do not count."""
+    """Collect the names in the code of the other tests, without imports, comments and strings."""
     trees = [ast.parse(path.read_text()) for path in TESTS.rglob("*.py") if path != Path(__file__)]
     nodes = [node for tree in trees for node in ast.walk(tree)]
     names = {node.id for node in nodes if isinstance(node, ast.Name)}

@@ -1,4 +1,4 @@
-"""The interval observer of a gear: backlash, wind-up and friction as one clip, and what it may claim."""
+"""The interval observer of a gear: backlash, wind-up and friction as one clip, and its guarantees."""
 
 import numpy as np
 from hypothesis import given
@@ -43,12 +43,12 @@ def anywhere():
 
 
 def torque_Nm(gear_rad):
-    """What a spring with play carries."""
+    """Compute the torque of a spring with a dead band."""
     return STIFFNESS * (gear_rad - np.clip(gear_rad, -HALF, HALF))
 
 
 def true_gear(gear_rad, motion_rad, load_Nm):
-    """The motor turns while friction holds the output, and then the output slips as far as it must."""
+    """Turn the motor while friction holds the output, then let the output slip as far as it must."""
     gear_rad = gear_rad - motion_rad
     carried = torque_Nm(gear_rad)
     left = np.clip(carried, load_Nm - FRICTION, load_Nm + FRICTION)
@@ -137,7 +137,7 @@ def test_a_load_beyond_friction_and_error_holds_the_output_on_its_flank(gear, lo
 
 @given(loads)
 def test_there_and_back_the_gear_angle_is_another_by_twice_the_friction_and_the_gap_if_it_is_crossed(load):
-    """Hysteresis: from above the gear bears the load and friction, from below the load less friction."""
+    """From above the gear carries load plus friction, from below load less friction (hysteresis)."""
     forth = gear_after_motor_turn(anywhere(), np.full(5, 0.1), bounds(load))[:, LIKELY]
     back = gear_after_motor_turn(forth[:, None], np.full(5, -0.1), bound_gear(CONFIG, HALF, load[:, None]))[
         :, 0
@@ -151,7 +151,7 @@ def test_there_and_back_the_gear_angle_is_another_by_twice_the_friction_and_the_
 
 @given(gears, loads, motions)
 def test_what_is_planned_is_what_a_motor_that_far_leaves(gear, load, moved):
-    """Where the outputs are to move, the planned gear angles are those at which the motors' way ends."""
+    """For outputs that move, the planned gear angles are those at the end of the motor motion."""
     under = bounds(load)
     planned = gear_after_output_turn(gear, moved[:, None], under)
     for column in range(3):

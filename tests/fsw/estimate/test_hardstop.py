@@ -1,4 +1,4 @@
-"""What a joint's run against its hardstop tells, from readings that are made up."""
+"""Fit of a run against the hardstop, from synthetic readings."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ STOP_RAD = -3.0
 def carried(
     angle: np.ndarray, load: float, friction: float, gap: float, gear: float, stop: float
 ) -> np.ndarray:
-    """Gear torque of a joint over motor angles (n) in time: friction holds the output within its band."""
+    """Compute the gear torque over motor angles (n) in time: friction holds the output within its band."""
     low, high = (rest(angle, pull, gap, gear, stop) for pull in (load - friction, load + friction))
     output, outputs = float(high[0]), []
     for least, most in zip(low, high, strict=True):
@@ -26,7 +26,7 @@ def carried(
 
 
 def rest(motor: np.ndarray, pull: float, gap: float, gear: float, stop: float) -> np.ndarray:
-    """Where an output without friction rests under a pull, by bisection."""
+    """Find the rest angle of an output without friction under a load, by bisection."""
     below, above = motor - 0.05, motor + 0.05
     for _ in range(50):
         middle = 0.5 * (below + above)
@@ -40,7 +40,7 @@ def gear_torque(twist: np.ndarray, gap: float, gear: float) -> np.ndarray:
 
 
 def run(joint: Joint, load: float, gap: float, gear: float, stop: float, motor_friction: float, seed: int):
-    """Readings towards the stop until it stalls, and off it again."""
+    """Simulate readings towards the stop until the joint stalls, and back."""
     params = CONFIG.params.joints.in_order()[joint]
     rng = np.random.default_rng(seed)
     step = SPEED_RAD_S / HZ

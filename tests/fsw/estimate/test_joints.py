@@ -1,4 +1,4 @@
-"""The estimate of the joints: what encoders and resolvers mean from boot to calibration and after it."""
+"""The estimate of the joints from encoders and resolvers, before and after calibration."""
 
 from dataclasses import replace
 
@@ -32,13 +32,13 @@ REMEMBERED = Reference(np.ones(5, bool), np.ones(5, bool), ZERO, 0.9 * HALF, BIA
 counts = hnp.arrays(np.int64, 5, elements=st.integers(-(10**7), 10**7))
 
 
-def awake(count, reference=REMEMBERED, **readings):
+def first_update(count, reference=REMEMBERED, **readings):
     return update_joints(CONFIG, uninitialised_estimate(CONFIG, reference), quiet_sensors(count, **readings))
 
 
 def resting(count=(100, 200, 300, 400, 500)):
-    """Joints under a load, and what their sensors read."""
-    joints = apply_load(CONFIG, awake(np.array(count)), LOADS_NM)
+    """Return joints under a load, and their sensor readings."""
+    joints = apply_load(CONFIG, first_update(np.array(count)), LOADS_NM)
     sensors = quiet_sensors(count, resolver_rad=joints.output_rad + BIAS)
     return joints, sensors
 
@@ -52,7 +52,7 @@ def test_before_the_first_reading_nothing_is_known():
 
 @given(counts)
 def test_a_calibrated_joint_is_where_its_encoder_and_its_zero_say(count):
-    joints = awake(count, resolver_rad=np.full(5, 9.0))
+    joints = first_update(count, resolver_rad=np.full(5, 9.0))
     assert joints.initialised
     np.testing.assert_array_equal(joints.motor_rad, count * CONFIG.rad_per_count + ZERO)
     np.testing.assert_array_equal(joints.motor_rate_rad_s, 0)
@@ -66,7 +66,7 @@ def test_a_joint_that_is_not_calibrated_is_where_its_resolver_said_at_first_and_
     count, moved
 ):
     read = np.array([0.2, -0.4, 0.6, -0.8, 1.0])
-    joints = awake(count, no_reference(CONFIG), resolver_rad=read)
+    joints = first_update(count, no_reference(CONFIG), resolver_rad=read)
     np.testing.assert_allclose(joints.motor_rad, read, atol=1e-11)
     joints = update_joints(CONFIG, joints, quiet_sensors(count + moved, resolver_rad=np.full(5, 9.0)))
     np.testing.assert_allclose(joints.motor_rad, read + moved * CONFIG.rad_per_count, atol=1e-11)
@@ -76,7 +76,7 @@ def test_a_joint_that_is_not_calibrated_is_where_its_resolver_said_at_first_and_
 @pytest.mark.parametrize("joint", Joint)
 def test_what_is_remembered_of_a_joint_is_used_and_kept_for_comparison_when_it_no_longer_counts(joint):
     count, this = np.array([100, 200, 300, 400, 500]), np.arange(5) == joint
-    joints = awake(count, forget_joint(REMEMBERED, joint))
+    joints = first_update(count, forget_joint(REMEMBERED, joint))
     np.testing.assert_array_equal(joints.reference.calibrated, ~this)
     assert joints.reference.known.all()
     np.testing.assert_allclose(joints.motor_rad, count * CONFIG.rad_per_count + ZERO, atol=1e-15)
@@ -84,7 +84,7 @@ def test_what_is_remembered_of_a_joint_is_used_and_kept_for_comparison_when_it_n
 
 def test_one_count_is_one_step_of_the_motor_over_the_gear_ratio():
     count = np.array([10, -20, 30, -40, 50])
-    before = awake(count)
+    before = first_update(count)
     joints = update_joints(CONFIG, before, quiet_sensors(count + 1))
     step = 2 * np.pi / 256 / np.array([7520, 7520, 7520, 4624, 4624])
     np.testing.assert_allclose(joints.motor_rad - before.motor_rad, step, atol=1e-15)
@@ -106,7 +106,7 @@ def test_the_likely_output_is_the_motor_with_its_likely_gear_angle():
 @pytest.mark.parametrize("joint", Joint)
 @pytest.mark.parametrize("off_rad", [-4e-3, 4e-3])
 def test_after_its_calibration_a_joint_met_its_hardstop_where_the_drawing_has_it(joint, off_rad):
-    """The output that met its stop at this angle in the old zero is `off_rad` from there in the new one."""
+    """The new zero changes the angle at which the output met its stop by `off_rad`."""
     before, sensors = resting()
     stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
     found = HardstopFit(stop + off_rad, 30.0, 1.5e-5, 1.1 * HALF[joint], backlash_measured=True)
@@ -119,7 +119,7 @@ def test_after_its_calibration_a_joint_met_its_hardstop_where_the_drawing_has_it
     next_one = update_joints(CONFIG, after, sensors)
     np.testing.assert_allclose(next_one.motor_rad, after.motor_rad, atol=1e-12)
     np.testing.assert_allclose(next_one.motor_rate_rad_s, 0, atol=1e-9)
-    # the joint has just been dragged off its stop
+    # the gear has just dragged the joint off its stop
     np.testing.assert_array_equal(next_one.gear_rad[joint], after.bounds.lowest_rad[joint])
 
 
@@ -144,7 +144,7 @@ def test_a_calibration_learns_the_bias_of_its_resolver_from_what_it_reads(joint)
 @pytest.mark.parametrize("joint", Joint)
 def test_a_joint_calibrated_for_the_first_time_is_calibrated_from_then_on(joint):
     count = np.array([100, 200, 300, 400, 500])
-    joints = awake(count, no_reference(CONFIG))
+    joints = first_update(count, no_reference(CONFIG))
     stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
     found = HardstopFit(stop, 30.0, 1.5e-5, HALF[joint], backlash_measured=True)
     joints = apply_calibration(CONFIG, joints, LOADS_NM, joint, found)
@@ -161,9 +161,9 @@ def test_the_resolver_error_is_smoothed():
 
 def test_gravity_is_as_first_read_and_then_filtered():
     count = np.zeros(5, int)
-    joints = awake(count, gravity_R_m_s2=[1, 2, 3])
+    joints = first_update(count, gravity_R_m_s2=[1, 2, 3])
     np.testing.assert_array_equal(joints.gravity_R_m_s2, [1, 2, 3])
-    joints = awake(count)
+    joints = first_update(count)
     tilted = np.array([0.5, 0.0, 3.68])
     for _ in range(CYCLE_HZ):
         joints = update_joints(CONFIG, joints, quiet_sensors(count, gravity_R_m_s2=tilted))

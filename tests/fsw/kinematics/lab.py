@@ -1,4 +1,4 @@
-"""Targets made from joint vectors, many of them next to double roots, and what their answers are held to."""
+"""Targets computed from joint vectors, many of them next to double roots, and checks of their results."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -31,16 +31,16 @@ INSIDE_RAD = 1e-6
 
 
 @dataclass(frozen=True)
-class Made:
-    """Targets, the joint vectors that made them, and the answers."""
+class SolvedTargets:
+    """Targets, the joint vectors from which they were computed, and the result of the inverse kinematics."""
 
     trial: Trial
     q: np.ndarray
     p: np.ndarray
     a: np.ndarray
-    answers: IkResult
+    result: IkResult
     sigma: np.ndarray
-    """Smallest singular value of the task Jacobian, of the tool as it hangs."""
+    """Smallest singular value of the task Jacobian of the deflected tool."""
 
     @property
     def tolerance(self) -> float:
@@ -51,86 +51,86 @@ def trial_of(name: str, gravity: str, tool: Tool) -> Trial:
     return Trial(name, arm_of(name), tool, GRAVITIES[gravity])
 
 
-def made_from(trial: Trial, q: np.ndarray) -> Made:
+def solve_poses(trial: Trial, q: np.ndarray) -> SolvedTargets:
     X = trial.tool_pose(q)
     p, a = X.p, X.R[:, 0]
-    answers = inverse_kinematics(trial.arm, trial.tool, p, a, trial.gravity_R_m_s2)
-    return Made(trial, q, p, a, answers, smallest_singular_value(trial, q))
+    result = inverse_kinematics(trial.arm, trial.tool, p, a, trial.gravity_R_m_s2)
+    return SolvedTargets(trial, q, p, a, result, smallest_singular_value(trial, q))
 
 
 @lru_cache
-def anywhere(name: str, gravity: str, tool: Tool, n: int) -> Made:
-    """From joint vectors anywhere inside the limits."""
+def random_poses(name: str, gravity: str, tool: Tool, n: int) -> SolvedTargets:
+    """Solve targets of joint vectors anywhere inside the limits."""
     rng = np.random.default_rng(100 + tool)
-    return made_from(trial_of(name, gravity, tool), in_limits(config_of(), rng, n))
+    return solve_poses(trial_of(name, gravity, tool), in_limits(config_of(), rng, n))
 
 
 @lru_cache
-def near_double_roots(name: str, gravity: str, tool: Tool, n: int) -> Made:
-    """From joint vectors a microradian to a third of a radian from where two roots meet."""
+def near_double_roots(name: str, gravity: str, tool: Tool, n: int) -> SolvedTargets:
+    """Solve targets of joint vectors that are a microradian to a third of a radian from a double root."""
     trial, rng = trial_of(name, gravity, tool), np.random.default_rng([2264, tool])
     q, near = vectors(trial, rng, 9 * n)
-    return made_from(trial, q[:, np.flatnonzero(near & DOUBLE_ROOT)[:n]])
+    return solve_poses(trial, q[:, np.flatnonzero(near & DOUBLE_ROOT)[:n]])
 
 
-def assert_makers_found(made: Made) -> None:
-    """Where a pose is not singular it is among the answers to its target, and valid if inside the limits."""
-    distance = root_distances(made.answers, made.q)
-    clear = made.sigma > CLEAR_SIGMA
+def assert_poses_found(solved: SolvedTargets) -> None:
+    """Assert that each regular pose is among the roots of its target, and valid if inside the limits."""
+    distance = root_distances(solved.result, solved.q)
+    clear = solved.sigma > CLEAR_SIGMA
     assert clear.any()
     lost = np.flatnonzero(clear & ~(distance.min(axis=0) < SAME_RAD))
-    assert not lost.size, [(made.q[:, k].tolist(), made.sigma[k]) for k in lost[:3]]
-    at = np.flatnonzero(clear & (limit_excess(made.trial.arm, made.q).max(axis=0) < -INSIDE_RAD))
-    assert (made.answers.verdict[distance.argmin(axis=0)[at], at] == BranchVerdict.VALID).all()
+    assert not lost.size, [(solved.q[:, k].tolist(), solved.sigma[k]) for k in lost[:3]]
+    at = np.flatnonzero(clear & (limit_excess(solved.trial.arm, solved.q).max(axis=0) < -INSIDE_RAD))
+    assert (solved.result.verdict[distance.argmin(axis=0)[at], at] == BranchVerdict.VALID).all()
 
 
-def between_answers(answers: IkResult) -> np.ndarray:
-    """The distance of the closest two answers of each target, turns apart; infinite below two."""
-    q = answers.output_rad
+def closest_roots(result: IkResult) -> np.ndarray:
+    """Compute the distance of the closest two roots of each target, modulo turns; infinite below two."""
+    q = result.output_rad
     slots = np.arange(q.shape[1])
     distance = np.abs(wrap_angle(q[:, :, None] - q[:, None])).max(axis=0)
     distance[slots, slots] = np.inf
     return np.where(np.isnan(distance), np.inf, distance).min(axis=(0, 1))
 
 
-def assert_no_root_twice(answers: IkResult) -> None:
-    assert between_answers(answers).min(initial=np.inf) > TWICE_RAD
+def assert_no_root_twice(result: IkResult) -> None:
+    assert closest_roots(result).min(initial=np.inf) > TWICE_RAD
 
 
-def assert_consistent(arm, answers: IkResult) -> None:
-    """What the words of Answers promise, whatever the target."""
-    angles, verdict, excess = answers.output_rad, answers.verdict, answers.excess
-    assert verdict.shape == answers.joint.shape == excess.shape == answers.error.shape
-    assert angles.shape == answers.torque_Nm.shape == (5, *verdict.shape)
+def assert_consistent(arm, result: IkResult) -> None:
+    """Assert what the docstring of IkResult states, for any target."""
+    angles, verdict, excess = result.output_rad, result.verdict, result.excess
+    assert verdict.shape == result.joint.shape == excess.shape == result.error.shape
+    assert angles.shape == result.torque_Nm.shape == (5, *verdict.shape)
     assert verdict.shape[0] % len(BRANCHES) == 0
     assert not np.isin(verdict[: len(BRANCHES)], BranchVerdict.ABSENT).any()
     further = (BranchVerdict.VALID, BranchVerdict.OUTSIDE_LIMITS, BranchVerdict.ABSENT)
     assert np.isin(verdict[len(BRANCHES) :], further).all()
-    is_root = claimed_roots(answers)
+    is_root = claimed_roots(result)
     assert np.isfinite(angles[:, is_root]).all()
     assert np.isnan(angles[:, ~is_root]).all()
-    assert np.isfinite(answers.torque_Nm).all()
-    assert not answers.torque_Nm[:, ~is_root].any()
-    assert np.isfinite(answers.error[is_root | (verdict == BranchVerdict.NOT_CONVERGED)]).all()
+    assert np.isfinite(result.torque_Nm).all()
+    assert not result.torque_Nm[:, ~is_root].any()
+    assert np.isfinite(result.error[is_root | (verdict == BranchVerdict.NOT_CONVERGED)]).all()
     over = limit_excess(arm, angles)
     assert (over[:, verdict == BranchVerdict.VALID] <= 0).all()
     out = is_root & (verdict == BranchVerdict.OUTSIDE_LIMITS)
     np.testing.assert_array_equal(excess[out], over[:, out].max(axis=0))
-    np.testing.assert_array_equal(answers.joint[out], over[:, out].argmax(axis=0))
+    np.testing.assert_array_equal(result.joint[out], over[:, out].argmax(axis=0))
     assert np.isfinite(excess).all()
     assert (excess >= 0).all()
     assert (excess[np.isin(verdict, (BranchVerdict.OUTSIDE_LIMITS, BranchVerdict.OUT_OF_REACH))] > 0).all()
     assert not excess[
         np.isin(verdict, (BranchVerdict.VALID, BranchVerdict.NOT_CONVERGED, BranchVerdict.ABSENT))
     ].any()
-    at_fault = answers.joint[verdict == BranchVerdict.SINGULAR]
+    at_fault = result.joint[verdict == BranchVerdict.SINGULAR]
     assert np.isin(at_fault, (Joint.AZIMUTH, Joint.ELBOW, Joint.WRIST)).all()
 
 
-def assert_sentences(arm, answers: IkResult) -> None:
-    """Of a single target."""
-    for slot in range(answers.verdict.shape[0]):
-        sentence = describe_slot(arm, answers, slot)
+def assert_sentences(arm, result: IkResult) -> None:
+    """Assert that the sentences about a single target begin with the branch and have finite numbers."""
+    for slot in range(result.verdict.shape[0]):
+        sentence = describe_slot(arm, result, slot)
         assert sentence.startswith(f"{slot_name(slot)}: ")
         assert "nan" not in sentence
         assert "inf" not in sentence

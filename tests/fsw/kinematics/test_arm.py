@@ -1,4 +1,4 @@
-"""The general link transform, the arm of the drawing, and how it grows when it is warm."""
+"""The general link transform, the arm of the drawing, and its thermal expansion."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ turns = st.floats(-3.1, 3.1)
 
 
 def dh(theta: float, a_m: float, d_m: float, alpha_deg: float) -> np.ndarray:
-    """Rz(theta) Tz(d) Tx(a) Rx(alpha)."""
+    """Compute Rz(theta) Tz(d) Tx(a) Rx(alpha)."""
     c, s = np.cos(theta), np.sin(theta)
     ca, sa = np.cos(np.radians(alpha_deg)), np.sin(np.radians(alpha_deg))
     return np.array(
@@ -56,7 +56,7 @@ def translation(p_m) -> np.ndarray:
 
 
 def drawn_interface(output_rad) -> np.ndarray:
-    """X_RF of the turret interface as the drawing has it."""
+    """Compute X_RF of the turret interface from the drawing."""
     X = translation(SHOULDER_R_M)
     for joint, angle in zip(Joint, output_rad, strict=True):
         X = X @ dh(angle, *DH[joint])
@@ -181,7 +181,7 @@ BENT = (
     ids=["straight", "bent"],
 )
 def test_a_hundred_kelvin_move_the_drill_by_the_hand_calculation(pose_deg, pieces, sum_mm):
-    """Piece by piece from the drawing: expansion, length, and where it points in this pose."""
+    """The pieces are from the drawing: expansion, length, and direction in this pose."""
     arm, q = config_of().arm, np.radians(pose_deg)
     cold = tool_position(arm, q, Tool.DRILL)
     np.testing.assert_allclose(cold, sum(length * way for _, length, way in pieces), atol=1e-14)
@@ -211,7 +211,7 @@ def test_no_warming_is_the_same_arm():
 
 
 def test_a_warm_tool_turns_as_its_screw_says():
-    """A growth with a rotation in it, which the drawing has nowhere: a finite turn about the tool's own z."""
+    """The expansion has a rotation, which the drawing has not: a finite turn about the tool's z axis."""
     arm = config_of().arm
     expansion = np.zeros((6, 5))
     expansion[2, Tool.APXS] = 1e-3

@@ -26,7 +26,7 @@ ARMS = pytest.mark.parametrize(
 
 
 def feet(arm, q):
-    """Foot on the turret axis and approach in frame Arm1; azimuth and sine of the poses behind them."""
+    """Compute foot and approach in frame Arm1, with azimuth and wrist sine of the poses."""
     s = arm.orthogonal[Tool.DRILL]
     frames = forward(arm, q)
     X = tool_pose(arm, frames, Tool.DRILL)
@@ -37,7 +37,7 @@ def feet(arm, q):
 
 
 def hard(arm):
-    """Joint vectors near and far from double roots."""
+    """Draw joint vectors near and far from double roots."""
     return vectors(Trial("", arm, Tool.DRILL, None), np.random.default_rng(2), N)[0]
 
 
@@ -54,7 +54,7 @@ def test_where_nothing_is_missing_both_conditions_are_met(arm, find):
     assert q1.shape == sine.shape == missing.shape == (2, 2, N)
     lateral_m, unit = (np.abs(v) for v in lateral_condition(s, foot, a, q1, sine))
     there = missing == 0
-    # beyond, no wrist has this azimuth: its sine is cut off at 0
+    # beyond, no wrist has this azimuth: its sine is clipped to 0
     real = there & (np.abs(sine) > 0)
     assert lateral_m[there].max() < 2e-12
     assert unit[real].max() < 1e-11
@@ -72,7 +72,7 @@ def test_the_azimuth_and_the_sine_of_the_pose_are_among_them(arm, find):
 @pytest.mark.parametrize("sine", [1e-1, 1e-3, 1e-5, 1e-7])
 @ARMS
 def test_near_the_wrist_s_fold_its_sine_is_that_of_the_pose(arm, find, sine):
-    """Its square has lost half its digits there; the azimuth has not."""
+    """The square of the sine has lost half its digits there; the azimuth has not."""
     s = arm.orthogonal[Tool.DRILL]
     q = in_limits(config_of(), np.random.default_rng(4), N)
     lean = np.sqrt(1 - s.boresight_z**2)

@@ -1,4 +1,4 @@
-"""The names of branches, and which of them a pose is on as forward kinematics sees it."""
+"""Names of branches, and the branch of a pose by forward kinematics."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from tests.fsw.rig import config_of, in_limits
 
 N = 3000
 ARM = config_of().arm
-# of the drawing: the turret's reach to each tool point
+# distance from the turret axis to each tool point, from the drawing
 RADIUS_M = {Tool.DRILL: 0.360, Tool.DRT: 0.299, Tool.MAHLI: 0.2973, Tool.APXS: 0.2983, Tool.PORTION: 0.2761}
 
 
@@ -20,7 +20,7 @@ def poses(n=N):
 
 
 def named(words, index):
-    """Whether the branches have this word in their names."""
+    """Find the branches with this word in their names."""
     return np.array([words in name for name in BRANCHES])[index]
 
 
@@ -81,7 +81,7 @@ def test_the_wrists_carry_the_turret_axis_on_either_side_of_the_approach(tool):
 
 
 @pytest.mark.parametrize("tool", Tool)
-def test_the_roots_of_the_square_arm_are_on_the_branches_of_their_slots(tool):
+def test_the_roots_of_the_orthogonal_arm_are_on_the_branches_of_their_slots(tool):
     q = poses()
     X = tool_pose(ARM, forward(ARM, q), tool)
     roots = closed_form(ARM, tool, X.p, X.R[:, 0])

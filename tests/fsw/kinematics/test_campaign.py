@@ -39,8 +39,8 @@ def test_no_target_raises_an_exception_or_a_numerical_warning(case):
 
 
 @by_case
-def test_every_answer_meets_its_target(case):
-    """To a nanometre where the arm is rigid, to a micrometre where its deflection is compensated."""
+def test_every_root_meets_its_target(case):
+    """The tolerance is a nanometre for the rigid arm, and a micrometre with compensated deflection."""
     tally = tally_of(case)
     assert tally.roots > tally.targets
     assert tally.off == 0, examples(tally, "off")
@@ -48,7 +48,7 @@ def test_every_answer_meets_its_target(case):
 
 
 @by_case
-def test_a_joint_vector_clear_of_double_roots_is_among_the_answers_to_its_target(case):
+def test_a_joint_vector_clear_of_double_roots_is_among_the_roots_of_its_target(case):
     tally = tally_of(case)
     assert not tally.missed, examples(tally, "missed")
 
@@ -106,14 +106,14 @@ def test_distances_come_in_every_size():
     assert decades.min() > 0.8 * decades.max()
 
 
-def test_of_a_tool_that_hangs_the_jacobian_counts_the_load_s_response():
-    """To a few parts in a thousand it is the rigid one, and it is not the rigid one."""
+def test_the_jacobian_of_a_deflected_tool_counts_the_load_s_response():
+    """The Jacobian differs from the rigid one by a few parts in a thousand."""
     q = np.array([[0.1, -1.0, 1.2, 1.0, 1.0]]).T
-    rigid, hanging = (
+    rigid, deflected = (
         task_jacobian(Trial("nominal", arm_of("nominal"), Tool.DRILL, pull), q)
         for pull in (None, np.array([0.0, 0.0, 3.711]))
     )
-    change = np.abs(hanging - rigid).max()
+    change = np.abs(deflected - rigid).max()
     assert 1e-3 < change < 0.1
 
 
@@ -130,7 +130,7 @@ def test_the_result_of_a_campaign_is_json_by_case_and_adds_up():
         assert result[name] == sum(tally[name] for tally in result["cases"].values())
 
 
-def test_an_exception_is_counted_and_told_but_does_not_end_the_campaign(monkeypatch):
+def test_an_exception_is_counted_and_reported_but_does_not_end_the_campaign(monkeypatch):
     def breaks(*_):
         raise ZeroDivisionError("on purpose")
 
@@ -142,9 +142,9 @@ def test_an_exception_is_counted_and_told_but_does_not_end_the_campaign(monkeypa
 
 
 def test_a_lost_root_is_a_miss_with_the_means_to_run_it_again(monkeypatch):
-    """Without the answers near it, the vector is missed; its example holds arm, tool, gravity and vector."""
+    """Without the roots near it, the vector is missed; its example holds arm, tool, gravity and vector."""
     monkeypatch.setattr(
-        "validation.kinematics.root_distances", lambda answers, q: np.full(answers.verdict.shape, np.inf)
+        "validation.kinematics.root_distances", lambda result, q: np.full(result.verdict.shape, np.inf)
     )
     tally = run_chunk(Chunk(0, CASES[0], 50, 50, np.random.SeedSequence(7)))
     assert tally.missed.total() + tally.indistinct == tally.vectors

@@ -1,4 +1,4 @@
-"""Forward kinematics of the strained chain, and its Jacobian."""
+"""Forward kinematics of the deflected chain, and its Jacobian."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ ARMS = ["nominal", "calibrated:3"]
 
 
 def spring(strain) -> np.ndarray:
-    """A spring translates, then turns about x, y and z in this order."""
+    """Compute the pose of a spring that translates, then turns about x, y and z in this order."""
     turns = rotation_x(strain[0]) @ rotation_y(strain[1]) @ rotation_z(strain[2])
     return translation(strain[3:]) @ turn(turns)
 
@@ -79,7 +79,7 @@ def test_a_spring_translates_then_turns_about_x_y_and_z(size):
 
 
 def test_the_order_of_a_spring_s_turns_matters_at_45_mrad():
-    """A tenth of a millimetre over a tenth of a metre; the paper's sum of screws would not see it."""
+    """The order changes 0.1 mm over 0.1 m; the paper's sum of screws would not show it."""
     arm = config_of().arm
     strain = np.zeros((6, 6))
     strain[:3, 2] = 0.045
@@ -109,7 +109,7 @@ def test_the_jacobian_agrees_with_finite_differences(name, tool):
 
 
 def displaced(arm, frame, tool, screw):
-    """The arm with one frame, and all that it carries, moved by a screw in the frame's own axes."""
+    """Move one frame, and all that it carries, by a screw in the frame's own axes."""
     X = screw_exp(screw)
     if frame is Frame.TOOL:
         X_FT = list(arm.X_FT)
@@ -144,7 +144,7 @@ def test_the_jacobian_of_every_frame_agrees_with_finite_differences(name, tool, 
 
 @pytest.mark.parametrize("name", ARMS)
 def test_a_joint_turns_the_frame_before_its_link_about_z(name):
-    """Arm1 to Arm5: a zero offset is the rz of a frame."""
+    """For Arm1 to Arm5, a zero offset is the rz of a frame."""
     config, rng = config_of(name), np.random.default_rng(7)
     frames = forward(config.arm, in_limits(config, rng, 20), rng.normal(0, STRAIN, (6, 6, 20)))
     X_RT = tool_pose(config.arm, frames, Tool.MAHLI)

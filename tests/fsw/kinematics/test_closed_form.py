@@ -1,4 +1,4 @@
-"""The closed form: eight roots of the square arm, for any tool, each checked by forward kinematics."""
+"""The closed form: eight roots of the orthogonal arm, for any tool, checked by forward kinematics."""
 
 from dataclasses import replace
 
@@ -27,14 +27,14 @@ SAME_RAD = 1e-6
 
 
 def with_tool(R, p_m):
-    """The arm of the drawing with this tool frame instead of its tools."""
+    """Build the arm of the drawing with this tool frame instead of its tools."""
     X_FT, X_LF = Pose(np.array(R), np.array(p_m)), Pose(ARM.X_CF.R, ARM.X_CF.p + ARM.p_LC_m)
     shape = build_orthogonal_arm(ARM.theta_rad, X_LF, X_FT)
     return replace(ARM, X_FT=(X_FT,) * len(Tool), orthogonal=(shape,) * len(Tool))
 
 
 def targets_of(arm, q, tool=TOOL):
-    """Positions, approaches, and how far each pose is from singular."""
+    """Compute positions, approaches, and the distance of each pose from a singularity."""
     frames = forward(arm, q)
     X = tool_pose(arm, frames, tool)
     J = task_jacobian(frames, X, X.R[:, 0])
@@ -42,7 +42,7 @@ def targets_of(arm, q, tool=TOOL):
 
 
 def nearest(roots, q):
-    """The distance of the nearest root from each pose, turns apart."""
+    """Compute the distance of the nearest root from each pose, modulo turns."""
     return np.abs(wrap_angle(roots.output_rad - q[:, None])).max(axis=0).min(axis=0)
 
 
@@ -52,16 +52,16 @@ def worst_error(arm, roots, p, a, tool=TOOL):
 
 
 @pytest.mark.parametrize("tool", Tool)
-def test_the_drawing_is_square_and_its_tools_radial(tool):
+def test_the_drawing_is_orthogonal_and_its_tools_radial(tool):
     s = ARM.orthogonal[tool]
     assert s.is_exact
-    # as exactly as the tool table's angles
+    # to the accuracy of the angles in the tool table
     assert abs(s.offset_m) < 1e-15
     assert abs(s.boresight_z) < 1e-15
     assert not config_of("calibrated:3").arm.orthogonal[tool].is_exact
 
 
-def test_a_tool_alone_does_not_make_the_arm_less_square():
+def test_a_tool_alone_does_not_make_the_arm_less_orthogonal():
     assert skew_tool(1).orthogonal[TOOL].is_exact
 
 
@@ -76,7 +76,7 @@ def test_every_root_of_the_drawing_meets_its_target_to_the_last_digits(tool):
 
 
 def tool_of_the_drawing_but(offset_m=0.0, lean_rad=0.0):
-    """The drill moved sideways by a bracket, or leaning up."""
+    """Return the drill frame moved sideways by a bracket, or tilted up."""
     X = ARM.X_FT[Tool.DRILL]
     R = X.R @ rotation_y(np.array(lean_rad))
     return with_tool(R, X.p + np.array([0.0, offset_m, 0.0]))
@@ -126,7 +126,7 @@ def test_no_root_of_an_offset_tool_is_lost_near_the_azimuth_axis(offset_m):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_no_root_of_a_skew_tool_is_lost_next_to_double_roots(seed):
-    """Straight elbows, approaches along the pitch axes, turret axes over or under the azimuth axis."""
+    """The targets have straight elbows, approaches along the pitch axes, or wrists on the azimuth axis."""
     trial = Trial(f"skew:{seed}", skew_tool(seed), TOOL, None)
     q, near = vectors(trial, np.random.default_rng(seed), 5 * N)
     q = q[:, near > 0]
@@ -161,7 +161,7 @@ def test_a_bend_kept_from_straight_is_kept():
 
 @pytest.mark.parametrize("arm", [ARM, skew_tool(3)], ids=["drawing", "skew"])
 def test_on_the_branch_of_a_pose_is_the_pose_that_made_the_target(arm):
-    """Also from somewhat beside it, on the same side of every fold."""
+    """The start may be beside the pose, on the same side of every fold."""
     s, rng = arm.orthogonal[TOOL], np.random.default_rng(8)
     q = in_limits(config_of(), rng, N)
     p, a, _ = targets_of(arm, q)
@@ -181,7 +181,7 @@ def test_no_targets_have_no_roots():
 
 @pytest.mark.parametrize(("arm", "bound"), [(ARM, 0.0), (skew_tool(3), 1e-13)], ids=["drawing", "skew"])
 def test_a_batch_of_targets_is_its_single_targets(arm, bound):
-    """Of a radial tool bit for bit; of others but for the last digits of complex arithmetic."""
+    """Radial tools agree bit for bit, others up to the last digits of complex arithmetic."""
     q = in_limits(config_of(), np.random.default_rng(6), 24)
     p, a, _ = targets_of(arm, q)
     many = closed_form(arm, TOOL, p.reshape(3, 4, 6), a.reshape(3, 4, 6))

@@ -1,4 +1,4 @@
-"""The rigid arm of the drawing against EAIK: the same roots, found by other means.
+"""The rigid arm of the drawing against EAIK, which finds the same roots by another method.
 
 `make oracle` installs it where that is possible; without it these tests are skipped.
 """
@@ -45,7 +45,7 @@ def test_eaik_finds_the_roots_that_we_find_and_no_other(eaik, tool, kind):
 
 
 def test_roots_that_differ_in_the_elbow_alone_share_their_full_pose():
-    """So two roots cost one question; the spin about the approach is another for every azimuth and wrist."""
+    """One query gives two roots; every azimuth and wrist needs its own spin about the approach."""
     trial = Trial("nominal", ARM, Tool.APXS, None)
     q = np.array([[0.1, -0.4, 1.2, 1.0, 1.0]]).T
     turned = q + np.array([[0.0], [0.0], [0.0], [0.0], [0.3]])

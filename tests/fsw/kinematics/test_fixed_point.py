@@ -1,4 +1,4 @@
-"""Aiming off: from the square arm's roots to those of the real arm, clear of singularities."""
+"""Fixed-point iteration from the orthogonal arm's roots to those of the real arm, far from singularities."""
 
 import numpy as np
 import pytest
@@ -26,35 +26,35 @@ def clear_targets(name, gravity):
 
 
 @pytest.mark.parametrize(("name", "gravity"), CASES)
-def test_from_beside_a_clear_pose_shots_lead_to_it(name, gravity):
+def test_from_beside_a_clear_pose_iterations_lead_to_it(name, gravity):
     trial, pull, q, p, a = clear_targets(name, gravity)
-    aimed = solve_fixed_point(trial.arm, Tool.APXS, p, a, pull, q + 0.005, np.ones(N), np.ones(N, bool))
-    good = aimed.followed & (aimed.error < root_tolerance(pull))
+    roots = solve_fixed_point(trial.arm, Tool.APXS, p, a, pull, q + 0.005, np.ones(N), np.ones(N, bool))
+    good = roots.followed & (roots.error < root_tolerance(pull))
     assert good.mean() > 0.9
-    X = trial.tool_pose(aimed.output_rad[:, good])
+    X = trial.tool_pose(roots.output_rad[:, good])
     assert np.abs(task_error(X, p[:, good], a[:, good])).max() < 5 * root_tolerance(pull)
-    assert np.quantile(np.abs(wrap_angle(aimed.output_rad - q)).max(axis=0)[good], 0.95) < 1e-5
+    assert np.quantile(np.abs(wrap_angle(roots.output_rad - q)).max(axis=0)[good], 0.95) < 1e-5
 
 
-def test_what_is_not_wanted_is_left_as_it_was():
+def test_roots_that_are_not_selected_stay_as_they_were():
     trial, pull, q, p, a = clear_targets("nominal", "mars")
-    wanted = np.arange(N) % 2 == 0
-    aimed = solve_fixed_point(trial.arm, Tool.APXS, p, a, pull, q + 0.005, np.ones(N), wanted)
-    np.testing.assert_array_equal(aimed.output_rad[:, ~wanted], q[:, ~wanted] + 0.005)
-    assert np.isinf(aimed.error[~wanted]).all()
-    assert not aimed.followed[~wanted].any()
-    assert not aimed.torque_Nm[:, ~wanted].any()
+    selected = np.arange(N) % 2 == 0
+    roots = solve_fixed_point(trial.arm, Tool.APXS, p, a, pull, q + 0.005, np.ones(N), selected)
+    np.testing.assert_array_equal(roots.output_rad[:, ~selected], q[:, ~selected] + 0.005)
+    assert np.isinf(roots.error[~selected]).all()
+    assert not roots.followed[~selected].any()
+    assert not roots.torque_Nm[:, ~selected].any()
 
 
-def test_a_root_far_outside_the_limits_is_given_up_after_the_first_shot():
+def test_a_root_far_outside_the_limits_is_given_up_after_the_first_iteration():
     trial, pull, q, *_ = clear_targets("nominal", "mars")
     q = q.copy()
     q[0] = trial.arm.soft_max_rad[0] + 0.3
     X = trial.tool_pose(q)
-    aimed = solve_fixed_point(trial.arm, Tool.APXS, X.p, X.R[:, 0], pull, q, np.ones(N), np.ones(N, bool))
-    assert not aimed.followed.any()
-    # the shot tells about where it is
-    assert np.quantile(np.abs(wrap_angle(aimed.output_rad - q)).max(axis=0), 0.9) < 0.05
+    roots = solve_fixed_point(trial.arm, Tool.APXS, X.p, X.R[:, 0], pull, q, np.ones(N), np.ones(N, bool))
+    assert not roots.followed.any()
+    # the first iteration gives a rough estimate
+    assert np.quantile(np.abs(wrap_angle(roots.output_rad - q)).max(axis=0), 0.9) < 0.05
 
 
 def test_the_tolerance_is_tighter_for_the_rigid_arm():

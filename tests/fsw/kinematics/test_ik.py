@@ -1,4 +1,4 @@
-"""Answers: every branch with its angles or its reason, and each reason with its number and its sentence."""
+"""Inverse kinematics: every branch has its angles or a reason, and each reason a number and a sentence."""
 
 import re
 
@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from fsw.dictionary.enums import Joint, Tool
 from fsw.kinematics.arm import heat_arm
+from fsw.kinematics.batch import select_targets
 from fsw.kinematics.branches import BRANCHES, fold_distances, slot_name
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import FREE_SINE, closed_form
-from fsw.kinematics.ik import CHUNK, BranchVerdict, IkResult, describe_slot, inverse_kinematics, select_result
+from fsw.kinematics.ik import CHUNK, BranchVerdict, IkResult, describe_slot, inverse_kinematics
 from fsw.kinematics.newton import refine_roots
 from fsw.kinematics.soft_limits import describe_outside, limit_excess, wrap_into_limits
 from fsw.kinematics.statics import settle_output
@@ -20,14 +21,14 @@ from fsw.kinematics.task import task_error
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.kinematics.lab import (
     GRAVITIES,
-    anywhere,
     assert_consistent,
-    assert_makers_found,
     assert_no_root_twice,
+    assert_poses_found,
     assert_sentences,
-    between_answers,
-    made_from,
+    closest_roots,
     near_double_roots,
+    random_poses,
+    solve_poses,
     trial_of,
 )
 from tests.fsw.kinematics.test_closed_form import tool_of_the_drawing_but
@@ -50,7 +51,7 @@ RIGID_M, LOADED_M = 1e-9, 1e-6
 
 
 def pose_of(arm, q, tool, gravity=None):
-    """The tool of the rigid or of the hanging arm."""
+    """Compute the pose of the tool of the rigid or of the deflected arm."""
     frames = forward(arm, q) if gravity is None else settle_output(arm, q, gravity).frames
     return tool_pose(arm, frames, tool)
 
@@ -67,53 +68,51 @@ def random_case(tool, n=N, arm=ARM, gravity=None):
 
 
 def of_roots(v, roots):
-    """Of targets (3, n), those of the chosen slots (slots, n)."""
+    """Repeat targets (3, n) for each chosen slot (slots, n)."""
     return v[:, np.nonzero(roots)[1]]
 
 
-def where_verdict(answers, verdict):
-    return answers.verdict == verdict
+def where_verdict(result, verdict):
+    return result.verdict == verdict
 
 
 @pytest.mark.parametrize("tool", Tool)
-def test_every_answer_of_the_rigid_arm_meets_its_target(tool):
-    _, p, a, answers = random_case(tool)
-    X = pose_of(ARM, answers.output_rad, tool)
+def test_every_root_of_the_rigid_arm_meets_its_target(tool):
+    _, p, a, result = random_case(tool)
+    X = pose_of(ARM, result.output_rad, tool)
     error = np.abs(task_error(X, p[:, None], a[:, None])).max(axis=0)
-    assert error[claimed_roots(answers)].max() < RIGID_M
-    np.testing.assert_allclose(
-        answers.error[claimed_roots(answers)], error[claimed_roots(answers)], atol=1e-14
-    )
-    assert not answers.torque_Nm.any()
-    assert_consistent(ARM, answers)
+    assert error[claimed_roots(result)].max() < RIGID_M
+    np.testing.assert_allclose(result.error[claimed_roots(result)], error[claimed_roots(result)], atol=1e-14)
+    assert not result.torque_Nm.any()
+    assert_consistent(ARM, result)
 
 
 @pytest.mark.parametrize("tool", Tool)
-def test_the_pose_that_made_a_target_is_among_its_answers_and_valid(tool):
-    q, _, _, answers = random_case(tool)
-    distance = root_distances(answers, q)
+def test_the_pose_that_made_a_target_is_among_its_roots_and_valid(tool):
+    q, _, _, result = random_case(tool)
+    distance = root_distances(result, q)
     clear = smallest_singular_value(trial_of("nominal", "rigid", tool), q) > CLEAR_SIGMA
     assert clear.mean() > 0.99
     assert distance.min(axis=0)[clear].max() < SAME_RAD
     same = distance.argmin(axis=0)
-    assert (answers.verdict[same, np.arange(N)][clear] == BranchVerdict.VALID).all()
+    assert (result.verdict[same, np.arange(N)][clear] == BranchVerdict.VALID).all()
 
 
 @pytest.mark.parametrize("gravity", GRAVITIES)
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 @pytest.mark.parametrize("tool", Tool)
-def test_answers_for_the_warm_arm_put_the_warm_tool_on_its_target(name, tool, gravity):
-    """A hundred kelvin above calibration; with the same angles the cold arm misses by millimetres."""
+def test_roots_for_the_warm_arm_put_the_warm_tool_on_its_target(name, tool, gravity):
+    """The arm is 100 K above calibration; with the same angles the cold arm misses by millimetres."""
     cold, pull = config_of(name).arm, GRAVITIES[gravity]
     warm = heat_arm(cold, 100.0)
     trial = Trial(f"{name}, warm", warm, tool, pull)
-    made = made_from(trial, in_limits(config_of(), np.random.default_rng(100 + tool), 100))
-    assert_makers_found(made)
-    answers = made.answers
-    valid = where_verdict(answers, BranchVerdict.VALID)
-    p, a = (of_roots(v, valid) for v in (made.p, made.a))
+    solved = solve_poses(trial, in_limits(config_of(), np.random.default_rng(100 + tool), 100))
+    assert_poses_found(solved)
+    result = solved.result
+    valid = where_verdict(result, BranchVerdict.VALID)
+    p, a = (of_roots(v, valid) for v in (solved.p, solved.a))
     missed, cold_missed = (
-        task_error(pose_of(arm, answers.output_rad[:, valid], tool, pull), p, a) for arm in (warm, cold)
+        task_error(pose_of(arm, result.output_rad[:, valid], tool, pull), p, a) for arm in (warm, cold)
     )
     assert np.abs(missed).max() < (RIGID_M if pull is None else LOADED_M)
     assert 1e-3 < np.linalg.norm(cold_missed[:3], axis=0).mean() < 6e-3
@@ -122,55 +121,55 @@ def test_answers_for_the_warm_arm_put_the_warm_tool_on_its_target(name, tool, gr
 @pytest.mark.parametrize("gravity", ["mars", "tilted"])
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3", "calibrated:11"])
 @pytest.mark.parametrize("tool", [Tool.DRILL, Tool.MAHLI])
-def test_every_root_of_the_hanging_arm_meets_its_target_valid_or_not(name, tool, gravity):
-    made = anywhere(name, gravity, tool, N_LOADED)
-    arm, answers, there = made.trial.arm, made.answers, claimed_roots(made.answers)
-    at_rest = settle_output(arm, answers.output_rad[:, there], GRAVITIES[gravity])
-    p, a = (of_roots(v, there) for v in (made.p, made.a))
+def test_every_root_of_the_deflected_arm_meets_its_target_valid_or_not(name, tool, gravity):
+    solved = random_poses(name, gravity, tool, N_LOADED)
+    arm, result, there = solved.trial.arm, solved.result, claimed_roots(solved.result)
+    at_rest = settle_output(arm, result.output_rad[:, there], GRAVITIES[gravity])
+    p, a = (of_roots(v, there) for v in (solved.p, solved.a))
     error = np.abs(task_error(tool_pose(arm, at_rest.frames, tool), p, a)).max(axis=0)
     assert error.max() < 1e-7
-    np.testing.assert_allclose(answers.error[there], error, rtol=0, atol=2e-8)
-    np.testing.assert_allclose(answers.torque_Nm[:, there], at_rest.torque_Nm, atol=1e-4)
-    assert_consistent(arm, answers)
+    np.testing.assert_allclose(result.error[there], error, rtol=0, atol=2e-8)
+    np.testing.assert_allclose(result.torque_Nm[:, there], at_rest.torque_Nm, atol=1e-4)
+    assert_consistent(arm, result)
 
 
 @pytest.mark.parametrize("gravity", GRAVITIES)
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 @pytest.mark.parametrize("tool", Tool)
-def test_the_pose_of_a_hanging_target_is_among_its_answers_and_no_root_is_there_twice(name, tool, gravity):
-    made = anywhere(name, gravity, tool, N_LOADED)
-    assert_makers_found(made)
-    assert_no_root_twice(made.answers)
+def test_the_pose_of_a_deflected_target_is_among_its_roots_and_no_root_is_there_twice(name, tool, gravity):
+    solved = random_poses(name, gravity, tool, N_LOADED)
+    assert_poses_found(solved)
+    assert_no_root_twice(solved.result)
 
 
 @pytest.mark.parametrize("gravity", ["mars", "tilted"])
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 def test_roots_that_were_not_followed_are_outside_the_limits_by_about_as_much_as_estimated(name, gravity):
-    """Newton from the square arm's root leads to the root; it is outside, and the estimate is near."""
-    made = anywhere(name, gravity, Tool.DRILL, N_LOADED)
-    arm, pull = made.trial.arm, GRAVITIES[gravity]
-    guessed = where_verdict(made.answers, BranchVerdict.OUTSIDE_LIMITS) & ~claimed_roots(made.answers)
+    """Newton from the orthogonal arm's root finds the root outside the limits, near the estimate."""
+    solved = random_poses(name, gravity, Tool.DRILL, N_LOADED)
+    arm, pull = solved.trial.arm, GRAVITIES[gravity]
+    guessed = where_verdict(solved.result, BranchVerdict.OUTSIDE_LIMITS) & ~claimed_roots(solved.result)
     slot, target = np.nonzero(guessed)
     assert slot.size > 100
-    p, a = made.p[:, target], made.a[:, target]
-    start = closed_form(arm, Tool.DRILL, made.p, made.a).output_rad[:, slot, target]
+    p, a = solved.p[:, target], solved.a[:, target]
+    start = closed_form(arm, Tool.DRILL, solved.p, solved.a).output_rad[:, slot, target]
     found = refine_roots(arm, Tool.DRILL, p, a, pull, start)
     near = found.converged & (np.abs(wrap_angle(found.output_rad - start)).max(axis=0) < 0.2)
     assert near.mean() > 0.9
     over = limit_excess(arm, wrap_into_limits(arm, found.output_rad[:, near])).max(axis=0)
     assert (over > 0).all()
-    np.testing.assert_allclose(made.answers.excess[guessed][near], over, rtol=0, atol=0.1)
+    np.testing.assert_allclose(solved.result.excess[guessed][near], over, rtol=0, atol=0.1)
 
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("gravity", GRAVITIES)
-def test_every_root_for_a_skew_tool_meets_its_target_and_the_maker_is_among_them(seed, gravity):
-    made = anywhere(f"skew:{seed}", gravity, Tool.DRILL, 150)
-    there = claimed_roots(made.answers)
-    assert root_errors(made.trial, made.answers, made.p, made.a)[there].max() < made.tolerance
-    assert_makers_found(made)
+def test_every_root_for_a_skew_tool_meets_its_target_and_the_original_pose_is_among_them(seed, gravity):
+    solved = random_poses(f"skew:{seed}", gravity, Tool.DRILL, 150)
+    there = claimed_roots(solved.result)
+    assert root_errors(solved.trial, solved.result, solved.p, solved.a)[there].max() < solved.tolerance
+    assert_poses_found(solved)
     if gravity == "rigid":
-        assert_consistent(made.trial.arm, made.answers)
+        assert_consistent(solved.trial.arm, solved.result)
 
 
 @pytest.mark.parametrize("offset_m", [1e-15, 1e-12, 1e-9, 1e-6, 1e-5, 1e-4])
@@ -178,25 +177,25 @@ def test_a_boresight_that_passes_the_turret_axis_at_next_to_nothing_loses_no_roo
     arm = tool_of_the_drawing_but(offset_m)
     q = in_limits(config_of(), np.random.default_rng(9), N)
     p, a = targets_of(q, Tool.DRILL, arm)
-    answers = inverse_kinematics(arm, Tool.DRILL, p, a)
-    lost = root_distances(answers, q).min(axis=0) > SAME_RAD
+    result = inverse_kinematics(arm, Tool.DRILL, p, a)
+    lost = root_distances(result, q).min(axis=0) > SAME_RAD
     if lost.any():
         sigma = smallest_singular_value(Trial("offset", arm, Tool.DRILL, None), q[:, lost])
         assert sigma.max() < CLEAR_SIGMA
 
 
 @pytest.mark.parametrize("tool", Tool)
-def test_the_answers_to_a_target_are_eight_different_poses(tool):
-    q, _, _, answers = random_case(tool, 1000)
+def test_the_roots_of_a_target_are_eight_different_poses(tool):
+    q, _, _, result = random_case(tool, 1000)
     clear = smallest_singular_value(trial_of("nominal", "rigid", tool), q) > CLEAR_SIGMA
-    assert between_answers(answers)[clear].min() > SAME_RAD
-    assert claimed_roots(answers).sum(axis=0).max() == 8
+    assert closest_roots(result)[clear].min() > SAME_RAD
+    assert claimed_roots(result).sum(axis=0).max() == 8
 
 
 def test_every_verdict_but_singular_occurs_at_random_targets():
-    _, p, a, answers = random_case(Tool.APXS)
+    _, p, a, result = random_case(Tool.APXS)
     far = inverse_kinematics(ARM, Tool.APXS, p + np.array([[1.0], [0.0], [0.0]]), a)
-    seen = set(answers.verdict.ravel()) | set(far.verdict.ravel())
+    seen = set(result.verdict.ravel()) | set(far.verdict.ravel())
     assert seen == {BranchVerdict.VALID, BranchVerdict.OUTSIDE_LIMITS, BranchVerdict.OUT_OF_REACH}
 
 
@@ -207,34 +206,34 @@ def test_a_target_beyond_the_straight_arm_is_out_of_reach_by_that_much(push_m):
     frames = forward(ARM, q)
     chord = frames.X_RF.p[:, 3] - frames.X_RF.p[:, 1]
     p, a = targets_of(q, Tool.DRILL)
-    answers = inverse_kinematics(ARM, Tool.DRILL, p + push_m * chord / np.linalg.norm(chord), a)
-    assert not where_verdict(answers, BranchVerdict.VALID).any()
-    missing = answers.excess[where_verdict(answers, BranchVerdict.OUT_OF_REACH)]
+    result = inverse_kinematics(ARM, Tool.DRILL, p + push_m * chord / np.linalg.norm(chord), a)
+    assert not where_verdict(result, BranchVerdict.VALID).any()
+    missing = result.excess[where_verdict(result, BranchVerdict.OUT_OF_REACH)]
     assert missing.min() == pytest.approx(push_m, rel=1e-9)
-    branch = int(np.flatnonzero(answers.excess == missing.min())[0])
-    assert describe_slot(ARM, answers, branch) == f"{BRANCHES[branch]}: out of reach by {push_m:.3f} m"
+    branch = int(np.flatnonzero(result.excess == missing.min())[0])
+    assert describe_slot(ARM, result, branch) == f"{BRANCHES[branch]}: out of reach by {push_m:.3f} m"
 
 
 def test_a_target_inside_the_shoulder_cylinder_says_so():
     # the turret axis would pass 0.01 m from the azimuth axis; the wrist's offset keeps it 0.1664 m away
     p = np.array([1.11285 + 0.36, -0.4515 + 0.01, 1.0])
-    answers = inverse_kinematics(ARM, Tool.DRILL, p, np.array([1.0, 0.0, 0.0]))
-    assert where_verdict(answers, BranchVerdict.OUT_OF_REACH).all()
-    np.testing.assert_allclose(answers.excess, 0.1664 - 0.01, atol=1e-12)
+    result = inverse_kinematics(ARM, Tool.DRILL, p, np.array([1.0, 0.0, 0.0]))
+    assert where_verdict(result, BranchVerdict.OUT_OF_REACH).all()
+    np.testing.assert_allclose(result.excess, 0.1664 - 0.01, atol=1e-12)
 
 
 @pytest.mark.parametrize("tool", Tool)
 @pytest.mark.parametrize("elbow_rad", [0.0, 1e-9, 1e-5, -1e-3])
 def test_a_nearly_straight_elbow_is_answered_or_out_of_reach_by_nothing(tool, elbow_rad):
-    """At the double root: what is returned is right, and what is out of reach is out by a rounding error."""
+    """At the double root every returned root is right, and every excess of reach is a rounding error."""
     q = in_limits(config_of(), np.random.default_rng(7), 1000)
     q[2] = elbow_rad
     p, a = targets_of(q, tool)
-    answers = inverse_kinematics(ARM, tool, p, a)
-    assert_consistent(ARM, answers)
-    ok = claimed_roots(answers)
+    result = inverse_kinematics(ARM, tool, p, a)
+    assert_consistent(ARM, result)
+    ok = claimed_roots(result)
     assert ok.any(axis=0).mean() > 0.99
-    X = pose_of(ARM, answers.output_rad, tool)
+    X = pose_of(ARM, result.output_rad, tool)
     error = np.abs(task_error(X, p[:, None], a[:, None])).max(axis=0)
     assert error[ok].max() < RIGID_M
 
@@ -249,18 +248,18 @@ def test_what_is_returned_near_double_roots_and_singular_directions_is_right(nam
     boresight = np.arctan2(*ARM.X_FT[Tool.APXS].R[[1, 0], 0])
     q[4, 200:] = np.pi / 2 - boresight + 10.0 ** rng.uniform(-9, -1, 200) * rng.choice([-1, 1], 200)
     p, a = targets_of(q, Tool.APXS, arm, pull)
-    answers = inverse_kinematics(arm, Tool.APXS, p, a, pull)
-    assert_consistent(arm, answers)
-    valid = where_verdict(answers, BranchVerdict.VALID)
+    result = inverse_kinematics(arm, Tool.APXS, p, a, pull)
+    assert_consistent(arm, result)
+    valid = where_verdict(result, BranchVerdict.VALID)
     p, a = (of_roots(v, valid) for v in (p, a))
-    error = np.abs(task_error(pose_of(arm, answers.output_rad[:, valid], Tool.APXS, pull), p, a))
+    error = np.abs(task_error(pose_of(arm, result.output_rad[:, valid], Tool.APXS, pull), p, a))
     assert error.max() < (RIGID_M if pull is None else LOADED_M)
     for k in range(0, 400, 7):
-        assert_sentences(arm, select_result(answers, k))
+        assert_sentences(arm, select_targets(result, k))
 
 
 def along_the_pitch_axis(tool):
-    """A target whose approach is parallel to the pitch axes of the arm that looks toward it."""
+    """Compute a target whose approach is parallel to the pitch axes of the arm that points to it."""
     q = np.array([0.3, -0.8, 1.5, 1.0, 0.0])
     boresight = ARM.X_FT[tool].R[:, 0]
     q[4] = np.pi / 2 - np.arctan2(boresight[1], boresight[0])
@@ -271,15 +270,15 @@ def along_the_pitch_axis(tool):
 
 @pytest.mark.parametrize("tool", Tool)
 def test_an_approach_along_the_pitch_axis_is_singular_for_that_shoulder_of_the_rigid_arm(tool):
-    answers = inverse_kinematics(ARM, tool, *along_the_pitch_axis(tool))
+    result = inverse_kinematics(ARM, tool, *along_the_pitch_axis(tool))
     out = np.array(["shoulder-out" in name for name in BRANCHES])
-    assert where_verdict(answers, BranchVerdict.SINGULAR)[out].all()
-    assert not where_verdict(answers, BranchVerdict.SINGULAR)[~out].any()
-    assert np.isnan(answers.output_rad[:, out]).all()
-    assert (answers.joint[out] == Joint.WRIST).all()
-    assert (answers.excess[out] < FREE_SINE).all()
+    assert where_verdict(result, BranchVerdict.SINGULAR)[out].all()
+    assert not where_verdict(result, BranchVerdict.SINGULAR)[~out].any()
+    assert np.isnan(result.output_rad[:, out]).all()
+    assert (result.joint[out] == Joint.WRIST).all()
+    assert (result.excess[out] < FREE_SINE).all()
     for branch in np.flatnonzero(out):
-        assert describe_slot(ARM, answers, branch) == (
+        assert describe_slot(ARM, result, branch) == (
             f"{BRANCHES[branch]}: singular, the approach is parallel to the pitch axes "
             "and the wrist pitch is free"
         )
@@ -287,40 +286,40 @@ def test_an_approach_along_the_pitch_axis_is_singular_for_that_shoulder_of_the_r
 
 @pytest.mark.parametrize("tool", Tool)
 @pytest.mark.parametrize("gravity", ["mars", "tilted"])
-def test_where_the_rigid_arm_has_a_family_the_hanging_arm_has_single_poses(tool, gravity):
-    """Not all of its members are bent alike: what is left are the members that hang as they should."""
+def test_where_the_rigid_arm_has_a_family_the_deflected_arm_has_single_poses(tool, gravity):
+    """The members of the family deflect differently; only those with the right deflection remain."""
     p, a = along_the_pitch_axis(tool)
     pull = GRAVITIES[gravity]
-    answers = inverse_kinematics(ARM, tool, p, a, pull)
+    result = inverse_kinematics(ARM, tool, p, a, pull)
     slot = np.flatnonzero(
-        claimed_roots(answers) & np.array(["out" in slot_name(k) for k in range(answers.verdict.size)])
+        claimed_roots(result) & np.array(["out" in slot_name(k) for k in range(result.verdict.size)])
     )
     assert slot.size >= 2
     trial = trial_of("nominal", gravity, tool)
-    assert (smallest_singular_value(trial, answers.output_rad[:, slot]) > 1e-6).all()
-    assert_no_root_twice(IkResult(*(getattr(answers, k)[..., None] for k in IkResult.__slots__)))
+    assert (smallest_singular_value(trial, result.output_rad[:, slot]) > 1e-6).all()
+    assert_no_root_twice(IkResult(*(getattr(result, k)[..., None] for k in IkResult.__slots__)))
 
 
 @pytest.mark.parametrize("gravity", ["mars", "tilted"])
-def test_no_branch_of_the_hanging_arm_is_said_to_have_a_free_wrist(gravity):
-    """It has a pose or none, but no family."""
-    answers = inverse_kinematics(ARM, Tool.DRILL, *along_the_pitch_axis(Tool.DRILL), GRAVITIES[gravity])
-    for branch in np.flatnonzero(where_verdict(answers, BranchVerdict.SINGULAR)):
-        assert "singular, no pose" in describe_slot(ARM, answers, branch)
+def test_no_branch_of_the_deflected_arm_is_said_to_have_a_free_wrist(gravity):
+    """The deflected arm has a pose or none, but no family."""
+    result = inverse_kinematics(ARM, Tool.DRILL, *along_the_pitch_axis(Tool.DRILL), GRAVITIES[gravity])
+    for branch in np.flatnonzero(where_verdict(result, BranchVerdict.SINGULAR)):
+        assert "singular, no pose" in describe_slot(ARM, result, branch)
 
 
 @pytest.mark.parametrize("off_rad", [0.0, 1e-15, 1e-12, 1e-9])
 @pytest.mark.parametrize("tool", Tool)
 def test_a_pose_with_its_approach_along_the_pitch_axes_is_answered_or_its_family_is_named(tool, off_rad):
-    """Whatever the elbow: at a free wrist the reach of one pitch says nothing about the others."""
+    """This holds for both elbows: at a free wrist, the reach of one pitch does not determine the others."""
     q = in_limits(config_of(), np.random.default_rng(31), 2000)
     boresight = ARM.X_FT[tool].R[:, 0]
     q[Joint.TURRET] = (0.5 * np.pi + off_rad - np.arctan2(boresight[1], boresight[0])) % (2 * np.pi)
     p, a = targets_of(q, tool)
-    answers = inverse_kinematics(ARM, tool, p, a)
+    result = inverse_kinematics(ARM, tool, p, a)
     shoulder = np.where(fold_distances(ARM.orthogonal[tool], q)[0] < 0, 0, 4)
-    of_shoulder = answers.verdict[shoulder + np.arange(4)[:, None], np.arange(q.shape[1])]
-    met = root_distances(answers, q).min(axis=0) < SAME_RAD
+    of_shoulder = result.verdict[shoulder + np.arange(4)[:, None], np.arange(q.shape[1])]
+    met = root_distances(result, q).min(axis=0) < SAME_RAD
     assert (met | (of_shoulder == BranchVerdict.SINGULAR).any(axis=0)).all()
 
 
@@ -329,11 +328,11 @@ def test_a_pose_with_its_approach_along_the_pitch_axes_is_answered_or_its_family
 def test_at_a_singular_target_what_is_returned_meets_it(tool, gravity):
     p, a = along_the_pitch_axis(tool)
     pull = GRAVITIES[gravity]
-    answers = inverse_kinematics(ARM, tool, p, a, pull)
-    assert_consistent(ARM, answers)
-    assert_sentences(ARM, answers)
-    there = claimed_roots(answers)
-    X = pose_of(ARM, answers.output_rad[:, there], tool, pull)
+    result = inverse_kinematics(ARM, tool, p, a, pull)
+    assert_consistent(ARM, result)
+    assert_sentences(ARM, result)
+    there = claimed_roots(result)
+    X = pose_of(ARM, result.output_rad[:, there], tool, pull)
     error = np.abs(task_error(X, p[:, None], a[:, None]))
     assert error.max(initial=0.0) < (RIGID_M if pull is None else LOADED_M)
 
@@ -355,10 +354,10 @@ UNREACHABLE = [
 @pytest.mark.parametrize("gravity", GRAVITIES)
 def test_an_unreachable_target_is_eight_sentences_and_no_exception(name, gravity, p, a):
     arm = arm_of(name)
-    answers = inverse_kinematics(arm, Tool.DRILL, np.array(p), np.array(a), GRAVITIES[gravity])
-    assert where_verdict(answers, BranchVerdict.OUT_OF_REACH).all()
-    assert_consistent(arm, answers)
-    assert_sentences(arm, answers)
+    result = inverse_kinematics(arm, Tool.DRILL, np.array(p), np.array(a), GRAVITIES[gravity])
+    assert where_verdict(result, BranchVerdict.OUT_OF_REACH).all()
+    assert_consistent(arm, result)
+    assert_sentences(arm, result)
 
 
 @settings(max_examples=60)
@@ -370,71 +369,71 @@ def test_no_sentence_and_no_number_of_any_target_is_nan(seed, gravity, name):
     arm = config_of(name).arm
     p = np.array([1.1, -0.45, 0.27]) + rng.choice([0.01, 0.5, 1.2, 2.0]) * rng.normal(size=3)
     a = np.eye(3)[rng.integers(3)] if rng.random() < 0.3 else rng.normal(size=3)
-    answers = inverse_kinematics(arm, Tool(rng.integers(5)), p, a / np.linalg.norm(a), GRAVITIES[gravity])
-    assert_consistent(arm, answers)
-    assert_sentences(arm, answers)
+    result = inverse_kinematics(arm, Tool(rng.integers(5)), p, a / np.linalg.norm(a), GRAVITIES[gravity])
+    assert_consistent(arm, result)
+    assert_sentences(arm, result)
 
 
 def test_the_sentence_about_a_limit_names_joint_angle_and_limits():
-    """Of the shown angle and limits a reader can compute the excess himself."""
-    _, _, _, answers = random_case(Tool.APXS, 200)
+    """The shown angle and limits agree with the excess."""
+    _, _, _, result = random_case(Tool.APXS, 200)
     pattern = re.compile(
         r"(?P<name>.+): joint (?P<joint>\w+): (?P<angle>-?[\d.]+) deg is outside "
         r"its soft limits (?P<low>-?[\d.]+) \.\. (?P<high>-?[\d.]+) deg"
     )
     read = 0
     for k in range(200):
-        one = select_result(answers, k)
+        one = select_targets(result, k)
         for branch in np.flatnonzero(one.verdict == BranchVerdict.OUTSIDE_LIMITS):
-            told = pattern.fullmatch(describe_slot(ARM, one, int(branch)))
-            assert Joint[told["joint"].upper()] == one.joint[branch]
-            angle, low, high = (float(told[word]) for word in ("angle", "low", "high"))
+            match = pattern.fullmatch(describe_slot(ARM, one, int(branch)))
+            assert Joint[match["joint"].upper()] == one.joint[branch]
+            angle, low, high = (float(match[word]) for word in ("angle", "low", "high"))
             assert max(low - angle, angle - high) == pytest.approx(np.degrees(one.excess[branch]), abs=0.11)
             read += 1
     assert read > 100
 
 
 def test_a_valid_branch_says_so():
-    q, _, _, answers = random_case(Tool.APXS, 1)
-    one, branch = select_result(answers, 0), int(root_distances(answers, q)[:, 0].argmin())
+    q, _, _, result = random_case(Tool.APXS, 1)
+    one, branch = select_targets(result, 0), int(root_distances(result, q)[:, 0].argmin())
     assert describe_slot(ARM, one, branch) == f"{BRANCHES[branch]}: valid"
 
 
 @pytest.mark.parametrize("tool", [Tool.APXS, Tool.MAHLI])
 def test_a_batch_of_rigid_targets_is_its_single_targets_bit_for_bit_in_any_shape(tool):
     n = 150
-    _, p, a, answers = random_case(tool, n)
+    _, p, a, result = random_case(tool, n)
     shaped = inverse_kinematics(ARM, tool, p.reshape(3, 5, 30), a.reshape(3, 5, 30))
     for k in range(n):
         one = inverse_kinematics(ARM, tool, p[:, k], a[:, k])
         for name in IkResult.__slots__:
-            several = getattr(answers, name)[..., k]
+            several = getattr(result, name)[..., k]
             np.testing.assert_array_equal(several, getattr(one, name))
             np.testing.assert_array_equal(several, getattr(shaped, name)[..., k // 30, k % 30])
 
 
 def test_targets_of_more_than_one_chunk_are_answered_as_those_of_one():
-    """Chunks may have different numbers of slots; together they have the largest."""
-    made = near_double_roots("calibrated:3", "rigid", Tool.DRT, 40)
-    easy = anywhere("calibrated:3", "rigid", Tool.DRT, N_LOADED)
+    """Chunks may have different numbers of slots; the whole has the largest."""
+    solved = near_double_roots("calibrated:3", "rigid", Tool.DRT, 40)
+    easy = random_poses("calibrated:3", "rigid", Tool.DRT, N_LOADED)
     p, a = (np.tile(v, CHUNK // N_LOADED + 1)[:, :CHUNK] for v in (easy.p, easy.a))
-    p, a = (np.concatenate([many, few], axis=1) for many, few in ((p, made.p), (a, made.a)))
+    p, a = (np.concatenate([many, few], axis=1) for many, few in ((p, solved.p), (a, solved.a)))
     assert p.shape[1] == CHUNK + 40
-    answers = inverse_kinematics(made.trial.arm, Tool.DRT, p, a)
-    assert answers.verdict.shape[0] >= made.answers.verdict.shape[0] > 8
-    for part, alone in ((slice(CHUNK, None), made.answers), (slice(0, N_LOADED), easy.answers)):
+    result = inverse_kinematics(solved.trial.arm, Tool.DRT, p, a)
+    assert result.verdict.shape[0] >= solved.result.verdict.shape[0] > 8
+    for part, alone in ((slice(CHUNK, None), solved.result), (slice(0, N_LOADED), easy.result)):
         slots = alone.verdict.shape[0]
-        np.testing.assert_array_equal(answers.verdict[:slots, part], alone.verdict)
-        assert (answers.verdict[slots:, part] == BranchVerdict.ABSENT).all()
-    assert_consistent(made.trial.arm, answers)
+        np.testing.assert_array_equal(result.verdict[:slots, part], alone.verdict)
+        assert (result.verdict[slots:, part] == BranchVerdict.ABSENT).all()
+    assert_consistent(solved.trial.arm, result)
 
 
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
-def test_a_batch_of_hanging_targets_is_its_single_targets(name):
-    made = anywhere(name, "mars", Tool.DRT, N_LOADED)
+def test_a_batch_of_deflected_targets_is_its_single_targets(name):
+    solved = random_poses(name, "mars", Tool.DRT, N_LOADED)
     for k in range(0, N_LOADED, 4):
-        one = inverse_kinematics(made.trial.arm, Tool.DRT, made.p[:, k], made.a[:, k], MARS_R_m_s2)
-        own, many = one.verdict.shape[0], select_result(made.answers, k)
+        one = inverse_kinematics(solved.trial.arm, Tool.DRT, solved.p[:, k], solved.a[:, k], MARS_R_m_s2)
+        own, many = one.verdict.shape[0], select_targets(solved.result, k)
         for word in ("verdict", "joint"):
             np.testing.assert_array_equal(getattr(many, word)[:own], getattr(one, word))
         assert (many.verdict[own:] == BranchVerdict.ABSENT).all()
@@ -445,24 +444,24 @@ def test_a_batch_of_hanging_targets_is_its_single_targets(name):
 
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3", "skew:1"])
 def test_gravity_that_is_all_zeros_is_no_gravity(name):
-    made = near_double_roots(name, "rigid", Tool.APXS, 60)
-    answers = inverse_kinematics(made.trial.arm, Tool.APXS, made.p, made.a, np.zeros(3))
+    solved = near_double_roots(name, "rigid", Tool.APXS, 60)
+    result = inverse_kinematics(solved.trial.arm, Tool.APXS, solved.p, solved.a, np.zeros(3))
     for word in IkResult.__slots__:
-        np.testing.assert_array_equal(getattr(answers, word), getattr(made.answers, word))
+        np.testing.assert_array_equal(getattr(result, word), getattr(solved.result, word))
 
 
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3", "skew:1"])
 @pytest.mark.parametrize("gravity", GRAVITIES)
 @pytest.mark.parametrize("shape", [(0,), (2, 0), (0, 3)])
-def test_of_no_targets_there_are_no_answers(name, gravity, shape):
+def test_of_no_targets_there_are_no_roots(name, gravity, shape):
     nothing = np.zeros((3, *shape))
-    answers = inverse_kinematics(arm_of(name), Tool.DRILL, nothing, nothing, GRAVITIES[gravity])
-    assert answers.verdict.shape == answers.excess.shape == (8, *shape)
-    assert answers.output_rad.shape == answers.torque_Nm.shape == (5, 8, *shape)
+    result = inverse_kinematics(arm_of(name), Tool.DRILL, nothing, nothing, GRAVITIES[gravity])
+    assert result.verdict.shape == result.excess.shape == (8, *shape)
+    assert result.output_rad.shape == result.torque_Nm.shape == (5, 8, *shape)
 
 
 def two_turns(joint):
-    """An angle that the limits allow in two turns, and the two."""
+    """Return an angle that the limits allow in two turns, and both turns."""
     low, high = ARM.soft_min_rad[joint], ARM.soft_max_rad[joint]
     assert high - low > 2 * np.pi or joint is not Joint.WRIST
     angle = 0.5 * (low + 2 * np.pi + high)
@@ -489,16 +488,16 @@ def test_the_answer_in_the_turn_next_to_where_the_arm_is(gravity):
     for wrist in (high, low):
         q = np.array([0.1, -1.0, 1.2, wrist, 1.0])
         p, a = targets_of(q, Tool.APXS, gravity=GRAVITIES[gravity])
-        answers = inverse_kinematics(ARM, Tool.APXS, p, a, GRAVITIES[gravity], near_rad=q)
+        result = inverse_kinematics(ARM, Tool.APXS, p, a, GRAVITIES[gravity], near_rad=q)
         same = np.where(
-            claimed_roots(answers), np.abs(wrap_angle(answers.output_rad.T - q)).max(axis=1), 9.0
+            claimed_roots(result), np.abs(wrap_angle(result.output_rad.T - q)).max(axis=1), 9.0
         ).argmin()
-        assert answers.verdict[same] == BranchVerdict.VALID
-        np.testing.assert_allclose(answers.output_rad[:, same], q, atol=1e-6)
+        assert result.verdict[same] == BranchVerdict.VALID
+        np.testing.assert_allclose(result.output_rad[:, same], q, atol=1e-6)
 
 
 def test_a_turret_near_either_end_of_its_travel_is_brought_inside():
-    """Its travel is 350.2 deg: most angles fit in one turn, those in the gap in none."""
+    """The travel is 350.2 deg: most angles fit in one turn, those between the limits in none."""
     low, high = ARM.soft_min_rad[4], ARM.soft_max_rad[4]
     for angle in (low + 0.01, high - 0.01, 0.0, np.pi):
         for turn in (-2, -1, 0, 1, 2):
@@ -537,9 +536,9 @@ def test_the_sentence_of_a_limit_is_in_degrees():
 
 
 def test_only_a_limit_rejects_a_branch():
-    """At stow, elbow-down and shoulder-in answers are as good as any (DESIGN, section 5)."""
+    """In the stowed pose, elbow-down and shoulder-in roots are as good as any (DESIGN, section 5)."""
     counts = np.zeros(8, int)
     for tool in Tool:
-        _, _, _, answers = random_case(tool)
-        counts += where_verdict(answers, BranchVerdict.VALID).sum(axis=1)
+        _, _, _, result = random_case(tool)
+        counts += where_verdict(result, BranchVerdict.VALID).sum(axis=1)
     assert (counts > 0).all()

@@ -1,10 +1,10 @@
-"""Answers as a record: a sentence for every verdict, slots that grow, batches joined and put together."""
+"""Results as records: a sentence for every verdict, more slots, concatenated and replaced batches."""
 
 import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint, Tool
-from fsw.kinematics.batch import pad_slots
+from fsw.kinematics.batch import pad_slots, select_targets
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.ik import (
     FREE_SINE,
@@ -14,7 +14,6 @@ from fsw.kinematics.ik import (
     describe_slot,
     pad_result,
     replace_results,
-    select_result,
 )
 from tests.fsw.kinematics.lab import assert_consistent, near_double_roots
 from tests.fsw.rig import config_of
@@ -22,8 +21,8 @@ from tests.fsw.rig import config_of
 ARM = config_of().arm
 
 
-def answers_of(n, slots=8, seed=0):
-    """Numbers that can be told apart, in a batch (n,)."""
+def result_of(n, slots=8, seed=0):
+    """Build a result of distinct numbers, batch (n,)."""
     rng = np.random.default_rng(seed)
     whole = (slots, n)
     return IkResult(
@@ -33,7 +32,7 @@ def answers_of(n, slots=8, seed=0):
 
 
 def one(verdict, joint=Joint.AZIMUTH, excess=0.0, error=np.nan, angle=np.nan, slot=2, slots=8):
-    """A target with something to say about one slot."""
+    """Build the result of one target with values in one slot."""
     blank = IkResult(
         np.full((5, slots), np.nan), np.zeros((5, slots)), np.zeros(slots, int), np.zeros(slots, int),
         np.zeros(slots), np.full(slots, np.nan),
@@ -78,13 +77,13 @@ SENTENCES = [
 ]
 
 
-@pytest.mark.parametrize(("answers", "reason"), SENTENCES)
-def test_every_verdict_has_its_sentence(answers, reason):
-    assert describe_slot(ARM, answers, 2) == f"{BRANCHES[2]}: {reason}"
+@pytest.mark.parametrize(("result", "reason"), SENTENCES)
+def test_every_verdict_has_its_sentence(result, reason):
+    assert describe_slot(ARM, result, 2) == f"{BRANCHES[2]}: {reason}"
 
 
 def test_no_verdict_is_without_a_sentence():
-    assert {int(answers.verdict[2]) for answers, _ in SENTENCES} == set(BranchVerdict)
+    assert {int(result.verdict[2]) for result, _ in SENTENCES} == set(BranchVerdict)
 
 
 def test_a_slot_for_a_further_root_is_called_by_its_branch_and_number():
@@ -95,27 +94,27 @@ def test_a_slot_for_a_further_root_is_called_by_its_branch_and_number():
 
 
 def test_more_slots_leave_what_is_there_and_say_that_the_new_ones_are_empty():
-    answers = answers_of(5)
-    wide = pad_result(answers, 24)
+    result = result_of(5)
+    wide = pad_result(result, 24)
     for name in IkResult.__slots__:
-        np.testing.assert_array_equal(getattr(wide, name)[..., :8, :], getattr(answers, name))
+        np.testing.assert_array_equal(getattr(wide, name)[..., :8, :], getattr(result, name))
     assert (wide.verdict[8:] == BranchVerdict.ABSENT).all()
     assert np.isnan(wide.output_rad[:, 8:]).all()
     assert np.isnan(wide.error[8:]).all()
     for empty in (wide.torque_Nm[:, 8:], wide.joint[8:], wide.excess[8:]):
         assert not empty.any()
-    assert wide.verdict.dtype == answers.verdict.dtype
+    assert wide.verdict.dtype == result.verdict.dtype
 
 
 def test_slots_are_never_taken_away():
-    assert pad_result(answers_of(5, slots=16), 8).verdict.shape == (16, 5)
+    assert pad_result(result_of(5, slots=16), 8).verdict.shape == (16, 5)
     values = np.arange(6.0).reshape(2, 3)
     np.testing.assert_array_equal(pad_slots(values, 2, 7.0), values)
     np.testing.assert_array_equal(pad_slots(values, 3, 7.0), [[0, 1, 2], [3, 4, 5], [7, 7, 7]])
 
 
 def test_pieces_are_joined_in_their_order_with_the_slots_of_the_widest():
-    pieces = [answers_of(3, 8, 1), answers_of(0, 8, 2), answers_of(4, 24, 3), answers_of(2, 16, 4)]
+    pieces = [result_of(3, 8, 1), result_of(0, 8, 2), result_of(4, 24, 3), result_of(2, 16, 4)]
     whole, at = concatenate_results(pieces), 0
     assert whole.verdict.shape == (24, 9)
     for piece in pieces:
@@ -127,28 +126,28 @@ def test_pieces_are_joined_in_their_order_with_the_slots_of_the_widest():
 
 
 @pytest.mark.parametrize(("slots", "others"), [(8, 8), (8, 24), (16, 8)])
-def test_answers_put_in_the_place_of_others_leave_the_rest(slots, others):
-    answers, new, where = answers_of(6, slots, 1), answers_of(2, others, 2), np.array([4, 1])
-    both, widest = replace_results(answers, where, new), max(slots, others)
+def test_results_put_in_the_place_of_others_leave_the_rest(slots, others):
+    result, new, where = result_of(6, slots, 1), result_of(2, others, 2), np.array([4, 1])
+    both, widest = replace_results(result, where, new), max(slots, others)
     rest = np.array([0, 2, 3, 5])
     for name in IkResult.__slots__:
         value = getattr(both, name)
         np.testing.assert_array_equal(value[..., where], getattr(pad_result(new, widest), name))
-        np.testing.assert_array_equal(value[..., rest], getattr(pad_result(answers, widest), name)[..., rest])
+        np.testing.assert_array_equal(value[..., rest], getattr(pad_result(result, widest), name)[..., rest])
     for name in IkResult.__slots__:
-        np.testing.assert_array_equal(getattr(answers, name), getattr(answers_of(6, slots, 1), name))
+        np.testing.assert_array_equal(getattr(result, name), getattr(result_of(6, slots, 1), name))
 
 
-def test_at_target_takes_one_of_a_batch():
-    answers = answers_of(5, 16)
+def test_one_target_is_selected_from_a_batch():
+    result = result_of(5, 16)
     for k in range(5):
-        single = select_result(answers, k)
+        single = select_targets(result, k)
         for name in IkResult.__slots__:
-            np.testing.assert_array_equal(getattr(single, name), getattr(answers, name)[..., k])
+            np.testing.assert_array_equal(getattr(single, name), getattr(result, name)[..., k])
 
 
-def test_a_target_taken_out_of_a_wide_batch_keeps_its_word():
-    made = near_double_roots("nominal", "mars", Tool.APXS, 40)
-    assert made.answers.verdict.shape[0] > 8
+def test_a_target_taken_out_of_a_wide_batch_stays_consistent():
+    solved = near_double_roots("nominal", "mars", Tool.APXS, 40)
+    assert solved.result.verdict.shape[0] > 8
     for k in range(40):
-        assert_consistent(made.trial.arm, select_result(made.answers, k))
+        assert_consistent(solved.trial.arm, select_targets(solved.result, k))

@@ -1,4 +1,4 @@
-"""Newton steps to the arm as it hangs: what refine promises is checked by letting the arm settle."""
+"""Newton steps to roots of the deflected arm, checked by its static equilibrium."""
 
 import numpy as np
 import pytest
@@ -18,8 +18,8 @@ TILTED_R_m_s2 = np.array([0.9, -1.2, 3.4])
 RIGID = np.zeros(3)
 
 
-def hanging_targets(config, tool, n, gravity):
-    """Targets that the hanging arm is known to reach, well inside its limits: outputs, positions, axes."""
+def deflected_targets(config, tool, n, gravity):
+    """Compute targets that the deflected arm reaches well inside its limits: outputs, positions, axes."""
     q = in_limits(config, np.random.default_rng(200 + tool), n, shrink=0.1)
     q[2, np.abs(q[2]) < 0.3] = 0.5
     here = settle(config.arm, q, np.zeros_like(q), gravity)
@@ -27,15 +27,15 @@ def hanging_targets(config, tool, n, gravity):
     return here.output_rad, X.p, X.R[:, 0]
 
 
-def hanging(config, output_rad, gravity, tool):
+def deflected_tool(config, output_rad, gravity, tool):
     return tool_pose(config.arm, settle_output(config.arm, output_rad, gravity).frames, tool)
 
 
 @pytest.mark.parametrize("name", ARMS)
 @pytest.mark.parametrize("tool", Tool)
-def test_the_settled_arm_meets_the_target_that_refine_was_given(name, tool):
+def test_the_settled_arm_meets_the_target_that_newton_was_given(name, tool):
     config = config_of(name)
-    _, p, a = hanging_targets(config, tool, 60, MARS_R_m_s2)
+    _, p, a = deflected_targets(config, tool, 60, MARS_R_m_s2)
     p, a = (np.repeat(v[:, None], 8, axis=1) for v in (p, a))
     start = wrap_into_limits(config.arm, closed_form(config.arm, tool, p[:, 0], a[:, 0]).output_rad)
     found = refine_roots(config.arm, tool, p, a, MARS_R_m_s2, start)
@@ -60,9 +60,9 @@ def test_flight_parameters_of_the_calibrated_arm_are_not_the_drawing():
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_without_gravity_refine_answers_for_the_rigid_arm(name):
+def test_without_gravity_newton_solves_the_rigid_arm(name):
     config = config_of(name)
-    q, p, a = hanging_targets(config, Tool.APXS, 40, RIGID)
+    q, p, a = deflected_targets(config, Tool.APXS, 40, RIGID)
     found = refine_roots(config.arm, Tool.APXS, p, a, RIGID, q + 0.01)
     assert found.converged.all()
     assert not found.torque_Nm.any()
@@ -73,7 +73,7 @@ def test_without_gravity_refine_answers_for_the_rigid_arm(name):
 
 def test_deflection_matters_by_millimetres():
     config = config_of()
-    _, p, a = hanging_targets(config, Tool.DRILL, 40, MARS_R_m_s2)
+    _, p, a = deflected_targets(config, Tool.DRILL, 40, MARS_R_m_s2)
     start = closed_form(config.arm, Tool.DRILL, p, a).output_rad
     p, a = (np.repeat(v[:, None], 8, axis=1) for v in (p, a))
     loaded = refine_roots(config.arm, Tool.DRILL, p, a, MARS_R_m_s2, start)
@@ -85,11 +85,11 @@ def test_deflection_matters_by_millimetres():
 
 def test_the_error_is_what_is_left_at_the_tool_and_the_torque_that_of_the_arm_at_rest():
     config = config_of("calibrated:3")
-    q, p, a = hanging_targets(config, Tool.MAHLI, 30, TILTED_R_m_s2)
+    q, p, a = deflected_targets(config, Tool.MAHLI, 30, TILTED_R_m_s2)
     found = refine_roots(config.arm, Tool.MAHLI, p, a, TILTED_R_m_s2, q + 0.02)
     assert found.converged.all()
     assert (found.error < TASK_TOLERANCE).all()
-    X = hanging(config, found.output_rad, TILTED_R_m_s2, Tool.MAHLI)
+    X = deflected_tool(config, found.output_rad, TILTED_R_m_s2, Tool.MAHLI)
     assert np.abs(task_error(X, p, a)).max() < 1e-10
     at_rest = settle_output(config.arm, found.output_rad, TILTED_R_m_s2)
     np.testing.assert_allclose(found.torque_Nm, at_rest.torque_Nm, atol=1e-6)
@@ -98,22 +98,22 @@ def test_the_error_is_what_is_left_at_the_tool_and_the_torque_that_of_the_arm_at
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 @pytest.mark.parametrize("gravity", [RIGID, MARS_R_m_s2, TILTED_R_m_s2], ids=["rigid", "mars", "tilted"])
 def test_next_to_a_double_root_what_converges_meets_its_target(name, gravity):
-    """Converged means an error below the tolerance, told truly; and nearly every start does converge."""
+    """A converged root has a true error below the tolerance, and nearly every start converges."""
     config, rng = config_of(name), np.random.default_rng(15)
     q = in_limits(config_of(), rng, 200, shrink=0.1)
     q[2] = 10.0 ** rng.uniform(-6, -2, 200) * rng.choice([-1, 1], 200)
-    X = hanging(config, q, gravity, Tool.APXS)
+    X = deflected_tool(config, q, gravity, Tool.APXS)
     found = refine_roots(config.arm, Tool.APXS, X.p, X.R[:, 0], gravity, q + 0.03)
     assert found.converged.mean() > 0.9
     np.testing.assert_array_equal(found.converged, found.error < ROOT_TOLERANCE)
     ok = found.converged
-    here = hanging(config, found.output_rad[:, ok], gravity, Tool.APXS)
+    here = deflected_tool(config, found.output_rad[:, ok], gravity, Tool.APXS)
     assert np.abs(task_error(here, X.p[:, ok], X.R[:, 0][:, ok])).max() < 2 * ROOT_TOLERANCE
 
 
-def test_a_tool_that_points_the_other_way_is_no_answer():
+def test_a_tool_that_points_the_other_way_is_no_root():
     config = config_of()
-    q, p, a = hanging_targets(config, Tool.DRILL, 30, RIGID)
+    q, p, a = deflected_targets(config, Tool.DRILL, 30, RIGID)
     found = refine_roots(config.arm, Tool.DRILL, p, -a, RIGID, q)
     X = tool_pose(config.arm, forward(config.arm, found.output_rad), Tool.DRILL)
     faces = dot(X.R[:, 0], -a) > 0.999
@@ -126,7 +126,7 @@ def test_a_tool_that_points_the_other_way_is_no_answer():
 @pytest.mark.parametrize("gravity", [RIGID, MARS_R_m_s2], ids=["rigid", "mars"])
 def test_a_target_out_of_reach_does_not_converge_and_raises_nothing(name, gravity):
     config = config_of(name)
-    q, p, a = hanging_targets(config, Tool.APXS, 20, MARS_R_m_s2)
+    q, p, a = deflected_targets(config, Tool.APXS, 20, MARS_R_m_s2)
     for far in (p + 3.0, p + np.array([[0], [0], [50.0]]), 1e4 * p):
         found = refine_roots(config.arm, Tool.APXS, far, a, gravity, q)
         assert not found.converged.any()
@@ -135,7 +135,7 @@ def test_a_target_out_of_reach_does_not_converge_and_raises_nothing(name, gravit
 
 def test_a_start_that_is_not_finite_does_not_converge_and_leaves_its_neighbours_alone():
     config = config_of()
-    q, p, a = hanging_targets(config, Tool.APXS, 10, MARS_R_m_s2)
+    q, p, a = deflected_targets(config, Tool.APXS, 10, MARS_R_m_s2)
     start = q.copy()
     start[:, 3] = np.nan
     start[2, 5] = np.inf
@@ -147,7 +147,7 @@ def test_a_start_that_is_not_finite_does_not_converge_and_leaves_its_neighbours_
 
 def test_unreachable_neighbours_do_not_change_what_converges():
     config = config_of()
-    q, p, a = hanging_targets(config, Tool.APXS, 12, MARS_R_m_s2)
+    q, p, a = deflected_targets(config, Tool.APXS, 12, MARS_R_m_s2)
     mixed = p.copy()
     mixed[:, ::3] += 2.0
     found = refine_roots(config.arm, Tool.APXS, mixed, a, MARS_R_m_s2, q + 0.01)
@@ -161,7 +161,7 @@ def test_unreachable_neighbours_do_not_change_what_converges():
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 def test_a_batch_of_targets_is_its_single_targets(name):
     config = config_of(name)
-    q, p, a = hanging_targets(config, Tool.APXS, 12, MARS_R_m_s2)
+    q, p, a = deflected_targets(config, Tool.APXS, 12, MARS_R_m_s2)
     shape = (2, 6)
     many = refine_roots(
         config.arm, Tool.APXS, p.reshape(3, *shape), a.reshape(3, *shape), MARS_R_m_s2,
@@ -179,7 +179,7 @@ def test_a_batch_of_targets_is_its_single_targets(name):
 
 def test_one_target_may_have_many_starts():
     config = config_of()
-    q, p, a = hanging_targets(config, Tool.APXS, 1, MARS_R_m_s2)
+    q, p, a = deflected_targets(config, Tool.APXS, 1, MARS_R_m_s2)
     starts = q + np.linspace(-0.02, 0.02, 7)
     found = refine_roots(config.arm, Tool.APXS, p[:, 0], a[:, 0], MARS_R_m_s2, starts)
     assert found.converged.all()
@@ -189,7 +189,7 @@ def test_one_target_may_have_many_starts():
 @pytest.mark.parametrize("gravity", [RIGID, TILTED_R_m_s2], ids=["rigid", "tilted"])
 def test_of_the_starts_that_lead_to_one_root_of_a_target_one_is_followed_and_no_root_is_lost(gravity):
     config = config_of("calibrated:3")
-    _, p, a = hanging_targets(config, Tool.DRILL, 40, gravity)
+    _, p, a = deflected_targets(config, Tool.DRILL, 40, gravity)
     roots = closed_form(config.arm, Tool.DRILL, p, a).output_rad.reshape(5, -1)
     target = np.tile(np.arange(40), 8 * 5)
     start = np.concatenate([roots + shift for shift in np.linspace(-0.02, 0.02, 5)], axis=1)

@@ -10,7 +10,7 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.newton import refine_roots
 from fsw.kinematics.statics import relative_target
-from tests.fsw.kinematics.test_newton import RIGID, hanging, hanging_targets
+from tests.fsw.kinematics.test_newton import RIGID, deflected_targets, deflected_tool
 from tests.fsw.rig import MARS_R_m_s2, config_of
 
 REFERENCE = np.array([0.3, -1.0, 1.6, 2.1, 1.2])
@@ -19,13 +19,13 @@ REFERENCE = np.array([0.3, -1.0, 1.6, 2.1, 1.2])
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 @pytest.mark.parametrize("tool", Tool)
 def test_relative_to_the_reference_pose_the_target_there_is_the_reference_pose(name, tool):
-    """The rigid tool at the reference pose as target: the answer is the reference pose itself."""
+    """With the rigid tool at the reference pose as target, the root is the reference pose itself."""
     config = config_of(name)
     drawn = tool_pose(config.arm, forward(config.arm, REFERENCE), tool)
     p, a = relative_target(config.arm, tool, REFERENCE, MARS_R_m_s2, drawn.p, drawn.R[:, 0])
-    hung = hanging(config, REFERENCE, MARS_R_m_s2, tool)
-    np.testing.assert_allclose(p, hung.p, atol=1e-14)
-    np.testing.assert_allclose(a, hung.R[:, 0], atol=1e-14)
+    deflected = deflected_tool(config, REFERENCE, MARS_R_m_s2, tool)
+    np.testing.assert_allclose(p, deflected.p, atol=1e-14)
+    np.testing.assert_allclose(a, deflected.R[:, 0], atol=1e-14)
     found = refine_roots(config.arm, tool, p, a, MARS_R_m_s2, REFERENCE + 0.01)
     assert found.converged
     np.testing.assert_allclose(found.output_rad, REFERENCE, atol=1e-8)
@@ -33,14 +33,14 @@ def test_relative_to_the_reference_pose_the_target_there_is_the_reference_pose(n
 
 def test_without_deflection_relative_is_absolute():
     config = config_of()
-    _, p, a = hanging_targets(config, Tool.DRT, 8, RIGID)
+    _, p, a = deflected_targets(config, Tool.DRT, 8, RIGID)
     moved_p, moved_a = relative_target(config.arm, Tool.DRILL, REFERENCE, RIGID, p, a)
     np.testing.assert_allclose(moved_p, p, atol=1e-14)
     np.testing.assert_allclose(moved_a, a, atol=1e-14)
 
 
 def test_only_the_difference_of_deflection_counts():
-    """Near the reference, commanded angles follow the rigid arm: what both poses share cancels."""
+    """Near the reference, commanded angles follow the rigid arm: the common deflection cancels."""
     config = config_of()
     rng = np.random.default_rng(12)
     q = REFERENCE[:, None] + rng.uniform(-0.01, 0.01, (5, 20))
@@ -56,13 +56,13 @@ def test_only_the_difference_of_deflection_counts():
 
 
 def test_over_one_spot_the_shifts_of_two_tools_relative_to_each_other_cancel():
-    """What one tool is shifted for, seen from the other, is what the other is shifted back; stiff springs."""
+    """The shift of one tool, relative to the other, is the opposite of the other's; stiff springs."""
     config = config_of()
     arm = replace(config.arm, compliance=1e-3 * config.arm.compliance)
     spot = tool_pose(arm, forward(arm, REFERENCE), Tool.APXS)
     p, a = spot.p, spot.R[:, 0]
-    answers = inverse_kinematics(arm, Tool.DRT, p, a)
-    there = answers.output_rad[:, np.flatnonzero(answers.verdict == BranchVerdict.VALID)[-1]]
+    result = inverse_kinematics(arm, Tool.DRT, p, a)
+    there = result.output_rad[:, np.flatnonzero(result.verdict == BranchVerdict.VALID)[-1]]
     shifts = []
     for tool, pose, other, other_pose in (
         (Tool.DRT, there, Tool.APXS, REFERENCE),
@@ -78,7 +78,7 @@ def test_over_one_spot_the_shifts_of_two_tools_relative_to_each_other_cancel():
 
 def test_relative_targets_come_in_batches():
     config = config_of()
-    _, p, a = hanging_targets(config, Tool.APXS, 6, MARS_R_m_s2)
+    _, p, a = deflected_targets(config, Tool.APXS, 6, MARS_R_m_s2)
     batch = (v.reshape(3, 2, 3) for v in (p, a))
     many = relative_target(config.arm, Tool.DRILL, REFERENCE, MARS_R_m_s2, *batch)
     for k in range(6):
@@ -89,7 +89,7 @@ def test_relative_targets_come_in_batches():
 
 def test_with_springs_half_as_stiff_the_relative_shift_doubles():
     config = config_of()
-    _, p, a = hanging_targets(config, Tool.APXS, 1, MARS_R_m_s2)
+    _, p, a = deflected_targets(config, Tool.APXS, 1, MARS_R_m_s2)
     shifts = []
     for softer in (1e-4, 2e-4):
         arm = replace(config.arm, compliance=softer * config.arm.compliance)

@@ -21,7 +21,7 @@ RESOLVER_RAD = np.array([0.797107, -1.576209, -1.506384, 1.673409, 2.760045])
 GRAVITY_R_m_s2 = 3.711 * np.array([-0.056348, 0.023005, 0.998146])
 FLIGHT_P_R_M = np.array([0.238353, -0.923706, -0.165335])
 FLIGHT_Q_TR = np.array([0.1586527, 0.5402789, 0.3604649, 0.7436351])
-"""(w, x, y, z), rover to tool: its conjugate is the tool in the rover frame."""
+"""Quaternion (w, x, y, z) from rover to tool; its conjugate is the tool in the rover frame."""
 
 CONFIG = config_of()
 ARM, HALF_GAP_RAD = CONFIG.arm, CONFIG.half_gap_rad
@@ -29,7 +29,7 @@ LOADED_SIDE = np.sign(settle(ARM, ENCODER_RAD, np.zeros(5), GRAVITY_R_m_s2).torq
 
 
 def from_quaternion(q) -> np.ndarray:
-    """The rotation of a unit quaternion (w, x, y, z)."""
+    """Build the rotation of a unit quaternion (w, x, y, z)."""
     w, (x, y, z) = q[0], q[1:]
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + 2 * w * K + 2 * K @ K
@@ -42,20 +42,20 @@ def drill(frames: Frames) -> Pose:
     return tool_pose(ARM, frames, Tool.DRILL)
 
 
-def hanging(gap_rad, arm: Arm = ARM) -> Pose:
-    """The drill for motors at the encoder angles, gears wound up beyond these places in their backlash."""
-    return tool_pose(arm, settle(arm, ENCODER_RAD, gap_rad, GRAVITY_R_m_s2).frames, Tool.DRILL)
+def deflected_drill(backlash_rad, arm: Arm = ARM) -> Pose:
+    """Compute the drill pose for the encoder angles, with wind-up beyond these positions in the backlash."""
+    return tool_pose(arm, settle(arm, ENCODER_RAD, backlash_rad, GRAVITY_R_m_s2).frames, Tool.DRILL)
 
 
 def across(*joints: Joint) -> Pose:
-    """Half the backlash on the side of the load, but on the other side for some joints."""
+    """Compute the drill pose with the outputs on the loaded side, but some joints on the other."""
     sides = np.array(LOADED_SIDE)
     sides[list(joints)] *= -1
-    return hanging(sides * HALF_GAP_RAD)
+    return deflected_drill(sides * HALF_GAP_RAD)
 
 
 def stiffer(factor: float) -> Arm:
-    """All links and gears."""
+    """Scale the stiffness of all links and gears."""
     gears = ARM.gear_stiffness_Nm_rad * factor
     return replace(ARM, compliance=ARM.compliance / factor, gear_stiffness_Nm_rad=gears)
 
@@ -63,28 +63,28 @@ def stiffer(factor: float) -> Arm:
 LINES = {
     "rigid": drill(forward(ARM, ENCODER_RAD)),
     "links": drill(settle_output(ARM, ENCODER_RAD, GRAVITY_R_m_s2).frames),
-    "wound up": hanging(np.zeros(5)),
+    "wound up": deflected_drill(np.zeros(5)),
     "deflected": across(),
     "J1 across": across(Joint.AZIMUTH),
     "J5 across": across(Joint.TURRET),
     "both across": across(Joint.AZIMUTH, Joint.TURRET),
-    "whole gap": hanging((LOADED_SIDE - 1.0) * HALF_GAP_RAD),
+    "whole gap": deflected_drill((LOADED_SIDE - 1.0) * HALF_GAP_RAD),
     "rigid, resolvers": drill(forward(ARM, RESOLVER_RAD)),
     "links, resolvers": drill(settle_output(ARM, RESOLVER_RAD, GRAVITY_R_m_s2).frames),
-    "stiffer": hanging(LOADED_SIDE * HALF_GAP_RAD, stiffer(1.2)),
-    "softer": hanging(LOADED_SIDE * HALF_GAP_RAD, stiffer(1 / 1.2)),
-    "colder": hanging(LOADED_SIDE * HALF_GAP_RAD, heat_arm(ARM, -60.0)),
+    "stiffer": deflected_drill(LOADED_SIDE * HALF_GAP_RAD, stiffer(1.2)),
+    "softer": deflected_drill(LOADED_SIDE * HALF_GAP_RAD, stiffer(1 / 1.2)),
+    "colder": deflected_drill(LOADED_SIDE * HALF_GAP_RAD, heat_arm(ARM, -60.0)),
 }
 
 
 def apart(X_RT: Pose) -> tuple[np.ndarray, float]:
-    """Position [m] and angle [rad] from the rover's own estimate."""
+    """Compute position [m] and angle [rad] from the rover's own estimate."""
     chord = np.linalg.norm(X_RT.R - FLIGHT.R) / np.sqrt(8)
     return X_RT.p - FLIGHT.p, 2 * float(np.arcsin(chord))
 
 
 def table_under(heading: str) -> dict[str, list[str]]:
-    """The rows of the page's table under a heading, by their first cell."""
+    """Read the rows of the page's table under a heading, by their first cell."""
     part = PAGE.read_text(encoding="utf-8").split(f"## {heading}\n")[1].split("\n## ")[0]
     rows = [[cell.strip(" *") for cell in line.split("|")[1:-1]] for line in part.splitlines() if "|" in line]
     return {row[0]: row[1:] for row in rows[2:]}
@@ -97,7 +97,7 @@ def test_the_flight_pose_is_a_pose():
 
 
 def test_the_deflected_drill_is_within_5_mm_and_5_mrad_of_the_rover_s_own_estimate():
-    """Encoders at the motors; each gear wound up by its load, on the flank that the load presses it to."""
+    """Encoders measure the motors; each gear is wound up on the flank to which its load presses it."""
     miss, angle = apart(LINES["deflected"])
     assert np.linalg.norm(miss) < 5e-3
     assert angle < 5e-3
@@ -109,7 +109,7 @@ def test_the_rigid_drill_is_centimetres_away():
     assert angle > 20e-3
 
 
-def test_the_load_decides_the_side_of_three_gaps_and_leaves_two_to_friction():
+def test_the_load_decides_the_side_of_three_backlashes_and_leaves_two_to_friction():
     at_rest = settle(ARM, ENCODER_RAD, LOADED_SIDE * HALF_GAP_RAD, GRAVITY_R_m_s2)
     assert at_rest.converged
     np.testing.assert_array_equal(np.sign(at_rest.torque_Nm), LOADED_SIDE)

@@ -15,7 +15,7 @@ ARMS = ["nominal", "calibrated:3"]
 
 
 def potential_J(arm, frames, gravity):
-    """Of the lumps under gravity."""
+    """Compute the potential energy of the masses under gravity."""
     energy = 0.0
     for i in range(6):
         X_RL, X_LD = frames.X_RL[i], frames.X_LD[i]
@@ -26,12 +26,12 @@ def potential_J(arm, frames, gravity):
 
 
 def compliances(arm):
-    """One (6, 6) a link."""
+    """Return the stiffness of each link, (6, 6) each."""
     return np.moveaxis(arm.compliance, -1, 0)
 
 
 def spring_J(arm, strain):
-    """Of the springs; where nothing yields there is no energy."""
+    """Compute the energy of the springs; rigid directions have none."""
     return sum(0.5 * s @ np.linalg.pinv(C) @ s for s, C in zip(strain.T, compliances(arm), strict=True))
 
 
@@ -93,7 +93,7 @@ def test_every_spring_is_reciprocal_and_gives_only_energy_that_was_put_in(name):
 
 
 def test_small_loads_at_two_places_deflect_each_other_alike():
-    """Maxwell and Betti: the work of one small load in the motion of another does not depend on the order."""
+    """By Maxwell and Betti, the work of one small load in the motion of another is symmetric."""
     config = config_of()
     q = in_limits(config, np.random.default_rng(4), 1)[:, 0]
     small = 1e-4
@@ -127,7 +127,7 @@ def test_the_equilibrium_converges_everywhere_inside_the_limits_on_mars_and_on_e
         np.testing.assert_allclose(torque, here.torque_Nm, atol=1e-5)
 
 
-def test_the_output_is_the_motor_angle_plus_gap_plus_wind_up():
+def test_the_output_is_the_motor_angle_plus_backlash_plus_wind_up():
     config, rng = config_of(), np.random.default_rng(7)
     motor = in_limits(config, rng, 30)
     gap = rng.choice([-1.0, 1.0], (5, 30)) * config.half_gap_rad[:, None]
@@ -147,7 +147,7 @@ def test_settling_at_the_output_is_settling_at_the_motor_that_leads_there():
 
 @pytest.mark.parametrize("name", ARMS)
 def test_a_batch_of_arms_at_rest_is_its_single_arms(name):
-    """The batch goes on until its last arm has converged; one more pass moves a converged arm by 1e-12."""
+    """A batch iterates until its last arm has converged; one more pass moves a converged arm by 1e-12."""
     config = config_of(name)
     motor = in_limits(config, np.random.default_rng(9), 6).reshape(5, 2, 3)
     many = settle(config.arm, motor, np.zeros_like(motor), EARTH_R_m_s2)
@@ -184,7 +184,7 @@ def test_gravity_may_differ_from_arm_to_arm_of_a_batch():
 
 
 def test_a_strain_is_rotation_first_and_the_links_come_second():
-    """Arm level and straight; only the upper arm yields, to a turn about its pitch axis, z of its frame."""
+    """The arm is level and straight; only the upper arm deflects, about the z axis of its frame."""
     config = config_of()
     compliance = np.zeros_like(config.arm.compliance)
     compliance[2, 2, 2] = 1e-9

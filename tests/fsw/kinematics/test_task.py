@@ -1,4 +1,4 @@
-"""The task error and its derivative, and one look at the arm as it hangs."""
+"""The task error and its derivative, and one evaluation of the deflected arm."""
 
 from itertools import pairwise
 
@@ -9,13 +9,13 @@ from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.task import evaluate_pose, task_error, task_jacobian
-from tests.fsw.kinematics.test_newton import RIGID, TILTED_R_m_s2, hanging_targets
+from tests.fsw.kinematics.test_newton import RIGID, TILTED_R_m_s2, deflected_targets
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 
 
 def test_the_task_jacobian_agrees_with_finite_differences():
     config, h = config_of("calibrated:3"), 1e-6
-    q, _, _ = hanging_targets(config, Tool.MAHLI, 20, MARS_R_m_s2)
+    q, _, _ = deflected_targets(config, Tool.MAHLI, 20, MARS_R_m_s2)
     rng = np.random.default_rng(3)
     for angles in q.T:
         X = tool_pose(config.arm, forward(config.arm, angles), Tool.MAHLI)
@@ -43,8 +43,8 @@ def test_on_its_target_the_error_is_nothing_and_a_tool_that_looks_the_other_way_
 
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 @pytest.mark.parametrize("gravity", [MARS_R_m_s2, TILTED_R_m_s2], ids=["mars", "tilted"])
-def test_looking_again_with_the_strain_that_was_found_leads_to_the_arm_at_rest(name, gravity):
-    """Every pass leaves a small share of the strain change before it; the pose is of first order in it."""
+def test_repeated_evaluation_with_the_strain_that_was_found_leads_to_the_arm_at_rest(name, gravity):
+    """Every pass leaves a small share of the strain change; the pose is first order in it."""
     arm = config_of(name).arm
     q = in_limits(config_of(), np.random.default_rng(6), 50)
     at_rest = settle_output(arm, q, gravity)
@@ -62,7 +62,7 @@ def test_looking_again_with_the_strain_that_was_found_leads_to_the_arm_at_rest(n
     np.testing.assert_allclose(tried.torque_Nm, at_rest.torque_Nm, atol=1e-6)
 
 
-def test_without_gravity_a_look_is_at_the_rigid_arm():
+def test_without_gravity_the_evaluation_is_of_the_rigid_arm():
     arm = config_of("calibrated:3").arm
     q = in_limits(config_of(), np.random.default_rng(7), 20)
     tried = evaluate_pose(arm, Tool.MAHLI, q, None, RIGID)

@@ -1,4 +1,4 @@
-"""Rotations, poses and screws obey the laws of their groups, one or many at a time."""
+"""Rotations, poses and screws obey the laws of their groups, single and in batches."""
 
 import numpy as np
 import pytest
