@@ -1,6 +1,6 @@
 """Random targets and joint vectors of the kinematics campaign, with emphasis on singularities and limits.
 
-Two roots meet if the elbow is straight, if the approach is parallel to the pitch axes, or if the turret axis
+Two roots meet at a straight elbow, at an approach parallel to the pitch axes, and where the turret axis
 intersects the azimuth axis. Distances of joint vectors from there have a uniform logarithm, from 1 urad to
 0.3 rad. So have distances of targets from the faces of the workspace.
 """
