@@ -7,7 +7,7 @@ motor and gear plus the torque T = load + friction of the output. On the stop, T
 
 with the compliances of gear and stop in series. The running current contains the friction of the day. The
 line therefore meets the running current at the motor angle of contact, wherever the output lay in its
-backlash: output = motor + b/2 + T / K.
+backlash. There, output = motor + b/2 + T / K.
 
 On the way back, the torque follows the line until the gear carries nothing. The motor then crosses the
 backlash with the current of friction alone. At the end of the backlash the gear takes up the load of the
