@@ -136,7 +136,7 @@ def wrenches() -> lab.Array:
 
 
 @pytest.mark.parametrize("effect", SPRINGS, ids=str)
-def test_a_softer_link_moves_the_tool_by_jacobian_compliance_and_moment(effect, drawn_m) -> None:
+def test_a_softer_link_moves_the_tool_by_jacobian_compliance_and_moment(effect, nominal_position_m) -> None:
     """u = J C tau: the spring yields by compliance times moment, and the tool turns about the spring."""
     frame, axis, compliance = effect.added_compliance()
     deflected = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
@@ -144,15 +144,15 @@ def test_a_softer_link_moves_the_tool_by_jacobian_compliance_and_moment(effect, 
     spring_R = X_RL.R[:, :, frame] @ ARM.p_LC_m[:, frame] + X_RL.p[:, frame]
     turn_R = X_RL.R[:, axis, frame] * compliance * wrenches()[axis, frame]
     expected = np.cross(turn_R, tool.p - spring_R)
-    moved = rest_position_m(effect) - drawn_m
+    moved = rest_position_m(effect) - nominal_position_m
     assert np.linalg.norm(expected) > 5e-6
     np.testing.assert_allclose(moved, expected, rtol=0, atol=0.05 * np.linalg.norm(expected) + 1e-6)
 
 
 @TIMES
-def test_twice_the_compliance_moves_the_tool_twice_as_far(times: float, drawn_m) -> None:
-    one = np.linalg.norm(rest_position_m(LinkBending(Frame.ARM3, "z", 5e-6)) - drawn_m)
-    more = np.linalg.norm(rest_position_m(LinkBending(Frame.ARM3, "z", 5e-6 * times)) - drawn_m)
+def test_twice_the_compliance_moves_the_tool_twice_as_far(times: float, nominal_position_m) -> None:
+    one = np.linalg.norm(rest_position_m(LinkBending(Frame.ARM3, "z", 5e-6)) - nominal_position_m)
+    more = np.linalg.norm(rest_position_m(LinkBending(Frame.ARM3, "z", 5e-6 * times)) - nominal_position_m)
     assert more / one == pytest.approx(times, rel=0.03)
 
 
