@@ -202,22 +202,22 @@ def rank(matrix: lab.Array) -> int:
     return counted
 
 
-def test_all_42_frame_axes_move_the_tool_in_26_ways(screws: lab.Array) -> None:
-    assert rank(screws) == 26
+def test_all_42_frame_axes_move_the_tool_in_26_ways(tool_jacobian: lab.Array) -> None:
+    assert rank(tool_jacobian) == 26
 
 
-def test_the_identifiable_axes_are_independent(screws: lab.Array) -> None:
-    assert rank(screws[:, [AXES.index(place) for place in SEEN]]) == 26
+def test_the_identifiable_axes_are_independent(tool_jacobian: lab.Array) -> None:
+    assert rank(tool_jacobian[:, [AXES.index(place) for place in SEEN]]) == 26
 
 
 @pytest.mark.parametrize("place", UNSEEN, ids=lambda place: f"{place[0].name}-{place[1]}")
-def test_no_other_axis_tells_anything_new(screws: lab.Array, place: tuple[Frame, int]) -> None:
+def test_no_other_axis_tells_anything_new(tool_jacobian: lab.Array, place: tuple[Frame, int]) -> None:
     columns = [AXES.index(p) for p in (*SEEN, place)]
-    assert rank(screws[:, columns]) == 26
+    assert rank(tool_jacobian[:, columns]) == 26
 
 
 @pytest.mark.parametrize("frame", Frame)
-def test_the_columns_are_what_frame_errors_do(screws: lab.Array, frame: Frame) -> None:
+def test_the_columns_are_what_frame_errors_do(tool_jacobian: lab.Array, frame: Frame) -> None:
     """Compare the first pose with finite differences through the flight parameters."""
     params = nominal_params()
     arm = build_arm(params)
@@ -229,4 +229,4 @@ def test_the_columns_are_what_frame_errors_do(screws: lab.Array, frame: Frame) -
         other = build_arm(FrameError(frame, tuple(float(s) for s in step), tool).on_params(params))
         moved = inverse(X) @ tool_pose(other, forward(other, pose), Tool.APXS)
         screw = np.array([moved.R[2, 1], moved.R[0, 2], moved.R[1, 0], *moved.p]) / 1e-6
-        np.testing.assert_allclose(screws[:6, 6 * frame + axis], screw, rtol=0, atol=1e-5)
+        np.testing.assert_allclose(tool_jacobian[:6, 6 * frame + axis], screw, rtol=0, atol=1e-5)
