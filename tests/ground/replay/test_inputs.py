@@ -65,7 +65,10 @@ REFUSED = {
     "no such command": (with_commands(CommandEntry(0, "Jump", "{}")), "command: 'Jump' is not known"),
     "torn arguments": (with_commands(CommandEntry(0, "Stop", "{")), "Expecting property name"),
     "no sensors": (replace(LOG, packets={}), "has no /sensors, so there is nothing to replay; give"),
-    "a late beginning": (with_sensor_ticks(np.arange(5, 9)), "begins at tick 5; what flight software knew"),
+    "a late beginning": (
+        with_sensor_ticks(np.arange(5, 9)),
+        "begins at tick 5; the state of flight software",
+    ),
     "one tick": (replace(with_sensor_ticks(np.arange(1)), truncated=True), "no tick that is surely complete"),
     "no currents": (without_field("current_A"), "/sensors.current_A is missing"),
 }
