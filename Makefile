@@ -11,7 +11,8 @@ WORKERS ?= 2
 
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: help setup demo test bench brief campaign accuracy calibration ur10 joints jobs blind killed damage fuzz references oracle viewers lint lock clean
+.PHONY: help setup demo test bench brief campaign accuracy calibration ur10 joints jobs blind killed damage fuzz mutants \
+  references oracle viewers lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
@@ -29,6 +30,7 @@ help:
 	@echo "make references  make the reference runs of tests/replay anew, print what differs"
 	@echo "make damage    flip bits of logs and cut them, see what reading and recovery make of it, print it as JSON"
 	@echo "make fuzz      feed the readers of files with broken ones for a minute, print what came of it as JSON"
+	@echo "make mutants   change fsw/protect in a thousand places, print which changes its own tests do not notice"
 	@echo "make oracle    compare the inverse kinematics with EAIK, if it can be installed"
 	@echo "make viewers   open a log in pymcap-cli and Rerun, if they can be installed"
 	@echo "make lint      style, types and the direction of imports"
@@ -106,6 +108,16 @@ fuzz: $(VENV)/ready
 	@$(call say,a minute of broken files)
 	@$(BIN)/python -m validation.fuzz $(ARGS)
 
+# Optional, and not in the lock. A mutant that times out is killed too; fails below 95 %.
+mutants: $(VENV)/ready
+	@$(INSTALL) "mutmut>=3.8" || { $(call say,mutmut was not installed; pip says why above); exit 1; }
+	@$(call say,a thousand mutants in $(WORKERS) processes; this takes five minutes)
+	@rm -rf mutants
+	@env -u PYTHONPATH $(BIN)/mutmut run --max-children $(WORKERS) >&2
+	@$(BIN)/mutmut results --all true | awk -F '[.:] *' \
+	  'NF > 3 { all[$$3]++; total++; if ($$NF ~ /killed|timeout/) { dead[$$3]++; sum++ } else print } \
+	  END { for (file in all) print file ".py", dead[file] + 0 "/" all[file]; print "all", sum "/" total; exit sum < 0.95 * total }'
+
 # Optional, and not in the lock. Without its dependencies, which are for URDF files and take 240 MB: what is used
 # of EAIK needs numpy alone. Where no wheel fits or no index answers, the tests are skipped and say so.
 oracle: $(VENV)/ready
@@ -155,5 +167,5 @@ lock:
 	  --extra test --group build $(ARGS) -o requirements.lock pyproject.toml
 
 clean:
-	@rm -rf $(VENV) *.egg-info build dist .hypothesis .mypy_cache .ruff_cache .pytest_cache
+	@rm -rf $(VENV) *.egg-info build dist mutants .hypothesis .mypy_cache .ruff_cache .pytest_cache
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

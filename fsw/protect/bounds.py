@@ -52,14 +52,14 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         The bounds.
     """
     joints, monitors = params.joints.in_order(), params.monitors
-    each = np.ones(len(joints))
     lowest = np.array([j.soft_min_rad - monitors.soft_limit_margin_rad for j in joints])
     highest = np.array([j.soft_max_rad + monitors.soft_limit_margin_rad for j in joints])
-    hardstop = np.array([j.hardstop_rad for j in joints])
-    lag = min(monitors.stall_error_rad, monitors.following_error_rad) * each
+    lowest_seeking = np.tile(lowest, (len(joints), 1))
+    np.fill_diagonal(lowest_seeking, [j.hardstop_rad - 2 * params.hardstop.window_rad for j in joints])
+    lag = np.full(len(joints), min(monitors.stall_error_rad, monitors.following_error_rad))
     over_current = monitors.over_current_fraction * np.array([j.current_limit_A for j in joints])
-    coldest, hottest = monitors.winding_min_C * each, monitors.winding_max_C * each
-    resolver_error = monitors.resolver_error_rad * each
+    coldest, hottest = np.full_like(lag, monitors.winding_min_C), np.full_like(lag, monitors.winding_max_C)
+    resolver_error = np.full_like(lag, monitors.resolver_error_rad)
     load_error = np.array([j.load_error_Nm for j in joints])
     return ProtectionBounds(
         monitors=monitors,
@@ -68,9 +68,7 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         press_error_share=params.preload.error_share,
         lowest_rad=lowest,
         highest_rad=highest,
-        lowest_seeking_rad=np.where(
-            np.eye(len(joints), dtype=bool), hardstop - 2 * params.hardstop.window_rad, lowest
-        ),
+        lowest_seeking_rad=lowest_seeking,
         setpoint_step_rad=np.array([monitors.setpoint_step_factor * cycle_s * j.speed_rad_s for j in joints]),
         over_current_A=over_current,
         approach_wind_up_rad=LOAD_ERROR_FACTOR * load_error / arm.gear_stiffness_Nm_rad,

@@ -98,18 +98,18 @@ def _monitor_arm(
     evrs: tuple[Evr, ...] = ()
     counts = ALL_ZERO
     if True in sensors.switch_closed.tolist():
-        evrs += check_unexpected_contact(arm.mode, arm.tool, sensors.switch_closed)
+        evrs = check_unexpected_contact(arm.mode, arm.tool, sensors.switch_closed)
     if motors.exceed_any_bound(bounds, arm, sensors):
         counts, found = _monitor_joints(bounds, last, arm, sensors)
         evrs += found
-    if arm.move is None or planned_gravity_R is None:
-        return counts, evrs
-    lost = outside = 0
-    tilted, turned = check_tilt(bounds, last.tilt, planned_gravity_R, arm.imu_R_m_s2)
-    evrs += turned
-    if arm.move.press is not None:
-        lost, contact = check_contact_kept(bounds, last.contact, arm.move.press, sensors.switch_closed)
-        outside, force = check_press_force(bounds, last.press, arm, arm.move.press)
+    tilted = lost = outside = 0
+    if planned_gravity_R is not None:
+        tilted, turned = check_tilt(bounds, last.tilt, planned_gravity_R, arm.imu_R_m_s2)
+        evrs += turned
+    press = None if arm.move is None else arm.move.press
+    if press is not None:
+        lost, contact = check_contact_kept(bounds, last.contact, press, sensors.switch_closed)
+        outside, force = check_press_force(bounds, last.press, arm, press)
         evrs += contact + force
     if tilted or lost or outside:
         counts = replace(counts, tilt=tilted, contact=lost, press=outside)

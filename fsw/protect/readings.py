@@ -1,6 +1,6 @@
 """Monitors of the readings: finite, plausible, alive, as many as there should be; gravity as at the start."""
 
-from math import atan2, hypot, isfinite, sin
+from math import atan2, dist, hypot, isfinite, sin
 from operator import eq
 from typing import Final
 
@@ -99,11 +99,9 @@ def check_tilt(
     Returns:
         The count with this cycle, and the fault.
     """
-    monitors, near = bounds.monitors, sin(bounds.monitors.tilt_rad)
-    ax, ay, az = planned_R.tolist()
-    bx, by, bz = read_R.tolist()
+    monitors, planned = bounds.monitors, planned_R.tolist()
     # vectors this close cannot differ more in direction
-    if (bx - ax) ** 2 + (by - ay) ** 2 + (bz - az) ** 2 <= near * near * (ax * ax + ay * ay + az * az):
+    if dist(planned, read_R.tolist()) <= sin(monitors.tilt_rad) * hypot(*planned):
         return 0, ()
     turned = atan2(float(np.linalg.norm(np.cross(planned_R, read_R))), float(planned_R @ read_R))
     if turned <= monitors.tilt_rad:

@@ -1,74 +1,93 @@
-"""An arm in the middle of what it does, and the readings that trouble it."""
+"""An arm in plain values to which nothing happens, and the readings of its sensors."""
 
 import numpy as np
 
-from fsw.dictionary.commands import MoveJoints
-from fsw.dictionary.enums import Switch, Tool
-from fsw.dictionary.evrs import FaultResponse
-from fsw.protect.responses import Response
-from tests.fsw.rig import Rig, config_of, facing, floats
+from fsw.dictionary.enums import Mode, Switch, Tool
+from fsw.protect.status import ArmStatus, MoveStatus, PressStatus
+from tests.fsw.rig import MARS_R_m_s2, config_of, quiet_sensors
 
 CONFIG = config_of()
-BOUNDS = CONFIG.params.monitors
-START = facing(CONFIG, Tool.APXS)
-REFUSED = FaultResponse(Response.BRAKE_AND_REFUSE)
-UNPOWERED = FaultResponse(Response.POWER_OFF)
-STOPPED = FaultResponse(Response.STOP_AND_BRAKE)
+PARAMS = CONFIG.params
+JOINTS = PARAMS.joints.in_order()
+BOUNDS = CONFIG.protection
+MONITORS = PARAMS.monitors
+STIFFNESS = CONFIG.arm.gear_stiffness_Nm_rad
+READY = np.array(PARAMS.poses.ready_rad)
+ZERO = np.zeros(5)
+WOUND_RAD = CONFIG.half_gap_rad + 0.02
+"""Gears that a load holds far out on a flank."""
+
+STILL = MoveStatus(
+    setpoint_rad=READY,
+    setpoint_rate_rad_s=ZERO,
+    is_stopping=False,
+    is_releasing=False,
+    seeking=None,
+    approaching=None,
+    press=None,
+)
+RESTING = ArmStatus(
+    mode=Mode.DEPLOYED,
+    tool=Tool.APXS,
+    calibrated=np.ones(5, bool),
+    motor_rad=READY,
+    motor_rate_rad_s=ZERO,
+    gear_rad=WOUND_RAD,
+    gear_lowest_rad=WOUND_RAD,
+    gear_highest_rad=WOUND_RAD,
+    gear_uncertainty_rad=ZERO,
+    half_backlash_rad=CONFIG.half_gap_rad,
+    resolver_error_rad=ZERO,
+    resolver_bias_rad=ZERO,
+    gravity_R_m_s2=MARS_R_m_s2,
+    imu_R_m_s2=MARS_R_m_s2,
+    move=None,
+)
 
 
-def windings(joint, winding_C):
-    return {"winding_C": np.where(np.arange(5) == joint, winding_C, -40.0)}
+def resting(**changes):
+    """The arm on its brakes."""
+    return RESTING._replace(**changes)
+
+
+def moving(move=STILL, mode=Mode.FREE_SPACE, **changes):
+    """The arm in a move."""
+    return RESTING._replace(mode=mode, move=move, **changes)
+
+
+def a_move(**changes):
+    return STILL._replace(**changes)
+
+
+def a_press(tool=Tool.DRILL, force_N=100.0, torque_per_N=ZERO, at_touch_rad=ZERO):
+    return PressStatus(tool, force_N, np.asarray(torque_per_N, float), at_touch_rad)
+
+
+def sensors(cycle=0, **readings):
+    return quiet_sensors(np.zeros(5), cycle, **readings)
+
+
+def at(joint, value, elsewhere=0.0):
+    """A value at one joint."""
+    return np.where(np.arange(5) == joint, value, elsewhere)
 
 
 def closed(*switches):
-    return {"switch_closed": np.isin(np.arange(len(Switch)), switches)}
+    return np.isin(np.arange(len(Switch)), switches)
 
 
-def currents(joint, ampere):
-    return {"current_A": np.where(np.arange(5) == joint, ampere, 0.0)}
+def above(value):
+    """The next number."""
+    return np.nextafter(value, np.inf)
 
 
-def moving(command=None):
-    rig = Rig(CONFIG, start_rad=START)
-    rig.until_moving(command or MoveJoints(floats(START + 0.05)))
-    rig.evrs.clear()
-    return rig
+def below(value):
+    return np.nextafter(value, -np.inf)
 
 
-def in_guarded_motion(tool=Tool.APXS):
-    rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
-    rig.until_moving(rig.touch(tool, 0.05), cycles=240)  # past the crossing of the gaps
-    rig.evrs.clear()
-    return rig
-
-
-def braked(rig):
-    drive = rig.outputs.drive
-    return not drive.brake_release.any() and not drive.setpoint_rate_rad_s.any()
-
-
-def found(rig, kind):
-    return [evr for evr in rig.evrs if isinstance(evr, kind)]
-
-
-def off_set_point(rig, joint, rad):
-    """A reading of the encoders that is this far from the set-point of the last cycle."""
-    shift = np.where(np.arange(5) == joint, rad / CONFIG.rad_per_count, 0)
-    return {"encoder_count": rig.count + np.rint(shift).astype(int)}
-
-
-def encoders_at(rig, joint, angle_rad):
-    """A reading of the encoders with one joint at this angle."""
-    zero = rig.state.joints.reference.zero_rad[joint]
-    count = np.rint((angle_rad - zero) / CONFIG.rad_per_count[joint]).astype(int)
-    return {"encoder_count": np.where(np.arange(5) == joint, count, rig.count)}
-
-
-def toward(joint, sign):
-    """In the middle of a move of this joint, upward or downward."""
-    pose = START + 0.1 * sign * (np.arange(5) == joint)
-    return moving(MoveJoints(floats(pose)))
-
-
-def resolver_off(rig, joint, off_rad):
-    return {"resolver_rad": rig.resolver_rad() + off_rad * (np.arange(5) == joint)}
+def assert_reports_from(persistence, check, event):
+    """A check that takes the count of cycles before this one reports from its persistence on."""
+    for count in range(persistence - 1):
+        assert check(count) == (count + 1, ())
+    for count in (persistence - 1, persistence, 7 * persistence):
+        assert check(count) == (count + 1, (event,))

@@ -1,289 +1,374 @@
-"""What motors do that they should not: too far, too slow, too much current, too hot, too cold."""
+"""Joints that do what they should not: at a bound nothing is reported, beyond it the worst joint is."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
-from fsw.dictionary.commands import MoveJoints
-from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted
+from fsw.config import CYCLE_S
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.faults import (
-    Fault,
     FollowingErrorHigh,
     MotorStalled,
-    NotSettled,
     OverCurrent,
     OverTemperature,
+    ResolverDisagrees,
+    SetpointUnsafe,
     SoftLimitPassed,
     UnderTemperature,
 )
-from fsw.motion.move import Phase
+from fsw.protect.motors import (
+    ROUNDING_RAD,
+    check_current,
+    check_following,
+    check_resolvers,
+    check_setpoint,
+    check_soft_limits,
+    check_stall,
+    check_windings,
+    exceed_any_bound,
+)
 from tests.fsw.protect.lab import (
     BOUNDS,
     CONFIG,
-    REFUSED,
-    START,
-    STOPPED,
-    UNPOWERED,
-    braked,
-    currents,
-    encoders_at,
-    found,
-    in_guarded_motion,
+    JOINTS,
+    MONITORS,
+    PARAMS,
+    READY,
+    ZERO,
+    a_move,
+    above,
+    assert_reports_from,
+    at,
+    below,
     moving,
-    off_set_point,
-    toward,
-    windings,
+    resting,
+    sensors,
 )
-from tests.fsw.rig import Rig, floats
+
+LOW, HIGH = CONFIG.arm.soft_min_rad, CONFIG.arm.soft_max_rad
+LOWEST = LOW - MONITORS.soft_limit_margin_rad
+HIGHEST = HIGH + MONITORS.soft_limit_margin_rad
+STEP = MONITORS.setpoint_step_factor * CYCLE_S * CONFIG.speed_rad_s
+WIDE = replace(BOUNDS, lowest_rad=np.full(5, -10.0), highest_rad=np.full(5, 10.0))
+"""Soft limits that no angle of these tests reaches."""
+BAD = [float("nan"), float("inf"), float("-inf")]
+joints = pytest.mark.parametrize("joint", Joint)
+ends = pytest.mark.parametrize(("end", "outward"), [("low", -1), ("high", 1)])
 
 
-@pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("sign", [1, -1])
-def test_over_current_is_said_after_exactly_its_persistence(joint, sign):
-    rig = moving()
-    bound = BOUNDS.over_current_fraction * CONFIG.current_limit_A[joint]
-    for _ in range(BOUNDS.over_current_persistence - 1):
-        rig.cycle(**currents(joint, sign * bound * 1.001))
-        assert rig.state.mode is Mode.FREE_SPACE
-    rig.cycle(**currents(joint, sign * bound * 1.001))
-    assert rig.evrs[:2] == [OverCurrent(joint, sign * bound * 1.001, bound), UNPOWERED]
-    assert rig.state.mode is Mode.FAULTED
-    assert braked(rig)
-    assert not rig.outputs.drive.power_on.any()
+def unsafe_setpoint(last_rad, setpoint_rad, seeking=None, bounds=BOUNDS):
+    return check_setpoint(bounds, a_move(setpoint_rad=setpoint_rad, seeking=seeking), last_rad)
 
 
-def test_over_current_with_a_gap_counts_from_the_start():
-    rig = moving()
-    high = currents(Joint.ELBOW, 4.9)
-    for _ in range(3):
-        for _ in range(BOUNDS.over_current_persistence - 1):
-            rig.cycle(**high)
-        rig.cycle()
-    assert not found(rig, OverCurrent)
-
-
-def test_current_at_the_bound_is_no_fault():
-    rig = moving()
-    at_bound = {"current_A": BOUNDS.over_current_fraction * CONFIG.current_limit_A}
-    for _ in range(2 * BOUNDS.over_current_persistence):
-        rig.cycle(**at_bound)
-    assert not found(rig, OverCurrent)
-
-
-@pytest.mark.parametrize("joint", Joint)
-def test_a_following_error_is_said_after_exactly_its_persistence(joint):
-    rig = moving()
-    for _ in range(BOUNDS.following_persistence - 1):
-        rig.cycle(**off_set_point(rig, joint, -1.5 * BOUNDS.following_error_rad))
-        assert rig.state.mode is Mode.FREE_SPACE
-    rig.cycle(**off_set_point(rig, joint, -1.5 * BOUNDS.following_error_rad))
-    (evr,) = found(rig, FollowingErrorHigh)
+@joints
+@pytest.mark.parametrize("value", BAD)
+def test_what_is_no_number_does_not_go_out(joint, value):
+    (evr,) = unsafe_setpoint(READY, at(joint, value, READY))
+    assert isinstance(evr, SetpointUnsafe)
     assert evr.joint is joint
-    assert evr.bound_rad == BOUNDS.following_error_rad
-    assert evr.error_rad > evr.bound_rad
-    assert REFUSED in rig.evrs
-    assert rig.state.mode is Mode.FAULTED
-    assert braked(rig)
+    assert evr.last_rad == READY[joint]
 
 
-def test_a_following_error_with_a_gap_counts_from_the_start():
-    rig = moving()
-    for _ in range(3):
-        for _ in range(BOUNDS.following_persistence - 1):
-            rig.cycle(**off_set_point(rig, Joint.WRIST, -2 * BOUNDS.following_error_rad))
-        rig.cycle()
-    assert not found(rig, FollowingErrorHigh)
+@joints
+def test_nothing_goes_out_after_what_was_no_number(joint):
+    assert unsafe_setpoint(at(joint, np.nan, READY), READY) != ()
 
 
-def seize(rig, joint):
-    """The encoders from now on, of an arm whose joint does not turn any more."""
-    stood = rig.count[joint]
-    return lambda: {"encoder_count": np.where(np.arange(5) == joint, stood, rig.count)}
+@joints
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_jump_is_a_step_larger_than_speed_and_factor_allow(joint, sign):
+    step = sign * STEP[joint]
+    assert unsafe_setpoint(ZERO, at(joint, step), bounds=WIDE) == ()
+    for jump in (sign * above(STEP[joint]), 1e6 * step):
+        assert unsafe_setpoint(ZERO, at(joint, jump), bounds=WIDE) == (SetpointUnsafe(joint, jump, 0.0),)
 
 
-def lag_rad(rig, joint):
-    return abs(rig.state.move.setpoint.motor_rad - rig.state.joints.motor_rad)[joint]
+def test_of_several_set_points_that_must_not_go_out_the_first_is_named():
+    (evr,) = unsafe_setpoint(ZERO, np.array([0.0, 0.0, 5.0, 0.0, 9.0]), bounds=WIDE)
+    assert evr == SetpointUnsafe(Joint.ELBOW, 5.0, 0.0)
 
 
-@pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("cycles", [1, 10, 30, 60, 90, 120])
-def test_a_joint_that_seizes_is_stalled_before_it_is_too_far_behind_however_slow_it_was(joint, cycles):
-    goal = START + 0.05 * (np.arange(5) == joint)
-    rig = Rig(CONFIG, start_rad=START)
-    rig.cycle(MoveJoints(floats(goal)))
-    for _ in range(cycles):
-        rig.cycle()
-    rig.evrs.clear()
-    reading, beyond = seize(rig, joint), 0
-    while not found(rig, Fault):
-        rig.cycle(**reading())
-        beyond += lag_rad(rig, joint) > BOUNDS.stall_error_rad
-    (evr,) = found(rig, Fault)
-    assert evr == MotorStalled(joint, 0.0, evr.asked_rad_s)
-    assert evr.asked_rad_s > 0
-    # in the cycle of the response the set-point is back where the motor is
-    assert BOUNDS.stall_persistence - 1 <= beyond <= BOUNDS.stall_persistence + 1
-    assert REFUSED in rig.evrs
-    assert rig.state.mode is Mode.FAULTED
-    assert braked(rig)
+def test_no_joint_is_left_out_of_the_check_of_set_points():
+    with pytest.raises(ValueError, match="shorter"):
+        unsafe_setpoint(READY[:4], READY)
 
 
-def slowed(rig, share):
-    """The arm turns this share of what it is asked, from a lag that is beyond the bound already."""
-    asked = rig.state.move.setpoint.rate_rad_s
-    rig.slowed = getattr(rig, "slowed", rig.count - 400.0) + share * asked / 64 / CONFIG.rad_per_count
-    return {"encoder_count": np.rint(rig.slowed).astype(int)}
+def edge(joint, end):
+    return LOWEST[joint] if end == "low" else HIGHEST[joint]
 
 
-@pytest.mark.parametrize(("share", "said"), [(-0.5, True), (0.05, True), (0.2, False)])
-def test_a_stalled_motor_turns_slower_than_its_share_of_what_is_asked_or_the_wrong_way(share, said):
-    rig = moving(MoveJoints(floats(START + 0.3)))
-    rig.until_moving(cycles=60)
-    for _ in range(BOUNDS.stall_persistence + 1):
-        rig.cycle(**slowed(rig, share))
-    assert bool(found(rig, MotorStalled)) is said
+@joints
+@ends
+def test_beyond_limit_and_margin_a_set_point_may_stay_or_go_back_but_not_out(joint, end, outward):
+    small = 0.1 * STEP[joint]
+    for before, after, said in (
+        (-2 * small, -small, False),
+        (-small, 0.0, False),
+        (-small, small, True),
+        (small, 2 * small, True),
+        (small, small, False),
+        (2 * small, small, False),
+        (small, -small, False),
+    ):
+        last, asked = (at(joint, edge(joint, end) + outward * off, READY) for off in (before, after))
+        assert bool(unsafe_setpoint(last, asked)) is said
 
 
-def test_a_motor_that_is_behind_but_catches_up_has_not_stalled():
-    rig = moving()
-    for _ in range(3):
-        for _ in range(BOUNDS.stall_persistence - 1):
-            rig.cycle(**off_set_point(rig, Joint.ELBOW, -0.95 * BOUNDS.following_error_rad))
-        rig.cycle()
-    assert not found(rig, MotorStalled)
+@joints
+@ends
+def test_the_last_number_inside_limit_and_margin_goes_out_and_the_next_one_does_not(joint, end, outward):
+    limit = edge(joint, end)
+    last = at(joint, limit - outward * 0.1 * STEP[joint], READY)
+    assert unsafe_setpoint(last, at(joint, limit, READY)) == ()
+    assert unsafe_setpoint(last, at(joint, np.nextafter(limit, outward * np.inf), READY)) != ()
 
 
-@pytest.mark.parametrize("joint", Joint)
-def test_a_motor_that_lags_by_what_friction_takes_has_not_stalled(joint):
-    """From the very start of the motion to its end, and on the way to a contact."""
-    commands = (MoveJoints(floats(START + 0.02)), MoveJoints(floats(START)))
-    for command in commands:
-        rig = Rig(CONFIG, start_rad=START)
-        rig.cycle(command)
-        while rig.outputs.joint.busy:
-            rate = rig.outputs.drive.setpoint_rate_rad_s[joint]
-            behind = BOUNDS.stall_error_rad * np.sign(rate) * (abs(rate) > 1e-6)
-            rig.cycle(**off_set_point(rig, joint, -0.9 * behind))
-        assert not found(rig, Fault)
-    rig = in_guarded_motion()
-    for _ in range(100):
-        rig.cycle(**off_set_point(rig, joint, -0.9 * BOUNDS.stall_error_rad))
-    assert not found(rig, Fault)
+@joints
+@ends
+def test_beyond_the_limit_rounding_is_no_motion_outward(joint, end, outward):
+    last = edge(joint, end) + outward * 0.1
+    drifted = last + outward * ROUNDING_RAD
+    assert unsafe_setpoint(at(joint, last, READY), at(joint, drifted, READY)) == ()
+    assert unsafe_setpoint(at(joint, last, READY), at(joint, drifted + outward * 1e-12, READY)) != ()
 
 
-@pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("start", [moving, lambda: Rig(CONFIG, start_rad=START)], ids=["moving", "resting"])
-def test_a_hot_winding_takes_the_power_off_after_exactly_its_persistence_moving_or_not(joint, start):
-    rig, hot = start(), windings(joint, BOUNDS.winding_max_C + 0.1)
-    for _ in range(BOUNDS.winding_persistence - 1):
-        rig.cycle(**hot)
-        assert not found(rig, OverTemperature)
-    rig.cycle(**hot)
-    (evr,) = found(rig, OverTemperature)
-    assert evr == OverTemperature(joint, BOUNDS.winding_max_C + 0.1, BOUNDS.winding_max_C)
-    assert UNPOWERED in rig.evrs
-    assert rig.state.mode is Mode.FAULTED
-    assert not rig.outputs.drive.power_on.any()
-    assert not rig.outputs.drive.brake_release.any()
+@joints
+@pytest.mark.parametrize("other", Joint)
+def test_only_the_joint_that_seeks_its_hardstop_may_be_sent_there_and_not_far_beyond_it(joint, other):
+    stop = JOINTS[other].hardstop_rad
+    small = 0.1 * STEP[other]
+    farthest = stop - 2 * PARAMS.hardstop.window_rad
+    for angle, said in ((stop, other is not joint), (farthest + small, other is not joint), (farthest, True)):
+        last, asked = angle + 0.5 * small, angle - 0.5 * small
+        found = unsafe_setpoint(at(other, last, READY), at(other, asked, READY), joint)
+        assert bool(found) is said
 
 
-@pytest.mark.parametrize("joint", Joint)
-def test_a_cold_winding_stops_a_move_after_exactly_its_persistence_without_a_standing_fault(joint):
-    rig, cold = moving(), windings(joint, BOUNDS.winding_min_C - 0.1)
-    for _ in range(BOUNDS.winding_persistence - 1):
-        rig.cycle(**cold)
-    assert not found(rig, UnderTemperature)
-    rig.cycle(**cold)
-    said = UnderTemperature(joint, BOUNDS.winding_min_C - 0.1, BOUNDS.winding_min_C)
-    assert rig.evrs == [said, STOPPED]
-    rig.run(**cold)
-    assert CommandAborted("MoveJoints") in rig.evrs
-    assert len(found(rig, UnderTemperature)) == 1
-    assert rig.state.mode is Mode.DEPLOYED
-    assert not rig.outputs.drive.power_on.any()
+moves = hnp.arrays(float, 5, elements=st.floats(-1, 1))
 
 
-def test_an_arm_at_rest_may_be_as_cold_as_it_gets_and_any_arm_as_warm_as_its_bound():
-    rig = Rig(CONFIG, start_rad=START)
-    for _ in range(3 * BOUNDS.winding_persistence):
-        rig.cycle(winding_C=np.full(5, -130.0))
-    assert not found(rig, Fault)
-    rig = moving()
-    for _ in range(3 * BOUNDS.winding_persistence):
-        rig.cycle(winding_C=np.full(5, BOUNDS.winding_max_C))
-    for _ in range(3):
-        for _ in range(BOUNDS.winding_persistence - 1):
-            rig.cycle(winding_C=np.full(5, 200.0))
-        rig.cycle()
-    assert not found(rig, Fault)
+@given(moves, moves)
+def test_inside_the_limits_every_step_a_move_can_make_goes_out(where, step):
+    last = LOW + (0.05 + 0.45 * (where + 1)) * (HIGH - LOW)
+    asked = np.clip(last + step * CYCLE_S * CONFIG.speed_rad_s, LOW, HIGH)
+    assert unsafe_setpoint(last, asked) == ()
 
 
-@pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("end", ["min", "max"])
-def test_a_joint_moving_outward_beyond_soft_limit_and_margin_faults_at_once_and_within_it_does_not(
-    joint, end
+LAG_RAD = min(MONITORS.stall_error_rad, MONITORS.following_error_rad)
+OVER_A = MONITORS.over_current_fraction * CONFIG.current_limit_A
+ANY_ANGLE = replace(
+    BOUNDS,
+    monitored_lowest=(-10.0,) * 5 + BOUNDS.monitored_lowest[5:],
+    monitored_highest=(10.0,) * 5 + BOUNDS.monitored_highest[5:],
+)
+
+
+def standing_at(joint, angle_rad):
+    return resting(motor_rad=at(joint, angle_rad, READY))
+
+
+def windings(joint, winding_C):
+    return {"winding_C": at(joint, winding_C, -40.0)}
+
+
+def resolver_off(joint, off_rad):
+    return resting(resolver_error_rad=at(joint, off_rad))
+
+
+def lagging(joint, lag_rad):
+    return moving(a_move(setpoint_rad=ZERO), motor_rad=at(joint, lag_rad))
+
+
+RESOLVER_RAD = MONITORS.resolver_error_rad
+MONITORED = {
+    "angle below": (BOUNDS, below, lambda j, beyond: (standing_at(j, beyond(LOWEST[j])), {})),
+    "angle above": (
+        BOUNDS,
+        above,
+        lambda j, beyond: (standing_at(j, beyond(HIGHEST[j])), {}),
+    ),
+    "behind": (ANY_ANGLE, above, lambda j, beyond: (lagging(j, -beyond(LAG_RAD)), {})),
+    "ahead": (ANY_ANGLE, above, lambda j, beyond: (lagging(j, beyond(LAG_RAD)), {})),
+    "current below": (BOUNDS, above, lambda j, beyond: (moving(), {"current_A": at(j, -beyond(OVER_A[j]))})),
+    "current above": (BOUNDS, above, lambda j, beyond: (moving(), {"current_A": at(j, beyond(OVER_A[j]))})),
+    "cold": (BOUNDS, below, lambda j, beyond: (moving(), windings(j, beyond(MONITORS.winding_min_C)))),
+    "hot": (BOUNDS, above, lambda j, beyond: (resting(), windings(j, beyond(MONITORS.winding_max_C)))),
+    "resolver below": (BOUNDS, above, lambda j, beyond: (resolver_off(j, -beyond(RESOLVER_RAD)), {})),
+    "resolver above": (BOUNDS, above, lambda j, beyond: (resolver_off(j, beyond(RESOLVER_RAD)), {})),
+}
+"""Bounds, which numbers are beyond, and the arm and its readings with one joint at such a number."""
+
+
+@joints
+@pytest.mark.parametrize("name", MONITORED)
+def test_the_monitors_of_joints_are_run_as_soon_as_any_joint_is_beyond_any_bound_and_not_before(name, joint):
+    bounds, beyond, trouble = MONITORED[name]
+    for number, said in ((lambda bound: bound, False), (beyond, True)):
+        arm, readings = trouble(joint, number)
+        assert exceed_any_bound(bounds, arm, sensors(**readings)) is said
+
+
+def test_a_lag_is_of_a_move_and_an_arm_at_rest_has_none():
+    behind = READY + 10 * LAG_RAD
+    assert not exceed_any_bound(BOUNDS, resting(motor_rad=behind), sensors())
+    assert exceed_any_bound(BOUNDS, moving(motor_rad=behind), sensors())
+
+
+@joints
+@ends
+def test_a_joint_that_is_moved_outward_beyond_soft_limit_and_margin_is_reported_with_its_limit(
+    joint, end, outward
 ):
-    outward = 1 if end == "max" else -1
-    limit = getattr(CONFIG.arm, f"soft_{end}_rad")[joint]
-    for beyond, faulted in ((-1e-5, False), (1e-5, True)):
-        rig = toward(joint, outward)
-        angle = limit + outward * (BOUNDS.soft_limit_margin_rad + beyond)
-        rig.cycle(**encoders_at(rig, joint, angle))
-        assert (rig.state.mode is Mode.FAULTED) is faulted
-        if faulted:
-            (evr,) = found(rig, SoftLimitPassed)
-            assert evr.joint is joint
-            assert evr.limit_rad == limit
-            assert evr.angle_rad == pytest.approx(angle, abs=CONFIG.rad_per_count[joint])
-            assert REFUSED in rig.evrs
-            assert braked(rig)
+    limit = edge(joint, end)
+    angle = np.nextafter(limit, outward * np.inf)
+    soft = LOW[joint] if end == "low" else HIGH[joint]
+    out = a_move(setpoint_rate_rad_s=at(joint, outward * 1e-9))
+    assert check_soft_limits(BOUNDS, out, at(joint, limit, READY)) == ()
+    found = check_soft_limits(BOUNDS, out, at(joint, angle, READY))
+    assert found == (SoftLimitPassed(joint, angle, soft),)
+    for rate_rad_s in (0.0, -outward * 1e-9):
+        back = a_move(setpoint_rate_rad_s=at(joint, rate_rad_s))
+        assert check_soft_limits(BOUNDS, back, at(joint, angle, READY)) == ()
 
 
-@pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("end", ["min", "max"])
-def test_a_joint_beyond_its_limit_may_move_back_or_rest(joint, end):
-    outward = 1 if end == "max" else -1
-    angle = getattr(CONFIG.arm, f"soft_{end}_rad")[joint] + outward * 0.05
-    rig = toward(joint, -outward)
-    rig.cycle(**encoders_at(rig, joint, angle))
-    assert not found(rig, SoftLimitPassed)
-    rig = Rig(CONFIG, start_rad=START)
-    for _ in range(5):
-        rig.cycle(**encoders_at(rig, joint, angle))
-    assert not found(rig, SoftLimitPassed)
-    assert rig.state.mode is Mode.DEPLOYED
+@joints
+def test_a_joint_that_seeks_its_hardstop_has_its_limit_beyond_it(joint):
+    farthest = JOINTS[joint].hardstop_rad - 2 * PARAMS.hardstop.window_rad
+    down = a_move(seeking=joint, setpoint_rate_rad_s=at(joint, -0.01))
+    assert check_soft_limits(BOUNDS, down, at(joint, farthest, READY)) == ()
+    found = check_soft_limits(BOUNDS, down, at(joint, below(farthest), READY))
+    assert found == (SoftLimitPassed(joint, below(farthest), farthest),)
+    other = Joint((joint + 1) % 5)
+    found = check_soft_limits(
+        BOUNDS,
+        a_move(seeking=joint, setpoint_rate_rad_s=at(other, -0.01)),
+        at(other, LOWEST[other] - 0.01, READY),
+    )
+    assert [evr.joint for evr in found] == [other]
 
 
-def test_joints_that_are_not_calibrated_rest_beyond_any_soft_limit_without_a_fault():
-    rig = Rig(CONFIG, start_rad=START, calibrated=False)
-    for _ in range(5):
-        rig.cycle(encoder_count=np.full(5, 10**9))
-    assert rig.state.mode is Mode.DEPLOYED
+def test_of_two_joints_beyond_their_limits_the_one_that_is_moved_outward_is_named():
+    outside = READY.copy()
+    outside[Joint.ELEVATION], outside[Joint.WRIST] = LOWEST[Joint.ELEVATION] - 0.1, HIGHEST[Joint.WRIST] + 0.1
+    inward_and_outward = a_move(setpoint_rate_rad_s=np.array([0.0, 0.01, 0.0, 0.01, 0.0]))
+    (evr,) = check_soft_limits(BOUNDS, inward_and_outward, outside)
+    assert evr == SoftLimitPassed(Joint.WRIST, outside[Joint.WRIST], HIGH[Joint.WRIST])
+    both = a_move(setpoint_rate_rad_s=np.array([0.0, -0.01, 0.0, 0.01, 0.0]))
+    (evr,) = check_soft_limits(BOUNDS, both, outside)
+    assert evr.joint is Joint.ELEVATION
 
 
-def test_a_motor_that_does_not_come_to_rest_is_a_fault_after_its_time():
-    rig = moving(MoveJoints(floats(START + 0.002)))
-    settle_error = CONFIG.params.motion.settle_error_rad
-    cycles = 0
-    while rig.outputs.joint.busy and cycles < 2000:
-        rig.cycle(**off_set_point(rig, Joint.TURRET, 3 * settle_error))
-        cycles += 1
-    (evr,) = found(rig, NotSettled)
-    assert evr.joint is Joint.TURRET
-    assert evr.error_rad == pytest.approx(3 * settle_error, rel=0.2)
-    assert REFUSED in rig.evrs
-    assert rig.state.mode is Mode.FAULTED
-    assert cycles > CONFIG.settle_timeout_ticks
+@joints
+def test_a_following_error_is_reported_of_the_joint_that_is_farthest(joint):
+    bound, persistence = MONITORS.following_error_rad, MONITORS.following_persistence
+    assert check_following(BOUNDS, 100, at(joint, bound, 0.5 * bound)) == (0, ())
+    far = at(joint, above(bound), bound)
+    event = FollowingErrorHigh(joint, above(bound), bound)
+    assert_reports_from(persistence, lambda count: check_following(BOUNDS, count, far), event)
 
 
-def test_calm_is_counted_in_whole_cycles_in_a_row():
-    rig = moving(MoveJoints(floats(START + 0.002)))
-    while rig.state.move.phase is not Phase.SETTLE:
-        rig.cycle()
-    for k in range(5 * CONFIG.settle_ticks):
-        far = k % CONFIG.settle_ticks == 0
-        rig.cycle(**(off_set_point(rig, Joint.TURRET, 1e-3) if far else {}))
-    assert rig.outputs.drive.brake_release.all()
-    for _ in range(CONFIG.settle_ticks + CONFIG.brake_ticks + 3):
-        rig.cycle()
-    assert CommandCompleted("MoveJoints") in rig.evrs
+ASKED = 0.01
+SHARE = MONITORS.stall_share
+
+
+def stall(count, joint, rate_rad_s, asked_rad_s, error_rad=1.0, seeking=None):
+    """A joint asked for one rate that turns at another; the others turn as they are asked to."""
+    move = a_move(setpoint_rate_rad_s=at(joint, asked_rad_s, ASKED), seeking=seeking)
+    return check_stall(BOUNDS, count, move, at(joint, error_rad, 1.0), at(joint, rate_rad_s, ASKED))
+
+
+@joints
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_motor_has_stalled_if_it_turns_less_than_its_share_of_what_is_asked(joint, sign):
+    asked, slow = sign * ASKED, sign * below(SHARE * ASKED)
+    assert stall(100, joint, sign * SHARE * ASKED, asked) == (0, ())
+    event = MotorStalled(joint, slow, asked)
+    assert_reports_from(MONITORS.stall_persistence, lambda count: stall(count, joint, slow, asked), event)
+    wrong_way = MotorStalled(joint, -asked, asked)
+    assert stall(1000, joint, -asked, asked) == (1001, (wrong_way,))
+
+
+@joints
+def test_a_motor_near_its_set_point_or_asked_to_stand_or_seeking_has_not_stalled(joint):
+    bound = MONITORS.stall_error_rad
+    assert stall(100, joint, 0.0, ASKED, error_rad=bound) == (0, ())
+    assert stall(100, joint, 0.0, ASKED, error_rad=above(bound))[0] == 101
+    assert stall(100, joint, -1.0, 0.0) == (0, ())
+    assert stall(100, joint, 0.0, ASKED, seeking=Joint.AZIMUTH) == (0, ())
+
+
+def test_motors_that_all_lag_far_but_turn_as_they_are_asked_to_have_not_stalled():
+    move = a_move(setpoint_rate_rad_s=np.array([0.01, -0.02, 0.01, -0.01, 0.03]))
+    assert check_stall(BOUNDS, 100, move, np.ones(5), move.setpoint_rate_rad_s) == (0, ())
+
+
+def test_of_two_motors_that_stall_the_one_that_lacks_more_of_its_rate_is_named():
+    move = a_move(setpoint_rate_rad_s=np.array([0.01, 0.02, 0.01, 0.01, 0.01]))
+    _, (evr,) = check_stall(BOUNDS, 1000, move, np.ones(5), ZERO)
+    assert evr == MotorStalled(Joint.ELEVATION, 0.0, 0.02)
+
+
+@joints
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_an_over_current_is_reported_of_the_motor_that_is_farthest_beyond_its_bound(joint, sign):
+    bound = OVER_A[joint]
+    assert check_current(BOUNDS, 100, sign * OVER_A) == (0, ())
+    high = at(joint, sign * (bound + 0.01), sign * OVER_A + sign * 0.005)
+    event = OverCurrent(joint, sign * (bound + 0.01), bound)
+    assert_reports_from(
+        MONITORS.over_current_persistence, lambda count: check_current(BOUNDS, count, high), event
+    )
+    assert check_current(BOUNDS, 0, at(joint, above(bound)))[0] == 1
+
+
+@joints
+@pytest.mark.parametrize("is_moving", [True, False])
+def test_a_hot_winding_is_reported_whether_the_arm_moves_or_not(joint, is_moving):
+    bound, persistence = MONITORS.winding_max_C, MONITORS.winding_persistence
+    assert check_windings(BOUNDS, 100, is_moving, at(joint, bound, 20.0)) == (0, ())
+    hot = at(joint, above(bound), bound)
+    event = OverTemperature(joint, above(bound), bound)
+    assert_reports_from(persistence, lambda count: check_windings(BOUNDS, count, is_moving, hot), event)
+
+
+@joints
+def test_a_cold_winding_is_reported_of_an_arm_that_moves(joint):
+    bound, persistence = MONITORS.winding_min_C, MONITORS.winding_persistence
+    assert check_windings(BOUNDS, 100, True, at(joint, bound, 20.0)) == (0, ())
+    cold = at(joint, below(bound), bound)
+    event = UnderTemperature(joint, below(bound), bound)
+    assert_reports_from(persistence, lambda count: check_windings(BOUNDS, count, True, cold), event)
+    assert check_windings(BOUNDS, 100, False, cold) == (0, ())
+
+
+def test_a_winding_too_hot_counts_more_than_one_too_cold():
+    both = np.array([200.0, -140.0, 0.0, 0.0, 0.0])
+    _, found = check_windings(BOUNDS, 1000, True, both)
+    assert found == (OverTemperature(Joint.AZIMUTH, 200.0, MONITORS.winding_max_C),)
+
+
+@joints
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_resolver_is_reported_beyond_its_bound_and_what_is_unknown_of_its_gear(joint, sign):
+    bound = MONITORS.resolver_error_rad
+    assert check_resolvers(BOUNDS, 100, resting(resolver_error_rad=at(joint, sign * bound))) == (0, ())
+    off = resting(resolver_error_rad=at(joint, sign * 2 * bound, sign * 1.5 * bound))
+    event = ResolverDisagrees(joint, sign * 2 * bound, bound)
+    assert_reports_from(
+        MONITORS.resolver_persistence, lambda count: check_resolvers(BOUNDS, count, off), event
+    )
+    unsure = off._replace(gear_uncertainty_rad=at(joint, 0.75 * bound, bound))
+    _, (evr,) = check_resolvers(BOUNDS, 1000, unsure)
+    assert (evr.joint, evr.error_rad) == (joint, sign * 2 * bound)
+    assert evr.bound_rad == pytest.approx(1.75 * bound, rel=1e-12)
+    assert check_resolvers(BOUNDS, 100, off._replace(gear_uncertainty_rad=np.full(5, bound))) == (0, ())
+
+
+@joints
+def test_a_resolver_of_a_joint_that_is_not_calibrated_disagrees_with_nothing(joint):
+    off = resting(resolver_error_rad=at(joint, 1.0), calibrated=np.arange(5) != joint)
+    assert check_resolvers(BOUNDS, 100, off) == (0, ())

@@ -1,128 +1,221 @@
-"""Whether sensors live, and whether flight software is called as often as it should be."""
+"""Readings that are no numbers, frozen, too few, or of another gravity than at the start of a move."""
+
+from dataclasses import replace
+from itertools import pairwise
+from math import atan2
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from fsw.dictionary.commands import ClearFault, MoveJoints
-from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.evrs import CommandAborted, CyclesSkipped
-from fsw.dictionary.faults import CyclesMissed, Fault, SensorFrozen
-from tests.fsw.protect.lab import BOUNDS, CONFIG, REFUSED, START, STOPPED, braked, found, moving
-from tests.fsw.rig import MARS_R_m_s2, Rig, alive, floats
+from fsw.dictionary.evrs import CyclesSkipped
+from fsw.dictionary.faults import (
+    CyclesMissed,
+    GravityImplausible,
+    SensorFrozen,
+    SensorNotFinite,
+    TiltChanged,
+)
+from fsw.protect.readings import (
+    NONE_UNCHANGED,
+    check_cycle_count,
+    check_frozen,
+    check_readings,
+    check_tilt,
+    noisy_readings,
+)
+from tests.fsw.protect.lab import BOUNDS, MONITORS, above, assert_reports_from, below, sensors
+from tests.fsw.rig import MARS_R_m_s2
 
-LIVELY = {"resolver_rad": 5, "current_A": 5, "gravity_R_m_s2": 3}
-
-
-def stuck_at(rig, name, place):
-    """A reading of which one number is what it was in the first cycle, and the others live."""
-    quiet = {"resolver_rad": rig.resolver_rad(), "current_A": np.zeros(5), "gravity_R_m_s2": MARS_R_m_s2}
-    live = quiet[name] + alive(rig.cycles + 1)
-    rig.stood = getattr(rig, "stood", live + 1e-9)
-    return {name: np.where(np.arange(live.size) == place, rig.stood, live)}
-
-
-@pytest.mark.parametrize(("name", "place"), [(name, k) for name, size in LIVELY.items() for k in range(size)])
-def test_one_number_that_stays_the_same_to_the_last_bit_is_a_frozen_sensor_after_its_persistence(name, place):
-    rig = Rig(CONFIG, start_rad=START)
-    rig.evrs.clear()
-    for _ in range(1 + BOUNDS.frozen_persistence - 1):
-        rig.cycle(**stuck_at(rig, name, place))
-        assert not found(rig, Fault)
-    rig.cycle(**stuck_at(rig, name, place))
-    assert rig.evrs[:2] == [SensorFrozen(name, BOUNDS.frozen_persistence), REFUSED]
-    assert rig.state.mode is Mode.FAULTED
-
-
-def test_a_sensor_that_freezes_in_a_move_stops_the_arm():
-    rig = moving(MoveJoints(floats(START + 0.2)))
-    for _ in range(BOUNDS.frozen_persistence + 1):
-        rig.cycle(current_A=np.full(5, 0.4))
-    assert found(rig, SensorFrozen) == [SensorFrozen("current_A", BOUNDS.frozen_persistence)]
-    assert braked(rig)
+QUIET = {
+    "resolver_rad": np.zeros(5),
+    "current_A": np.zeros(5),
+    "winding_C": np.full(5, -40.0),
+    "gravity_R_m_s2": MARS_R_m_s2,
+}
+BAD = [float("nan"), float("inf"), float("-inf")]
+PLACES = [(name, k) for name, values in QUIET.items() for k in range(values.size)]
+MIN_m_s2, MAX_m_s2 = MONITORS.gravity_min_m_s2, MONITORS.gravity_max_m_s2
 
 
-def test_all_frozen_sensors_are_named_once_each_and_again_after_clearing():
-    rig = Rig(CONFIG, start_rad=START)
-    frozen = {name: np.ones(size) for name, size in LIVELY.items()}
-    frozen["gravity_R_m_s2"] = MARS_R_m_s2
-    for _ in range(2 * BOUNDS.frozen_persistence):
-        rig.cycle(**frozen)
-    assert [evr.sensor for evr in found(rig, SensorFrozen)] == list(LIVELY)
-    rig.evrs.clear()
-    rig.cycle(ClearFault(), **frozen)
-    assert [evr.sensor for evr in found(rig, SensorFrozen)] == list(LIVELY)
-    assert rig.state.mode is Mode.FAULTED
+def spoilt(name, place, value):
+    values = QUIET[name].copy()
+    values[place] = value
+    return {name: values}
 
 
-def test_a_reading_that_stands_for_a_while_and_then_lives_is_not_frozen():
-    rig = moving()
-    for _ in range(3):
-        for _ in range(BOUNDS.frozen_persistence):
-            rig.cycle(current_A=np.full(5, 0.1))
-        rig.cycle()
-    assert not found(rig, Fault)
+def found_in(**readings):
+    return check_readings(BOUNDS, sensors(**readings))
 
 
-def test_windings_and_encoders_that_read_the_same_may_be_alive():
-    """Nothing flows, nothing turns."""
-    rig = Rig(CONFIG, start_rad=START)
-    for _ in range(3 * BOUNDS.frozen_persistence):
-        rig.cycle()
-    assert not found(rig, Fault)
+@pytest.mark.parametrize("value", BAD)
+@pytest.mark.parametrize(("name", "place"), PLACES)
+def test_one_element_that_is_no_number_is_named_by_its_sensor(name, place, value):
+    assert found_in(**spoilt(name, place, value)) == (SensorNotFinite(name),)
 
 
-def skip(rig, cycles):
-    rig.cycles += cycles
-    rig.cycle()
+@pytest.mark.parametrize(("name", "place"), PLACES)
+def test_finite_readings_of_any_size_are_finite(name, place):
+    sizes = (-20.0, -1.0, 1.0, 20.0) if name == "gravity_R_m_s2" else (0.0, -1e6, 1e6, 5e-324)
+    for value in sizes:
+        values = np.zeros_like(QUIET[name])
+        values[place] = value
+        assert found_in(**{name: values}) == ()
 
 
-@pytest.mark.parametrize("cycles", range(1, BOUNDS.missed_cycles + 1))
-def test_a_few_missed_cycles_are_reported_and_the_move_goes_on(cycles):
-    rig = moving()
-    skip(rig, cycles)
-    assert rig.evrs == [CyclesSkipped(cycles)]
-    rig.run()
-    assert not found(rig, Fault)
-    assert rig.state.mode is Mode.DEPLOYED
+def test_all_sensors_that_are_not_finite_are_named_and_infinities_do_not_cancel():
+    bad = {name: np.array([*BAD[1:], *QUIET[name][2:]]) for name in QUIET}
+    assert found_in(**bad) == tuple(SensorNotFinite(name) for name in QUIET)
 
 
-@pytest.mark.parametrize("more", [1, 100])
-def test_more_missed_cycles_stop_the_move_which_may_be_commanded_again(more):
-    rig = moving()
-    skip(rig, BOUNDS.missed_cycles + more)
-    assert rig.evrs == [CyclesMissed(BOUNDS.missed_cycles + more, BOUNDS.missed_cycles), STOPPED]
-    rig.run()
-    assert CommandAborted("MoveJoints") in rig.evrs
-    assert rig.state.mode is Mode.DEPLOYED
-    assert not rig.outputs.drive.power_on.any()
-    rig.evrs.clear()
-    rig.run(MoveJoints(floats(START)))
-    assert not found(rig, Fault)
+def test_wild_but_finite_readings_are_judged_without_a_warning():
+    assert found_in(resolver_rad=np.full(5, 5e307), current_A=np.full(5, 8e307)) == ()
+    for name in QUIET:
+        found = found_in(**spoilt(name, 0, 1e200))
+        assert all(isinstance(evr, SensorNotFinite | GravityImplausible) for evr in found)
 
 
-def test_cycles_missed_at_rest_are_reported_and_stop_nothing():
-    rig = Rig(CONFIG, start_rad=START)
-    rig.evrs.clear()
-    skip(rig, 20)
-    assert rig.evrs == [CyclesMissed(20, BOUNDS.missed_cycles), STOPPED]
-    assert rig.state.mode is Mode.DEPLOYED
+@pytest.mark.parametrize("direction", [(0, 0, 1), (0, 0, -1), (0.6, 0, -0.8), (-0.36, 0.48, 0.8)])
+def test_gravity_is_implausible_outside_its_bounds_in_any_direction(direction):
+    for pull_m_s2, said in (
+        (0.0, True),
+        (5e-324, True),
+        (0.9999 * MIN_m_s2, True),
+        (1.0001 * MIN_m_s2, False),
+        (3.711, False),
+        (0.9999 * MAX_m_s2, False),
+        (1.0001 * MAX_m_s2, True),
+        (1e3 * MAX_m_s2, True),
+    ):
+        found = found_in(gravity_R_m_s2=pull_m_s2 * np.array(direction))
+        assert bool(found) is said
+        if said:
+            (evr,) = found
+            assert evr == GravityImplausible(evr.gravity_m_s2, MIN_m_s2, MAX_m_s2)
+            assert evr.gravity_m_s2 == pytest.approx(pull_m_s2, rel=1e-12)
 
 
-@pytest.mark.parametrize("first", [0, 1, 12345, -7])
-def test_the_count_of_cycles_may_begin_anywhere_and_begin_again(first):
-    rig = Rig(CONFIG, start_rad=START, calibrated=False)
-    rig.cycles = first
-    rig.cycle()
-    rig.cycle()
-    rig.cycles = -100
-    rig.cycle()
-    assert not found(rig, CyclesSkipped | Fault)
+@pytest.mark.parametrize(("bound", "beyond"), [(MIN_m_s2, below), (MAX_m_s2, above)])
+def test_gravity_at_its_bound_is_plausible_and_the_next_number_is_not(bound, beyond):
+    assert found_in(gravity_R_m_s2=[0.0, 0.0, bound]) == ()
+    assert found_in(gravity_R_m_s2=[0.0, 0.0, beyond(bound)]) != ()
 
 
-@pytest.mark.parametrize("joint", Joint)
-def test_cycles_are_counted_while_readings_are_bad(joint):
-    rig = moving()
-    for _ in range(10):
-        rig.cycle(current_A=np.where(np.arange(5) == joint, np.nan, 0.0))
-    rig.cycle()
-    assert not found(rig, CyclesSkipped | CyclesMissed)
+def test_every_number_that_has_noise_is_looked_at_by_itself_and_no_other():
+    quiet = noisy_readings(sensors(**QUIET))
+    assert len(quiet) == len(NONE_UNCHANGED)
+    noisy = [place for place in PLACES if place[0] != "winding_C"]
+    for k, place in enumerate(noisy):
+        changed = noisy_readings(sensors(**{**QUIET, **spoilt(*place, 7.0)}))
+        assert [a != b for a, b in zip(quiet, changed, strict=True)] == [k == j for j in range(len(noisy))]
+    assert noisy_readings(sensors(**{**QUIET, "winding_C": np.ones(5)})) == quiet
+
+
+BEFORE = tuple(float(k) for k in range(13))
+LATER = tuple(x + 0.5 for x in BEFORE)
+SENSOR_AT = ["resolver_rad"] * 5 + ["current_A"] * 5 + ["gravity_R_m_s2"] * 3
+
+
+def with_one_the_same(place):
+    """The others rise and fall by turns."""
+    return tuple(x if k == place else x + 0.5 * (-1) ** k for k, x in enumerate(BEFORE))
+
+
+def test_readings_that_all_change_are_alive_however_long_they_stood():
+    assert check_frozen(BOUNDS, (10_000,) * 13, BEFORE, LATER) == ((0,) * 13, ())
+
+
+@pytest.mark.parametrize("place", range(13))
+def test_a_number_that_stays_the_same_is_counted_by_itself_and_named_from_its_persistence_on(place):
+    now, bound = with_one_the_same(place), MONITORS.frozen_persistence
+    for stood in (0, 1, bound - 2):
+        counts, found = check_frozen(BOUNDS, (stood,) * 13, BEFORE, now)
+        assert counts == tuple(stood + 1 if k == place else 0 for k in range(13))
+        assert found == ()
+    for stood in (bound - 1, bound, 5 * bound):
+        counts, found = check_frozen(BOUNDS, (stood,) * 13, BEFORE, now)
+        assert counts[place] == stood + 1
+        assert found == (SensorFrozen(SENSOR_AT[place], stood + 1),)
+
+
+def test_sensors_that_are_frozen_together_are_named_once_each_and_those_that_only_stand_are_not():
+    bound = MONITORS.frozen_persistence
+    stood = (bound - 1,) * 5 + (bound - 2,) * 5 + (bound + 3,) * 3
+    _, found = check_frozen(BOUNDS, stood, BEFORE, BEFORE)
+    assert found == (SensorFrozen("resolver_rad", bound), SensorFrozen("gravity_R_m_s2", bound + 4))
+
+
+def test_as_many_readings_are_compared_as_there_are_and_none_is_left_out():
+    with pytest.raises(ValueError, match="shorter"):
+        check_frozen(BOUNDS, (0,) * 12, BEFORE, BEFORE)
+    with pytest.raises(ValueError, match="shorter"):
+        check_frozen(BOUNDS, (10_000,) * 12, BEFORE[:12], BEFORE[:12])
+
+
+def test_cycles_are_counted_from_the_second_call_on_and_may_begin_again():
+    assert check_cycle_count(BOUNDS, None, 12345) == ()
+    for before, now in ((7, 8), (7, 7), (7, -100), (-2, -1)):
+        assert check_cycle_count(BOUNDS, before, now) == ()
+
+
+@pytest.mark.parametrize("before", [-5, 0, 1000])
+def test_a_few_missed_cycles_are_reported_and_more_are_a_fault(before):
+    most = MONITORS.missed_cycles
+    for missed in range(1, most + 1):
+        assert check_cycle_count(BOUNDS, before, before + 1 + missed) == (CyclesSkipped(missed),)
+    for missed in (most + 1, most + 100):
+        assert check_cycle_count(BOUNDS, before, before + 1 + missed) == (CyclesMissed(missed, most),)
+
+
+directions = st.tuples(st.floats(-1, 1), st.floats(0, 2 * np.pi)).map(
+    lambda zf: np.array(
+        [np.sqrt(1 - zf[0] ** 2) * np.cos(zf[1]), np.sqrt(1 - zf[0] ** 2) * np.sin(zf[1]), zf[0]]
+    )
+)
+
+
+def turned(direction, angle_rad, about_rad):
+    """A unit vector this angle away from a direction, on any side of it."""
+    one = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    one /= np.linalg.norm(one)
+    other = np.cross(direction, one)
+    sideways = np.cos(about_rad) * one + np.sin(about_rad) * other
+    return np.cos(angle_rad) * direction + np.sin(angle_rad) * sideways
+
+
+@given(directions, st.floats(0, 2 * np.pi), st.floats(0.2, 5.0), st.floats(0.2, 5.0))
+def test_gravity_that_turns_by_more_than_its_bound_is_reported_whatever_its_direction_and_size(
+    direction, about_rad, planned, read
+):
+    bound = MONITORS.tilt_rad
+    for share, said in ((0.0, False), (0.999, False), (1.001, True), (1.5, True), (20.0, True)):
+        now = read * turned(direction, share * bound, about_rad)
+        count, found = check_tilt(BOUNDS, 1000, planned * direction, now)
+        assert count == (1001 if said else 0)
+        assert [evr.turned_rad for evr in found] == pytest.approx([share * bound] if said else [], rel=1e-9)
+
+
+def test_a_turn_is_reported_from_its_persistence_on_even_to_the_opposite():
+    bound = MONITORS.tilt_rad
+    planned, read = np.array([0.0, 0.0, 2.0]), np.array([0.0, 0.0, -3.0])
+    event = TiltChanged(np.pi, bound)
+    assert_reports_from(
+        MONITORS.tilt_persistence, lambda count: check_tilt(BOUNDS, count, planned, read), event
+    )
+
+
+@pytest.mark.parametrize("angle_rad", np.linspace(0.01, 0.5, 20))
+def test_a_turn_of_exactly_the_bound_is_none(angle_rad):
+    planned, read = np.array([1.0, 0.0, 0.0]), np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
+    exactly = atan2(read[1], read[0])
+    for bound, said in ((exactly, False), (below(exactly), True)):
+        bounds = replace(BOUNDS, monitors=replace(MONITORS, tilt_rad=bound))
+        assert bool(check_tilt(bounds, 0, planned, read)[0]) is said
+
+
+def test_counts_of_readings_go_on_from_cycle_to_cycle():
+    counts = NONE_UNCHANGED
+    for before, now in pairwise([BEFORE, BEFORE, BEFORE, LATER, LATER]):
+        counts, _ = check_frozen(BOUNDS, counts, before, now)
+    assert counts == (1,) * 13

@@ -6,7 +6,7 @@ import pytest
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.faults import Fault, TiltChanged
-from tests.fsw.protect.lab import BOUNDS, CONFIG, REFUSED, START, braked, found, moving
+from tests.fsw.executive.faults.lab import BOUNDS, CONFIG, REFUSED, START, braked, found, moving
 from tests.fsw.rig import MARS_R_m_s2, Rig, alive, floats
 
 LONG = MoveJoints(floats(START + 0.3))

@@ -7,7 +7,16 @@ from fsw.dictionary.enums import TOOL_SWITCHES, Mode, Tool
 from fsw.dictionary.faults import Fault, PreloadOutside
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
-from tests.fsw.protect.lab import BOUNDS, CONFIG, REFUSED, braked, closed, found, in_guarded_motion, moving
+from tests.fsw.executive.faults.lab import (
+    BOUNDS,
+    CONFIG,
+    REFUSED,
+    braked,
+    closed,
+    found,
+    in_guarded_motion,
+    moving,
+)
 from tests.fsw.rig import MARS_R_m_s2
 
 PRESSING = [tool for tool in Tool if TOOL_SWITCHES[tool]]

@@ -10,7 +10,6 @@ from fsw.dictionary.enums import Mode, Tool
 from fsw.dictionary.evrs import CommandAborted, CommandRefused, FaultResponse, ModeChanged
 from fsw.dictionary.faults import GravityImplausible, SensorNotFinite
 from fsw.messages import Sensors
-from fsw.protect.readings import check_readings
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, quiet_sensors
 
 CONFIG = config_of()
@@ -146,55 +145,7 @@ def test_an_arm_on_its_brakes_faults_too(value):
     assert not rig.outputs.drive.power_on.any()
 
 
-def found_in(**readings):
-    return check_readings(CONFIG.protection, quiet_sensors(np.zeros(5), **readings))
-
-
-@pytest.mark.parametrize(("name", "place"), PLACES)
-def test_finite_readings_of_any_size_are_finite(name, place):
-    sizes = (-20.0, -1.0, 1.0, 20.0) if name == "gravity_R_m_s2" else (0.0, -1e6, 1e6, 5e-324)
-    for value in sizes:
-        values = np.zeros_like(QUIET[name])
-        values[place] = value
-        assert found_in(**{name: values}) == ()
-
-
-def test_plus_and_minus_infinity_do_not_cancel():
-    bad = {**spoilt("current_A", 0, BAD[1]), **spoilt("winding_C", 0, BAD[2])}
-    assert len(found_in(**bad)) == 2
-    both = np.array([BAD[1], BAD[2], 0.0, 0.0, 0.0])
-    assert found_in(current_A=both) == (SensorNotFinite("current_A"),)
-
-
-def test_a_wild_but_finite_reading_is_judged_without_a_warning():
-    for name in QUIET:
-        found = found_in(**spoilt(name, 0, 1e200))
-        assert all(isinstance(evr, SensorNotFinite | GravityImplausible) for evr in found)
-
-
 MIN_m_s2, MAX_m_s2 = CONFIG.params.monitors.gravity_min_m_s2, CONFIG.params.monitors.gravity_max_m_s2
-
-
-@pytest.mark.parametrize("direction", [(0, 0, 1), (0, 0, -1), (0.6, 0, -0.8), (-0.36, 0.48, 0.8)])
-def test_gravity_is_implausible_outside_its_bounds_in_any_direction(direction):
-    for pull_m_s2, said in (
-        (0.0, True),
-        (5e-324, True),
-        (0.9999 * MIN_m_s2, True),
-        (1.0001 * MIN_m_s2, False),
-        (3.711, False),
-        (0.9999 * MAX_m_s2, False),
-        (1.0001 * MAX_m_s2, True),
-        (1e3 * MAX_m_s2, True),
-    ):
-        pull = pull_m_s2 * np.array(direction)
-        found = found_in(gravity_R_m_s2=pull)
-        assert bool(found) is said
-        if said:
-            (evr,) = found
-            assert isinstance(evr, GravityImplausible)
-            assert evr.gravity_m_s2 == pytest.approx(pull_m_s2, rel=1e-12)
-            assert (evr.min_m_s2, evr.max_m_s2) == (MIN_m_s2, MAX_m_s2)
 
 
 @pytest.mark.parametrize("reads_m_s2", [0.0, 25.0])

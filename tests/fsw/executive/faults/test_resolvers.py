@@ -6,7 +6,7 @@ import pytest
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.faults import ResolverDisagrees
-from tests.fsw.protect.lab import BOUNDS, CONFIG, REFUSED, START, found, moving, resolver_off
+from tests.fsw.executive.faults.lab import BOUNDS, CONFIG, REFUSED, START, found, moving, resolver_off
 from tests.fsw.rig import Rig, alive
 
 

@@ -1,0 +1,74 @@
+"""An arm in the middle of what it does, and the readings that trouble it."""
+
+import numpy as np
+
+from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.enums import Switch, Tool
+from fsw.dictionary.evrs import FaultResponse
+from fsw.protect.responses import Response
+from tests.fsw.rig import Rig, config_of, facing, floats
+
+CONFIG = config_of()
+BOUNDS = CONFIG.params.monitors
+START = facing(CONFIG, Tool.APXS)
+REFUSED = FaultResponse(Response.BRAKE_AND_REFUSE)
+UNPOWERED = FaultResponse(Response.POWER_OFF)
+STOPPED = FaultResponse(Response.STOP_AND_BRAKE)
+
+
+def windings(joint, winding_C):
+    return {"winding_C": np.where(np.arange(5) == joint, winding_C, -40.0)}
+
+
+def closed(*switches):
+    return {"switch_closed": np.isin(np.arange(len(Switch)), switches)}
+
+
+def currents(joint, ampere):
+    return {"current_A": np.where(np.arange(5) == joint, ampere, 0.0)}
+
+
+def moving(command=None):
+    rig = Rig(CONFIG, start_rad=START)
+    rig.until_moving(command or MoveJoints(floats(START + 0.05)))
+    rig.evrs.clear()
+    return rig
+
+
+def in_guarded_motion(tool=Tool.APXS):
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
+    rig.until_moving(rig.touch(tool, 0.05), cycles=240)  # past the crossing of the gaps
+    rig.evrs.clear()
+    return rig
+
+
+def braked(rig):
+    drive = rig.outputs.drive
+    return not drive.brake_release.any() and not drive.setpoint_rate_rad_s.any()
+
+
+def found(rig, kind):
+    return [evr for evr in rig.evrs if isinstance(evr, kind)]
+
+
+def off_set_point(rig, joint, rad):
+    """A reading of the encoders that is this far from the set-point of the last cycle."""
+    shift = np.where(np.arange(5) == joint, rad / CONFIG.rad_per_count, 0)
+    return {"encoder_count": rig.count + np.rint(shift).astype(int)}
+
+
+def encoders_at(rig, joint, angle_rad):
+    """A reading of the encoders with one joint at this angle."""
+    zero = rig.state.joints.reference.zero_rad[joint]
+    count = np.rint((angle_rad - zero) / CONFIG.rad_per_count[joint]).astype(int)
+    return {"encoder_count": np.where(np.arange(5) == joint, count, rig.count)}
+
+
+def toward(joint, sign):
+    """In the middle of a move of this joint, upward or downward."""
+    pose = START + 0.1 * sign * (np.arange(5) == joint)
+    return moving(MoveJoints(floats(pose)))
+
+
+def resolver_off(rig, joint, off_rad):
+    return {"resolver_rad": rig.resolver_rad() + off_rad * (np.arange(5) == joint)}

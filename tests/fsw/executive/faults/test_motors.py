@@ -1,0 +1,289 @@
+"""What motors do that they should not: too far, too slow, too much current, too hot, too cold."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.enums import Joint, Mode
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted
+from fsw.dictionary.faults import (
+    Fault,
+    FollowingErrorHigh,
+    MotorStalled,
+    NotSettled,
+    OverCurrent,
+    OverTemperature,
+    SoftLimitPassed,
+    UnderTemperature,
+)
+from fsw.motion.move import Phase
+from tests.fsw.executive.faults.lab import (
+    BOUNDS,
+    CONFIG,
+    REFUSED,
+    START,
+    STOPPED,
+    UNPOWERED,
+    braked,
+    currents,
+    encoders_at,
+    found,
+    in_guarded_motion,
+    moving,
+    off_set_point,
+    toward,
+    windings,
+)
+from tests.fsw.rig import Rig, floats
+
+
+@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_over_current_is_said_after_exactly_its_persistence(joint, sign):
+    rig = moving()
+    bound = BOUNDS.over_current_fraction * CONFIG.current_limit_A[joint]
+    for _ in range(BOUNDS.over_current_persistence - 1):
+        rig.cycle(**currents(joint, sign * bound * 1.001))
+        assert rig.state.mode is Mode.FREE_SPACE
+    rig.cycle(**currents(joint, sign * bound * 1.001))
+    assert rig.evrs[:2] == [OverCurrent(joint, sign * bound * 1.001, bound), UNPOWERED]
+    assert rig.state.mode is Mode.FAULTED
+    assert braked(rig)
+    assert not rig.outputs.drive.power_on.any()
+
+
+def test_over_current_with_a_gap_counts_from_the_start():
+    rig = moving()
+    high = currents(Joint.ELBOW, 4.9)
+    for _ in range(3):
+        for _ in range(BOUNDS.over_current_persistence - 1):
+            rig.cycle(**high)
+        rig.cycle()
+    assert not found(rig, OverCurrent)
+
+
+def test_current_at_the_bound_is_no_fault():
+    rig = moving()
+    at_bound = {"current_A": BOUNDS.over_current_fraction * CONFIG.current_limit_A}
+    for _ in range(2 * BOUNDS.over_current_persistence):
+        rig.cycle(**at_bound)
+    assert not found(rig, OverCurrent)
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_following_error_is_said_after_exactly_its_persistence(joint):
+    rig = moving()
+    for _ in range(BOUNDS.following_persistence - 1):
+        rig.cycle(**off_set_point(rig, joint, -1.5 * BOUNDS.following_error_rad))
+        assert rig.state.mode is Mode.FREE_SPACE
+    rig.cycle(**off_set_point(rig, joint, -1.5 * BOUNDS.following_error_rad))
+    (evr,) = found(rig, FollowingErrorHigh)
+    assert evr.joint is joint
+    assert evr.bound_rad == BOUNDS.following_error_rad
+    assert evr.error_rad > evr.bound_rad
+    assert REFUSED in rig.evrs
+    assert rig.state.mode is Mode.FAULTED
+    assert braked(rig)
+
+
+def test_a_following_error_with_a_gap_counts_from_the_start():
+    rig = moving()
+    for _ in range(3):
+        for _ in range(BOUNDS.following_persistence - 1):
+            rig.cycle(**off_set_point(rig, Joint.WRIST, -2 * BOUNDS.following_error_rad))
+        rig.cycle()
+    assert not found(rig, FollowingErrorHigh)
+
+
+def seize(rig, joint):
+    """The encoders from now on, of an arm whose joint does not turn any more."""
+    stood = rig.count[joint]
+    return lambda: {"encoder_count": np.where(np.arange(5) == joint, stood, rig.count)}
+
+
+def lag_rad(rig, joint):
+    return abs(rig.state.move.setpoint.motor_rad - rig.state.joints.motor_rad)[joint]
+
+
+@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("cycles", [1, 10, 30, 60, 90, 120])
+def test_a_joint_that_seizes_is_stalled_before_it_is_too_far_behind_however_slow_it_was(joint, cycles):
+    goal = START + 0.05 * (np.arange(5) == joint)
+    rig = Rig(CONFIG, start_rad=START)
+    rig.cycle(MoveJoints(floats(goal)))
+    for _ in range(cycles):
+        rig.cycle()
+    rig.evrs.clear()
+    reading, beyond = seize(rig, joint), 0
+    while not found(rig, Fault):
+        rig.cycle(**reading())
+        beyond += lag_rad(rig, joint) > BOUNDS.stall_error_rad
+    (evr,) = found(rig, Fault)
+    assert evr == MotorStalled(joint, 0.0, evr.asked_rad_s)
+    assert evr.asked_rad_s > 0
+    # in the cycle of the response the set-point is back where the motor is
+    assert BOUNDS.stall_persistence - 1 <= beyond <= BOUNDS.stall_persistence + 1
+    assert REFUSED in rig.evrs
+    assert rig.state.mode is Mode.FAULTED
+    assert braked(rig)
+
+
+def slowed(rig, share):
+    """The arm turns this share of what it is asked, from a lag that is beyond the bound already."""
+    asked = rig.state.move.setpoint.rate_rad_s
+    rig.slowed = getattr(rig, "slowed", rig.count - 400.0) + share * asked / 64 / CONFIG.rad_per_count
+    return {"encoder_count": np.rint(rig.slowed).astype(int)}
+
+
+@pytest.mark.parametrize(("share", "said"), [(-0.5, True), (0.05, True), (0.2, False)])
+def test_a_stalled_motor_turns_slower_than_its_share_of_what_is_asked_or_the_wrong_way(share, said):
+    rig = moving(MoveJoints(floats(START + 0.3)))
+    rig.until_moving(cycles=60)
+    for _ in range(BOUNDS.stall_persistence + 1):
+        rig.cycle(**slowed(rig, share))
+    assert bool(found(rig, MotorStalled)) is said
+
+
+def test_a_motor_that_is_behind_but_catches_up_has_not_stalled():
+    rig = moving()
+    for _ in range(3):
+        for _ in range(BOUNDS.stall_persistence - 1):
+            rig.cycle(**off_set_point(rig, Joint.ELBOW, -0.95 * BOUNDS.following_error_rad))
+        rig.cycle()
+    assert not found(rig, MotorStalled)
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_motor_that_lags_by_what_friction_takes_has_not_stalled(joint):
+    """From the very start of the motion to its end, and on the way to a contact."""
+    commands = (MoveJoints(floats(START + 0.02)), MoveJoints(floats(START)))
+    for command in commands:
+        rig = Rig(CONFIG, start_rad=START)
+        rig.cycle(command)
+        while rig.outputs.joint.busy:
+            rate = rig.outputs.drive.setpoint_rate_rad_s[joint]
+            behind = BOUNDS.stall_error_rad * np.sign(rate) * (abs(rate) > 1e-6)
+            rig.cycle(**off_set_point(rig, joint, -0.9 * behind))
+        assert not found(rig, Fault)
+    rig = in_guarded_motion()
+    for _ in range(100):
+        rig.cycle(**off_set_point(rig, joint, -0.9 * BOUNDS.stall_error_rad))
+    assert not found(rig, Fault)
+
+
+@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("start", [moving, lambda: Rig(CONFIG, start_rad=START)], ids=["moving", "resting"])
+def test_a_hot_winding_takes_the_power_off_after_exactly_its_persistence_moving_or_not(joint, start):
+    rig, hot = start(), windings(joint, BOUNDS.winding_max_C + 0.1)
+    for _ in range(BOUNDS.winding_persistence - 1):
+        rig.cycle(**hot)
+        assert not found(rig, OverTemperature)
+    rig.cycle(**hot)
+    (evr,) = found(rig, OverTemperature)
+    assert evr == OverTemperature(joint, BOUNDS.winding_max_C + 0.1, BOUNDS.winding_max_C)
+    assert UNPOWERED in rig.evrs
+    assert rig.state.mode is Mode.FAULTED
+    assert not rig.outputs.drive.power_on.any()
+    assert not rig.outputs.drive.brake_release.any()
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_cold_winding_stops_a_move_after_exactly_its_persistence_without_a_standing_fault(joint):
+    rig, cold = moving(), windings(joint, BOUNDS.winding_min_C - 0.1)
+    for _ in range(BOUNDS.winding_persistence - 1):
+        rig.cycle(**cold)
+    assert not found(rig, UnderTemperature)
+    rig.cycle(**cold)
+    said = UnderTemperature(joint, BOUNDS.winding_min_C - 0.1, BOUNDS.winding_min_C)
+    assert rig.evrs == [said, STOPPED]
+    rig.run(**cold)
+    assert CommandAborted("MoveJoints") in rig.evrs
+    assert len(found(rig, UnderTemperature)) == 1
+    assert rig.state.mode is Mode.DEPLOYED
+    assert not rig.outputs.drive.power_on.any()
+
+
+def test_an_arm_at_rest_may_be_as_cold_as_it_gets_and_any_arm_as_warm_as_its_bound():
+    rig = Rig(CONFIG, start_rad=START)
+    for _ in range(3 * BOUNDS.winding_persistence):
+        rig.cycle(winding_C=np.full(5, -130.0))
+    assert not found(rig, Fault)
+    rig = moving()
+    for _ in range(3 * BOUNDS.winding_persistence):
+        rig.cycle(winding_C=np.full(5, BOUNDS.winding_max_C))
+    for _ in range(3):
+        for _ in range(BOUNDS.winding_persistence - 1):
+            rig.cycle(winding_C=np.full(5, 200.0))
+        rig.cycle()
+    assert not found(rig, Fault)
+
+
+@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("end", ["min", "max"])
+def test_a_joint_moving_outward_beyond_soft_limit_and_margin_faults_at_once_and_within_it_does_not(
+    joint, end
+):
+    outward = 1 if end == "max" else -1
+    limit = getattr(CONFIG.arm, f"soft_{end}_rad")[joint]
+    for beyond, faulted in ((-1e-5, False), (1e-5, True)):
+        rig = toward(joint, outward)
+        angle = limit + outward * (BOUNDS.soft_limit_margin_rad + beyond)
+        rig.cycle(**encoders_at(rig, joint, angle))
+        assert (rig.state.mode is Mode.FAULTED) is faulted
+        if faulted:
+            (evr,) = found(rig, SoftLimitPassed)
+            assert evr.joint is joint
+            assert evr.limit_rad == limit
+            assert evr.angle_rad == pytest.approx(angle, abs=CONFIG.rad_per_count[joint])
+            assert REFUSED in rig.evrs
+            assert braked(rig)
+
+
+@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("end", ["min", "max"])
+def test_a_joint_beyond_its_limit_may_move_back_or_rest(joint, end):
+    outward = 1 if end == "max" else -1
+    angle = getattr(CONFIG.arm, f"soft_{end}_rad")[joint] + outward * 0.05
+    rig = toward(joint, -outward)
+    rig.cycle(**encoders_at(rig, joint, angle))
+    assert not found(rig, SoftLimitPassed)
+    rig = Rig(CONFIG, start_rad=START)
+    for _ in range(5):
+        rig.cycle(**encoders_at(rig, joint, angle))
+    assert not found(rig, SoftLimitPassed)
+    assert rig.state.mode is Mode.DEPLOYED
+
+
+def test_joints_that_are_not_calibrated_rest_beyond_any_soft_limit_without_a_fault():
+    rig = Rig(CONFIG, start_rad=START, calibrated=False)
+    for _ in range(5):
+        rig.cycle(encoder_count=np.full(5, 10**9))
+    assert rig.state.mode is Mode.DEPLOYED
+
+
+def test_a_motor_that_does_not_come_to_rest_is_a_fault_after_its_time():
+    rig = moving(MoveJoints(floats(START + 0.002)))
+    settle_error = CONFIG.params.motion.settle_error_rad
+    cycles = 0
+    while rig.outputs.joint.busy and cycles < 2000:
+        rig.cycle(**off_set_point(rig, Joint.TURRET, 3 * settle_error))
+        cycles += 1
+    (evr,) = found(rig, NotSettled)
+    assert evr.joint is Joint.TURRET
+    assert evr.error_rad == pytest.approx(3 * settle_error, rel=0.2)
+    assert REFUSED in rig.evrs
+    assert rig.state.mode is Mode.FAULTED
+    assert cycles > CONFIG.settle_timeout_ticks
+
+
+def test_calm_is_counted_in_whole_cycles_in_a_row():
+    rig = moving(MoveJoints(floats(START + 0.002)))
+    while rig.state.move.phase is not Phase.SETTLE:
+        rig.cycle()
+    for k in range(5 * CONFIG.settle_ticks):
+        far = k % CONFIG.settle_ticks == 0
+        rig.cycle(**(off_set_point(rig, Joint.TURRET, 1e-3) if far else {}))
+    assert rig.outputs.drive.brake_release.all()
+    for _ in range(CONFIG.settle_ticks + CONFIG.brake_ticks + 3):
+        rig.cycle()
+    assert CommandCompleted("MoveJoints") in rig.evrs

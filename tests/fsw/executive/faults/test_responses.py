@@ -1,0 +1,322 @@
+"""What is done about each fault, by the table, in the documents, and in time."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsw.config import ticks
+from fsw.dictionary import faults
+from fsw.dictionary.commands import ClearFault, MoveJoints, Stop, Unstow
+from fsw.dictionary.enums import Joint, Mode, Switch
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused
+from fsw.dictionary.faults import (
+    ContactInFreeSpace,
+    CyclesMissed,
+    Fault,
+    FollowingErrorHigh,
+    GravityImplausible,
+    MotorStalled,
+    OverCurrent,
+    OverTemperature,
+    ResolverDisagrees,
+    SensorFrozen,
+    SensorNotFinite,
+    SetpointUnsafe,
+    SoftLimitPassed,
+    TiltChanged,
+    UnderTemperature,
+)
+from fsw.motion.move import Phase
+from fsw.motion.paths import Setpoint
+from fsw.protect.responses import RESPONSE_TO, Response
+from fsw.state import Sequence
+from tests.fsw.executive.faults.lab import (
+    BOUNDS,
+    CONFIG,
+    REFUSED,
+    START,
+    STOPPED,
+    UNPOWERED,
+    braked,
+    closed,
+    currents,
+    encoders_at,
+    found,
+    moving,
+    off_set_point,
+    resolver_off,
+    windings,
+)
+from tests.fsw.rig import Rig, alive, floats
+
+PAGE = Path(__file__).parents[4] / "docs" / "faults.md"
+FAULTS = {kind for kind in vars(faults).values() if isinstance(kind, type) and issubclass(kind, Fault)} - {
+    Fault
+}
+RESPONDED = {
+    Response.BRAKE_AND_REFUSE: REFUSED,
+    Response.POWER_OFF: UNPOWERED,
+    Response.STOP_AND_BRAKE: STOPPED,
+}
+MISSED = {"missed": BOUNDS.missed_cycles + 1}
+LATEST = 3
+"""Cycles from a persistence to the drive that answers it."""
+
+
+def tamper(rig):
+    """Replace the path by one that asks for a jump: an error of planning."""
+
+    class Wrong:
+        duration_s = 10.0
+
+        @staticmethod
+        def at(time_s):
+            return Setpoint(rig.state.move.setpoint.motor_rad + 0.1, np.zeros(5))
+
+    rig.state = replace(rig.state, move=replace(rig.state.move, paths=(Wrong(),), ticks=0))
+    return {}
+
+
+def seized(rig):
+    """All joints stand, a lag behind that friction cannot explain."""
+    rig.stood = getattr(rig, "stood", rig.count - 400)
+    return {"encoder_count": rig.stood}
+
+
+HIGHEST_RAD = CONFIG.protection.highest_rad[Joint.ELBOW]
+PERSISTENT = {
+    SensorNotFinite: (1, lambda rig: {"current_A": np.full(5, np.nan)}),
+    GravityImplausible: (1, lambda rig: {"gravity_R_m_s2": np.zeros(3)}),
+    SensorFrozen: (BOUNDS.frozen_persistence, lambda rig: {"current_A": np.full(5, 0.3)}),
+    CyclesMissed: (1, lambda rig: MISSED),
+    TiltChanged: (
+        BOUNDS.tilt_persistence,
+        lambda rig: {"gravity_R_m_s2": [2.0, 0.0, 3.0 + alive(rig.cycles)]},
+    ),
+    SetpointUnsafe: (1, tamper),
+    SoftLimitPassed: (1, lambda rig: encoders_at(rig, Joint.ELBOW, HIGHEST_RAD + 1e-3)),
+    MotorStalled: (BOUNDS.stall_persistence, seized),
+    FollowingErrorHigh: (BOUNDS.following_persistence, lambda rig: off_set_point(rig, Joint.ELBOW, -0.0025)),
+    OverCurrent: (
+        BOUNDS.over_current_persistence,
+        lambda rig: currents(Joint.WRIST, 2.95 + alive(rig.cycles)),
+    ),
+    OverTemperature: (BOUNDS.winding_persistence, lambda rig: windings(Joint.WRIST, 150.0)),
+    UnderTemperature: (BOUNDS.winding_persistence, lambda rig: windings(Joint.WRIST, -100.0)),
+    ResolverDisagrees: (BOUNDS.resolver_persistence, lambda rig: resolver_off(rig, Joint.ELBOW, 1.0)),
+    ContactInFreeSpace: (1, lambda rig: closed(Switch.DRT_1)),
+}
+"""How long, and which readings of a moving arm, passing the bound with the first of them."""
+BY_A_CALL = {faults.ContactLost, faults.PreloadOutside}
+"""Tested in tests/fsw/protect and in test_touch.py and test_approach.py."""
+BY_THE_MOVE = {
+    faults.NoContact,
+    faults.NotSettled,
+    faults.StalledEarly,
+    faults.HardstopMissed,
+    faults.HardstopMoved,
+    faults.HardstopUnclear,
+    faults.NoHardstop,
+    faults.MotorStuck,
+    faults.CurrentImplausible,
+}
+"""Found by a move about itself; tested with the moves."""
+
+
+def test_every_monitor_is_timed_here_but_those_of_moves_about_themselves():
+    assert set(PERSISTENT) | BY_A_CALL | BY_THE_MOVE == FAULTS
+
+
+def until_the_drive_differs(rig, twin, trouble):
+    """Cycles from the first troubled reading to the first drive that an untroubled arm would not get."""
+    for cycle in range(1, 1000):
+        readings = trouble(rig)
+        if readings is MISSED:
+            rig.cycles += readings["missed"]
+            readings = {}
+        here, there = rig.cycle(**readings).drive, twin.cycle().drive
+        if any(
+            not np.array_equal(getattr(here, name), getattr(there, name))
+            for name in ("power_on", "brake_release", "setpoint_rate_rad_s")
+        ):
+            return cycle
+    raise AssertionError("the drive never changed")
+
+
+@pytest.mark.parametrize("kind", PERSISTENT, ids=lambda kind: kind.__name__)
+def test_from_its_persistence_to_the_drive_it_takes_a_fault_at_most_three_cycles(kind):
+    persistence, trouble = PERSISTENT[kind]
+    command = MoveJoints(floats(START + 0.3))
+    rig, twin = moving(command), moving(command)
+    for _ in range(60):
+        rig.cycle()
+        twin.cycle()
+    cycles = until_the_drive_differs(rig, twin, trouble)
+    assert persistence <= cycles <= persistence + LATEST
+    assert isinstance(found(rig, Fault)[0], kind)
+    assert RESPONDED[RESPONSE_TO[kind]] in rig.evrs
+    assert (rig.state.mode is Mode.FAULTED) is (RESPONSE_TO[kind] is not Response.STOP_AND_BRAKE)
+
+
+def skip(rig, cycles=BOUNDS.missed_cycles + 1, **readings):
+    rig.cycles += cycles
+    return rig.cycle(**readings)
+
+
+def test_stop_and_brake_ends_as_a_commanded_stop_does():
+    ends = []
+    for trouble in (skip, lambda rig: rig.cycle(Stop())):
+        rig = moving(MoveJoints(floats(START + 0.3)))
+        trouble(rig)
+        rig.run()
+        assert CommandAborted("MoveJoints") in rig.evrs
+        assert rig.state.fault is None
+        assert not rig.outputs.drive.power_on.any()
+        ends.append((rig.state.mode, *rig.count))
+    assert ends[0][0] is ends[1][0] is Mode.DEPLOYED
+    # a fault is answered one cycle after a command that came with the same readings
+    cycle_rad = CONFIG.speed_rad_s / 64
+    apart_rad = np.abs(np.subtract(ends[0][1:], ends[1][1:])) * CONFIG.rad_per_count
+    assert (apart_rad <= cycle_rad).all()
+
+
+def test_stop_and_brake_comes_to_rest_along_a_path_and_never_jumps():
+    rig = moving(MoveJoints(floats(START + 0.3)))
+    for _ in range(60):
+        rig.cycle()
+    rates = [np.abs(skip(rig).drive.setpoint_rate_rad_s)]
+    counts = [rig.outputs.drive.setpoint_count]
+    while rig.outputs.drive.brake_release.any():
+        rates.append(np.abs(rig.cycle().drive.setpoint_rate_rad_s))
+        counts.append(rig.outputs.drive.setpoint_count)
+    assert (np.diff(rates, axis=0) <= 1e-12).all()
+    steps = np.abs(np.diff(counts, axis=0)) * CONFIG.rad_per_count
+    assert (steps <= CONFIG.speed_rad_s / 64 + CONFIG.rad_per_count).all()
+
+
+@pytest.mark.parametrize("phase", [Phase.RELEASE, Phase.SETTLE])
+def test_stop_and_brake_of_a_move_that_is_not_on_its_way_brakes_at_once(phase):
+    rig = Rig(CONFIG, start_rad=START)
+    rig.until(MoveJoints(floats(START + 0.002)), lambda: rig.state.move.phase is phase)
+    assert not skip(rig).drive.brake_release.any()
+    rig.run()
+    assert CommandAborted("MoveJoints") in rig.evrs
+    assert rig.state.mode is Mode.DEPLOYED
+
+
+def test_stop_and_brake_of_a_move_that_is_being_stopped_changes_nothing_but_says_so():
+    rig = moving(MoveJoints(floats(START + 0.3)))
+    rig.cycle(Stop())
+    stopping = rig.state.move
+    skip(rig)
+    assert rig.state.move.paths == stopping.paths
+    assert rig.evrs[-2:] == [CyclesMissed(BOUNDS.missed_cycles + 1, BOUNDS.missed_cycles), STOPPED]
+
+
+def test_a_severer_fault_while_the_arm_is_being_stopped_is_answered():
+    rig = moving(MoveJoints(floats(START + 0.3)))
+    skip(rig)
+    rig.cycle(**closed(Switch.DRILL_1))
+    assert rig.state.mode is Mode.FAULTED
+    assert braked(rig)
+
+
+def test_stop_and_brake_keeps_an_arm_that_has_not_left_the_stowed_pose_stowed():
+    stowed = np.array(CONFIG.params.poses.stowed_rad)
+    rig = Rig(CONFIG, Mode.STOWED, stowed)
+    rig.cycle(Unstow())
+    skip(rig)
+    rig.run()
+    assert rig.state.mode is Mode.STOWED
+
+
+def test_power_off_takes_power_and_brakes_in_one_cycle_and_refuses_until_cleared():
+    rig = moving()
+    for _ in range(BOUNDS.winding_persistence):
+        drive = rig.cycle(**windings(Joint.TURRET, 150.0)).drive
+    assert not drive.power_on.any()
+    assert not drive.brake_release.any()
+    rig.run()
+    assert CommandAborted("MoveJoints") in rig.evrs
+    rig.cycle(MoveJoints(floats(START)))
+    assert rig.evrs[-1] == CommandRefused("MoveJoints", "a fault stands; clear it first")
+    rig.cycle(ClearFault())
+    assert rig.state.mode is Mode.DEPLOYED
+
+
+SEQUENCE = Sequence("CalibrateAll", (MoveJoints(floats(START)), MoveJoints(floats(START + 0.1))))
+TROUBLES = {
+    Response.STOP_AND_BRAKE: {"winding_C": np.full(5, -100.0)},
+    Response.BRAKE_AND_REFUSE: {"switch_closed": closed(Switch.DRT_1)["switch_closed"]},
+    Response.POWER_OFF: {"winding_C": np.full(5, 150.0)},
+}
+
+
+@pytest.mark.parametrize("response", Response)
+def test_a_sequence_does_not_go_on_after_any_response(response):
+    rig = moving()
+    rig.state = replace(rig.state, sequence=SEQUENCE)
+    while RESPONDED[response] not in rig.evrs:
+        rig.cycle(**TROUBLES[response])
+    rig.run()
+    for _ in range(20):
+        assert not rig.cycle().drive.power_on.any()
+    assert rig.evrs.count(CommandAborted("CalibrateAll")) == 1
+    assert rig.evrs.count(CommandAborted("MoveJoints")) == 1
+    assert rig.state.sequence is None
+
+
+def test_brakes_hold_before_power_goes_off_and_let_go_before_anything_moves():
+    rig = Rig(CONFIG, start_rad=START)
+    start = rig.count.copy()
+    rig.cycle(MoveJoints(floats(START + 0.002)))
+    released_for = 0
+    while np.array_equal(rig.outputs.drive.setpoint_count, start):
+        assert rig.outputs.drive.power_on.all()
+        assert rig.outputs.drive.brake_release.all()
+        released_for += 1
+        rig.cycle()
+    assert released_for >= ticks(CONFIG.params.motion.brake_delay_s)
+    while rig.outputs.drive.brake_release.any():
+        rig.cycle()
+    powered_for = 0
+    while rig.outputs.drive.power_on.any():
+        powered_for += 1
+        rig.cycle()
+    assert powered_for >= ticks(CONFIG.params.motion.brake_delay_s)
+
+
+CLEAR_OF_THE_ROVER = [
+    *((joint, "max") for joint in Joint if joint is not Joint.AZIMUTH),
+    *((joint, "min") for joint in (Joint.ELEVATION, Joint.WRIST, Joint.TURRET)),
+]
+
+
+@pytest.mark.parametrize(("joint", "end"), CLEAR_OF_THE_ROVER)
+def test_an_arm_beyond_a_soft_limit_can_be_cleared_and_moved_back(joint, end):
+    outward = 1 if end == "max" else -1
+    pose = START.copy()
+    limit = getattr(CONFIG.arm, f"soft_{end}_rad")[joint]
+    pose[joint] = limit + outward * (BOUNDS.soft_limit_margin_rad + 1e-3)
+    rig = Rig(CONFIG, start_rad=pose)
+    rig.cycle(current_A=[np.nan] * 5)
+    rig.cycle(ClearFault())
+    assert rig.state.mode is Mode.DEPLOYED
+    back = pose.copy()
+    back[joint] = limit - outward * 0.05
+    assert CommandCompleted("MoveJoints") in rig.run(MoveJoints(floats(back)))
+
+
+@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("off_rad", [-0.3, -0.0025, 0.0015, 0.0025, 5.0])
+def test_a_fault_holds_what_is_read_but_no_farther_from_the_set_point_than_a_motor_may_follow(joint, off_rad):
+    rig = moving()
+    last = rig.state.move.setpoint.motor_rad
+    rig.cycle(**off_set_point(rig, joint, off_rad), switch_closed=closed(Switch.DRT_1)["switch_closed"])
+    assert rig.state.mode is Mode.FAULTED
+    held = rig.state.move.setpoint.motor_rad - last
+    bound = BOUNDS.following_error_rad
+    assert held[joint] == pytest.approx(np.clip(off_rad, -bound, bound), abs=2e-5)
+    assert braked(rig)

@@ -1,0 +1,314 @@
+"""From the readings of a cycle to the decision: every monitor runs, remembers its own, and is heard."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.enums import Joint, Mode, Switch, Tool
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CyclesSkipped, FaultResponse
+from fsw.dictionary.faults import (
+    ContactInFreeSpace,
+    ContactLost,
+    FollowingErrorHigh,
+    MotorStalled,
+    NoContact,
+    OverCurrent,
+    OverTemperature,
+    PreloadOutside,
+    ResolverDisagrees,
+    SensorFrozen,
+    SensorNotFinite,
+    SetpointUnsafe,
+    SoftLimitPassed,
+    TiltChanged,
+    UnderTemperature,
+)
+from fsw.protect.contact import ApproachState
+from fsw.protect.monitors import MonitorState, run_monitors
+from fsw.protect.protection import protect
+from fsw.protect.readings import NONE_UNCHANGED, noisy_readings
+from fsw.protect.responses import Response, StandingFault
+from tests.fsw.protect.lab import (
+    BOUNDS,
+    CONFIG,
+    MONITORS,
+    READY,
+    STIFFNESS,
+    ZERO,
+    a_move,
+    a_press,
+    at,
+    closed,
+    moving,
+    resting,
+    sensors,
+)
+from tests.fsw.rig import MARS_R_m_s2, alive
+
+ELBOW, WRIST = Joint.ELBOW, Joint.WRIST
+LEVERS_M = at(Joint.ELEVATION, 1.0)
+PRESS = a_press(Tool.DRILL, 300.0, LEVERS_M)
+PRESSED = closed(Switch.DRILL_1)
+
+
+def live(cycle, **readings):
+    """Readings of a cycle; of those with noise a little is."""
+    noisy = {
+        name: values + alive(cycle)
+        for name, values in readings.items()
+        if name in ("current_A", "resolver_rad")
+    }
+    return sensors(cycle, **{**readings, **noisy})
+
+
+def pressing(**changes):
+    return moving(a_move(press=PRESS), Mode.PRELOAD, tool=Tool.DRILL, **changes)
+
+
+def stalling():
+    """A motor that is asked to move and stands, not so far behind as to be reported for that."""
+    lag = 0.5 * (MONITORS.stall_error_rad + MONITORS.following_error_rad)
+    return moving(a_move(setpoint_rad=READY + at(ELBOW, lag), setpoint_rate_rad_s=at(ELBOW, 0.01)))
+
+
+HOT, COLD = at(WRIST, 150.0, -40.0), at(WRIST, -130.0, -40.0)
+HIGH_A = at(WRIST, CONFIG.current_limit_A[WRIST])
+FAR = moving(a_move(setpoint_rad=READY + at(ELBOW, 0.02)))
+OUTSIDE = at(ELBOW, BOUNDS.highest_rad[ELBOW] + 0.01, READY)
+TURNED_R = np.array([2.0, 0.0, 3.0])
+PERSISTENT = {
+    FollowingErrorHigh: (MONITORS.following_persistence, "following", FAR, {}),
+    MotorStalled: (MONITORS.stall_persistence, "stalled", stalling(), {}),
+    OverCurrent: (MONITORS.over_current_persistence, "over_current", moving(), {"current_A": HIGH_A}),
+    OverTemperature: (MONITORS.winding_persistence, "winding", resting(), {"winding_C": HOT}),
+    UnderTemperature: (MONITORS.winding_persistence, "winding", moving(), {"winding_C": COLD}),
+    ResolverDisagrees: (
+        MONITORS.resolver_persistence,
+        "resolver",
+        resting(resolver_error_rad=at(ELBOW, 1.0)),
+        {},
+    ),
+    TiltChanged: (MONITORS.tilt_persistence, "tilt", moving(imu_R_m_s2=TURNED_R), {}),
+    ContactLost: (MONITORS.contact_persistence, "contact", pressing(), {}),
+    PreloadOutside: (
+        MONITORS.preload_persistence,
+        "press",
+        pressing(resolver_error_rad=500.0 * LEVERS_M / STIFFNESS),
+        {"switch_closed": PRESSED},
+    ),
+}
+"""Persistence, name of the count, and an arm with readings beyond the bound."""
+AT_ONCE = {
+    ContactInFreeSpace: (resting(), {"switch_closed": closed(Switch.DRT_1)}),
+    SoftLimitPassed: (
+        moving(a_move(setpoint_rad=OUTSIDE, setpoint_rate_rad_s=at(ELBOW, 0.01)), motor_rad=OUTSIDE),
+        {},
+    ),
+}
+
+
+def kinds(found):
+    return [type(evr) for evr in found]
+
+
+@pytest.mark.parametrize("kind", PERSISTENT, ids=lambda kind: kind.__name__)
+def test_a_monitor_with_a_persistence_reports_from_it_on_and_counts_by_itself(kind):
+    persistence, name, arm, readings = PERSISTENT[kind]
+    state = MonitorState()
+    for cycle in range(1, persistence + 4):
+        state, found = run_monitors(BOUNDS, state, arm, live(cycle, **readings), usable=True)
+        assert kinds(found) == ([kind] if cycle >= persistence else [])
+        counts = {field: getattr(state.counts, field) for field in state.counts.__slots__}
+        assert counts.pop(name) == cycle
+        assert set(counts.values()) == {0}
+
+
+@pytest.mark.parametrize("kind", PERSISTENT, ids=lambda kind: kind.__name__)
+def test_what_is_over_before_its_persistence_counts_from_the_start(kind):
+    persistence, _, arm, readings = PERSISTENT[kind]
+    quiet = pressing() if arm.mode is Mode.PRELOAD else moving()
+    state = MonitorState()
+    for cycle in range(1, 4 * persistence):
+        if cycle % persistence:
+            state, found = run_monitors(BOUNDS, state, arm, live(cycle, **readings), usable=True)
+        else:
+            state, found = run_monitors(BOUNDS, state, quiet, live(cycle, switch_closed=pressed(quiet)), True)
+            assert state.counts == MonitorState().counts
+        assert found == ()
+
+
+def pressed(arm):
+    return PRESSED if arm.mode is Mode.PRELOAD else closed()
+
+
+@pytest.mark.parametrize("kind", AT_ONCE, ids=lambda kind: kind.__name__)
+def test_a_monitor_without_a_persistence_reports_at_once(kind):
+    arm, readings = AT_ONCE[kind]
+    _, found = run_monitors(BOUNDS, MonitorState(), arm, live(1, **readings), usable=True)
+    assert kinds(found) == [kind]
+
+
+def test_all_that_happens_in_a_cycle_is_reported_in_one_order():
+    motor_rad = OUTSIDE
+    move = a_move(
+        setpoint_rad=OUTSIDE + at(ELBOW, 0.02),
+        setpoint_rate_rad_s=at(ELBOW, 0.01),
+        press=PRESS,
+        approaching=Tool.DRT,
+    )
+    arm = moving(move, motor_rad=motor_rad, imu_R_m_s2=TURNED_R, resolver_error_rad=LEVERS_M, tool=Tool.DRILL)
+    last = MonitorState()
+    counts = replace(last.counts, **dict.fromkeys(last.counts.__slots__, 1000))
+    readings = live(9, winding_C=HOT, current_A=HIGH_A, switch_closed=closed(Switch.DRT_1))
+    last = MonitorState(
+        counts, 7, noisy_readings(readings), (1000,) * 13, MARS_R_m_s2, ApproachState(LEVERS_M, ZERO, 1e6)
+    )
+    state, found = run_monitors(BOUNDS, last, arm, readings, usable=True)
+    assert kinds(found) == [
+        CyclesSkipped,
+        *[SensorFrozen] * 3,
+        ContactInFreeSpace,
+        ResolverDisagrees,
+        OverTemperature,
+        SoftLimitPassed,
+        MotorStalled,
+        FollowingErrorHigh,
+        OverCurrent,
+        TiltChanged,
+        ContactLost,
+        PreloadOutside,
+        PreloadOutside,
+    ]
+    assert state.counts == replace(counts, **dict.fromkeys(counts.__slots__, 1001))
+    assert state.unchanged == (1001,) * 13
+
+
+@pytest.mark.parametrize("kind", [MotorStalled, FollowingErrorHigh, OverCurrent])
+def test_while_the_brakes_let_go_no_motor_is_expected_to_turn_or_to_be_anywhere(kind):
+    persistence, _, arm, readings = PERSISTENT[kind]
+    arm = arm._replace(move=arm.move._replace(is_releasing=True))
+    state = MonitorState()
+    for cycle in range(1, 2 * persistence):
+        state, found = run_monitors(BOUNDS, state, arm, live(cycle, **readings), usable=True)
+        assert found == ()
+        assert state.counts == MonitorState().counts
+
+
+def test_an_arm_that_is_being_stopped_may_be_cold():
+    persistence, _, arm, readings = PERSISTENT[UnderTemperature]
+    for cold in (arm._replace(move=arm.move._replace(is_stopping=True)), resting()):
+        state = MonitorState()
+        for cycle in range(1, 2 * persistence):
+            state, found = run_monitors(BOUNDS, state, cold, live(cycle, **readings), usable=True)
+            assert found == ()
+
+
+def test_at_rest_motors_may_draw_or_stand_anywhere():
+    state = MonitorState()
+    arm = resting(motor_rad=OUTSIDE, imu_R_m_s2=TURNED_R)
+    for cycle in range(1, 200):
+        state, found = run_monitors(BOUNDS, state, arm, live(cycle, current_A=HIGH_A), usable=True)
+        assert found == ()
+        assert state.planned_gravity_R is None
+
+
+def test_a_move_is_held_to_the_gravity_with_which_it_began():
+    begun = moving(gravity_R_m_s2=TURNED_R, imu_R_m_s2=TURNED_R)
+    state, _ = run_monitors(BOUNDS, MonitorState(), begun, live(1), usable=True)
+    assert state.planned_gravity_R is TURNED_R
+    later = moving(gravity_R_m_s2=MARS_R_m_s2, imu_R_m_s2=TURNED_R)
+    for cycle in range(2, 2 * MONITORS.tilt_persistence):
+        state, found = run_monitors(BOUNDS, state, later, live(cycle), usable=True)
+        assert found == ()
+        assert state.planned_gravity_R is TURNED_R
+    state, _ = run_monitors(BOUNDS, state, resting(), live(cycle + 1), usable=True)
+    assert state.planned_gravity_R is None
+
+
+def test_monitors_remember_readings_counts_and_the_approach():
+    readings = live(5)
+    state, found = run_monitors(BOUNDS, MonitorState(), moving(a_move(approaching=Tool.APXS)), readings, True)
+    assert found == ()
+    assert (state.cycle, state.readings, state.unchanged) == (5, noisy_readings(readings), NONE_UNCHANGED)
+    assert state.approach.force_N == 0.0
+    state, found = run_monitors(BOUNDS, state, moving(), replace(readings, cycle=7), True)
+    assert found == (CyclesSkipped(1),)
+    assert state.approach is None
+    assert state.unchanged == (1,) * 13
+
+
+def test_a_force_on_a_tool_that_approaches_is_reported():
+    arm, state = moving(a_move(approaching=Tool.APXS)), MonitorState()
+    state, _ = run_monitors(BOUNDS, state, arm, live(1), usable=True)
+    shown = READY + arm.gear_rad + 500.0 * state.approach.rad_per_N
+    for cycle in range(2, 4):
+        state, found = run_monitors(BOUNDS, state, arm, live(cycle, resolver_rad=shown), usable=True)
+    assert kinds(found) == [PreloadOutside]
+    assert found[0].tool is Tool.APXS
+
+
+def test_of_unusable_readings_only_the_cycle_counts_and_whether_the_arm_moves():
+    known = MonitorState(replace(MonitorState().counts, tilt=3), 4, (1.0,) * 13, (2,) * 13, None)
+    arm = moving(gravity_R_m_s2=TURNED_R, motor_rad=OUTSIDE)
+    state, found = run_monitors(BOUNDS, known, arm, live(6, current_A=np.full(5, np.nan)), usable=False)
+    assert found == (CyclesSkipped(1),)
+    assert (state.counts, state.readings, state.unchanged) == (known.counts, known.readings, known.unchanged)
+    assert (state.cycle, state.planned_gravity_R) == (6, TURNED_R)
+    assert run_monitors(BOUNDS, state, resting(), live(7), usable=False)[0].planned_gravity_R is None
+
+
+def protected(arm, fault=None, unusable=(), of_move=(), last_rad=READY, state=None, **readings):
+    state = MonitorState(cycle=0) if state is None else state
+    return protect(BOUNDS, state, fault, arm, live(1, **readings), last_rad, unusable, of_move)
+
+
+def test_if_nothing_happens_nothing_is_decided():
+    for arm in (resting(), moving(), pressing()):
+        state, decision = protected(arm, switch_closed=pressed(arm))
+        assert decision is None
+        assert state.cycle == 1
+
+
+def test_any_and_all_switches_that_close_in_free_space_are_noticed():
+    for closed_ones in (closed(Switch.DRT_1), closed(*Switch)):
+        _, decision = protected(resting(), switch_closed=closed_ones)
+        assert kinds(decision.evrs) == [ContactInFreeSpace, FaultResponse]
+
+
+def test_what_readings_monitors_set_point_and_move_say_is_decided_upon_together():
+    unusable, of_move = (SensorNotFinite("winding_C"),), (NoContact(0.1), CommandAborted("GuardedMove"))
+    jump = moving(a_move(setpoint_rad=READY + at(WRIST, 1.0)))
+    _, decision = protected(jump, None, unusable, of_move, state=MonitorState(cycle=-1))
+    unsafe = SetpointUnsafe(WRIST, READY[WRIST] + 1.0, READY[WRIST])
+    found = (*unusable, CyclesSkipped(1), unsafe, *of_move)
+    assert decision.evrs == (*found, FaultResponse("BRAKE_AND_REFUSE"))
+    assert decision.response is Response.BRAKE_AND_REFUSE
+    assert decision.fault.mode is Mode.FREE_SPACE
+    np.testing.assert_array_equal(decision.hold_rad, READY)
+
+
+def test_a_set_point_is_compared_with_the_last_one_and_only_that_of_a_move():
+    ahead = READY + at(WRIST, 1.0)
+    assert protected(moving(a_move(setpoint_rad=READY)), last_rad=READY)[1] is None
+    _, decision = protected(moving(), last_rad=ahead)
+    assert decision.evrs[0] == SetpointUnsafe(WRIST, READY[WRIST], ahead[WRIST])
+    bound = MONITORS.following_error_rad
+    np.testing.assert_allclose(decision.hold_rad, ahead - at(WRIST, bound), atol=1e-15)
+    assert protected(resting(), last_rad=ahead)[1] is None
+
+
+def test_with_unusable_readings_nothing_is_monitored_by_them():
+    unusable = (SensorNotFinite("current_A"),)
+    _, decision = protected(resting(), None, unusable, switch_closed=closed(Switch.DRT_1))
+    assert decision.evrs == (*unusable, FaultResponse("BRAKE_AND_REFUSE"))
+
+
+def test_events_that_are_no_faults_pass_and_a_standing_fault_goes_on_to_stand():
+    done = (CommandCompleted("MoveJoints"),)
+    _, decision = protected(moving(), of_move=done)
+    assert (decision.response, decision.evrs, decision.fault) == (None, done, None)
+    fault = StandingFault(Mode.GUARDED, frozenset({(NoContact, None)}))
+    _, decision = protected(resting(mode=Mode.FAULTED), fault, of_move=(NoContact(0.3), *done))
+    assert (decision.response, decision.evrs) == (None, done)
+    assert decision.fault.mode is Mode.GUARDED
