@@ -44,13 +44,13 @@ def check_setpoint(bounds: ProtectionBounds, move: MoveStatus, last_rad: Array) 
     """
     limits = get_lowest(bounds, move).tolist(), bounds.highest_rad.tolist(), bounds.setpoint_step_rad.tolist()
     each = zip(move.setpoint_rad.tolist(), last_rad.tolist(), *limits, strict=True)
-    for joint, (asked, last, lowest, highest, step) in enumerate(each):
+    for joint, (commanded, last, lowest, highest, step) in enumerate(each):
         # written so that NaN fails it
-        near = abs(asked - last) <= step
-        low_safe = asked >= lowest or asked >= last - ROUNDING_RAD
-        high_safe = asked <= highest or asked <= last + ROUNDING_RAD
+        near = abs(commanded - last) <= step
+        low_safe = commanded >= lowest or commanded >= last - ROUNDING_RAD
+        high_safe = commanded <= highest or commanded <= last + ROUNDING_RAD
         if not (near and low_safe and high_safe):
-            return (SetpointUnsafe(Joint(joint), asked, last),)
+            return (SetpointUnsafe(Joint(joint), commanded, last),)
     return ()
 
 
@@ -102,7 +102,7 @@ def check_following(bounds: ProtectionBounds, count: int, error_rad: Array) -> t
 def check_stall(
     bounds: ProtectionBounds, count: int, move: MoveStatus, error_rad: Array, rate_rad_s: Array
 ) -> tuple[int, tuple[Evr, ...]]:
-    """Check that every motor that is far from its set-point turns as it is asked to.
+    """Check that every motor that is far from its set-point turns as it is commanded to.
 
     Nearer to its set-point a motor may be held by friction.
     A joint that seeks its hardstop is to stall, and is watched by its own rules.
@@ -120,15 +120,15 @@ def check_stall(
     monitors = bounds.monitors
     if move.seeking is not None:
         return 0, ()
-    asked = move.setpoint_rate_rad_s
-    short = monitors.stall_share * np.abs(asked) - rate_rad_s * np.sign(asked)
+    commanded = move.setpoint_rate_rad_s
+    short = monitors.stall_share * np.abs(commanded) - rate_rad_s * np.sign(commanded)
     short = np.where(error_rad > monitors.stall_error_rad, short, 0.0)
     if short.max() <= 0:
         return 0, ()
     if count + 1 < monitors.stall_persistence:
         return count + 1, ()
     joint = Joint(int(short.argmax()))
-    return count + 1, (MotorStalled(joint, float(rate_rad_s[joint]), float(asked[joint])),)
+    return count + 1, (MotorStalled(joint, float(rate_rad_s[joint]), float(commanded[joint])),)
 
 
 def check_current(bounds: ProtectionBounds, count: int, current_A: Array) -> tuple[int, tuple[Evr, ...]]:

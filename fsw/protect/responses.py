@@ -159,11 +159,11 @@ def decide(
 
 def response_to(evrs: tuple[Evr, ...]) -> Response | None:
     """Return the severest response that these events ask for, or None."""
-    asked = {RESPONSE_TO[type(evr)] for evr in evrs if isinstance(evr, Fault)}
-    return next((response for response in Response if response in asked), None)
+    requested = {RESPONSE_TO[type(evr)] for evr in evrs if isinstance(evr, Fault)}
+    return next((response for response in Response if response in requested), None)
 
 
 def identify(evr: Evr) -> EventKey:
-    """Return the key by which two events are the same news."""
+    """Return the key by which two events count as one."""
     about = next((getattr(evr, name) for name in ("joint", "sensor", "switch") if hasattr(evr, name)), None)
     return type(evr), about

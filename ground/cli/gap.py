@@ -45,7 +45,7 @@ def record(
 
     Example: marsarm gap record --effect link-length:arm3.x:length_m=0.003 --out logs
     """
-    from ground.common.progress_bar import progress_bar
+    from ground.common.progress import progress_bar
     from ground.diagnosis.arm.record import RecordRequest, check_record_request, record_logs
 
     request = RecordRequest(out, arm, tuple(effect or ()), params, seed)

@@ -89,7 +89,7 @@ def hardstop(
 
     Example: marsarm hardstop --joint elbow --arm as-built:7 --temperature -40 --picture elbow.png
     """
-    from ground.common.progress_bar import progress_bar
+    from ground.common.progress import progress_bar
     from ground.common.requests import BadRequest
     from ground.runs.hardstop import HardstopRequest, plan_stops
     from ground.runs.hardstop import hardstop as carry_out

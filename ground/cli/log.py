@@ -119,7 +119,7 @@ def export(
 
     Example: marsarm log export run.mcap tables --topic /joint --topic /sensors
     """
-    from ground.common.progress_bar import progress_bar
+    from ground.common.progress import progress_bar
     from ground.telemetry.export import export as carry_out
     from ground.telemetry.tables import export_json, export_table
 
@@ -139,7 +139,7 @@ def recover(
 
     Example: marsarm log recover run.mcap saved.mcap
     """
-    from ground.common.progress_bar import progress_bar
+    from ground.common.progress import progress_bar
     from ground.telemetry.recover import recover as carry_out
     from ground.telemetry.tables import recovery_json, recovery_table
 
@@ -199,7 +199,7 @@ def import_log(
 
     Example: marsarm log import arm.csv arm.toml arm.mcap
     """
-    from ground.common.progress_bar import progress_bar
+    from ground.common.progress import progress_bar
     from ground.common.requests import BadRequest
     from ground.telemetry.imports.job import ImportRequest, import_json, import_table, import_tables
 

@@ -82,7 +82,7 @@ def monte_carlo(
         one_arm_table,
         save_monte_carlo_page,
     )
-    from ground.common.progress_bar import progress_bar
+    from ground.common.progress import progress_bar
     from ground.common.requests import BadRequest
 
     request = MonteCarloRequest(

@@ -32,7 +32,7 @@ def replay(
 
     Example: marsarm replay run.mcap --channel '/joint.*'
     """
-    from ground.common.progress_bar import progress_bar
+    from ground.common.progress import progress_bar
     from ground.common.requests import BadRequest
     from ground.replay.replay import ReplayRequest
     from ground.replay.replay import replay as carry_out

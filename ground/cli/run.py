@@ -52,7 +52,7 @@ def run(
 
     Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --movie sol46.gif
     """
-    from ground.common.progress_bar import progress_bar
+    from ground.common.progress import progress_bar
     from ground.common.requests import BadRequest
     from ground.runs.execution import RunFiles
     from ground.runs.scenario import RunRequest

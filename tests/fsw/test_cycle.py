@@ -118,25 +118,27 @@ def test_before_the_first_cycle_brakes_are_on_and_power_is_off():
 
 def test_without_calibrated_joints_nothing_moves_but_the_tool_pose_that_resolvers_make_likely_is_told():
     rig = Rig(CONFIG, Mode.STOWED, CONFIG.params.poses.stowed_rad, calibrated=False)
-    told = []
+    channels = []
     for _ in range(40):
         out = rig.cycle(Unstow())
         assert not out.drive.power_on.any()
         assert not out.joint.calibrated.any()
-        told += [] if out.tool is None else [out.tool.output_rad]
-    np.testing.assert_allclose(told[-1], CONFIG.params.poses.stowed_rad, atol=2 * CONFIG.half_gap_rad.max())
+        channels += [] if out.tool is None else [out.tool.output_rad]
+    np.testing.assert_allclose(
+        channels[-1], CONFIG.params.poses.stowed_rad, atol=2 * CONFIG.half_gap_rad.max()
+    )
 
 
 def test_the_tool_channels_come_at_their_period_and_are_where_the_settled_arm_is():
     rig = Rig(CONFIG, start_rad=START)
     rig.cycle(rig.here(Tool.APXS, 0.001))
     rig.run()
-    told = [out.tool for out in (rig.cycle() for _ in range(160)) if out.tool is not None]
-    assert len(told) == 160 // CONFIG.params.motion.load_period
+    channels = [out.tool for out in (rig.cycle() for _ in range(160)) if out.tool is not None]
+    assert len(channels) == 160 // CONFIG.params.motion.load_period
     X = rig.tool_pose(Tool.APXS)
-    np.testing.assert_allclose(told[-1].p_RoTo_R_m, X.p, atol=1e-7)
-    np.testing.assert_allclose(told[-1].R_RT, X.R, atol=1e-7)
-    assert told[-1].tool is Tool.APXS
+    np.testing.assert_allclose(channels[-1].p_RoTo_R_m, X.p, atol=1e-7)
+    np.testing.assert_allclose(channels[-1].R_RT, X.R, atol=1e-7)
+    assert channels[-1].tool is Tool.APXS
 
 
 @pytest.mark.parametrize("joint", Joint)

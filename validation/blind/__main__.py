@@ -14,7 +14,7 @@ from ground.cli.gap import report_bad_input
 from ground.cli.options import JsonOption, fail, print_result
 from ground.common.files import check_output
 from ground.common.pool import local_runner
-from ground.common.progress_bar import progress_bar
+from ground.common.progress import progress_bar
 from ground.diagnosis.arm.blind_case import TruthLeaked
 from validation.blind.arm_solver import ARM_SOLVER, load_campaign_sensitivities
 from validation.blind.folder import check_jobs, check_make

@@ -114,8 +114,8 @@ def test_beyond_limit_and_margin_a_set_point_may_stay_or_go_back_but_not_out(joi
         (2 * small, small, False),
         (small, -small, False),
     ):
-        last, asked = (at(joint, edge(joint, end) + outward * off, READY) for off in (before, after))
-        assert bool(unsafe_setpoint(last, asked)) is said
+        last, commanded = (at(joint, edge(joint, end) + outward * off, READY) for off in (before, after))
+        assert bool(unsafe_setpoint(last, commanded)) is said
 
 
 @joints
@@ -143,8 +143,8 @@ def test_only_the_joint_that_seeks_its_hardstop_may_be_sent_there_and_not_far_be
     small = 0.1 * STEP[other]
     farthest = stop - 2 * PARAMS.hardstop.window_rad
     for angle, said in ((stop, other is not joint), (farthest + small, other is not joint), (farthest, True)):
-        last, asked = angle + 0.5 * small, angle - 0.5 * small
-        found = unsafe_setpoint(at(other, last, READY), at(other, asked, READY), joint)
+        last, commanded = angle + 0.5 * small, angle - 0.5 * small
+        found = unsafe_setpoint(at(other, last, READY), at(other, commanded, READY), joint)
         assert bool(found) is said
 
 
@@ -154,8 +154,8 @@ moves = hnp.arrays(float, 5, elements=st.floats(-1, 1))
 @given(moves, moves)
 def test_inside_the_limits_every_step_a_move_can_make_goes_out(where, step):
     last = LOW + (0.05 + 0.45 * (where + 1)) * (HIGH - LOW)
-    asked = np.clip(last + step * CYCLE_S * CONFIG.speed_rad_s, LOW, HIGH)
-    assert unsafe_setpoint(last, asked) == ()
+    commanded = np.clip(last + step * CYCLE_S * CONFIG.speed_rad_s, LOW, HIGH)
+    assert unsafe_setpoint(last, commanded) == ()
 
 
 LAG_RAD = min(MONITORS.stall_error_rad, MONITORS.following_error_rad)
@@ -276,7 +276,7 @@ SHARE = MONITORS.stall_share
 
 
 def stall(count, joint, rate_rad_s, asked_rad_s, error_rad=1.0, seeking=None):
-    """A joint asked for one rate that turns at another; the others turn as they are asked to."""
+    """A joint commanded one rate that turns at another; the others turn as they are asked to."""
     move = a_move(setpoint_rate_rad_s=at(joint, asked_rad_s, ASKED), seeking=seeking)
     return check_stall(BOUNDS, count, move, at(joint, error_rad, 1.0), at(joint, rate_rad_s, ASKED))
 
@@ -284,12 +284,12 @@ def stall(count, joint, rate_rad_s, asked_rad_s, error_rad=1.0, seeking=None):
 @joints
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_motor_has_stalled_if_it_turns_less_than_its_share_of_what_is_asked(joint, sign):
-    asked, slow = sign * ASKED, sign * below(SHARE * ASKED)
-    assert stall(100, joint, sign * SHARE * ASKED, asked) == (0, ())
-    event = MotorStalled(joint, slow, asked)
-    assert_reports_from(MONITORS.stall_persistence, lambda count: stall(count, joint, slow, asked), event)
-    wrong_way = MotorStalled(joint, -asked, asked)
-    assert stall(1000, joint, -asked, asked) == (1001, (wrong_way,))
+    commanded, slow = sign * ASKED, sign * below(SHARE * ASKED)
+    assert stall(100, joint, sign * SHARE * ASKED, commanded) == (0, ())
+    event = MotorStalled(joint, slow, commanded)
+    assert_reports_from(MONITORS.stall_persistence, lambda count: stall(count, joint, slow, commanded), event)
+    wrong_way = MotorStalled(joint, -commanded, commanded)
+    assert stall(1000, joint, -commanded, commanded) == (1001, (wrong_way,))
 
 
 @joints

@@ -39,7 +39,7 @@ PLACES = [(name, k) for name, values in QUIET.items() for k in range(values.size
 MIN_m_s2, MAX_m_s2 = MONITORS.gravity_min_m_s2, MONITORS.gravity_max_m_s2
 
 
-def spoilt(name, place, value):
+def corrupted(name, place, value):
     values = QUIET[name].copy()
     values[place] = value
     return {name: values}
@@ -52,7 +52,7 @@ def found_in(**readings):
 @pytest.mark.parametrize("value", BAD)
 @pytest.mark.parametrize(("name", "place"), PLACES)
 def test_one_element_that_is_no_number_is_named_by_its_sensor(name, place, value):
-    assert found_in(**spoilt(name, place, value)) == (SensorNotFinite(name),)
+    assert found_in(**corrupted(name, place, value)) == (SensorNotFinite(name),)
 
 
 @pytest.mark.parametrize(("name", "place"), PLACES)
@@ -72,7 +72,7 @@ def test_all_sensors_that_are_not_finite_are_named_and_infinities_do_not_cancel(
 def test_wild_but_finite_readings_are_judged_without_a_warning():
     assert found_in(resolver_rad=np.full(5, 5e307), current_A=np.full(5, 8e307)) == ()
     for name in QUIET:
-        found = found_in(**spoilt(name, 0, 1e200))
+        found = found_in(**corrupted(name, 0, 1e200))
         assert all(isinstance(evr, SensorNotFinite | GravityImplausible) for evr in found)
 
 
@@ -107,7 +107,7 @@ def test_every_number_that_has_noise_is_looked_at_by_itself_and_no_other():
     assert len(quiet) == len(NONE_UNCHANGED)
     noisy = [place for place in PLACES if place[0] != "winding_C"]
     for k, place in enumerate(noisy):
-        changed = noisy_readings(sensors(**{**QUIET, **spoilt(*place, 7.0)}))
+        changed = noisy_readings(sensors(**{**QUIET, **corrupted(*place, 7.0)}))
         assert [a != b for a, b in zip(quiet, changed, strict=True)] == [k == j for j in range(len(noisy))]
     assert noisy_readings(sensors(**{**QUIET, "winding_C": np.ones(5)})) == quiet
 

@@ -29,7 +29,7 @@ MOVES = {
 }
 
 
-def spoilt(name, place, value):
+def corrupted(name, place, value):
     values = QUIET[name].copy()
     values[place] = value
     return {name: values}
@@ -57,7 +57,7 @@ def test_one_bad_element_stops_the_arm_in_the_same_cycle(name, place, value):
     rig = moving()
     follow = rig.outputs.drive.setpoint_count
     rig.evrs.clear()
-    out = rig.cycle(**spoilt(name, place, value))
+    out = rig.cycle(**corrupted(name, place, value))
     assert out.evrs == (
         SensorNotFinite(name),
         FaultResponse("BRAKE_AND_REFUSE"),
@@ -75,9 +75,9 @@ def test_one_bad_element_stops_the_arm_in_the_same_cycle(name, place, value):
 @pytest.mark.parametrize("value", BAD)
 def test_the_set_point_is_frozen_from_the_bad_reading_on(kind, value):
     rig = moving(kind)
-    held = rig.cycle(**spoilt("current_A", 2, value)).drive.setpoint_count
+    held = rig.cycle(**corrupted("current_A", 2, value)).drive.setpoint_count
     for k in range(60):
-        out = rig.cycle(**(spoilt("winding_C", k % 5, value) if k % 3 == 0 else {}))
+        out = rig.cycle(**(corrupted("winding_C", k % 5, value) if k % 3 == 0 else {}))
         np.testing.assert_array_equal(out.drive.setpoint_count, held)
         assert not out.drive.setpoint_rate_rad_s.any()
         assert not out.drive.brake_release.any()
@@ -91,7 +91,7 @@ def test_the_aborted_move_is_reported_and_later_moves_are_refused_until_cleared(
     rig = moving(kind)
     name = rig.state.move.command
     rig.evrs.clear()
-    rig.cycle(**spoilt("resolver_rad", 0, BAD[0]))
+    rig.cycle(**corrupted("resolver_rad", 0, BAD[0]))
     rig.run()
     assert CommandAborted(name) in rig.evrs
     rig.evrs.clear()
@@ -105,17 +105,17 @@ def test_a_standing_fault_is_said_once():
     rig = moving()
     rig.evrs.clear()
     for _ in range(20):
-        rig.cycle(**spoilt("gravity_R_m_s2", 1, BAD[0]))
+        rig.cycle(**corrupted("gravity_R_m_s2", 1, BAD[0]))
     assert sum(isinstance(evr, SensorNotFinite) for evr in rig.evrs) == 1
     assert sum(isinstance(evr, FaultResponse) for evr in rig.evrs) == 1
 
 
 def test_clearing_while_the_reading_is_still_bad_faults_again():
     rig = moving()
-    rig.cycle(**spoilt("current_A", 0, BAD[0]))
+    rig.cycle(**corrupted("current_A", 0, BAD[0]))
     rig.run()
     rig.evrs.clear()
-    rig.cycle(ClearFault(), MoveJoints(floats(START)), **spoilt("current_A", 0, BAD[0]))
+    rig.cycle(ClearFault(), MoveJoints(floats(START)), **corrupted("current_A", 0, BAD[0]))
     assert rig.state.mode is Mode.FAULTED
     assert SensorNotFinite("current_A") in rig.evrs
     assert not rig.outputs.drive.brake_release.any()
@@ -123,7 +123,7 @@ def test_clearing_while_the_reading_is_still_bad_faults_again():
 
 def test_bad_readings_of_several_sensors_are_all_named():
     rig = moving()
-    bad = {**spoilt("current_A", 0, BAD[0]), **spoilt("gravity_R_m_s2", 2, BAD[1])}
+    bad = {**corrupted("current_A", 0, BAD[0]), **corrupted("gravity_R_m_s2", 2, BAD[1])}
     evrs = rig.cycle(**bad).evrs
     assert [evr.sensor for evr in evrs if isinstance(evr, SensorNotFinite)] == ["current_A", "gravity_R_m_s2"]
 
@@ -131,7 +131,7 @@ def test_bad_readings_of_several_sensors_are_all_named():
 def test_a_bad_reading_leaves_the_last_good_estimate():
     rig = moving()
     before = rig.state.joints
-    rig.cycle(**spoilt("gravity_R_m_s2", 0, BAD[0]))
+    rig.cycle(**corrupted("gravity_R_m_s2", 0, BAD[0]))
     after = rig.state.joints
     for name in ("motor_rad", "gear_rad", "gravity_R_m_s2", "resolver_error_rad"):
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
@@ -140,7 +140,7 @@ def test_a_bad_reading_leaves_the_last_good_estimate():
 @pytest.mark.parametrize("value", BAD)
 def test_an_arm_on_its_brakes_faults_too(value):
     rig = Rig(CONFIG, start_rad=START)
-    rig.cycle(**spoilt("winding_C", 4, value))
+    rig.cycle(**corrupted("winding_C", 4, value))
     assert rig.state.mode is Mode.FAULTED
     assert not rig.outputs.drive.power_on.any()
 
@@ -171,7 +171,7 @@ def test_the_arm_comes_to_its_brakes_and_power_off_while_the_reading_stays_bad(n
     if name in finite_but_bad:
         bad = {"gravity_R_m_s2": [0, 0, finite_but_bad[name]]}
     else:
-        bad = spoilt(name, 0, BAD[0])
+        bad = corrupted(name, 0, BAD[0])
     rig.run(**bad, at_most=CONFIG.brake_ticks + 2)
     assert not rig.outputs.drive.power_on.any()
     assert CommandAborted("MoveJoints") in rig.evrs
@@ -181,7 +181,7 @@ def test_the_arm_comes_to_its_brakes_and_power_off_while_the_reading_stays_bad(n
 def test_with_bad_readings_nothing_is_known_until_the_first_good_ones(name):
     rig = Rig(CONFIG, start_rad=START, calibrated=False)
     for _ in range(3):
-        rig.cycle(**spoilt(name, 0, BAD[0]))
+        rig.cycle(**corrupted(name, 0, BAD[0]))
         assert not rig.state.joints.initialised
     rig.cycle()
     np.testing.assert_allclose(rig.state.joints.motor_rad, START, atol=1e-5)
@@ -189,6 +189,6 @@ def test_with_bad_readings_nothing_is_known_until_the_first_good_ones(name):
 
 def test_a_stop_does_not_clear_a_fault():
     rig = moving()
-    rig.cycle(**spoilt("current_A", 0, BAD[0]))
+    rig.cycle(**corrupted("current_A", 0, BAD[0]))
     rig.run(Stop())
     assert rig.state.mode is Mode.FAULTED

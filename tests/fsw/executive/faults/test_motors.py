@@ -129,9 +129,9 @@ def test_a_joint_that_seizes_is_stalled_before_it_is_too_far_behind_however_slow
 
 
 def slowed(rig, share):
-    """The arm turns this share of what it is asked, from a lag that is beyond the bound already."""
-    asked = rig.state.move.setpoint.rate_rad_s
-    rig.slowed = getattr(rig, "slowed", rig.count - 400.0) + share * asked / 64 / CONFIG.rad_per_count
+    """The arm turns this share of what it is commanded, from a lag that is beyond the bound already."""
+    commanded = rig.state.move.setpoint.rate_rad_s
+    rig.slowed = getattr(rig, "slowed", rig.count - 400.0) + share * commanded / 64 / CONFIG.rad_per_count
     return {"encoder_count": np.rint(rig.slowed).astype(int)}
 
 

@@ -40,8 +40,8 @@ def test_a_wrong_path_ends_at_the_brakes_in_the_same_cycle_and_never_reaches_the
     rig.until_moving(MoveJoints(floats(START + 0.05)))
     before = rig.outputs.drive.setpoint_count
     last = rig.state.move.setpoint.motor_rad
-    asked = at(joint, np.nan if wrong == "nan" else last[joint] + 0.1, last)
-    rig.state = tampered(rig, asked)
+    commanded = at(joint, np.nan if wrong == "nan" else last[joint] + 0.1, last)
+    rig.state = tampered(rig, commanded)
     rig.evrs.clear()
     drive = rig.cycle().drive
     assert isinstance(rig.evrs[0], SetpointUnsafe)
