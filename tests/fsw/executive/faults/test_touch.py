@@ -84,7 +84,7 @@ def test_a_guarded_move_that_touches_before_it_moves_presses_no_further():
 
 
 def test_a_touch_that_may_not_press_stays_where_its_switch_closed(monkeypatch):
-    monkeypatch.setattr("fsw.motion.move.plan_press", lambda *_: Refusal("for this test"))
+    monkeypatch.setattr("fsw.motion.move.plan_preload", lambda *_: Refusal("for this test"))
     rig = in_guarded_motion(Tool.APXS)
     rig.cycle(**closed(Switch.APXS_1))
     rig.run(**closed(Switch.APXS_1))
