@@ -100,8 +100,10 @@ def test_a_force_that_the_resolvers_do_not_believe_in_is_a_fault():
     assert FaultResponse("BRAKE_AND_REFUSE") in evrs
 
 
-def test_the_drill_presses_with_the_force_and_neither_slips_nor_leans():
-    loop, axis = on_the_rock(), -NORMAL
+@cache
+def press_and_release() -> tuple[ClosedLoop, np.ndarray, np.ndarray, list[float]]:
+    """Press with 300 N and release: forces (n, 3), places (n, 3), normal force at each `Preloaded`."""
+    loop = on_the_rock()
     commands = (PLACE, Preload(Tool.DRILL, 300.0), Preload(Tool.DRILL, 0.0), Retract(Tool.DRILL, 0.1))
     forces, places, pressed = [], [], []
     cycles = run_sequence(loop, commands)
@@ -112,12 +114,23 @@ def test_the_drill_presses_with_the_force_and_neither_slips_nor_leans():
             places.append(loop.plant.truth().p_RoTo_R_m[Tool.DRILL])
             if any(isinstance(evr, Preloaded) for evr in record.outputs.evrs):
                 pressed.append(float(forces[-1] @ NORMAL))
-    normal = np.array(forces) @ -axis
-    lateral = np.linalg.norm(np.array(forces) - np.outer(normal, -axis), axis=1)
-    moved = np.array(places) - places[0]
+    return loop, np.array(forces), np.array(places), pressed
+
+
+def test_the_drill_presses_with_the_force_and_neither_slips_nor_leans():
+    (loop, forces, places, pressed), axis = press_and_release(), -NORMAL
+    normal = forces @ -axis
+    lateral = np.linalg.norm(forces - np.outer(normal, -axis), axis=1)
+    moved = places - places[0]
     slip = np.linalg.norm(moved - np.outer(moved @ axis, axis), axis=1)
     assert loop.state.mode is Mode.DEPLOYED
     assert pressed == [pytest.approx(300.0, rel=0.02), pytest.approx(0.0, abs=1.0)]
     assert normal.max() < 1.05 * 300.0
     assert np.max(lateral[normal > PRESSED_N] / normal[normal > PRESSED_N]) < 0.35
     assert slip.max() < 1e-3
+
+
+@pytest.mark.xfail(reason="303.9 N: noise of the currents and the twist of the pads leave 1.3 %")
+def test_the_drill_presses_with_the_force_to_one_percent():
+    *_, pressed = press_and_release()
+    assert pressed[0] == pytest.approx(300.0, rel=0.01)
