@@ -46,8 +46,8 @@ WITH_SHOULDER: Final = {
     for shoulder in ("out", "in")
 }
 SERIES: Final = (
-    ("as_initialised_mm", "#c1121f", "gaps taken to be as at the hardstop"),
-    ("with_state_mm", "#31688e", "with the believed state of the backlash"),
+    ("as_initialised_mm", "#c1121f", "backlash taken to be as at the hardstop"),
+    ("with_state_mm", "#31688e", "with the estimated side of the backlash"),
 )
 
 
@@ -148,7 +148,7 @@ def draw(groups: Sequence[Sequence[Prediction]], path: Path) -> None:
             axes.plot(number, error_mm, ".-", color=colour, linewidth=0.6, label=label)
         axes.set(
             xlabel="pose",
-            ylabel="drill from its predicted place [mm]",
+            ylabel="position error of the drill [mm]",
             xlim=(0, len(every) + 1),
             ylim=(0, None),
         )
