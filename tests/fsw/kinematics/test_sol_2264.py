@@ -68,7 +68,7 @@ LINES = {
     "J1 across": across(Joint.AZIMUTH),
     "J5 across": across(Joint.TURRET),
     "both across": across(Joint.AZIMUTH, Joint.TURRET),
-    "whole gap": deflected_drill((LOADED_SIDE - 1.0) * HALF_BACKLASH_RAD),
+    "whole backlash": deflected_drill((LOADED_SIDE - 1.0) * HALF_BACKLASH_RAD),
     "rigid, resolvers": drill(forward(ARM, RESOLVER_RAD)),
     "links, resolvers": drill(settle_output(ARM, RESOLVER_RAD, GRAVITY_R_m_s2).frames),
     "stiffer": deflected_drill(LOADED_SIDE * HALF_BACKLASH_RAD, stiffer(1.2)),
@@ -140,7 +140,7 @@ def test_the_page_says_where_the_resolvers_are():
         "wind-up [mrad]": 1e3 * outputs.torque_Nm / ARM.gear_stiffness_Nm_rad,
         "half the backlash [mrad]": 1e3 * LOADED_SIDE * HALF_BACKLASH_RAD,
         "output - encoder, computed [mrad]": 1e3 * (outputs.output_rad - ENCODER_RAD),
-        "the same, whole gap [mrad]": 1e3 * (whole_gap.output_rad - ENCODER_RAD),
+        "the same, whole backlash [mrad]": 1e3 * (whole_gap.output_rad - ENCODER_RAD),
         "resolver - encoder, flight [mrad]": 1e3 * (RESOLVER_RAD - ENCODER_RAD),
     }
     assert list(table) == list(computed)
