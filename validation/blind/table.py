@@ -45,7 +45,7 @@ def _lines(score: Score) -> Iterator[str]:
     yield f"| right effect, likewise | | {_rate_text(score.found_given.effect)} |"
     yield f"| in the reported set, likewise | | {_rate_text(score.found_given.in_set)} |"
     yield f"| classes in a set, mean | under 2 | {score.set_size:.2f} |"
-    yield f"| named, but not of the case | | {_rate_text(score.superfluous)} |"
+    yield f"| named, but not of the case | | {_rate_text(score.spurious)} |"
     yield f"| 90 % intervals that cover | interval has 90 % | {_rate_text(score.covered)} |"
     yield f"| closure, median | 80 % or more | {_median_text(score.closure)} |"
     yield f"| what the true effects achieve | | {_median_text(score.true_closure)} |"
