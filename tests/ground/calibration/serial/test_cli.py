@@ -45,8 +45,8 @@ def test_standard_output_is_one_document(ended):
 
 
 def test_the_large_errors_of_the_arm_are_worth_their_terms(ended):
-    steps = json.loads(ended[1].stdout)["steps"]
-    worth = {step["terms"][-1]: step["worth_it"] for step in steps[1:]}
+    steps = json.loads(ended[1].stdout)["models"]
+    worth = {step["terms"][-1]: step["significant"] for step in steps[1:]}
     assert list(worth) == ["geometry", "compliance", "waves", "approach"]
     assert worth["geometry"]
     assert worth["waves"]
