@@ -60,7 +60,7 @@ def test_the_arm_that_was_found_says_where_it_is_from_and_can_be_judged_again(en
     assert json.loads(done.stdout)["sha256"]["table"] in found
     assert arm_from_toml(found, "found.toml").name == "made up"
     again = calibrate_serial(make_request(folder, arm=folder / "found.toml", terms="none"), quiet)
-    assert again.steps[-1].fresh.rms_m < 1.2 * POSITION_M * 3**0.5
+    assert again.models[-1].fresh.rms_m < 1.2 * POSITION_M * 3**0.5
 
 
 def test_the_picture_shows_every_joint(ended):
