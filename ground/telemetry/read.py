@@ -67,7 +67,7 @@ class Log:
     """Topics of the plant's own state, which flight software never saw."""
     lost: tuple[LostMessages, ...] = ()
     """Losses of a log that was recovered from a damaged one."""
-    behind: int = 0
+    trailing_bytes: int = 0
     """Bytes in the file after the end of the log; they are not read."""
 
     def __getitem__(self, topic: str) -> NDArray[np.void]:
@@ -233,7 +233,7 @@ def _build_log(
         commands=tuple(map(CommandEntry.decode, bodies.get(COMMAND_TOPIC, []))),
         truth=frozenset(channel.topic for channel in channels.values() if channel.is_truth),
         lost=losses_in(found.metadata.get(RECOVERED_RECORD, {})),
-        behind=found.trailing_bytes if found.closed else 0,
+        trailing_bytes=found.trailing_bytes if found.closed else 0,
     )
 
 

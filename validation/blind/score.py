@@ -102,7 +102,7 @@ class Score:
     """Difference of the two, case by case."""
     seconds: Median
     """CPU seconds for a case."""
-    most_seconds: float
+    max_seconds: float
     bins: tuple[Bin, ...]
     baselines: Mapping[str, Baseline]
     verdicts: Mapping[str, Mapping[str, int]]

@@ -111,7 +111,7 @@ def test_closure_is_held_against_what_the_truth_achieves() -> None:
     found = scored(*cases, (one, said("none", share=0.1)), achieved=0.95)
     assert found.closure.median == pytest.approx(0.8)
     assert found.closure_lost.median == pytest.approx(0.15)
-    assert found.seconds.median == found.most_seconds == 9.0
+    assert found.seconds.median == found.max_seconds == 9.0
 
 
 def test_what_is_withheld_counts_against_all_and_not_against_those_named() -> None:
