@@ -133,12 +133,14 @@ class InitialisationRun:
         drawn_rad = config.params.joints.in_order()[j].hardstop_rad
         zero_error = float((state.joints.motor_rad - plant.motor_rad() + plant.stop_rad())[j]) - drawn_rad
         stalled_rad = min(s.angle_rad for s in self._samples if s.joint is j and s.stage is HomingStage.FINE)
-        uncorrected = drawn_rad - stalled_rad - float(config.half_gap_rad[j])
+        uncorrected = drawn_rad - stalled_rad - float(config.half_backlash_rad[j])
         return HardstopResult(
             joint=j,
             zero_error_rad=zero_error,
             uncorrected_error_rad=zero_error + uncorrected - evr.moved_rad,
-            half_backlash_error_rad=float(state.joints.reference.half_gap_rad[j] - plant.half_gap_rad[j]),
+            half_backlash_error_rad=float(
+                state.joints.reference.half_backlash_rad[j] - plant.half_backlash_rad[j]
+            ),
             load_Nm=float(state.load.torque_Nm[j]),
         )
 
@@ -232,7 +234,7 @@ def true_reference(arm: BuiltArm) -> Reference:
         calibrated=np.ones(len(Joint), bool),
         known=np.ones(len(Joint), bool),
         zero_rad=hardware.counter_zero_rad + hardstop_error_rad,
-        half_gap_rad=plant.half_gap_rad,
+        half_backlash_rad=plant.half_backlash_rad,
         resolver_bias_rad=hardware.resolver_bias_rad - hardstop_error_rad,
         friction_Nm=np.array([spec.joint(f"{name}_motor").frictionloss for name in JOINT_NAMES]),
     )

@@ -205,7 +205,7 @@ def _must_be_found(loop: ClosedLoop, fault: InjectedFault, moving: bool) -> bool
             return True
         case SensorFault(kind="biased", sensor="resolver_rad", size=size):
             # The unknown position inside the backlash adds to the bound.
-            return abs(size) > bounds.resolver_error_rad + 2 * float(loop.config.half_gap_rad.max())
+            return abs(size) > bounds.resolver_error_rad + 2 * float(loop.config.half_backlash_rad.max())
         case MissedCycles(count=count):
             return count > bounds.missed_cycles
         case HotMotor(temperature_C=temperature):
@@ -224,7 +224,7 @@ class _Observer:
         config = loop.config
         # Backlash and wind-up of a gear add to the limit of the motor.
         motor_rad = config.params.monitors.soft_limit_margin_rad
-        self._margin = motor_rad + float(config.half_gap_rad.max()) + WIND_UP_RAD
+        self._margin = motor_rad + float(config.half_backlash_rad.max()) + WIND_UP_RAD
         self.found: list[str] = []
         self.responses: list[str] = []
         self.refused = False

@@ -95,7 +95,7 @@ def predictions(
 
 
 def _predict(config: Config, s: RestState, shoulder_in: bool) -> Prediction:
-    pressed = settle(config.arm, s.motor_rad, config.half_gap_rad, s.gravity_R_m_s2)
+    pressed = settle(config.arm, s.motor_rad, config.half_backlash_rad, s.gravity_R_m_s2)
     believed = settle_output(config.arm, s.motor_rad + s.believed_gear_rad, s.gravity_R_m_s2)
     error_mm = [
         1e3 * float(np.linalg.norm(tool_pose(config.arm, pose.frames, Tool.DRILL).p - s.p_RoTo_R_m))

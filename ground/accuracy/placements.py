@@ -126,7 +126,7 @@ def closed_loop_model(arm: BuiltArm, reference: Reference, backlash: BacklashMod
             raise RuntimeError(f"{arm.name}: no way to {np.degrees(place.output_rad)} deg: {problem}")
         truth, plant = loop.truth(), loop.plant
         X_RT = Pose(truth.R_RT[place.tool], truth.p_RoTo_R_m[place.tool])
-        return X_RT, plant.gap_rad() / plant.half_gap_rad
+        return X_RT, plant.backlash_rad() / plant.half_backlash_rad
 
     return move
 
@@ -146,7 +146,7 @@ def statics_model(arm: BuiltArm, backlash: BacklashMode) -> MoveModel:
         settled = solve_quasi_static_move(
             static, place.start_rad, place.output_rad, place.tool, gravity, backlash, disturbance
         )
-        return settled.X_RT, settled.gap_rad / true.half_gap_rad
+        return settled.X_RT, settled.backlash_rad / true.half_backlash_rad
 
     return move
 

@@ -68,7 +68,7 @@ def plot(
     channel: Annotated[
         list[str],
         typer.Argument(
-            help="Names or patterns such as '/joint.motor_rad', '/joint.motor_rad[2]', '/joint.gap*'.",
+            help="Names or patterns such as '/joint.motor_rad', '/joint.motor_rad[2]', '/joint.backlash*'.",
             metavar="CHANNEL...",
         ),
     ],

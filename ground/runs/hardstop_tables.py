@@ -96,7 +96,7 @@ def plan_json(plans: tuple[StopPlan, ...]) -> dict[str, Any]:
             "order": [joint.name.lower() for joint in HARDSTOP_ORDER],
             "start_deg": [degrees(angle) for angle in plan.params.hardstop.start_rad],
             "park_deg": [degrees(angle) for angle in plan.params.hardstop.park_rad],
-            "second_start_deg": [degrees(angle) for angle in plan.params.hardstop.again_rad],
+            "second_start_deg": [degrees(angle) for angle in plan.params.hardstop.second_start_rad],
             "clearance_mm": {
                 "rover_and_ground": 1e3 * plan.clearance.outside_m,
                 "itself": 1e3 * plan.clearance.self_m,

@@ -101,7 +101,7 @@ def _segment_features(
     segment = segments[number]
     j, motor = segment.joint, recording.motor_rad()[segment.joint]
     is_first = not any(s.joint is j and s.first < segment.first for s in segments)
-    backlash_rad = 2.0 * float(config.half_gap_rad[j])
+    backlash_rad = 2.0 * float(config.half_backlash_rad[j])
     touch = _touch_tick(recording)
     for channel in (CURRENT, FOLLOWING_ERROR, RESOLVER):
         for bin_number, first, end in _compared_bins(recording, segment, channel, touch):
