@@ -18,7 +18,7 @@ class CandidateMotion:
     name: str
     separation: float
     """Separation in sigmas of the noise floor, with all data so far and this motion."""
-    now: float
+    separation_now: float
     """Separation with all data so far."""
 
 

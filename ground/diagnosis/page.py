@@ -188,7 +188,8 @@ def _next_section(result: DiagnosisResult) -> Iterator[str]:
     yield paragraph(next_sentence(result))
     if result.next_motion:
         rows = [
-            (one.name, format_number(one.now), format_number(one.separation)) for one in result.next_motion
+            (one.name, format_number(one.separation_now), format_number(one.separation))
+            for one in result.next_motion
         ]
         yield table(("motion", "sigmas apart now", "with it"), rows)
     if result.notes:

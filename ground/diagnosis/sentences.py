@@ -127,7 +127,7 @@ def next_sentence(result: DiagnosisResult) -> str:
             )
         return (
             f"Record {best.name}: it would separate the aliased effects by "
-            f"{format_number(best.separation)} sigmas (now {format_number(best.now)})."
+            f"{format_number(best.separation)} sigmas (now {format_number(best.separation_now)})."
         )
     near = best_rejected(result)
     if near is not None:

@@ -97,7 +97,7 @@ def _links_json(report: SerialReport) -> list[dict[str, Any]]:
             "name": one.name,
             **{
                 number: {
-                    "differs": float(fit.values[names[f"{one.name}.{number}"]]),
+                    "difference": float(fit.values[names[f"{one.name}.{number}"]]),
                     "sigma": float(sigma[names[f"{one.name}.{number}"]]),
                 }
                 for number in GEOMETRY_NAMES

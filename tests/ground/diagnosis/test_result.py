@@ -76,7 +76,7 @@ def test_aliased_effects_are_a_class_with_the_motion_that_separates_them(results
     (together,) = document["equivalence_classes"]
     assert [{key: effect[key] for key in ("name", "place")}, *effect["aliases"]] == together
     assert document["next_motion"][0]["name"] == "another"
-    assert document["next_motion"][0]["separation"] > document["next_motion"][0]["now"]
+    assert document["next_motion"][0]["separation"] > document["next_motion"][0]["separation_now"]
 
 
 def test_a_set_holds_others_and_what_they_are_worth(results):
