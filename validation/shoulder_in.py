@@ -60,7 +60,7 @@ class Prediction:
     """Error with the side of the backlash at the hardstop."""
     with_state_mm: float
     """Error with the estimated side."""
-    fallen: int
+    joints_on_other_side: int
     """Number of joints that have changed the side of their backlash."""
 
 
@@ -111,7 +111,7 @@ def document(groups: Sequence[Sequence[Prediction]]) -> dict[str, Any]:
         name: {
             "as_initialised_mm": _mean([p.as_initialised_mm for p in every if p.shoulder_in == inside]),
             "with_state_mm": _mean([p.with_state_mm for p in every if p.shoulder_in == inside]),
-            "fallen_joints": _mean([p.fallen for p in every if p.shoulder_in == inside]),
+            "joints_on_other_side": _mean([p.joints_on_other_side for p in every if p.shoulder_in == inside]),
         }
         for name, inside in (("shoulder_out", False), ("shoulder_in", True))
     }
