@@ -27,7 +27,7 @@ class Config:
     protection: ProtectionBounds
     rad_per_count: Array
     """Angle on the output side for one encoder count."""
-    half_gap_rad: Array
+    half_backlash_rad: Array
     """Half the backlash by the parameters; a calibrated joint has a measured value in its Reference."""
     hardstop_rad: Array
     output_friction_Nm: Array
@@ -66,7 +66,7 @@ def configure(params: Params) -> Config:
         collision_geometry=build_collision_geometry(params, arm),
         protection=compute_bounds(params, arm, CYCLE_S),
         rad_per_count=np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints]),
-        half_gap_rad=np.array([0.5 * j.backlash_rad for j in joints]),
+        half_backlash_rad=np.array([0.5 * j.backlash_rad for j in joints]),
         hardstop_rad=np.array([j.hardstop_rad for j in joints]),
         output_friction_Nm=np.array([j.output_friction_Nm for j in joints]),
         load_error_Nm=np.array([j.load_error_Nm for j in joints]),

@@ -57,7 +57,7 @@ def step(
         tool=state.tool,
         joints=joints,
         load=load,
-        planned_gap_rad=planned_backlash_rad,
+        planned_backlash_rad=planned_backlash_rad,
         move=after.move,
         preload=preload,
         sequence=after.sequence,
@@ -79,7 +79,7 @@ def _estimate(
     if not usable:
         return state.joints, state.load, None
     joints = joint_estimate.update_joints(config, state.joints, sensors)
-    if state.load.known and state.tick % config.params.motion.load_period != 0:
+    if state.load.known and state.tick % config.params.motion.load_period_cycles != 0:
         return joints, state.load, None
     push = None if state.preload is None else state.preload.reaction
     load, joints, channels = joint_estimate.update_load(
@@ -114,7 +114,7 @@ def _move(
 
     With unusable readings only the brake phase advances.
     """
-    mode, move, preload, backlash_rad = state.mode, state.move, state.preload, state.planned_gap_rad
+    mode, move, preload, backlash_rad = state.mode, state.move, state.preload, state.planned_backlash_rad
     evrs: tuple[Evr, ...] = ()
     if move is not None and (usable or move.phase is Phase.BRAKE):
         result = advance_move(config, move, joints, load, sensors)
@@ -122,7 +122,7 @@ def _move(
             preload = move_preload(result.move or move)
         move, evrs = result.move, result.evrs
         mode = mode if result.end_mode is None else result.end_mode
-        backlash_rad = backlash_rad if result.gap_rad is None else result.gap_rad
+        backlash_rad = backlash_rad if result.backlash_rad is None else result.backlash_rad
         if result.found_hardstop is not None:
             joints, calibrated = _apply_homing(config, joints, load, *result.found_hardstop)
             evrs = (calibrated, *evrs)

@@ -47,7 +47,7 @@ class State:
     """Tool of the last tool command; the tool channels refer to it."""
     joints: JointEstimate
     load: LoadEstimate
-    planned_gap_rad: Array
+    planned_backlash_rad: Array
     """Position of each output in its backlash that the set-points assume, (5,)."""
     move: Move | None
     """Move under way; None while the brakes hold the arm."""
@@ -81,7 +81,7 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
         tool=Tool.DRILL,
         joints=uninitialised_estimate(config, no_reference(config) if reference is None else reference),
         load=no_load(n),
-        planned_gap_rad=np.zeros(n),
+        planned_backlash_rad=np.zeros(n),
         move=None,
         preload=None,
         sequence=None,
@@ -127,10 +127,10 @@ def joint_channels(tick: int, state: State, backlash_state: Array) -> JointChann
         motor_rate_rad_s=joints.motor_rate_rad_s,
         setpoint_rad=last_setpoint(state),
         output_rad=joints.output_rad,
-        gap_rad=backlash_rad,
-        gap_side=side,
-        gap_uncertainty_rad=uncertainty_rad,
-        planned_gap_rad=state.planned_gap_rad,
+        backlash_rad=backlash_rad,
+        backlash_side=side,
+        backlash_uncertainty_rad=uncertainty_rad,
+        planned_backlash_rad=state.planned_backlash_rad,
         calibrated=joints.reference.calibrated,
         resolver_error_rad=joints.resolver_error_rad,
     )

@@ -184,7 +184,7 @@ def placement_sessions(params: Params) -> list[DiagnosisSession]:
         start = np.radians(pose_deg)
         gravity = World("mars").gravity_N_m_s2
         flank = np.sign(settle_output(config.arm, start, gravity).torque_Nm)
-        deflected = settle(config.arm, start, flank * config.half_gap_rad, gravity)
+        deflected = settle(config.arm, start, flank * config.half_backlash_rad, gravity)
         X_RT = tool_pose(config.arm, deflected.frames, tool)
         sessions.append(placement_session(name, tool, start, X_RT.p, X_RT.R[:, 0]))
     return sessions

@@ -31,11 +31,11 @@ SWEEP_SPACING_RAD: Final = 0.03
 HARDSTOP_CLEARANCE_M: Final = 0.015
 LOAD_TOLERANCE_NM: Final = 0.5
 
-PoseName = Literal["start_rad", "park_rad", "again_rad"]
+PoseName = Literal["start_rad", "park_rad", "second_start_rad"]
 FREE_ANGLES: Final[tuple[tuple[PoseName, Joint], ...]] = (
     ("start_rad", Joint.ELEVATION),
     ("park_rad", Joint.ELEVATION),
-    ("again_rad", Joint.ELBOW),
+    ("second_start_rad", Joint.ELBOW),
 )
 """Angles that are solved for equal torques at the hardstops of wrist, elbow and elevation."""
 EQUALISED_JOINTS: Final = (Joint.WRIST, Joint.ELBOW, Joint.ELEVATION)
@@ -49,7 +49,7 @@ def _joints_from_deg(*angles_deg: float) -> Joints5:
 EARTH_GUESS: Final[dict[PoseName, Joints5]] = {
     "start_rad": _joints_from_deg(-81.1, -110.4, -158.2, -184.2, -14.2),
     "park_rad": _joints_from_deg(-179.9, -101.8, -163.9, -172.6, 38.9),
-    "again_rad": _joints_from_deg(-81.1, -175.0, -158.0, -172.6, 38.9),
+    "second_start_rad": _joints_from_deg(-81.1, -175.0, -158.0, -172.6, 38.9),
 }
 """First guess of `equalise_loads` for the arm without a turret on Earth."""
 
@@ -130,7 +130,7 @@ def with_poses(params: Params, poses: dict[PoseName, Joints5]) -> Params:
         params.hardstop,
         start_rad=poses["start_rad"],
         park_rad=poses["park_rad"],
-        again_rad=poses["again_rad"],
+        second_start_rad=poses["second_start_rad"],
     )
     return replace(params, hardstop=stops)
 

@@ -74,9 +74,9 @@ class InitialisationResult:
     samples: tuple[HomingSample, ...]
     reference: Reference
     """Reference in the memory of flight software afterwards."""
-    most_torque_Nm: Array
+    max_torque_Nm: Array
     """Maximum torque on each hardstop, shape (5,)."""
-    most_current_share: Array
+    max_current_ratio: Array
     """Maximum ratio of each current to its limit, shape (5,)."""
     failure: Exception | None
     """Exception that ended flight software, or None."""
@@ -133,12 +133,14 @@ class InitialisationRun:
         drawn_rad = config.params.joints.in_order()[j].hardstop_rad
         zero_error = float((state.joints.motor_rad - plant.motor_rad() + plant.stop_rad())[j]) - drawn_rad
         stalled_rad = min(s.angle_rad for s in self._samples if s.joint is j and s.stage is HomingStage.FINE)
-        uncorrected = drawn_rad - stalled_rad - float(config.half_gap_rad[j])
+        uncorrected = drawn_rad - stalled_rad - float(config.half_backlash_rad[j])
         return HardstopResult(
             joint=j,
             zero_error_rad=zero_error,
             uncorrected_error_rad=zero_error + uncorrected - evr.moved_rad,
-            half_backlash_error_rad=float(state.joints.reference.half_gap_rad[j] - plant.half_gap_rad[j]),
+            half_backlash_error_rad=float(
+                state.joints.reference.half_backlash_rad[j] - plant.half_backlash_rad[j]
+            ),
             load_Nm=float(state.load.torque_Nm[j]),
         )
 
@@ -157,8 +159,8 @@ class InitialisationRun:
             stops=tuple(self._stops),
             samples=tuple(self._samples),
             reference=self.loop.state.joints.reference,
-            most_torque_Nm=self._torque_Nm,
-            most_current_share=self._current_share,
+            max_torque_Nm=self._torque_Nm,
+            max_current_ratio=self._current_share,
             failure=self.loop.failure,
         )
 
@@ -232,7 +234,7 @@ def true_reference(arm: BuiltArm) -> Reference:
         calibrated=np.ones(len(Joint), bool),
         known=np.ones(len(Joint), bool),
         zero_rad=hardware.counter_zero_rad + hardstop_error_rad,
-        half_gap_rad=plant.half_gap_rad,
+        half_backlash_rad=plant.half_backlash_rad,
         resolver_bias_rad=hardware.resolver_bias_rad - hardstop_error_rad,
         friction_Nm=np.array([spec.joint(f"{name}_motor").frictionloss for name in JOINT_NAMES]),
     )

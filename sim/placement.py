@@ -132,7 +132,9 @@ class PlacementRun:
         error = truth.p_RoTo_R_m[placement.tool] - target
         along = float(error @ normal)
         boresight = truth.R_RT[placement.tool][:, 0]
-        shift = plant.tool_shift(placement.tool, plant.gap_rad() - record.outputs.joint.planned_gap_rad)
+        shift = plant.tool_shift(
+            placement.tool, plant.backlash_rad() - record.outputs.joint.planned_backlash_rad
+        )
         return PlacementError(
             total_m=float(np.linalg.norm(error)),
             lateral_m=float(np.linalg.norm(error - along * normal)),

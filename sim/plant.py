@@ -165,7 +165,7 @@ class Plant:
         return other
 
     @property
-    def half_gap_rad(self) -> Array:
+    def half_backlash_rad(self) -> Array:
         """Return half the width of the backlash, shape (5,)."""
         low, high = self.model.tendon_lengthspring[self.at.gear_tendons].T
         return np.asarray((high - low) / 2)
@@ -281,15 +281,15 @@ class Plant:
         output: Array = self._views.motor_rad + self._views.gear_rad
         return output
 
-    def gap_rad(self) -> Array:
+    def backlash_rad(self) -> Array:
         """Return the true position in the backlash, shape (5,): plus or minus half its width on a flank."""
         gear = self._gear_rad()
-        return np.asarray(np.clip(gear, -self.half_gap_rad, self.half_gap_rad))
+        return np.asarray(np.clip(gear, -self.half_backlash_rad, self.half_backlash_rad))
 
     def gear_torque_Nm(self) -> Array:
         """Return the torque in each gear, shape (5,); a load towards positive angles is positive."""
         torque: Array = self.model.tendon_stiffness[self.at.gear_tendons] * (
-            self._gear_rad() - self.gap_rad()
+            self._gear_rad() - self.backlash_rad()
         )
         return torque
 

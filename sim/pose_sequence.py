@@ -68,7 +68,7 @@ class RestState:
     """True value."""
     gear_rad: Array
     """True output less motor angle."""
-    half_gap_rad: Array
+    half_backlash_rad: Array
     """True value."""
     motor_rad: Array
     """Estimate, as are all fields below but the last two."""
@@ -85,7 +85,7 @@ class RestState:
     @property
     def true_side(self) -> Array:
         """Return +1 or -1 for an output on a flank, 0 between, shape (5,)."""
-        side: Array = np.sign(self.gear_rad) * (np.abs(self.gear_rad) > 0.95 * self.half_gap_rad)
+        side: Array = np.sign(self.gear_rad) * (np.abs(self.gear_rad) > 0.95 * self.half_backlash_rad)
         return side
 
 
@@ -128,14 +128,14 @@ def _rest_state(loop: ClosedLoop, goal_rad: Array) -> RestState:
         goal_rad=goal_rad,
         output_rad=truth.output_rad,
         gear_rad=truth.output_rad - truth.motor_rad,
-        half_gap_rad=plant.half_gap_rad,
+        half_backlash_rad=plant.half_backlash_rad,
         motor_rad=joints.motor_rad,
         side=joints.side,
         believed_gear_rad=joints.output_rad - joints.motor_rad,
         uncertainty_rad=joints.uncertainty_rad,
         load_Nm=state.load.torque_Nm,
         gravity_R_m_s2=joints.gravity_R_m_s2,
-        backlash_shift_m=plant.tool_shift(Tool.DRILL, plant.gap_rad() - state.planned_gap_rad),
+        backlash_shift_m=plant.tool_shift(Tool.DRILL, plant.backlash_rad() - state.planned_backlash_rad),
         p_RoTo_R_m=truth.p_RoTo_R_m[Tool.DRILL],
     )
 

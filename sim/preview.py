@@ -148,7 +148,7 @@ def _guarded_poses(config: Config, joints: JointEstimate, line: Plan, placement:
     """Settle the poses along a guarded line up to the target; the rest of the line is overtravel."""
     samples = round((placement.standoff_m + placement.overtravel_m) / SPACING_M)
     way = [path.at(t).motor_rad for path in line.paths for t in np.linspace(0, path.duration_s, samples)]
-    motor, gap = np.array(way).T, line.gap_rad[:, None]
+    motor, gap = np.array(way).T, line.backlash_rad[:, None]
     poses = settle(config.arm, motor, gap, joints.gravity_R_m_s2)
     _, touch = placement_moves(placement)
     from_end = tool_pose(config.arm, poses.frames, placement.tool).p - np.array(touch.end_p_RoTo_R_m)[:, None]

@@ -37,7 +37,7 @@ class QuasiStaticMove:
     """Arm at rest after a move."""
 
     X_RT: Pose
-    gap_rad: Array
+    backlash_rad: Array
     """Positions of the outputs in their backlash, shape (5,)."""
 
 
@@ -66,7 +66,7 @@ def solve_quasi_static_move(
     believed, true, reference = arm.believed, arm.true, arm.reference
     deflected = settle_output(believed.arm, goal_rad, gravity_R_m_s2)
     loads = bound_loads(believed, deflected.torque_Nm, gravity_R_m_s2)
-    gear_bounds = bound_gear(believed, reference.half_gap_rad, loads)
+    gear_bounds = bound_gear(believed, reference.half_backlash_rad, loads)
     start = JointPositions(start_rad - gear_bounds.lowest_rad[:, LIKELY], gear_bounds.lowest_rad[:, LIKELY])
     joints = replace(
         uninitialised_estimate(believed, reference),
@@ -79,7 +79,7 @@ def solve_quasi_static_move(
     motor = start.motor_rad + off_rad
     torque = settle_output(true.arm, goal_rad, gravity_R_m_s2).torque_Nm
     gear = start.gear_rad
-    bounds = bound_gear(true, true.half_gap_rad, torque)
+    bounds = bound_gear(true, true.half_backlash_rad, torque)
     for waypoint_rad in (*(path.at(path.duration_s).motor_rad for path in plan.paths), plan.end.motor_rad):
         gear = np.clip(gear - (waypoint_rad + off_rad - motor), bounds.lowest_rad, bounds.highest_rad)
         motor = waypoint_rad + off_rad
@@ -90,5 +90,5 @@ def solve_quasi_static_move(
     shift = np.einsum("ikj,kj->i", J, disturbance.screw[:, bodies])
     moved = screw_exp(np.concatenate([shift[:3], np.zeros(3)]))
     return QuasiStaticMove(
-        Pose(moved.R @ X_RT.R, X_RT.p + shift[3:]), clip_to_backlash(true.half_gap_rad, gear)
+        Pose(moved.R @ X_RT.R, X_RT.p + shift[3:]), clip_to_backlash(true.half_backlash_rad, gear)
     )

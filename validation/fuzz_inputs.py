@@ -281,8 +281,8 @@ column = "t"
 unit = "{one_of("s", "s", "s", "s", "ms", "ns")}"
 grid = "{one_of("exact", "nearest", "hold", "linear", "linear")}"
 sort = {one_of("true", "false")}
-share = {one_of("0.01", "0.5", "0")}
-gap_s = {one_of("1", "60", "60", "0.001")}
+tolerance_cycles = {one_of("0.01", "0.5", "0")}
+max_interval_s = {one_of("1", "60", "60", "0.001")}
 first_tick = {one_of("0", "5", "500000000000")}
 [[channel]]
 name = "{one_of("/joint.motor_rad", "/sensors.resolver_rad")}"

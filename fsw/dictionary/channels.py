@@ -31,13 +31,13 @@ class JointChannels:
     """Last commanded motor angle, or the angle at which the brakes hold the motor."""
     output_rad: Annotated[NDArray[np.float64], Limits(-6.5, 6.5)]
     """Estimated output angle, with backlash and wind-up."""
-    gap_rad: Annotated[NDArray[np.float64], Limits(-0.01, 0.01)]
+    backlash_rad: Annotated[NDArray[np.float64], Limits(-0.01, 0.01)]
     """Estimated position of the output inside its backlash, without wind-up."""
-    gap_side: Annotated[NDArray[np.float64], Limits(-1.0, 1.0)]
+    backlash_side: Annotated[NDArray[np.float64], Limits(-1.0, 1.0)]
     """Side of the backlash: +1 or -1 if the output certainly lies on that flank, 0 if it is undecided."""
-    gap_uncertainty_rad: Annotated[NDArray[np.float64], Limits(0.0, 0.02)]
+    backlash_uncertainty_rad: Annotated[NDArray[np.float64], Limits(0.0, 0.02)]
     """Largest error of the estimated output less motor angle."""
-    planned_gap_rad: Annotated[NDArray[np.float64], Limits(-0.01, 0.01)]
+    planned_backlash_rad: Annotated[NDArray[np.float64], Limits(-0.01, 0.01)]
     """Position inside the backlash that the set-points of the last plan allow for."""
     calibrated: NDArray[np.bool_]
     """True for joints that have found their hardstop."""

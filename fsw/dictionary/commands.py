@@ -21,7 +21,7 @@ class Calibrate:
     """Run one joint to its negative hardstop and set its encoder zero there; the others stay braked."""
 
     joint: Joint
-    anew: bool = False
+    accept_moved: bool = False
     """Accept a hardstop that is not at the angle of the last calibration."""
 
 
@@ -29,7 +29,7 @@ class Calibrate:
 class CalibrateAll:
     """Calibrate every joint, in a fixed order and in poses in which each joint may reach its hardstop."""
 
-    anew: bool = False
+    accept_moved: bool = False
     """Accept hardstops that are not at the angles of the last calibration."""
 
 
@@ -159,10 +159,10 @@ class MoveTeachPoint:
 
     point: str
     """Name of the point in the parameters."""
-    away_m: float = 0.0
+    standoff_m: float = 0.0
     """Distance in front of the point."""
     along_gravity: bool = False
-    """True if the tool axis is along gravity instead of as taught; away_m is then against gravity."""
+    """True if the tool axis is along gravity instead of as taught; standoff_m is then against gravity."""
     straight: bool = False
     """True for a straight line with an even turn of the tool; false for an even motion of the joints."""
     backlash: BacklashMode = "on"

@@ -143,7 +143,7 @@ class Preloaded(Evr):
 
 
 @dataclass(frozen=True, slots=True)
-class ForceFelt(Evr):
+class ForceEstimated(Evr):
     """The motor currents show this share of the modelled force; the rest of the press corrects it."""
 
     severity = Severity.ACTIVITY_LO
@@ -154,7 +154,7 @@ class ForceFelt(Evr):
 
 
 @dataclass(frozen=True, slots=True)
-class SpotTaken(Evr):
+class SpotSet(Evr):
     """A tool change starts from this estimated position of the touching tool."""
 
     severity = Severity.ACTIVITY_LO
@@ -181,8 +181,8 @@ class TiltSet(Evr):
     """The ground set the tilt of the rover."""
 
     severity = Severity.ACTIVITY_HI
-    text = "tilt set, {e.off_rad:.4f} rad from what the IMU reads"
-    off_rad: float
+    text = "tilt set, {e.difference_rad:.4f} rad from what the IMU reads"
+    difference_rad: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,16 +36,16 @@ class HardstopMissed(Fault):
 
 
 @dataclass(frozen=True, slots=True)
-class NoHardstop(Fault):
+class HardstopImplausible(Fault):
     """A joint pressed on an obstacle that is softer or harder than a hardstop."""
 
     text = (
         "{e.joint.name} is pressed on something that gives {e.compliance_urad_Nm:.2f} urad per N m, "
-        "a hardstop gives {e.drawn_urad_Nm:.2f}"
+        "a hardstop gives {e.nominal_urad_Nm:.2f}"
     )
     joint: Joint
     compliance_urad_Nm: float
-    drawn_urad_Nm: float
+    nominal_urad_Nm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,10 +183,12 @@ class NotSettled(Fault):
 class MotorStalled(Fault):
     """A motor does not turn although it is commanded to."""
 
-    text = "{e.joint.name} stalled: turns at {e.rate_rad_s:.5f} rad/s, asked for {e.asked_rad_s:.5f} rad/s"
+    text = (
+        "{e.joint.name} stalled: turns at {e.rate_rad_s:.5f} rad/s, asked for {e.commanded_rad_s:.5f} rad/s"
+    )
     joint: Joint
     rate_rad_s: float
-    asked_rad_s: float
+    commanded_rad_s: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -165,7 +165,7 @@ class HardstopParams:
     """Angles of the joints before their calibration."""
     park_rad: Joints5
     """Angles of the joints after their calibration."""
-    again_rad: Joints5
+    second_start_rad: Joints5
     """Pose for the second calibration of the elevation, when all joints are calibrated and its load is
     known."""
     pose_tolerance_rad: Annotated[float, Limits(0.0, 0.5)]
@@ -220,9 +220,9 @@ class MotionParams:
     """Largest time until both hold."""
     stop_factor: Annotated[float, Limits(1.0, 100.0)]
     """Deceleration of a commanded stop, as a multiple of the acceleration of a move."""
-    stowed_rad: Annotated[float, Limits(0.0, 0.2)]
+    stow_tolerance_rad: Annotated[float, Limits(0.0, 0.2)]
     """Largest distance of each joint of a stowed arm from the stowed pose."""
-    approach_rad: Annotated[float, Limits(1e-5, 0.05)]
+    takeup_rad: Annotated[float, Limits(1e-5, 0.05)]
     """Least distance over which the gear drags an output that its load does not hold to its goal."""
     tool_speed_m_s: Annotated[float, Limits(1e-3, 1.0)]
     """Largest speed of the drill in a joint move; it limits the impact on an unforeseen obstacle."""
@@ -242,7 +242,7 @@ class MotionParams:
     """Longest straight move."""
     line_turn_rad: Annotated[float, Limits(0.0, 0.5)]
     """Largest angle between tool axis and approach at the start of a guarded move."""
-    load_period: Annotated[int, Limits(1, 640)]
+    load_period_cycles: Annotated[int, Limits(1, 640)]
     """Number of cycles between two estimates of load, backlash side and deflected tool pose."""
 
 
@@ -250,7 +250,7 @@ class MotionParams:
 class PreloadParams:
     """Parameters of pressing a tool on a surface."""
 
-    most_N: Annotated[float, Limits(1.0, 1000.0)]
+    max_force_N: Annotated[float, Limits(1.0, 1000.0)]
     """Largest force that may be commanded."""
     rate_N_s: Annotated[float, Limits(0.1, 200.0)]
     """Rate of the force."""
@@ -260,7 +260,7 @@ class PreloadParams:
     """Largest error of the estimated force, as a share of it, but at least error_N."""
     error_N: Annotated[float, Limits(0.0, 100.0)]
     """Least bound of the error of the estimated force."""
-    guard_share: Annotated[float, Limits(0.05, 1.0)]
+    current_margin_share: Annotated[float, Limits(0.05, 1.0)]
     """Margin of the current limits above the torque that a force takes, as a share of it."""
 
 

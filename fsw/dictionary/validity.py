@@ -106,7 +106,9 @@ def _check_poses(params: Params) -> Iterator[str]:
     poses = {"poses.stowed_rad": params.poses.stowed_rad, "poses.ready_rad": params.poses.ready_rad}
     poses |= {f"poses.unstow_via_rad.{k}": via for k, via in enumerate(params.poses.unstow_via_rad)}
     stops = params.hardstop
-    poses |= {f"hardstop.{name}": getattr(stops, name) for name in ("start_rad", "park_rad", "again_rad")}
+    poses |= {
+        f"hardstop.{name}": getattr(stops, name) for name in ("start_rad", "park_rad", "second_start_rad")
+    }
     for name, pose in poses.items():
         for field, joint, angle in zip(fields(params.joints), params.joints.in_order(), pose, strict=True):
             if not joint.soft_min_rad <= angle <= joint.soft_max_rad:

@@ -122,7 +122,7 @@ def fit_contact_line(config: Config, joint: int, load_Nm: float, towards: Readin
     if push.size < MIN_READINGS:
         return None
     relieved = max(0.0, -(load_Nm + params.output_friction_Nm))
-    crossing_rad = 2 * config.half_gap_rad[joint] * BACKLASH_FACTOR[1] if relieved > 0 else 0.0
+    crossing_rad = 2 * config.half_backlash_rad[joint] * BACKLASH_FACTOR[1] if relieved > 0 else 0.0
     low, high = (relieved + share * (params.hardstop_press_Nm - relieved) for share in RISE)
     level = float(push[-LATEST_READINGS:].mean()) - params.hardstop_press_Nm
     for _ in range(PASSES):
@@ -166,7 +166,7 @@ def measure_backlash(
         The width in rad, or None if the readings do not show it.
     """
     params = config.params.joints.in_order()[joint]
-    friction, nominal = params.output_friction_Nm, 2 * float(config.half_gap_rad[joint])
+    friction, nominal = params.output_friction_Nm, 2 * float(config.half_backlash_rad[joint])
     taken_up = friction - load_Nm
     if taken_up < MAX_LOAD_SHARE * friction:
         return None
@@ -206,7 +206,7 @@ def locate_hardstop(
     Returns:
         The result of the calibration; it has the nominal width if the measured one is implausible.
     """
-    nominal = 2 * float(config.half_gap_rad[joint])
+    nominal = 2 * float(config.half_backlash_rad[joint])
     measured = nominal if width_rad is None else width_rad
     plausible = width_rad is not None and BACKLASH_FACTOR[0] < measured / nominal < BACKLASH_FACTOR[1]
     half = 0.5 * (measured if plausible else nominal)

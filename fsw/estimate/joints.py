@@ -78,10 +78,10 @@ class JointEstimate:
     @property
     def backlash_state(self) -> Array:
         """Position, side, and uncertainty of the gear angle inside the backlash, (3, 5)."""
-        return locate_in_backlash(self.reference.half_gap_rad, self.gear_rad)
+        return locate_in_backlash(self.reference.half_backlash_rad, self.gear_rad)
 
     @property
-    def gap_rad(self) -> Array:
+    def backlash_rad(self) -> Array:
         """Likely position of each output inside its backlash, without wind-up, (5,)."""
         position: Array = self.backlash_state[0]
         return position
@@ -109,7 +109,7 @@ def uninitialised_estimate(config: Config, reference: Reference) -> JointEstimat
     Returns:
         The estimate.
     """
-    zeros = np.zeros_like(config.half_gap_rad)
+    zeros = np.zeros_like(config.half_backlash_rad)
     anywhere = np.outer(np.ones_like(zeros), [-ANYWHERE_RAD, 0.0, ANYWHERE_RAD])
     return JointEstimate(
         initialised=False,
@@ -177,7 +177,7 @@ def apply_calibration(
     this = np.arange(load_Nm.size) == joint
     shift = config.params.joints.in_order()[joint].hardstop_rad - found.stop_rad
     read = joints.output_rad + joints.reference.resolver_bias_rad + joints.resolver_error_rad
-    half = np.where(this, found.half_backlash_rad, joints.reference.half_gap_rad)
+    half = np.where(this, found.half_backlash_rad, joints.reference.half_backlash_rad)
     bounds = bound_gear(config, half, bound_loads(config, load_Nm, joints.gravity_R_m_s2))
     gear = np.where(this[:, None], bounds.lowest_rad, joints.gear_rad)
     motor = joints.motor_rad + np.where(this, shift, 0.0)
@@ -214,7 +214,7 @@ def apply_load(
         The estimate under the new loads.
     """
     loads = bound_loads(config, load_Nm, joints.gravity_R_m_s2, more_Nm)
-    bounds = bound_gear(config, joints.reference.half_gap_rad, loads)
+    bounds = bound_gear(config, joints.reference.half_backlash_rad, loads)
     gear = gear_after_motor_turn(joints.gear_rad, np.zeros_like(load_Nm), bounds)
     return replace(joints, bounds=bounds, gear_rad=gear)
 

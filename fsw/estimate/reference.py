@@ -19,7 +19,7 @@ class Reference:
     """True for joints calibrated at any time; a new result is compared with the last one, (5,)."""
     zero_rad: Array
     """Motor angle at encoder count 0, (5,)."""
-    half_gap_rad: Array
+    half_backlash_rad: Array
     """Half the width of the backlash, measured if possible, else nominal, (5,)."""
     resolver_bias_rad: Array
     """Resolver reading less estimated output at the calibration, (5,)."""
@@ -29,9 +29,9 @@ class Reference:
 
 def no_reference(config: Config) -> Reference:
     """Build the reference of an arm of which only the parameters are known."""
-    zeros = np.zeros_like(config.half_gap_rad)
+    zeros = np.zeros_like(config.half_backlash_rad)
     never = np.zeros(zeros.size, bool)
-    return Reference(never, never, zeros, config.half_gap_rad, zeros, np.full(zeros.size, np.inf))
+    return Reference(never, never, zeros, config.half_backlash_rad, zeros, np.full(zeros.size, np.inf))
 
 
 def provisional_reference(config: Config, reference: Reference, sensors: Sensors) -> Reference:
@@ -60,7 +60,7 @@ def record_calibration(
         calibrated=reference.calibrated | this,
         known=reference.known | this,
         zero_rad=np.where(this, zero_rad, reference.zero_rad),
-        half_gap_rad=np.where(this, half_backlash_rad, reference.half_gap_rad),
+        half_backlash_rad=np.where(this, half_backlash_rad, reference.half_backlash_rad),
         resolver_bias_rad=np.where(this, resolver_bias_rad, reference.resolver_bias_rad),
         friction_Nm=np.where(this, friction_Nm, reference.friction_Nm),
     )

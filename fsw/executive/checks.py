@@ -100,7 +100,9 @@ def check_arguments(command: MoveCommand) -> str | None:
             problem = problem or _check_lengths(command) or _check_compensation(command)
             return problem or _check_branch_name(command.branch)
         case MoveTeachPoint():
-            return _check_length("away_m", command.away_m, least_m=0.0) or _check_compensation(command)
+            return _check_length("standoff_m", command.standoff_m, least_m=0.0) or _check_compensation(
+                command
+            )
         case Dock():
             problem = _check_length("overtravel_m", command.overtravel_m)
             return problem or _check_backlash(command.backlash)
@@ -124,8 +126,11 @@ def check_bounds(params: Params, command: Preload | SetTilt) -> str | None:
     """
     match command:
         case Preload(force_N=force):
-            most_N = params.preload.most_N
-            inside, problem = 0 <= force <= most_N, f"force {force:g} N is outside 0 .. {most_N:g} N"
+            max_force_N = params.preload.max_force_N
+            inside, problem = (
+                0 <= force <= max_force_N,
+                f"force {force:g} N is outside 0 .. {max_force_N:g} N",
+            )
         case SetTilt():
             angles = (command.roll_rad, command.pitch_rad)
             inside = all(abs(angle) <= MAX_ATTITUDE_RAD for angle in angles)

@@ -39,7 +39,7 @@ from fsw.dictionary.evrs import (
     Evr,
     FaultCleared,
     Preloaded,
-    SpotTaken,
+    SpotSet,
 )
 from fsw.dictionary.types import vector3
 from fsw.estimate.reference import forget_joint
@@ -203,7 +203,7 @@ def _begin_sequence(config: Config, context: CommandContext, command: CompoundCo
     if isinstance(command, ToolChange):
         evrs = (
             *evrs,
-            SpotTaken(state.tool, *vector3(locate_spot(config, state.joints, state.tool, command).p_m)),
+            SpotSet(state.tool, *vector3(locate_spot(config, state.joints, state.tool, command).p_m)),
         )
     sequence = Sequence(command_name(command), steps)
     return with_events(replace(context, state=replace(state, sequence=sequence)), *evrs)
@@ -233,7 +233,7 @@ def _begin_calibrate_all(config: Config, context: CommandContext, command: Calib
     )
     if problem is not None:
         return refuse(context, command, problem)
-    state = replace(context.state, sequence=expand_calibrate_all(config.params, command.anew))
+    state = replace(context.state, sequence=expand_calibrate_all(config.params, command.accept_moved))
     return with_events(replace(context, state=state), CommandAccepted(command_name(command)))
 
 
@@ -247,7 +247,7 @@ def _begin_calibrate(config: Config, context: CommandContext, command: Calibrate
     move = replace(
         move,
         active=np.arange(joints.motor_rad.size) == command.joint,
-        homing=homing.begin_homing(Joint(command.joint), joints, command.anew),
+        homing=homing.begin_homing(Joint(command.joint), joints, command.accept_moved),
     )
     joints = replace(joints, reference=forget_joint(joints.reference, command.joint))
     state = replace(context.state, mode=mode, move=move, joints=joints)
@@ -281,7 +281,12 @@ def _begin_move(config: Config, context: CommandContext, command: SingleMoveComm
     is_kept = isinstance(command, GuardedMove) and in_contact(context, tool)
     preload = tool_preload(context, tool) if is_kept else None
     state = replace(
-        context.state, mode=mode, tool=tool, move=move, preload=preload, planned_gap_rad=plan.gap_rad
+        context.state,
+        mode=mode,
+        tool=tool,
+        move=move,
+        preload=preload,
+        planned_backlash_rad=plan.backlash_rad,
     )
     return with_events(replace(context, state=state), *evrs)
 
@@ -314,7 +319,9 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         force_fit=ForceFit() if change.change_N > 0 else None,
         current_limit_A=preload_limit_A(config, state.joints, change),
     )
-    state = replace(state, mode=Mode.PRELOAD, move=move, preload=preload, planned_gap_rad=plan.gap_rad)
+    state = replace(
+        state, mode=Mode.PRELOAD, move=move, preload=preload, planned_backlash_rad=plan.backlash_rad
+    )
     return with_events(replace(context, state=state), CommandAccepted(command_name(command)))
 
 

@@ -156,13 +156,13 @@ def _expand_teach_point(
         return point
     gravity = joints.gravity_R_m_s2
     approach = normalize(gravity if command.along_gravity else np.array(point.approach_R))
-    p = np.array(point.p_RoTo_R_m) - command.away_m * approach
+    p = np.array(point.p_RoTo_R_m) - command.standoff_m * approach
     move = MoveTool(
         teach_point_tool(point),
         vector3(p),
         vector3(approach),
         straight=command.straight,
-        line_m=0.0 if command.straight else command.away_m,
+        line_m=0.0 if command.straight else command.standoff_m,
         backlash=command.backlash,
         deflection=command.deflection,
         branch="AUTO" if command.straight else point.branch,
@@ -179,13 +179,13 @@ def _expand_dock(config: Config, command: Dock) -> tuple[SequenceStep, ...] | Re
     return (GuardedMove(teach_point_tool(point), vector3(end), vector3(approach), command.backlash),)
 
 
-def expand_calibrate_all(params: Params, anew: bool = False) -> Sequence:
+def expand_calibrate_all(params: Params, accept_moved: bool = False) -> Sequence:
     """Expand the calibration of all joints.
 
     Each joint runs to its hardstop and then to its parking angle. HOMED_TWICE does so again at the end.
     """
-    park, again = params.hardstop.park_rad, params.hardstop.again_rad
-    homings = [(Calibrate(joint, anew), MoveJoint(joint, park[joint])) for joint in HARDSTOP_ORDER]
+    park, again = params.hardstop.park_rad, params.hardstop.second_start_rad
+    homings = [(Calibrate(joint, accept_moved), MoveJoint(joint, park[joint])) for joint in HARDSTOP_ORDER]
     unpark = [MoveJoint(joint, again[joint]) for joint in UNPARK_ORDER if again[joint] != park[joint]]
-    last = (Calibrate(HOMED_TWICE, anew), MoveJoint(HOMED_TWICE, park[HOMED_TWICE]))
+    last = (Calibrate(HOMED_TWICE, accept_moved), MoveJoint(HOMED_TWICE, park[HOMED_TWICE]))
     return Sequence("CalibrateAll", (*(command for pair in homings for command in pair), *unpark, *last))

@@ -28,7 +28,7 @@ def homing_start_poses(params: Params, joint: Joint) -> tuple[Array, ...]:
     """
     parked = [HARDSTOP_ORDER.index(other) < HARDSTOP_ORDER.index(joint) for other in Joint]
     first = np.where(parked, params.hardstop.park_rad, params.hardstop.start_rad)
-    return (first, np.array(params.hardstop.again_rad)) if joint is HOMED_TWICE else (first,)
+    return (first, np.array(params.hardstop.second_start_rad)) if joint is HOMED_TWICE else (first,)
 
 
 def check_homing(config: Config, joints: JointEstimate, joint: Joint) -> str | None:

@@ -111,4 +111,4 @@ def stop_event(config: Config, mode: Mode, joints: JointEstimate) -> ModeEvent:
 def is_stowed(config: Config, joints: JointEstimate) -> bool:
     """Return whether every joint is calibrated and at its stowed angle."""
     error_rad = np.abs(joints.motor_rad - config.params.poses.stowed_rad).max()
-    return bool(joints.reference.calibrated.all() and error_rad < config.params.motion.stowed_rad)
+    return bool(joints.reference.calibrated.all() and error_rad < config.params.motion.stow_tolerance_rad)

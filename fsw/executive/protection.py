@@ -64,7 +64,7 @@ def describe_arm(
         joints.bounds.lowest_rad[:, LIKELY],
         joints.bounds.highest_rad[:, LIKELY],
         uncertainty_rad,
-        reference.half_gap_rad,
+        reference.half_backlash_rad,
         joints.resolver_error_rad,
         reference.resolver_bias_rad,
         joints.gravity_R_m_s2,

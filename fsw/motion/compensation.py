@@ -37,14 +37,14 @@ class Compensation:
         Returns:
             Backlash and wind-up in radians, each 0 if not compensated; same shape.
         """
-        wind_up = gear_rad - clip_to_backlash(joints.reference.half_gap_rad, gear_rad)
+        wind_up = gear_rad - clip_to_backlash(joints.reference.half_backlash_rad, gear_rad)
         backlash = self.backlash_allowance(joints, gear_rad)
         allowed: Array = backlash if self.deflection == "off" else backlash + wind_up
         return allowed
 
     def backlash_allowance(self, joints: JointEstimate, gear_rad: Array) -> Array:
         """Compute the backlash part of `allowance`, in radians, same shape."""
-        backlash = clip_to_backlash(joints.reference.half_gap_rad, gear_rad)
+        backlash = clip_to_backlash(joints.reference.half_backlash_rad, gear_rad)
         return backlash if self.backlash == "on" else np.zeros_like(backlash)
 
     def target(

@@ -15,11 +15,11 @@ from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import (
     CurrentImplausible,
+    HardstopImplausible,
     HardstopMissed,
     HardstopMoved,
     HardstopUnclear,
     MotorStuck,
-    NoHardstop,
     StalledEarly,
 )
 from fsw.dictionary.params import JointParams
@@ -134,18 +134,21 @@ class HomingInputs:
     setpoint: Setpoint
 
 
-def begin_homing(joint: Joint, joints: JointEstimate, anew: bool) -> Homing:
+def begin_homing(joint: Joint, joints: JointEstimate, accept_moved: bool) -> Homing:
     """Begin the homing of a joint.
 
     Args:
         joint: Joint to be homed.
         joints: Estimate of the joints.
-        anew: True if the hardstop may be elsewhere than before.
+        accept_moved: True if the hardstop may be elsewhere than before.
 
     Returns:
         Homing in its first stage.
     """
-    known, motor_rad = bool(joints.reference.known[joint]) and not anew, float(joints.motor_rad[joint])
+    known, motor_rad = (
+        bool(joints.reference.known[joint]) and not accept_moved,
+        float(joints.motor_rad[joint]),
+    )
     return Homing(joint, known, HomingStage.FREE, 0, 0.0, False, motor_rad, motor_rad, 0)
 
 
@@ -315,7 +318,7 @@ def _search_fine(inputs: HomingInputs, homing: Homing) -> HomingUpdate:
     if contact_line is None:
         return _fail(inputs, homing, HardstopUnclear(homing.joint))
     if not 1 / ratio < contact_line.compliance_rad_Nm / design_rad_Nm < ratio:
-        event = NoHardstop(homing.joint, 1e6 * contact_line.compliance_rad_Nm, 1e6 * design_rad_Nm)
+        event = HardstopImplausible(homing.joint, 1e6 * contact_line.compliance_rad_Nm, 1e6 * design_rad_Nm)
         return _fail(inputs, homing, event)
     homing = replace(_enter_stage(inputs, homing, HomingStage.RELEASE), contact_line=contact_line)
     return _run(inputs, homing, fine)
@@ -329,7 +332,7 @@ def _release(inputs: HomingInputs, homing: Homing) -> HomingUpdate:
     end_rad = (
         contact_line.contact_rad
         + homing.assisting_load_Nm * contact_line.compliance_rad_Nm
-        + RETURN_HALF_WIDTHS * float(inputs.config.half_gap_rad[j])
+        + RETURN_HALF_WIDTHS * float(inputs.config.half_backlash_rad[j])
     )
     if inputs.motor_rad < end_rad:
         return _run(inputs, homing, inputs.config.params.hardstop.fine_speed_rad_s)

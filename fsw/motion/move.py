@@ -12,7 +12,7 @@ import numpy as np
 
 from fsw.config import CYCLE_S, Config
 from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Switch, Tool
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, ForceFelt, Preloaded
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, ForceEstimated, Preloaded
 from fsw.dictionary.faults import NoContact, NotSettled
 from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
@@ -89,7 +89,7 @@ class MoveUpdate:
     end_mode: Mode | None = None
     found_hardstop: tuple[Joint, HardstopFit] | None = None
     """Joint of a completed homing and its hardstop."""
-    gap_rad: Array | None = None
+    backlash_rad: Array | None = None
     """Backlash that the set-points allow for at the end of new paths, (5,); None without new paths."""
 
 
@@ -232,7 +232,7 @@ def _press_on_contact(
         ticks=0,
         travelled=0.0,
     )
-    return MoveUpdate(pressing, (made,), gap_rad=plan.gap_rad)
+    return MoveUpdate(pressing, (made,), backlash_rad=plan.backlash_rad)
 
 
 def _advance_preload(
@@ -271,7 +271,7 @@ def _correct_force(
     preload = replace(planned_for, force_ratio_std=ESTIMATED_RATIO_STD)
     if ratio is not None:
         preload = correct_preload(change, ratio)
-        evrs = (ForceFelt(change.start.tool, ratio.along, ratio.across),)
+        evrs = (ForceEstimated(change.start.tool, ratio.along, ratio.across),)
     completed = replace(change, start=preload, end_model_N=preload.model_N)
     near = abs(change.target_N - preload.force_N) < MIN_CORRECTION_N
     # the next leg starts at the end of the plan: from the estimate, a backlash on which the two differ would
@@ -292,7 +292,7 @@ def _correct_force(
         ticks=0,
         travelled=0.0,
     )
-    return MoveUpdate(next_leg, evrs, gap_rad=plan.gap_rad)
+    return MoveUpdate(next_leg, evrs, backlash_rad=plan.backlash_rad)
 
 
 def distance_travelled(move: Move) -> float:

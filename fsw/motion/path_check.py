@@ -99,7 +99,7 @@ def compute_deflected_frames(config: Config, joints: JointEstimate, motor_rad: A
     """
     gravity = joints.gravity_R_m_s2
     equilibrium = settle_output(config.arm, motor_rad, gravity)
-    bounds = bound_gear(config, joints.reference.half_gap_rad, equilibrium.torque_Nm)
+    bounds = bound_gear(config, joints.reference.half_backlash_rad, equilibrium.torque_Nm)
     output = motor_rad + 0.5 * (bounds.lowest_rad + bounds.highest_rad)
     return forward(config.arm, output, equilibrium.strain)
 

@@ -49,7 +49,7 @@ class Plan:
 
     paths: tuple[Path, ...]
     end: JointPositions
-    gap_rad: Array
+    backlash_rad: Array
     """Backlash that the last set-points allow for, (5,)."""
     branch: str | None = None
     """Inverse-kinematics branch; None if none was chosen."""
@@ -94,7 +94,7 @@ def plan_poses(
         last, load_Nm = k == len(poses) - 1, equilibrium.torque_Nm
         leg = plan_joint_move(config, joints, positions, pose, load_Nm, compensation, on_known_side=last)
         paths.extend(leg.paths)
-        positions, backlash_rad = leg.end, leg.gap_rad
+        positions, backlash_rad = leg.end, leg.backlash_rad
     return Plan(tuple(paths), positions, backlash_rad)
 
 
@@ -155,13 +155,13 @@ def plan_joint_move(
         The plan.
     """
     moving = np.array([only in (None, joint) for joint in Joint])
-    bounds = bound_gear(config, joints.reference.half_gap_rad, load_Nm)
+    bounds = bound_gear(config, joints.reference.half_backlash_rad, load_Nm)
     gear = gear_after_output_turn(start.gear_rad, output_rad - start.output_rad, bounds)
     if compensation.backlash == "off" or not on_known_side:
         motor = np.where(moving, output_rad - compensation.allowance(joints, gear), start.motor_rad)
         path = joint_path(config, start.motor_rad, motor)
         return Plan((path,), JointPositions(motor, gear), compensation.backlash_allowance(joints, gear))
-    run_up = bounds.highest_rad - bounds.lowest_rad + config.params.motion.approach_rad
+    run_up = bounds.highest_rad - bounds.lowest_rad + config.params.motion.takeup_rad
     direction = moving * final_direction(config, load_Nm, joints.gravity_R_m_s2)
     direction = _reverse_at_limits(config, output_rad, run_up, direction)
     gear = np.where(direction == 0, gear, gear_after_output_turn(gear, direction, bounds))
@@ -235,7 +235,7 @@ def plan_over_knots(
         paths.append(joint_path(config, start.motor_rad, first))
         knots = [first]
     for k, turn in enumerate(np.diff(output_rad).T, start=1):
-        bounds = bound_gear(config, joints.reference.half_gap_rad, load_Nm[:, k])
+        bounds = bound_gear(config, joints.reference.half_backlash_rad, load_Nm[:, k])
         wind_up = (load_Nm[:, k] - load_Nm[:, k - 1]) / stiffness
         # steps that are each too small to drag an output add up over many knots
         pending_turn = pending_turn + turn

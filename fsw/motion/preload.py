@@ -230,8 +230,10 @@ def preload_limit_A(config: Config, joints: JointEstimate, change: PreloadChange
     Returns:
         Current limits in amperes, shape (5,).
     """
-    most_N = max(change.start.force_N, change.target_N) * (1 + config.params.preload.guard_share)
-    carried_Nm = np.abs(change.free_Nm) + np.abs(change.torque_per_N) * most_N
+    max_force_N = max(change.start.force_N, change.target_N) * (
+        1 + config.params.preload.current_margin_share
+    )
+    carried_Nm = np.abs(change.free_Nm) + np.abs(change.torque_per_N) * max_force_N
     torque = carried_Nm + FRICTION_FACTOR * joints.reference.friction_Nm
     limit: Array = np.minimum(torque / config.torque_constant_Nm_A, config.current_limit_A)
     return limit
@@ -334,7 +336,7 @@ def update_force_fit(
     carried = resisting - config.torque_constant_Nm_A * sensors.current_A
     push = carried - (load.torque_Nm - load.press_torque_Nm)
     # a gear inside its backlash transmits no torque
-    half, bounds = joints.reference.half_gap_rad, joints.bounds
+    half, bounds = joints.reference.half_backlash_rad, joints.bounds
     lowest_rad, highest_rad = bounds.lowest_rad[:, LIKELY], bounds.highest_rad[:, LIKELY]
     held = held_on_flank(half, lowest_rad, highest_rad, np.zeros_like(push))
     # only a motor that turns counts: static friction differs from friction in motion

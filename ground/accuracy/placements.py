@@ -59,7 +59,7 @@ class MeasuredPlacement:
 
     The rotation about x is not commanded, and is 0.
     """
-    gap: Array
+    backlash_position: Array
     """Positions of the outputs in their backlash, -1 and +1 at the flanks, shape (5,)."""
 
 
@@ -90,8 +90,10 @@ def measure_placements(move: MoveModel, places: Sequence[Placement]) -> list[Mea
     """Move to each placement and measure the error."""
     found = []
     for place in places:
-        X_RT, gap = move(place)
-        found.append(MeasuredPlacement(place.tool, place.output_rad, error_in_tool(place.X_RT, X_RT), gap))
+        X_RT, position = move(place)
+        found.append(
+            MeasuredPlacement(place.tool, place.output_rad, error_in_tool(place.X_RT, X_RT), position)
+        )
     return found
 
 
@@ -124,7 +126,7 @@ def closed_loop_model(arm: BuiltArm, reference: Reference, backlash: BacklashMod
             raise RuntimeError(f"{arm.name}: no way to {np.degrees(place.output_rad)} deg: {problem}")
         truth, plant = loop.truth(), loop.plant
         X_RT = Pose(truth.R_RT[place.tool], truth.p_RoTo_R_m[place.tool])
-        return X_RT, plant.gap_rad() / plant.half_gap_rad
+        return X_RT, plant.backlash_rad() / plant.half_backlash_rad
 
     return move
 
@@ -144,7 +146,7 @@ def statics_model(arm: BuiltArm, backlash: BacklashMode) -> MoveModel:
         settled = solve_quasi_static_move(
             static, place.start_rad, place.output_rad, place.tool, gravity, backlash, disturbance
         )
-        return settled.X_RT, settled.gap_rad / true.half_gap_rad
+        return settled.X_RT, settled.backlash_rad / true.half_backlash_rad
 
     return move
 

@@ -177,4 +177,4 @@ def run_built_trial(
 
 def _exact_reference(arm: BuiltArm) -> Reference:
     """Build the reference of an initialisation without errors, with the nominal backlash."""
-    return replace(true_reference(arm), half_gap_rad=configure(arm.params).half_gap_rad)
+    return replace(true_reference(arm), half_backlash_rad=configure(arm.params).half_backlash_rad)

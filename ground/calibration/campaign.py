@@ -194,7 +194,7 @@ def _row(
     measurement = measure_pose(tracker, loop.plant, group.roll_rad, turret_pose(loop.plant), rng)
     joints, arm = loop.state.joints, loop.config.arm
     gear = joints.gear_rad[:, LIKELY]
-    backlash_rad = clip_to_backlash(joints.reference.half_gap_rad, gear)
+    backlash_rad = clip_to_backlash(joints.reference.half_backlash_rad, gear)
     return CampaignRow(
         group=k,
         branch=branch_name(loop.config, joints.output_rad),

@@ -90,7 +90,7 @@ def _settle_row(scene: _Scene, goal: Array, rng: np.random.Generator) -> Campaig
     slips = ~is_certain & (np.abs(np.abs(load) / known.output_friction_Nm - 1.0) < SLIP_BAND)
     position = np.where(~slips, side, rng.uniform(-1.0, 1.0, len(Joint)))
     pulled = friction_Nm / scene.true.arm.gear_stiffness_Nm_rad
-    found = settle(scene.true.arm, goal, position * scene.true.half_gap_rad - pulled, gravity)
+    found = settle(scene.true.arm, goal, position * scene.true.half_backlash_rad - pulled, gravity)
     scene.plant.show(found.output_rad, found.strain)
     try:
         measurement = measure_pose(scene.tracker, scene.plant, group.roll_rad, found.frames.X_RF[5], rng)
@@ -100,7 +100,7 @@ def _settle_row(scene: _Scene, goal: Array, rng: np.random.Generator) -> Campaig
         group=scene.k,
         branch=branch_name(known, found.output_rad),
         motor_rad=goal - scene.hardstop_error_rad,
-        backlash_rad=side * known.half_gap_rad,
+        backlash_rad=side * known.half_backlash_rad,
         friction_Nm=friction_Nm,
         side=np.where(is_certain, side, 0.0),
         gravity_R_m_s2=gravity,
@@ -156,7 +156,7 @@ def true_poses(arm: BuiltArm, believed: BelievedPoses, motor_error_rad: Array) -
         X_RT, the turret frame in the rover frame, batch (n,).
     """
     params = true_params(arm)
-    half = configure(params).half_gap_rad[:, None]
+    half = configure(params).half_backlash_rad[:, None]
     motor = believed.motor_rad + motor_error_rad[:, None]
     parts = []
     for turret_kg, where in group_by_turret(believed):

@@ -37,6 +37,8 @@ class Behaviour:
     """Number of cycles, from tick 0."""
     series: Mapping[str, TopicSeries]
     evrs: tuple[EvrEntry, ...]
+    has_today_digests: bool = True
+    """False if the digests of parameters in its events were made with the names of version 0.1."""
 
 
 def behaviour_from_log(log: Log, ticks: int) -> Behaviour:
@@ -50,7 +52,8 @@ def behaviour_from_log(log: Log, ticks: int) -> Behaviour:
             series[topic.name] = TopicSeries(
                 log.ticks(topic.name)[:end], {name: packets[name] for name in names}
             )
-    return Behaviour(ticks, series, tuple(evr for evr in log.evrs if evr.tick < ticks))
+    evrs = tuple(evr for evr in log.evrs if evr.tick < ticks)
+    return Behaviour(ticks, series, evrs, not log.has_old_parameters)
 
 
 def behaviour_from_outputs(outputs: Sequence[Outputs]) -> Behaviour:

@@ -61,7 +61,7 @@ def inputs_from_log(log: Log) -> Inputs:
     Raises:
         NotReplayable: the log lacks an input, or this version of flight software does not know it.
     """
-    notes: list[str] = [] if not log.behind else [trailing_bytes_text(log.behind)]
+    notes: list[str] = [] if not log.trailing_bytes else [trailing_bytes_text(log.trailing_bytes)]
     try:
         params, mode, reference = _start_conditions(log, notes)
         commands: dict[int, tuple[Command, ...]] = {}
@@ -84,7 +84,8 @@ def _start_conditions(log: Log, notes: list[str]) -> tuple[Params, Mode, Referen
     document = _header_document(log, "params")
     count = len(notes)
     params: Params = record_from_json(Params, document, "params", notes, nominal_params())
-    if len(notes) == count and digest(params) != log.header["params_sha256"]:
+    is_same = len(notes) == count and not log.has_old_parameters
+    if is_same and digest(params) != log.header["params_sha256"]:
         raise BadJson(
             "its parameters do not match their own digest: the header was changed; "
             "give the log as it was written"

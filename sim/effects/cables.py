@@ -15,14 +15,14 @@ from sim.plant import Plant
 class FlexCable(EachCycle):
     """Cable across a joint, with a spring torque towards its neutral angle and a drag against motion.
 
-    The drag follows the model of Dahl: after a reversal it approaches its new value within `give_rad`.
+    The drag follows the model of Dahl: after a reversal it approaches its new value within `transition_rad`.
     """
 
     joint: Joint
     stiffness_Nm_rad: Annotated[float, ParameterSpec(0.0, 50.0, unit="N m/rad", typical=0.5, neutral=0.0)]
     drag_Nm: Annotated[float, ParameterSpec(0.0, 30.0, unit="N m", typical=1.0, neutral=0.0)]
-    laid_rad: Annotated[float, ParameterSpec(-6.5, 6.5, unit="rad", typical=0.0)] = 0.0
-    give_rad: Annotated[float, ParameterSpec(1e-2, 1.0, unit="rad", typical=0.05)] = 0.05
+    neutral_rad: Annotated[float, ParameterSpec(-6.5, 6.5, unit="rad", typical=0.0)] = 0.0
+    transition_rad: Annotated[float, ParameterSpec(1e-2, 1.0, unit="rad", typical=0.05)] = 0.05
 
     def begin(self, plant: Plant, hardware: Hardware) -> tuple[float, float]:
         """Return the output angle [rad] and the relative drag, which is 0 after a long rest."""
@@ -36,6 +36,6 @@ class FlexCable(EachCycle):
         moved_rad = now_rad - before_rad
         direction = float(np.sign(moved_rad))
         if direction:
-            share = direction + (share - direction) * float(np.exp(-abs(moved_rad) / self.give_rad))
-        torque_Nm = -self.stiffness_Nm_rad * (now_rad - self.laid_rad) - self.drag_Nm * share
+            share = direction + (share - direction) * float(np.exp(-abs(moved_rad) / self.transition_rad))
+        torque_Nm = -self.stiffness_Nm_rad * (now_rad - self.neutral_rad) - self.drag_Nm * share
         return (now_rad, share), Disturbance(output_Nm=at_joint(self.joint, torque_Nm))

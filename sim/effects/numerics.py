@@ -20,13 +20,13 @@ class Numerics(Effect):
     Gears, outputs and motors are then evaluated at the start of the step.
     """
 
-    gears: Literal["implicit", "explicit"]
-    finer: Annotated[int, ParameterSpec(2, 20, unit="1", typical=2)] = 2
+    scheme: Literal["implicit", "explicit"]
+    substeps: Annotated[int, ParameterSpec(2, 20, unit="1", typical=2)] = 2
     """Steps per step of the model; the explicit scheme diverges with fewer than six."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Set time step and solver."""
-        spec.option.timestep /= self.finer
-        if self.gears == "explicit":
+        spec.option.timestep /= self.substeps
+        if self.scheme == "explicit":
             spec.option.solver = mujoco.mjtSolver.mjSOL_PGS
             spec.option.iterations = SOLVER_ITERATIONS

@@ -125,7 +125,7 @@ def test_without_calibrated_joints_nothing_moves_but_the_tool_pose_that_resolver
         assert not out.joint.calibrated.any()
         channels += [] if out.tool is None else [out.tool.output_rad]
     np.testing.assert_allclose(
-        channels[-1], CONFIG.params.poses.stowed_rad, atol=2 * CONFIG.half_gap_rad.max()
+        channels[-1], CONFIG.params.poses.stowed_rad, atol=2 * CONFIG.half_backlash_rad.max()
     )
 
 
@@ -134,7 +134,7 @@ def test_the_tool_channels_come_at_their_period_and_are_where_the_settled_arm_is
     rig.cycle(rig.here(Tool.APXS, 0.001))
     rig.run()
     channels = [out.tool for out in (rig.cycle() for _ in range(160)) if out.tool is not None]
-    assert len(channels) == 160 // CONFIG.params.motion.load_period
+    assert len(channels) == 160 // CONFIG.params.motion.load_period_cycles
     X = rig.tool_pose(Tool.APXS)
     np.testing.assert_allclose(channels[-1].p_RoTo_R_m, X.p, atol=1e-7)
     np.testing.assert_allclose(channels[-1].R_RT, X.R, atol=1e-7)
@@ -145,7 +145,7 @@ def test_the_tool_channels_come_at_their_period_and_are_where_the_settled_arm_is
 def test_while_a_joint_looks_for_its_hardstop_the_others_have_no_power(joint):
     stronger = replace(CONFIG.params.joints.elevation, hardstop_press_Nm=300.0)
     config = with_params(
-        hardstop={"start_rad": floats(START), "park_rad": floats(START), "again_rad": floats(START)},
+        hardstop={"start_rad": floats(START), "park_rad": floats(START), "second_start_rad": floats(START)},
         joints={"elevation": stronger},
     )
     rig = Rig(config, start_rad=START)
@@ -166,7 +166,7 @@ def test_the_configuration_is_what_the_parameters_say():
     config = configure(nominal_params())
     joints = config.params.joints.in_order()
     assert config.params_sha256 == digest(config.params)
-    np.testing.assert_array_equal(config.half_gap_rad, [j.backlash_rad / 2 for j in joints])
+    np.testing.assert_array_equal(config.half_backlash_rad, [j.backlash_rad / 2 for j in joints])
     np.testing.assert_array_equal(config.hardstop_rad, [j.hardstop_rad for j in joints])
     np.testing.assert_array_equal(config.current_limit_A, [5, 5, 5, 3, 3])
 

@@ -138,7 +138,7 @@ RUNS = (
             (ToolChange(Tool.DRT, standoff_m=0.005, overtravel_m=0.01), 300),
             (Stop(), LONG),
         ),
-        "SpotTaken",
+        "SpotSet",
         world=World("mars", 0.1, -0.05, APXS_ROCK),
     ),
     ReferenceRun(
@@ -191,7 +191,7 @@ RUNS = (
             (ToolChange(Tool.APXS), 1),
             (Stow(), 10),
             (MoveJoint(Joint.WRIST, 2.0), 1),
-            (SetParam("motion.load_period", 8.0), 1),
+            (SetParam("motion.load_period_cycles", 8.0), 1),
             (Stop(), LONG),
         ),
         "CommandRefused",

@@ -64,13 +64,13 @@ def test_one_bit_of_a_gain_is_seen_in_its_channel_from_the_tick_on_which_it_matt
     changed = {one.channel: one for one in found.channels}
     assert [evr.name for evr in found.evrs] == ["Booted"]
     assert found.lengths == ()
-    seen = changed["/joint.gap_uncertainty_rad"]
+    seen = changed["/joint.backlash_uncertainty_rad"]
     assert seen.first_component == (1,)
     assert 0 < seen.greatest < 1e-15
     apart = [
         tick
         for tick, (was, now) in enumerate(zip(before, after, strict=True))
-        if was.joint.gap_uncertainty_rad[1] != now.joint.gap_uncertainty_rad[1]
+        if was.joint.backlash_uncertainty_rad[1] != now.joint.backlash_uncertainty_rad[1]
     ]
     assert (seen.first_tick, seen.ticks) == (apart[0], len(apart))
 

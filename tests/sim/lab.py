@@ -23,7 +23,7 @@ LEFT_RAD = np.radians([-35.0, -70.0, 95.0, 20.0, 215.0])
 STRAIGHT_RAD = np.zeros(5)
 
 STIFFNESS_NM_RAD = np.array([100e3, 100e3, 100e3, 50e3, 50e3])
-HALF_GAP_RAD = np.array([1.82e-3, 1.82e-3, 1.82e-3, 2.18e-3, 2.18e-3])
+HALF_BACKLASH_RAD = np.array([1.82e-3, 1.82e-3, 1.82e-3, 2.18e-3, 2.18e-3])
 OUTPUT_FRICTION_NM = np.array([10.0, 10.0, 10.0, 3.0, 3.0])
 
 CYCLE_HZ = 64
@@ -131,7 +131,7 @@ def gear_rad(plant: Plant) -> Array:
 def gear_torque_Nm(plant: Plant) -> Array:
     """Return the gear torques, from wind-up and the nominal stiffness and backlash."""
     gear = gear_rad(plant)
-    return STIFFNESS_NM_RAD * (gear - np.clip(gear, -HALF_GAP_RAD, HALF_GAP_RAD))
+    return STIFFNESS_NM_RAD * (gear - np.clip(gear, -HALF_BACKLASH_RAD, HALF_BACKLASH_RAD))
 
 
 def tool_distance_mm(a: Plant, b: Plant) -> float:

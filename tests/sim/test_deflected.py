@@ -83,7 +83,7 @@ def make_cases(turret_kg: float) -> tuple[Case, ...]:
         motor, world = answers.output_rad[:, branch, next(valid[branch])], tilted(rng, scene)
         side, decided = pressed_flank(arm, motor, world)
         if decided.all():
-            drawn.append(Case(branch, motor, world, side * lab.HALF_GAP_RAD))
+            drawn.append(Case(branch, motor, world, side * lab.HALF_BACKLASH_RAD))
     return tuple(drawn)
 
 
@@ -101,7 +101,7 @@ def pressed_flank(arm: Arm, motor_rad: lab.Array, world: World) -> tuple[lab.Arr
     gravity = world.gravity_N_m_s2
     side = np.sign(settle(arm, motor_rad, np.zeros(5), gravity).torque_Nm)
     as_they_are_and_each_turned_over = np.column_stack([side, side[:, None] * (1 - 2 * np.eye(5))])
-    gap = as_they_are_and_each_turned_over * lab.HALF_GAP_RAD[:, None]
+    gap = as_they_are_and_each_turned_over * lab.HALF_BACKLASH_RAD[:, None]
     push = np.sign(settle(arm, np.repeat(motor_rad[:, None], 6, axis=1), gap, gravity).torque_Nm)
     return side, (push[:, 0] == side) & (np.diag(push[:, 1:]) == side)
 

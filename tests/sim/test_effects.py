@@ -80,7 +80,7 @@ def rest_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None 
     error = np.zeros(5) if motor_error_rad is None else motor_error_rad
     lab.load(plant, lab.LEFT_RAD - error, duration_s=2.0, rest_s=2.0)
     gravity_N_m_s2 = TILTED_EARTH.gravity_N_m_s2
-    expected = settle(arm, plant.motor_rad() + error, plant.gap_rad(), gravity_N_m_s2)
+    expected = settle(arm, plant.motor_rad() + error, plant.backlash_rad(), gravity_N_m_s2)
     apart = [plant.truth().p_RoTo_R_m[tool] - tool_pose(arm, expected.frames, tool).p for tool in Tool]
     return float(np.linalg.norm(apart, axis=1).max())
 
@@ -229,12 +229,12 @@ def test_a_gear_of_other_backlash_or_stiffness_lets_the_tool_sag_as_flight_softw
     lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0)
     believed = getattr(params_with(effect).joints, joint.name.lower())
     half_backlash_rad = believed.backlash_rad / 2
-    assert abs(plant.gap_rad()[joint]) == pytest.approx(half_backlash_rad, rel=1e-9)
-    expected = settle(arm, plant.motor_rad(), plant.gap_rad(), TILTED_EARTH.gravity_N_m_s2)
-    wind_up = lab.gear_rad(plant)[joint] - plant.gap_rad()[joint]
+    assert abs(plant.backlash_rad()[joint]) == pytest.approx(half_backlash_rad, rel=1e-9)
+    expected = settle(arm, plant.motor_rad(), plant.backlash_rad(), TILTED_EARTH.gravity_N_m_s2)
+    wind_up = lab.gear_rad(plant)[joint] - plant.backlash_rad()[joint]
     assert wind_up == pytest.approx(expected.torque_Nm[joint] / believed.gear_stiffness_Nm_rad, rel=1e-3)
-    untouched = np.delete(plant.gap_rad(), joint)
-    assert np.all(np.abs(untouched) <= np.delete(lab.HALF_GAP_RAD, joint))
+    untouched = np.delete(plant.backlash_rad(), joint)
+    assert np.all(np.abs(untouched) <= np.delete(lab.HALF_BACKLASH_RAD, joint))
 
 
 @pytest.mark.parametrize("joint", Joint)

@@ -48,7 +48,7 @@ def test_below_the_friction_an_output_in_its_gap_does_not_creep(side: int) -> No
     plant.data.qfrc_applied[gears] = side * 0.9 * lab.OUTPUT_FRICTION_NM
     lab.run(plant, 1.0)
     start = plant.output_rad()
-    assert np.all(np.abs(lab.gear_rad(plant)) < 0.1 * lab.HALF_GAP_RAD)
+    assert np.all(np.abs(lab.gear_rad(plant)) < 0.1 * lab.HALF_BACKLASH_RAD)
     lab.run(plant, 60.0)
     assert np.abs(plant.output_rad() - start).max() < CREEP_RAD
 
@@ -59,12 +59,12 @@ def test_above_the_friction_an_output_in_its_gap_goes_to_the_flank(side: int) ->
     gears = [plant.model.joint(f"{name}_gear").dofadr[0] for name in lab.JOINT_NAMES]
     plant.data.qfrc_applied[gears] = side * 1.1 * lab.OUTPUT_FRICTION_NM
     lab.run(plant, 10.0)
-    assert np.all(side * lab.gear_rad(plant) > 0.999 * lab.HALF_GAP_RAD)
+    assert np.all(side * lab.gear_rad(plant) > 0.999 * lab.HALF_BACKLASH_RAD)
 
 
 def flanks(gear_rad: lab.Array, joint: int) -> list[int]:
     """Return the sequence of flanks on which a joint lay, with 0 for between them, without repetitions."""
-    half = lab.HALF_GAP_RAD[joint]
+    half = lab.HALF_BACKLASH_RAD[joint]
     side = np.where(np.abs(gear_rad) < half, 0, np.sign(gear_rad)).astype(int)
     return [int(s) for k, s in enumerate(side) if k == 0 or s != side[k - 1]]
 
@@ -92,9 +92,9 @@ def test_the_gap_is_crossed_once_when_gravity_changes_side(held: str) -> None:
     way = np.array(gear)
     for joint in (1, 2, 3):
         assert flanks(way[:, joint], joint) in ([1, 0, -1], [-1, 0, 1])
-        crossing = way[np.abs(way[:, joint]) < lab.HALF_GAP_RAD[joint], joint]
+        crossing = way[np.abs(way[:, joint]) < lab.HALF_BACKLASH_RAD[joint], joint]
         onward = np.diff(crossing) * np.sign(way[-1, joint])
-        assert -onward[onward < 0].sum() < 0.01 * lab.HALF_GAP_RAD[joint]
+        assert -onward[onward < 0].sum() < 0.01 * lab.HALF_BACKLASH_RAD[joint]
 
 
 def test_the_gap_is_crossed_once_when_a_joint_carries_its_load_over_the_vertical() -> None:

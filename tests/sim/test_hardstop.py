@@ -54,8 +54,8 @@ def run_to_end(run: InitialisationRun) -> InitialisationResult:
     for _ in run:
         pass
     result = run.result()
-    assert np.all(result.most_torque_Nm < RATED_NM)
-    assert result.most_current_share.max() <= 1.0 + 1e-9
+    assert np.all(result.max_torque_Nm < RATED_NM)
+    assert result.max_current_ratio.max() <= 1.0 + 1e-9
     return result
 
 
@@ -124,7 +124,7 @@ def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder
     assert left_Nm > 0.5 * run.loop.config.params.joints.in_order()[joint].hardstop_press_Nm
     result = run_to_end(InitialisationRun(run.loop, Calibrate(joint)))
     assert result.outcome is Outcome.DONE
-    assert result.most_torque_Nm[joint] < 1.1 * run_to_end(ordinary).most_torque_Nm[joint]
+    assert result.max_torque_Nm[joint] < 1.1 * run_to_end(ordinary).max_torque_Nm[joint]
     assert abs(result.stops[0].zero_error_rad) < 0.1e-3
 
 
@@ -147,7 +147,7 @@ def test_something_soft_in_its_place_is_no_hardstop():
     soft = (HardstopStiffness(Joint.TURRET, 0.15),)
     check_failure(
         prepare_homing(arm_named("nominal"), Joint.TURRET, World(), effects=soft),
-        faults.NoHardstop,
+        faults.HardstopImplausible,
         Joint.TURRET,
     )
 
@@ -163,7 +163,7 @@ def test_a_hardstop_that_moved_since_last_time_is_not_believed():
     again = prepare_homing(arm, Joint.TURRET, World(), effects=moved, reference=left)
     check_failure(again, faults.HardstopMoved, Joint.TURRET)
     loop = prepare_homing(arm, Joint.TURRET, World(), effects=moved, reference=left).loop
-    result = run_to_end(InitialisationRun(loop, Calibrate(Joint.TURRET, anew=True)))
+    result = run_to_end(InitialisationRun(loop, Calibrate(Joint.TURRET, accept_moved=True)))
     assert result.outcome is Outcome.DONE
     assert result.reference.zero_rad[Joint.TURRET] != pytest.approx(known.zero_rad[Joint.TURRET], abs=3e-3)
 
@@ -207,7 +207,7 @@ def test_power_lost_half_way_leaves_nothing_half_set(stage):
     assert result.outcome is Outcome.FAULTED
     assert not result.reference.calibrated[Joint.TURRET]
     assert run.loop.plant.data.eq_active[run.loop.plant.at.brake].all()
-    np.testing.assert_array_equal(result.reference.half_gap_rad, known.half_gap_rad)
+    np.testing.assert_array_equal(result.reference.half_backlash_rad, known.half_backlash_rad)
 
 
 def test_flight_software_that_starts_anew_half_way_knows_nothing_of_the_joint():

@@ -130,9 +130,9 @@ def test_a_displaced_frame_moves_what_it_carries_and_the_next_draw_begins_where_
 def test_a_shifted_gear_is_not_taken_for_a_gap():
     plant = lab.plant()
     plant.set_move_disturbance(replace(no_move_disturbance(), gear_rad=np.full(5, 3e-4)))
-    assert np.allclose(plant.half_gap_rad, lab.HALF_GAP_RAD)
-    plant.data.qpos[plant.at.gear] = lab.HALF_GAP_RAD + 3e-4
-    assert np.allclose(plant.gap_rad(), lab.HALF_GAP_RAD)
+    assert np.allclose(plant.half_backlash_rad, lab.HALF_BACKLASH_RAD)
+    plant.data.qpos[plant.at.gear] = lab.HALF_BACKLASH_RAD + 3e-4
+    assert np.allclose(plant.backlash_rad(), lab.HALF_BACKLASH_RAD)
 
 
 def test_bodies_are_those_of_the_frames():

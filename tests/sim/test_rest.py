@@ -101,7 +101,7 @@ def test_at_rest_a_gear_stands_at_half_its_backlash_and_its_wind_up(side: int) -
     lab.run(plant, 1.0)
     from_more = lab.gear_rad(plant)
 
-    stand = side * lab.HALF_GAP_RAD + torque / lab.STIFFNESS_NM_RAD
+    stand = side * lab.HALF_BACKLASH_RAD + torque / lab.STIFFNESS_NM_RAD
     share = side * lab.OUTPUT_FRICTION_NM / lab.STIFFNESS_NM_RAD
     np.testing.assert_allclose(from_less, stand - share, rtol=0.002)
     np.testing.assert_allclose(from_more, stand + share, rtol=0.002)

@@ -116,7 +116,7 @@ def over_the_vertical(time_step_s: float | None) -> lab.Array:
 
 def crossings(gears_rad: lab.Array, joint: Joint) -> int:
     """Count the changes of a joint from one flank to the other."""
-    gear, half = gears_rad[:, joint], lab.HALF_GAP_RAD[joint]
+    gear, half = gears_rad[:, joint], lab.HALF_BACKLASH_RAD[joint]
     return int(np.count_nonzero(np.diff(np.sign(gear[np.abs(gear) >= half]))))
 
 
@@ -124,6 +124,6 @@ def test_a_gap_is_crossed_as_often_and_in_the_same_time() -> None:
     own, reference = (over_the_vertical(step_s) for step_s in (None, REFERENCE_STEP_S))
     assert [crossings(own, j) for j in Joint] == [crossings(reference, j) for j in Joint]
     assert crossings(own, Joint.WRIST) == 1
-    half = lab.HALF_GAP_RAD[Joint.WRIST]
+    half = lab.HALF_BACKLASH_RAD[Joint.WRIST]
     cycles = [np.count_nonzero(np.abs(gears[:, Joint.WRIST]) < half) for gears in (own, reference)]
     assert cycles[0] == pytest.approx(cycles[1], rel=0.05)

@@ -123,7 +123,7 @@ def _solve_statics(
     counter_error_rad = nominal_hardware().counter_zero_rad - hardware.counter_zero_rad
     motor = turning_points.motor_rad - (hardstop_error_rad + counter_error_rad)[:, None]
     plant = _plant_with(recording.world, tuple(effects)) if hardware.each_cycle else None
-    half_backlash_rad = config.half_gap_rad
+    half_backlash_rad = config.half_backlash_rad
     load = settle_output(config.arm, motor, gravity).torque_Nm
     gear, driven = np.zeros(5), motor[:, 0]
     outputs = np.zeros_like(motor)

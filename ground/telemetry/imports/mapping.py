@@ -33,9 +33,9 @@ class TimeMapping:
     rate_Hz: Annotated[float | None, Limits(1e-3, 1e6)] = None
     """Rate of the rows of a table without a time column."""
     grid: GridMode = "exact"
-    share: Annotated[float, Limits(0.0, 0.5)] = 0.01
-    """Largest distance of a row from its cycle, as a share of a cycle, with grid "exact"."""
-    gap_s: Annotated[float, Limits(1e-3, 60.0)] = 1.0
+    tolerance_cycles: Annotated[float, Limits(0.0, 0.5)] = 0.01
+    """Largest distance of a row from its cycle, in cycles, with grid "exact"."""
+    max_interval_s: Annotated[float, Limits(1e-3, 60.0)] = 1.0
     """Longest time without a row, with grids "hold" and "linear"."""
     sort: bool = False
     """True to sort the rows by time; else rows out of order are an error."""

@@ -52,7 +52,7 @@ class _Reference:
     calibrated: Flags5
     zero_rad: Joints5
     known: Flags5 | None = None
-    half_gap_rad: Joints5 | None = None
+    half_backlash_rad: Joints5 | None = None
     resolver_bias_rad: Joints5 = (0.0, 0.0, 0.0, 0.0, 0.0)
     friction_Nm: Joints5 | None = None
 
@@ -118,13 +118,15 @@ def _parse_reference(table: dict[str, Any], params: Params, findings: Findings) 
     if fields is None:
         return None
     known = np.array(fields.calibrated if fields.known is None else fields.known)
-    nominal_rad = configure(params).half_gap_rad
+    nominal_rad = configure(params).half_backlash_rad
     friction = np.zeros(known.size) if fields.friction_Nm is None else np.array(fields.friction_Nm)
     return Reference(
         calibrated=np.array(fields.calibrated),
         known=known,
         zero_rad=np.array(fields.zero_rad),
-        half_gap_rad=nominal_rad if fields.half_gap_rad is None else np.array(fields.half_gap_rad),
+        half_backlash_rad=nominal_rad
+        if fields.half_backlash_rad is None
+        else np.array(fields.half_backlash_rad),
         resolver_bias_rad=np.array(fields.resolver_bias_rad),
         friction_Nm=np.where(known & (fields.friction_Nm is not None), friction, np.inf),
     )

@@ -131,7 +131,7 @@ def check_grid(table: InputTable, time: TimeMapping, cycles: Cycles) -> None:
     ticks = np.rint(cycles)
     distance = np.abs(cycles - ticks)
     skipped = np.diff(ticks) != 1
-    bad = distance[1:] > time.share
+    bad = distance[1:] > time.tolerance_cycles
     if not bad.any() and not skipped.any():
         return
     row = int(np.flatnonzero(bad | skipped)[0]) + 1
@@ -146,8 +146,9 @@ def check_grid(table: InputTable, time: TimeMapping, cycles: Cycles) -> None:
     else:
         enough = min(0.5, float(distance.max()) * 1.01)
         what = (
-            f"is {distance[row]:.3g} of a cycle beside the grid of {CYCLE_HZ} Hz, {time.share:g} is allowed; "
-            f'under [time] write share = {enough:.2g}, or grid = "nearest", "hold" or "linear"'
+            f"is {distance[row]:.3g} of a cycle beside the grid of {CYCLE_HZ} Hz, "
+            f"{time.tolerance_cycles:g} is allowed; "
+            f'under [time] write tolerance_cycles = {enough:.2g}, or grid = "nearest", "hold" or "linear"'
         )
     raise table.error_at(what, row, time.column)
 
@@ -200,12 +201,12 @@ def _resample(
     table: InputTable, time: TimeMapping, at: Cycles, rows: NDArray[np.int64], max_messages: int
 ) -> RowSelection:
     """Select or interpolate a message for each cycle from the first row to the last."""
-    wide = np.flatnonzero(np.diff(at) > time.gap_s * CYCLE_HZ * (1 + CYCLE_ROUNDING))
+    wide = np.flatnonzero(np.diff(at) > time.max_interval_s * CYCLE_HZ * (1 + CYCLE_ROUNDING))
     if wide.size:
         k = int(wide[0])
         what = (
             f"{(at[k + 1] - at[k]) / CYCLE_HZ:.6g} s after the row before; grid {time.grid!r} bridges at "
-            f'most gap_s = {time.gap_s:g}: set it, or write grid = "nearest"'
+            f'most max_interval_s = {time.max_interval_s:g}: set it, or write grid = "nearest"'
         )
         raise table.error_at(what, int(rows[k + 1]), time.column)
     first, last = np.ceil(at[0] - CYCLE_ROUNDING), np.floor(at[-1] + CYCLE_ROUNDING)

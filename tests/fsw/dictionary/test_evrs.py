@@ -39,7 +39,7 @@ SENTENCES = {
     faults.HardstopMissed(
         Joint.WRIST, -3.38, -3.35
     ): "WRIST is at -3.3800 rad and met no hardstop at -3.3500 rad",
-    faults.NoHardstop(Joint.TURRET, 90.0, 25.0): (
+    faults.HardstopImplausible(Joint.TURRET, 90.0, 25.0): (
         "TURRET is pressed on something that gives 90.00 urad per N m, a hardstop gives 25.00"
     ),
     faults.HardstopMoved(
@@ -82,10 +82,10 @@ SENTENCES = {
     evrs.FaultResponse("BRAKE_AND_REFUSE"): "response BRAKE_AND_REFUSE",
     evrs.FaultCleared(): "fault cleared",
     evrs.Preloaded(Tool.DRILL, 300.0): "DRILL pressed with 300.0 N",
-    evrs.ForceFelt(Tool.DRILL, 0.9123, 0.1): (
+    evrs.ForceEstimated(Tool.DRILL, 0.9123, 0.1): (
         "DRILL: a newton of the model is 0.912 N along its axis, 0.100 N across"
     ),
-    evrs.SpotTaken(Tool.APXS, 2.0, -0.1, 0.85): "spot of APXS at 2.0000 -0.1000 0.8500 m in RMECH",
+    evrs.SpotSet(Tool.APXS, 2.0, -0.1, 0.85): "spot of APXS at 2.0000 -0.1000 0.8500 m in RMECH",
     evrs.ParamSet("collision.ground_z_m", 1.25, "ab12"): "collision.ground_z_m is 1.25, parameters ab12",
     evrs.TiltSet(0.0012): "tilt set, 0.0012 rad from what the IMU reads",
     evrs.SoftwareError("KeyError: 'a'"): "software error: KeyError: 'a'",

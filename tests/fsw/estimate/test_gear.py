@@ -21,7 +21,7 @@ from fsw.estimate.gear import (
 from tests.fsw.rig import MARS_R_m_s2, config_of
 
 CONFIG = config_of()
-HALF, FRICTION = CONFIG.half_gap_rad, CONFIG.output_friction_Nm
+HALF, FRICTION = CONFIG.half_backlash_rad, CONFIG.output_friction_Nm
 STIFFNESS = CONFIG.arm.gear_stiffness_Nm_rad
 ERROR = load_error(CONFIG, MARS_R_m_s2)
 

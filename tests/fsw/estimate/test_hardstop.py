@@ -98,7 +98,7 @@ def test_a_width_that_is_no_gap_leaves_the_drawing_s(width):
     press = fit_contact_line(CONFIG, Joint.WRIST, 0.0, towards)
     assert press is not None
     result = locate_hardstop(CONFIG, Joint.WRIST, 0.0, press, width)
-    assert 2 * result.half_backlash_rad == pytest.approx(2 * CONFIG.half_gap_rad[Joint.WRIST])
+    assert 2 * result.half_backlash_rad == pytest.approx(2 * CONFIG.half_backlash_rad[Joint.WRIST])
 
 
 def test_readings_without_a_rise_have_no_line():

@@ -23,7 +23,7 @@ from fsw.estimate.reference import Reference, forget_joint, no_reference
 from tests.fsw.rig import MARS_R_m_s2, config_of, quiet_sensors
 
 CONFIG = config_of()
-HALF = CONFIG.half_gap_rad
+HALF = CONFIG.half_backlash_rad
 ZERO = np.array([0.1, -1.0, 1.5, 2.0, 1.0])
 BIAS = np.array([1e-3, -2e-3, 0.0, 3e-3, -1e-3])
 LOADS_NM = np.array([0.0, -150.0, -60.0, -2.0, 1.0])
@@ -95,7 +95,7 @@ def test_the_likely_output_is_the_motor_with_its_likely_gear_angle():
     joints, _ = resting()
     np.testing.assert_array_equal(joints.output_rad, joints.motor_rad + joints.gear_rad[:, LIKELY])
     np.testing.assert_array_equal(joints.side, [0, -1, -1, 0, 0])
-    np.testing.assert_allclose(joints.gap_rad, 0.9 * HALF * joints.side)
+    np.testing.assert_allclose(joints.backlash_rad, 0.9 * HALF * joints.side)
     stiffness = CONFIG.arm.gear_stiffness_Nm_rad
     known = joints.side != 0
     unknown_Nm = CONFIG.load_error_Nm + 2 * CONFIG.output_friction_Nm
@@ -113,7 +113,7 @@ def test_after_its_calibration_a_joint_met_its_hardstop_where_the_drawing_has_it
     after = apply_calibration(CONFIG, before, LOADS_NM, joint, found)
     this = np.arange(5) == joint
     np.testing.assert_allclose(after.motor_rad - before.motor_rad, np.where(this, -off_rad, 0.0), atol=1e-12)
-    np.testing.assert_array_equal(after.reference.half_gap_rad, np.where(this, 1.1 * HALF, 0.9 * HALF))
+    np.testing.assert_array_equal(after.reference.half_backlash_rad, np.where(this, 1.1 * HALF, 0.9 * HALF))
     np.testing.assert_array_equal(after.gear_rad[~this], before.gear_rad[~this])
     np.testing.assert_array_equal(after.reference.zero_rad[~this], ZERO[~this])
     next_one = update_joints(CONFIG, after, sensors)

@@ -39,7 +39,7 @@ _X_RT = Rig(with_params(), start_rad=START).tool_pose(Tool.APXS)
 HERE = TeachPoint("here", "apxs", floats(_X_RT.p), floats(_X_RT.R[:, 0]))
 """Pose of the APXS at the start of these tests, as a taught point."""
 CONFIG = with_params(
-    hardstop={"start_rad": floats(START), "park_rad": floats(START), "again_rad": floats(START)},
+    hardstop={"start_rad": floats(START), "park_rad": floats(START), "second_start_rad": floats(START)},
     joints={"elevation": STRONGER},
     teach=(HERE,),
 )

@@ -445,7 +445,7 @@ def test_after_a_fault_the_joint_angles_decide_whether_the_arm_is_stowed(mode, o
 
 
 def test_how_close_to_stowed_an_arm_is_stowed_is_a_parameter():
-    config = with_params(motion={"stowed_rad": 0.15})
+    config = with_params(motion={"stow_tolerance_rad": 0.15})
     for off_rad, mode in ((0.151, Mode.DEPLOYED), (0.149, Mode.STOWED)):
         rig = Rig(config, start_rad=np.array(config.params.poses.stowed_rad) + off_rad)
         rig.cycle(winding_C=[NAN] * 5)

@@ -17,7 +17,7 @@ from fsw.dictionary.commands import (
     ToolChange,
 )
 from fsw.dictionary.enums import Frame, Mode, Switch, Tool
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, ContactMade, SpotTaken
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, ContactMade, SpotSet
 from fsw.executive.expansion import expand_command
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
@@ -95,7 +95,7 @@ def test_a_tool_change_ends_with_the_other_tool_in_contact():
     rig = guarded_in_contact()
     rig.evrs.clear()
     rig.cycle(ToolChange(Tool.MAHLI, standoff_m=0.05), **TOUCHED)
-    assert isinstance(rig.evrs[1], SpotTaken)
+    assert isinstance(rig.evrs[1], SpotSet)
     while rig.state.mode is not Mode.GUARDED or rig.state.tool is not Tool.MAHLI:
         rig.cycle()
     rig.run(**MAHLI_TOUCHED)
@@ -229,7 +229,7 @@ def test_a_straight_move_keeps_the_tool_on_its_line():
         (Process(Tool.PORTION, (0, 0, 0), 1.0), "gravity_T has no length"),
         (Process(Tool.PORTION, (1, 0, 0), -1.0), "duration_s -1.0 s is outside 0 .. 3600 s"),
         (Dock("here", 0.0), "overtravel_m 0.0 m must be more than 0"),
-        (MoveTeachPoint("here", -0.1), "away_m -0.1 m must be at least 0"),
+        (MoveTeachPoint("here", -0.1), "standoff_m -0.1 m must be at least 0"),
     ],
 )
 def test_numbers_and_words_that_make_no_sense_are_refused(command, reason):

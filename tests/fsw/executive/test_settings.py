@@ -84,8 +84,12 @@ def test_a_joint_whose_zero_rests_on_a_parameter_is_to_be_calibrated_again(name)
         ("arm_name", 1.0, "arm_name: not one number; only single numbers can be set"),
         ("joints.elbow.speed_rad_s", 9.0, "joints.elbow.speed_rad_s: 9.0 is outside 0.001 .. 0.1"),
         ("joints.elbow.speed_rad_s", float("nan"), "joints.elbow.speed_rad_s: must be finite, is nan"),
-        ("motion.load_period", 2.5, "motion.load_period: must be a whole number, is 2.5"),
-        ("motion.load_period", float("inf"), "motion.load_period: must be a whole number, is inf"),
+        ("motion.load_period_cycles", 2.5, "motion.load_period_cycles: must be a whole number, is 2.5"),
+        (
+            "motion.load_period_cycles",
+            float("inf"),
+            "motion.load_period_cycles: must be a whole number, is inf",
+        ),
         ("", 1.0, ": '' is not a parameter"),
     ],
 )
@@ -107,7 +111,8 @@ def test_gravity_lies_where_the_ground_says_from_then_on():
     np.testing.assert_allclose(gravity / 3.711, [0.003, 0.005, 1.0], atol=2e-5)
     np.testing.assert_allclose(rig.state.joints.imu_R_m_s2, MARS_R_m_s2, atol=1e-9)
     assert any(
-        isinstance(evr, TiltSet) and evr.off_rad == pytest.approx(0.00583, abs=1e-5) for evr in rig.evrs
+        isinstance(evr, TiltSet) and evr.difference_rad == pytest.approx(0.00583, abs=1e-5)
+        for evr in rig.evrs
     )
 
 

@@ -24,7 +24,7 @@ FLIGHT_Q_TR = np.array([0.1586527, 0.5402789, 0.3604649, 0.7436351])
 """Quaternion (w, x, y, z) from rover to tool; its conjugate is the tool in the rover frame."""
 
 CONFIG = config_of()
-ARM, HALF_GAP_RAD = CONFIG.arm, CONFIG.half_gap_rad
+ARM, HALF_BACKLASH_RAD = CONFIG.arm, CONFIG.half_backlash_rad
 LOADED_SIDE = np.sign(settle(ARM, ENCODER_RAD, np.zeros(5), GRAVITY_R_m_s2).torque_Nm)
 
 
@@ -51,7 +51,7 @@ def across(*joints: Joint) -> Pose:
     """Compute the drill pose with the outputs on the loaded side, but some joints on the other."""
     sides = np.array(LOADED_SIDE)
     sides[list(joints)] *= -1
-    return deflected_drill(sides * HALF_GAP_RAD)
+    return deflected_drill(sides * HALF_BACKLASH_RAD)
 
 
 def stiffer(factor: float) -> Arm:
@@ -68,12 +68,12 @@ LINES = {
     "J1 across": across(Joint.AZIMUTH),
     "J5 across": across(Joint.TURRET),
     "both across": across(Joint.AZIMUTH, Joint.TURRET),
-    "whole gap": deflected_drill((LOADED_SIDE - 1.0) * HALF_GAP_RAD),
+    "whole backlash": deflected_drill((LOADED_SIDE - 1.0) * HALF_BACKLASH_RAD),
     "rigid, resolvers": drill(forward(ARM, RESOLVER_RAD)),
     "links, resolvers": drill(settle_output(ARM, RESOLVER_RAD, GRAVITY_R_m_s2).frames),
-    "stiffer": deflected_drill(LOADED_SIDE * HALF_GAP_RAD, stiffer(1.2)),
-    "softer": deflected_drill(LOADED_SIDE * HALF_GAP_RAD, stiffer(1 / 1.2)),
-    "colder": deflected_drill(LOADED_SIDE * HALF_GAP_RAD, heat_arm(ARM, -60.0)),
+    "stiffer": deflected_drill(LOADED_SIDE * HALF_BACKLASH_RAD, stiffer(1.2)),
+    "softer": deflected_drill(LOADED_SIDE * HALF_BACKLASH_RAD, stiffer(1 / 1.2)),
+    "colder": deflected_drill(LOADED_SIDE * HALF_BACKLASH_RAD, heat_arm(ARM, -60.0)),
 }
 
 
@@ -110,7 +110,7 @@ def test_the_rigid_drill_is_centimetres_away():
 
 
 def test_the_load_decides_the_side_of_three_backlashes_and_leaves_two_to_friction():
-    at_rest = settle(ARM, ENCODER_RAD, LOADED_SIDE * HALF_GAP_RAD, GRAVITY_R_m_s2)
+    at_rest = settle(ARM, ENCODER_RAD, LOADED_SIDE * HALF_BACKLASH_RAD, GRAVITY_R_m_s2)
     assert at_rest.converged
     np.testing.assert_array_equal(np.sign(at_rest.torque_Nm), LOADED_SIDE)
     left_open = np.abs(at_rest.torque_Nm) < CONFIG.output_friction_Nm
@@ -132,14 +132,15 @@ def test_the_page_says_what_is_computed():
 def test_the_page_says_where_the_resolvers_are():
     table = table_under("The resolvers")
     outputs, whole_gap = (
-        settle(ARM, ENCODER_RAD, (LOADED_SIDE + zero) * HALF_GAP_RAD, GRAVITY_R_m_s2) for zero in (0.0, -1.0)
+        settle(ARM, ENCODER_RAD, (LOADED_SIDE + zero) * HALF_BACKLASH_RAD, GRAVITY_R_m_s2)
+        for zero in (0.0, -1.0)
     )
     computed = {
         "torque of gravity [N m]": outputs.torque_Nm,
         "wind-up [mrad]": 1e3 * outputs.torque_Nm / ARM.gear_stiffness_Nm_rad,
-        "half the backlash [mrad]": 1e3 * LOADED_SIDE * HALF_GAP_RAD,
+        "half the backlash [mrad]": 1e3 * LOADED_SIDE * HALF_BACKLASH_RAD,
         "output - encoder, computed [mrad]": 1e3 * (outputs.output_rad - ENCODER_RAD),
-        "the same, whole gap [mrad]": 1e3 * (whole_gap.output_rad - ENCODER_RAD),
+        "the same, whole backlash [mrad]": 1e3 * (whole_gap.output_rad - ENCODER_RAD),
         "resolver - encoder, flight [mrad]": 1e3 * (RESOLVER_RAD - ENCODER_RAD),
     }
     assert list(table) == list(computed)

@@ -130,7 +130,7 @@ def test_the_equilibrium_converges_everywhere_inside_the_limits_on_mars_and_on_e
 def test_the_output_is_the_motor_angle_plus_backlash_plus_wind_up():
     config, rng = config_of(), np.random.default_rng(7)
     motor = in_limits(config, rng, 30)
-    gap = rng.choice([-1.0, 1.0], (5, 30)) * config.half_gap_rad[:, None]
+    gap = rng.choice([-1.0, 1.0], (5, 30)) * config.half_backlash_rad[:, None]
     here = settle(config.arm, motor, gap, MARS_R_m_s2)
     wind_up = here.torque_Nm / config.arm.gear_stiffness_Nm_rad[:, None]
     np.testing.assert_allclose(here.output_rad, motor + gap + wind_up, atol=1e-10)

@@ -27,7 +27,7 @@ def gears_along(config: Config, gear_rad: np.ndarray, motor_rad: np.ndarray) -> 
     gears = np.tile(gear_rad, (len(motor_rad), 1))
     for _ in range(3):  # the loads depend on the outputs, which depend on the loads
         loads = settle_output(config.arm, (motor_rad + gears).T, MARS_R_m_s2).torque_Nm
-        bounds = [bound_gear(config, config.half_gap_rad, load[:, None]) for load in loads.T]
+        bounds = [bound_gear(config, config.half_backlash_rad, load[:, None]) for load in loads.T]
         turns = np.diff(motor_rad, axis=0, prepend=motor_rad[:1])
         gear, gears = gear_rad[:, None], np.empty_like(gears)
         for k, (turn, bound) in enumerate(zip(turns, bounds, strict=True)):

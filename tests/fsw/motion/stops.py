@@ -79,14 +79,14 @@ class StopRig(Rig):
         load, friction = self.state.load.torque_Nm[j], self.config.output_friction_Nm[j]
         low, high = (self._balance(j, motor, load + side * friction) for side in (-1, 1))
         output = min(max(self.output_rad[j], low), high)
-        half, stiffness = self.config.half_gap_rad[j], self.config.arm.gear_stiffness_Nm_rad[j]
+        half, stiffness = self.config.half_backlash_rad[j], self.config.arm.gear_stiffness_Nm_rad[j]
         twist = output - motor
         return sign * FRICTION_NM - stiffness * (twist - np.clip(twist, -half, half)), output
 
     def _balance(self, j: int, motor: float, pull_Nm: float) -> float:
         """Compute the equilibrium of an output without friction between its gear and its hardstop."""
         k, stop, stop_k = self.config.arm.gear_stiffness_Nm_rad[j], self.stop_rad[j], self.stop_Nm_rad[j]
-        half = self.config.half_gap_rad[j]
+        half = self.config.half_backlash_rad[j]
         free = motor + pull_Nm / k + (half if pull_Nm > 0 else -half)
         if free >= stop:
             return free

@@ -14,10 +14,10 @@ from fsw.dictionary.evrs import (
 )
 from fsw.dictionary.faults import (
     CurrentImplausible,
+    HardstopImplausible,
     HardstopMoved,
     HardstopUnclear,
     MotorStuck,
-    NoHardstop,
     StalledEarly,
 )
 from fsw.executive.homing_poses import HOMED_TWICE
@@ -29,7 +29,7 @@ STOPS_RAD = np.array([joint.hardstop_rad for joint in config_of().params.joints.
 BEFORE_RAD = 0.1
 START = STOPS_RAD + BEFORE_RAD
 CONFIG = with_params(
-    hardstop={"start_rad": floats(START), "park_rad": floats(START), "again_rad": floats(START)}
+    hardstop={"start_rad": floats(START), "park_rad": floats(START), "second_start_rad": floats(START)}
 )
 ZERO_ERROR_RAD = np.array([1e-3, -1.2e-3, 0.8e-3, 1.5e-3, -0.5e-3])
 STOP_NM_RAD = 200e3
@@ -66,7 +66,7 @@ def test_a_joint_finds_its_zero_at_its_hardstop(joint, calibrated):
     if calibrated:
         assert found.moved_rad == pytest.approx(-ZERO_ERROR_RAD[joint], abs=0.1e-3)
     assert found.compliance_urad_Nm == pytest.approx(1e6 * COMPLIANCE_RAD_NM[joint], rel=0.05)
-    assert found.backlash_rad == pytest.approx(2 * CONFIG.half_gap_rad[joint], abs=0.1e-3)
+    assert found.backlash_rad == pytest.approx(2 * CONFIG.half_backlash_rad[joint], abs=0.1e-3)
 
 
 @pytest.mark.parametrize("joint", Joint)
@@ -97,9 +97,9 @@ def test_what_gives_way_like_no_hardstop_is_none(joint):
     gear = 1 / CONFIG.arm.gear_stiffness_Nm_rad[joint]
     too_soft = (1.5 * CONFIG.params.hardstop.stiffness_ratio * COMPLIANCE_RAD_NM[joint] - gear) * STOP_NM_RAD
     rig = StopRig(CONFIG, START, softer=too_soft)
-    evr = faulted(rig, joint, NoHardstop)
-    assert evr.compliance_urad_Nm > CONFIG.params.hardstop.stiffness_ratio * evr.drawn_urad_Nm
-    assert evr.drawn_urad_Nm == pytest.approx(1e6 * COMPLIANCE_RAD_NM[joint])
+    evr = faulted(rig, joint, HardstopImplausible)
+    assert evr.compliance_urad_Nm > CONFIG.params.hardstop.stiffness_ratio * evr.nominal_urad_Nm
+    assert evr.nominal_urad_Nm == pytest.approx(1e6 * COMPLIANCE_RAD_NM[joint])
 
 
 @pytest.mark.parametrize("joint", Joint)

@@ -94,7 +94,7 @@ def test_the_arm_hangs_as_it_settles_with_every_gap_on_the_side_of_its_load():
     motor = in_limits(CONFIG, np.random.default_rng(51), 100)
     loads = settle(CONFIG.arm, motor, np.zeros((5, 1)), MARS_R_m_s2).torque_Nm
     decided = np.abs(loads) > CONFIG.output_friction_Nm[:, None] + 1.0
-    gap = np.where(decided, np.sign(loads), 0.0) * CONFIG.half_gap_rad[:, None]
+    gap = np.where(decided, np.sign(loads), 0.0) * CONFIG.half_backlash_rad[:, None]
     judge = points_of_arm(settle(CONFIG.arm, motor, gap, MARS_R_m_s2).frames)
     found = points_of_arm(compute_deflected_frames(CONFIG, JOINTS, motor))
     clear_cut = (decided | (np.abs(loads) < CONFIG.output_friction_Nm[:, None] - 1.0)).all(axis=0)

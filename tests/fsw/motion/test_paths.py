@@ -135,13 +135,13 @@ def line_errors(X):
 
 def without_play(name):
     """Return a configuration without backlash and friction, so that only the geometry remains."""
-    return replace(config_of(name), half_gap_rad=np.zeros(5), output_friction_Nm=np.zeros(5))
+    return replace(config_of(name), half_backlash_rad=np.zeros(5), output_friction_Nm=np.zeros(5))
 
 
 def settled(config, start_rad=None):
     """Return a rig after some estimates of the load."""
     rig = Rig(config, start_rad=start_rad)
-    for _ in range(3 * config.params.motion.load_period):
+    for _ in range(3 * config.params.motion.load_period_cycles):
         rig.cycle()
     return rig
 
@@ -214,7 +214,7 @@ def test_a_line_is_straight_also_where_gaps_are_crossed_and_the_crossing_leaves_
             # the motor crosses backlash and wind-up while the output rests
             np.testing.assert_allclose(X.p, np.tile(here[:, None], X.p.shape[1]), atol=STEP_M)
             crossed = np.abs(path.at(path.duration_s).motor_rad - path.at(0.0).motor_rad)
-            assert (crossed <= 2 * (CONFIG.half_gap_rad + WIND_UP_RAD) + 1e-9).all()
+            assert (crossed <= 2 * (CONFIG.half_backlash_rad + WIND_UP_RAD) + 1e-9).all()
         here = X.p[:, -1]
     np.testing.assert_allclose(here, there, atol=1e-6)
     np.testing.assert_allclose(gear, plan.end.gear_rad, atol=1e-9)
@@ -225,7 +225,7 @@ def test_a_line_is_straight_also_where_gaps_are_crossed_and_the_crossing_leaves_
 def test_some_line_does_cross_a_gap():
     rig = Rig(CONFIG)
     plan = plan_guarded(CONFIG, rig.state.joints, rig.touch(Tool.DRT, 0.15))
-    assert np.abs(plan.gap_rad - rig.state.joints.gap_rad).max() > 0
+    assert np.abs(plan.backlash_rad - rig.state.joints.backlash_rad).max() > 0
     assert [type(path) for path in plan.paths].count(JointPath) >= 1
     for path, following in pairwise(plan.paths):
         end, begin = path.at(path.duration_s), following.at(0.0)

@@ -87,7 +87,7 @@ def test_the_approach_need_not_have_unit_length():
 def test_without_deflection_the_rigid_arm_meets_the_target():
     joints, command = joints_at(), replace(targets(Tool.APXS)[0], deflection="off")
     plan = plan_tool(CONFIG, joints, command)
-    rigid = forward(CONFIG.arm, plan.end.motor_rad + plan.gap_rad)
+    rigid = forward(CONFIG.arm, plan.end.motor_rad + plan.backlash_rad)
     np.testing.assert_allclose(tool_pose(CONFIG.arm, rigid, Tool.APXS).p, command.p_FoTo_F_m, atol=1e-8)
 
 
@@ -179,7 +179,7 @@ def test_a_move_smaller_than_the_gap_is_planned_from_where_the_output_lies(motio
     plan = plan_poses(CONFIG, joints, [pose], Compensation())
     np.testing.assert_allclose(gear_at_end(CONFIG, joints, plan), plan.end.gear_rad, atol=1e-9)
     np.testing.assert_allclose(plan.end.output_rad, pose, atol=1e-9)
-    assert abs(plan.gap_rad[0]) == pytest.approx(CONFIG.half_gap_rad[0], abs=1e-12)
+    assert abs(plan.backlash_rad[0]) == pytest.approx(CONFIG.half_backlash_rad[0], abs=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -188,10 +188,10 @@ def test_every_output_ends_on_a_known_side_of_its_gap(seed):
     rig = Rig(CONFIG, start_rad=start)
     joints = rig.state.joints
     plan = plan_poses(CONFIG, joints, [pose], Compensation())
-    np.testing.assert_allclose(np.abs(plan.gap_rad), CONFIG.half_gap_rad, atol=1e-12)
+    np.testing.assert_allclose(np.abs(plan.backlash_rad), CONFIG.half_backlash_rad, atol=1e-12)
     np.testing.assert_allclose(gear_at_end(CONFIG, joints, plan), plan.end.gear_rad, atol=1e-5)
     rig.run(MoveJoints(floats(pose)))
-    np.testing.assert_array_equal(rig.outputs.joint.gap_side, np.sign(plan.gap_rad))
+    np.testing.assert_array_equal(rig.outputs.joint.backlash_side, np.sign(plan.backlash_rad))
     np.testing.assert_allclose(rig.state.joints.output_rad, pose, atol=2e-5)
 
 
@@ -201,7 +201,7 @@ def test_on_its_way_to_a_known_side_no_output_leaves_its_soft_limits(joint, end)
     pose = np.array(CONFIG.params.poses.ready_rad)
     pose[joint] = getattr(CONFIG.arm, f"soft_{end}_rad")[joint]
     plan = plan_poses(CONFIG, joints_at(), [pose], Compensation())
-    room = CONFIG.half_gap_rad + 200 / CONFIG.arm.gear_stiffness_Nm_rad
+    room = CONFIG.half_backlash_rad + 200 / CONFIG.arm.gear_stiffness_Nm_rad
     for path in plan.paths:
         motor = path.at(path.duration_s).motor_rad
         assert (motor >= CONFIG.arm.soft_min_rad - room).all()
@@ -212,9 +212,9 @@ def test_without_backlash_compensation_the_set_points_do_not_know_of_the_gap_and
     pose = np.array(CONFIG.params.poses.ready_rad) + 0.1
     plan = plan_poses(CONFIG, joints_at(), [pose], Compensation(backlash="off"))
     assert len(plan.paths) == 1
-    np.testing.assert_array_equal(plan.gap_rad, 0)
+    np.testing.assert_array_equal(plan.backlash_rad, 0)
     error_rad = plan.end.output_rad - pose
-    np.testing.assert_allclose(np.abs(error_rad), CONFIG.half_gap_rad, atol=1e-12)
+    np.testing.assert_allclose(np.abs(error_rad), CONFIG.half_backlash_rad, atol=1e-12)
 
 
 @pytest.mark.parametrize("joint", Joint)

@@ -7,7 +7,7 @@ import pytest
 
 from fsw.dictionary.commands import Preload
 from fsw.dictionary.enums import Tool
-from fsw.dictionary.evrs import ForceFelt, Preloaded
+from fsw.dictionary.evrs import ForceEstimated, Preloaded
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.motion.move import MIN_CORRECTION_N, Phase
 from fsw.motion.preload import ForceFit, estimate_force_ratio, model_contact, plan_preload
@@ -46,9 +46,9 @@ def press(rig, force_N: float, stiffness: float, friction=1.0, offset_Nm=0.0, ac
         rig.cycle(current_A=currents(rig, stiffness, friction, offset_Nm, across), **TOUCHED)
 
 
-def force_events(rig, least: int = 1) -> list[ForceFelt]:
+def force_events(rig, least: int = 1) -> list[ForceEstimated]:
     """Return the events with the estimated force, one for each leg."""
-    found = [evr for evr in rig.evrs if isinstance(evr, ForceFelt)]
+    found = [evr for evr in rig.evrs if isinstance(evr, ForceEstimated)]
     assert len(found) >= least
     return found
 

@@ -14,7 +14,7 @@ MONITORS = PARAMS.monitors
 STIFFNESS = CONFIG.arm.gear_stiffness_Nm_rad
 READY = np.array(PARAMS.poses.ready_rad)
 ZERO = np.zeros(5)
-WOUND_RAD = CONFIG.half_gap_rad + 0.02
+WOUND_RAD = CONFIG.half_backlash_rad + 0.02
 """Gears that a load holds far out on a flank."""
 
 STILL = MoveStatus(
@@ -36,7 +36,7 @@ RESTING = ArmStatus(
     gear_lowest_rad=WOUND_RAD,
     gear_highest_rad=WOUND_RAD,
     gear_uncertainty_rad=ZERO,
-    half_backlash_rad=CONFIG.half_gap_rad,
+    half_backlash_rad=CONFIG.half_backlash_rad,
     resolver_error_rad=ZERO,
     resolver_bias_rad=ZERO,
     gravity_R_m_s2=MARS_R_m_s2,

@@ -175,7 +175,7 @@ def test_a_joint_counts_that_half_the_bound_of_a_force_cannot_take_across_its_ba
     lever_m = at(joint, sign * 0.8)
     margin_rad = 0.5 * MONITORS.preload_error_N * 0.8 / STIFFNESS[joint]
     for share, counts in ((1.001, True), (0.999, False)):
-        held = CONFIG.half_gap_rad + share * margin_rad
+        held = CONFIG.half_backlash_rad + share * margin_rad
         for lowest, highest in ((held, 2 * held), (-2 * held, -held)):
             arm = wound_by(300.0 * lever_m, gear_lowest_rad=lowest, gear_highest_rad=highest)
             assert bool(force_error(arm, lever_m)[0]) is counts
@@ -282,7 +282,7 @@ def test_a_gear_counts_on_an_approach_if_errors_of_its_load_cannot_take_it_acros
     everything = approach(approaching(), None)[0].rad_per_N
     assert everything.all()
     for share, counts in ((1.001, True), (0.999, False)):
-        held = at(joint, CONFIG.half_gap_rad + share * margin_rad, WOUND_RAD)
+        held = at(joint, CONFIG.half_backlash_rad + share * margin_rad, WOUND_RAD)
         for lowest, highest in ((held, 2 * held), (-2 * held, -held)):
             state, _ = approach(approaching(gear_lowest_rad=lowest, gear_highest_rad=highest), None)
             np.testing.assert_array_equal(state.rad_per_N, everything * (counts | (np.arange(5) != joint)))

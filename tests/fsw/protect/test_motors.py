@@ -275,9 +275,9 @@ ASKED = 0.01
 SHARE = MONITORS.stall_share
 
 
-def stall(count, joint, rate_rad_s, asked_rad_s, error_rad=1.0, seeking=None):
+def stall(count, joint, rate_rad_s, commanded_rad_s, error_rad=1.0, seeking=None):
     """A joint commanded one rate that turns at another; the others turn as they are asked to."""
-    move = a_move(setpoint_rate_rad_s=at(joint, asked_rad_s, ASKED), seeking=seeking)
+    move = a_move(setpoint_rate_rad_s=at(joint, commanded_rad_s, ASKED), seeking=seeking)
     return check_stall(BOUNDS, count, move, at(joint, error_rad, 1.0), at(joint, rate_rad_s, ASKED))
 
 

@@ -130,7 +130,7 @@ def test_statics_end_where_the_closed_loop_does(case, seed):
     arm = BuiltArm("drawn", found, NOMINAL.params)
     backlash = "off" if case == "accuracy" else "on"
     reference = true_reference(arm)
-    reference.half_gap_rad[:] = true_reference(NOMINAL).half_gap_rad
+    reference.half_backlash_rad[:] = true_reference(NOMINAL).half_backlash_rad
     statics, loop = statics_model(arm, backlash)(place), closed_loop_model(arm, reference, backlash)(place)
     apart = error_in_tool(statics[0], loop[0])
     assert np.linalg.norm(apart[3:]) < 1e-4

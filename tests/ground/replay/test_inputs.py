@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fsw.config import digest
 from fsw.dictionary.enums import Joint
 from ground.replay.inputs import NotReplayable, inputs_from_log
 from ground.telemetry.events import CommandEntry
@@ -14,7 +15,13 @@ from ground.telemetry.lost_messages import LostMessages
 from ground.telemetry.read import Log, read_log
 from tests.replay.remake import FOLDER
 
-LOG = read_log(FOLDER / "no-number.mcap")
+OLD_LOG = read_log(FOLDER / "no-number.mcap")
+LOG = replace(
+    OLD_LOG,
+    header={**OLD_LOG.header, "params_sha256": digest(inputs_from_log(OLD_LOG).params)},
+    has_old_parameters=False,
+)
+"""Log with names of 0.1 under a digest of today's."""
 TICKS = len(LOG["/sensors"])
 
 

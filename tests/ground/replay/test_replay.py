@@ -14,7 +14,7 @@ from ground.runs.scenario import RunRequest, run
 from ground.telemetry.header import run_header
 from ground.telemetry.read import read_log
 from ground.telemetry.recorder import Recorder
-from tests.replay.remake import FOLDER
+from tests.replay.remake import FOLDER, make
 from tests.replay.runs import RUNS
 
 LOG = FOLDER / "joints.mcap"
@@ -35,7 +35,8 @@ def replayed(tmp_path, toml: str = "", **request):
 
 
 def test_what_would_it_have_done_with_another_parameter(tmp_path):
-    report = replayed(tmp_path, "[joints.turret]\nspeed_rad_s = 0.02\n")
+    (joints,) = (one for one in RUNS if one.name == "joints")
+    report = replayed(tmp_path, "[joints.turret]\nspeed_rad_s = 0.02\n", log=make(joints, tmp_path))
     assert report.changed_params == ("joints.turret.speed_rad_s: 0.03490658503988659 is 0.02 now",)
     channels = {one.channel: one for one in report.differences.channels}
     assert channels["/drive.setpoint_rate_rad_s"].first_tick > 190
@@ -71,7 +72,7 @@ def test_a_channel_that_nobody_has_is_refused(tmp_path):
         replayed(tmp_path, channel="/joint.moter_rad")
 
 
-@pytest.mark.parametrize("pattern", ["/joint.gap*", "/joint/gap*"])
+@pytest.mark.parametrize("pattern", ["/joint.backlash*", "/joint/backlash*"])
 def test_only_channels_that_match_in_either_spelling_are_compared(tmp_path, pattern):
     assert replayed(tmp_path, channel=pattern).differences.channels_compared == 3
 
@@ -147,7 +148,7 @@ def test_a_change_of_flight_software_is_named_by_channel_and_tick(tmp_path, monk
 
 SHORT = """\
 title = "A short move"
-sentence = "Turn the turret a little."
+summary = "Turn the turret a little."
 start = "ready"
 
 [[command]]

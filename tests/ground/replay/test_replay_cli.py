@@ -5,7 +5,8 @@ import json
 import pytest
 
 from tests.ground.command import marsarm
-from tests.replay.remake import FOLDER
+from tests.replay.remake import FOLDER, make
+from tests.replay.runs import RUNS
 
 LOG = str(FOLDER / "fault.mcap")
 SLOWER = "[joints.turret]\nspeed_rad_s = 0.02\n"
@@ -48,16 +49,22 @@ def test_the_same_is_status_0(folder):
     assert done.stderr == ""
 
 
-def test_a_difference_is_status_3_and_events_come_first(folder):
-    done = marsarm(folder, "replay", LOG, "--params", "other.toml", "--channel", "/drive.*")
+@pytest.fixture(scope="module")
+def log_of_today(tmp_path_factory) -> str:
+    (fault,) = (run for run in RUNS if run.name == "fault")
+    return str(make(fault, tmp_path_factory.mktemp("today")))
+
+
+def test_a_difference_is_status_3_and_events_come_first(folder, log_of_today):
+    done = marsarm(folder, "replay", log_of_today, "--params", "other.toml", "--channel", "/drive.*")
     assert done.returncode == 3
     labels = [line.split()[0] for line in done.stdout.splitlines()]
     assert labels.index("parameter") < labels.index("event") < labels.index("channel")
     assert "/drive.setpoint_rate_rad_s[4]: from tick" in done.stdout
 
 
-def test_a_difference_as_a_document(folder):
-    done = marsarm(folder, "replay", LOG, "--params", "other.toml", "--json")
+def test_a_difference_as_a_document(folder, log_of_today):
+    done = marsarm(folder, "replay", log_of_today, "--params", "other.toml", "--json")
     assert done.returncode == 3
     document = json.loads(done.stdout)
     assert document["evrs"][0]["recorded"]["name"] == "Booted"

@@ -167,7 +167,7 @@ def test_the_bus_sags_by_its_resistance_times_all_currents_and_the_gains_with_it
 def test_a_flex_cable_pulls_by_its_stiffness_and_drags_by_its_drag(times: float) -> None:
     """Turn in both directions: the drag changes sign, the spring torque does not."""
     joint, laid = Joint.TURRET, -0.5
-    effect = FlexCable(joint, 10.0 * times, 2.0 * times, laid, give_rad=0.01)
+    effect = FlexCable(joint, 10.0 * times, 2.0 * times, laid, transition_rad=0.01)
     start = lab.READY_RAD.copy()
     start[joint] = 0.0
     found = [bench.turn_joint(joint, *effects, start_rad=start, back=True) for effects in ((), (effect,))]

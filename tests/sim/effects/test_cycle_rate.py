@@ -25,7 +25,7 @@ EFFECTS = (
     LoadFriction(JOINT, 0.15),
     GearEfficiency(JOINT, 0.85),
     TransmissionError(JOINT, 3e-4, 2e-4, turns=60),
-    FlexCable(JOINT, 20.0, 6.0, give_rad=0.02),
+    FlexCable(JOINT, 20.0, 6.0, transition_rad=0.02),
 )
 WHOLE = 8
 """Steps of physics in a control cycle: finer than those of the plant, so that a cycle has halves."""

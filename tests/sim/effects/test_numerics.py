@@ -22,9 +22,9 @@ def test_it_comes_back_from_what_is_written_of_it() -> None:
         assert parse_effect_text(effect_text(one)) == one
 
 
-@pytest.mark.parametrize("gears", ["implicit", "explicit"])
-def test_the_arm_hangs_where_it_hangs_whatever_computes_it(gears: str) -> None:
-    drawn, other = (bench.build_arm(*effects)[0] for effects in ((), (Numerics(gears, FINER),)))
+@pytest.mark.parametrize("scheme", ["implicit", "explicit"])
+def test_the_arm_hangs_where_it_hangs_whatever_computes_it(scheme: str) -> None:
+    drawn, other = (bench.build_arm(*effects)[0] for effects in ((), (Numerics(scheme, FINER),)))
     for plant in (drawn, other):
         plant.place(lab.READY_RAD, 16.0)
     assert other.steps_per_cycle == FINER * drawn.steps_per_cycle

@@ -166,7 +166,7 @@ def test_flight_software_that_is_told_of_an_effect_knows_where_the_arm_rests(eff
 
     def missed_m(params) -> float:
         arm = build_arm(params)
-        expected = settle(arm, plant.motor_rad(), plant.gap_rad(), GRAVITY)
+        expected = settle(arm, plant.motor_rad(), plant.backlash_rad(), GRAVITY)
         return float(np.linalg.norm(tool_pose(arm, expected.frames, TOOL).p - there))
 
     assert missed_m(effect.on_params(PARAMS)) < 1e-6

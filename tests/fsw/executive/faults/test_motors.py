@@ -119,8 +119,8 @@ def test_a_joint_that_seizes_is_stalled_before_it_is_too_far_behind_however_slow
         rig.cycle(**reading())
         beyond += lag_rad(rig, joint) > BOUNDS.stall_error_rad
     (evr,) = found(rig, Fault)
-    assert evr == MotorStalled(joint, 0.0, evr.asked_rad_s)
-    assert evr.asked_rad_s > 0
+    assert evr == MotorStalled(joint, 0.0, evr.commanded_rad_s)
+    assert evr.commanded_rad_s > 0
     # in the cycle of the response the set-point is back where the motor is
     assert BOUNDS.stall_persistence - 1 <= beyond <= BOUNDS.stall_persistence + 1
     assert REFUSED in rig.evrs

@@ -118,7 +118,7 @@ BY_THE_MOVE = {
     faults.HardstopMissed,
     faults.HardstopMoved,
     faults.HardstopUnclear,
-    faults.NoHardstop,
+    faults.HardstopImplausible,
     faults.MotorStuck,
     faults.CurrentImplausible,
 }

@@ -62,7 +62,7 @@ def assert_safe(rig):
     np.testing.assert_array_equal(drive.current_limit_A, CONFIG.current_limit_A)
     for values in (drive.setpoint_rate_rad_s, joint.motor_rad, joint.motor_rate_rad_s, joint.setpoint_rad):
         assert np.isfinite(values).all()
-    assert np.isfinite(joint.gap_rad).all()
+    assert np.isfinite(joint.backlash_rad).all()
     assert not (drive.brake_release & ~drive.power_on).any()
     if joint.mode is Mode.FAULTED:
         assert not drive.brake_release.any()
@@ -117,5 +117,5 @@ def test_one_wild_but_finite_gravity_reading_is_survived(wild_m_s2):
     rig.cycle(gravity_R_m_s2=[0.0, 0.0, wild_m_s2])
     for _ in range(64):
         rig.cycle()
-    assert np.isfinite(rig.state.joints.gap_rad).all()
+    assert np.isfinite(rig.state.joints.backlash_rad).all()
     assert np.isfinite(rig.state.load.torque_Nm).all()

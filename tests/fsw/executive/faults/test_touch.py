@@ -50,7 +50,9 @@ def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
         rig.run(**closed(switch))
         assert rig.state.preload.tool is tool
         assert rig.state.preload.force_N == pytest.approx(holding_force_N(CONFIG))
-        assert rig.outputs.joint.planned_gap_rad == pytest.approx(rig.outputs.joint.gap_rad, abs=1e-5)
+        assert rig.outputs.joint.planned_backlash_rad == pytest.approx(
+            rig.outputs.joint.backlash_rad, abs=1e-5
+        )
         assert not rig.outputs.drive.setpoint_rate_rad_s.any()
         assert CommandCompleted("GuardedMove") in rig.evrs
         assert rig.state.mode is Mode.GUARDED

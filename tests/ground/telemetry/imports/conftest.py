@@ -71,7 +71,9 @@ def channels(*names: str) -> str:
 def start() -> str:
     """Return the part of a mapping with start conditions and commands of flight software."""
     known = reference()
-    arrays = {f: getattr(known, f) for f in ("calibrated", "zero_rad", "half_gap_rad", "resolver_bias_rad")}
+    arrays = {
+        f: getattr(known, f) for f in ("calibrated", "zero_rad", "half_backlash_rad", "resolver_bias_rad")
+    }
     arrays["friction_Nm"] = known.friction_Nm
     lines = "\n".join(f"{name} = {json.dumps(array.tolist())}" for name, array in arrays.items())
     return f"""

@@ -287,7 +287,9 @@ def test_a_missing_cycle_is_refused_with_the_words_to_leave_or_bridge_it() -> No
 def test_a_wide_gap_is_not_bridged_unasked(grid: str) -> None:
     wide = table(t=(0.0, 1.0, 5.0))
     assert "4 s after the row before" in refusal(TIME + f'grid = "{grid}"\n' + CURRENT, wide)
-    convert_table(wide, "t.parquet", (TIME + f'grid = "{grid}"\ngap_s = 4\n' + CURRENT).encode(), "m.toml")
+    convert_table(
+        wide, "t.parquet", (TIME + f'grid = "{grid}"\nmax_interval_s = 4\n' + CURRENT).encode(), "m.toml"
+    )
 
 
 def test_a_table_of_more_numbers_than_fit_is_refused() -> None:
@@ -296,7 +298,7 @@ def test_a_table_of_more_numbers_than_fit_is_refused() -> None:
 
 
 def test_more_cycles_between_the_rows_than_fit_are_refused() -> None:
-    mapping = (TIME + 'grid = "hold"\ngap_s = 60\n' + CURRENT).encode()
+    mapping = (TIME + 'grid = "hold"\nmax_interval_s = 60\n' + CURRENT).encode()
     with pytest.raises(BadImport, match="spans 2561 cycles, more than 20; give it in parts"):
         convert_table(table(t=(0.0, 20.0, 40.0)), "t.parquet", mapping, "m.toml", cells=100)
 

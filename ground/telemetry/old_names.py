@@ -1,0 +1,147 @@
+"""Names in logs of version 0.1 and their names today; such logs stay readable until version 1.0.
+
+No name is both an old and a new one, so a log needs no version: an old name is replaced wherever it stands.
+"""
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+from ground.telemetry.events import CommandEntry, EvrEntry
+
+CHANNELS: Final = {
+    "/joint.gap_rad": "/joint.backlash_rad",
+    "/joint.gap_side": "/joint.backlash_side",
+    "/joint.gap_uncertainty_rad": "/joint.backlash_uncertainty_rad",
+    "/joint.planned_gap_rad": "/joint.planned_backlash_rad",
+}
+EVRS: Final = {
+    "ForceFelt": "ForceEstimated",
+    "NoHardstop": "HardstopImplausible",
+    "SpotTaken": "SpotSet",
+}
+EVR_FIELDS: Final = {
+    "MotorStalled.asked_rad_s": "MotorStalled.commanded_rad_s",
+    "NoHardstop.drawn_urad_Nm": "HardstopImplausible.nominal_urad_Nm",
+    "TiltSet.off_rad": "TiltSet.difference_rad",
+}
+COMMAND_FIELDS: Final = {
+    "Calibrate.anew": "Calibrate.accept_moved",
+    "CalibrateAll.anew": "CalibrateAll.accept_moved",
+    "MoveTeachPoint.away_m": "MoveTeachPoint.standoff_m",
+}
+PARAMETERS: Final = {
+    "hardstop.again_rad": "hardstop.second_start_rad",
+    "motion.approach_rad": "motion.takeup_rad",
+    "motion.load_period": "motion.load_period_cycles",
+    "motion.stowed_rad": "motion.stow_tolerance_rad",
+    "preload.guard_share": "preload.current_margin_share",
+    "preload.most_N": "preload.max_force_N",
+}
+REFERENCE_FIELDS: Final = {"reference.half_gap_rad": "reference.half_backlash_rad"}
+EFFECT_PARAMETERS: Final = {
+    "flex-cable.give_rad": "flex-cable.transition_rad",
+    "flex-cable.laid_rad": "flex-cable.neutral_rad",
+    "numerics.finer": "numerics.substeps",
+    "numerics.gears": "numerics.scheme",
+}
+
+IN_TEXT: Final = {**PARAMETERS, "away_m": "standoff_m"}
+"""Names in the texts of events, such as the reason of a refusal."""
+IN_TEXT_PATTERN: Final = re.compile(rf"(?<![\w.])({'|'.join(map(re.escape, IN_TEXT))})(?![\w.])")
+
+
+def rename_channel(topic: str, field: str) -> str:
+    """Return today's name of a field of a topic."""
+    return _rename_field(topic, field, CHANNELS)
+
+
+def rename_evr(entry: EvrEntry) -> EvrEntry:
+    """Return an event with today's names of itself, its fields and what its texts name."""
+    message = _rename_in_text(entry.message)
+    values = {
+        _rename_field(entry.name, name, EVR_FIELDS): _rename_in_text(value)
+        if isinstance(value, str)
+        else value
+        for name, value in entry.fields.items()
+    }
+    if values == entry.fields and entry.name not in EVRS:
+        return entry if message == entry.message else replace(entry, message=message)
+    return replace(
+        entry, name=EVRS.get(entry.name, entry.name), message=message, fields_json=json.dumps(values)
+    )
+
+
+def rename_command(entry: CommandEntry) -> CommandEntry:
+    """Return a command with today's names of its arguments and of the parameters that it sets."""
+    fields = _rename_command_fields(entry.name, entry.fields)
+    return entry if fields == entry.fields else replace(entry, fields_json=json.dumps(fields))
+
+
+def rename_header(header: Mapping[str, str]) -> dict[str, str]:
+    """Return a header with today's names in its parameters, stored reference, commands and effects.
+
+    A part that is not JSON of the known form stays as it is; its reader says so.
+    """
+    parts: dict[str, Callable[[Any], Any]] = {
+        "params": lambda part: {
+            group: _rename_fields(group, values, PARAMETERS) if isinstance(values, dict) else values
+            for group, values in part.items()
+        },
+        "boot": lambda part: (
+            {**part, "reference": _rename_fields("reference", part["reference"], REFERENCE_FIELDS)}
+            if part.get("reference")
+            else part
+        ),
+        "commands": lambda part: [
+            {**one, "fields": _rename_command_fields(one["type"], one["fields"])} for one in part
+        ],
+        "effects": lambda part: [_rename_effect(text) for text in part],
+    }
+    return {key: _rename_json(text, parts[key]) if key in parts else text for key, text in header.items()}
+
+
+def _rename_json(text: str, rename: Callable[[Any], Any]) -> str:
+    """Rename in a JSON text; a text in which nothing is renamed keeps its bytes."""
+    try:
+        before = json.loads(text)
+        after = rename(before)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return text
+    return text if after == before else json.dumps(after)
+
+
+def _rename_field(owner: str, field: str, names: Mapping[str, str]) -> str:
+    return _field_of(names.get(f"{owner}.{field}", f".{field}"))
+
+
+def _rename_fields(owner: str, values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+    return {_rename_field(owner, name, names): value for name, value in values.items()}
+
+
+def _rename_command_fields(command: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    renamed = _rename_fields(command, values, COMMAND_FIELDS)
+    return {
+        name: PARAMETERS.get(value, value) if isinstance(value, str) else value
+        for name, value in renamed.items()
+    }
+
+
+def _rename_effect(text: str) -> str:
+    """Rename the parameters in the text of an effect, NAME:PLACE:PARAMETER=VALUE,..."""
+    name = text.split(":")[0]
+    for old, new in EFFECT_PARAMETERS.items():
+        effect, field = old.split(".")
+        if effect == name:
+            text = re.sub(rf"(?<=[:,]){field}=", f"{_field_of(new)}=", text)
+    return text
+
+
+def _field_of(dotted: str) -> str:
+    return dotted.rsplit(".", 1)[1]
+
+
+def _rename_in_text(text: str) -> str:
+    return IN_TEXT_PATTERN.sub(lambda found: IN_TEXT[found[0]], text)

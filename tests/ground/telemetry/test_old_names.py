@@ -1,0 +1,93 @@
+"""Logs of version 0.1 are read under today's names."""
+
+import json
+from dataclasses import fields
+
+import pytest
+
+from fsw.estimate.reference import Reference
+from ground.dictionary.entries import build_dictionary
+from ground.replay.inputs import inputs_from_log
+from ground.telemetry import old_names
+from ground.telemetry.events import CommandEntry, EvrEntry
+from ground.telemetry.read import read_log
+from sim.effects.catalogue import catalogue
+from sim.scenario.effects import effect_text, parse_effect_text
+from tests.replay.remake import FOLDER
+
+DICTIONARY = build_dictionary()
+
+
+def fields_of(definitions, separator: str = ".") -> set[str]:
+    return {f"{one.name}{separator}{field.name}" for one in definitions for field in one.fields}
+
+
+TODAY = {
+    "CHANNELS": fields_of(DICTIONARY.packets),
+    "EVRS": {one.name for one in DICTIONARY.evrs},
+    "EVR_FIELDS": fields_of(DICTIONARY.evrs),
+    "COMMAND_FIELDS": fields_of(DICTIONARY.commands),
+    "PARAMETERS": {one.name for one in DICTIONARY.parameters},
+    "REFERENCE_FIELDS": {f"reference.{field.name}" for field in fields(Reference)},
+    "EFFECT_PARAMETERS": {
+        f"{name}.{field.name}" for name, kind in catalogue().items() for field in fields(kind)
+    },
+}
+
+
+@pytest.mark.parametrize("table", TODAY)
+def test_every_old_name_has_a_name_of_today_and_is_none_itself(table):
+    names = getattr(old_names, table)
+    assert set(names.values()) <= TODAY[table]
+    assert not set(names) & TODAY[table]
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.mcap")), ids=lambda path: path.stem)
+def test_a_log_of_0_1_has_todays_channels_and_parameters(path):
+    log = read_log(path)
+    assert log.has_old_parameters
+    assert {f"{topic}.{name}" for topic in log.packets for name in log[topic].dtype.names} <= TODAY[
+        "CHANNELS"
+    ]
+    assert {entry.name for entry in log.evrs} <= TODAY["EVRS"]
+    assert inputs_from_log(log).notes == ()
+
+
+def test_events_have_todays_names_fields_and_texts():
+    old = EvrEntry(3, 4, "NoHardstop", "", json.dumps({"joint": "ELBOW", "drawn_urad_Nm": 25.0}))
+    new = old_names.rename_evr(old)
+    assert (new.name, new.fields) == ("HardstopImplausible", {"joint": "ELBOW", "nominal_urad_Nm": 25.0})
+    text = "motion.load_period: must be a whole number, is 2.5"
+    refused = EvrEntry(3, 4, "CommandRefused", text, json.dumps({"reason": text}))
+    assert old_names.rename_evr(refused).message == text.replace("load_period", "load_period_cycles")
+    assert old_names.rename_evr(refused).fields["reason"].startswith("motion.load_period_cycles:")
+    assert old_names.rename_evr(new) == new
+
+
+def test_commands_have_todays_arguments_and_set_todays_parameters():
+    calibrate = CommandEntry(0, "Calibrate", json.dumps({"joint": "ELBOW", "anew": True}))
+    assert old_names.rename_command(calibrate).fields == {"joint": "ELBOW", "accept_moved": True}
+    setting = CommandEntry(0, "SetParam", json.dumps({"name": "preload.most_N", "value": 300.0}))
+    assert old_names.rename_command(setting).fields == {"name": "preload.max_force_N", "value": 300.0}
+
+
+CABLE = "flex-cable:elbow:stiffness_Nm_rad=1.0,drag_Nm=2.0,laid_rad=0.1,give_rad=0.2"
+
+
+def test_a_header_has_todays_names_of_reference_commands_and_effects():
+    old = {
+        "boot": json.dumps({"mode": "READY", "reference": {"half_gap_rad": [0.0] * 5}}),
+        "commands": json.dumps([{"type": "MoveTeachPoint", "fields": {"away_m": 0.1}}]),
+        "effects": json.dumps(
+            ["flex-cable:elbow:stiffness_Nm_rad=1.0,drag_Nm=2.0,laid_rad=0.1,give_rad=0.2"]
+        ),
+        "params": "{",
+        "arm": "nominal",
+    }
+    new = old_names.rename_header(old)
+    assert json.loads(new["boot"])["reference"] == {"half_backlash_rad": [0.0] * 5}
+    assert json.loads(new["commands"])[0]["fields"] == {"standoff_m": 0.1}
+    (text,) = json.loads(new["effects"])
+    assert effect_text(parse_effect_text(text)) == text
+    assert (new["params"], new["arm"]) == ("{", "nominal")
+    assert old_names.rename_header(new) == new
