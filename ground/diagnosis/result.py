@@ -48,7 +48,7 @@ def finite_or_none(value: float) -> float | None:
 
 
 def to_json(result: DiagnosisResult) -> dict[str, Any]:
-    """Return the result document; docs/gap.md explains its keys."""
+    """Return the result document; docs/diagnosis.md explains its keys."""
     diagnosis, model = result.diagnosis, result.model
     return {
         "verdict": diagnosis.verdict,
