@@ -1,4 +1,4 @@
-"""Check what ruff does not know: retired names and phrases, openings of docstrings, shapes and units, sizes.
+"""Check what ruff does not know: retired names and keys, retired phrases, docstrings, sizes.
 
 `python .ci/style.py [FOLDER ..]` prints a line for each problem, and fails if there is any.
 """
@@ -40,11 +40,16 @@ def main(folders: list[str]) -> int:
     for path in modules:
         place = path.relative_to(ROOT).as_posix()
         if place.startswith(chosen):
-            problems += [f"{place}:{line}: {text}" for line, text in check_module(place, path, retired)]
+            found = dict.fromkeys(check_module(place, path, retired))
+            problems += [f"{place}:{line}: {text}" for line, text in found]
+    for path in sorted(path for name in (*PACKAGES, "models") for path in (ROOT / name).rglob("*.toml")):
+        place = path.relative_to(ROOT).as_posix()
+        if place.startswith(chosen):
+            problems += [f"{place}:{line}: {text}" for line, text in check_toml(place, path, retired)]
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))):
         place = path.relative_to(ROOT).as_posix()
         if place.startswith(chosen):
-            problems += [f"{place}:{line}: {text}" for line, text in check_page(path, retired)]
+            problems += [f"{place}:{line}: {text}" for line, text in check_page(place, path, retired)]
     counted = [
         path for path in modules if path.name != "__init__.py" and path.relative_to(ROOT).parts[0] in COUNTED
     ]
@@ -65,10 +70,8 @@ def check_module(place: str, path: Path, retired: dict[str, dict[str, str]]) -> 
     is_test = place.startswith("tests/")
     if not is_test and text.count("\n") > MAX_FILE:
         yield 1, f"{text.count(chr(10))} lines, {MAX_FILE} at most"
-    for line, name in identifiers(tree, place):
-        for pattern, instead in retired["names"].items():
-            if re.fullmatch(pattern, name) and not allowed(retired, pattern, place):
-                yield line, f"{name} is a retired name; {instead}"
+    for line, name in (*identifiers(tree, place), *document_keys(tree)):
+        yield from ((line, problem) for problem in name_problems(name, place, retired))
     for line, sentence in prose(tree):
         for phrase, instead in retired["phrases"].items():
             if re.search(phrase, sentence):
@@ -88,8 +91,28 @@ def check_module(place: str, path: Path, retired: dict[str, dict[str, str]]) -> 
                 yield from check_arguments(node)
 
 
-def check_page(path: Path, retired: dict[str, dict[str, str]]) -> Iterator[tuple[int, str]]:
-    """Check the prose of a page for retired phrases.
+def check_toml(place: str, path: Path, retired: dict[str, dict[str, str]]) -> Iterator[tuple[int, str]]:
+    """Check the keys and the names of tables of a TOML file.
+
+    Yields:
+        The line and the sentence of each problem.
+    """
+    for line, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        found = re.match(r"\s*(?:\[+([^\]]+)\]|([\w.-]+) *=)", text)
+        for name in (found[1] or found[2]).split(".") if found else ():
+            yield from ((line, problem) for problem in name_problems(f"key:{name}", place, retired))
+
+
+def name_problems(name: str, place: str, retired: dict[str, dict[str, str]]) -> Iterator[str]:
+    """Check a name by all patterns; a key is also checked by the patterns of identifiers."""
+    for pattern, instead in retired["names"].items():
+        is_retired = re.fullmatch(pattern, name) or re.fullmatch(pattern, name.removeprefix("key:"))
+        if is_retired and not allowed(retired, pattern, place):
+            yield f"{name.removeprefix('key:')} is a retired name; {instead}"
+
+
+def check_page(place: str, path: Path, retired: dict[str, dict[str, str]]) -> Iterator[tuple[int, str]]:
+    """Check a page for retired phrases, and for retired names among its words in backquotes.
 
     Yields:
         The line and the sentence of each problem.
@@ -98,6 +121,9 @@ def check_page(path: Path, retired: dict[str, dict[str, str]]) -> Iterator[tuple
         for phrase, instead in retired["phrases"].items():
             if path.name != "glossary.md" and re.search(phrase, text):
                 yield line, f"{phrase!r} is a retired phrase; {instead}"
+        for name in re.findall(r"`([\w.-]+)`", text):
+            for part in name.split("."):
+                yield from ((line, problem) for problem in name_problems(f"key:{part}", place, retired))
 
 
 def check_opening(node: ast.Module | ast.ClassDef | Function) -> Iterator[tuple[int, str]]:
@@ -160,7 +186,7 @@ def sections(text: str) -> dict[str, dict[str, str]]:
 
 
 def identifiers(tree: ast.Module, place: str) -> Iterator[tuple[int, str]]:
-    """List the names that a module defines, its own name, and its keys of JSON documents."""
+    """List the names that a module defines, and its own name."""
     yield 1, f"module:{Path(place).stem}"
     for node in ast.walk(tree):
         if isinstance(node, Function | ast.ClassDef):
@@ -169,10 +195,22 @@ def identifiers(tree: ast.Module, place: str) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.arg
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             yield node.lineno, node.id
-        elif isinstance(node, ast.Dict):
-            for key in node.keys:
-                if isinstance(key, ast.Constant) and isinstance(key.value, str):
-                    yield key.lineno, f"key:{key.value}"
+
+
+def document_keys(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """List what may be a key of a document: strings in a dict or an index, and fields of records."""
+    for node in ast.walk(tree):
+        keys: list[ast.expr | None] = []
+        if isinstance(node, ast.Dict):
+            keys = node.keys
+        elif isinstance(node, ast.Subscript):
+            keys = [node.slice]
+        elif isinstance(node, ast.ClassDef):
+            fields = [one.target for one in node.body if isinstance(one, ast.AnnAssign)]
+            yield from ((one.lineno, f"key:{one.id}") for one in fields if isinstance(one, ast.Name))
+        for key in keys:
+            if isinstance(key, ast.Constant) and isinstance(key.value, str):
+                yield key.lineno, f"key:{key.value}"
 
 
 def prose(tree: ast.Module) -> Iterator[tuple[int, str]]:

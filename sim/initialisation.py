@@ -74,9 +74,9 @@ class InitialisationResult:
     samples: tuple[HomingSample, ...]
     reference: Reference
     """Reference in the memory of flight software afterwards."""
-    most_torque_Nm: Array
+    max_torque_Nm: Array
     """Maximum torque on each hardstop, shape (5,)."""
-    most_current_share: Array
+    max_current_ratio: Array
     """Maximum ratio of each current to its limit, shape (5,)."""
     failure: Exception | None
     """Exception that ended flight software, or None."""
@@ -159,8 +159,8 @@ class InitialisationRun:
             stops=tuple(self._stops),
             samples=tuple(self._samples),
             reference=self.loop.state.joints.reference,
-            most_torque_Nm=self._torque_Nm,
-            most_current_share=self._current_share,
+            max_torque_Nm=self._torque_Nm,
+            max_current_ratio=self._current_share,
             failure=self.loop.failure,
         )
 

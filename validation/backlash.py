@@ -23,7 +23,7 @@ from sim.pose_sequence import RestState, random_goals, visit_poses
 from sim.world import World
 from validation.options import campaign_parser
 
-EXAMPLE = "example: python -m validation.backlash --tours 20 --poses 50 --arm nominal > backlash.json"
+EXAMPLE = "example: python -m validation.backlash --sequences 20 --poses 50 --arm nominal > backlash.json"
 MAX_TILT_RAD: Final = float(np.radians(30.0))
 LEAST_RATIO: Final = 10.0
 """Least ratio of the tool error from backlash without compensation to that with it."""
@@ -82,21 +82,25 @@ def summary(friction_Nm: np.ndarray, settled: Sequence[RestState]) -> dict[str, 
     }
 
 
-def campaign(arm_name: str, tours: int, poses: int, seed: int, workers: int) -> dict[str, Any]:
-    """Run all tours, with and without compensation; the same arguments give the same result."""
+def campaign(arm_name: str, sequences: int, poses: int, seed: int, workers: int) -> dict[str, Any]:
+    """Run all sequences, with and without compensation; the same arguments give the same result."""
     friction = configure(arm_named(arm_name).params).output_friction_Nm
-    result: dict[str, Any] = {"arm": arm_name, "tours": tours, "seed": seed}
+    result: dict[str, Any] = {"arm": arm_name, "pose_sequences": sequences, "seed": seed}
     modes: tuple[BacklashMode, ...] = ("on", "off")
-    # A fifth of the tours is enough to measure the effect of backlash without compensation.
-    jobs = [(mode, seed + k) for mode in modes for k in range(tours if mode == "on" else max(1, tours // 5))]
+    # A fifth of the sequences is enough to measure the effect of backlash without compensation.
+    jobs = [
+        (mode, seed + k)
+        for mode in modes
+        for k in range(sequences if mode == "on" else max(1, sequences // 5))
+    ]
     found: dict[str, list[RestState]] = {mode: [] for mode in modes}
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        arm, seeds = arm_named(arm_name), range(seed, seed + tours)
-        known = dict(zip(seeds, pool.map(initial_reference, [arm] * tours, seeds), strict=True))
+        arm, seeds = arm_named(arm_name), range(seed, seed + sequences)
+        known = dict(zip(seeds, pool.map(initial_reference, [arm] * sequences, seeds), strict=True))
         running = [(mode, pool.submit(one_tour, arm_name, known[s], mode, poses, s)) for mode, s in jobs]
         for done, (mode, future) in enumerate(running, 1):
             found[mode].extend(future.result())
-            print(f"marsarm: {done} of {len(jobs)} tours", file=sys.stderr)
+            print(f"marsarm: {done} of {len(jobs)} sequences", file=sys.stderr)
     for mode in modes:
         result[f"backlash_{mode}"] = summary(friction, found[mode])
     tool = "tool_error_from_backlash_mm"
@@ -114,12 +118,12 @@ def main() -> int:
     """Print the result as JSON; return 1 if a claimed side is wrong, or compensation helps too little."""
     parser = campaign_parser("backlash", __doc__, EXAMPLE)
     parser.add_argument("--arm", default="nominal", help="nominal, as-built:SEED or calibrated:SEED")
-    parser.add_argument("--tours", type=int, default=20, help="tours of each kind (default 20)")
+    parser.add_argument("--sequences", type=int, default=20, help="sequences of each kind (default 20)")
     parser.add_argument("--poses", type=int, default=50, help="settled poses a tour (default 50)")
     options = parser.parse_args()
-    if min(options.tours, options.poses, options.workers) < 1 or options.seed < 0:
-        parser.error("tours, poses and workers are 1 or more, the seed is not negative")
-    found = campaign(options.arm, options.tours, options.poses, options.seed, options.workers)
+    if min(options.sequences, options.poses, options.workers) < 1 or options.seed < 0:
+        parser.error("sequences, poses and workers are 1 or more, the seed is not negative")
+    found = campaign(options.arm, options.sequences, options.poses, options.seed, options.workers)
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1
 

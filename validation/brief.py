@@ -42,7 +42,7 @@ BRIEFS: Final = (
     Brief("contact", "--arms 1 --workers 1"),
     Brief("replays", "--arms 0 --only processing --workers 1"),
     Brief("shoulder_in", "--groups 1 --poses 3 --workers 1"),
-    Brief("backlash", "--tours 1 --poses 5 --workers 1"),
+    Brief("backlash", "--sequences 1 --poses 5 --workers 1"),
     Brief("hardstops", "--arms 1 --repeats 2 --joint ELBOW --workers 1"),
     Brief("calibration", "--arms 1 --without-speed --workers 1"),
     Brief("kinematics", "--targets 4000 --vectors 4000 --workers 1"),

@@ -39,9 +39,9 @@ class ContactRest:
     tool: str
     mean_N: float
     """Mean force over the last second."""
-    soon: float
+    force_error_0_5_s: float
     """Largest deviation of the force from its mean from 0.5 s on, as a share of it."""
-    later: float
+    force_error_2_s: float
     """Likewise from 2 s on or once the brakes hold."""
     lost: int
     """Cycles without contact."""
@@ -51,7 +51,9 @@ class ContactRest:
     @property
     def in_bounds(self) -> bool:
         """True if the contact is at rest within the bounds."""
-        return self.soon < SOON and self.later < LATER and self.lost == self.switched == 0
+        return (
+            self.force_error_0_5_s < SOON and self.force_error_2_s < LATER and self.lost == self.switched == 0
+        )
 
 
 def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: Tool, arm: str = "") -> ContactRest | str:
@@ -83,8 +85,8 @@ def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: Tool, arm: s
         arm,
         tool.name,
         mean_N,
-        soon=float(deviation[soon:].max()),
-        later=float(deviation[later:].max()),
+        force_error_0_5_s=float(deviation[soon:].max()),
+        force_error_2_s=float(deviation[later:].max()),
         lost=int(np.sum(force[soon:] == 0.0)),
         switched=int(np.abs(changes).sum()),
     )
@@ -116,8 +118,8 @@ def document(arms: int, seed: int, workers: int) -> dict[str, object]:
     print(file=sys.stderr)
     return {
         "contacts": len(found),
-        "most_soon": max(rest.soon for rest in found),
-        "most_later": max(rest.later for rest in found),
+        "max_force_error_0_5_s": max(rest.force_error_0_5_s for rest in found),
+        "max_force_error_2_s": max(rest.force_error_2_s for rest in found),
         "not_at_rest": [asdict(rest) for rest in found if not rest.in_bounds],
         "in_bounds": all(rest.in_bounds for rest in found),
     }

@@ -170,10 +170,10 @@ def _inject(name: str, loop: ClosedLoop, fault: InjectedFault, rest: tuple[Comma
         found=observed.found[0] if observed.found else "none",
         end=_classify_end(loop, observed, braked, refusing, _must_be_found(loop, fault, moving)),
         braked=braked,
-        guarded_N=observed.most_N["guarded"],
-        free_N=observed.most_N["free"],
-        pressed_N=observed.most_N["pressed"],
-        hull_N=observed.most_N["hull"],
+        guarded_N=observed.max_N["guarded"],
+        free_N=observed.max_N["free"],
+        pressed_N=observed.max_N["pressed"],
+        hull_N=observed.max_N["hull"],
         beyond_rad=observed.beyond_rad,
     )
 
@@ -231,7 +231,7 @@ class _Observer:
         self.has_tracking_error = False
         """True if a motor was far from its set-point for long, which shows that the fault has an effect."""
         self._cycles_off = 0
-        self.most_N = dict.fromkeys(("guarded", "free", "pressed", "hull"), 0.0)
+        self.max_N = dict.fromkeys(("guarded", "free", "pressed", "hull"), 0.0)
         self.beyond_rad = -np.inf
 
     def note(self, record: CycleRecord) -> None:
@@ -246,9 +246,9 @@ class _Observer:
         is_preload = self._mode is Mode.PRELOAD
         is_guarded = self._mode in (Mode.GUARDED, Mode.RETRACTING)
         kind = "pressed" if is_preload else "guarded" if is_guarded else "free"
-        most_N = float(np.linalg.norm(tool_forces(loop.plant), axis=1).max())
-        self.most_N[kind] = max(self.most_N[kind], most_N)
-        self.most_N["hull"] = max(self.most_N["hull"], hull_force_N(loop.plant))
+        max_N = float(np.linalg.norm(tool_forces(loop.plant), axis=1).max())
+        self.max_N[kind] = max(self.max_N[kind], max_N)
+        self.max_N["hull"] = max(self.max_N["hull"], hull_force_N(loop.plant))
         output = loop.plant.output_rad()
         beyond = np.maximum(arm.soft_min_rad - output, output - arm.soft_max_rad).max() - self._margin
         self.beyond_rad = max(self.beyond_rad, float(beyond))
@@ -296,12 +296,12 @@ def summary(cases: list[FaultOutcome]) -> dict[str, object]:
     return {
         "count": len(cases),
         "ends": dict(Counter(case.end for case in cases)),
-        "not_as_it_should_be": unexpected,
-        "most_guarded_N": max(case.guarded_N for case in cases),
-        "most_free_N": max(case.free_N for case in cases),
-        "most_pressed_N": max(case.pressed_N for case in cases),
-        "most_hull_N": max(case.hull_N for case in cases),
-        "most_beyond_limits_rad": max(case.beyond_rad for case in cases),
+        "unexpected_ends": unexpected,
+        "max_guarded_N": max(case.guarded_N for case in cases),
+        "max_free_N": max(case.free_N for case in cases),
+        "max_pressed_N": max(case.pressed_N for case in cases),
+        "max_hull_N": max(case.hull_N for case in cases),
+        "max_beyond_limits_rad": max(case.beyond_rad for case in cases),
         "found": dict(Counter(case.found for case in cases)),
         "table": {fault: table[fault] for fault in sorted(table)},
         "over": over,

@@ -51,8 +51,8 @@ class TrialResult:
     uncorrected_mrad: float
     half_backlash_error_mrad: float
     load_Nm: float
-    most_torque_Nm: float
-    most_current_share: float
+    max_torque_Nm: float
+    max_current_ratio: float
 
 
 def arm_at(place: Place, seed: int) -> tuple[BuiltArm, World]:
@@ -86,8 +86,8 @@ def _result(trial: HardstopTrial, found: InitialisationResult) -> TrialResult:
         np.nan if stop is None else 1e3 * stop.uncorrected_error_rad,
         np.nan if stop is None else 1e3 * stop.half_backlash_error_rad,
         np.nan if stop is None else stop.load_Nm,
-        float(found.most_torque_Nm[trial.joint]),
-        float(found.most_current_share[trial.joint]),
+        float(found.max_torque_Nm[trial.joint]),
+        float(found.max_current_ratio[trial.joint]),
     )
 
 
@@ -111,8 +111,8 @@ def campaign(
                 print(f"marsarm: {done} of {len(trials)} trials", file=sys.stderr)
     never = {
         "failed": sum(r.outcome != "done" for r in results),
-        "above_rated_torque": sum(r.most_torque_Nm > _rated_Nm(r) for r in results),
-        "above_current_limit": sum(r.most_current_share > 1.0 + ROUNDING for r in results),
+        "above_rated_torque": sum(r.max_torque_Nm > _rated_Nm(r) for r in results),
+        "above_current_limit": sum(r.max_current_ratio > 1.0 + ROUNDING for r in results),
     }
     return {
         "arms": arms,
@@ -120,8 +120,8 @@ def campaign(
         "seed": seed,
         "in_bounds": not any(never.values()),
         **never,
-        "most_torque_Nm": {joint.name.lower(): _most(results, joint) for joint in joints},
-        "most_current_share_of_limit": max(r.most_current_share for r in results),
+        "max_torque_Nm": {joint.name.lower(): _most(results, joint) for joint in joints},
+        "max_current_ratio": max(r.max_current_ratio for r in results),
         **{place: _summarize_place(results, place, joints) for place in PLACES},
         "earth_less_mars_mrad": {
             "equal torque": _mean_difference(results, "earth", joints),
@@ -195,7 +195,7 @@ def _rated_Nm(result: TrialResult) -> float:
 
 
 def _most(results: Sequence[TrialResult], joint: Joint) -> float:
-    return max(r.most_torque_Nm for r in results if r.trial.joint is joint)
+    return max(r.max_torque_Nm for r in results if r.trial.joint is joint)
 
 
 def main() -> int:

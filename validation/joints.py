@@ -6,7 +6,7 @@ import sys
 from validation import backlash, hardstops, shoulder_in
 from validation.options import campaign_parser
 
-EXAMPLE = "example: python -m validation.joints --arms 4 --repeats 50 --tours 20 > joints.json"
+EXAMPLE = "example: python -m validation.joints --arms 4 --repeats 50 --sequences 20 > joints.json"
 
 
 def main() -> int:
@@ -14,13 +14,13 @@ def main() -> int:
     parser = campaign_parser("joints", __doc__, EXAMPLE)
     parser.add_argument("--arms", type=int, default=4, help="as-built arms for the hardstops (default 4)")
     parser.add_argument("--repeats", type=int, default=50, help="repetitions (default 50)")
-    parser.add_argument("--tours", type=int, default=20, help="tours of 50 poses (default 20)")
+    parser.add_argument("--sequences", type=int, default=20, help="sequences of 50 poses (default 20)")
     options = parser.parse_args()
-    if min(options.arms, options.tours, options.workers) < 1 or options.repeats < 2 or options.seed < 0:
-        parser.error("arms, tours and workers are 1 or more, repeats 2 or more, the seed is not negative")
+    if min(options.arms, options.sequences, options.workers) < 1 or options.repeats < 2 or options.seed < 0:
+        parser.error("arms, sequences and workers are 1 or more, repeats 2 or more, the seed is not negative")
     document = {
         "hardstops": hardstops.campaign(options.arms, options.repeats, options.seed, options.workers),
-        "backlash": backlash.campaign("nominal", options.tours, 50, options.seed, options.workers),
+        "backlash": backlash.campaign("nominal", options.sequences, 50, options.seed, options.workers),
         "shoulder_in": shoulder_in.document(shoulder_in.predictions(options.seed, options.workers)),
     }
     print(json.dumps(document, indent=2))

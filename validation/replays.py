@@ -89,7 +89,7 @@ def document(arms: int, seed: int, workers: int, only: str | None = None) -> dic
 def summarize(ran: list[ReplayOutcome]) -> dict[str, object]:
     """Return the JSON document of the requested runs."""
     return {
-        "asked": len(ran),
+        "requested": len(ran),
         "replayed": sum(r.outcome != NOT_REPLAYED for r in ran),
         "identical": sum(r.identical for r in ran),
         "ticks": sum(r.ticks for r in ran),
@@ -105,7 +105,7 @@ def main() -> None:
     options = parser.parse_args()
     found = document(options.arms, options.seed, options.workers, options.only)
     print(json.dumps(found, indent=2))
-    sys.exit(found["identical"] != found["asked"])
+    sys.exit(found["identical"] != found["requested"])
 
 
 if __name__ == "__main__":

@@ -117,7 +117,7 @@ def summary(ran: list[ScenarioOutcome]) -> dict[str, object]:
             table[kind][scenario] = {
                 "arms": len(cases),
                 "passed": sum(case.passed for case in cases),
-                "least_and_most": {name: [min(v), max(v)] for name, v in values.items()},
+                "range": {name: [min(v), max(v)] for name, v in values.items()},
             }
     failed = [asdict(r) for r in ran if not r.passed]
     return {"table": table, "failed": failed, "in_bounds": all(map(in_bounds, ran))}

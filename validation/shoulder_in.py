@@ -46,8 +46,8 @@ WITH_SHOULDER: Final = {
     for shoulder in ("out", "in")
 }
 SERIES: Final = (
-    ("as_initialised_mm", "#c1121f", "gaps taken to be as at the hardstop"),
-    ("with_state_mm", "#31688e", "with the believed state of the backlash"),
+    ("as_initialised_mm", "#c1121f", "backlash taken to be as at the hardstop"),
+    ("with_state_mm", "#31688e", "with the estimated side of the backlash"),
 )
 
 
@@ -60,7 +60,7 @@ class Prediction:
     """Error with the side of the backlash at the hardstop."""
     with_state_mm: float
     """Error with the estimated side."""
-    fallen: int
+    joints_on_other_side: int
     """Number of joints that have changed the side of their backlash."""
 
 
@@ -111,7 +111,7 @@ def document(groups: Sequence[Sequence[Prediction]]) -> dict[str, Any]:
         name: {
             "as_initialised_mm": _mean([p.as_initialised_mm for p in every if p.shoulder_in == inside]),
             "with_state_mm": _mean([p.with_state_mm for p in every if p.shoulder_in == inside]),
-            "fallen_joints": _mean([p.fallen for p in every if p.shoulder_in == inside]),
+            "joints_on_other_side": _mean([p.joints_on_other_side for p in every if p.shoulder_in == inside]),
         }
         for name, inside in (("shoulder_out", False), ("shoulder_in", True))
     }
@@ -148,7 +148,7 @@ def draw(groups: Sequence[Sequence[Prediction]], path: Path) -> None:
             axes.plot(number, error_mm, ".-", color=colour, linewidth=0.6, label=label)
         axes.set(
             xlabel="pose",
-            ylabel="drill from its predicted place [mm]",
+            ylabel="position error of the drill [mm]",
             xlim=(0, len(every) + 1),
             ylim=(0, None),
         )

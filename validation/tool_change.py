@@ -53,7 +53,7 @@ class ToolChangeErrors:
     """Second tool, placed by its coordinates, from the true contact of the first, placed likewise."""
     tool_frames_mm: float
     """Contribution of the errors of both tool frames to `from_spot_mm`."""
-    rest_mm: float
+    residual_mm: float
     """Lateral distance of `from_spot_mm` without this contribution."""
 
 
@@ -111,7 +111,7 @@ def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors |
         absolute_mm=_lateral_mm(absolute[0] - target, axis),
         twice_absolute_mm=_lateral_mm(absolute[0] - spot, axis),
         tool_frames_mm=_lateral_mm(frames, axis),
-        rest_mm=_lateral_mm(second - spot - frames, axis),
+        residual_mm=_lateral_mm(second - spot - frames, axis),
     )
 
 
@@ -164,8 +164,10 @@ def summary(changes: list[ToolChangeErrors]) -> dict[str, object]:
     table = np.array([[getattr(c, name) for name in ToolChangeErrors.__slots__] for c in changes])
     three_sigma = 3 * np.sqrt(np.mean(table**2, axis=0))
     named = {
-        name: {"three_sigma": float(three), "most": float(most)}
-        for name, three, most in zip(ToolChangeErrors.__slots__, three_sigma, table.max(axis=0), strict=True)
+        name: {"three_sigma": float(three), "max": float(largest)}
+        for name, three, largest in zip(
+            ToolChangeErrors.__slots__, three_sigma, table.max(axis=0), strict=True
+        )
     }
     return {"count": len(changes), **named}
 

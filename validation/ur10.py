@@ -26,7 +26,7 @@ LEAST_VISITS = 3
 """Least number of poses of each series in a degree that is compared."""
 LEAST_DEGREES = 8
 """Least number of degrees for a comparison."""
-KEYS = ("steps", "moves_target_m", "joints", "temperature")
+KEYS = ("models", "contributions_m", "joints", "temperature")
 
 
 def main() -> int:
@@ -57,7 +57,7 @@ def document(folder: Path) -> dict[str, Any]:
         "passed": all(one["passed"] for one in checks.values()) and set(temperature.values()) == {"nothing"},
         "held_out_position_rms": checks,
         "temperature_explains": temperature,
-        "waves_in_common": [_compare_periodic(reports["a"], reports["c"], k) for k in range(JOINTS)],
+        "periodic_comparison": [_compare_periodic(reports["a"], reports["c"], k) for k in range(JOINTS)],
         **{name: _select_keys(report) for name, report in reports.items()},
     }
 
@@ -68,7 +68,7 @@ def _calibrate_series(folder: Path, name: str, output: Path) -> SerialReport:
 
 
 def _check_error(report: SerialReport, bound_mm: float) -> dict[str, Any]:
-    fresh = report.steps[-1].fresh
+    fresh = report.models[-1].fresh
     assert fresh is not None
     rms_mm = fresh.rms_m * 1e3
     return {
@@ -107,7 +107,7 @@ def _visits(report: SerialReport, joint: int) -> Integers:
 
 def _periodic_rad(report: SerialReport, joint: int, at_rad: Array) -> Array:
     """Compute the periodic error of a joint at angles of shape (n,)."""
-    arm = report.steps[-1].found.arm
+    arm = report.models[-1].found.arm
     phase = at_rad[:, None] * np.arange(1, arm.orders + 1)
     amplitudes = arm.links[joint].periodic_rad(arm.orders)
     return periodic_error_rad(np.concatenate([np.cos(phase), np.sin(phase)], axis=1), amplitudes)

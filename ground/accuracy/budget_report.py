@@ -45,7 +45,7 @@ def budget_json(report: BudgetReport) -> dict[str, Any]:
                 "kind": source.kind,
                 "label": source.label,
                 "basis": source.basis,
-                "spread": source.distribution,
+                "distribution": source.distribution,
                 "at_limit": source.at_limit,
             }
             for name, source in report.model.source.items()

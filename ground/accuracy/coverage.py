@@ -34,7 +34,7 @@ class AdditivityCheck:
     source: str
     added_m: float
     """Sum of absolute components over frames, as the rule adds them."""
-    together_m: float
+    same_sign_m: float
     """Signed sum with every frame at its limit, as for one wrong number of the whole arm."""
     independent_m: float
     """Bound for independent frames with the distribution of the source."""
@@ -153,10 +153,10 @@ def check_coverage(
     }
     error = bounds(np.array([m.error for found in by_tool.values() for m in found]).T)
     errors: dict[str, Array] = {name: getattr(error, name) for name in COMPONENTS}
-    side = np.array([m.gap for found in by_tool.values() for m in found])
+    side = np.array([m.backlash_position for found in by_tool.values() for m in found])
     sums = np.concatenate(
         [
-            backlash_ratio(model, sensitivity[tool], np.array([m.gap for m in by_tool[tool]]).T)
+            backlash_ratio(model, sensitivity[tool], np.array([m.backlash_position for m in by_tool[tool]]).T)
             for tool in by_tool
         ]
     )

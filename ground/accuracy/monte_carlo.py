@@ -123,13 +123,15 @@ def check_arm_record(record: dict[str, Any]) -> None:
 def read_measurements(record: dict[str, Any]) -> Iterator[MeasuredPlacement]:
     """Read the measurements of an arm from its record."""
     for place in record.get("places", ()):
-        output, error, gap = (np.array(place[name]) for name in ("output_rad", "error", "gap"))
-        yield MeasuredPlacement(Tool[record["tool"].upper()], output, error, gap)
+        output, error, position = (
+            np.array(place[name]) for name in ("output_rad", "error", "backlash_position")
+        )
+        yield MeasuredPlacement(Tool[record["tool"].upper()], output, error, position)
 
 
 def _measurement_record(measured: MeasuredPlacement) -> dict[str, Any]:
     values = asdict(measured)
-    return {name: values[name].tolist() for name in ("output_rad", "error", "gap")}
+    return {name: values[name].tolist() for name in ("output_rad", "error", "backlash_position")}
 
 
 @dataclass(frozen=True, slots=True)

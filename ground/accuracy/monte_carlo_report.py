@@ -41,7 +41,7 @@ def monte_carlo_json(report: MonteCarloReport) -> dict[str, Any]:
         "places": request.places,
         "arms": len(report.trials),
         "failed": {str(arm): why for arm, why in report.failed.items()},
-        "judged": None if found is None else _judged_json(found),
+        "coverage": None if found is None else _coverage_json(found),
         "three_sigma": None
         if report.three_sigma is None
         else {name: asdict(values) for name, values in report.three_sigma.items()},
@@ -49,7 +49,7 @@ def monte_carlo_json(report: MonteCarloReport) -> dict[str, Any]:
     }
 
 
-def _judged_json(found: CoverageReport) -> dict[str, Any]:
+def _coverage_json(found: CoverageReport) -> dict[str, Any]:
     return {
         "percentile": dict(found.percentile),
         "percentile_interval": {name: _interval_json(i) for name, i in found.percentile_interval.items()},
@@ -66,19 +66,22 @@ def _judged_json(found: CoverageReport) -> dict[str, Any]:
             }
             for rule, by_component in found.by_rule.items()
         },
-        "gap": {
+        "backlash": {
             "on_flank": dict(zip(JOINT_NAMES, found.on_flank.tolist(), strict=True)),
             "mean_side": dict(zip(JOINT_NAMES, found.side.tolist(), strict=True)),
-            "shift_over_sum": dict(zip(("median", "p95", "most"), found.backlash, strict=True)),
+            "shift_over_sum": dict(zip(("median", "p95", "max"), found.backlash, strict=True)),
         },
-        "at_limit": [asdict(one) for one in found.additivity],
-        "without_adding_m": dict(found.variant_totals_m),
+        "additivity": [asdict(one) for one in found.additivity],
+        "variant_totals_m": dict(found.variant_totals_m),
     }
 
 
 def _measured_json(report: MonteCarloReport) -> list[dict[str, Any]]:
     return [
-        {"tool": m.tool.name.lower(), **{k: getattr(m, k).tolist() for k in ("output_rad", "error", "gap")}}
+        {
+            "tool": m.tool.name.lower(),
+            **{k: getattr(m, k).tolist() for k in ("output_rad", "error", "backlash_position")},
+        }
         for trial in report.trials
         for m in trial
     ]
@@ -156,7 +159,7 @@ def _rules(report: MonteCarloReport, found: CoverageReport) -> Table:
 
 def additivity_row(one: AdditivityCheck) -> tuple[str, ...]:
     """Build the row of a source that equation 13 adds, in millimetres."""
-    return one.source, *(f"{1e3 * v:.2f} mm" for v in (one.added_m, one.together_m, one.independent_m))
+    return one.source, *(f"{1e3 * v:.2f} mm" for v in (one.added_m, one.same_sign_m, one.independent_m))
 
 
 def _additivity_table(found: CoverageReport) -> Table:

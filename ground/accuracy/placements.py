@@ -59,7 +59,7 @@ class MeasuredPlacement:
 
     The rotation about x is not commanded, and is 0.
     """
-    gap: Array
+    backlash_position: Array
     """Positions of the outputs in their backlash, -1 and +1 at the flanks, shape (5,)."""
 
 
@@ -90,8 +90,10 @@ def measure_placements(move: MoveModel, places: Sequence[Placement]) -> list[Mea
     """Move to each placement and measure the error."""
     found = []
     for place in places:
-        X_RT, gap = move(place)
-        found.append(MeasuredPlacement(place.tool, place.output_rad, error_in_tool(place.X_RT, X_RT), gap))
+        X_RT, position = move(place)
+        found.append(
+            MeasuredPlacement(place.tool, place.output_rad, error_in_tool(place.X_RT, X_RT), position)
+        )
     return found
 
 

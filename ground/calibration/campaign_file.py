@@ -25,8 +25,8 @@ TEXT_COLUMNS: Final = ("arm", "branch")
 COUNT_COLUMNS: Final = ("group", "targets_ground", "targets_rover", "targets_turret")
 NUMBER_COLUMNS: Final = (
     *(f"motor_{joint}_rad" for joint in JOINT_NAMES),
-    *(f"gap_{joint}_rad" for joint in JOINT_NAMES),
-    *(f"held_{joint}_Nm" for joint in JOINT_NAMES),
+    *(f"backlash_{joint}_rad" for joint in JOINT_NAMES),
+    *(f"friction_{joint}_Nm" for joint in JOINT_NAMES),
     *(f"side_{joint}" for joint in JOINT_NAMES),
     *(f"gravity_{axis}_m_s2" for axis in "xyz"),
     "turret_kg",
@@ -147,8 +147,8 @@ def _campaign(column: dict[str, Array]) -> Campaign:
     )
     believed = BelievedPoses(
         of_joints("motor_{}_rad"),
-        of_joints("gap_{}_rad"),
-        of_joints("held_{}_Nm"),
+        of_joints("backlash_{}_rad"),
+        of_joints("friction_{}_Nm"),
         of_joints("side_{}"),
         rows(*(f"gravity_{axis}_m_s2" for axis in "xyz")),
         column["turret_kg"].astype(float),

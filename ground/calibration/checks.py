@@ -35,7 +35,7 @@ MAX_TRACKER_MOTION_M: Final = 1e-3
 GRAVITY_M_S2: Final = (1.0, 12.0)
 FARTHEST_M: Final = 4.0
 TURRET_KG: Final = (1.0, 100.0)
-MOST_HELD_NM: Final = 1000.0
+MAX_FRICTION_NM: Final = 1000.0
 MAX_SIGMA0: Final = 1.5
 """Largest ratio of residuals to noise; above it, the model lacks an effect."""
 MIN_SIGMA0: Final = 0.6
@@ -101,11 +101,11 @@ def _check_units(campaign: Campaign) -> Iterator[str]:
     if gravity.min() < low or gravity.max() > high:
         yield f"gravity_*_m_s2: {gravity.min():.4g} .. {gravity.max():.4g} long; give m/s2, 9.81 on Earth"
     if np.abs(believed.backlash_rad).max() > 0.02:
-        yield f"gap_*_rad: up to {np.abs(believed.backlash_rad).max():.4g}; half a backlash is 0.002 rad"
+        yield f"backlash_*_rad: up to {np.abs(believed.backlash_rad).max():.4g}; half a backlash is 0.002 rad"
     friction_Nm = np.abs(believed.friction_Nm).max()
-    if friction_Nm > MOST_HELD_NM:
+    if friction_Nm > MAX_FRICTION_NM:
         yield (
-            f"held_*_Nm: up to {friction_Nm:.4g}; friction holds less than {MOST_HELD_NM:.0f}: "
+            f"friction_*_Nm: up to {friction_Nm:.4g}; friction holds less than {MAX_FRICTION_NM:.0f}: "
             "give newton metres"
         )
     sides = np.setdiff1d(believed.side, (-1.0, 0.0, 1.0))

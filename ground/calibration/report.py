@@ -47,8 +47,8 @@ def calibration_json(report: CalibrateReport) -> dict[str, Any]:
             "condition_frames": found.frame_identifiability.condition,
             "singular_values_frames": found.frame_identifiability.singular_values.tolist(),
         },
-        "confused": [
-            {"names": list(group.names), "seen": group.identified}
+        "unidentifiable": [
+            {"names": list(group.names), "identified": group.identified}
             for group in found.frame_identifiability.unidentifiable_groups()
         ],
         "parameters": {

@@ -176,8 +176,8 @@ def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) 
     read = read_log(log, None, bound_ns("from", start_s), bound_ns("to", stop_s))
     if not read.time_ns and (start_s, stop_s) != (None, None):
         raise NoSuchChannel(f"log {log} has nothing in the time from {start_s} s to {stop_s} s")
-    if read.behind:
-        print(f"log {log}: {trailing_bytes_text(read.behind)}", file=sys.stderr)
+    if read.trailing_bytes:
+        print(f"log {log}: {trailing_bytes_text(read.trailing_bytes)}", file=sys.stderr)
     return read
 
 

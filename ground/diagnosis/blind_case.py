@@ -9,9 +9,10 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from ground.common.files import atomic_write
 from ground.common.requests import BadRequest
@@ -23,10 +24,10 @@ from ground.diagnosis.sampling import (
     sample_effect,
 )
 
-CaseKind = Literal["none", "single", "pair", "outside"]
+CaseKind = Literal["none", "single", "pair", "out-of-catalogue"]
 TRUTH: Final = "truth.json"
 DIGEST: Final = "digest.txt"
-KIND_SHARES: Final[dict[CaseKind, float]] = {"none": 0.3, "outside": 0.2, "pair": 0.2}
+KIND_SHARES: Final[dict[CaseKind, float]] = {"none": 0.3, "out-of-catalogue": 0.2, "pair": 0.2}
 """Shares of all cases; the others have one effect of the catalogue."""
 
 
@@ -69,6 +70,9 @@ class SealedTruth:
     def digest(self) -> str:
         """Return the SHA-256 of that text."""
         return hashlib.sha256(self.text().encode()).hexdigest()
+
+
+_TRUTH_ADAPTER: Final = TypeAdapter(SealedTruth)
 
 
 def seal(folder: Path, truth: SealedTruth) -> str:
@@ -131,25 +135,11 @@ def load_truth(folder: Path) -> SealedTruth:
             f"nothing is scored against a truth that was changed"
         )
     try:
-        return _parse_truth(json.loads(raw))
-    except (ValueError, KeyError, TypeError) as error:
-        raise BadRequest(f"{folder / TRUTH}: was sealed, but is no truth ({error})") from error
-
-
-def _parse_truth(document: dict[str, Any]) -> SealedTruth:
-    return SealedTruth(
-        document["salt"],
-        tuple(
-            TrueCase(
-                case["name"],
-                case["kind"],
-                tuple(TrueEffect(**effect) for effect in case["effects"]),
-                tuple(case["background"]),
-                case["seed"],
-            )
-            for case in document["cases"]
-        ),
-    )
+        return _TRUTH_ADAPTER.validate_json(raw)
+    except ValidationError as error:
+        first = error.errors()[0]
+        why = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        raise BadRequest(f"{folder / TRUTH}: was sealed, but is no truth ({why})") from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,7 +180,7 @@ def _sample_effects(
 ) -> tuple[SampledEffect, ...]:
     if kind == "none":
         return ()
-    first = sample_amplitude(sample_effect(unknown if kind == "outside" else known, rng), rng)
+    first = sample_amplitude(sample_effect(unknown if kind == "out-of-catalogue" else known, rng), rng)
     if kind != "pair":
         return (first,)
     others = [one for one in known if one.label != first.source.label]

@@ -36,7 +36,7 @@ class ChannelClosure:
     unit: str
     before: float
     after: float
-    floor: float
+    noise_floor: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -88,7 +88,7 @@ class Finding:
     share: float
     """Share of the explained deviance that is lost without this effect."""
     alternatives: Alternatives
-    confusable: tuple[int, ...]
+    equivalence_class: tuple[int, ...]
     """Equivalence class: hypotheses that this campaign cannot distinguish."""
     at_bound: tuple[str, ...] = ()
     """Names of the parameters that are at a bound; such an effect is not accepted as a cause."""
@@ -169,7 +169,7 @@ def diagnose(
     verdict, structure = _decide(model, findings, features), max(features.lack_of_fit, features.addition)
     return Diagnosis(
         verdict, findings, selection.ranking, selection.neg_log10_p, remaining, structure, cells, null_fit,
-        effect_fit, equations, model.thresholds.trust.log_odds(features),
+        effect_fit, equations, model.thresholds.confidence.log_odds(features),
     )  # fmt: skip
 
 
@@ -225,7 +225,11 @@ def _no_effect(
 def _decide(model: DiagnosisModel, findings: tuple[Finding, ...], features: ConfidenceFeatures) -> Verdict:
     """Withhold the name if structure remains, a bound is reached, or the confidence is too low."""
     has_structure = max(features.lack_of_fit, features.addition) >= model.thresholds.unexplained
-    if has_structure or not model.thresholds.trust.accepts(features) or any(one.at_bound for one in findings):
+    if (
+        has_structure
+        or not model.thresholds.confidence.accepts(features)
+        or any(one.at_bound for one in findings)
+    ):
         return "unknown"
     alone = all(finding.alternatives.hypotheses == (finding.hypothesis,) for finding in findings)
     return "named" if alone else "set"
@@ -255,7 +259,7 @@ def _make_findings(
         low, high = np.clip([values - half, values + half], *np.transpose(ends))
         result.append(Finding(
             hypothesis, values, low, high, selection.shares[index], others[index],
-            model.confusable(hypothesis), fit.at_bound[index],
+            model.equivalence_class(hypothesis), fit.at_bound[index],
         ))  # fmt: skip
     return tuple(result)
 

@@ -1,4 +1,4 @@
-"""Experiment design: find the motion that would best distinguish hypotheses that are confusable now."""
+"""Experiment design: find the motion that would best distinguish hypotheses that are aliased now."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ class CandidateMotion:
     name: str
     separation: float
     """Separation in sigmas of the noise floor, with all data so far and this motion."""
-    now: float
+    separation_now: float
     """Separation with all data so far."""
 
 
@@ -55,7 +55,7 @@ def rank_repeats(model: DiagnosisModel, diagnosis: Diagnosis) -> tuple[Candidate
     sizes: dict[int, Array] = {}
     for finding in diagnosis.findings:
         hypothesis = model.sensitivities.hypotheses[finding.hypothesis]
-        alternatives = (*finding.alternatives.hypotheses, *finding.confusable)
+        alternatives = (*finding.alternatives.hypotheses, *finding.equivalence_class)
         if set(alternatives) - {finding.hypothesis}:
             own = hypothesis.departures(finding.values)
             seen = float(np.linalg.norm(own * _scale(model, finding.hypothesis)))

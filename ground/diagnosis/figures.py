@@ -126,9 +126,9 @@ def _rows(count: int) -> tuple[float, float]:
 
 def _draw_closure(figure: Any, closure: Closure) -> None:
     axes = figure.subplots()
-    channels = sorted(closure.channels, key=lambda one: -one.before / one.floor)
+    channels = sorted(closure.channels, key=lambda one: -one.before / one.noise_floor)
     for row, one in enumerate(channels):
-        before, after = (max(value / one.floor, LEAST_DRAWN) for value in (one.before, one.after))
+        before, after = (max(value / one.noise_floor, LEAST_DRAWN) for value in (one.before, one.after))
         axes.plot([before, after], [row, row], color="0.7", zorder=1)
         labels = ("before", "after") if row == 0 else (None, None)
         axes.plot(before, row, "o", color="tab:red", label=labels[0], fillstyle="none", markersize=8)

@@ -34,7 +34,7 @@ class DiagnosisModel:
         """Candidate set of all identifiable hypotheses."""
         return CandidateSet(self.equations, self.label, self.thresholds.effect, self.equations.identifiable)
 
-    def confusable(self, hypothesis: int) -> tuple[int, ...]:
+    def equivalence_class(self, hypothesis: int) -> tuple[int, ...]:
         """Return the hypotheses of the same equivalence class, itself included."""
         return tuple(int(one) for one in np.flatnonzero(self.label == self.label[hypothesis]))
 

@@ -113,10 +113,10 @@ def _finding_rows(result: DiagnosisResult, finding: Finding) -> Rows:
 
 
 def _remarks(result: DiagnosisResult) -> Iterator[str]:
-    """Yield the confusable effects and the alternatives of each finding."""
+    """Yield the aliases and the alternatives of each finding."""
     names = [hypothesis.name for hypothesis in result.model.sensitivities.hypotheses]
     for finding in result.diagnosis.findings:
-        own, alike = names[finding.hypothesis], [names[one] for one in finding.confusable]
+        own, alike = names[finding.hypothesis], [names[one] for one in finding.equivalence_class]
         if len(alike) > 1:
             yield paragraph(f"These motions cannot distinguish: {', '.join(alike)}.")
         if rest := list_alternatives(finding):
@@ -126,11 +126,11 @@ def _remarks(result: DiagnosisResult) -> Iterator[str]:
 
 def _ranking_rows(result: DiagnosisResult) -> Rows:
     model, chosen = result.model, {finding.hypothesis for finding in result.diagnosis.findings}
-    alike = {one for finding in result.diagnosis.findings for one in finding.confusable}
+    alike = {one for finding in result.diagnosis.findings for one in finding.equivalence_class}
     rows: Rows = []
     for one in result.diagnosis.ranking[:MAX_LISTED]:
         hypothesis, limit = model.sensitivities.hypotheses[one], model.limits[one].limit
-        role = "chosen" if one in chosen else "confusable" if one in alike else ""
+        role = "chosen" if one in chosen else "alias" if one in alike else ""
         seen = " and ".join(format_quantity(abs(limit * p.typical), p.unit) for p in hypothesis.amplitudes)
         rows.append((hypothesis.name, role, f"{seen} from neutral" if np.isfinite(limit) else "never"))
     return rows
@@ -148,13 +148,16 @@ def _closure_section(result: DiagnosisResult) -> Iterator[str]:
         yield image(closure_picture(found), "before and after, channel by channel")
         yield table(("on held-out motion", "before", "after", "floor"), _closure_rows(found))
     if tool is not None and result.diagnosis.findings:
-        rows = [("tool", *(f"{mm:.3g} mm" for mm in (tool.before_mm, tool.after_mm, tool.floor_mm)))]
+        rows = [("tool", *(f"{mm:.3g} mm" for mm in (tool.before_mm, tool.after_mm, tool.noise_floor_mm)))]
         yield table(("at the tool", "before", "after", "floor"), rows)
 
 
 def _closure_rows(found: Closure) -> Rows:
     rows: Rows = [
-        (one.channel, *(format_quantity(value, one.unit) for value in (one.before, one.after, one.floor)))
+        (
+            one.channel,
+            *(format_quantity(value, one.unit) for value in (one.before, one.after, one.noise_floor)),
+        )
         for one in found.channels
     ]
     return [
@@ -185,22 +188,23 @@ def _next_section(result: DiagnosisResult) -> Iterator[str]:
     yield paragraph(next_sentence(result))
     if result.next_motion:
         rows = [
-            (one.name, format_number(one.now), format_number(one.separation)) for one in result.next_motion
+            (one.name, format_number(one.separation_now), format_number(one.separation))
+            for one in result.next_motion
         ]
         yield table(("motion", "sigmas apart now", "with it"), rows)
     if result.notes:
         yield paragraph("Notes of the audit:")
         yield table(("note",), [(note,) for note in result.notes])
-    if result.floor:
+    if result.noise_floor:
         yield paragraph("Origin of the noise floor:")
-        yield table(("floor",), [(note,) for note in result.floor])
+        yield table(("floor",), [(note,) for note in result.noise_floor])
 
 
 def _threshold_section(result: DiagnosisResult) -> Iterator[str]:
     limits = result.model.thresholds
     yield heading("How sure a verdict must be")
-    known = format_percent(limits.disowned)
-    wrong = format_percent(limits.wrong) if np.isfinite(limits.wrong) else "an unknown share"
+    known = format_percent(limits.withheld)
+    wrong = format_percent(limits.wrong_names) if np.isfinite(limits.wrong_names) else "an unknown share"
     rows = [
         (
             "an effect may be claimed from",
@@ -211,7 +215,8 @@ def _threshold_section(result: DiagnosisResult) -> Iterator[str]:
         (
             "beside effects, structure from",
             format_number(limits.unexplained),
-            f"{known} of correct choices get no name, {wrong} of {limits.strangers} left-out effects get one",
+            f"{known} of correct choices get no name, "
+            f"{wrong} of {limits.left_out_cases} left-out effects get one",
         ),
     ]
     yield table(("", "-log10 p", f"on {limits.cases} simulated cases of this campaign"), rows)

@@ -21,7 +21,7 @@ class ToolError:
 
     before_mm: float
     after_mm: float
-    floor_mm: float
+    noise_floor_mm: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,10 +35,10 @@ class DiagnosisResult:
     tool: ToolError | None
     """None if no held-out motion has tracker poses."""
     next_motion: tuple[CandidateMotion, ...]
-    """Candidate motions, best first; empty if nothing is confusable or nothing was found."""
+    """Candidate motions, best first; empty if nothing has an alias or nothing was found."""
     notes: tuple[str, ...]
     """Notes of the audit."""
-    floor: tuple[str, ...]
+    noise_floor: tuple[str, ...]
     """Notes on the origin of the noise floor."""
 
 
@@ -54,25 +54,25 @@ def to_json(result: DiagnosisResult) -> dict[str, Any]:
         "verdict": diagnosis.verdict,
         "effects": [_finding_json(model, finding) for finding in diagnosis.findings],
         "ranking": [_hypothesis_json(model, one) for one in diagnosis.ranking[:MAX_LISTED]],
-        "where": [_plain_table(asdict(cell)) for cell in diagnosis.residual_map],
+        "residual_map": [_plain_table(asdict(cell)) for cell in diagnosis.residual_map],
         "closure": None if result.closure is None else _closure_json(result.closure),
-        "confusable": [
-            [_hypothesis_json(model, one) for one in finding.confusable]
+        "equivalence_classes": [
+            [_hypothesis_json(model, one) for one in finding.equivalence_class]
             for finding in diagnosis.findings
-            if len(finding.confusable) > 1
+            if len(finding.equivalence_class) > 1
         ],
         "next_motion": [_plain_table(asdict(motion)) for motion in result.next_motion],
-        "odds": finite_or_none(diagnosis.log_odds),
+        "log_odds": finite_or_none(diagnosis.log_odds),
         "unexplained": {
-            "structure": has_lack_of_fit(result),
-            "surprise": finite_or_none(diagnosis.unexplained_neg_log10_p),
-            "remains": [
+            "lack_of_fit": has_lack_of_fit(result),
+            "neg_log10_p": finite_or_none(diagnosis.unexplained_neg_log10_p),
+            "groups": [
                 {
                     "channel": one.channel,
                     "place": one.place,
                     "regime": one.regime,
                     "depends_on": one.depends_on,
-                    "surprise": finite_or_none(one.neg_log10_p),
+                    "neg_log10_p": finite_or_none(one.neg_log10_p),
                 }
                 for one in diagnosis.unexplained[:MAX_LISTED]
             ],
@@ -82,10 +82,10 @@ def to_json(result: DiagnosisResult) -> dict[str, Any]:
         else {
             "before": finite_or_none(result.tool.before_mm),
             "after": finite_or_none(result.tool.after_mm),
-            "floor": finite_or_none(result.tool.floor_mm),
+            "noise_floor": finite_or_none(result.tool.noise_floor_mm),
         },
         "notes": list(result.notes),
-        "floor": list(result.floor),
+        "noise_floor": list(result.noise_floor),
         "thresholds": _plain_table(asdict(model.thresholds)),
     }
 
@@ -119,7 +119,7 @@ def _finding_json(model: DiagnosisModel, finding: Finding) -> dict[str, Any]:
             {
                 "name": parameter.name,
                 "unit": parameter.unit,
-                "is_size": parameter.is_amplitude,
+                "is_amplitude": parameter.is_amplitude,
                 "value": finite_or_none(value),
                 "least": finite_or_none(least),
                 "most": finite_or_none(most),
@@ -132,8 +132,8 @@ def _finding_json(model: DiagnosisModel, finding: Finding) -> dict[str, Any]:
             {**_hypothesis_json(model, one), "probability": finite_or_none(share)}
             for one, share in list_alternatives(finding)
         ],
-        "confusable": [
-            _hypothesis_json(model, one) for one in finding.confusable if one != finding.hypothesis
+        "aliases": [
+            _hypothesis_json(model, one) for one in finding.equivalence_class if one != finding.hypothesis
         ],
         "at_bound": list(finding.at_bound),
     }

@@ -45,10 +45,12 @@ def closure_sentence(result: DiagnosisResult) -> str:
 
 
 def finding_words(model: DiagnosisModel, finding: Finding) -> str:
-    """Return a finding with its confusable effects and its alternatives."""
+    """Return a finding with its aliases and its alternatives."""
     own = model.sensitivities.hypotheses[finding.hypothesis].name
     alike = [
-        model.sensitivities.hypotheses[one].name for one in finding.confusable if one != finding.hypothesis
+        model.sensitivities.hypotheses[one].name
+        for one in finding.equivalence_class
+        if one != finding.hypothesis
     ]
     if alike:
         own += f" (or {join_names(alike, ' or ')}, which these motions cannot distinguish)"
@@ -120,12 +122,12 @@ def next_sentence(result: DiagnosisResult) -> str:
         best = result.next_motion[0]
         if best.separation < MIN_SEPARATION:
             return (
-                "No motion of this campaign would distinguish the confusable effects: the best, "
+                "No motion of this campaign would distinguish the aliased effects: the best, "
                 f"{best.name}, separates them by {format_number(best.separation)} sigmas."
             )
         return (
-            f"Record {best.name}: it would separate the confusable effects by "
-            f"{format_number(best.separation)} sigmas (now {format_number(best.now)})."
+            f"Record {best.name}: it would separate the aliased effects by "
+            f"{format_number(best.separation)} sigmas (now {format_number(best.separation_now)})."
         )
     near = best_rejected(result)
     if near is not None:

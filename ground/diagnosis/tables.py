@@ -55,9 +55,9 @@ def _effect_lines(result: DiagnosisResult) -> Iterator[str]:
 
 
 def _alternative_lines(result: DiagnosisResult) -> Iterator[str]:
-    """Yield the number of confusable effects and of alternatives of each finding."""
+    """Yield the number of aliases and of alternatives of each finding."""
     for finding in result.diagnosis.findings:
-        alike, rest = len(finding.confusable) - 1, len(list_alternatives(finding))
+        alike, rest = len(finding.equivalence_class) - 1, len(list_alternatives(finding))
         if alike or rest:
             own = result.model.sensitivities.hypotheses[finding.hypothesis].name
-            yield f"{own}: {alike} confusable with it, {rest} alternatives"
+            yield f"{own}: {alike} aliases, {rest} alternatives"

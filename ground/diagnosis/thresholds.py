@@ -59,17 +59,17 @@ class Thresholds:
     """-log10 p from which on remaining structure counts, if no effect is selected."""
     unexplained: float
     """-log10 p from which on remaining structure counts, beside selected effects."""
-    trust: ConfidenceClassifier
+    confidence: ConfidenceClassifier
     """Confidence classifier that accepts or withholds a name."""
     false_alarm: float
     """Share of no-effect cases in which an effect or structure is claimed."""
-    disowned: float
+    withheld: float
     """Share of correctly selected cases that get no name."""
-    wrong: float
+    wrong_names: float
     """Share of left-out cases that get a name; NaN if there are none."""
     cases: int
     """Number of simulated cases of each kind, left-out cases excepted."""
-    strangers: int
+    left_out_cases: int
     """Number of left-out cases: those without an alias, or all if none is without."""
 
 
@@ -153,15 +153,15 @@ def _derive_thresholds(
     cases, right = len(found), [one.remaining for one in outcomes if one.right]
     unexplained = float(np.quantile(right, 1.0 - MAX_WITHHELD)) if right else np.inf
     plain = [one for one in outcomes if one.remaining < unexplained]
-    trust = train_classifier(
+    classifier = train_classifier(
         [one.features for one in plain],
         np.array([one.right for one in plain]),
         np.array([one.left_out for one in plain]),
         int(MAX_WRONG_NAMES * left_out_cases),
     )
-    named = [one for one in plain if trust.accepts(one.features)]
+    named = [one for one in plain if classifier.accepts(one.features)]
     return Thresholds(
-        effect, structure, unexplained, trust,
+        effect, structure, unexplained, classifier,
         float(np.mean((found[:, 0] >= effect) | (found[:, 1] >= structure))),
         1.0 - sum(one.right for one in named) / max(len(right), 1),
         sum(one.left_out for one in named) / left_out_cases if left_out_cases else float("nan"),

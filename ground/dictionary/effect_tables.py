@@ -29,7 +29,7 @@ def effects_json() -> list[dict[str, Any]]:
             "name": name,
             "text": effect_summary(kind),
             "when": effect_timing(kind),
-            "place": [one.field for one in place_fields_of(kind)],
+            "place_fields": [one.field for one in place_fields_of(kind)],
             "places": [text for place in all_places(kind) if (text := effect_place_text(kind, place))],
             "parameters": [_parameter_json(kind, parameter) for parameter in parameters_of(kind)],
             "in_flight_parameters": has_flight_parameter(kind),

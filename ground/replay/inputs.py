@@ -61,7 +61,7 @@ def inputs_from_log(log: Log) -> Inputs:
     Raises:
         NotReplayable: the log lacks an input, or this version of flight software does not know it.
     """
-    notes: list[str] = [] if not log.behind else [trailing_bytes_text(log.behind)]
+    notes: list[str] = [] if not log.trailing_bytes else [trailing_bytes_text(log.trailing_bytes)]
     try:
         params, mode, reference = _start_conditions(log, notes)
         commands: dict[int, tuple[Command, ...]] = {}

@@ -25,11 +25,11 @@ COLOURS: Final = {
     HomingStage.RELEASE: ORANGE,
 }
 NAMES: Final = {
-    HomingStage.FREE: "off, to begin with",
-    HomingStage.COARSE: "towards, until it stalls",
-    HomingStage.RETREAT: "back",
-    HomingStage.FINE: "towards, slowly",
-    HomingStage.RELEASE: "off, slowly",
+    HomingStage.FREE: "free: away from the hardstop",
+    HomingStage.COARSE: "coarse: towards it until stall",
+    HomingStage.RETREAT: "retreat",
+    HomingStage.FINE: "fine: slowly towards it",
+    HomingStage.RELEASE: "release: slowly away",
 }
 
 
@@ -46,7 +46,7 @@ def save_hardstop_figure(runs: Sequence[InitialisationResult], path: Path) -> st
     rows = max(len(samples_by_joint), 1)
 
     def draw(figure: Any) -> None:
-        figure.suptitle("Against the negative hardstop: motor current, speed and angle", fontsize=12)
+        figure.suptitle("Homing at the negative hardstop: motor current, speed and angle", fontsize=12)
         panels = figure.subplots(rows, 4, squeeze=False)
         for axes, (joint, samples) in zip(panels, samples_by_joint.items(), strict=False):
             _draw_joint(axes, joint, samples)
@@ -101,8 +101,8 @@ def _draw_joint(axes: Any, joint: Joint, samples: list[HomingSample]) -> None:
             panel.axvline(stall_s - zero_s, color="black", linewidth=0.8, linestyle=":", label="stall")
     current.set(title=f"{name}: current", xlabel="time [s]", ylabel="A")
     speed.set(title=f"{name}: motor speed", xlabel="time [s]", ylabel="mrad/s")
-    angle.set(title=f"{name}: motor angle", xlabel="time [s]", ylabel="mrad from where it ends")
-    press.set(title=f"{name}: current over angle", xlabel="mrad from where it ends", ylabel="A")
+    angle.set(title=f"{name}: motor angle", xlabel="time [s]", ylabel="mrad, 0 at the end")
+    press.set(title=f"{name}: current over angle", xlabel="mrad, 0 at the end", ylabel="A")
 
 
 def _stall_times_s(samples: list[HomingSample]) -> list[float]:

@@ -27,7 +27,7 @@ def hardstop_json(report: HardstopReport) -> dict[str, Any]:
         "tilt_deg": {"roll": request.tilt_roll_deg, "pitch": request.tilt_pitch_deg},
         "temperature_C": request.temperature_C,
         "joints": {joint.name.lower(): _joint_json(report, joint) for joint in _joints(report)},
-        "most_current_share_of_limit": max(float(run.most_current_share.max()) for run in report.runs),
+        "max_current_ratio": max(float(run.max_current_ratio.max()) for run in report.runs),
         "duration_s": sum(run.duration_s for run in report.runs),
         "evrs": [evr_json(time_s, evr) for time_s, evr in report.runs[-1].evrs],
         "picture": None
@@ -66,7 +66,7 @@ def hardstop_table(report: HardstopReport) -> None:
             f"{row['uncorrected_error_mrad']:+.3f}",
             f"{row['half_backlash_error_mrad']:+.3f}",
             f"{row['load_Nm']:.1f}",
-            f"{row['most_torque_Nm']:.0f}",
+            f"{row['max_torque_Nm']:.0f}",
         )
     console.print(table)
     console.print("errors are against the true hardstop of this arm, which flight software cannot see")
@@ -145,7 +145,7 @@ def _joint_json(report: HardstopReport, joint: Joint) -> dict[str, Any]:
         "uncorrected_error_3_sigma_mrad": _three_sigma(uncorrected),
         "half_backlash_error_mrad": 1e3 * _mean(stops, "half_backlash_error_rad"),
         "load_Nm": _mean(stops, "load_Nm"),
-        "most_torque_Nm": max(float(run.most_torque_Nm[joint]) for run in report.runs),
+        "max_torque_Nm": max(float(run.max_torque_Nm[joint]) for run in report.runs),
         "planned_pose_deg": [degrees(angle) for angle in report.poses_rad[joint]],
     }
 

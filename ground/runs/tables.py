@@ -181,7 +181,7 @@ def scenarios_json(scenarios: tuple[Scenario, ...]) -> list[dict[str, Any]]:
         {
             "name": scenario.name,
             "title": scenario.title,
-            "sentence": scenario.sentence,
+            "summary": scenario.summary,
             "start": scenario.start,
             "commands": [upper_snake(type(command)) for command in scenario.commands],
             "checks": [upper_snake(type(check)).lower() for check in scenario.checks],
@@ -194,7 +194,7 @@ def scenarios_table(scenarios: tuple[Scenario, ...]) -> None:
     """Print a line for each built-in scenario."""
     width = max(len(scenario.name) for scenario in scenarios)
     for scenario in scenarios:
-        plain_console().print(f"{scenario.name:<{width}}  {scenario.sentence}", soft_wrap=True)
+        plain_console().print(f"{scenario.name:<{width}}  {scenario.summary}", soft_wrap=True)
 
 
 def _check_json(check: CheckResult) -> dict[str, Any]:

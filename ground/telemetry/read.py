@@ -68,7 +68,7 @@ class Log:
     """Topics of the plant's own state, which flight software never saw."""
     lost: tuple[LostMessages, ...] = ()
     """Losses of a log that was recovered from a damaged one."""
-    behind: int = 0
+    trailing_bytes: int = 0
     """Bytes in the file after the end of the log; they are not read."""
     has_old_parameters: bool = False
     """True if its parameters had names of version 0.1, which their digest depends on."""
@@ -237,7 +237,7 @@ def _build_log(
         commands=tuple(rename_command(CommandEntry.decode(body)) for body in bodies.get(COMMAND_TOPIC, [])),
         truth=frozenset(channel.topic for channel in channels.values() if channel.is_truth),
         lost=losses_in(found.metadata.get(RECOVERED_RECORD, {})),
-        behind=found.trailing_bytes if found.closed else 0,
+        trailing_bytes=found.trailing_bytes if found.closed else 0,
         has_old_parameters=header.get("params") != written.get("params"),
     )
 

@@ -30,7 +30,7 @@ def info_json(log: Log) -> dict[str, Any]:
         "log": str(log.path),
         "format": FORMAT,
         "closed": not log.truncated,
-        "bytes_behind": log.behind,
+        "trailing_bytes": log.trailing_bytes,
         "header": {
             name: _parse_header_value(name, text)
             for name, text in log.header.items()
@@ -78,8 +78,8 @@ def info_table(log: Log) -> None:
     console.print(f"{'format':<16}  {FORMAT}")
     console.print(f"{'duration':<16}  {_duration(info)}")
     state = "cut short: its writer did not close it" if log.truncated else "closed"
-    if log.behind:
-        state += f"; {trailing_bytes_text(log.behind)}"
+    if log.trailing_bytes:
+        state += f"; {trailing_bytes_text(log.trailing_bytes)}"
     console.print(f"{'end':<16}  {state}", soft_wrap=True)
     table = Table()
     for name in ("topic", "messages", "rate Hz", ""):

@@ -64,7 +64,7 @@ class Preloaded:
     force_N: CheckForce
     share: Share = 0.10
     """Tolerance of the force, as a fraction of it."""
-    most_N: CheckForce = 400.0
+    max_N: CheckForce = 400.0
     """Limit of the normal force, from the start of the command on."""
     ratio: Annotated[float, Limits(0.0, 10.0)] = 0.35
     """Limit of the ratio of lateral to normal force, from the start of the command on."""
@@ -192,7 +192,7 @@ class Scenario:
 
     name: str
     title: str
-    sentence: str
+    summary: str
     world: World
     commands: tuple[Command, ...]
     checks: tuple[Check, ...]

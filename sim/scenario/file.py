@@ -60,7 +60,7 @@ class _ScenarioHead:
     """Keys of a file before its first table."""
 
     title: str
-    sentence: str
+    summary: str
     arm: str = "nominal"
     start: StartPose = "stowed"
 
@@ -162,7 +162,7 @@ def _read_scenario(data: dict[str, Any], name: str, findings: Findings) -> Scena
     return Scenario(
         name=name,
         title=head.title,
-        sentence=head.sentence,
+        summary=head.summary,
         world=world.built,
         commands=_without_none(commands),
         checks=_without_none(checks),

@@ -148,7 +148,7 @@ def _check_preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[Che
     ]
     return (
         _force_result(trace, normal, check.after, check.tool, check.force_N, check.share),
-        CheckResult("most force", _maximum(normals), "N", high=check.most_N),
+        CheckResult("most force", _maximum(normals), "N", high=check.max_N),
         CheckResult("lateral over normal force", _maximum(ratios), "", high=check.ratio),
         CheckResult("slip", _maximum(slips), "m", high=check.slip_m),
     )

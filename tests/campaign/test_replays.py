@@ -22,7 +22,7 @@ def test_a_run_that_is_refused_is_counted_as_not_the_same(monkeypatch: pytest.Mo
     one = replays.replay_one("contact", "nominal")
     assert (one.outcome, one.verdict, one.identical) == (replays.NOT_REPLAYED, "no such arm", False)
     found = replays.summarize([same("press", "nominal"), one])
-    assert (found["asked"], found["replayed"], found["identical"]) == (2, 1, 1)
+    assert (found["requested"], found["replayed"], found["identical"]) == (2, 1, 1)
 
 
 @pytest.mark.parametrize(("outcome", "status"), [("done", 0), (replays.NOT_REPLAYED, 1)])
@@ -35,4 +35,4 @@ def test_the_exit_status_tells_whether_all_that_was_asked_is_the_same(
     with pytest.raises(SystemExit) as ended:
         replays.main()
     assert ended.value.code == status
-    assert json.loads(capsys.readouterr().out)["asked"] == 1
+    assert json.loads(capsys.readouterr().out)["requested"] == 1

@@ -26,6 +26,6 @@ def test_a_touch_rests_half_a_second_after_the_last_set_point(tool: Tool, arm_na
     rest = rest_after(loop, commands, tool)
     assert isinstance(rest, ContactRest)
     assert rest.mean_N > 5.0
-    assert rest.soon < 0.2
-    assert rest.later < 0.05
+    assert rest.force_error_0_5_s < 0.2
+    assert rest.force_error_2_s < 0.05
     assert rest.lost == rest.switched == 0

@@ -54,8 +54,8 @@ def run_to_end(run: InitialisationRun) -> InitialisationResult:
     for _ in run:
         pass
     result = run.result()
-    assert np.all(result.most_torque_Nm < RATED_NM)
-    assert result.most_current_share.max() <= 1.0 + 1e-9
+    assert np.all(result.max_torque_Nm < RATED_NM)
+    assert result.max_current_ratio.max() <= 1.0 + 1e-9
     return result
 
 
@@ -124,7 +124,7 @@ def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder
     assert left_Nm > 0.5 * run.loop.config.params.joints.in_order()[joint].hardstop_press_Nm
     result = run_to_end(InitialisationRun(run.loop, Calibrate(joint)))
     assert result.outcome is Outcome.DONE
-    assert result.most_torque_Nm[joint] < 1.1 * run_to_end(ordinary).most_torque_Nm[joint]
+    assert result.max_torque_Nm[joint] < 1.1 * run_to_end(ordinary).max_torque_Nm[joint]
     assert abs(result.stops[0].zero_error_rad) < 0.1e-3
 
 

@@ -88,7 +88,7 @@ def run_brief(folder: Path, seed: int) -> dict[str, Any]:
         "digest": digest,
         "kinds": [case.kind for case in truth.cases],
         "times_limit": [effect.times_limit for case in truth.cases for effect in case.effects],
-        "in_bounds": found.false_alarm.hits == 0 and clear.hits == clear.of and found.superfluous.hits == 0,
+        "in_bounds": found.false_alarm.hits == 0 and clear.hits == clear.of and found.spurious.hits == 0,
         **score_json(found),
     }
 

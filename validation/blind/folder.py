@@ -29,19 +29,19 @@ class _PlacedEffect:
 @dataclass(frozen=True, slots=True)
 class _Size:
     name: str
-    is_size: Literal[True]
+    is_amplitude: Literal[True]
     least: FiniteFloat
     most: FiniteFloat
 
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
-    is_size: Literal[False]
+    is_amplitude: Literal[False]
 
 
 @dataclass(frozen=True, slots=True)
 class _Finding(_PlacedEffect):
-    parameters: list[Annotated[_Size | _Shape, Field(discriminator="is_size")]]
+    parameters: list[Annotated[_Size | _Shape, Field(discriminator="is_amplitude")]]
     alternatives: list[_PlacedEffect]
 
 

@@ -153,7 +153,7 @@ def _list_detectable(
 def _true_case(number: int, plan: PlannedCase, seed: int) -> TrueCase:
     rng = np.random.default_rng([seed, 10, number])
     specs = tuple(effect_text(effect) for effect in sample_background(rng))
-    effects = tuple(_true_effect(one, plan.kind == "outside") for one in plan.effects)
+    effects = tuple(_true_effect(one, plan.kind == "out-of-catalogue") for one in plan.effects)
     return TrueCase(case_name(number), plan.kind, effects, specs, int(rng.integers(10**9, 2**31)))
 
 

@@ -181,7 +181,9 @@ def uncatalogued_limits(
     Raises:
         BadRequest: The cache belongs to another campaign or other effects.
     """
-    with Checkpoint(kept_in / "outside.jsonl", {"of": _inputs_digest(logs, equations)}, _read_limit) as kept:
+    with Checkpoint(
+        kept_in / "out_of_catalogue.jsonl", {"of": _inputs_digest(logs, equations)}, _read_limit
+    ) as kept:
         limits = {(one["name"], one["place"]): _read_limit(one) for one in kept.done}
         shares = {name: 1.0 for name in wanted if name not in limits}
         best = dict.fromkeys(shares, np.inf)
@@ -200,7 +202,7 @@ def uncatalogued_limits(
                     kept.add(
                         {"name": one.name[0], "place": one.name[1], "limit": finite_or_none(limits[one.name])}
                     )
-                progress(done, len(jobs), "outside")
+                progress(done, len(jobs), "out-of-catalogue")
     return [DetectableEffect(one.hypothesis, limits[name], None) for name, one in wanted.items()]
 
 

@@ -88,7 +88,7 @@ class Score:
     found: DetectionRates
     found_given: DetectionRates
     """The same rates in cases with the verdict "named" or "set"."""
-    superfluous: Rate
+    spurious: Rate
     """Reported effects that are not effects of the case."""
     set_size: float
     """Mean number of classes in a reported set; NaN if there is none."""
@@ -102,7 +102,7 @@ class Score:
     """Difference of the two, case by case."""
     seconds: Median
     """CPU seconds for a case."""
-    most_seconds: float
+    max_seconds: float
     bins: tuple[Bin, ...]
     baselines: Mapping[str, Baseline]
     verdicts: Mapping[str, Mapping[str, int]]
@@ -122,7 +122,7 @@ def score(
         true_closure: Function that returns the closure of a case's true effects, fitted.
     """
     nothing = [result for true, result in solved if true.kind == "none"]
-    outside = [(true, result) for true, result in solved if true.kind == "outside"]
+    outside = [(true, result) for true, result in solved if true.kind == "out-of-catalogue"]
     inside = [(true, result) for true, result in solved if true.kind in ("single", "pair")]
     each = [(one, result) for true, result in inside for one in true.effects]
     clear = [(one, result) for one, result in each if one.times_limit >= 1.0]
@@ -298,7 +298,7 @@ def _coverage_hits(true: TrueCase, document: ResultDocument) -> list[bool]:
     for effect in true.effects:
         finding = found.get((effect.name, effect.place))
         for parameter in finding["parameters"] if finding is not None else ():
-            if parameter["is_size"]:
+            if parameter["is_amplitude"]:
                 value = effect.values[parameter["name"]]
                 hits.append(bool(parameter["least"] <= value <= parameter["most"]))
     return hits
@@ -351,7 +351,7 @@ def _check_sizes(case: TrueCase, result: ResultDocument) -> None:
     """Raise BadRequest if a result gives a true effect a parameter that it does not have."""
     true = {(effect.name, effect.place): set(effect.values) for effect in case.effects}
     for finding in result["effects"]:
-        sizes = {parameter["name"] for parameter in finding["parameters"] if parameter["is_size"]}
+        sizes = {parameter["name"] for parameter in finding["parameters"] if parameter["is_amplitude"]}
         for unknown in sizes - true.get((finding["name"], finding["place"]), sizes):
             raise BadRequest(
                 f"{case.name}: {finding['name']} has no {unknown}; remove its result and solve again"

@@ -32,7 +32,7 @@ class Link:
     """Centre of mass in the frame at the end of the link."""
     compliance_rad_per_Nm: Annotated[float, Limits(-1.0, 1.0)] = 0.0
     """Rotation of the joint for each newton metre of load torque."""
-    approach_rad: Annotated[float, Limits(-1.0, 1.0)] = 0.0
+    hysteresis_rad: Annotated[float, Limits(-1.0, 1.0)] = 0.0
     """Direction hysteresis: true less read angle after a positive move; negated after a negative one."""
     cos_rad: tuple[float, ...] | None = None
     """Periodic error, true less read angle: sum of cos[k] cos((k + 1) q) + sin[k] sin((k + 1) q)."""
@@ -74,8 +74,8 @@ class Uncertainty:
     length_m: Sigma = 1e-3
     angle_rad: Sigma = 2e-3
     compliance_rad_per_Nm: Sigma = 1e-4
-    approach_rad: Sigma = 3e-4
-    wave_rad: Sigma = 3e-5
+    hysteresis_rad: Sigma = 3e-4
+    periodic_rad: Sigma = 3e-5
     """Sigma of each cosine and sine of the periodic error."""
     orders: Annotated[int, Limits(0, 500)] = 48
     """Highest order of the periodic error, in periods a turn."""
@@ -97,8 +97,8 @@ class SerialArm:
     links: tuple[Link, ...]
     gravity_B_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
     """Gravity in the base frame; the first joint rotates about z of this frame."""
-    uncertain: Uncertainty = Uncertainty()
-    repeats: Repeatability = Repeatability()
+    uncertainty: Uncertainty = Uncertainty()
+    repeatability: Repeatability = Repeatability()
 
     @property
     def link_geometry(self) -> Array:

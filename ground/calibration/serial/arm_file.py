@@ -24,8 +24,8 @@ class _Head:
 
     name: str
     gravity_B_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
-    uncertain: Uncertainty = field(default_factory=Uncertainty)
-    repeats: Repeatability = field(default_factory=Repeatability)
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    repeatability: Repeatability = field(default_factory=Repeatability)
 
 
 def arm_from_toml(text: str, file: str) -> SerialArm:
@@ -52,7 +52,7 @@ def arm_from_toml(text: str, file: str) -> SerialArm:
     if head is None or findings.problems:
         raise BadArmFile("\n".join(f"{file}:{p.line}: {p.text}" for p in sorted(findings.problems)))
     found = tuple(one for one in links if one is not None)
-    return SerialArm(head.name, found, head.gravity_B_m_s2, head.uncertain, head.repeats)
+    return SerialArm(head.name, found, head.gravity_B_m_s2, head.uncertainty, head.repeatability)
 
 
 def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
@@ -74,7 +74,7 @@ def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
     ]
     for one in arm.links:
         lines += ["[[link]]", *_fields(one), ""]
-    for name, record in (("uncertain", arm.uncertain), ("repeats", arm.repeats)):
+    for name, record in (("uncertainty", arm.uncertainty), ("repeatability", arm.repeatability)):
         lines += [f"[{name}]", *_fields(record), ""]
     return "\n".join(lines)
 

@@ -164,8 +164,8 @@ class JointError:
     name: str
     compliance_rad_per_Nm: float
     compliance_sigma: float
-    approach_rad: float
-    approach_sigma: float
+    hysteresis_rad: float
+    hysteresis_sigma: float
     rms_rad: float
     """Root mean square periodic error at the measured poses."""
     peak_rad: float
@@ -174,7 +174,7 @@ class JointError:
 
 def contributions_m(found: SerialCalibration) -> dict[str, float]:
     """Compute the root mean square motion of the target that each term causes."""
-    fit, sigma_m = found.fit, found.model.arm.repeats.position_m
+    fit, sigma_m = found.fit, found.model.arm.repeatability.position_m
     J = fit.at.jacobian[:, 3:]
     names = [parameter.name.split(".") for parameter in fit.parameters]
     contributions = {}
@@ -206,7 +206,7 @@ def joint_errors(found: SerialCalibration) -> tuple[JointError, ...]:
                 one.name,
                 one.compliance_rad_per_Nm,
                 sigma.get(f"{one.name}.compliance", 0.0),
-                one.approach_rad,
+                one.hysteresis_rad,
                 sigma.get(f"{one.name}.approach", 0.0),
                 float(np.sqrt(np.mean(waves**2))),
                 float(np.max(np.abs(waves))),

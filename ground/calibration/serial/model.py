@@ -46,7 +46,7 @@ def joint_coefficients(arm: SerialArm, orders: int) -> Array:
     """
     return np.array(
         [
-            [one.compliance_rad_per_Nm, one.approach_rad, *one.periodic_rad(orders).ravel()]
+            [one.compliance_rad_per_Nm, one.hysteresis_rad, *one.periodic_rad(orders).ravel()]
             for one in arm.links
         ]
     )
@@ -114,7 +114,7 @@ class SerialModel:
     @property
     def parameters(self) -> list[FitParameter]:
         """List the parameters in the order of the values: base, target, links, coefficients of the joints."""
-        tolerance = self.arm.uncertain
+        tolerance = self.arm.uncertainty
         sizes = (tolerance.angle_rad, tolerance.length_m)
         found = [
             _geometry_parameter(place, name, *sizes)
@@ -124,8 +124,8 @@ class SerialModel:
         if GEOMETRY in self.terms:
             links = ((one.name, name) for one in self.arm.links for name in GEOMETRY_NAMES)
             found += [_with_prior(_geometry_parameter(*which, *sizes)) for which in links]
-        non_periodic = [tolerance.compliance_rad_per_Nm, tolerance.approach_rad]
-        sigmas = np.array([*non_periodic, *[tolerance.wave_rad] * (2 * self.orders)])
+        non_periodic = [tolerance.compliance_rad_per_Nm, tolerance.hysteresis_rad]
+        sigmas = np.array([*non_periodic, *[tolerance.periodic_rad] * (2 * self.orders)])
         names = coefficient_names(self.orders)
         for one in self.arm.links:
             for k in self._chosen:
@@ -203,7 +203,7 @@ class SerialModel:
         return linearise(X_M, np.concatenate([*columns, *joint_columns], axis=2), self._measured())
 
     def _measured(self) -> MeasuredPoses:
-        noise = self.arm.repeats
+        noise = self.arm.repeatability
         variance = np.repeat([noise.rotation_rad**2, noise.position_m**2], 3)
         return MeasuredPoses(self.series.X_TM, np.broadcast_to(np.diag(variance), (self.series.count, 6, 6)))
 
@@ -212,7 +212,7 @@ def serial_model(
     arm: SerialArm, setup: TrackerSetup, series: PoseSeries, terms: Sequence[str]
 ) -> SerialModel:
     """Build the residual model of a series; effects of the arm that are not fitted stay in the model."""
-    orders = max(arm.orders, arm.uncertain.orders if PERIODIC in terms else 0)
+    orders = max(arm.orders, arm.uncertainty.orders if PERIODIC in terms else 0)
     return SerialModel(arm, setup, series, tuple(terms), orders, features(arm, series, orders))
 
 
@@ -241,7 +241,7 @@ def _update_link(one: Link, geometry: Array, errors: Array) -> Link:
         alpha_rad=alpha,
         a_m=a,
         compliance_rad_per_Nm=float(errors[0]),
-        approach_rad=float(errors[1]),
+        hysteresis_rad=float(errors[1]),
         cos_rad=cos,
         sin_rad=sin,
     )

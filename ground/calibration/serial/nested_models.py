@@ -170,7 +170,7 @@ def fit_nested_models(
         progress(len(done) + 1, len(steps) + 1, "judging")
         is_whole = terms == steps[-1]
         found = whole if is_whole else fit_poses(arm, setup, part, terms, whole.fit.used)
-        validation = CrossValidation(found.fit, arm.repeats.position_m)
+        validation = CrossValidation(found.fit, arm.repeatability.position_m)
         held_out = validation.held_out()
         gain = gain_m(done[-1].held_out, held_out) if done else (np.inf, 0.0)
         calibrated, calibrated_setup = found.arm, found.setup

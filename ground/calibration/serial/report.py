@@ -24,16 +24,16 @@ MAX_SPACING_RAD: Final = 0.03
 COLUMNS: Final = 3
 
 
-def serial_json(report: SerialReport, picture_lacks: str | None) -> dict[str, Any]:
+def serial_json(report: SerialReport, picture_problem: str | None) -> dict[str, Any]:
     """Convert the calibration to a JSON document in metres and radians."""
-    last = report.steps[-1]
+    last = report.models[-1]
     fit = last.found.fit
     return {
         "arm": report.arm.name,
         "poses": report.poses,
         "fitted_poses": report.part.count,
         "terms": list(last.terms),
-        "steps": [_step_json(step) for step in report.steps],
+        "models": [_step_json(step) for step in report.models],
         "held_out_rms_m": None if last.fresh is None else last.fresh.rms_m,
         "held_out_rms_rad": None if last.fresh is None else last.fresh.rms_rad,
         "held_out_over_expected": report.ratio,
@@ -42,31 +42,31 @@ def serial_json(report: SerialReport, picture_lacks: str | None) -> dict[str, An
             "rank": report.identifiability.rank,
             "condition": report.identifiability.condition if report.identifiability.rank else None,
             "converged": fit.converged,
-            "passes": fit.iterations,
+            "iterations": fit.iterations,
             "sigma0": fit.sigma0,
             "outlier_rows": list(last.found.outliers),
-            "not_told_apart": [
-                {"names": list(group.names), "seen": group.identified}
+            "unidentifiable": [
+                {"names": list(group.names), "identified": group.identified}
                 for group in report.identifiability.unidentifiable_groups()
             ],
         },
-        "moves_target_m": contributions_m(last.found),
+        "contributions_m": contributions_m(last.found),
         "joints": [
             {
                 "name": one.name,
                 "compliance_rad_per_Nm": one.compliance_rad_per_Nm,
                 "compliance_sigma": one.compliance_sigma,
-                "approach_rad": one.approach_rad,
-                "approach_sigma": one.approach_sigma,
-                "waves_rms_rad": one.rms_rad,
-                "waves_peak_rad": one.peak_rad,
+                "hysteresis_rad": one.hysteresis_rad,
+                "hysteresis_sigma": one.hysteresis_sigma,
+                "periodic_rms_rad": one.rms_rad,
+                "periodic_peak_rad": one.peak_rad,
             }
             for one in joint_errors(last.found)
         ],
         "links": _links_json(report),
         "temperature": _temperature_json(report.temperature),
         "sha256": report.digests,
-        "picture_lacks": picture_lacks,
+        "picture_problem": picture_problem,
     }
 
 
@@ -78,7 +78,7 @@ def _step_json(step: NestedModel) -> dict[str, Any]:
         "cross_validated_rms_m": step.held_out.rms_m,
         "gain_m": None if is_first else step.gain_m,
         "gain_sigma_m": None if is_first else step.gain_sigma_m,
-        "worth_it": step.is_significant,
+        "significant": step.is_significant,
         "held_out_rms_m": None if step.fresh is None else step.fresh.rms_m,
         "held_out_max_m": None if step.fresh is None else float(step.fresh.position_m.max()),
         "held_out_rms_rad": None if step.fresh is None else step.fresh.rms_rad,
@@ -87,8 +87,8 @@ def _step_json(step: NestedModel) -> dict[str, Any]:
 
 def _links_json(report: SerialReport) -> list[dict[str, Any]]:
     """List the difference of each link parameter from the file, with its sigma."""
-    fit = report.steps[-1].found.fit
-    if GEOMETRY not in report.steps[-1].terms:
+    fit = report.models[-1].found.fit
+    if GEOMETRY not in report.models[-1].terms:
         return []
     names = {parameter.name: k for k, parameter in enumerate(fit.parameters)}
     sigma = fit.sigma
@@ -97,7 +97,7 @@ def _links_json(report: SerialReport) -> list[dict[str, Any]]:
             "name": one.name,
             **{
                 number: {
-                    "differs": float(fit.values[names[f"{one.name}.{number}"]]),
+                    "difference": float(fit.values[names[f"{one.name}.{number}"]]),
                     "sigma": float(sigma[names[f"{one.name}.{number}"]]),
                 }
                 for number in GEOMETRY_NAMES
@@ -122,11 +122,11 @@ def _temperature_json(test: TemperatureTest | None) -> dict[str, Any] | None:
     }
 
 
-def serial_table(report: SerialReport, picture_lacks: str | None) -> None:
+def serial_table(report: SerialReport, picture_problem: str | None) -> None:
     """Print the gain of each term, the errors of the joints, and the remaining errors."""
     console = plain_console()
     console.print(_steps(report))
-    last = report.steps[-1]
+    last = report.models[-1]
     if set(last.terms) - {GEOMETRY}:
         console.print(_joints(report))
     fit = last.found.fit
@@ -141,7 +141,7 @@ def serial_table(report: SerialReport, picture_lacks: str | None) -> None:
     if report.request.out is not None:
         console.print(f"arm  {report.request.out}")
     if report.request.picture is not None:
-        console.print(f"picture  {picture_lacks or report.request.picture}")
+        console.print(f"picture  {picture_problem or report.request.picture}")
 
 
 def _noise_words(sigma0: float) -> str:
@@ -157,8 +157,8 @@ def _steps(report: SerialReport) -> Table:
     table.add_column("with")
     for name in ("fitted", "validated", "less by", "+-", "held out", "largest"):
         table.add_column(name, justify="right")
-    for k, step in enumerate(report.steps):
-        before = report.steps[k - 1].terms if k else ()
+    for k, step in enumerate(report.models):
+        before = report.models[k - 1].terms if k else ()
         new = ", ".join(step.terms[len(before) :]) if k else "base, target"
         gain = (step.gain_m, step.gain_sigma_m) if k else ()
         fresh = () if step.fresh is None else (step.fresh.rms_m, step.fresh.position_m.max())
@@ -174,10 +174,10 @@ def _mm(*lengths_m: float) -> list[str]:
 def _joints(report: SerialReport) -> Table:
     table = Table(title="Joint errors: urad/Nm, urad, mrad, mrad", title_justify="left")
     table.add_column("joint")
-    for name in ("compliance", "+-", "approach", "+-", "waves", "largest"):
+    for name in ("compliance", "+-", "hysteresis", "+-", "periodic", "largest"):
         table.add_column(name, justify="right")
-    for one in joint_errors(report.steps[-1].found):
-        micro = (one.compliance_rad_per_Nm, one.compliance_sigma, one.approach_rad, one.approach_sigma)
+    for one in joint_errors(report.models[-1].found):
+        micro = (one.compliance_rad_per_Nm, one.compliance_sigma, one.hysteresis_rad, one.hysteresis_sigma)
         cells = [f"{value * 1e6:.1f}" for value in micro]
         table.add_row(one.name, *cells, f"{one.rms_rad * 1e3:.2f}", f"{one.peak_rad * 1e3:.2f}")
     return table
@@ -207,7 +207,7 @@ def save_serial_figure(report: SerialReport, path: Path) -> str | None:
     Raises:
         BadOutput: The file cannot be written.
     """
-    joints = len(report.arm.links) if PERIODIC in report.steps[-1].terms else 0
+    joints = len(report.arm.links) if PERIODIC in report.models[-1].terms else 0
     rows = -(-joints // COLUMNS)
 
     def draw(figure: Any) -> None:
@@ -233,7 +233,7 @@ def _draw_errors(axes: Any, report: SerialReport) -> None:
 
 def _selected_steps(report: SerialReport) -> list[NestedModel]:
     """Select the first step, the one with the first term, and the last one."""
-    steps = report.steps
+    steps = report.models
     return [*steps[:2], *steps[2:][-1:]]
 
 
@@ -250,7 +250,7 @@ def _label(step: NestedModel) -> str:
 
 def _draw_joint(axes: Any, report: SerialReport, k: int) -> None:
     """Draw the periodic error of a joint at the measured angles."""
-    found = report.steps[-1].found
+    found = report.models[-1].found
     one = found.arm.links[k]
     turn = np.mod(report.part.joint_rad[k] + np.pi, 2 * np.pi) - np.pi
     order = np.argsort(turn)

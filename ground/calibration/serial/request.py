@@ -55,7 +55,7 @@ class SerialReport:
     poses: int
     part: PoseSeries
     fresh: PoseSeries | None
-    steps: tuple[NestedModel, ...]
+    models: tuple[NestedModel, ...]
     """Models; the first one has no terms, the last one all requested terms."""
     identifiability: Identifiability
     ratio: float | None
@@ -162,7 +162,7 @@ def _term_sets(terms: tuple[str, ...], is_nested: bool) -> Sequence[tuple[str, .
 
 def _provenance(report: SerialReport) -> list[str]:
     """Describe the origin of a calibrated arm."""
-    last = report.steps[-1]
+    last = report.models[-1]
     validation = (
         ""
         if last.fresh is None

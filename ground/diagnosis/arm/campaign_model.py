@@ -92,8 +92,8 @@ def load_thresholds(path: Path) -> Thresholds | None:
         if document.pop("code", None) != _code_digest():
             return None
         found = _THRESHOLDS_ADAPTER.validate_python(document)
-        if len(found.trust.weights) != len(fields(ConfidenceFeatures)) + 1:
-            raise ValueError(f"{len(found.trust.weights)} weights")
+        if len(found.confidence.weights) != len(fields(ConfidenceFeatures)) + 1:
+            raise ValueError(f"{len(found.confidence.weights)} weights")
     except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
         why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
         raise BadRequest(f"{path}: no thresholds ({why}); remove it, and they are found anew") from error

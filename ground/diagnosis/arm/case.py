@@ -93,7 +93,7 @@ class FittedCase:
     """The same residual for held-out motion, shape (n,)."""
     notes: tuple[str, ...]
     """Notes of the audit."""
-    floor: tuple[str, ...]
+    noise_floor: tuple[str, ...]
     """Notes on the origin of the noise floor."""
 
 
@@ -174,7 +174,7 @@ def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel, seed: int)
         tool_error,
         rank_repeats(fitted.model, diagnosis),
         fitted.notes,
-        fitted.floor,
+        fitted.noise_floor,
     )
 
 

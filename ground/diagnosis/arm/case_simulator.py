@@ -18,7 +18,7 @@ from ground.diagnosis.problem import EffectValues, FeatureLayout, Hypothesis, In
 from sim.effects.effect import Effect
 
 MOTION_CONDITIONS: Final = tuple(
-    CONDITIONS.index(name) for name in ("speed_rad_s", "sin_angle", "cos_angle", "way")
+    CONDITIONS.index(name) for name in ("speed_rad_s", "sin_angle", "cos_angle", "direction")
 )
 MOTION_TOLERANCE: Final = 0.02
 """Greatest difference of speed [rad/s], sine and cosine of an angle, for the same motion in two logs."""

@@ -17,8 +17,8 @@ from fsw.messages import Sensors
 from ground.calibration.screws import screw_log
 from ground.diagnosis.arm.features import (
     RESOLVER,
-    SCREW_SHIFT,
-    SCREW_TURN,
+    ROTATION,
+    TRANSLATION,
     Feature,
     MotionFeatures,
     SensorColumns,
@@ -223,7 +223,7 @@ def _list_rest_features(
             features.append(Feature(RESOLVER, name, "rest", recording.block, condition, f"rest {r}/{name}"))
     condition = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis, named in enumerate(SCREW_AXES):
-        channel = SCREW_TURN if axis < 3 else SCREW_SHIFT
+        channel = ROTATION if axis < 3 else TRANSLATION
         for r, _ in tracked:
             features.append(
                 Feature(channel, "turret", "pose", recording.block, condition, f"rest {r}/{named}")

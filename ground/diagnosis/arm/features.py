@@ -22,10 +22,10 @@ from fsw.kinematics.transforms import Array
 from ground.diagnosis.arm.logs import Recording
 from ground.diagnosis.arm.segments import BIN_TICKS, Segment, bin_means, find_segments
 
-CHANNELS: Final = ("current", "following", "resolver-encoder", "imu", "screw-turn", "screw-shift")
+CHANNELS: Final = ("current", "following-error", "resolver-encoder", "imu", "rotation", "translation")
 UNITS: Final = ("A", "rad", "rad", "m/s^2", "rad", "m")
-CURRENT, FOLLOWING, RESOLVER, IMU, SCREW_TURN, SCREW_SHIFT = range(len(CHANNELS))
-CONDITIONS: Final = ("temperature_C", "load_Nm", "speed_rad_s", "sin_angle", "cos_angle", "way")
+CURRENT, FOLLOWING_ERROR, RESOLVER, IMU, ROTATION, TRANSLATION = range(len(CHANNELS))
+CONDITIONS: Final = ("temperature_C", "load_Nm", "speed_rad_s", "sin_angle", "cos_angle", "direction")
 
 SensorColumns = Mapping[str, NDArray[Any]]
 _MEAN: Final = 1.0 / float(np.sqrt(BIN_TICKS))
@@ -103,7 +103,7 @@ def _segment_features(
     is_first = not any(s.joint is j and s.first < segment.first for s in segments)
     backlash_rad = 2.0 * float(config.half_backlash_rad[j])
     touch = _touch_tick(recording)
-    for channel in (CURRENT, FOLLOWING, RESOLVER):
+    for channel in (CURRENT, FOLLOWING_ERROR, RESOLVER):
         for bin_number, first, end in _compared_bins(recording, segment, channel, touch):
             speed = float(recording.drive["setpoint_rate_rad_s"][first:end, j].mean())
             angle = float(motor[(first + end) // 2])
@@ -145,7 +145,7 @@ def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
         j = segment.joint
         for channel, read in (
             (CURRENT, sensors["current_A"][:, j]),
-            (FOLLOWING, encoder[j] - setpoint[j]),
+            (FOLLOWING_ERROR, encoder[j] - setpoint[j]),
             (RESOLVER, resolver[j]),
         ):
             bins = _compared_bins(recording, segment, channel, touch)

@@ -98,12 +98,12 @@ def save_new_params(result: DiagnosisResult, base: Params, path: Path) -> None:
 
 
 def _patch_comments(result: DiagnosisResult) -> list[str]:
-    """Return comment lines: the findings, their confusable effects and their alternatives."""
+    """Return comment lines: the findings, their aliases and their alternatives."""
     names = [hypothesis.name for hypothesis in result.model.sensitivities.hypotheses]
     lines = ["Findings of a diagnosis; switch them on with --effect and the name of this file."]
     for finding in result.diagnosis.findings:
         own = names[finding.hypothesis]
-        alike = [names[one] for one in finding.confusable if one != finding.hypothesis]
+        alike = [names[one] for one in finding.equivalence_class if one != finding.hypothesis]
         rest = [names[one] for one, _ in list_alternatives(finding)]
         lines += [f"{own} cannot be distinguished from {one}." for one in alike]
         lines += [f"{one} is an alternative to {own}." for one in rest]

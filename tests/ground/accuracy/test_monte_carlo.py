@@ -126,7 +126,7 @@ def test_the_page_holds_its_picture(report, tmp_path):
 
 def test_an_interval_without_an_end_is_null_in_the_document(report):
     document = monte_carlo_json(report)
-    assert document["judged"]["percentile_interval"]["total_m"][1] is None
+    assert document["coverage"]["percentile_interval"]["total_m"][1] is None
     json.dumps(document, allow_nan=False)
 
 

@@ -33,7 +33,7 @@ def result_of(made, campaign, seed, t=None, extra=None):
 
 def named(made, campaign):
     """Diagnose one effect without an alias, at six times its limit."""
-    one = next(h for h in range(20, 40) if len(campaign.confusable(h)) == 1)
+    one = next(h for h in range(20, 40) if len(campaign.equivalence_class(h)) == 1)
     return result_of(made, campaign, 1, _sized(made, campaign, one, 6.0))
 
 
@@ -72,8 +72,8 @@ def _sized(made, campaign, one, times):
 
 
 def _motions(made, campaign, said: Diagnosis):
-    """Rank two motions for confusable findings; one repeats the campaign."""
-    alike_to = [one for finding in said.findings for one in finding.confusable]
+    """Rank two motions for aliased findings; one repeats the campaign."""
+    alike_to = [one for finding in said.findings for one in finding.equivalence_class]
     if len(alike_to) < 2:
         return ()
     rng = np.random.default_rng(9)

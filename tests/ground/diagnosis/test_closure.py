@@ -134,5 +134,5 @@ def test_the_next_motion_is_the_one_that_separates(made, campaign, rng):
     }
     motions = rank_motions(campaign.equations, {h: np.array([2.0]) for h in pair}, candidates)
     assert [motion.name for motion in motions] == ["another", "the same"]
-    assert motions[0].separation > 3.0 * motions[0].now
-    assert motions[1].separation >= motions[1].now
+    assert motions[0].separation > 3.0 * motions[0].separation_now
+    assert motions[1].separation >= motions[1].separation_now

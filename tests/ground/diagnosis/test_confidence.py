@@ -22,11 +22,11 @@ def _features(margin: float) -> ConfidenceFeatures:
 def test_what_wins_by_much_is_trusted_more_than_what_wins_by_little(rng):
     right = rng.random(400) < 0.5
     features = [_features(rng.normal(3.0 if good else 1.0)) for good in right]
-    trust = train_classifier(features, right, ~right, wrong=20)
-    assert trust.log_odds(_features(4.0)) > trust.log_odds(_features(0.0))
-    assert trust.accepts(_features(4.0))
-    assert not trust.accepts(_features(0.0))
-    assert sum(trust.accepts(one) for one, good in zip(features, right, strict=True) if not good) <= 20
+    classifier = train_classifier(features, right, ~right, wrong=20)
+    assert classifier.log_odds(_features(4.0)) > classifier.log_odds(_features(0.0))
+    assert classifier.accepts(_features(4.0))
+    assert not classifier.accepts(_features(0.0))
+    assert sum(classifier.accepts(one) for one, good in zip(features, right, strict=True) if not good) <= 20
 
 
 def test_with_nothing_to_learn_from_every_name_is_allowed():
@@ -57,9 +57,9 @@ def test_where_every_effect_has_an_alias_these_train_the_classifier(campaign, mo
     for cosine in (0.0, 1.1):
         monkeypatch.setattr("ground.diagnosis.thresholds.NEAR_ALIAS_COSINE", cosine)
         thresholds = calibrate_thresholds(*of, seed=1, cases=20)
-        assert thresholds.strangers == 20
-        assert thresholds.wrong <= MAX_WRONG_NAMES
-        assert np.isfinite(thresholds.trust.least)
+        assert thresholds.left_out_cases == 20
+        assert thresholds.wrong_names <= MAX_WRONG_NAMES
+        assert np.isfinite(thresholds.confidence.least)
 
 
 def _without(campaign, one):
@@ -75,7 +75,7 @@ def _without(campaign, one):
 
 def test_the_margin_is_what_the_best_of_another_class_leaves(made, campaign, rng):
     equations, candidates = campaign.equations, campaign.candidates
-    one = next(h for h in range(20, 40) if len(campaign.confusable(h)) == 1)
+    one = next(h for h in range(20, 40) if len(campaign.equivalence_class(h)) == 1)
     t = np.where(made.owner == one, 4.0 * campaign.limits[one].limit, 0.0)
     case = reduce_features(equations, equations.whiten(made.measured(rng, t)))
     selection = select_effects(candidates, case)

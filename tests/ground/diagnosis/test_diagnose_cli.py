@@ -49,11 +49,11 @@ def test_three_effects_with_many_alternatives_fit_on_a_screen(diagnose, results)
     result = results["alike"]
     (finding,) = result.diagnosis.findings
     many = Alternatives(tuple(range(4, 16)), (0.2, *(0.06,) * 11))
-    findings = (replace(finding, alternatives=many, confusable=tuple(range(8))),) * 3
+    findings = (replace(finding, alternatives=many, equivalence_class=tuple(range(8))),) * 3
     said = replace(result.diagnosis, findings=findings, verdict="set")
     done = diagnose(replace(result, diagnosis=said))
     assert done.exit_code == 0
-    assert "7 confusable with it, 11 alternatives" in " ".join(done.stdout.split())
+    assert "7 aliases, 11 alternatives" in " ".join(done.stdout.split())
     assert len(done.stdout.splitlines()) <= SCREEN
 
 

@@ -52,5 +52,5 @@ def test_in_place_of_an_effect_all_other_classes_are_worse(made, campaign, rng):
     (one,) = selection.chosen
     others = replacement_deviances(campaign.candidates, case, selection.chosen, one)
     assert min(others.values()) >= 0.0
-    assert not set(others) & set(campaign.confusable(one))
+    assert not set(others) & set(campaign.equivalence_class(one))
     assert np.exp(-max(others.values()) / 2.0) < MIN_PROBABILITY

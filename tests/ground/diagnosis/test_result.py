@@ -12,15 +12,15 @@ KEYS = {
     "verdict",
     "effects",
     "ranking",
-    "where",
+    "residual_map",
     "closure",
-    "confusable",
+    "equivalence_classes",
     "next_motion",
-    "odds",
+    "log_odds",
     "unexplained",
     "tool_mm",
     "notes",
-    "floor",
+    "noise_floor",
     "thresholds",
 }
 EFFECT = {
@@ -30,7 +30,7 @@ EFFECT = {
     "probability",
     "share",
     "alternatives",
-    "confusable",
+    "aliases",
     "at_bound",
 }
 
@@ -67,16 +67,16 @@ def test_an_effect_has_its_interval_and_its_probability(results):
     assert parameter["least"] < parameter["value"] < parameter["most"]
     assert effect["probability"] >= 0.95
     assert effect["share"] == pytest.approx(1.0)
-    assert effect["alternatives"] == effect["confusable"] == []
+    assert effect["alternatives"] == effect["aliases"] == []
 
 
 def test_aliased_effects_are_a_class_with_the_motion_that_separates_them(results):
     document = to_json(results["alike"])
     (effect,) = document["effects"]
-    (together,) = document["confusable"]
-    assert [{key: effect[key] for key in ("name", "place")}, *effect["confusable"]] == together
+    (together,) = document["equivalence_classes"]
+    assert [{key: effect[key] for key in ("name", "place")}, *effect["aliases"]] == together
     assert document["next_motion"][0]["name"] == "another"
-    assert document["next_motion"][0]["separation"] > document["next_motion"][0]["now"]
+    assert document["next_motion"][0]["separation"] > document["next_motion"][0]["separation_now"]
 
 
 def test_a_set_holds_others_and_what_they_are_worth(results):
@@ -88,8 +88,8 @@ def test_a_set_holds_others_and_what_they_are_worth(results):
 
 def test_structure_is_reported_where_it_is(results, made):
     for name, expected in (("unknown", True), ("beside", True), ("named", False), ("nothing", False)):
-        assert to_json(results[name])["unexplained"]["structure"] is expected
-    assert to_json(results["unknown"])["unexplained"]["remains"][0]["channel"] == made.layout.channels[6]
+        assert to_json(results[name])["unexplained"]["lack_of_fit"] is expected
+    assert to_json(results["unknown"])["unexplained"]["groups"][0]["channel"] == made.layout.channels[6]
 
 
 def test_what_is_not_finite_is_null(results):

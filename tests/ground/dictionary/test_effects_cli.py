@@ -13,7 +13,7 @@ def test_the_catalogue_is_one_document(tmp_path: Path) -> None:
     listed = {one["name"]: one for one in json.loads(done.stdout)["effects"]}
     assert set(listed) == set(catalogue())
     bending = listed["link-bending"]
-    assert bending["place"] == ["frame", "axis"]
+    assert bending["place_fields"] == ["frame", "axis"]
     assert bending["places"][-1] == "arm5.z"
     (parameter,) = bending["parameters"]
     assert (parameter["name"], parameter["unit"]) == ("compliance_rad_Nm", "rad/(N m)")

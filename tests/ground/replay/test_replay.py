@@ -148,7 +148,7 @@ def test_a_change_of_flight_software_is_named_by_channel_and_tick(tmp_path, monk
 
 SHORT = """\
 title = "A short move"
-sentence = "Turn the turret a little."
+summary = "Turn the turret a little."
 start = "ready"
 
 [[command]]

@@ -25,7 +25,7 @@ def test_one_joint_is_found_and_drawn(tmp_path):
     (joint,) = document["joints"]
     assert joint == "turret"
     assert abs(document["joints"]["turret"]["zero_error_mrad"]) < 0.1
-    assert document["most_current_share_of_limit"] == pytest.approx(1.0, abs=1e-9)
+    assert document["max_current_ratio"] == pytest.approx(1.0, abs=1e-9)
     with PIL.Image.open(picture) as image:
         assert image.width > 1000
 
@@ -64,7 +64,7 @@ def test_all_joints_one_after_the_other_as_flight_software_does_it(tmp_path):
     assert set(document["joints"]) == {joint.name.lower() for joint in Joint}
     for found in document["joints"].values():
         assert abs(found["zero_error_mrad"]) < 0.3
-        assert found["most_torque_Nm"] < 600
+        assert found["max_torque_Nm"] < 600
     assert "CommandCompleted" in [evr["name"] for evr in document["evrs"]]
 
 
@@ -120,7 +120,7 @@ def test_an_unsafe_pose_is_refused_without_any_motion(tmp_path):
     document = json.loads(done.stdout)
     assert document["outcome"] == "refused"
     assert "where elbow may be calibrated" in document["evrs"][-1]["message"]
-    assert document["most_current_share_of_limit"] == 0.0
+    assert document["max_current_ratio"] == 0.0
 
 
 def test_a_load_that_hides_the_hardstop_is_refused(tmp_path):

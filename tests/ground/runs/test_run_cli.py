@@ -10,7 +10,7 @@ from tests.ground.command import marsarm
 
 SHORT = """\
 title = "A short move"
-sentence = "Turn the turret a little."
+summary = "Turn the turret a little."
 start = "ready"
 
 [[command]]
@@ -152,7 +152,7 @@ def test_the_scenarios_are_listed_with_a_line_each(tmp_path):
     assert [line.split()[0] for line in lines] == list(built_in_scenarios())
     listed = json.loads(marsarm(tmp_path, "scenarios", "--json").stdout)["scenarios"]
     assert [scenario["name"] for scenario in listed] == list(built_in_scenarios())
-    assert all(scenario["sentence"] in line for scenario, line in zip(listed, lines, strict=True))
+    assert all(scenario["summary"] in line for scenario, line in zip(listed, lines, strict=True))
     assert "TOOL_CHANGE" in {scenario["name"]: scenario for scenario in listed}["tool-change"]["commands"]
 
 

@@ -109,7 +109,7 @@ def test_recover_saves_what_is_undamaged_and_says_what_is_lost(folder):
 def test_what_stands_behind_a_log_is_said_by_every_verb(folder, written):
     (folder / "two.mcap").write_bytes(written + written)
     found = run_json(folder, "info", "two.mcap")
-    assert (found["closed"], found["bytes_behind"], found["cycles"]) == (True, len(written), CYCLES)
+    assert (found["closed"], found["trailing_bytes"], found["cycles"]) == (True, len(written), CYCLES)
     for words in (("export", "two.mcap", "tables"), ("channels", "two.mcap")):
         assert "after the end of the log" in marsarm(folder, "log", *words).stderr
     assert "after the end of the log" in run_json(folder, "recover", "two.mcap", "g.mcap")["notes"][0]

@@ -109,7 +109,7 @@ def test_bytes_after_a_log_are_reported_and_cost_no_message(
     for rest in (behind, other):
         (tmp_path / "run.mcap").write_bytes(data + rest)
         log = read_log(tmp_path / "run.mcap")
-        assert (log.truncated, log.behind, len(log["/joint"])) == (False, len(rest), N_CYCLES)
+        assert (log.truncated, log.trailing_bytes, len(log["/joint"])) == (False, len(rest), N_CYCLES)
 
 
 def test_chunks_out_of_order_are_put_in_order(tmp_path: Path, data: bytes) -> None:

@@ -18,7 +18,7 @@ from tests.ground.command import marsarm
 
 SCENARIO = """\
 title = "A short move"
-sentence = "Turn the turret a little."
+summary = "Turn the turret a little."
 start = "ready"
 
 [[command]]

@@ -66,7 +66,7 @@ def test_what_is_written_wrongly_is_refused_with_what_would_be_right(text: str) 
 
 SCENARIO = """
 title = "Still"
-sentence = "Nothing to do."
+summary = "Nothing to do."
 [[command]]
 type = "UNSTOW"
 [[effect]]

@@ -2,7 +2,7 @@
 
 GOOD = """\
 title = "T"
-sentence = "S."
+summary = "S."
 start = "ready"
 
 [world]
@@ -81,7 +81,7 @@ BAD = {
         'start = "ready"',
         'begin = "ready"',
         3,
-        "begin: is not known here; there are title, sentence, arm, start, world, teach, command",
+        "begin: is not known here; there are title, summary, arm, start, world, teach, command",
     ),
     "a key of another command": (
         "distance_mm = 100",

@@ -88,7 +88,7 @@ def results(
     scenario = Scenario(
         name="made up",
         title="",
-        sentence="",
+        summary="",
         world=world or World(surface=surface),
         commands=(MoveJoints((0.0,) * 5), Preload(Tool.DRILL, 300.0)),
         checks=(check,),

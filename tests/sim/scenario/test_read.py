@@ -35,7 +35,7 @@ from sim.scenario.toml_tables import (
 )
 from sim.world import Surface
 
-HEAD = 'title = "T"\nsentence = "S."\nstart = "ready"\n'
+HEAD = 'title = "T"\nsummary = "S."\nstart = "ready"\n'
 NOTHING_FOUND = {(): 1}
 SAMPLES = {
     "tool": "apxs",
@@ -252,7 +252,7 @@ def test_every_scenario_of_the_house_loads_and_says_how_it_ends(name):
     found = load_scenario(name)
     assert found.name == name
     assert found.title
-    assert found.sentence.endswith(".")
+    assert found.summary.endswith(".")
     assert found.arm == "nominal"
 
 

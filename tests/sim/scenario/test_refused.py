@@ -42,17 +42,17 @@ def test_all_problems_are_told_at_once_in_the_order_of_their_lines():
 
 
 def test_a_file_without_commands_and_checks_says_what_is_missing():
-    found = problems('title = "T"\nsentence = "S."\n')
+    found = problems('title = "T"\nsummary = "S."\n')
     assert [text.split(";")[0] for _, text in found] == ["check: is missing", "command: is missing"]
 
 
 def test_lists_with_nothing_in_them_are_missing_too():
-    found = problems('title = "T"\nsentence = "S."\ncommand = []\ncheck = []\n')
+    found = problems('title = "T"\nsummary = "S."\ncommand = []\ncheck = []\n')
     assert [text.split(";")[0] for _, text in found] == ["check: is missing", "command: is missing"]
 
 
 def test_an_empty_file_is_told_everything_that_is_missing():
-    assert {text.split(":")[0] for _, text in problems("")} == {"title", "sentence", "command", "check"}
+    assert {text.split(":")[0] for _, text in problems("")} == {"title", "summary", "command", "check"}
 
 
 @pytest.mark.parametrize("text", ["[" * 20000, "x = " + "[" * 20000, "x = 1" + "0" * 5000], ids=str.__len__)

@@ -28,17 +28,19 @@ def drawn_arm(joints=4):
         )
         for k in range(joints)
     )
-    uncertain = Uncertainty(compliance_rad_per_Nm=1e-4, wave_rad=2e-4, orders=ORDERS)
-    return SerialArm("made up", links, uncertain=uncertain, repeats=Repeatability(POSITION_M, ROTATION_RAD))
+    uncertainty = Uncertainty(compliance_rad_per_Nm=1e-4, periodic_rad=2e-4, orders=ORDERS)
+    return SerialArm(
+        "made up", links, uncertainty=uncertainty, repeatability=Repeatability(POSITION_M, ROTATION_RAD)
+    )
 
 
 def built_arm(arm, seed):
     """Return a built arm, with random errors of the size that the file states."""
-    rng, sure = np.random.default_rng(seed), arm.uncertain
+    rng, sure = np.random.default_rng(seed), arm.uncertainty
 
     def off(one):
         angle, length = (sigma * rng.standard_normal(3) for sigma in (sure.angle_rad, sure.length_m))
-        waves = sure.wave_rad * rng.standard_normal((2, sure.orders))
+        waves = sure.periodic_rad * rng.standard_normal((2, sure.orders))
         return replace(
             one,
             theta_rad=one.theta_rad + angle[0],
@@ -48,7 +50,7 @@ def built_arm(arm, seed):
             b_m=one.b_m + length[1],
             a_m=one.a_m + length[2],
             compliance_rad_per_Nm=5e-5 * abs(rng.standard_normal()),
-            approach_rad=1e-4 * rng.standard_normal(),
+            hysteresis_rad=1e-4 * rng.standard_normal(),
             cos_rad=tuple(waves[0].tolist()),
             sin_rad=tuple(waves[1].tolist()),
         )

@@ -45,8 +45,8 @@ def test_standard_output_is_one_document(ended):
 
 
 def test_the_large_errors_of_the_arm_are_worth_their_terms(ended):
-    steps = json.loads(ended[1].stdout)["steps"]
-    worth = {step["terms"][-1]: step["worth_it"] for step in steps[1:]}
+    steps = json.loads(ended[1].stdout)["models"]
+    worth = {step["terms"][-1]: step["significant"] for step in steps[1:]}
     assert list(worth) == ["geometry", "compliance", "waves", "approach"]
     assert worth["geometry"]
     assert worth["waves"]
@@ -60,7 +60,7 @@ def test_the_arm_that_was_found_says_where_it_is_from_and_can_be_judged_again(en
     assert json.loads(done.stdout)["sha256"]["table"] in found
     assert arm_from_toml(found, "found.toml").name == "made up"
     again = calibrate_serial(make_request(folder, arm=folder / "found.toml", terms="none"), quiet)
-    assert again.steps[-1].fresh.rms_m < 1.2 * POSITION_M * 3**0.5
+    assert again.models[-1].fresh.rms_m < 1.2 * POSITION_M * 3**0.5
 
 
 def test_the_picture_shows_every_joint(ended):

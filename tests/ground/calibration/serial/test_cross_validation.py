@@ -22,7 +22,7 @@ def validated(air, moved_m):
     part = series(built_arm(drawn, 1), setup(2), COUNT, 3, air=air)
     part = replace(part, X_TM=Pose(part.X_TM.R, part.X_TM.p + moved_m))
     found = calibrate_series(drawn, estimate_setup(drawn, part), part, TERMS)
-    return found, CrossValidation(found.fit, drawn.repeats.position_m)
+    return found, CrossValidation(found.fit, drawn.repeatability.position_m)
 
 
 def test_a_block_is_predicted_as_by_a_fit_that_never_saw_it():

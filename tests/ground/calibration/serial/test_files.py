@@ -40,7 +40,7 @@ def test_the_mappings_of_the_models_are_of_the_ur10(name):
         (("d_m = 0.1273", 'd_m = "long"'), "arm.toml:10: d_m: 'long' is not a number"),
         (('name = "elbow"', 'name = "wrist_1"'), "name: 'wrist_1' is taken already; give each link its own"),
         (("orders = 48", "orders = 4800"), "orders: 4800 is outside 0 .. 500"),
-        (("[repeats]", "[repeat]"), "repeat: is not known here"),
+        (("[repeatability]", "[repeat]"), "repeat: is not known here"),
         (('name = "UR10"', ""), "name: is missing"),
         (("mass_kg = 7.1", "cos_rad = [1e-4]"), "cos and sin are not equally many"),
     ],

@@ -16,7 +16,7 @@ def quiet(*_) -> None:
 def test_half_of_series_c_predicts_the_other_half(real_data):
     table = real_data / "ur10-tracker" / TABLES["c"]
     report = calibrate_serial(SerialRequest(FILES / "arm.toml", table, FILES / "series_c.toml"), quiet)
-    last = report.steps[-1]
+    last = report.models[-1]
     assert last.fresh.rms_m * 1e3 < BOUNDS_MM["c"]
     assert last.found.outliers == ()
     assert last.found.fit.converged
@@ -30,4 +30,4 @@ def test_all_that_the_measured_arm_has_to_show(real_data):
     assert found["passed"], json.dumps(found["held_out_position_rms"])
     assert set(found["temperature_explains"].values()) == {"nothing"}
     for name in ("a", "c"):
-        assert all(step["worth_it"] for step in found[name]["steps"])
+        assert all(step["significant"] for step in found[name]["models"])

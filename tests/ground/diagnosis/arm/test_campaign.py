@@ -18,7 +18,7 @@ from ground.diagnosis.arm.feature_set import (
     simulate_features,
     simulate_motion,
 )
-from ground.diagnosis.arm.features import CHANNELS, CURRENT, IMU, SCREW_SHIFT, SCREW_TURN
+from ground.diagnosis.arm.features import CHANNELS, CURRENT, IMU, ROTATION, TRANSLATION
 from ground.diagnosis.arm.finite_differences import (
     find_aliases,
     find_shared_slopes,
@@ -110,9 +110,9 @@ def test_a_longer_link_moves_the_turret_by_as_much(recordings: list[Recording]) 
     moved = simulate_features(campaign, (LinkLength(Frame.ARM3, "x", 1e-3),), SHORT_SETTLING)
     moved -= simulate_features(campaign, (), SHORT_SETTLING)
     channels = np.array([feature.channel for feature in campaign.features])
-    shift = moved[channels == SCREW_SHIFT].reshape(len(poses), 3, -1)
+    shift = moved[channels == TRANSLATION].reshape(len(poses), 3, -1)
     np.testing.assert_allclose(np.linalg.norm(shift, axis=1), 1e-3, rtol=0.02)
-    assert np.abs(moved[channels == SCREW_TURN]).max() < 1e-5
+    assert np.abs(moved[channels == ROTATION]).max() < 1e-5
 
 
 def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording]) -> None:

@@ -58,11 +58,11 @@ def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
             hypothesis = one.source.hypothesis
             values = {p.name: float(v) for p, v in zip(hypothesis.parameters, one.values, strict=True)}
             effects.append(TrueEffect(hypothesis.effect, hypothesis.place, values, one.times_limit, ""))
-            if case.kind != "outside":
+            if case.kind != "out-of-catalogue":
                 t[made.owner == made.hypotheses.index(hypothesis)] = [
                     v / p.typical for v, p in zip(one.values, hypothesis.parameters, strict=True)
                 ]
-        extra = shape if case.kind == "outside" else None
+        extra = shape if case.kind == "out-of-catalogue" else None
         here, there = (CaseResiduals(rows, made.measured(rng, t, extra, robot=number)) for _ in range(2))
         write_json(tmp_path / CASES_FOLDER / case_name(number) / "log", CaseFeatures(here, there).document())
         cases.append(TrueCase(case_name(number), case.kind, tuple(effects), (), 1))

@@ -40,7 +40,7 @@ def drawn(cases: int = 200, seed: int = 1):
 def test_of_two_hundred_cases_so_many_are_of_each_kind() -> None:
     kinds = [case.kind for case in drawn()]
     assert {kind: kinds.count(kind) for kind in set(kinds)} == {
-        "none": 60, "outside": 40, "pair": 40, "single": 60,
+        "none": 60, "out-of-catalogue": 40, "pair": 40, "single": 60,
     }  # fmt: skip
     assert kinds != sorted(kinds)
 
@@ -48,7 +48,7 @@ def test_of_two_hundred_cases_so_many_are_of_each_kind() -> None:
 def test_a_case_has_the_effects_of_its_kind() -> None:
     for case in drawn():
         assert len(case.effects) == {"none": 0, "pair": 2}.get(case.kind, 1)
-        assert all((one.source in OUTSIDE) == (case.kind == "outside") for one in case.effects)
+        assert all((one.source in OUTSIDE) == (case.kind == "out-of-catalogue") for one in case.effects)
         if case.kind == "pair":
             assert case.effects[0].source.label != case.effects[1].source.label
 

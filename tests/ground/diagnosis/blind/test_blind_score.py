@@ -28,7 +28,9 @@ def said(
             "name": name,
             "place": place,
             "alternatives": [{"name": n, "place": p} for n, p in more.get("alternatives", ())],
-            "parameters": [{"name": "size", "is_size": True, "least": 0.9, "most": more.get("most", 1.1)}],
+            "parameters": [
+                {"name": "size", "is_amplitude": True, "least": 0.9, "most": more.get("most", 1.1)}
+            ],
         }
         for name, place in effects
     ]
@@ -53,7 +55,7 @@ def test_anything_but_none_is_a_false_alarm_without_effect() -> None:
 
 
 def test_a_name_for_what_is_outside_is_wrong_and_unknown_is_not() -> None:
-    outside = true("outside", ("odd", "knee"))
+    outside = true("out-of-catalogue", ("odd", "knee"))
     found = scored(
         (outside, said("set", ("rub", "knee"))),
         (outside, said("unknown", ("rub", "knee"))),
@@ -84,7 +86,7 @@ def test_a_set_is_as_large_as_its_classes() -> None:
     more = {"alternatives": [("bend", "shin"), ("drag", "knee")]}
     found = scored((true("single", ("bend", "shin")), said("set", ("rub", "knee"), **more)))
     assert (found.set_size, found.found.in_set.hits, found.found.effect.hits) == (2.0, 1, 0)
-    assert (found.superfluous.hits, found.superfluous.of) == (1, 1)
+    assert (found.spurious.hits, found.spurious.of) == (1, 1)
 
 
 def test_each_of_a_pair_counts() -> None:
@@ -109,7 +111,7 @@ def test_closure_is_held_against_what_the_truth_achieves() -> None:
     found = scored(*cases, (one, said("none", share=0.1)), achieved=0.95)
     assert found.closure.median == pytest.approx(0.8)
     assert found.closure_lost.median == pytest.approx(0.15)
-    assert found.seconds.median == found.most_seconds == 9.0
+    assert found.seconds.median == found.max_seconds == 9.0
 
 
 def test_what_is_withheld_counts_against_all_and_not_against_those_named() -> None:

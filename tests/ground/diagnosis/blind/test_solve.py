@@ -106,7 +106,7 @@ GOOD = {
         {
             "name": "link-length",
             "place": "arm3.x",
-            "parameters": [{"name": "length_m", "is_size": True, "least": 0.001, "most": 0.002}],
+            "parameters": [{"name": "length_m", "is_amplitude": True, "least": 0.001, "most": 0.002}],
             "alternatives": [],
         }
     ],
@@ -115,7 +115,7 @@ GOOD = {
     "seconds": 9.5,
     "baselines": {"largest_error": {"place": "elbow"}},
 }
-SIZE = {"name": "length_m", "is_size": True, "least": None, "most": 0.002}
+SIZE = {"name": "length_m", "is_amplitude": True, "least": None, "most": 0.002}
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def test_a_size_that_an_effect_has_not_is_refused(folder) -> None:
     path = result_path(folder.path / "cases" / case.name)
     before = path.read_bytes()
     (one,) = case.effects
-    size = {"name": "size_of_another", "is_size": True, "least": 0.0, "most": 1.0}
+    size = {"name": "size_of_another", "is_amplitude": True, "least": 0.0, "most": 1.0}
     finding = {"name": one.name, "place": one.place, "parameters": [size], "alternatives": []}
     path.write_text(json.dumps(json.loads(before) | {"verdict": "named", "effects": [finding]}))
     with pytest.raises(BadRequest, match=f"{case.name}: {one.name} has no size_of_another"):

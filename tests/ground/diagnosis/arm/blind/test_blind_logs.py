@@ -31,7 +31,7 @@ from validation.blind.out_of_catalogue import list_uncatalogued
 SESSIONS = tuple(one for one in make.all_sessions() if one.name == "cold")
 
 
-def cases(kinds: tuple[str, ...] = ("single", "outside")) -> dict[str, TrueCase]:
+def cases(kinds: tuple[str, ...] = ("single", "out-of-catalogue")) -> dict[str, TrueCase]:
     """Return one case of each kind, with effects that need no campaign."""
     catalogue = [
         DetectableEffect(make.to_hypothesis(one), 0.4, number)
@@ -47,7 +47,7 @@ def cases(kinds: tuple[str, ...] = ("single", "outside")) -> dict[str, TrueCase]
 Recorded = tuple[Path, TrueCase]
 
 
-@pytest.fixture(scope="module", params=["single", "outside"])
+@pytest.fixture(scope="module", params=["single", "out-of-catalogue"])
 def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     folder, case = tmp_path_factory.mktemp("case"), cases()[request.param]
     make.record_case(folder, case, SESSIONS)
@@ -142,9 +142,9 @@ def test_a_case_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest
 
 
 def test_an_effect_from_outside_is_written_by_its_file_and_switched_on() -> None:
-    (effect,) = cases()["outside"].effects
+    (effect,) = cases()["out-of-catalogue"].effects
     assert effect.spec.startswith("sensors.py:DeadCurrent:")
-    made = make.true_effects(cases()["outside"])[-1]
+    made = make.true_effects(cases()["out-of-catalogue"])[-1]
     assert {"dead_A": getattr(made, "dead_A", None)} == effect.values
 
 
