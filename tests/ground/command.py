@@ -60,8 +60,8 @@ def call(program: Callable[[], object], folder: Path, *words: str) -> Ran:
         finally:
             for number, handler in handlers.items():
                 signal.signal(number, handler)
-    printed, told = (stream.buffer.getvalue().decode() for stream in (stdout, stderr))
-    return subprocess.CompletedProcess(words, status or 0, printed, told)
+    printed, errors = (stream.buffer.getvalue().decode() for stream in (stdout, stderr))
+    return subprocess.CompletedProcess(words, status or 0, printed, errors)
 
 
 def marsarm_process(folder: Path, *words: str, **variables: str) -> Ran:
