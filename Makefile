@@ -11,12 +11,13 @@ WORKERS ?= 2
 
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: help setup demo test bench brief campaign accuracy calibration ur10 joints jobs blind killed damage fuzz mutants \
+.PHONY: help setup demo test test-all bench brief campaign accuracy calibration ur10 joints jobs blind killed damage fuzz mutants \
   references oracle viewers lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
-	@echo "make test      set up, run the tests"
+	@echo "make test      set up, run the short tests: every command, monitor and mode, replay, a scenario, a calibration"
+	@echo "make test-all  set up, run all tests"
 	@echo "make bench     print the benchmarks as JSON"
 	@echo "make brief     run every campaign below in brief, a line for each; minutes where they take hours"
 	@echo "make campaign  try the inverse kinematics on twenty million targets, print what was found as JSON"
@@ -33,7 +34,7 @@ help:
 	@echo "make mutants   change fsw/protect in a thousand places, print which changes its own tests do not notice"
 	@echo "make oracle    compare the inverse kinematics with EAIK, if it can be installed"
 	@echo "make viewers   open a log in pymcap-cli and Rerun, if they can be installed"
-	@echo "make lint      style, types and the direction of imports"
+	@echo "make lint      style, types, the direction of imports, retired names and docstrings"
 	@echo "make lock      choose package versions anew (needs uv)"
 	@echo "make clean     remove what the other targets made"
 
@@ -45,7 +46,11 @@ demo: $(VENV)/ready
 
 # A file stays in one process: what its tests share is made once.
 test: $(VENV)/ready
-	@$(call say,running the tests in $(WORKERS) processes)
+	@$(call say,running the short tests in $(WORKERS) processes)
+	@$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile -m "not slow" $(ARGS)
+
+test-all: $(VENV)/ready
+	@$(call say,running all tests in $(WORKERS) processes)
 	@$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile $(ARGS)
 
 bench: $(VENV)/ready
@@ -135,13 +140,14 @@ viewers: $(VENV)/ready
 	  $(call say,they were not installed; pip says why above)
 	@$(BIN)/python -m pytest -q tests/ground/telemetry/test_viewers.py $(ARGS)
 
-# All three speak before any of them stops the target.
+# All four speak before any of them stops the target.
 lint: $(VENV)/ready
-	@$(call say,ruff; mypy; import-linter)
+	@$(call say,ruff; mypy; import-linter; names and docstrings)
 	@failed=0; \
 	$(BIN)/ruff check --quiet --no-cache . || failed=1; \
 	$(BIN)/mypy || failed=1; \
 	$(BIN)/lint-imports --no-logo --no-cache || failed=1; \
+	$(BIN)/python .ci/style.py || failed=1; \
 	exit $$failed
 
 $(VENV)/ready: $(VENV)/locked pyproject.toml

@@ -24,6 +24,7 @@ from sim.frames import P_NR_M
 from sim.loop import ClosedLoop, Setup
 from sim.world import Surface, World
 from tests.fsw.rig import MARS_R_m_s2, config_of, facing, floats
+from tests.marks import slow_but
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest
 
@@ -68,14 +69,17 @@ def run_without_switches(tool, switches) -> tuple[float, list]:
     return peak_force_N(loop, GuardedMove(tool, floats(X_RT.p + 0.07 * axis), floats(axis)))
 
 
-@pytest.mark.parametrize(("tool", "dead"), [(tool, s) for tool in TOUCHING for s in TOOL_SWITCHES[tool]])
+DEAD = [(tool, switch) for tool in TOUCHING for switch in TOOL_SWITCHES[tool]]
+
+
+@pytest.mark.parametrize(("tool", "dead"), slow_but(DEAD, (Tool.APXS, TOOL_SWITCHES[Tool.APXS][0])))
 def test_a_guarded_tool_meets_a_rock_with_less_than_50_N_whichever_switch_is_dead(tool, dead):
     peak, evrs = run_without_switches(tool, (dead,))
     assert any(isinstance(evr, ContactMade | PreloadOutside) for evr in evrs)
     assert 0.0 < peak < 50.0
 
 
-@pytest.mark.parametrize("tool", TOUCHING)
+@pytest.mark.parametrize("tool", slow_but(TOUCHING, Tool.APXS))
 def test_a_guarded_tool_whose_switches_are_all_dead_is_felt_before_it_presses_with_100_N(tool):
     peak, evrs = run_without_switches(tool, TOOL_SWITCHES[tool])
     assert any(isinstance(evr, PreloadOutside) for evr in evrs)
@@ -90,6 +94,7 @@ def with_turret_angle(pose_rad, turned_rad):
     return np.where(np.arange(5) == Joint.TURRET, turned_rad, pose_rad)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "joints",
     [(Joint.AZIMUTH,), (Joint.ELEVATION,), (Joint.ELBOW,), (Joint.WRIST,), tuple(Joint)],

@@ -1,6 +1,7 @@
 """Joints at the hardstops of the plant: results of homing, and responses to faults."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from sim.effects.joints import GearFriction, HardstopAngle, HardstopStiffness
 from sim.initialisation import InitialisationResult, InitialisationRun, prepare_homing, prepare_random_homing
 from sim.sequence import Outcome
 from sim.world import World
+from tests.marks import slow_but
 from tests.sim import lab
 
 RATED_NM = np.array([joint.hardstop_rated_Nm for joint in arm_named("nominal").params.joints.in_order()])
@@ -72,11 +74,17 @@ def check_failure(run: InitialisationRun, event: type[evrs.Evr], joint: Joint) -
     assert run.loop.plant.data.eq_active[run.loop.plant.at.brake].all()
 
 
-@pytest.mark.parametrize("joint", Joint)
-def test_every_joint_of_the_nominal_arm_finds_its_zero_and_its_gap(joint):
+@cache
+def home_nominal(joint: Joint) -> tuple[InitialisationRun, InitialisationResult, np.ndarray]:
+    """Home a joint of the nominal arm; return the ended run, its result and the motor angles before it."""
     run = prepare_homing(arm_named("nominal"), joint, World())
     before = run.loop.plant.motor_rad()
-    result = run_to_end(run)
+    return run, run_to_end(run), before
+
+
+@pytest.mark.parametrize("joint", slow_but(Joint, Joint.TURRET))
+def test_every_joint_of_the_nominal_arm_finds_its_zero_and_its_gap(joint):
+    run, result, before = home_nominal(joint)
     assert result.outcome is Outcome.DONE
     (stop,) = result.stops
     assert abs(stop.zero_error_rad) < 0.1e-3
@@ -87,8 +95,10 @@ def test_every_joint_of_the_nominal_arm_finds_its_zero_and_its_gap(joint):
     np.testing.assert_allclose(run.loop.plant.motor_rad()[others], before[others], atol=1e-6)
 
 
-@pytest.mark.parametrize("arm", ["as-built:3", "as-built:4"])
-@pytest.mark.parametrize("joint", Joint)
+AS_BUILT = [(arm, joint) for joint in Joint for arm in ("as-built:3", "as-built:4")]
+
+
+@pytest.mark.parametrize(("arm", "joint"), slow_but(AS_BUILT, ("as-built:3", Joint.ELEVATION)))
 def test_an_as_built_joint_in_the_cold_finds_its_zero(arm, joint):
     result = run_to_end(prepare_homing(arm_named(arm), joint, World(), effects=(Ambient(COLD_C),)))
     assert abs(result.stops[0].zero_error_rad) < 0.3e-3
@@ -96,6 +106,7 @@ def test_an_as_built_joint_in_the_cold_finds_its_zero(arm, joint):
     assert abs(result.stops[0].uncorrected_error_rad) > 1e-3
 
 
+@pytest.mark.slow
 def test_a_joint_repeats_on_other_days():
     runs = [
         run_to_end(prepare_random_homing(arm_named("as-built:1"), Joint.ELBOW, World(), seed))
@@ -105,6 +116,7 @@ def test_a_joint_repeats_on_other_days():
     assert np.ptp(errors) < 0.3e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("temperature_C", [20.0, COLD_C])
 @pytest.mark.parametrize("joint", [Joint.WRIST, Joint.AZIMUTH])
 def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder(joint, temperature_C):
@@ -143,6 +155,7 @@ def test_a_hardstop_that_is_not_there_is_missed():
     )
 
 
+@pytest.mark.slow
 def test_something_soft_in_its_place_is_no_hardstop():
     soft = (HardstopStiffness(Joint.TURRET, 0.15),)
     check_failure(
@@ -152,9 +165,10 @@ def test_something_soft_in_its_place_is_no_hardstop():
     )
 
 
+@pytest.mark.slow
 def test_a_hardstop_that_moved_since_last_time_is_not_believed():
     arm = arm_named("nominal")
-    known = run_to_end(prepare_homing(arm, Joint.TURRET, World())).reference
+    known = home_nominal(Joint.TURRET)[1].reference
     moved = (HardstopAngle(Joint.TURRET, 4e-3),)
     run = prepare_homing(arm, Joint.TURRET, World(), effects=moved, reference=known)
     check_failure(run, faults.HardstopMoved, Joint.TURRET)
@@ -195,10 +209,10 @@ def test_with_a_current_sensor_that_lies_nothing_is_pressed_too_hard_or_for_ever
         assert not result.reference.calibrated[joint]
 
 
-@pytest.mark.parametrize("stage", HomingStage)
+@pytest.mark.parametrize("stage", slow_but(HomingStage, HomingStage.FINE))
 def test_power_lost_half_way_leaves_nothing_half_set(stage):
     arm = arm_named("nominal")
-    whole = run_to_end(prepare_homing(arm, Joint.TURRET, World()))
+    _, whole, _ = home_nominal(Joint.TURRET)
     times_s = [s.time_s for s in whole.samples if s.stage is stage]
     lost = (PowerLoss(float(np.median(times_s))),)
     known = whole.reference
@@ -234,6 +248,7 @@ def test_a_stop_command_half_way_leaves_the_joint_uncalibrated():
     assert not run.loop.state.joints.reference.calibrated.any()
 
 
+@pytest.mark.slow
 def test_a_joint_found_twice_is_found_in_the_same_place():
     arm = arm_named("as-built:2")
     first = run_to_end(prepare_homing(arm, Joint.WRIST, World(), seed=1))

@@ -10,6 +10,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.plant import REFERENCE_STEP_S
 from sim.sequence import run_sequence
 from sim.world import World
+from tests.marks import slow_but
 from tests.sim import lab
 
 CONVERGED_MM = 0.005
@@ -31,7 +32,7 @@ POSES = {
 }
 
 
-@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
+@pytest.mark.parametrize("world", slow_but(WORLDS.values(), WORLDS["mars, 25 deg"]), ids=WORLDS)
 @pytest.mark.parametrize("pose", POSES.values(), ids=POSES)
 def test_on_its_brakes_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(
     world: World, pose: lab.Array
@@ -41,7 +42,7 @@ def test_on_its_brakes_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(
     assert lab.tool_distance_mm(coarse, fine) < CONVERGED_MM
 
 
-@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
+@pytest.mark.parametrize("world", slow_but(WORLDS.values(), WORLDS["mars, 25 deg"]), ids=WORLDS)
 @pytest.mark.parametrize("pose", [lab.STRAIGHT_RAD, lab.READY_RAD], ids=["straight", "ready"])
 def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(
     world: World, pose: lab.Array
@@ -54,7 +55,7 @@ def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_s
     assert lab.tool_distance_mm(coarse, fine) < STOPPED_MM
 
 
-@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
+@pytest.mark.parametrize("world", slow_but(WORLDS.values(), WORLDS["mars, 25 deg"]), ids=WORLDS)
 def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world: World) -> None:
     goal = tuple(float(a) for a in np.radians([5.0, -55.0, 115.0, 135.0, 95.0]))
     coarse, fine = (move_arm(world, step_s, goal) for step_s in (None, FINE_S))

@@ -32,12 +32,14 @@ def examples(tally, what):
     return [example for example in tally.examples if example["what"] == what]
 
 
+@pytest.mark.slow
 @by_case
 def test_no_target_raises_an_exception_or_a_numerical_warning(case):
     tally = tally_of(case)
     assert tally.exceptions == 0, examples(tally, "exception")
 
 
+@pytest.mark.slow
 @by_case
 def test_every_root_meets_its_target(case):
     """The tolerance is a nanometre for the rigid arm, and a micrometre with compensated deflection."""
@@ -47,12 +49,14 @@ def test_every_root_meets_its_target(case):
     assert tally.worst_error <= case.tolerance_m
 
 
+@pytest.mark.slow
 @by_case
 def test_a_joint_vector_clear_of_double_roots_is_among_the_roots_of_its_target(case):
     tally = tally_of(case)
     assert not tally.missed, examples(tally, "missed")
 
 
+@pytest.mark.slow
 @by_case
 def test_where_two_roots_meet_the_target_is_met_or_named_as_singular(case):
     tally = tally_of(case)
@@ -60,6 +64,7 @@ def test_where_two_roots_meet_the_target_is_met_or_named_as_singular(case):
     assert not tally.unanswered, examples(tally, "unanswered")
 
 
+@pytest.mark.slow
 @by_case
 def test_what_is_inside_the_limits_is_valid_and_nothing_else_is(case):
     tally = tally_of(case)
@@ -67,6 +72,7 @@ def test_what_is_inside_the_limits_is_valid_and_nothing_else_is(case):
     assert tally.valid_outside_limits == 0
 
 
+@pytest.mark.slow
 @by_case
 def test_in_the_primary_workspace_at_most_four_branches_are_valid_but_for_a_few_targets(case):
     tally = tally_of(case)
@@ -79,6 +85,7 @@ def test_the_small_campaign_is_of_200_000_targets():
     assert {chunk.case for chunk in chunks} == set(CASES)
 
 
+@pytest.mark.slow
 @by_case
 def test_vectors_of_the_campaign_are_inside_their_limits_and_many_are_near_double_roots(case):
     rng = np.random.default_rng(1)

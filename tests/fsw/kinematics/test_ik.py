@@ -33,6 +33,7 @@ from tests.fsw.kinematics.lab import (
 )
 from tests.fsw.kinematics.test_closed_form import tool_of_the_drawing_but
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
+from tests.marks import slow_but
 from validation.kinematics_trials import (
     CLEAR_SIGMA,
     SAME_RAD,
@@ -238,7 +239,7 @@ def test_a_nearly_straight_elbow_is_answered_or_out_of_reach_by_nothing(tool, el
     assert error[ok].max() < RIGID_M
 
 
-@pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
+@pytest.mark.parametrize("name", slow_but(["nominal", "calibrated:3"], "calibrated:3"))
 @pytest.mark.parametrize("gravity", GRAVITIES)
 def test_what_is_returned_near_double_roots_and_singular_directions_is_right(name, gravity):
     arm, pull = config_of(name).arm, GRAVITIES[gravity]

@@ -25,6 +25,7 @@ from tests.fsw.kinematics.lab import (
     trial_of,
 )
 from tests.fsw.rig import config_of, in_limits
+from tests.marks import slow_but
 from validation.kinematics_trials import CLEAR_SIGMA, claimed_roots, root_errors, smallest_singular_value
 
 N = 110
@@ -43,8 +44,9 @@ RADIAL = [
     ("calibrated:11", "tilted", Tool.MAHLI),
 ]
 SKEW = [("skew:1", "mars", Tool.DRILL), ("skew:5", "tilted", Tool.DRILL), ("skew:8", "mars", Tool.DRILL)]
-radial = pytest.mark.parametrize(("name", "gravity", "tool"), RADIAL)
-every = pytest.mark.parametrize(("name", "gravity", "tool"), [*RADIAL, *SKEW])
+SHORT = RADIAL[1], RADIAL[4], SKEW[0]
+radial = pytest.mark.parametrize(("name", "gravity", "tool"), slow_but(RADIAL, *SHORT[:2]))
+every = pytest.mark.parametrize(("name", "gravity", "tool"), slow_but([*RADIAL, *SKEW], *SHORT))
 
 
 @every
@@ -178,6 +180,7 @@ def test_every_slot_of_a_deflected_skew_tool_has_a_root_or_a_reason(name, gravit
     assert_consistent(solved.trial.arm, solved.result)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "gravity", "tool"), [RADIAL[1], RADIAL[4], RADIAL[8], SKEW[0]])
 def test_a_batch_of_hard_targets_is_its_single_targets(name, gravity, tool):
     """Verdicts and angles agree, except for roots that are double within the accuracy of Newton steps."""

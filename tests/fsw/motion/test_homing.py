@@ -24,6 +24,7 @@ from fsw.executive.homing_poses import HOMED_TWICE
 from fsw.motion.homing import HomingStage
 from tests.fsw.motion.stops import StopRig
 from tests.fsw.rig import config_of, floats, with_params
+from tests.marks import slow_but
 
 STOPS_RAD = np.array([joint.hardstop_rad for joint in config_of().params.joints.in_order()])
 BEFORE_RAD = 0.1
@@ -33,6 +34,7 @@ CONFIG = with_params(
 )
 ZERO_ERROR_RAD = np.array([1e-3, -1.2e-3, 0.8e-3, 1.5e-3, -0.5e-3])
 STOP_NM_RAD = 200e3
+EACH_JOINT = slow_but(Joint, Joint.TURRET)
 COMPLIANCE_RAD_NM = 1 / CONFIG.arm.gear_stiffness_Nm_rad + 1 / STOP_NM_RAD
 
 
@@ -53,7 +55,7 @@ def faulted(rig, joint, kind):
     return evr
 
 
-@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("joint", EACH_JOINT)
 @pytest.mark.parametrize("calibrated", [True, False])
 def test_a_joint_finds_its_zero_at_its_hardstop(joint, calibrated):
     rig = StopRig(CONFIG, START, ZERO_ERROR_RAD, calibrated=calibrated)
@@ -69,7 +71,7 @@ def test_a_joint_finds_its_zero_at_its_hardstop(joint, calibrated):
     assert found.backlash_rad == pytest.approx(2 * CONFIG.half_backlash_rad[joint], abs=0.1e-3)
 
 
-@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("joint", EACH_JOINT)
 def test_a_joint_stalls_with_what_it_is_to_press_with_and_not_with_what_its_motor_can(joint):
     rig = StopRig(CONFIG, START)
     assert CommandCompleted("Calibrate") in rig.run(Calibrate(joint))
@@ -77,7 +79,7 @@ def test_a_joint_stalls_with_what_it_is_to_press_with_and_not_with_what_its_moto
     assert 0.8 * press_Nm < rig.pressed_Nm < 1.3 * press_Nm
 
 
-@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("joint", EACH_JOINT)
 def test_a_joint_that_already_stands_at_its_hardstop_finds_it_too(joint):
     rig = StopRig(CONFIG, START - (BEFORE_RAD - 1e-3) * (np.arange(5) == joint))
     assert CommandCompleted("Calibrate") in rig.run(Calibrate(joint))
@@ -92,7 +94,7 @@ def test_a_joint_that_stalls_before_its_hardstop_says_so(joint):
     assert early.angle_rad == pytest.approx(STOPS_RAD[joint] + 1.5 * window, abs=3e-3)
 
 
-@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("joint", EACH_JOINT)
 def test_what_gives_way_like_no_hardstop_is_none(joint):
     gear = 1 / CONFIG.arm.gear_stiffness_Nm_rad[joint]
     too_soft = (1.5 * CONFIG.params.hardstop.stiffness_ratio * COMPLIANCE_RAD_NM[joint] - gear) * STOP_NM_RAD
@@ -102,8 +104,8 @@ def test_what_gives_way_like_no_hardstop_is_none(joint):
     assert evr.nominal_urad_Nm == pytest.approx(1e6 * COMPLIANCE_RAD_NM[joint])
 
 
-@pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("joint", EACH_JOINT)
+@pytest.mark.parametrize("sign", slow_but([-1, 1], 1))
 def test_a_hardstop_is_not_to_be_elsewhere_than_it_was_found_before(joint, sign):
     bound = CONFIG.params.hardstop.moved_rad
     for share, moved in ((0.9, False), (1.1, True)):
@@ -146,6 +148,7 @@ def test_a_current_that_cannot_be_is_not_believed():
     assert evr.limit_A < 2.9
 
 
+@pytest.mark.slow
 def test_all_joints_are_calibrated_one_after_the_other_and_then_wait_where_they_are_parked():
     rig = StopRig(CONFIG, START, ZERO_ERROR_RAD, calibrated=False)
     evrs = rig.run(CalibrateAll(), at_most=60_000)
@@ -158,7 +161,7 @@ def test_all_joints_are_calibrated_one_after_the_other_and_then_wait_where_they_
     np.testing.assert_allclose(rig.output_rad, START, atol=0.2e-3)
 
 
-@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("joint", EACH_JOINT)
 def test_from_its_hardstop_a_joint_moves_back_inside_without_a_fault(joint):
     rig = StopRig(CONFIG, START)
     rig.run(Calibrate(joint))

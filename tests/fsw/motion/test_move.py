@@ -29,10 +29,12 @@ def move_by(angle_rad: float, **fields) -> Move:
     return Move("MoveJoints", Mode.DEPLOYED, every, limit_A, (path,), resting(), **fields)
 
 
+AT_READY = Rig(CONFIG).state.joints
+
+
 def following(move):
     """Return joints that are at the set-point."""
-    joints = Rig(CONFIG).state.joints
-    return replace(joints, motor_rad=move.setpoint.motor_rad, motor_rate_rad_s=move.setpoint.rate_rad_s)
+    return replace(AT_READY, motor_rad=move.setpoint.motor_rad, motor_rate_rad_s=move.setpoint.rate_rad_s)
 
 
 def test_the_phases_follow_one_another_to_the_end():

@@ -18,6 +18,7 @@ from fsw.motion.plan import Plan, Refusal, plan_joint, plan_poses, worst_limit_e
 from fsw.motion.plan_tool import AUTO, plan_guarded, plan_retract, plan_tool
 from tests.fsw.motion.lab import gear_at_end, tool_at
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits
+from tests.marks import slow_but
 
 CONFIG = config_of()
 RNG_TARGETS = 12
@@ -182,7 +183,7 @@ def test_a_move_smaller_than_the_gap_is_planned_from_where_the_output_lies(motio
     assert abs(plan.backlash_rad[0]) == pytest.approx(CONFIG.half_backlash_rad[0], abs=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", slow_but(range(8), 4))
 def test_every_output_ends_on_a_known_side_of_its_gap(seed):
     start, pose = in_limits(CONFIG, np.random.default_rng([400, seed]), 2, shrink=0.05).T
     rig = Rig(CONFIG, start_rad=start)

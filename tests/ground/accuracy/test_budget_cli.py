@@ -10,7 +10,7 @@ from ground.accuracy.budget_report import budget_json, save_budget_page
 from ground.accuracy.budget_request import BudgetReport, BudgetRequest, run_budget
 from ground.accuracy.reproduce import TABLE_3, TABLE_4
 from ground.common.requests import BadRequest
-from tests.ground.command import marsarm
+from tests.ground.command import marsarm, marsarm_process
 
 
 def quiet(*_) -> None:
@@ -90,7 +90,7 @@ def test_the_command_prints_one_document_and_writes_a_page(tmp_path):
 
 
 def test_the_command_refuses_and_writes_nothing(tmp_path):
-    done = marsarm(tmp_path, "budget", "--case", "x", "--report", "page.html", "--json")
+    done = marsarm_process(tmp_path, "budget", "--case", "x", "--report", "page.html", "--json")
     assert done.returncode == 2
     assert "case: 'x'" in json.loads(done.stdout)["error"]
     assert not list(tmp_path.iterdir())

@@ -12,7 +12,7 @@ from ground.accuracy.budget import COMPONENTS, MOMENTS
 from ground.accuracy.monte_carlo import MonteCarloReport, MonteCarloRequest, run_monte_carlo
 from ground.accuracy.monte_carlo_report import monte_carlo_json, save_monte_carlo_page
 from ground.common.requests import BadRequest
-from tests.ground.command import marsarm
+from tests.ground.command import marsarm, marsarm_process
 
 STATICS = MonteCarloRequest(arms=150, how="statics", seed=3)
 
@@ -200,7 +200,7 @@ def test_the_command_prints_one_document(tmp_path):
 
 
 def test_the_command_refuses_and_writes_nothing(tmp_path):
-    done = marsarm(tmp_path, "monte-carlo", "--case", "x", "--results", "r.jsonl", "--json")
+    done = marsarm_process(tmp_path, "monte-carlo", "--case", "x", "--results", "r.jsonl", "--json")
     assert done.returncode == 2
     assert "case: 'x'" in json.loads(done.stdout)["error"]
     assert not list(tmp_path.iterdir())

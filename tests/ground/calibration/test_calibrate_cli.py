@@ -14,7 +14,7 @@ from ground.calibration.request import CalibrateRequest, run_calibration
 from ground.common.requests import BadRequest, select_arm
 from sim.params import params_over_nominal
 from tests.ground.calibration.lab import calibration, campaign, quiet
-from tests.ground.command import marsarm
+from tests.ground.command import marsarm, marsarm_process
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def table(tmp_path_factory):
 
 
 def test_the_command_writes_parameters_that_flight_software_loads(table, tmp_path):
-    out = marsarm(tmp_path, "calibrate", "--data", str(table), "--out", "arm.toml", "--json")
+    out = marsarm_process(tmp_path, "calibrate", "--data", str(table), "--out", "arm.toml", "--json")
     assert out.returncode == 0, out.stderr
     document = json.loads(out.stdout)
     assert document["arm"] == "as-built:1"

@@ -1,21 +1,17 @@
 """Errors of `gap record` and of `python -m validation.blind`."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from tests.ground.command import ROOT, marsarm
+from tests.ground.command import Ran, call, marsarm
+from validation.blind.__main__ import app as blind_app
 
 
-def blind(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run `python -m validation.blind` in a folder."""
-    command = [sys.executable, "-m", "validation.blind", *words, "--json"]
-    env = os.environ | {"PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
+def blind(folder: Path, *words: str) -> Ran:
+    """Run `python -m validation.blind` in a folder, in this process."""
+    return call(blind_app, folder, *words, "--json")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from ground.ik.model import ModelRequest, build_ik_model
 from ground.ik.reach import ReachRequest, reach, sample_workspace
 from ground.ik.report import reach_json
 from sim.workspace import approach_from, random_surface, random_targets
-from tests.ground.command import marsarm
+from tests.ground.command import marsarm, marsarm_process
 
 
 def quiet(*_) -> None:
@@ -71,7 +71,7 @@ def test_a_placement_campaign_draws_from_the_same_workspace():
 
 
 def test_the_picture_is_drawn_and_named(tmp_path):
-    done = marsarm(tmp_path, "reach", "--samples", "500", "--tool", "drill", MPLBACKEND="nonsense")
+    done = marsarm_process(tmp_path, "reach", "--samples", "500", "--tool", "drill", MPLBACKEND="nonsense")
     assert done.returncode == 0, done.stderr
     for word in ("500 random targets", "at most four", "shoulder-in elbow-up wrist-down", "reach.png"):
         assert word in done.stdout

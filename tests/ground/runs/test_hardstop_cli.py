@@ -9,7 +9,7 @@ from fsw.dictionary.enums import Joint
 from ground.common.requests import BadRequest
 from ground.runs.hardstop import HardstopRequest, hardstop, plan_stops
 from ground.runs.hardstop_tables import hardstop_json, plan_json
-from tests.ground.command import marsarm
+from tests.ground.command import marsarm, marsarm_process
 
 
 def quiet(*_) -> None:
@@ -18,7 +18,7 @@ def quiet(*_) -> None:
 
 def test_one_joint_is_found_and_drawn(tmp_path):
     picture = tmp_path / "turret.png"
-    done = marsarm(tmp_path, "hardstop", "--joint", "turret", "--picture", str(picture), "--json")
+    done = marsarm_process(tmp_path, "hardstop", "--joint", "turret", "--picture", str(picture), "--json")
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     assert document["outcome"] == "done"
@@ -38,6 +38,7 @@ def test_people_see_a_table_and_what_was_said(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_repetitions_are_of_other_days_and_the_same_again():
     request = HardstopRequest(joint="turret", repeat=3, arm="as-built:2")
     first, again = (hardstop_json(hardstop(request, quiet)) for _ in range(2))
@@ -57,6 +58,7 @@ def test_the_plan_shows_equal_torques_and_moves_nothing():
     assert all(plan["clearance_mm"]["rover_and_ground"] > 30 for plan in document.values())
 
 
+@pytest.mark.slow
 def test_all_joints_one_after_the_other_as_flight_software_does_it(tmp_path):
     done = marsarm(tmp_path, "hardstop", "--all", "--arm", "as-built:3", "--temperature", "-40", "--json")
     assert done.returncode == 0, done.stderr

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from ground.telemetry.read import read_log
-from tests.ground.command import marsarm
+from tests.ground.command import largest_file, marsarm, marsarm_process
 
 PARAMS_BEYOND = "[joints.elbow]\nspeed_rad_s = 5.0\n"
 PARAMS_UNKNOWN = "[joints.elbow]\nspede_rad_s = 0.01\n"
@@ -104,6 +104,7 @@ def defaults(tmp_path_factory):
     return folder, marsarm(folder, "place", "--json", "--log", "run.mcap")
 
 
+@pytest.mark.slow
 def test_the_defaults_show_a_good_placement(defaults):
     folder, done = defaults
     assert done.returncode == 0, done.stderr
@@ -116,6 +117,7 @@ def test_the_defaults_show_a_good_placement(defaults):
     assert (folder / report["picture"]).stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_log_holds_every_cycle_and_the_truth_apart(defaults):
     folder, done = defaults
     log = read_log(folder / "run.mcap")
@@ -125,6 +127,7 @@ def test_the_log_holds_every_cycle_and_the_truth_apart(defaults):
     assert [entry.name for entry in log.evrs] == [evr["name"] for evr in json.loads(done.stdout)["evrs"]]
 
 
+@pytest.mark.slow
 def test_a_table_with_units_and_the_path_of_the_picture_for_people(tmp_path):
     done = marsarm(tmp_path, "place", "--picture", "here.png", "--arm", "calibrated:1", "--tilt-pitch", "10")
     assert done.returncode == 0, done.stderr
@@ -136,9 +139,10 @@ def test_a_table_with_units_and_the_path_of_the_picture_for_people(tmp_path):
 def no_surface(tmp_path_factory):
     folder = tmp_path_factory.mktemp("no_surface")
     words = ("place", "--no-surface", "--json", "--log", "run.mcap")
-    return folder, marsarm(folder, *words, MUJOCO_GL="osmesa")
+    return folder, marsarm_process(folder, *words, MUJOCO_GL="osmesa")
 
 
+@pytest.mark.slow
 def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(no_surface):
     folder, done = no_surface
     assert done.returncode == 3, done.stderr
@@ -152,15 +156,16 @@ def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(no_surfac
     assert not log["/drive"]["power_on"][-1].any()
 
 
+@pytest.mark.slow
 def test_a_setting_of_opengl_that_is_not_there_does_not_stop_a_run(no_surface):
     folder, done = no_surface
     assert (folder / json.loads(done.stdout)["picture"]).stat().st_size > 10_000
 
 
 def test_a_full_disk_stops_the_arm_if_so_asked_and_is_told(tmp_path):
-    limited = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, {2 * (500_000,)})"
     words = ("place", "--json", "--no-picture", "--log", "run.mcap", "--when-disk-full", "stop")
-    done = marsarm(tmp_path, *words, before=limited)
+    with largest_file(500_000):
+        done = marsarm(tmp_path, *words)
     assert done.returncode == 3, done.stderr
     report = json.loads(done.stdout)
     assert report["outcome"] == "stopped"
@@ -175,7 +180,7 @@ def test_a_full_disk_stops_the_arm_if_so_asked_and_is_told(tmp_path):
 
 @pytest.mark.parametrize("value", ["nonsense", "egl", "off", " OFF "])
 def test_no_setting_of_opengl_stops_the_import(tmp_path, value):
-    done = marsarm(tmp_path, "place", "--tool", "spoon", MUJOCO_GL=value)
+    done = marsarm_process(tmp_path, "place", "--tool", "spoon", MUJOCO_GL=value)
     assert (done.returncode, done.stderr.split(":")[0]) == (2, "tool")
 
 

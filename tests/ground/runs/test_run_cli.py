@@ -6,7 +6,7 @@ import pytest
 
 from ground.telemetry.read import read_log
 from sim.scenario.file import built_in_scenarios
-from tests.ground.command import marsarm
+from tests.ground.command import largest_file, marsarm, marsarm_process
 
 SHORT = """\
 title = "A short move"
@@ -107,6 +107,7 @@ def test_a_run_that_passes_says_what_was_measured_and_keeps_what_was_asked_for(f
         assert (folder / name).stat().st_size > 5_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "outcome", "said"),
     [
@@ -124,6 +125,7 @@ def test_a_run_that_is_refused_faults_or_misses_a_check_ends_with_status_3(folde
     assert [path.name for path in folder.iterdir() if path.suffix != ".toml"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wish", "status", "outcome", "passed"), [("go-on", 0, "done", True), ("stop", 3, "stopped", False)]
 )
@@ -131,8 +133,8 @@ def test_a_full_disk_ends_the_run_or_does_not_as_asked_and_an_event_tells(
     folder, wish, status, outcome, passed
 ):
     words = ("run", "short.toml", "--json", "--log", "run.mcap", "--when-disk-full", wish)
-    limited = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, {2 * (100_000,)})"
-    done = marsarm(folder, *words, before=limited)
+    with largest_file(100_000):
+        done = marsarm(folder, *words)
     assert done.returncode == status, done.stderr
     report = json.loads(done.stdout)
     assert (report["outcome"], report["passed"]) == (outcome, passed)
@@ -146,7 +148,7 @@ def test_a_full_disk_ends_the_run_or_does_not_as_asked_and_an_event_tells(
 
 
 def test_the_scenarios_are_listed_with_a_line_each(tmp_path):
-    done = marsarm(tmp_path, "scenarios")
+    done = marsarm_process(tmp_path, "scenarios")
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert [line.split()[0] for line in lines] == list(built_in_scenarios())

@@ -8,7 +8,7 @@ import pytest
 from ground.telemetry.format import FORMAT
 from ground.telemetry.mcap_reader import read_records
 from ground.telemetry.read import read_log
-from tests.ground.command import marsarm
+from tests.ground.command import marsarm, marsarm_process
 from validation.sample_logs import record_log
 
 CYCLES = 130
@@ -111,7 +111,7 @@ def test_what_stands_behind_a_log_is_said_by_every_verb(folder, written):
     found = run_json(folder, "info", "two.mcap")
     assert (found["closed"], found["trailing_bytes"], found["cycles"]) == (True, len(written), CYCLES)
     for words in (("export", "two.mcap", "tables"), ("channels", "two.mcap")):
-        assert "after the end of the log" in marsarm(folder, "log", *words).stderr
+        assert "after the end of the log" in marsarm_process(folder, "log", *words).stderr
     assert "after the end of the log" in run_json(folder, "recover", "two.mcap", "g.mcap")["notes"][0]
 
 
@@ -170,7 +170,7 @@ def test_bad_input_is_said_and_nothing_is_written(folder, words, why):
 
 
 def test_one_channel_is_one(folder):
-    ran = marsarm(folder, "log", "plot", "run.mcap", "/joint.mode", "--out", "p.png")
+    ran = marsarm_process(folder, "log", "plot", "run.mcap", "/joint.mode", "--out", "p.png")
     assert ran.stdout == "1 channel in p.png\n"
 
 

@@ -10,7 +10,7 @@ from ground.calibration.serial.request import SerialRequest, calibrate_serial
 from ground.common.requests import BadRequest
 from tests.ground.calibration.serial.files import MAPPING, rows, write
 from tests.ground.calibration.serial.synthetic import POSITION_M
-from tests.ground.command import marsarm
+from tests.ground.command import marsarm, marsarm_process
 
 NAMES = {"arm": "arm.toml", "table": "poses.csv", "mapping": "mapping.toml"}
 VERB = ("calibrate-serial", *NAMES.values())
@@ -70,7 +70,7 @@ def test_the_picture_shows_every_joint(ended):
 
 def test_people_read_a_table(tmp_path):
     write(tmp_path)
-    done = marsarm(tmp_path, *VERB, COLUMNS="120")
+    done = marsarm_process(tmp_path, *VERB, COLUMNS="120")
     assert done.returncode == 0, done.stderr
     assert "150 poses fitted, 150 held out" in done.stdout
     assert "explains nothing" in done.stdout

@@ -30,36 +30,50 @@ def said(folder: Path) -> dict[str, Any]:
     return found
 
 
-def test_the_truth_is_not_needed_to_solve_and_changes_nothing(folder) -> None:
-    truth = (folder.path / TRUTH).read_bytes()
-    assert solve_cases(folder.path, folder.solver, RUN, quiet) == (10, 10)
-    with_it = said(folder.path)
-    (folder.path / TRUTH).unlink()
-    for path in (folder.path / SOLVED_FOLDER).iterdir():
+@pytest.fixture
+def solved(folder, results: dict[str, bytes]):
+    """Return a folder whose cases are solved; all folders are alike, so they are solved once."""
+    if not results:
+        solve_cases(folder.path, folder.solver, RUN, quiet)
+        results |= {path.name: path.read_bytes() for path in (folder.path / SOLVED_FOLDER).iterdir()}
+    (folder.path / SOLVED_FOLDER).mkdir(exist_ok=True)
+    for name, content in results.items():
+        (folder.path / SOLVED_FOLDER / name).write_bytes(content)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def results() -> dict[str, bytes]:
+    """Return the files of solved cases by name; empty until a test asks for them."""
+    return {}
+
+
+@pytest.mark.slow
+def test_the_truth_is_not_needed_to_solve_and_changes_nothing(solved) -> None:
+    with_it = said(solved.path)
+    (solved.path / TRUTH).unlink()
+    for path in (solved.path / SOLVED_FOLDER).iterdir():
         path.unlink()
-    solve_cases(folder.path, folder.solver, RUN, quiet)
-    assert said(folder.path) == with_it
-    (folder.path / TRUTH).write_bytes(truth)
+    assert solve_cases(solved.path, solved.solver, RUN, quiet) == (10, 10)
+    assert said(solved.path) == with_it
 
 
-def test_what_is_solved_stays_and_the_rest_is_solved(folder) -> None:
-    solve_cases(folder.path, folder.solver, RUN, quiet)
-    whole = said(folder.path)
-    last = folder.path / "cases" / "case-009"
+def test_what_is_solved_stays_and_the_rest_is_solved(solved) -> None:
+    whole = said(solved.path)
+    last = solved.path / "cases" / "case-009"
     result_path(last).unlink()
-    assert solve_cases(folder.path, folder.solver, RUN, quiet) == (1, 10)
-    assert said(folder.path) == whole
-    assert solve_cases(folder.path, folder.solver, RUN, quiet) == (0, 10)
+    assert solve_cases(solved.path, solved.solver, RUN, quiet) == (1, 10)
+    assert said(solved.path) == whole
+    assert solve_cases(solved.path, solved.solver, RUN, quiet) == (0, 10)
 
 
-def test_the_campaign_is_known_once_and_before_any_case(folder) -> None:
-    solve_cases(folder.path, folder.solver, RUN, quiet)
-    result_path(folder.path / "cases" / "case-009").unlink()
+def test_the_campaign_is_known_once_and_before_any_case(solved) -> None:
+    result_path(solved.path / "cases" / "case-009").unlink()
     prepared: list[Path] = []
-    solver = replace(folder.solver, prepare_campaign=lambda campaign, *_: prepared.append(campaign))
-    assert solve_cases(folder.path, solver, RUN, quiet) == (1, 10)
-    assert solve_cases(folder.path, solver, RUN, quiet) == (0, 10)
-    assert prepared == [folder.path / "campaign"]
+    solver = replace(solved.solver, prepare_campaign=lambda campaign, *_: prepared.append(campaign))
+    assert solve_cases(solved.path, solver, RUN, quiet) == (1, 10)
+    assert solve_cases(solved.path, solver, RUN, quiet) == (0, 10)
+    assert prepared == [solved.path / "campaign"]
 
 
 def mute(case: Path, campaign: Path) -> Any:
@@ -79,11 +93,10 @@ def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(folder) -> Non
         path.unlink()
 
 
-def test_solved_cases_are_scored(folder) -> None:
-    solve_cases(folder.path, folder.solver, RUN, quiet)
-    found = score_folder(folder.path, folder.solver.load_sensitivities, partial=False)
+def test_solved_cases_are_scored(solved) -> None:
+    found = score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
     assert (found.cases, found.false_alarm.of, found.wrong_name.of) == (10, 3, 2)
-    true = [one for case in folder.truth.cases if case.kind in ("single", "pair") for one in case.effects]
+    true = [one for case in solved.truth.cases if case.kind in ("single", "pair") for one in case.effects]
     assert found.found.place.of == sum(one.times_limit >= 1.0 for one in true)
     assert sum(one.found.effect.of for one in found.bins) == len(true)
     assert set(found.baselines) == {"largest_error", "everything_free", "gaussian_process"}
@@ -91,13 +104,12 @@ def test_solved_cases_are_scored(folder) -> None:
     assert "| right place | 90 % |" in score_markdown(found)
 
 
-def test_cases_that_are_not_solved_are_counted(folder) -> None:
-    solve_cases(folder.path, folder.solver, RUN, quiet)
+def test_cases_that_are_not_solved_are_counted(solved) -> None:
     for number in (2, 5, 7):
-        result_path(folder.path / "cases" / f"case-00{number}").unlink()
+        result_path(solved.path / "cases" / f"case-00{number}").unlink()
     with pytest.raises(BadRequest, match="3 of 10 cases are not solved, case-002 first"):
-        score_folder(folder.path, folder.solver.load_sensitivities, partial=False)
-    assert score_folder(folder.path, folder.solver.load_sensitivities, partial=True).cases == 7
+        score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
+    assert score_folder(solved.path, solved.solver.load_sensitivities, partial=True).cases == 7
 
 
 GOOD = {
@@ -143,17 +155,16 @@ def test_what_is_no_solved_case_is_refused(tmp_path: Path, text: str, why: str) 
         load_results(tmp_path)
 
 
-def test_a_size_that_an_effect_has_not_is_refused(folder) -> None:
-    solve_cases(folder.path, folder.solver, RUN, quiet)
-    case = next(case for case in folder.truth.cases if case.kind == "single")
-    path = result_path(folder.path / "cases" / case.name)
+def test_a_size_that_an_effect_has_not_is_refused(solved) -> None:
+    case = next(case for case in solved.truth.cases if case.kind == "single")
+    path = result_path(solved.path / "cases" / case.name)
     before = path.read_bytes()
     (one,) = case.effects
     size = {"name": "size_of_another", "is_amplitude": True, "least": 0.0, "most": 1.0}
     finding = {"name": one.name, "place": one.place, "parameters": [size], "alternatives": []}
     path.write_text(json.dumps(json.loads(before) | {"verdict": "named", "effects": [finding]}))
     with pytest.raises(BadRequest, match=f"{case.name}: {one.name} has no size_of_another"):
-        score_folder(folder.path, folder.solver.load_sensitivities, partial=False)
+        score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
     path.write_bytes(before)
 
 
@@ -165,12 +176,11 @@ def test_features_that_are_none_are_refused(tmp_path: Path, text: str | None) ->
         read_case_features(tmp_path / "f.json")
 
 
-def test_a_changed_truth_is_not_scored_against(folder) -> None:
-    solve_cases(folder.path, folder.solver, RUN, quiet)
-    text = (folder.path / TRUTH).read_text()
-    (folder.path / TRUTH).write_text(text.replace('"none"', '"single"', 1))
+def test_a_changed_truth_is_not_scored_against(solved) -> None:
+    text = (solved.path / TRUTH).read_text()
+    (solved.path / TRUTH).write_text(text.replace('"none"', '"single"', 1))
     with pytest.raises(BadRequest, match="is not what was sealed"):
-        score_folder(folder.path, folder.solver.load_sensitivities, partial=True)
+        score_folder(solved.path, solved.solver.load_sensitivities, partial=True)
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path, folder) -> None:
