@@ -9,6 +9,9 @@ from fsw.dictionary.commands import (
     ROVER,
     BacklashMode,
     Calibrate,
+    CalibrateAll,
+    ClearFault,
+    Command,
     DeflectionMode,
     Dock,
     GuardedMove,
@@ -21,7 +24,9 @@ from fsw.dictionary.commands import (
     Preload,
     Process,
     Retract,
+    SetParam,
     SetTilt,
+    Stop,
     Stow,
     ToolChange,
     Unstow,
@@ -43,38 +48,18 @@ FRAME_NAMES = (
 MAX_LENGTH_M = 1.0
 MAX_DURATION_S = 3600.0
 
-MoveCommand = (
-    Calibrate
-    | Unstow
-    | Stow
-    | MoveJoint
-    | MoveJoints
-    | MoveTool
-    | GuardedMove
-    | PlaceTool
-    | Preload
-    | ToolChange
-    | MoveTeachPoint
-    | Dock
-    | Process
-    | Retract
-)
 
-
-ToolCommand = MoveTool | GuardedMove | PlaceTool | Preload | ToolChange | Process | Retract
-
-
-def check_arguments(command: MoveCommand) -> str | None:
-    """Check the arguments of a command.
+def check_arguments(command: Command) -> str | None:
+    """Check the arguments of a command, as far as neither state nor parameters matter.
 
     Returns:
         The first problem as a sentence, or None.
     """
-    no_tool = _check_tool(command.tool) if isinstance(command, ToolCommand) else None
+    no_tool = _check_tool(command.tool) if hasattr(command, "tool") else None
     if no_tool is not None:
         return no_tool
     match command:
-        case Unstow() | Stow():
+        case CalibrateAll() | Unstow() | Stow() | SetTilt() | SetParam() | Stop() | ClearFault():
             return None
         case Calibrate(joint=joint):
             return _check_joint(joint)

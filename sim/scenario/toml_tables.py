@@ -11,7 +11,7 @@ from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.dictionary.faults import Fault
 from fsw.dictionary.types import Limits, Vector3, vector3
 from fsw.executive.checks import FRAME_NAMES as COMMAND_FRAMES
-from fsw.executive.checks import MoveCommand, check_arguments, check_vector
+from fsw.executive.checks import check_arguments, check_vector
 from fsw.kinematics.branches import BRANCHES
 from fsw.motion.plan_tool import AUTO
 from sim.effects.effect import Effect, Timed
@@ -134,7 +134,7 @@ def read_command(
     if "frame" in names:
         changed["frame"] = ROVER if frame in ROVER_FRAMES else frame
     command = replace(command, **changed)
-    problem = check_arguments(command) if isinstance(command, MoveCommand) else None
+    problem = check_arguments(command)
     if isinstance(command, Dock) and not TOOL_SWITCHES[points[command.point]]:
         problem = f"the {points[command.point].name.lower()} has no contact switch to dock with"
     if problem is not None:
