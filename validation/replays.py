@@ -14,7 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fsw.config import CYCLE_HZ
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from ground.replay.replay import ReplayRequest, replay
 from ground.replay.tables import verdict_line
 from ground.runs.execution import RunFiles

@@ -10,9 +10,10 @@ from fsw.dictionary.enums import Tool
 from ground.accuracy.budget import Budget, compute_budgets
 from ground.accuracy.reproduce import TABLE_3, TABLE_4, MagnitudeFit, PaperRow, reproduce
 from ground.accuracy.sources import ErrorModel, load_error_model
-from ground.common.files import BadOutput, check_output
+from ground.common.errors import BadRequest
+from ground.common.files import check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files, check_seed, make_world, select_arm
+from ground.common.requests import check_distinct_files, check_seed, make_world, select_arm
 
 ALL: Final = "all"
 POSES: Final = (100, 200_000)
@@ -64,11 +65,8 @@ def run_budget(request: BudgetRequest, progress: Progress) -> BudgetReport:
         raise BadRequest(f"poses: {request.poses} is not within {least} .. {most}")
     gravity = make_world(request.gravity, 0.0, 0.0, "gravity").gravity_N_m_s2
     check_distinct_files({"params": request.params, "report": request.report})
-    try:
-        if request.report is not None:
-            check_output(request.report, (".html",), "report")
-    except BadOutput as error:
-        raise BadRequest(str(error)) from error
+    if request.report is not None:
+        check_output(request.report, (".html",), "report")
     params = select_arm("nominal", request.params).params
     config = configure(params)
     budgets = compute_budgets(model, names, config, gravity, tools, request.poses, request.seed, progress)

@@ -21,10 +21,11 @@ from ground.accuracy.placements import MeasuredPlacement
 from ground.accuracy.sources import ErrorModel, load_error_model
 from ground.accuracy.trial import MoveMethod, run_built_trial, run_sampled_trial
 from ground.common.checkpoint import Checkpoint
-from ground.common.files import BadOutput, check_output
+from ground.common.errors import BadRequest
+from ground.common.files import check_output
 from ground.common.pool import Runner, cluster_runner, local_runner
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files, check_seed, load_params, select_arm
+from ground.common.requests import check_distinct_files, check_seed, load_params, select_arm
 from sim.world import World
 
 ArmKind = Literal["drawn", "calibrated", "as-built"]
@@ -202,13 +203,10 @@ def _check(request: MonteCarloRequest, model: ErrorModel) -> None:
         _check_range("only", request.only, (0, request.arms - 1))
     check_seed(request.seed)
     check_distinct_files({"params": request.params, "report": request.report, "results": request.results})
-    try:
-        if request.report is not None:
-            check_output(request.report, (".html",), "report")
-        if request.results is not None:
-            check_output(request.results, (".jsonl",), "results")
-    except BadOutput as error:
-        raise BadRequest(str(error)) from error
+    if request.report is not None:
+        check_output(request.report, (".html",), "report")
+    if request.results is not None:
+        check_output(request.results, (".jsonl",), "results")
 
 
 def _jobs(request: MonteCarloRequest) -> list[ArmJob]:

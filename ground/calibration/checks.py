@@ -16,6 +16,7 @@ from ground.calibration.fit import Fit, HoldOutValidation
 from ground.calibration.identifiability import Identifiability
 from ground.calibration.screws import MeasuredPoses, error_screw
 from ground.calibration.survey import MIN_TARGETS
+from ground.common.errors import BadRequest
 from sim.frames import P_NR_M
 
 LEAST_POSES: Final = 24
@@ -45,7 +46,7 @@ MAX_PRIOR_SIGMAS: Final = 5.0
 """Largest parameter value of a built arm, in prior sigmas."""
 
 
-class BadData(ValueError):
+class BadData(BadRequest):
     """Error: data or a fit that are not acceptable, with one line for each reason."""
 
 

@@ -16,12 +16,12 @@ from ground.calibration.campaign import (
 from ground.calibration.campaign_data import Campaign
 from ground.calibration.campaign_file import read_campaign, save_campaign
 from ground.calibration.checks import LEAST_POSES, BadData, check_data, check_fit
-from ground.calibration.outliers import TooManyOutliers
 from ground.calibration.parameter_file import calibrated_params, save_parameter_file
 from ground.calibration.verify import Verification, register_tools, verify_calibration
-from ground.common.files import BadOutput, check_output
+from ground.common.errors import BadRequest
+from ground.common.files import check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files, check_seed, select_arm
+from ground.common.requests import check_distinct_files, check_seed, select_arm
 from sim.arms import BuiltArm
 from sim.params import BadParams, check_params, nominal_params, params_over_nominal
 from sim.tracker import Tracker
@@ -87,7 +87,7 @@ def run_calibration(request: CalibrateRequest, progress: Progress) -> CalibrateR
             save_campaign(campaign, request.save_data)
         if request.out is not None:
             save_parameter_file(found, params, request.out)
-    except (BadData, TooManyOutliers, BadOutput, BadParams) as error:
+    except BadParams as error:
         raise BadRequest(str(error)) from error
     return CalibrateReport(request, found, params, verification)
 
@@ -118,7 +118,7 @@ def _check_request(request: CalibrateRequest) -> tuple[BuiltArm | None, Params]:
             if files[name] is not None:
                 check_output(files[name], suffixes, name.replace("_", "-"))
         base = nominal_params() if request.params is None else params_over_nominal(request.params)
-    except (BadOutput, BadParams) as error:
+    except BadParams as error:
         raise BadRequest(str(error)) from error
     return (None if request.arm is None else select_arm(request.arm, request.params)), base
 

@@ -40,8 +40,8 @@ def budget(
     """
     from ground.accuracy.budget_report import budget_json, budget_table, save_budget_page
     from ground.accuracy.budget_request import BudgetRequest, run_budget
+    from ground.common.errors import BadRequest
     from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
 
     request = BudgetRequest(case, tool, poses, seed, params, gravity, report, reproduce)
     try:

@@ -54,8 +54,8 @@ def calibrate_serial(
     from ground.calibration.serial.report import save_serial_figure, serial_json, serial_table
     from ground.calibration.serial.request import SerialRequest
     from ground.calibration.serial.request import calibrate_serial as carry_out
+    from ground.common.errors import BadRequest
     from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
 
     request = SerialRequest(arm, table, mapping, terms, share, nested, out, picture)
     try:
@@ -110,8 +110,8 @@ def calibrate(
     from ground.calibration.campaign import CampaignFailed
     from ground.calibration.report import calibration_json, calibration_table, save_calibration_page
     from ground.calibration.request import CalibrateRequest, run_calibration
+    from ground.common.errors import BadRequest
     from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
 
     request = CalibrateRequest(arm, data, poses, seed, tracker, params, verify, save_data, out, report)
     try:

@@ -70,9 +70,8 @@ def diagnose(
 
     Example: marsarm diagnose logs/ --held-out more/ --report gap.html --patch found.toml
     """
-    from ground.common.files import BadOutput
+    from ground.common.errors import BadOutput, BadRequest
     from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
     from ground.diagnosis.arm.diagnose_logs import build_request, diagnose_logs
     from ground.diagnosis.arm.logs import NotForDiagnosis
     from ground.diagnosis.arm.output_files import DiagnosisFiles, check_diagnosis_files, save_diagnosis_files

@@ -36,7 +36,7 @@ def dictionary(
 
     Example: marsarm dictionary 'joints.elbow.*'
     """
-    from ground.common.requests import BadRequest
+    from ground.common.errors import BadRequest
     from ground.dictionary.entries import build_dictionary, filter_dictionary
     from ground.dictionary.tables import dictionary_json, dictionary_markdown, dictionary_tables
 

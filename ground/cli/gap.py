@@ -1,21 +1,18 @@
 """Define the verb `gap record`."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ground.cli.options import (
-    EXIT_BAD_INPUT,
     ArmOption,
     EffectOption,
     JsonOption,
     ParamsOption,
     SeedOption,
-    fail,
     print_result,
+    report_user_errors,
 )
 
 gap_app = typer.Typer(
@@ -49,22 +46,9 @@ def record(
     from ground.diagnosis.arm.record import RecordRequest, check_record_request, record_logs
 
     request = RecordRequest(out, arm, tuple(effect or ()), params, seed)
-    with report_bad_input(as_json):
+    with report_user_errors(as_json):
         check_record_request(request)
         with progress_bar() as progress:
             paths = record_logs(request, progress)
     document = {"logs": [str(path) for path in paths]}
     print_result(document, as_json, lambda: print(f"{len(paths)} logs in {out}"))
-
-
-@contextmanager
-def report_bad_input(as_json: bool) -> Iterator[None]:
-    """Print the error and exit with status 2 if the input is bad."""
-    from ground.common.files import BadOutput
-    from ground.common.requests import BadRequest
-    from ground.diagnosis.arm.logs import NotForDiagnosis
-
-    try:
-        yield
-    except (BadRequest, BadOutput, NotForDiagnosis) as error:
-        fail(str(error), EXIT_BAD_INPUT, as_json)

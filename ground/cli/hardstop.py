@@ -89,8 +89,8 @@ def hardstop(
 
     Example: marsarm hardstop --joint elbow --arm as-built:7 --temperature -40 --picture elbow.png
     """
+    from ground.common.errors import BadRequest
     from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
     from ground.runs.hardstop import HardstopRequest, plan_stops
     from ground.runs.hardstop import hardstop as carry_out
     from ground.runs.hardstop_tables import hardstop_json, hardstop_table, plan_json, plan_table

@@ -86,8 +86,8 @@ def ik(
 
     Example: marsarm ik --tool mahli --position 2.1 0 -0.3 --approach 0.5 0 0.85 --tilt-pitch 10
     """
+    from ground.common.errors import BadRequest
     from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
     from ground.ik.model import ModelRequest
     from ground.ik.report import batch_json, batch_table, ik_json, ik_table
     from ground.ik.solve import IkReport, IkRequest, solve
@@ -126,8 +126,8 @@ def reach(
 
     Example: marsarm reach --tool drill --gravity earth --picture drill.png
     """
+    from ground.common.errors import BadRequest
     from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
     from ground.ik.model import ModelRequest
     from ground.ik.reach import ReachRequest
     from ground.ik.reach import reach as carry_out

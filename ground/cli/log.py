@@ -1,14 +1,12 @@
 """Define the verbs `log info`, `channels`, `plot`, `export`, `recover` and `import`."""
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ground.cli.options import EXIT_BAD_INPUT, JsonOption, fail, print_result
+from ground.cli.options import EXIT_BAD_INPUT, JsonOption, fail, print_result, report_user_errors
 
 if TYPE_CHECKING:
     from ground.telemetry.read import Log
@@ -33,7 +31,7 @@ def info(log: LogArgument, as_json: JsonOption = False) -> None:
     """
     from ground.telemetry.tables import info_json, info_table
 
-    with _report_bad_input(as_json):
+    with report_user_errors(as_json):
         read = _read(log)
         document = info_json(read)
     print_result(document, as_json, lambda: info_table(read))
@@ -56,7 +54,7 @@ def channels(
     from ground.telemetry.inspection import select_channels
     from ground.telemetry.tables import channels_json, channels_table
 
-    with _report_bad_input(as_json):
+    with report_user_errors(as_json):
         read = _read(log, start, stop)
         selected = select_channels(read, glob or ())
     print_result(channels_json(read, selected), as_json, lambda: channels_table(selected))
@@ -87,7 +85,7 @@ def plot(
     from ground.telemetry.figure import save_log_figure
     from ground.telemetry.inspection import select_channels
 
-    with _report_bad_input(as_json):
+    with report_user_errors(as_json):
         check_distinct_files({"LOG": log, "out": check_output(out, (".png",), "out")})
         read = _read(log, start, stop)
         selected = select_channels(read, channel)
@@ -123,7 +121,7 @@ def export(
     from ground.telemetry.export import export as carry_out
     from ground.telemetry.tables import export_json, export_table
 
-    with _report_bad_input(as_json), progress_bar() as progress:
+    with report_user_errors(as_json), progress_bar() as progress:
         read = _read(log, start, stop)
         files = carry_out(read, out, topic or (), progress, ".csv" if as_csv else ".parquet")
     print_result(export_json(read, files), as_json, lambda: export_table(read, files))
@@ -143,24 +141,9 @@ def recover(
     from ground.telemetry.recover import recover as carry_out
     from ground.telemetry.tables import recovery_json, recovery_table
 
-    with _report_bad_input(as_json), progress_bar() as progress:
+    with report_user_errors(as_json), progress_bar() as progress:
         recovered = carry_out(bad, good, progress)
     print_result(recovery_json(bad, good, recovered), as_json, lambda: recovery_table(good, recovered))
-
-
-@contextmanager
-def _report_bad_input(as_json: bool) -> Iterator[None]:
-    """Print the error and exit with status 2 if a file or the request is bad."""
-    from ground.common.files import BadOutput
-    from ground.common.requests import BadRequest
-    from ground.telemetry.errors import LogError
-    from ground.telemetry.figure import TooManyChannels
-    from ground.telemetry.inspection import NoSuchChannel
-
-    try:
-        yield
-    except (LogError, NoSuchChannel, BadOutput, BadRequest, TooManyChannels) as error:
-        fail(str(error), EXIT_BAD_INPUT, as_json)
 
 
 def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) -> "Log":
@@ -199,8 +182,8 @@ def import_log(
 
     Example: marsarm log import arm.csv arm.toml arm.mcap
     """
+    from ground.common.errors import BadRequest
     from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
     from ground.telemetry.imports.job import ImportRequest, import_json, import_table, import_tables
 
     try:

@@ -82,8 +82,8 @@ def monte_carlo(
         one_arm_table,
         save_monte_carlo_page,
     )
+    from ground.common.errors import BadRequest
     from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
 
     request = MonteCarloRequest(
         case=case,

@@ -2,11 +2,14 @@
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
 
 import typer
+
+from ground.common.errors import UserError
 
 EXIT_BAD_INPUT = 2
 EXIT_ARM_SAFE = 3
@@ -51,3 +54,12 @@ def fail(message: str, status: int, as_json: bool) -> NoReturn:
         print(json.dumps({"error": message}))
     print(message, file=sys.stderr)
     raise typer.Exit(status)
+
+
+@contextmanager
+def report_user_errors(as_json: bool) -> Iterator[None]:
+    """Print an error of the user, and exit with its status."""
+    try:
+        yield
+    except UserError as error:
+        fail(str(error), error.exit_status, as_json)

@@ -57,8 +57,8 @@ def place(
 
     Example: marsarm place --tool mahli --target 2.1 0 -0.2 --normal -0.4 0 -1 --tilt-pitch 10
     """
+    from ground.common.errors import BadRequest
     from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
     from ground.runs.execution import RunFiles
     from ground.runs.place import PlaceRequest
     from ground.runs.place import place as carry_out

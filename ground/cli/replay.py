@@ -32,8 +32,8 @@ def replay(
 
     Example: marsarm replay run.mcap --channel '/joint.*'
     """
+    from ground.common.errors import BadRequest
     from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
     from ground.replay.replay import ReplayRequest
     from ground.replay.replay import replay as carry_out
     from ground.replay.tables import replay_json, replay_table

@@ -52,8 +52,8 @@ def run(
 
     Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --movie sol46.gif
     """
+    from ground.common.errors import BadRequest
     from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
     from ground.runs.execution import RunFiles
     from ground.runs.scenario import RunRequest
     from ground.runs.scenario import run as carry_out

@@ -8,9 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-
-class BadOutput(ValueError):
-    """Error for a file that cannot be written at its path; an existing file is unchanged."""
+from ground.common.errors import BadOutput
 
 
 def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: str) -> Path:

@@ -10,6 +10,7 @@ import numpy as np
 
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Vector3
+from ground.common.errors import BadRequest
 from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.effects.effect import Effect
 from sim.params import BadParams, params_over_nominal
@@ -24,10 +25,6 @@ NOMINAL_ARM: Final = "nominal"
 MIN_COMPONENT: Final = 1e-6
 """A vector whose largest component is below this has no direction."""
 WORKSPACE_HINT: Final = "the workspace is around 2.1 0 -0.3 in RNAV"
-
-
-class BadRequest(ValueError):
-    """Error for a request that cannot be carried out; nothing moved and nothing was written."""
 
 
 def check_finite(name: str, values: tuple[float, ...]) -> None:

@@ -13,8 +13,8 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from ground.common.errors import BadRequest
 from ground.common.files import atomic_write
-from ground.common.requests import BadRequest
 from ground.diagnosis.sampling import (
     DetectableEffect,
     SampledEffect,

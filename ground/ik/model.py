@@ -11,8 +11,9 @@ from fsw.dictionary.enums import Tool
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.ik import IkResult, inverse_kinematics
 from fsw.kinematics.transforms import Array
+from ground.common.errors import BadRequest
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, make_world, select_arm
+from ground.common.requests import make_world, select_arm
 from ground.ik.targets import IkTargets
 
 COMPENSATIONS: Final = ("absolute", "off")

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
-from ground.common.files import BadOutput, check_output
+from ground.common.errors import BadRequest
+from ground.common.files import check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files, check_seed
+from ground.common.requests import check_distinct_files, check_seed
 from ground.ik.model import IkModel, ModelRequest, build_ik_model
 from ground.ik.tally import Tally, tally
 from ground.ik.targets import IkTargets
@@ -208,15 +209,12 @@ def reach(request: ReachRequest, progress: Progress) -> ReachReport:
     check_seed(request.seed)
     if not 1 <= request.samples <= MOST_SAMPLES:
         raise BadRequest(f"samples: {request.samples} is not within 1 .. {MOST_SAMPLES}")
-    try:
-        if request.picture is not None:
-            check_distinct_files({"params": request.model.params, "picture": request.picture})
-            check_output(request.picture, (".png",), "picture")
-        samples, counted = sample_workspace(model, request.samples, request.seed, progress)
-        problem = None
-        if request.picture is not None:
-            progress(1, 1, "drawing")
-            problem = save_reach_figure(samples, counted, model, request.picture)
-    except BadOutput as error:
-        raise BadRequest(str(error)) from error
+    if request.picture is not None:
+        check_distinct_files({"params": request.model.params, "picture": request.picture})
+        check_output(request.picture, (".png",), "picture")
+    samples, counted = sample_workspace(model, request.samples, request.seed, progress)
+    problem = None
+    if request.picture is not None:
+        progress(1, 1, "drawing")
+        problem = save_reach_figure(samples, counted, model, request.picture)
     return ReachReport(request, model, counted, problem)

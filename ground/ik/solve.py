@@ -8,9 +8,10 @@ import numpy as np
 
 from fsw.dictionary.types import Vector3
 from fsw.kinematics.ik import IkResult, select_result
-from ground.common.files import BadOutput, check_output
+from ground.common.errors import BadRequest
+from ground.common.files import check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files
+from ground.common.requests import check_distinct_files
 from ground.ik.model import IkModel, ModelRequest, build_ik_model
 from ground.ik.tally import Tally, tally
 from ground.ik.targets import SUFFIXES, IkTargets, make_targets, read_targets
@@ -78,17 +79,14 @@ def _solve_batch(
     request: IkRequest, model: IkModel, batch: Path, out: Path, progress: Progress
 ) -> BatchReport:
     check_distinct_files({"params": request.model.params, "batch": batch, "out": out})
-    try:
-        check_output(out, SUFFIXES, "out")
-        targets = read_targets(batch, request.frame)
-        counted = Tally()
-        with open_writer(out, _about(request, model)) as writer:
-            for result in model.solve_in_batches(targets, progress):
-                writer.add(result)
-                counted += tally(result)
-            progress(1, 1, "writing")
-    except BadOutput as error:
-        raise BadRequest(str(error)) from error
+    check_output(out, SUFFIXES, "out")
+    targets = read_targets(batch, request.frame)
+    counted = Tally()
+    with open_writer(out, _about(request, model)) as writer:
+        for result in model.solve_in_batches(targets, progress):
+            writer.add(result)
+            counted += tally(result)
+        progress(1, 1, "writing")
     return BatchReport(request, model, counted)
 
 

@@ -13,13 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.kinematics.transforms import Array
-from ground.common.requests import (
-    MAX_TARGET_DISTANCE_M,
-    MIN_COMPONENT,
-    WORKSPACE_HINT,
-    BadRequest,
-    format_numbers,
-)
+from ground.common.errors import BadRequest
+from ground.common.requests import MAX_TARGET_DISTANCE_M, MIN_COMPONENT, WORKSPACE_HINT, format_numbers
 from sim.frames import p_R_from_N
 
 FRAMES: Final = ("rnav", "rmech")

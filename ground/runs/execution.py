@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ, Config
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
-from ground.common.files import BadOutput, check_output
+from ground.common.errors import BadRequest
+from ground.common.files import check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files
-from ground.render.picture import PictureError, PictureResult, check_picture_path, save_movie, save_picture
+from ground.common.requests import check_distinct_files
+from ground.render.picture import PictureResult, check_picture_path, save_movie, save_picture
 from ground.render.rover_scene import tilt_rover
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.recorder import Recorder
@@ -92,15 +93,12 @@ def check_run_files(files: RunFiles, **others: Path | None) -> None:
         BadRequest: a path is wrong. Opening the log, before the run, can still fail.
     """
     check_distinct_files({**others, "log": files.log, "picture": files.picture, "movie": files.movie})
-    try:
-        if files.log is not None:
-            check_output(files.log, (".mcap",), "log")
-        if files.picture is not None:
-            check_picture_path(files.picture, ".png", "picture")
-        if files.movie is not None:
-            check_picture_path(files.movie, ".gif", "movie")
-    except (PictureError, BadOutput) as error:
-        raise BadRequest(str(error)) from error
+    if files.log is not None:
+        check_output(files.log, (".mcap",), "log")
+    if files.picture is not None:
+        check_picture_path(files.picture, ".png", "picture")
+    if files.movie is not None:
+        check_picture_path(files.movie, ".gif", "movie")
 
 
 def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[InitialisationResult]:

@@ -14,16 +14,10 @@ from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.homing_poses import homing_start_poses
-from ground.common.files import BadOutput, check_output
+from ground.common.errors import BadRequest
+from ground.common.files import check_output
 from ground.common.progress import Progress
-from ground.common.requests import (
-    BadRequest,
-    check_distinct_files,
-    check_seed,
-    make_world,
-    parse_effects,
-    select_arm,
-)
+from ground.common.requests import check_distinct_files, check_seed, make_world, parse_effects, select_arm
 from ground.runs.hardstop_figure import save_hardstop_figure
 from sim.arms import BuiltArm, effects_of_run
 from sim.clearance import Clearance, ClearanceModel
@@ -103,10 +97,7 @@ def hardstop(request: HardstopRequest, progress: Progress) -> HardstopReport:
     runs = tuple(_iter_runs(request, job, progress))
     problem = None
     if request.picture is not None:
-        try:
-            problem = save_hardstop_figure(runs, request.picture)
-        except BadOutput as error:
-            raise BadRequest(str(error)) from error
+        problem = save_hardstop_figure(runs, request.picture)
     poses = tuple(tuple(homing_start_poses(job.arm.params, joint)[-1]) for joint in Joint)
     return HardstopReport(request, runs, poses, problem)
 
@@ -129,10 +120,7 @@ def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
         )
     if request.picture is not None:
         check_distinct_files({"params": request.params, "picture": request.picture})
-        try:
-            check_output(request.picture, (".png",), "picture")
-        except BadOutput as error:
-            raise BadRequest(str(error)) from error
+        check_output(request.picture, (".png",), "picture")
     if request.start_deg is not None and (request.joint is None or request.repeat > 1):
         raise BadRequest("start: is for one joint, once; give --joint and no --repeat")
     world = make_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)

@@ -9,10 +9,10 @@ from fsw.config import CYCLE_HZ, digest
 from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.types import Vector3
+from ground.common.errors import BadRequest
 from ground.common.progress import Progress
 from ground.common.requests import (
     WORKSPACE_HINT,
-    BadRequest,
     check_finite,
     check_seed,
     check_target_distance,

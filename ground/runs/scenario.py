@@ -5,8 +5,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from fsw.config import digest
+from ground.common.errors import BadRequest
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_seed, make_world, parse_effects, select_arm
+from ground.common.requests import check_seed, make_world, parse_effects, select_arm
 from ground.runs.execution import (
     NO_FILES,
     Artifacts,

@@ -10,8 +10,7 @@ from typing import Annotated
 
 import typer
 
-from ground.cli.gap import report_bad_input
-from ground.cli.options import JsonOption, fail, print_result
+from ground.cli.options import JsonOption, fail, print_result, report_user_errors
 from ground.common.files import check_output
 from ground.common.pool import local_runner
 from ground.common.progress import progress_bar
@@ -57,7 +56,7 @@ def make(
     def publish(digest: str) -> None:
         print(f"SHA-256 of the truth: {digest}", file=sys.stderr)
 
-    with report_bad_input(as_json):
+    with report_user_errors(as_json):
         check_make(cases, seed, out, _worker_count(jobs))
         try:
             with progress_bar() as progress:
@@ -82,7 +81,7 @@ def solve(folder: FolderArgument, jobs: JobsOption = None, as_json: JsonOption =
     Example: python -m validation.blind solve blind
     """
 
-    with report_bad_input(as_json), progress_bar() as progress:
+    with report_user_errors(as_json), progress_bar() as progress:
         check_jobs(_worker_count(jobs))
         now, cases = solve_cases(folder, ARM_SOLVER, local_runner(_worker_count(jobs)), progress)
     print_result(
@@ -104,7 +103,7 @@ def score(
     Example: python -m validation.blind score blind --out blind.md
     """
 
-    with report_bad_input(as_json), progress_bar() as progress:
+    with report_user_errors(as_json), progress_bar() as progress:
         if out is not None:
             check_output(out, (".md", ".json"), "out")
         found = score_folder(folder, load_campaign_sensitivities, partial, progress)

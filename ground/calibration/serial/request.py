@@ -8,20 +8,20 @@ from typing import Final
 import numpy as np
 
 from ground.calibration.identifiability import Identifiability, assess_identifiability
-from ground.calibration.outliers import TooManyOutliers
 from ground.calibration.serial.arm import SerialArm
-from ground.calibration.serial.arm_file import BadArmFile, arm_from_toml, arm_to_toml, unknown_words
+from ground.calibration.serial.arm_file import arm_from_toml, arm_to_toml, unknown_words
 from ground.calibration.serial.calibrate import held_out_ratio
-from ground.calibration.serial.initial_setup import SetupNotFound, estimate_setup
+from ground.calibration.serial.initial_setup import estimate_setup
 from ground.calibration.serial.model import TERMS
 from ground.calibration.serial.nested_models import NestedModel, fit_nested_models
 from ground.calibration.serial.series import PoseSeries
 from ground.calibration.serial.temperature import TemperatureTest, temperature_test
 from ground.calibration.serial.tracker_table import mapping_from_toml, series_from_table, sha256
-from ground.common.files import BadOutput, atomic_write, check_output
+from ground.common.errors import BadRequest
+from ground.common.files import atomic_write, check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files
-from ground.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
+from ground.common.requests import check_distinct_files
+from ground.telemetry.imports.files import MAX_TABLE_BYTES, read_file
 from ground.telemetry.imports.mapping_file import MAX_MAPPING_BYTES
 
 ALL: Final = "all"
@@ -76,24 +76,21 @@ def calibrate_serial(request: SerialRequest, progress: Progress) -> SerialReport
     terms = _parse_terms(request.terms)
     if not LEAST_SHARE <= request.share <= 1.0:
         raise BadRequest(f"share: {request.share:g} is not within {LEAST_SHARE:g} .. 1")
-    try:
-        for name, suffix in (("out", ".toml"), ("picture", ".png")):
-            if files[name] is not None:
-                check_output(files[name], (suffix,), name)
-        arm, series, digests = _read(request)
-        count = round(request.share * series.count)
-        is_part = np.arange(series.count) < count
-        part, fresh = series.at(is_part), series.at(~is_part) if count < series.count else None
-        steps = fit_nested_models(
-            arm, estimate_setup(arm, part), part, fresh, _term_sets(terms, request.nested), progress
-        )
-        report = _build_report(request, arm, series, part, fresh, steps, digests)
-        if request.out is not None:
-            text = arm_to_toml(steps[-1].found.arm, _provenance(report))
-            with atomic_write(request.out, "out") as file:
-                file.write(text.encode())
-    except (BadImport, BadArmFile, SetupNotFound, TooManyOutliers, BadOutput) as error:
-        raise BadRequest(str(error)) from error
+    for name, suffix in (("out", ".toml"), ("picture", ".png")):
+        if files[name] is not None:
+            check_output(files[name], (suffix,), name)
+    arm, series, digests = _read(request)
+    count = round(request.share * series.count)
+    is_part = np.arange(series.count) < count
+    part, fresh = series.at(is_part), series.at(~is_part) if count < series.count else None
+    steps = fit_nested_models(
+        arm, estimate_setup(arm, part), part, fresh, _term_sets(terms, request.nested), progress
+    )
+    report = _build_report(request, arm, series, part, fresh, steps, digests)
+    if request.out is not None:
+        text = arm_to_toml(steps[-1].found.arm, _provenance(report))
+        with atomic_write(request.out, "out") as file:
+            file.write(text.encode())
     return report
 
 

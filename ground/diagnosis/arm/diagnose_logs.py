@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Final
 
 from fsw.dictionary.params import Params
+from ground.common.errors import BadRequest
 from ground.common.pool import local_runner
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_seed, parse_effects
+from ground.common.requests import check_seed, parse_effects
 from ground.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
 from ground.diagnosis.arm.campaign_model import load_campaign_model
 from ground.diagnosis.arm.campaign_sensitivities import Logs

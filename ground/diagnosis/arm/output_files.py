@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fsw.dictionary.params import Params
-from ground.common.files import BadOutput, atomic_write, check_output
+from ground.common.files import atomic_write, check_output
 from ground.common.params_toml import params_toml
-from ground.common.requests import BadRequest, check_distinct_files
+from ground.common.requests import check_distinct_files
 from ground.diagnosis.arm.diagnose_logs import DiagnoseRequest
 from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
 from ground.diagnosis.page import save_diagnosis_page
@@ -135,16 +135,13 @@ def check_diagnosis_files(files: DiagnosisFiles, params: Path | None, effects: S
             "new-params": files.new_params,
         }
     )
-    try:
-        for what, path, suffix in (
-            ("report", files.report, ".html"),
-            ("patch", files.patch, ".toml"),
-            ("new-params", files.new_params, ".toml"),
-        ):
-            if path is not None:
-                check_output(path, (suffix,), what)
-    except BadOutput as error:
-        raise BadRequest(str(error)) from error
+    for what, path, suffix in (
+        ("report", files.report, ".html"),
+        ("patch", files.patch, ".toml"),
+        ("new-params", files.new_params, ".toml"),
+    ):
+        if path is not None:
+            check_output(path, (suffix,), what)
 
 
 def save_diagnosis_files(
@@ -153,7 +150,7 @@ def save_diagnosis_files(
     """Write the files; return sentences about those without content.
 
     Raises:
-        BadRequest: A file cannot be written.
+        BadOutput: A file cannot be written.
     """
     savers: tuple[tuple[str, Path | None, Callable[[Path], None]], ...] = (
         ("report", files.report, lambda path: save_diagnosis_page(result, path)),
@@ -168,6 +165,4 @@ def save_diagnosis_files(
             save(path)
         except NothingToWrite as why:
             not_written.append(f"{what} {path}: not written: {why}")
-        except BadOutput as error:
-            raise BadRequest(str(error)) from error
     return tuple(not_written)

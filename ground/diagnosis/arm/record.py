@@ -12,9 +12,10 @@ import numpy as np
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, Pose, stack_poses
 from ground.calibration.survey import TooFewTargets, measure_pose
+from ground.common.errors import BadRequest
 from ground.common.files import atomic_path, check_new_path
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_seed, parse_effects, select_arm
+from ground.common.requests import check_seed, parse_effects, select_arm
 from ground.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, write_tracker_poses
 from ground.telemetry.header import SESSION, flight_header
 from ground.telemetry.json_codec import record_to_json

@@ -9,7 +9,7 @@ import pytest
 from ground.accuracy.budget_report import budget_json, save_budget_page
 from ground.accuracy.budget_request import BudgetReport, BudgetRequest, run_budget
 from ground.accuracy.reproduce import TABLE_3, TABLE_4
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from tests.ground.command import marsarm
 
 

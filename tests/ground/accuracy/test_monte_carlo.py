@@ -11,7 +11,7 @@ import pytest
 from ground.accuracy.budget import COMPONENTS, MOMENTS
 from ground.accuracy.monte_carlo import MonteCarloReport, MonteCarloRequest, run_monte_carlo
 from ground.accuracy.monte_carlo_report import monte_carlo_json, save_monte_carlo_page
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from tests.ground.command import marsarm
 
 STATICS = MonteCarloRequest(arms=150, how="statics", seed=3)

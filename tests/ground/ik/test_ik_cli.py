@@ -9,7 +9,7 @@ from fsw.dictionary.enums import Tool
 from fsw.kinematics.arm import build_arm, heat_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from ground.ik.model import ModelRequest
 from ground.ik.report import ik_json
 from ground.ik.solve import IkRequest, solve

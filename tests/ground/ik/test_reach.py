@@ -7,7 +7,7 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from ground.ik.model import ModelRequest, build_ik_model
 from ground.ik.reach import ReachRequest, reach, sample_workspace
 from ground.ik.report import reach_json

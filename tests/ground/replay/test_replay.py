@@ -6,7 +6,7 @@ import pytest
 
 import sim.loop
 from fsw.cycle import step
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from ground.replay.replay import ReplayRequest, replay
 from ground.replay.tables import replay_json, replay_table, verdict_line
 from ground.runs.execution import RunFiles

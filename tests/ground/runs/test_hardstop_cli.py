@@ -6,7 +6,7 @@ import PIL.Image
 import pytest
 
 from fsw.dictionary.enums import Joint
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from ground.runs.hardstop import HardstopRequest, hardstop, plan_stops
 from ground.runs.hardstop_tables import hardstop_json, plan_json
 from tests.ground.command import marsarm

@@ -7,7 +7,7 @@ import pytest
 
 from ground.calibration.serial.arm_file import arm_from_toml
 from ground.calibration.serial.request import SerialRequest, calibrate_serial
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from tests.ground.calibration.serial.files import MAPPING, rows, write
 from tests.ground.calibration.serial.synthetic import POSITION_M
 from tests.ground.command import marsarm

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.transforms import IDENTITY, stack_poses
+from ground.common.errors import BadRequest
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest
 from ground.diagnosis.arm import diagnose_logs, logs, record
 from ground.diagnosis.arm.campaign_model import load_thresholds, save_thresholds
 from ground.diagnosis.arm.campaign_sensitivities import keys_path, load_keys

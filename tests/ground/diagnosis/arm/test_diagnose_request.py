@@ -2,7 +2,7 @@
 
 import pytest
 
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from ground.diagnosis.arm.diagnose_logs import build_request
 from sim.effects.catalogue import catalogue
 
