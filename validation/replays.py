@@ -17,8 +17,8 @@ from fsw.config import CYCLE_HZ
 from ground.common.errors import BadRequest
 from ground.replay.replay import ReplayRequest, replay
 from ground.replay.tables import verdict_line
-from ground.runs.execution import RunFiles
-from ground.runs.scenario import RunRequest, run
+from ground.runs.request import RunFiles, RunRequest
+from ground.runs.scenario import run
 from sim.scenario.file import built_in_scenarios
 from validation.options import campaign_parser
 

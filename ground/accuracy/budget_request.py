@@ -11,9 +11,9 @@ from ground.accuracy.budget import Budget, compute_budgets
 from ground.accuracy.reproduce import TABLE_3, TABLE_4, MagnitudeFit, PaperRow, reproduce
 from ground.accuracy.sources import ErrorModel, load_error_model
 from ground.common.errors import BadRequest
-from ground.common.files import check_output
+from ground.common.files import check_distinct_files, check_output
 from ground.common.progress import Progress
-from ground.common.requests import check_distinct_files, check_seed, make_world, select_arm
+from ground.common.requests import check_seed, make_world, select_arm
 
 ALL: Final = "all"
 POSES: Final = (100, 200_000)

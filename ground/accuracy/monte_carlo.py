@@ -22,10 +22,10 @@ from ground.accuracy.sources import ErrorModel, load_error_model
 from ground.accuracy.trial import MoveMethod, run_built_trial, run_sampled_trial
 from ground.common.checkpoint import Checkpoint
 from ground.common.errors import BadRequest
-from ground.common.files import check_output
+from ground.common.files import check_distinct_files, check_output
 from ground.common.pool import Runner, cluster_runner, local_runner
 from ground.common.progress import Progress
-from ground.common.requests import check_distinct_files, check_seed, load_params, select_arm
+from ground.common.requests import check_seed, load_params, select_arm
 from sim.world import World
 
 ArmKind = Literal["drawn", "calibrated", "as-built"]

@@ -19,9 +19,9 @@ from ground.calibration.checks import LEAST_POSES, BadData, check_data, check_fi
 from ground.calibration.parameter_file import calibrated_params, save_parameter_file
 from ground.calibration.verify import Verification, register_tools, verify_calibration
 from ground.common.errors import BadRequest
-from ground.common.files import check_output
+from ground.common.files import check_distinct_files, check_output
 from ground.common.progress import Progress
-from ground.common.requests import check_distinct_files, check_seed, select_arm
+from ground.common.requests import check_seed, select_arm
 from sim.arms import BuiltArm
 from sim.params import BadParams, check_params, nominal_params, params_over_nominal
 from sim.tracker import Tracker

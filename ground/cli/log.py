@@ -79,8 +79,7 @@ def plot(
 
     Example: marsarm log plot run.mcap '/joint.motor_rad[2]' /drive.current_limit_A --out joints.png
     """
-    from ground.common.files import check_output
-    from ground.common.requests import check_distinct_files
+    from ground.common.files import check_distinct_files, check_output
     from ground.render.console import pluralize
     from ground.telemetry.figure import save_log_figure
     from ground.telemetry.inspection import select_channels

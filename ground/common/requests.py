@@ -1,8 +1,6 @@
 """Checks and conversions of request fields that several verbs share, made before any work begins."""
 
 import math
-import os
-from itertools import combinations
 from pathlib import Path
 from typing import Final, Literal, cast
 
@@ -147,27 +145,9 @@ def check_seed(seed: int) -> None:
         raise BadRequest(f"seed: {seed} must not be negative")
 
 
-def check_distinct_files(files: dict[str, Path | None]) -> None:
-    """Refuse two options that name the same file, also through links.
-
-    Args:
-        files: Path of each option by its name; None if it is not given.
-    """
-    given = [(name, path) for name, path in files.items() if path is not None]
-    for (one, path), (other, same) in combinations(given, 2):
-        if _same_file(path, same):
-            raise BadRequest(f"{other} {same}: this is the file of {one} too; give each a file of its own")
-
-
 def format_numbers(values: tuple[float, ...]) -> str:
     """Format numbers as a user types them."""
     return " ".join(f"{value:g}" for value in values)
-
-
-def _same_file(one: Path, other: Path) -> bool:
-    if os.path.realpath(one) == os.path.realpath(other):
-        return True
-    return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
 
 
 def _format_beyond(value: float, limit: float) -> str:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
 from ground.common.errors import BadRequest
-from ground.common.files import check_output
+from ground.common.files import check_distinct_files, check_output
 from ground.common.progress import Progress
-from ground.common.requests import check_distinct_files, check_seed
+from ground.common.requests import check_seed
 from ground.ik.model import IkModel, ModelRequest, build_ik_model
 from ground.ik.tally import Tally, tally
 from ground.ik.targets import IkTargets

@@ -9,9 +9,8 @@ import numpy as np
 from fsw.dictionary.types import Vector3
 from fsw.kinematics.ik import IkResult, select_result
 from ground.common.errors import BadRequest
-from ground.common.files import check_output
+from ground.common.files import check_distinct_files, check_output
 from ground.common.progress import Progress
-from ground.common.requests import check_distinct_files
 from ground.ik.model import IkModel, ModelRequest, build_ik_model
 from ground.ik.tally import Tally, tally
 from ground.ik.targets import SUFFIXES, IkTargets, make_targets, read_targets

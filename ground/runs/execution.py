@@ -6,7 +6,7 @@ A run continues if its log, picture or movie cannot be written.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Literal, Protocol
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -16,11 +16,10 @@ from fsw.config import CYCLE_HZ, Config
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
 from ground.common.errors import BadRequest
-from ground.common.files import check_output
 from ground.common.progress import Progress
-from ground.common.requests import check_distinct_files
-from ground.render.picture import PictureResult, check_picture_path, save_movie, save_picture
+from ground.render.picture import PictureResult, save_movie, save_picture
 from ground.render.rover_scene import tilt_rover
+from ground.runs.request import RunFiles, WhenDiskFull
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.recorder import Recorder
 from sim.arms import BuiltArm
@@ -36,8 +35,6 @@ MOVIE_SHADOWS = 1024
 
 Qpos = NDArray[np.float64]
 """Positions of the model as in MuJoCo's qpos, shape (nq,), in metres and radians."""
-WhenDiskFull = Literal["go-on", "stop"]
-"""Reaction of a run if its log can no longer be written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,19 +46,6 @@ class LogNotWritten(Evr):
     path: str
     from_s: float
     why: str
-
-
-@dataclass(frozen=True, slots=True)
-class RunFiles:
-    """Frozen record of the files that a run writes; None for each that it does not."""
-
-    log: Path | None = None
-    picture: Path | None = None
-    movie: Path | None = None
-    when_disk_full: WhenDiskFull = "go-on"
-
-
-NO_FILES: Final = RunFiles()
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,25 +64,6 @@ def no_artifacts(files: RunFiles) -> Artifacts:
     """Return the artifacts of a run that did not begin because its arm was not initialised."""
     reason = f"log {files.log}: not recorded (the arm was not initialised)"
     return Artifacts(None, None, None if files.log is None else reason)
-
-
-def check_run_files(files: RunFiles, **others: Path | None) -> None:
-    """Check that the files can be written, and that no two options name the same file.
-
-    Args:
-        files: Files that the run writes.
-        **others: Files that the run reads, by option.
-
-    Raises:
-        BadRequest: a path is wrong. Opening the log, before the run, can still fail.
-    """
-    check_distinct_files({**others, "log": files.log, "picture": files.picture, "movie": files.movie})
-    if files.log is not None:
-        check_output(files.log, (".mcap",), "log")
-    if files.picture is not None:
-        check_picture_path(files.picture, ".png", "picture")
-    if files.movie is not None:
-        check_picture_path(files.movie, ".gif", "movie")
 
 
 def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[InitialisationResult]:

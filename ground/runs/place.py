@@ -2,19 +2,16 @@
 
 import time
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Literal
 
 from fsw.config import CYCLE_HZ, digest
 from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.dictionary.evrs import CommandCompleted
-from fsw.dictionary.types import Vector3
 from ground.common.errors import BadRequest
+from ground.common.options import check_options
 from ground.common.progress import Progress
 from ground.common.requests import (
     WORKSPACE_HINT,
     check_finite,
-    check_seed,
     check_target_distance,
     format_numbers,
     make_world,
@@ -23,11 +20,8 @@ from ground.common.requests import (
     select_arm,
 )
 from ground.runs.execution import (
-    NO_FILES,
     Artifacts,
     Frames,
-    RunFiles,
-    check_run_files,
     describe_activity,
     initialise,
     no_artifacts,
@@ -35,6 +29,7 @@ from ground.runs.execution import (
     record_cycles,
     save_artifacts,
 )
+from ground.runs.request import PlaceRequest
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm, effects_of_run
 from sim.effects.effect import Effect
@@ -44,28 +39,6 @@ from sim.placement import Placement, PlacementResult, PlacementRun
 from sim.preview import preview_placement, unstow_duration_s
 from sim.sequence import Outcome
 from sim.world import Surface, World, inside_rover
-
-
-@dataclass(frozen=True, slots=True)
-class PlaceRequest:
-    """Frozen record of the options of `marsarm place`."""
-
-    tool: str = "apxs"
-    target_m: Vector3 = (2.05, 0.1, -0.25)
-    """Point on the surface, in RNAV."""
-    normal: Vector3 = (-0.5, 0.1, -0.85)
-    """Direction out of the surface, in RNAV, of any length."""
-    tilt_roll_deg: float = 0.0
-    tilt_pitch_deg: float = 0.0
-    arm: str = "nominal"
-    scene: Literal["mars", "earth"] = "mars"
-    seed: int = 0
-    params: Path | None = None
-    effects: tuple[str, ...] = ()
-    """Effects as text, as on the command line."""
-    has_surface: bool = True
-    """False for a world without the rock."""
-    files: RunFiles = NO_FILES
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +60,7 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
     Raises:
         BadRequest: the request is wrong, or the target cannot be reached.
     """
+    check_options(request)
     tool = _parse_tool(request.tool)
     check_finite("target", request.target_m)
     check_finite("normal", request.normal)
@@ -94,7 +68,6 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
     normal = scale_direction(
         "normal", request.normal, "the direction out of the surface, such as 0 0 -1 for up"
     )
-    check_seed(request.seed)
     effects = parse_effects(request.effects)
     arm = select_arm(request.arm, request.params).with_effects(effects)
     level = make_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
@@ -103,7 +76,6 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
         raise BadRequest(
             f"target: {format_numbers(request.target_m)} m is inside the rover; {WORKSPACE_HINT}"
         )
-    check_run_files(request.files, params=request.params)
     preview = preview_placement(arm, world, Placement(tool, request.target_m, normal), stowed=True)
     if preview.problem is not None:
         raise BadRequest(f"target: {format_numbers(request.target_m)} m cannot be reached: {preview.problem}")

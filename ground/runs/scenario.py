@@ -2,18 +2,15 @@
 
 import time
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 
 from fsw.config import digest
 from ground.common.errors import BadRequest
+from ground.common.options import check_options
 from ground.common.progress import Progress
-from ground.common.requests import check_seed, make_world, parse_effects, select_arm
+from ground.common.requests import make_world, parse_effects, select_arm
 from ground.runs.execution import (
-    NO_FILES,
     Artifacts,
     Frames,
-    RunFiles,
-    check_run_files,
     describe_activity,
     initialise,
     no_artifacts,
@@ -21,6 +18,7 @@ from ground.runs.execution import (
     record_cycles,
     save_artifacts,
 )
+from ground.runs.request import RunRequest
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm
 from sim.initialisation import InitialisationResult
@@ -30,21 +28,6 @@ from sim.scenario.file import BadScenario, load_scenario
 from sim.scenario.run import ScenarioResult, ScenarioRun, scenario_setup
 from sim.scenario.teaching import NotTaught, teach
 from sim.sequence import Outcome
-
-
-@dataclass(frozen=True, slots=True)
-class RunRequest:
-    """Frozen record of the options of `marsarm run`; None takes the value of the scenario."""
-
-    scenario: str
-    """Name of a built-in scenario, or path of a TOML file."""
-    arm: str | None = None
-    tilt_deg: tuple[float, float] | None = None
-    """Roll and pitch of the rover."""
-    seed: int = 0
-    files: RunFiles = NO_FILES
-    effects: tuple[str, ...] = ()
-    """Effects in addition to those of the scenario, as text as on the command line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +98,7 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
 
 def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     """Check a request, before anything moves or is written, and return its scenario and arm."""
-    check_seed(request.seed)
+    check_options(request)
     try:
         scenario = load_scenario(request.scenario)
     except BadScenario as error:
@@ -125,8 +108,6 @@ def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
         tilted = make_world(scenario.world.scene, *request.tilt_deg)
         scenario = scenario.tilted(tilted.tilt_roll_rad, tilted.tilt_pitch_rad)
     scenario = replace(scenario, effects=(*scenario.effects, *parse_effects(request.effects)))
-    path = Path(request.scenario)
-    check_run_files(request.files, scenario=path if path.suffix == ".toml" else None)
     return scenario, scenario.fit_arm(arm)
 
 

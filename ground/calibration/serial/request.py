@@ -18,9 +18,8 @@ from ground.calibration.serial.series import PoseSeries
 from ground.calibration.serial.temperature import TemperatureTest, temperature_test
 from ground.calibration.serial.tracker_table import mapping_from_toml, series_from_table, sha256
 from ground.common.errors import BadRequest
-from ground.common.files import atomic_write, check_output
+from ground.common.files import atomic_write, check_distinct_files, check_output
 from ground.common.progress import Progress
-from ground.common.requests import check_distinct_files
 from ground.telemetry.imports.files import MAX_TABLE_BYTES, read_file
 from ground.telemetry.imports.mapping_file import MAX_MAPPING_BYTES
 

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fsw.dictionary.params import Params
-from ground.common.files import atomic_write, check_output
+from ground.common.files import atomic_write, check_distinct_files, check_output
 from ground.common.params_toml import params_toml
-from ground.common.requests import check_distinct_files
 from ground.diagnosis.arm.diagnose_logs import DiagnoseRequest
 from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
 from ground.diagnosis.page import save_diagnosis_page

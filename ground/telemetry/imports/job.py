@@ -12,9 +12,8 @@ from rich.table import Table
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command
 from ground.common.errors import BadRequest
-from ground.common.files import atomic_write, check_output
+from ground.common.files import atomic_write, check_distinct_files, check_output
 from ground.common.progress import Progress
-from ground.common.requests import check_distinct_files
 from ground.render.console import plain_console, pluralize
 from ground.telemetry.format import SENSOR_TOPIC, TICK_NS
 from ground.telemetry.header import SESSION, commands_header, start_header, versions_header

@@ -7,8 +7,9 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from ground.common.errors import BadRequest
-from ground.runs.hardstop import HardstopRequest, hardstop, plan_stops
+from ground.runs.hardstop import hardstop, plan_stops
 from ground.runs.hardstop_tables import hardstop_json, plan_json
+from ground.runs.request import HardstopRequest
 from tests.ground.command import marsarm
 
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.faults import StalledEarly
-from ground.runs.execution import RunFiles
-from ground.runs.place import PlaceRequest, place
+from ground.runs.place import place
+from ground.runs.request import PlaceRequest, RunFiles
 from sim.arms import arm_named
 from sim.effects.joints import HardstopAngle
 from sim.sequence import Outcome
