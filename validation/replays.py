@@ -63,13 +63,13 @@ def replay_one(scenario: str, arm: str) -> ReplayOutcome:
         return ReplayOutcome(
             scenario=scenario,
             arm=arm,
-            outcome=str(ran.result.outcome),
+            outcome=str(ran.execution.result.outcome),
             verdict=verdict_line(found),
             identical=found.identical and found.tolerance == 0.0,
             ticks=found.ticks[0],
             log_bytes=log.stat().st_size,
             times_real_time=rate,
-            times_the_run=rate / ran.realtime_factor,
+            times_the_run=rate / ran.execution.realtime_factor,
         )
 
 

@@ -17,4 +17,5 @@ def place(request: PlaceRequest, progress: Progress) -> VerbResult:
     from ground.runs.tables import place_json, place_table
 
     report = place(request, progress)
-    return VerbResult(place_json(report), lambda: place_table(report), report.result.outcome == "done")
+    is_done = report.execution.result.outcome == "done"
+    return VerbResult(place_json(report), lambda: place_table(report), is_done)

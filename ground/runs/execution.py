@@ -3,16 +3,17 @@
 A run continues if its log, picture or movie cannot be written.
 """
 
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ, Config
+from fsw.config import CYCLE_HZ, Config, digest
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
 from ground.common.errors import BadRequest
@@ -24,6 +25,7 @@ from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.recorder import Recorder
 from sim.arms import BuiltArm
 from sim.initialisation import InitialisationResult, initialise_joints
+from sim.loop import ClosedLoop
 from sim.plant import Plant
 from sim.record import CycleRecord
 from sim.world import World, build
@@ -58,12 +60,6 @@ class Artifacts:
     """Reason why the log is not complete."""
     events: tuple[tuple[float, Evr], ...] = ()
     """Time [s] and event of each event of the ground."""
-
-
-def no_artifacts(files: RunFiles) -> Artifacts:
-    """Return the artifacts of a run that did not begin because its arm was not initialised."""
-    reason = f"log {files.log}: not recorded (the arm was not initialised)"
-    return Artifacts(None, None, None if files.log is None else reason)
 
 
 def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[InitialisationResult]:
@@ -156,7 +152,19 @@ def open_log(path: Path | None, header: Mapping[str, str], config: Config) -> Ru
         raise BadRequest(str(error)) from error
 
 
-class StoppableRun(Protocol):
+class RunResult(Protocol):
+    """Result of a run."""
+
+    @property
+    def duration_s(self) -> float:
+        """Duration on Mars."""
+
+
+Result = TypeVar("Result", bound=RunResult)
+Result_co = TypeVar("Result_co", bound=RunResult, covariant=True)
+
+
+class StoppableRun(Protocol[Result_co]):
     """Run that can be stopped before its end."""
 
     def __iter__(self) -> Iterator[CycleRecord]:
@@ -165,8 +173,13 @@ class StoppableRun(Protocol):
     def stopping(self) -> Iterator[CycleRecord]:
         """Stop the arm cycle by cycle, instead of the remaining cycles."""
 
+    def result(self) -> Result_co:
+        """Return the result; valid after the last cycle."""
 
-def record_cycles(run: StoppableRun, log: RunLog, when_disk_full: WhenDiskFull) -> Iterator[CycleRecord]:
+
+def record_cycles(
+    run: StoppableRun[Result], log: RunLog, when_disk_full: WhenDiskFull
+) -> Iterator[CycleRecord]:
     """Run and record cycle by cycle.
 
     Args:
@@ -226,3 +239,65 @@ def save_artifacts(
         model.vis.quality.shadowsize = MOVIE_SHADOWS
         movie = save_movie(model, iter_poses(), "overview", files.movie)
     return Artifacts(picture, movie, problem, log.events)
+
+
+@dataclass(frozen=True, slots=True)
+class Execution(Generic[Result]):
+    """Frozen record of a run that was carried out."""
+
+    result: Result
+    params_sha256: str
+    realtime_factor: float
+    """Duration on Mars over wall time; 0 for a run that did not begin."""
+    artifacts: Artifacts
+
+
+def execution_not_begun(result: Result, arm: BuiltArm, files: RunFiles) -> Execution[Result]:
+    """Return the record of a run that did not begin because its arm was not initialised."""
+    reason = f"log {files.log}: not recorded (the arm was not initialised)"
+    artifacts = Artifacts(None, None, None if files.log is None else reason)
+    return Execution(result, digest(arm.params), 0.0, artifacts)
+
+
+def execute(
+    run: StoppableRun[Result],
+    loop: ClosedLoop,
+    header: Mapping[str, str],
+    files: RunFiles,
+    world: World,
+    progress: Progress,
+    progress_at: Callable[[CycleRecord], tuple[float, float]],
+    is_for_picture: Callable[[CycleRecord], bool],
+) -> Execution[Result]:
+    """Carry out a run: record every cycle, then draw the picture and the movie.
+
+    Args:
+        run: The run.
+        loop: Closed loop of the run.
+        header: Header of the log, which describes the run.
+        files: Files that the run writes.
+        world: World of the run.
+        progress: Receiver of the progress.
+        progress_at: Function that returns the amount done at a cycle, and the total amount.
+        is_for_picture: Function that returns whether the picture may show a cycle; it shows the last one.
+
+    Raises:
+        BadRequest: the log cannot be opened; nothing moved.
+    """
+    log = open_log(files.log, header, loop.config)
+    frames = Frames()
+    started = time.perf_counter()
+    try:
+        for record in record_cycles(run, log, files.when_disk_full):
+            if frames.note(loop.plant, record):
+                progress(*progress_at(record), describe_activity(record))
+            if is_for_picture(record):
+                frames.choose(loop.plant)
+    finally:
+        log.close()
+    wall_s = time.perf_counter() - started
+    if loop.failure is not None:
+        raise loop.failure
+    result = run.result()
+    artifacts = save_artifacts(files, world, frames, loop.plant.data.qpos, log, progress)
+    return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts)

@@ -1,9 +1,8 @@
 """Placement of an instrument on a surface: check the request, carry it out, report."""
 
-import time
 from dataclasses import asdict, dataclass, replace
 
-from fsw.config import CYCLE_HZ, digest
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.dictionary.evrs import CommandCompleted
 from ground.common.errors import BadRequest
@@ -19,21 +18,11 @@ from ground.common.requests import (
     scale_direction,
     select_arm,
 )
-from ground.runs.execution import (
-    Artifacts,
-    Frames,
-    describe_activity,
-    initialise,
-    no_artifacts,
-    open_log,
-    record_cycles,
-    save_artifacts,
-)
+from ground.runs.execution import Execution, execute, execution_not_begun, initialise
 from ground.runs.request import PlaceRequest
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm, effects_of_run
 from sim.effects.effect import Effect
-from sim.initialisation import InitialisationResult
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementResult, PlacementRun
 from sim.preview import preview_placement, unstow_duration_s
@@ -95,14 +84,10 @@ def _parse_tool(name: str) -> Tool:
 
 @dataclass(frozen=True, slots=True)
 class PlaceReport:
-    """Frozen record of a placement and its artifacts."""
+    """Frozen record of a placement."""
 
     request: PlaceRequest
-    params_sha256: str
-    result: PlacementResult
-    realtime_factor: float
-    """Duration on Mars over wall time."""
-    artifacts: Artifacts
+    execution: Execution[PlacementResult]
 
 
 def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
@@ -112,43 +97,23 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
         BadRequest: the request is wrong; nothing moved and nothing was written.
     """
     job = prepare_placement(request)
-    stops = initialise(job.arm, request.seed, progress)
-    if stops[-1].outcome is not Outcome.DONE:
-        return _not_initialised(request, job.arm, stops)
+    last = initialise(job.arm, request.seed, progress)[-1]
+    if last.outcome is not Outcome.DONE:
+        result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
+        return PlaceReport(request, execution_not_begun(result, job.arm, request.files))
     stowed_rad = job.arm.params.poses.stowed_rad
-    setup = Setup(
-        job.arm, job.world, stowed_rad, request.seed, stops[-1].reference, effects_of_run(job.effects)
-    )
+    setup = Setup(job.arm, job.world, stowed_rad, request.seed, last.reference, effects_of_run(job.effects))
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     run = PlacementRun(loop, job.placement)
     header = run_header(loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects)
-    log = open_log(request.files.log, header, loop.config)
-    frames = Frames()
-    started = time.perf_counter()
-    try:
-        for record in record_cycles(run, log, request.files.when_disk_full):
-            if frames.note(loop.plant, record):
-                progress(record.tick / CYCLE_HZ, job.expected_s, describe_activity(record))
-            if CommandCompleted("GuardedMove") in record.outputs.evrs:
-                frames.choose(loop.plant)
-    finally:
-        log.close()
-    wall_s = time.perf_counter() - started
-    if loop.failure is not None:
-        raise loop.failure
-    result = run.result()
-    artifacts = save_artifacts(request.files, job.world, frames, loop.plant.data.qpos, log, progress)
-    return PlaceReport(
-        request=request,
-        params_sha256=loop.config.params_sha256,
-        result=result,
-        realtime_factor=result.duration_s / wall_s,
-        artifacts=artifacts,
+    execution = execute(
+        run,
+        loop,
+        header,
+        request.files,
+        job.world,
+        progress,
+        progress_at=lambda record: (record.tick / CYCLE_HZ, job.expected_s),
+        is_for_picture=lambda record: CommandCompleted("GuardedMove") in record.outputs.evrs,
     )
-
-
-def _not_initialised(request: PlaceRequest, arm: BuiltArm, stops: list[InitialisationResult]) -> PlaceReport:
-    failed = stops[-1]
-    result = PlacementResult(failed.outcome, None, failed.duration_s, None, None, failed.evrs)
-    artifacts = no_artifacts(request.files)
-    return PlaceReport(request, digest(arm.params), result, 0.0, artifacts)
+    return PlaceReport(request, execution)
