@@ -1,12 +1,13 @@
 """Monte Carlo of arms as a request of the command line: jobs, checkpoints, and comparison with the budget."""
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final, Literal, cast, get_args
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,21 +19,17 @@ from ground.accuracy.combine import PARTS
 from ground.accuracy.confidence import AccuracyEstimate, estimate_accuracy
 from ground.accuracy.coverage import CoverageReport, check_coverage
 from ground.accuracy.placements import MeasuredPlacement
+from ground.accuracy.request import ArmKind, MonteCarloRequest, MoveMethod
 from ground.accuracy.sources import ErrorModel, load_error_model
-from ground.accuracy.trial import MoveMethod, run_built_trial, run_sampled_trial
+from ground.accuracy.trial import run_built_trial, run_sampled_trial
 from ground.common.checkpoint import Checkpoint
 from ground.common.errors import BadRequest
-from ground.common.files import check_distinct_files, check_output
+from ground.common.options import check_options
 from ground.common.pool import Runner, cluster_runner, local_runner
 from ground.common.progress import Progress
-from ground.common.requests import check_seed, load_params, select_arm
+from ground.common.requests import load_params, select_arm
 from sim.world import World
 
-ArmKind = Literal["drawn", "calibrated", "as-built"]
-ARMS: Final = (1, 1_000_000)
-PLACES: Final = (1, 1000)
-WORKERS: Final = (1, 1000)
-"""Smallest and largest number."""
 SEED_FIELD: Final = "{seed}"
 
 
@@ -133,24 +130,6 @@ def _measurement_record(measured: MeasuredPlacement) -> dict[str, Any]:
     return {name: values[name].tolist() for name in ("output_rad", "error", "gap")}
 
 
-@dataclass(frozen=True, slots=True)
-class MonteCarloRequest:
-    """Request for a Monte Carlo."""
-
-    case: str = "accuracy"
-    built: str = "drawn"
-    arms: int = 500
-    places: int = 1
-    how: str = "closed-loop"
-    seed: int = 0
-    only: int | None = None
-    workers: int = 1
-    cluster: bool = False
-    params: Path | None = None
-    results: Path | None = None
-    report: Path | None = None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class MonteCarloReport:
     """Result of a request for a Monte Carlo."""
@@ -176,7 +155,7 @@ def run_monte_carlo(request: MonteCarloRequest, progress: Progress) -> MonteCarl
     model = load_error_model()
     _check(request, model)
     jobs = _jobs(request)
-    runner = cluster_runner() if request.cluster else local_runner(request.workers)
+    runner = cluster_runner() if request.cluster else local_runner(request.workers or os.cpu_count() or 1)
     file = (
         None
         if request.results is None
@@ -194,24 +173,15 @@ def run_monte_carlo(request: MonteCarloRequest, progress: Progress) -> MonteCarl
 
 
 def _check(request: MonteCarloRequest, model: ErrorModel) -> None:
-    _check_choice("case", request.case, tuple(model.case))
-    _check_choice("built", request.built, get_args(ArmKind))
-    _check_choice("how", request.how, get_args(MoveMethod))
-    for name, bounds in (("arms", ARMS), ("places", PLACES), ("workers", WORKERS)):
-        _check_range(name, getattr(request, name), bounds)
-    if request.only is not None:
-        _check_range("only", request.only, (0, request.arms - 1))
-    check_seed(request.seed)
-    check_distinct_files({"params": request.params, "report": request.report, "results": request.results})
-    if request.report is not None:
-        check_output(request.report, (".html",), "report")
-    if request.results is not None:
-        check_output(request.results, (".jsonl",), "results")
+    check_options(request)
+    if request.case not in model.case:
+        raise BadRequest(f"case: {request.case!r} is not known; there are {', '.join(model.case)}")
+    if request.only is not None and not 0 <= request.only < request.arms:
+        raise BadRequest(f"only: {request.only} is not within 0 .. {request.arms - 1}")
 
 
 def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
     arms = range(request.arms) if request.only is None else [request.only]
-    built, how = cast(ArmKind, request.built), cast(MoveMethod, request.how)
     if _has_arm_files(request.params):
         numbers = [request.seed + arm for arm in arms]
         names = ["nominal" if request.built == "drawn" else f"{request.built}:{number}" for number in numbers]
@@ -220,7 +190,7 @@ def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
     else:
         params = [select_arm("nominal", request.params).params] * len(arms)
     return [
-        ArmJob(request.case, built, request.places, how, request.seed, arm, own)
+        ArmJob(request.case, request.built, request.places, request.how, request.seed, arm, own)
         for arm, own in zip(arms, params, strict=True)
     ]
 
@@ -248,14 +218,3 @@ def _estimate_three_sigma(
         return None
     error = np.array([[m.error for m in trial] for trial in trials]).transpose(2, 0, 1)
     return {name: estimate_accuracy(error[part]) for name, part in zip(COMPONENTS, PARTS, strict=True)}
-
-
-def _check_choice(name: str, value: str, there: tuple[str, ...]) -> None:
-    if value not in there:
-        raise BadRequest(f"{name}: {value!r} is not known; there are {', '.join(there)}")
-
-
-def _check_range(name: str, value: int, bounds: tuple[int, int]) -> None:
-    least, most = bounds
-    if not least <= value <= most:
-        raise BadRequest(f"{name}: {value} is not within {least} .. {most}")

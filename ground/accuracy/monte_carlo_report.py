@@ -10,8 +10,9 @@ from rich.console import Console
 from rich.table import Table
 
 from fsw.dictionary.enums import Joint
-from ground.accuracy.budget import COMPONENTS, COVERAGE
+from ground.accuracy.budget import COMPONENTS
 from ground.accuracy.budget_report import RULES, format_value
+from ground.accuracy.combine import COVERAGE
 from ground.accuracy.confidence import Interval, min_sample_size
 from ground.accuracy.coverage import AdditivityCheck, CoverageReport
 from ground.accuracy.monte_carlo import MonteCarloReport

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from ground.accuracy.placements import (
     random_placements,
     statics_model,
 )
+from ground.accuracy.request import MoveMethod
 from ground.accuracy.sources import BudgetCase, Distribution, ErrorModel, ErrorSource, is_compensated
 from sim.arms import BuiltArm, arm_named
 from sim.effects.effect import Effect
@@ -32,7 +33,6 @@ from sim.initialisation import RANDOM_TEMPERATURE_C, initial_reference, true_ref
 
 Z_TURN = 2
 """Index of the rotation about z in a screw."""
-MoveMethod = Literal["closed-loop", "statics"]
 ARM_SOURCES: Final = ("assembly", "calibration", "deflection", "zero_offset", "backlash")
 """Sources that a built, calibrated and initialised arm has itself."""
 

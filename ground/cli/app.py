@@ -16,7 +16,7 @@ from typing import Final, NoReturn
 
 import typer
 
-from ground.cli.budget import budget
+from ground.cli.accuracy import budget, monte_carlo
 from ground.cli.calibrate import calibrate, calibrate_serial
 from ground.cli.diagnose import diagnose
 from ground.cli.dictionary import dictionary, effects
@@ -24,7 +24,6 @@ from ground.cli.gap import gap_app
 from ground.cli.hardstop import hardstop
 from ground.cli.ik import ik, reach
 from ground.cli.log import log_app
-from ground.cli.monte_carlo import monte_carlo
 from ground.cli.options import EXIT_BAD_INPUT
 from ground.cli.place import place
 from ground.cli.replay import replay

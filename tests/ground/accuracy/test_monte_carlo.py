@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from ground.accuracy.budget import COMPONENTS, MOMENTS
-from ground.accuracy.monte_carlo import MonteCarloReport, MonteCarloRequest, run_monte_carlo
+from ground.accuracy.monte_carlo import MonteCarloReport, run_monte_carlo
 from ground.accuracy.monte_carlo_report import monte_carlo_json, save_monte_carlo_page
+from ground.accuracy.request import MonteCarloRequest
 from ground.common.errors import BadRequest
 from tests.ground.command import marsarm
 
-STATICS = MonteCarloRequest(arms=150, how="statics", seed=3)
+STATICS = MonteCarloRequest(arms=150, how="statics", seed=3, workers=1)
 
 
 def quiet(*_) -> None:
@@ -102,15 +103,15 @@ def test_without_ray_a_cluster_is_refused_and_nothing_is_written(monkeypatch, tm
 
 
 def test_the_closed_loop_measures_what_statics_do():
-    loop = run_monte_carlo(MonteCarloRequest("mars", arms=2, how="closed-loop", seed=5), quiet)
-    statics = run_monte_carlo(MonteCarloRequest("mars", arms=2, how="statics", seed=5), quiet)
+    loop = run_monte_carlo(MonteCarloRequest("mars", arms=2, how="closed-loop", seed=5, workers=1), quiet)
+    statics = run_monte_carlo(MonteCarloRequest("mars", arms=2, how="statics", seed=5, workers=1), quiet)
     for a, b in zip(loop.trials, statics.trials, strict=True):
         assert np.linalg.norm((a[0].error - b[0].error)[3:]) < 1e-4
 
 
 def test_an_arm_of_its_own_has_what_the_case_adds():
     found = run_monte_carlo(
-        MonteCarloRequest("mars", "calibrated", arms=3, places=3, how="statics", seed=1), quiet
+        MonteCarloRequest("mars", "calibrated", arms=3, places=3, how="statics", seed=1, workers=1), quiet
     )
     assert 1e-4 < found.coverage.percentile["total_m"] < 1e-2
     assert found.three_sigma["total_m"].accuracy.upper > found.three_sigma["total_m"].accuracy.estimate > 0

@@ -5,8 +5,9 @@ import json
 import PIL.Image
 import pytest
 
+from ground.calibration.request import SerialRequest
 from ground.calibration.serial.arm_file import arm_from_toml
-from ground.calibration.serial.request import SerialRequest, calibrate_serial
+from ground.calibration.serial.execution import calibrate_serial
 from ground.common.errors import BadRequest
 from tests.ground.calibration.serial.files import MAPPING, rows, write
 from tests.ground.calibration.serial.synthetic import POSITION_M

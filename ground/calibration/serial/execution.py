@@ -1,4 +1,4 @@
-"""Calibration of a serial arm as a request of the command line."""
+"""Execution of a calibration of a serial arm: read the files, fit, validate, write the fitted arm."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from ground.calibration.identifiability import Identifiability, assess_identifiability
+from ground.calibration.request import SerialRequest
 from ground.calibration.serial.arm import SerialArm
 from ground.calibration.serial.arm_file import arm_from_toml, arm_to_toml, unknown_words
 from ground.calibration.serial.calibrate import held_out_ratio
@@ -18,30 +19,14 @@ from ground.calibration.serial.series import PoseSeries
 from ground.calibration.serial.temperature import TemperatureTest, temperature_test
 from ground.calibration.serial.tracker_table import mapping_from_toml, series_from_table, sha256
 from ground.common.errors import BadRequest
-from ground.common.files import atomic_write, check_distinct_files, check_output
+from ground.common.files import atomic_write
+from ground.common.options import check_options
 from ground.common.progress import Progress
 from ground.telemetry.imports.files import MAX_TABLE_BYTES, read_file
 from ground.telemetry.imports.mapping_file import MAX_MAPPING_BYTES
 
 ALL: Final = "all"
 NONE: Final = "none"
-LEAST_SHARE: Final = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class SerialRequest:
-    """Request for a calibration."""
-
-    arm: Path
-    table: Path
-    mapping: Path
-    terms: str = ALL
-    share: float = 0.5
-    """Share of the poses to fit, from the first in time; the others validate."""
-    nested: bool = False
-    """Fit term by term."""
-    out: Path | None = None
-    picture: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,14 +55,8 @@ def calibrate_serial(request: SerialRequest, progress: Progress) -> SerialReport
     Raises:
         BadRequest: A file is wrong, or its poses do not determine the parameters; nothing was written.
     """
-    files = {name: getattr(request, name) for name in ("arm", "table", "mapping", "out", "picture")}
-    check_distinct_files(files)
+    check_options(request)
     terms = _parse_terms(request.terms)
-    if not LEAST_SHARE <= request.share <= 1.0:
-        raise BadRequest(f"share: {request.share:g} is not within {LEAST_SHARE:g} .. 1")
-    for name, suffix in (("out", ".toml"), ("picture", ".png")):
-        if files[name] is not None:
-            check_output(files[name], (suffix,), name)
     arm, series, digests = _read(request)
     count = round(request.share * series.count)
     is_part = np.arange(series.count) < count
