@@ -1,16 +1,22 @@
 """Verbs: functions whose options come from request classes, and whose results and errors are printed here."""
 
 import inspect
+import json
+import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, is_dataclass
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Final, Literal, get_args, get_origin
 
 import typer
 
-from ground.cli.options import EXIT_ARM_SAFE, JsonOption, fail, print_result
 from ground.common.errors import UserError
 from ground.common.options import Field, Option, option_fields
 from ground.common.progress import progress_bar
+
+EXIT_BAD_INPUT: Final = 2
+EXIT_ARM_SAFE: Final = 3
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +27,8 @@ class VerbResult:
     print_table: Callable[[], None]
     is_done: bool = True
     """False if the arm refused or faulted and is safe."""
+    save: Callable[[], None] | None = None
+    """Function that writes files; a result that took minutes is printed first."""
 
 
 def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:
@@ -33,11 +41,12 @@ def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:
     parameters = tuple(inspect.signature(work, eval_str=True).parameters.values())
 
     def command(as_json: bool, **values: Any) -> None:
-        try:
+        with report_user_errors(as_json):
             result = _carry_out(work, parameters, values)
-        except UserError as error:
-            fail(str(error), error.exit_status, as_json)
         print_result(result.document, as_json, result.print_table)
+        if result.save is not None:
+            with report_user_errors(as_json=False):  # the JSON document is complete
+                result.save()
         if not result.is_done:
             raise typer.Exit(EXIT_ARM_SAFE)
 
@@ -117,3 +126,23 @@ def _build_request(request_type: Any, values: dict[str, Any]) -> Any:
             value = None
         made[field.name] = tuple(value or ()) if _is_list(field) else value
     return request_type(**made)
+
+
+def print_result(document: dict[str, Any], as_json: bool, print_table: Callable[[], None]) -> None:
+    """Print a result as JSON for a program, or as a table for a person."""
+    if as_json:
+        print(json.dumps(document, indent=2, allow_nan=False))
+    else:
+        print_table()
+
+
+@contextmanager
+def report_user_errors(as_json: bool) -> Iterator[None]:
+    """Print an error of the user, and exit with its status."""
+    try:
+        yield
+    except UserError as error:
+        if as_json:
+            print(json.dumps({"error": str(error)}))
+        print(error, file=sys.stderr)
+        raise typer.Exit(error.exit_status) from error

@@ -72,7 +72,7 @@ def check_options(request: Any) -> None:
     given = list(_values(request))
     for field, option, value in given:
         _check_value(field, option, value)
-    read = {field.label: Path(value) for field, option, value in given if option.is_read and _is_file(value)}
+    read = dict(file for field, option, value in given if option.is_read for file in _files(field, value))
     written = [(field.label, option, value) for field, option, value in given if option.suffixes]
     check_distinct_files(read | {label: path for label, _, path in written})
     for label, option, path in written:
@@ -89,9 +89,12 @@ def _values(request: Any) -> Iterator[tuple[Field, Option, Any]]:
             yield field, field.option, value
 
 
-def _is_file(value: Any) -> bool:
-    """Return whether the option names a file: a scenario can be a name too."""
-    return isinstance(value, Path) or str(value).endswith(".toml")
+def _files(field: Field, value: Any) -> Iterator[tuple[str, Path]]:
+    """Yield the files that an option names; an effect or a scenario is a file if it ends in .toml."""
+    for one in value if isinstance(value, tuple) else (value,):
+        label = f"{field.label} {one}" if isinstance(value, tuple) else field.label
+        if isinstance(one, Path) or one.endswith(".toml"):
+            yield label, Path(one)
 
 
 def _check_value(field: Field, option: Option, value: Any) -> None:
@@ -127,6 +130,7 @@ EffectsOption = Annotated[
         "[[effect]] tables; repeatable.",
         "NAME:PLACE:PARAMETER=VALUE,...",
         "--effect",
+        is_read=True,
     ),
 ]
 ReportOption = Annotated[
