@@ -17,7 +17,6 @@ from ground.common.errors import BadRequest
 from ground.common.options import check_options
 from ground.common.progress import Progress
 from ground.common.requests import make_world, parse_effects, select_arm
-from ground.runs.hardstop_figure import save_hardstop_figure
 from ground.runs.request import HardstopRequest
 from sim.arms import BuiltArm, effects_of_run
 from sim.clearance import Clearance, ClearanceModel
@@ -43,8 +42,6 @@ class HardstopReport:
     """One run for every repetition and joint, or one run of all joints."""
     poses_rad: tuple[tuple[float, ...], ...]
     """Pose in which each joint runs to its hardstop, in the order of Joint; its own angle is the first."""
-    picture_problem: str | None
-    """Reason why there is no picture."""
 
     @property
     def outcome(self) -> Outcome:
@@ -64,18 +61,15 @@ class HardstopJob:
 
 
 def hardstop(request: HardstopRequest, progress: Progress) -> HardstopReport:
-    """Find hardstops, and draw a figure of it if the request has a picture.
+    """Find hardstops.
 
     Raises:
         BadRequest: the request is wrong; nothing moved and nothing was written.
     """
     job = prepare_hardstop(request)
     runs = tuple(_iter_runs(request, job, progress))
-    problem = None
-    if request.picture is not None:
-        problem = save_hardstop_figure(runs, request.picture)
     poses = tuple(tuple(homing_start_poses(job.arm.params, joint)[-1]) for joint in Joint)
-    return HardstopReport(request, runs, poses, problem)
+    return HardstopReport(request, runs, poses)
 
 
 def prepare_hardstop(request: HardstopRequest) -> HardstopJob:

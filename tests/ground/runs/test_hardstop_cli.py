@@ -8,7 +8,7 @@ import pytest
 from fsw.dictionary.enums import Joint
 from ground.common.errors import BadRequest
 from ground.runs.hardstop import hardstop, plan_stops
-from ground.runs.hardstop_tables import hardstop_json, plan_json
+from ground.runs.hardstop_report import hardstop_json, plan_json
 from ground.runs.request import HardstopRequest
 from tests.ground.command import marsarm
 
