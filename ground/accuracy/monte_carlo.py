@@ -19,7 +19,7 @@ from ground.accuracy.combine import PARTS
 from ground.accuracy.confidence import AccuracyEstimate, estimate_accuracy
 from ground.accuracy.coverage import CoverageReport, check_coverage
 from ground.accuracy.placements import MeasuredPlacement
-from ground.accuracy.request import ArmKind, MonteCarloRequest, MoveMethod
+from ground.accuracy.request import ArmKind, MonteCarloRequest, MoveModel
 from ground.accuracy.sources import ErrorModel, load_error_model
 from ground.accuracy.trial import run_built_trial, run_sampled_trial
 from ground.common.checkpoint import Checkpoint
@@ -41,11 +41,11 @@ class ArmJob:
     built: ArmKind
     """Kind of arm.
 
-    drawn: the nominal arm with every source of the case. calibrated, as-built: an arm of that name, with the
-    sources that it does not have itself.
+    sampled: the nominal arm with every source of the case. calibrated, as-built: an arm of that name, with
+    the sources that it does not have itself.
     """
     places: int
-    how: MoveMethod
+    move_model: MoveModel
     seed: int
     arm: int
     params: Params
@@ -57,11 +57,11 @@ def run_job(job: ArmJob) -> dict[str, Any]:
     model = load_error_model()
     case, seed = model.case[job.case], np.random.SeedSequence(job.seed, spawn_key=(job.arm,))
     try:
-        if job.built == "drawn":
-            found = run_sampled_trial(model, case, job.params, job.places, job.how, seed)
+        if job.built == "sampled":
+            found = run_sampled_trial(model, case, job.params, job.places, job.move_model, seed)
         else:
             name = f"{job.built}:{job.seed + job.arm}"
-            found = run_built_trial(model, case, name, job.params, job.places, job.how, seed)
+            found = run_built_trial(model, case, name, job.params, job.places, job.move_model, seed)
     except RuntimeError as error:
         return {**_job_key(job), "failed": str(error)}
     return {
@@ -184,13 +184,15 @@ def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
     arms = range(request.arms) if request.only is None else [request.only]
     if _has_arm_files(request.params):
         numbers = [request.seed + arm for arm in arms]
-        names = ["nominal" if request.built == "drawn" else f"{request.built}:{number}" for number in numbers]
+        names = [
+            "nominal" if request.built == "sampled" else f"{request.built}:{number}" for number in numbers
+        ]
         paths = [Path(str(request.params).replace(SEED_FIELD, str(number))) for number in numbers]
         params = [load_params(name, path) for name, path in zip(names, paths, strict=True)]
     else:
         params = [select_arm("nominal", request.params).params] * len(arms)
     return [
-        ArmJob(request.case, request.built, request.places, request.how, request.seed, arm, own)
+        ArmJob(request.case, request.built, request.places, request.move_model, request.seed, arm, own)
         for arm, own in zip(arms, params, strict=True)
     ]
 
@@ -203,7 +205,7 @@ def _has_arm_files(params: Path | None) -> bool:
 def _results_header(request: MonteCarloRequest, jobs: list[ArmJob]) -> dict[str, Any]:
     """Collect all inputs of the results except the number of arms, so that arms can be added later."""
     sources = resources.files("ground.accuracy").joinpath("sources.toml").read_bytes()
-    same = ("case", "built", "places", "how", "seed")
+    same = ("case", "built", "places", "move_model", "seed")
     return {
         **{name: value for name, value in asdict(request).items() if name in same},
         "params": str(request.params) if _has_arm_files(request.params) else digest(jobs[0].params),

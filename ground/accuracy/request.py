@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from ground.common.options import Option, ParamsOption, ReportOption
 
-ArmKind = Literal["drawn", "calibrated", "as-built"]
-MoveMethod = Literal["closed-loop", "statics"]
+ArmKind = Literal["sampled", "calibrated", "as-built"]
+MoveModel = Literal["closed-loop", "statics"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,15 +42,15 @@ class MonteCarloRequest:
     built: Annotated[
         ArmKind,
         Option(
-            "drawn: the nominal arm with every source of the case. calibrated or as-built: such arms, "
+            "sampled: the nominal arm with every source of the case. calibrated or as-built: such arms, "
             "with the sources that the case adds to them.",
-            "drawn|calibrated|as-built",
+            "sampled|calibrated|as-built",
         ),
-    ] = "drawn"
+    ] = "sampled"
     arms: Annotated[int, Option("Number of arms.", within=(1, 1_000_000))] = 500
     places: Annotated[int, Option("Number of places that each arm is moved to.", within=(1, 1000))] = 1
-    how: Annotated[
-        MoveMethod,
+    move_model: Annotated[
+        MoveModel,
         Option(
             "closed-loop: plant and flight software. statics: the equilibrium of motors, gears and springs "
             "after a move, thirty times faster.",

@@ -68,16 +68,16 @@ class SerialRequest:
     terms: Annotated[
         str,
         Option(
-            "Terms to fit: geometry, compliance, waves and approach, joined by commas; none fits only base "
-            "and target.",
+            "Terms to fit: geometry, compliance, periodic and hysteresis, joined by commas; none fits only "
+            "base and target.",
             "TERMS|all|none",
         ),
     ] = "all"
-    share: Annotated[
+    fit_share: Annotated[
         float,
         Option("Share of the poses to fit, the earliest ones; the others are held out.", within=(0.05, 1.0)),
     ] = 0.5
-    nested: Annotated[bool, Option("Fit term by term, and show what each explains.", name="--ladder")] = False
+    nested: Annotated[bool, Option("Fit term by term, and show what each explains.")] = False
     out: Annotated[Path | None, Option("Write the fitted arm.", "FILE.toml", suffixes=(".toml",))] = None
     picture: Annotated[
         Path | None,

@@ -58,7 +58,7 @@ def calibrate_serial(request: SerialRequest, progress: Progress) -> SerialReport
     check_options(request)
     terms = _parse_terms(request.terms)
     arm, series, digests = _read(request)
-    count = round(request.share * series.count)
+    count = round(request.fit_share * series.count)
     is_part = np.arange(series.count) < count
     part, fresh = series.at(is_part), series.at(~is_part) if count < series.count else None
     steps = fit_nested_models(

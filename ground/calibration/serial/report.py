@@ -174,7 +174,7 @@ def _mm(*lengths_m: float) -> list[str]:
 def _joints(report: SerialReport) -> Table:
     table = Table(title="Joint errors: urad/Nm, urad, mrad, mrad", title_justify="left")
     table.add_column("joint")
-    for name in ("compliance", "+-", "approach", "+-", "waves", "largest"):
+    for name in ("compliance", "+-", "hysteresis", "+-", "periodic", "largest"):
         table.add_column(name, justify="right")
     for one in joint_errors(report.steps[-1].found):
         micro = (one.compliance_rad_per_Nm, one.compliance_sigma, one.approach_rad, one.approach_sigma)
