@@ -18,7 +18,8 @@ from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array
-from ground.accuracy.budget_request import BudgetRequest, run_budget
+from ground.accuracy.budget import run_budget
+from ground.accuracy.request import BudgetRequest
 from validation.closed_loop import closed_loop
 from validation.kinematics import run_kinematics_campaign
 from validation.kinematics_trials import Trial, arm_of, claimed_roots

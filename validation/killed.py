@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from ground.common.files import BadOutput
+from ground.common.errors import BadOutput
 from ground.telemetry.errors import LogError
 from ground.telemetry.read import Log, read_log
 from ground.telemetry.recorder import Recorder

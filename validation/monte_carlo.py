@@ -15,9 +15,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from ground.accuracy.budget import COMPONENTS, COVERAGE, MOMENTS
-from ground.accuracy.monte_carlo import MonteCarloReport, MonteCarloRequest, run_monte_carlo
+from ground.accuracy.budget import COMPONENTS, MOMENTS
+from ground.accuracy.combine import COVERAGE
+from ground.accuracy.monte_carlo import MonteCarloReport, run_monte_carlo
 from ground.accuracy.monte_carlo_report import monte_carlo_json
+from ground.accuracy.request import MonteCarloRequest
 from validation.options import campaign_parser
 
 EXAMPLE = "example: python -m validation.monte_carlo --statics 2000 --closed-loop 100 --calibrated 5"
@@ -36,8 +38,8 @@ MOST_DIFFERENCE_M: Final = 3e-4
 def against_budget(case: str, options: Any) -> dict[str, Any]:
     """Run sampled arms of a case, by statics and in the closed loop."""
     base = MonteCarloRequest(case=case, seed=options.seed, workers=options.workers)
-    many = _run(replace(base, how="statics", arms=options.statics), options.results)
-    some = _run(replace(base, how="closed-loop", arms=options.closed_loop), options.results)
+    many = _run(replace(base, move_model="statics", arms=options.statics), options.results)
+    some = _run(replace(base, move_model="closed-loop", arms=options.closed_loop), options.results)
     difference_m = [
         float(np.linalg.norm((a[0].error - b[0].error)[3:]))
         for a, b in zip(many.trials, some.trials, strict=False)
@@ -89,7 +91,7 @@ def _rule_holds(report: MonteCarloReport) -> bool:
 
 
 def _run(request: MonteCarloRequest, folder: Path | None) -> MonteCarloReport:
-    name = f"{request.case}-{request.built}-{request.how}.jsonl"
+    name = f"{request.case}-{request.built}-{request.move_model}.jsonl"
 
     def progress(done: float, total: float, what: str) -> None:
         print(f"\r{name[:-6]}: {done:g} of {total:g} {what} ", end="", file=sys.stderr)

@@ -14,11 +14,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fsw.config import CYCLE_HZ
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from ground.replay.replay import ReplayRequest, replay
 from ground.replay.tables import verdict_line
-from ground.runs.execution import RunFiles
-from ground.runs.scenario import RunRequest, run
+from ground.runs.request import RunFiles, RunRequest
+from ground.runs.scenario import run
 from sim.scenario.file import built_in_scenarios
 from validation.options import campaign_parser
 
@@ -63,13 +63,13 @@ def replay_one(scenario: str, arm: str) -> ReplayOutcome:
         return ReplayOutcome(
             scenario=scenario,
             arm=arm,
-            outcome=str(ran.result.outcome),
+            outcome=str(ran.execution.result.outcome),
             verdict=verdict_line(found),
             identical=found.identical and found.tolerance == 0.0,
             ticks=found.ticks[0],
             log_bytes=log.stat().st_size,
             times_real_time=rate,
-            times_the_run=rate / ran.realtime_factor,
+            times_the_run=rate / ran.execution.realtime_factor,
         )
 
 

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from fsw.kinematics.transforms import Array, Integers
+from ground.calibration.request import SerialRequest
 from ground.calibration.serial.calibrate import periodic_error_rad
+from ground.calibration.serial.execution import SerialReport, calibrate_serial
 from ground.calibration.serial.report import serial_json
-from ground.calibration.serial.request import SerialReport, SerialRequest, calibrate_serial
 from validation.options import campaign_parser
 
 EXAMPLE = "example: MARSARM_DATA=~/data python -m validation.ur10 > ur10.json"

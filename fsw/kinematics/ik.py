@@ -328,11 +328,6 @@ def replace_results(result: IkResult, where: NDArray[np.intp], others: IkResult)
     return replace_targets(pad_result(result, slots), where, pad_result(others, slots))
 
 
-def select_result(result: IkResult, index: int) -> IkResult:
-    """Select the result of one target of a batch (n,)."""
-    return select_targets(result, index)
-
-
 def describe_slot(arm: Arm, result: IkResult, slot: int) -> str:
     """Describe one slot of a single target in a sentence."""
     return f"{slot_name(slot)}: {_describe_verdict(arm, result, slot)}"

@@ -9,9 +9,10 @@ from fsw.config import Config
 from fsw.dictionary.commands import ROVER, GuardedMove, MoveTool, Retract
 from fsw.dictionary.enums import Frame, Tool
 from fsw.estimate.joints import JointEstimate
+from fsw.kinematics.batch import select_targets
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import Frames, tool_pose
-from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics, select_result
+from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics
 from fsw.kinematics.newton import NewtonRoots, refine_roots
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, norm
@@ -153,7 +154,7 @@ def _explain_refusal(config: Config, tool: Tool, result: IkResult, wanted: NDArr
         if not np.any(wanted & (verdict == BranchVerdict.VALID)):
             # by verdict first (a limit is nearer than the reach), then by excess
             nearest = int(np.lexsort((excess, verdict, ~wanted))[0])
-            return f"{tool.name}: {name}: {describe_slot(config.arm, select_result(result, k), nearest)}"
+            return f"{tool.name}: {name}: {describe_slot(config.arm, select_targets(result, k), nearest)}"
     return f"{tool.name}: no branch asked for reaches the target and the end of the approach alike"
 
 

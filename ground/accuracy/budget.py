@@ -6,10 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from fsw.config import Config
+from fsw.config import Config, configure, digest
 from fsw.dictionary.enums import Tool
 from fsw.kinematics.transforms import Array, Flags
 from ground.accuracy.combine import (
+    COVERAGE,
     PARTS,
     Bounds,
     SquaredLength,
@@ -22,13 +23,17 @@ from ground.accuracy.combine import (
     squared_length,
     worst_case,
 )
+from ground.accuracy.reproduce import TABLE_3, TABLE_4, MagnitudeFit, PaperRow, reproduce
+from ground.accuracy.request import BudgetRequest
 from ground.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity, workspace_poses
-from ground.accuracy.sources import BudgetCase, ErrorModel, is_compensated
+from ground.accuracy.sources import BudgetCase, ErrorModel, is_compensated, load_error_model
+from ground.common.errors import BadRequest
+from ground.common.options import check_options
 from ground.common.progress import Progress
+from ground.common.requests import make_world, select_arm
 
 MOMENTS: Final = "moments"
-COVERAGE: Final = 0.9973
-"""Three sigma of a normal error; also the share of poses whose bound is within the reported value."""
+ALL: Final = "all"
 COMPONENTS: Final = tuple(field.name for field in fields(Bounds))
 
 
@@ -156,3 +161,54 @@ def errors_by_source(model: ErrorModel, case: BudgetCase, sensitivity: Sensitivi
     """
     u = [factor * sensitivity.errors_by_frame(model.source[name]) for name, factor in case.sources.items()]
     return np.array(u), np.array([model.source[name].at_limit for name in case.sources])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BudgetReport:
+    """Result of a request for an error budget."""
+
+    request: BudgetRequest
+    model: ErrorModel
+    budgets: Mapping[str, Budget]
+    rows: tuple[tuple[PaperRow, float], ...]
+    """Rows of the paper for the requested cases, with our values."""
+    reproduced: tuple[MagnitudeFit, ...]
+    """Magnitudes that reproduce Tables 3 and 4 of the paper, if requested."""
+    params_sha256: str
+
+
+def run_budget(request: BudgetRequest, progress: Progress) -> BudgetReport:
+    """Compute the budgets of one case or of all cases.
+
+    Raises:
+        BadRequest: The request is wrong; nothing was written.
+    """
+    check_options(request)
+    model = load_error_model()
+    names = tuple(model.case) if request.case == ALL else (request.case,)
+    if request.case not in (ALL, *model.case):
+        raise BadRequest(f"case: {request.case!r} is not known; there are {', '.join(model.case)} and {ALL}")
+    tools = _parse_tools(request.tool)
+    gravity = make_world(request.gravity, 0.0, 0.0, "gravity").gravity_N_m_s2
+    params = select_arm("nominal", request.params).params
+    config = configure(params)
+    budgets = compute_budgets(model, names, config, gravity, tools, request.poses, request.seed, progress)
+    rows = [
+        (row, budgets[row.case].estimate("paper", row.component))
+        for row in (*TABLE_3, *TABLE_4)
+        if row.case in budgets
+    ]
+    reproduced: list[MagnitudeFit] = []
+    for table in (TABLE_3, TABLE_4) if request.reproduce else ():
+        progress(len(reproduced), 2, "reproducing")
+        reproduced.append(reproduce(model, table, config, gravity, request.seed))
+    return BudgetReport(request, model, budgets, tuple(rows), tuple(reproduced), digest(params))
+
+
+def _parse_tools(name: str) -> tuple[Tool, ...]:
+    known = {tool.name.lower(): tool for tool in Tool}
+    if name.lower() == ALL:
+        return tuple(Tool)
+    if name.lower() not in known:
+        raise BadRequest(f"tool: {name!r} is not known; there are {', '.join(known)} and {ALL}")
+    return (known[name.lower()],)

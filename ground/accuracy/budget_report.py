@@ -8,8 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from fsw.dictionary.enums import Frame
-from ground.accuracy.budget import COMPONENTS, Budget
-from ground.accuracy.budget_request import BudgetReport
+from ground.accuracy.budget import COMPONENTS, Budget, BudgetReport
 from ground.accuracy.reproduce import MagnitudeFit
 from ground.render.console import plain_console
 from ground.render.figures import render_png

@@ -11,13 +11,12 @@ from fsw.dictionary.enums import Joint, Tool
 from fsw.kinematics.transforms import Array, Flags
 from ground.accuracy.budget import (
     COMPONENTS,
-    COVERAGE,
     Budget,
     ToolBudget,
     compute_tool_budget,
     errors_by_source,
 )
-from ground.accuracy.combine import TOTAL, bounds, paper_rule, pooled_quantile, squared_length
+from ground.accuracy.combine import COVERAGE, TOTAL, bounds, paper_rule, pooled_quantile, squared_length
 from ground.accuracy.confidence import Coverage, Interval, estimate_coverage, quantile_interval
 from ground.accuracy.placements import MeasuredPlacement
 from ground.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity

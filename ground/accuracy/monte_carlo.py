@@ -1,12 +1,13 @@
 """Monte Carlo of arms as a request of the command line: jobs, checkpoints, and comparison with the budget."""
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final, Literal, cast, get_args
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,20 +19,17 @@ from ground.accuracy.combine import PARTS
 from ground.accuracy.confidence import AccuracyEstimate, estimate_accuracy
 from ground.accuracy.coverage import CoverageReport, check_coverage
 from ground.accuracy.placements import MeasuredPlacement
+from ground.accuracy.request import ArmKind, MonteCarloRequest, MoveModel
 from ground.accuracy.sources import ErrorModel, load_error_model
-from ground.accuracy.trial import MoveMethod, run_built_trial, run_sampled_trial
+from ground.accuracy.trial import run_built_trial, run_sampled_trial
 from ground.common.checkpoint import Checkpoint
-from ground.common.files import BadOutput, check_output
+from ground.common.errors import BadRequest
+from ground.common.options import check_options
 from ground.common.pool import Runner, cluster_runner, local_runner
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files, check_seed, load_params, select_arm
+from ground.common.requests import load_params, select_arm
 from sim.world import World
 
-ArmKind = Literal["drawn", "calibrated", "as-built"]
-ARMS: Final = (1, 1_000_000)
-PLACES: Final = (1, 1000)
-WORKERS: Final = (1, 1000)
-"""Smallest and largest number."""
 SEED_FIELD: Final = "{seed}"
 
 
@@ -43,11 +41,11 @@ class ArmJob:
     built: ArmKind
     """Kind of arm.
 
-    drawn: the nominal arm with every source of the case. calibrated, as-built: an arm of that name, with the
-    sources that it does not have itself.
+    sampled: the nominal arm with every source of the case. calibrated, as-built: an arm of that name, with
+    the sources that it does not have itself.
     """
     places: int
-    how: MoveMethod
+    move_model: MoveModel
     seed: int
     arm: int
     params: Params
@@ -59,11 +57,11 @@ def run_job(job: ArmJob) -> dict[str, Any]:
     model = load_error_model()
     case, seed = model.case[job.case], np.random.SeedSequence(job.seed, spawn_key=(job.arm,))
     try:
-        if job.built == "drawn":
-            found = run_sampled_trial(model, case, job.params, job.places, job.how, seed)
+        if job.built == "sampled":
+            found = run_sampled_trial(model, case, job.params, job.places, job.move_model, seed)
         else:
             name = f"{job.built}:{job.seed + job.arm}"
-            found = run_built_trial(model, case, name, job.params, job.places, job.how, seed)
+            found = run_built_trial(model, case, name, job.params, job.places, job.move_model, seed)
     except RuntimeError as error:
         return {**_job_key(job), "failed": str(error)}
     return {
@@ -134,24 +132,6 @@ def _measurement_record(measured: MeasuredPlacement) -> dict[str, Any]:
     return {name: values[name].tolist() for name in ("output_rad", "error", "backlash_position")}
 
 
-@dataclass(frozen=True, slots=True)
-class MonteCarloRequest:
-    """Request for a Monte Carlo."""
-
-    case: str = "accuracy"
-    built: str = "drawn"
-    arms: int = 500
-    places: int = 1
-    how: str = "closed-loop"
-    seed: int = 0
-    only: int | None = None
-    workers: int = 1
-    cluster: bool = False
-    params: Path | None = None
-    results: Path | None = None
-    report: Path | None = None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class MonteCarloReport:
     """Result of a request for a Monte Carlo."""
@@ -177,7 +157,7 @@ def run_monte_carlo(request: MonteCarloRequest, progress: Progress) -> MonteCarl
     model = load_error_model()
     _check(request, model)
     jobs = _jobs(request)
-    runner = cluster_runner() if request.cluster else local_runner(request.workers)
+    runner = cluster_runner() if request.cluster else local_runner(request.workers or os.cpu_count() or 1)
     file = (
         None
         if request.results is None
@@ -195,36 +175,26 @@ def run_monte_carlo(request: MonteCarloRequest, progress: Progress) -> MonteCarl
 
 
 def _check(request: MonteCarloRequest, model: ErrorModel) -> None:
-    _check_choice("case", request.case, tuple(model.case))
-    _check_choice("built", request.built, get_args(ArmKind))
-    _check_choice("how", request.how, get_args(MoveMethod))
-    for name, bounds in (("arms", ARMS), ("places", PLACES), ("workers", WORKERS)):
-        _check_range(name, getattr(request, name), bounds)
-    if request.only is not None:
-        _check_range("only", request.only, (0, request.arms - 1))
-    check_seed(request.seed)
-    check_distinct_files({"params": request.params, "report": request.report, "results": request.results})
-    try:
-        if request.report is not None:
-            check_output(request.report, (".html",), "report")
-        if request.results is not None:
-            check_output(request.results, (".jsonl",), "results")
-    except BadOutput as error:
-        raise BadRequest(str(error)) from error
+    check_options(request)
+    if request.case not in model.case:
+        raise BadRequest(f"case: {request.case!r} is not known; there are {', '.join(model.case)}")
+    if request.only is not None and not 0 <= request.only < request.arms:
+        raise BadRequest(f"only: {request.only} is not within 0 .. {request.arms - 1}")
 
 
 def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
     arms = range(request.arms) if request.only is None else [request.only]
-    built, how = cast(ArmKind, request.built), cast(MoveMethod, request.how)
     if _has_arm_files(request.params):
         numbers = [request.seed + arm for arm in arms]
-        names = ["nominal" if request.built == "drawn" else f"{request.built}:{number}" for number in numbers]
+        names = [
+            "nominal" if request.built == "sampled" else f"{request.built}:{number}" for number in numbers
+        ]
         paths = [Path(str(request.params).replace(SEED_FIELD, str(number))) for number in numbers]
         params = [load_params(name, path) for name, path in zip(names, paths, strict=True)]
     else:
         params = [select_arm("nominal", request.params).params] * len(arms)
     return [
-        ArmJob(request.case, built, request.places, how, request.seed, arm, own)
+        ArmJob(request.case, request.built, request.places, request.move_model, request.seed, arm, own)
         for arm, own in zip(arms, params, strict=True)
     ]
 
@@ -237,7 +207,7 @@ def _has_arm_files(params: Path | None) -> bool:
 def _results_header(request: MonteCarloRequest, jobs: list[ArmJob]) -> dict[str, Any]:
     """Collect all inputs of the results except the number of arms, so that arms can be added later."""
     sources = resources.files("ground.accuracy").joinpath("sources.toml").read_bytes()
-    same = ("case", "built", "places", "how", "seed")
+    same = ("case", "built", "places", "move_model", "seed")
     return {
         **{name: value for name, value in asdict(request).items() if name in same},
         "params": str(request.params) if _has_arm_files(request.params) else digest(jobs[0].params),
@@ -252,14 +222,3 @@ def _estimate_three_sigma(
         return None
     error = np.array([[m.error for m in trial] for trial in trials]).transpose(2, 0, 1)
     return {name: estimate_accuracy(error[part]) for name, part in zip(COMPONENTS, PARTS, strict=True)}
-
-
-def _check_choice(name: str, value: str, there: tuple[str, ...]) -> None:
-    if value not in there:
-        raise BadRequest(f"{name}: {value!r} is not known; there are {', '.join(there)}")
-
-
-def _check_range(name: str, value: int, bounds: tuple[int, int]) -> None:
-    least, most = bounds
-    if not least <= value <= most:
-        raise BadRequest(f"{name}: {value} is not within {least} .. {most}")

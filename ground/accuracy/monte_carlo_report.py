@@ -10,8 +10,9 @@ from rich.console import Console
 from rich.table import Table
 
 from fsw.dictionary.enums import Joint
-from ground.accuracy.budget import COMPONENTS, COVERAGE
+from ground.accuracy.budget import COMPONENTS
 from ground.accuracy.budget_report import RULES, format_value
+from ground.accuracy.combine import COVERAGE
 from ground.accuracy.confidence import Interval, min_sample_size
 from ground.accuracy.coverage import AdditivityCheck, CoverageReport
 from ground.accuracy.monte_carlo import MonteCarloReport
@@ -36,7 +37,7 @@ def monte_carlo_json(report: MonteCarloReport) -> dict[str, Any]:
     return {
         "case": request.case,
         "built": request.built,
-        "how": request.how,
+        "move_model": request.move_model,
         "seed": request.seed,
         "places": request.places,
         "arms": len(report.trials),
@@ -148,7 +149,8 @@ def percentile_sentence(found: CoverageReport) -> str:
 
 def _rules(report: MonteCarloReport, found: CoverageReport) -> Table:
     request = report.request
-    title = f"{request.case}: {found.arms} arms, {request.built}, {request.how}. {percentile_sentence(found)}"
+    arms = f"{found.arms} arms, {request.built}, {request.move_model}"
+    title = f"{request.case}: {arms}. {percentile_sentence(found)}"
     table = Table(title=title, title_justify="left")
     for k, name in enumerate(RULE_HEAD):
         table.add_column(name, justify="left" if k < 2 else "right")
@@ -232,7 +234,7 @@ def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
     parts = [
         paragraph(
             f"Case {request.case}: {len(report.trials)} arms, {request.built}, {request.places} places each, "
-            f"{request.how}, seed {request.seed}; {len(report.failed)} arms failed."
+            f"{request.move_model}, seed {request.seed}; {len(report.failed)} arms failed."
         )
     ]
     if found is not None:

@@ -12,8 +12,7 @@ from fsw.config import Config
 from fsw.dictionary.enums import Frame, Tool
 from fsw.dictionary.types import Vector3, vector3
 from fsw.kinematics.transforms import Array
-from ground.accuracy.budget import COVERAGE
-from ground.accuracy.combine import bounds, paper_rule
+from ground.accuracy.combine import COVERAGE, bounds, paper_rule
 from ground.accuracy.sensitivity import Sensitivity, compute_sensitivity, workspace_poses
 from ground.accuracy.sources import ErrorModel, ErrorSource, FrameMagnitude
 

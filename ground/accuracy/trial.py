@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from ground.accuracy.placements import (
     random_placements,
     statics_model,
 )
+from ground.accuracy.request import MoveModel
 from ground.accuracy.sources import BudgetCase, Distribution, ErrorModel, ErrorSource, is_compensated
 from sim.arms import BuiltArm, arm_named
 from sim.effects.effect import Effect
@@ -32,7 +33,6 @@ from sim.initialisation import RANDOM_TEMPERATURE_C, initial_reference, true_ref
 
 Z_TURN = 2
 """Index of the rotation about z in a screw."""
-MoveMethod = Literal["closed-loop", "statics"]
 ARM_SOURCES: Final = ("assembly", "calibration", "deflection", "zero_offset", "backlash")
 """Sources that a built, calibrated and initialised arm has itself."""
 
@@ -121,7 +121,7 @@ def run_sampled_trial(
     case: BudgetCase,
     params: Params,
     places: int,
-    how: MoveMethod,
+    move_model: MoveModel,
     seed: np.random.SeedSequence,
 ) -> list[MeasuredPlacement]:
     """Sample an arm of a case and measure it at random placements.
@@ -137,7 +137,7 @@ def run_sampled_trial(
     arm = BuiltArm("drawn", effects, params)
     move = (
         statics_model(arm, backlash)
-        if how == "statics"
+        if move_model == "statics"
         else closed_loop_model(arm, _exact_reference(arm), backlash)
     )
     return measure_placements(move, random_placements(params, tool, places, placement_seed))
@@ -149,7 +149,7 @@ def run_built_trial(
     name: str,
     params: Params,
     places: int,
-    how: MoveMethod,
+    move_model: MoveModel,
     seed: np.random.SeedSequence,
 ) -> list[MeasuredPlacement]:
     """Measure a built arm at random placements.
@@ -169,7 +169,7 @@ def run_built_trial(
     tested = replace(arm, effects=(*arm.effects, *effects))
     move = (
         statics_model(tested, "on")
-        if how == "statics"
+        if move_model == "statics"
         else closed_loop_model(tested, initial_reference(arm), "on")
     )
     return measure_placements(move, random_placements(arm.params, tool, places, placement_seed))

@@ -17,6 +17,7 @@ from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances
 from fsw.kinematics.transforms import Array
 from ground.calibration.campaign_data import Campaign
 from ground.calibration.survey import CampaignRow, TooFewTargets, measure_pose, stack_rows
+from ground.common.errors import UserError
 from ground.common.progress import Progress
 from sim.arms import BuiltArm
 from sim.clearance import ClearanceModel
@@ -123,8 +124,10 @@ def branch_name(config: Config, output_rad: Array) -> str:
     return BRANCHES[int(branch_index(fold_distances(config.arm.orthogonal[Tool.DRILL], output_rad)))]
 
 
-class CampaignFailed(RuntimeError):
+class CampaignFailed(UserError):
     """Error: the arm could not be initialised, or a move failed."""
+
+    exit_status = 3
 
 
 @dataclass(frozen=True, slots=True)

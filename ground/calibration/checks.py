@@ -14,12 +14,12 @@ from ground.calibration.calibrate import Calibration
 from ground.calibration.campaign_data import Campaign
 from ground.calibration.fit import Fit, HoldOutValidation
 from ground.calibration.identifiability import Identifiability
+from ground.calibration.request import LEAST_POSES
 from ground.calibration.screws import MeasuredPoses, error_screw
 from ground.calibration.survey import MIN_TARGETS
+from ground.common.errors import BadRequest
 from sim.frames import P_NR_M
 
-LEAST_POSES: Final = 24
-"""Smallest number of poses: three times what the worst-conditioned combination needs. The paper took 160."""
 LEAST_SPAN_RAD: Final = 0.5
 FRAME_RANK: Final = 26
 """Expected rank of the frame parameters, which the paper finds too.
@@ -45,7 +45,7 @@ MAX_PRIOR_SIGMAS: Final = 5.0
 """Largest parameter value of a built arm, in prior sigmas."""
 
 
-class BadData(ValueError):
+class BadData(BadRequest):
     """Error: data or a fit that are not acceptable, with one line for each reason."""
 
 

@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array, Flags
 from ground.calibration.fit import Fit, FitParameter, ResidualModel, fit
+from ground.common.errors import BadRequest
 
 FALSE_ALARM: Final = 0.01
 """Probability of reporting an outlier in a campaign without outliers."""
@@ -16,7 +17,7 @@ MAX_OUTLIER_SHARE: Final = 0.2
 """Largest share of poses that may be outliers; if there are more, the model is wrong."""
 
 
-class TooManyOutliers(ValueError):
+class TooManyOutliers(BadRequest):
     """Error: more poses are outliers than are allowed."""
 
 

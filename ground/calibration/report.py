@@ -12,9 +12,9 @@ from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from ground.calibration.arm_model import arm_model
 from ground.calibration.calibrate import Calibration, rms_m
+from ground.calibration.execution import CalibrateReport
 from ground.calibration.identifiability import UnidentifiableGroup
 from ground.calibration.parameter_file import data_sha256, provenance
-from ground.calibration.request import CalibrateReport
 from ground.calibration.verify import PlaceErrors, Verification
 from ground.render.console import plain_console, pluralize
 from ground.render.figures import render_png

@@ -1,144 +1,85 @@
-"""Calibration of the arm as a request of the command line: measure or read, fit, check, verify, write."""
+"""Requests of `marsarm calibrate` and `calibrate-serial`: their options, with defaults and bounds."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
-from fsw.dictionary.params import Params
-from ground.calibration.calibrate import Calibration, calibrate
-from ground.calibration.campaign import (
-    PAPER_GROUPS,
-    CampaignPlan,
-    earth_reference,
-    resize_groups,
-    run_campaign,
-)
-from ground.calibration.campaign_data import Campaign
-from ground.calibration.campaign_file import read_campaign, save_campaign
-from ground.calibration.checks import LEAST_POSES, BadData, check_data, check_fit
-from ground.calibration.outliers import TooManyOutliers
-from ground.calibration.parameter_file import calibrated_params, save_parameter_file
-from ground.calibration.verify import Verification, register_tools, verify_calibration
-from ground.common.files import BadOutput, check_output
-from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files, check_seed, select_arm
-from sim.arms import BuiltArm
-from sim.params import BadParams, check_params, nominal_params, params_over_nominal
-from sim.tracker import Tracker
+from ground.common.options import Option, ParamsOption, ReportOption, SeedOption
 
+LEAST_POSES: Final = 24
+"""Smallest number of poses: three times what the worst-conditioned combination needs. The paper took 160."""
 MOST_POSES: Final = 1000
-MICRO: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrateRequest:
-    """Request for a calibration."""
+    """Request for a calibration: of `arm` in simulation, or of the real arm of `data`."""
 
-    arm: str | None = None
-    """Arm to measure in simulation; give either this or `data`."""
-    data: Path | None = None
-    poses: int = 160
-    seed: int = 0
-    tracker_um: tuple[float, float] = (15.0, 6.0)
-    """Noise of the tracker, one sigma: micrometres, and micrometres per metre."""
-    params: Path | None = None
-    verify: int = 0
-    """Number of fresh targets on each of Earth, Mars and cold Mars, with the calibrated parameters."""
-    save_data: Path | None = None
-    out: Path | None = None
-    report: Path | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CalibrateReport:
-    """Result of a request for a calibration."""
-
-    request: CalibrateRequest
-    found: Calibration
-    params: Params
-    """Calibrated parameters."""
-    verification: Verification | None
-
-
-def run_calibration(request: CalibrateRequest, progress: Progress) -> CalibrateReport:
-    """Measure or read a campaign, fit, check and verify, and write the requested files.
-
-    Raises:
-        BadRequest: The request or the data are wrong, or the fit is not acceptable; nothing was written.
-    """
-    arm, base = _check_request(request)
-    try:
-        if arm is None:
-            campaign = read_campaign(_require_table(request.data))
-            _check_same_arm(base, campaign)
-        else:
-            campaign = _measure_campaign(request, arm, progress)
-        check_data(base, campaign)
-        progress(0, 1, "fitting")
-        found = calibrate(base, campaign)
-        check_fit(found)
-        tools = None if arm is None else register_tools(arm, request.seed)
-        params = calibrated_params(found, tools)
-        check_params(params, "the calibrated arm")
-        verification = None
-        if arm is not None and request.verify:
-            verification = verify_calibration(arm, params, request.verify, request.seed, progress)
-        if request.save_data is not None:
-            save_campaign(campaign, request.save_data)
-        if request.out is not None:
-            save_parameter_file(found, params, request.out)
-    except (BadData, TooManyOutliers, BadOutput, BadParams) as error:
-        raise BadRequest(str(error)) from error
-    return CalibrateReport(request, found, params, verification)
+    arm: Annotated[str | None, Option("Measure this arm in simulation: as-built:SEED or nominal.", "ARM")] = (
+        None
+    )
+    data: Annotated[
+        Path | None,
+        Option(
+            "Measured poses of an arm, .parquet or .csv; columns in docs/calibration.md.",
+            "TABLE",
+            is_read=True,
+        ),
+    ] = None
+    poses: Annotated[int, Option("Number of poses, in four groups.", within=(LEAST_POSES, MOST_POSES))] = 160
+    seed: SeedOption = 0
+    tracker_um: Annotated[
+        tuple[float, float],
+        Option(
+            "Noise of the tracker, one sigma: micrometres, and micrometres per metre.", "UM UM/M", "--tracker"
+        ),
+    ] = (15.0, 6.0)
+    params: ParamsOption = None
+    verify: Annotated[
+        int,
+        Option(
+            "Number of new targets on each of Earth, Mars and cold Mars to verify with.",
+            within=(0, MOST_POSES),
+        ),
+    ] = 0
+    save_data: Annotated[
+        Path | None,
+        Option("Write the measured poses.", "FILE.parquet|.csv", suffixes=(".parquet", ".csv")),
+    ] = None
+    out: Annotated[Path | None, Option("Write flight parameters.", "FILE.toml", suffixes=(".toml",))] = None
+    report: ReportOption = None
 
 
-def _check_request(request: CalibrateRequest) -> tuple[BuiltArm | None, Params]:
-    """Check all that can be checked before any motion or output."""
-    if (request.arm is None) == (request.data is None):
-        raise BadRequest(
-            "calibrate: give --arm ARM to measure one in simulation, or --data TABLE of a real one"
-        )
-    check_seed(request.seed)
-    if request.data is not None and (request.verify or request.save_data is not None):
-        raise BadRequest("calibrate: --verify and --save-data are for an arm in simulation; give no --data")
-    if not LEAST_POSES <= request.poses <= MOST_POSES:
-        raise BadRequest(f"poses: {request.poses} is not within {LEAST_POSES} .. {MOST_POSES}")
-    if not 0 <= request.verify <= MOST_POSES:
-        raise BadRequest(f"verify: {request.verify} is not within 0 .. {MOST_POSES}")
-    if not all(0 <= um < 1e4 for um in request.tracker_um) or request.tracker_um[0] == 0:
-        raise BadRequest("tracker: its noise is not within 0 .. 10000 micrometres, the first above 0")
-    files = {name: getattr(request, name) for name in ("params", "data", "out", "report", "save_data")}
-    check_distinct_files(files)
-    try:
-        for name, suffixes in (
-            ("out", (".toml",)),
-            ("report", (".html",)),
-            ("save_data", (".parquet", ".csv")),
-        ):
-            if files[name] is not None:
-                check_output(files[name], suffixes, name.replace("_", "-"))
-        base = nominal_params() if request.params is None else params_over_nominal(request.params)
-    except (BadOutput, BadParams) as error:
-        raise BadRequest(str(error)) from error
-    return (None if request.arm is None else select_arm(request.arm, request.params)), base
+@dataclass(frozen=True, slots=True)
+class SerialRequest:
+    """Request for a calibration of a serial arm."""
 
-
-def _require_table(path: Path | None) -> Path:
-    if path is None:
-        raise BadRequest("data: give a table")
-    return path
-
-
-def _check_same_arm(base: Params, campaign: Campaign) -> None:
-    if base.arm_name not in ("nominal", campaign.arm_name):
-        raise BadData(
-            f"params: these are of the arm {base.arm_name}, the data of {campaign.arm_name}; give the "
-            "nominal ones or its own"
-        )
-
-
-def _measure_campaign(request: CalibrateRequest, arm: BuiltArm, progress: Progress) -> Campaign:
-    um, um_per_m = request.tracker_um
-    tracker = Tracker(sigma_m=um * MICRO, sigma_per_m=um_per_m * MICRO)
-    plan = CampaignPlan(resize_groups(PAPER_GROUPS, request.poses), tracker, request.seed)
-    return run_campaign(arm, earth_reference(arm, progress), plan, progress)
+    arm: Annotated[
+        Path,
+        Option("The arm: six numbers for each link.", "ARM.toml", is_argument=True, is_read=True),
+    ]
+    table: Annotated[
+        Path,
+        Option("Joint angles and measured poses, .csv or .parquet.", "TABLE", is_argument=True, is_read=True),
+    ]
+    mapping: Annotated[
+        Path, Option("Meaning and unit of each column.", "MAPPING.toml", is_argument=True, is_read=True)
+    ]
+    terms: Annotated[
+        str,
+        Option(
+            "Terms to fit: geometry, compliance, periodic and hysteresis, joined by commas; none fits only "
+            "base and target.",
+            "TERMS|all|none",
+        ),
+    ] = "all"
+    fit_share: Annotated[
+        float,
+        Option("Share of the poses to fit, the earliest ones; the others are held out.", within=(0.05, 1.0)),
+    ] = 0.5
+    nested: Annotated[bool, Option("Fit term by term, and show what each explains.")] = False
+    out: Annotated[Path | None, Option("Write the fitted arm.", "FILE.toml", suffixes=(".toml",))] = None
+    picture: Annotated[
+        Path | None,
+        Option("Draw the residuals and the joint errors.", "FILE.png", suffixes=(".png",)),
+    ] = None

@@ -16,19 +16,15 @@ from typing import Final, NoReturn
 
 import typer
 
-from ground.cli.budget import budget
+from ground.cli.accuracy import budget, monte_carlo
 from ground.cli.calibrate import calibrate, calibrate_serial
-from ground.cli.diagnose import diagnose
+from ground.cli.diagnosis import diagnose, gap_app
 from ground.cli.dictionary import dictionary, effects
-from ground.cli.gap import gap_app
-from ground.cli.hardstop import hardstop
 from ground.cli.ik import ik, reach
 from ground.cli.log import log_app
-from ground.cli.monte_carlo import monte_carlo
-from ground.cli.options import EXIT_BAD_INPUT
-from ground.cli.place import place
 from ground.cli.replay import replay
-from ground.cli.run import run, scenarios
+from ground.cli.runs import hardstop, place, run, scenarios
+from ground.cli.verb import EXIT_BAD_INPUT
 
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 """Exit status of a program whose reader has closed the pipe, as `head` does."""

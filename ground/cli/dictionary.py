@@ -4,10 +4,12 @@ from typing import Annotated
 
 import typer
 
-from ground.cli.options import EXIT_BAD_INPUT, JsonOption, fail, print_result
+from ground.cli.verb import JsonOption, VerbResult, print_result, report_user_errors, verb
+from ground.common.errors import BadRequest
 
 
-def effects(as_json: JsonOption = False) -> None:
+@verb
+def effects() -> VerbResult:
     """List the effects of the plant: meaning, possible places, and parameters.
 
     To use one, give --effect to run, place or hardstop, or write [[effect]] in a scenario.
@@ -16,7 +18,7 @@ def effects(as_json: JsonOption = False) -> None:
     """
     from ground.dictionary.effect_tables import effects_json, effects_table
 
-    print_result({"effects": effects_json()}, as_json, effects_table)
+    return VerbResult({"effects": effects_json()}, effects_table)
 
 
 def dictionary(
@@ -36,21 +38,14 @@ def dictionary(
 
     Example: marsarm dictionary 'joints.elbow.*'
     """
-    from ground.common.requests import BadRequest
     from ground.dictionary.entries import build_dictionary, filter_dictionary
     from ground.dictionary.tables import dictionary_json, dictionary_markdown, dictionary_tables
 
-    if as_json and markdown:
-        fail(
-            "dictionary: --json and --markdown exclude each other; give one of the two",
-            EXIT_BAD_INPUT,
-            as_json,
-        )
-    whole = build_dictionary()
-    try:
+    with report_user_errors(as_json):
+        if as_json and markdown:
+            raise BadRequest("dictionary: --json and --markdown exclude each other; give one of the two")
+        whole = build_dictionary()
         part = whole if pattern is None else filter_dictionary(whole, pattern)
-    except BadRequest as error:
-        fail(str(error), EXIT_BAD_INPUT, as_json)
     if markdown:
         print(dictionary_markdown(part), end="")
     else:

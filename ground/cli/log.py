@@ -1,14 +1,14 @@
 """Define the verbs `log info`, `channels`, `plot`, `export`, `recover` and `import`."""
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ground.cli.options import EXIT_BAD_INPUT, JsonOption, fail, print_result
+from ground.cli.verb import VerbResult, verb
+from ground.common.errors import BadOutput
+from ground.common.progress import Progress
 
 if TYPE_CHECKING:
     from ground.telemetry.read import Log
@@ -26,20 +26,20 @@ log_app = typer.Typer(
 
 
 @log_app.command()
-def info(log: LogArgument, as_json: JsonOption = False) -> None:
+@verb
+def info(log: LogArgument) -> VerbResult:
     """Summarize a log: versions, duration, topics, events, and whether it is complete.
 
     Example: marsarm log info run.mcap
     """
     from ground.telemetry.tables import info_json, info_table
 
-    with _report_bad_input(as_json):
-        read = _read(log)
-        document = info_json(read)
-    print_result(document, as_json, lambda: info_table(read))
+    read = _read(log)
+    return VerbResult(info_json(read), lambda: info_table(read))
 
 
 @log_app.command()
+@verb
 def channels(
     log: LogArgument,
     glob: Annotated[
@@ -47,8 +47,7 @@ def channels(
     ] = None,
     start: FromOption = None,
     stop: ToOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> VerbResult:
     """List the channels with type, unit, count and range.
 
     Example: marsarm log channels run.mcap '/joint.*_rad'
@@ -56,13 +55,13 @@ def channels(
     from ground.telemetry.inspection import select_channels
     from ground.telemetry.tables import channels_json, channels_table
 
-    with _report_bad_input(as_json):
-        read = _read(log, start, stop)
-        selected = select_channels(read, glob or ())
-    print_result(channels_json(read, selected), as_json, lambda: channels_table(selected))
+    read = _read(log, start, stop)
+    selected = select_channels(read, glob or ())
+    return VerbResult(channels_json(read, selected), lambda: channels_table(selected))
 
 
 @log_app.command()
+@verb
 def plot(
     log: LogArgument,
     channel: Annotated[
@@ -75,31 +74,30 @@ def plot(
     out: Annotated[Path, typer.Option(help="File for the picture.", metavar="FILE.png")],
     start: FromOption = None,
     stop: ToOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> VerbResult:
     """Draw channels over time, with the events as marks.
 
     Example: marsarm log plot run.mcap '/joint.motor_rad[2]' /drive.current_limit_A --out joints.png
     """
-    from ground.common.files import check_output
-    from ground.common.requests import check_distinct_files
+    from ground.common.files import check_distinct_files, check_output
     from ground.render.console import pluralize
     from ground.telemetry.figure import save_log_figure
     from ground.telemetry.inspection import select_channels
 
-    with _report_bad_input(as_json):
-        check_distinct_files({"LOG": log, "out": check_output(out, (".png",), "out")})
-        read = _read(log, start, stop)
-        selected = select_channels(read, channel)
-        problem = save_log_figure(selected, read.evrs, out)
+    check_distinct_files({"LOG": log, "out": check_output(out, (".png",), "out")})
+    read = _read(log, start, stop)
+    selected = select_channels(read, channel)
+    problem = save_log_figure(selected, read.evrs, out)
     if problem is not None:
-        fail(f"out {out}: not drawn, {problem}", EXIT_BAD_INPUT, as_json)
+        raise BadOutput(f"out {out}: not drawn, {problem}")
     document = {"log": str(log), "picture": str(out), "channels": [one.name for one in selected]}
-    print_result(document, as_json, lambda: print(f"{pluralize(len(selected), 'channel')} in {out}"))
+    return VerbResult(document, lambda: print(f"{pluralize(len(selected), 'channel')} in {out}"))
 
 
 @log_app.command()
+@verb
 def export(
+    progress: Progress,
     log: LogArgument,
     out: Annotated[
         Path,
@@ -113,54 +111,60 @@ def export(
     as_csv: Annotated[bool, typer.Option("--csv", help="Write CSV files to a folder, not Parquet.")] = False,
     start: FromOption = None,
     stop: ToOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> VerbResult:
     """Write topics as tables; Parquet keeps exact values, units and the header of the log.
 
     Example: marsarm log export run.mcap tables --topic /joint --topic /sensors
     """
-    from ground.common.progress import progress_bar
-    from ground.telemetry.export import export as carry_out
+    from ground.telemetry.export import export
     from ground.telemetry.tables import export_json, export_table
 
-    with _report_bad_input(as_json), progress_bar() as progress:
-        read = _read(log, start, stop)
-        files = carry_out(read, out, topic or (), progress, ".csv" if as_csv else ".parquet")
-    print_result(export_json(read, files), as_json, lambda: export_table(read, files))
+    read = _read(log, start, stop)
+    files = export(read, out, topic or (), progress, ".csv" if as_csv else ".parquet")
+    return VerbResult(export_json(read, files), lambda: export_table(read, files))
 
 
 @log_app.command()
+@verb
 def recover(
+    progress: Progress,
     bad: Annotated[Path, typer.Argument(help="A damaged log.", metavar="BAD")],
     good: Annotated[Path, typer.Argument(help="The log to write.", metavar="GOOD.mcap")],
-    as_json: JsonOption = False,
-) -> None:
+) -> VerbResult:
     """Copy all undamaged messages of a log to a new one, and list what is lost.
 
     Example: marsarm log recover run.mcap saved.mcap
     """
-    from ground.common.progress import progress_bar
-    from ground.telemetry.recover import recover as carry_out
+    from ground.telemetry.recover import recover
     from ground.telemetry.tables import recovery_json, recovery_table
 
-    with _report_bad_input(as_json), progress_bar() as progress:
-        recovered = carry_out(bad, good, progress)
-    print_result(recovery_json(bad, good, recovered), as_json, lambda: recovery_table(good, recovered))
+    recovered = recover(bad, good, progress)
+    return VerbResult(recovery_json(bad, good, recovered), lambda: recovery_table(good, recovered))
 
 
-@contextmanager
-def _report_bad_input(as_json: bool) -> Iterator[None]:
-    """Print the error and exit with status 2 if a file or the request is bad."""
-    from ground.common.files import BadOutput
-    from ground.common.requests import BadRequest
-    from ground.telemetry.errors import LogError
-    from ground.telemetry.figure import TooManyChannels
-    from ground.telemetry.inspection import NoSuchChannel
+@log_app.command("import")
+@verb
+def import_log(
+    progress: Progress,
+    table: Annotated[
+        Path, typer.Argument(help="Telemetry as .parquet, .csv, .tsv or .txt.", metavar="TABLE")
+    ],
+    mapping: Annotated[Path, typer.Argument(help="The channel of each column.", metavar="MAPPING.toml")],
+    log: Annotated[
+        Path, typer.Argument(help="The log to write; an existing file is replaced.", metavar="OUT.mcap")
+    ],
+) -> VerbResult:
+    """Convert telemetry of another system, a table with named columns, into a log.
 
-    try:
-        yield
-    except (LogError, NoSuchChannel, BadOutput, BadRequest, TooManyChannels) as error:
-        fail(str(error), EXIT_BAD_INPUT, as_json)
+    docs/import.md describes the mapping. Missing values are not invented: the log has no unmapped channel.
+    A packet that lacks a field is written under /imported/ with the fields that it has.
+
+    Example: marsarm log import arm.csv arm.toml arm.mcap
+    """
+    from ground.telemetry.imports.job import ImportRequest, import_json, import_table, import_tables
+
+    report = import_table(ImportRequest(table, mapping, log), progress)
+    return VerbResult(import_json(report), lambda: import_tables(report))
 
 
 def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) -> "Log":
@@ -179,33 +183,3 @@ def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) 
     if read.trailing_bytes:
         print(f"log {log}: {trailing_bytes_text(read.trailing_bytes)}", file=sys.stderr)
     return read
-
-
-@log_app.command("import")
-def import_log(
-    table: Annotated[
-        Path, typer.Argument(help="Telemetry as .parquet, .csv, .tsv or .txt.", metavar="TABLE")
-    ],
-    mapping: Annotated[Path, typer.Argument(help="The channel of each column.", metavar="MAPPING.toml")],
-    log: Annotated[
-        Path, typer.Argument(help="The log to write; an existing file is replaced.", metavar="OUT.mcap")
-    ],
-    as_json: JsonOption = False,
-) -> None:
-    """Convert telemetry of another system, a table with named columns, into a log.
-
-    docs/import.md describes the mapping. Missing values are not invented: the log has no unmapped channel.
-    A packet that lacks a field is written under /imported/ with the fields that it has.
-
-    Example: marsarm log import arm.csv arm.toml arm.mcap
-    """
-    from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
-    from ground.telemetry.imports.job import ImportRequest, import_json, import_table, import_tables
-
-    try:
-        with progress_bar() as progress:
-            report = import_table(ImportRequest(table, mapping, log), progress)
-    except BadRequest as error:
-        fail(str(error), EXIT_BAD_INPUT, as_json)
-    print_result(import_json(report), as_json, lambda: import_tables(report))

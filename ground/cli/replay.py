@@ -5,10 +5,13 @@ from typing import Annotated
 
 import typer
 
-from ground.cli.options import EXIT_ARM_SAFE, EXIT_BAD_INPUT, JsonOption, fail, print_result
+from ground.cli.verb import VerbResult, verb
+from ground.common.progress import Progress
 
 
+@verb
 def replay(
+    progress: Progress,
     log: Annotated[Path, typer.Argument(help="A telemetry log, complete or truncated.", metavar="LOG")],
     channel: Annotated[
         str,
@@ -19,30 +22,17 @@ def replay(
     ] = "*",
     params: Annotated[
         Path | None,
-        typer.Option(
-            help="TOML file of parameters that replace those of the log.",
-            metavar="FILE.toml",
-        ),
+        typer.Option(help="TOML file of parameters that replace those of the log.", metavar="FILE.toml"),
     ] = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> VerbResult:
     """Feed the sensors and commands of a log to today's flight software, and compare its outputs.
 
     The exit status is 0 if all outputs are identical, 3 if not.
 
     Example: marsarm replay run.mcap --channel '/joint.*'
     """
-    from ground.common.progress import progress_bar
-    from ground.common.requests import BadRequest
-    from ground.replay.replay import ReplayRequest
-    from ground.replay.replay import replay as carry_out
+    from ground.replay.replay import ReplayRequest, replay
     from ground.replay.tables import replay_json, replay_table
 
-    try:
-        with progress_bar() as progress:
-            report = carry_out(ReplayRequest(log, channel, params), progress)
-    except BadRequest as error:
-        fail(str(error), EXIT_BAD_INPUT, as_json)
-    print_result(replay_json(report), as_json, lambda: replay_table(report))
-    if not report.differences.identical:
-        raise typer.Exit(EXIT_ARM_SAFE)
+    report = replay(ReplayRequest(log, channel, params), progress)
+    return VerbResult(replay_json(report), lambda: replay_table(report), report.differences.identical)

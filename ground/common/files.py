@@ -5,12 +5,11 @@ import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from itertools import combinations
 from pathlib import Path
 from typing import BinaryIO
 
-
-class BadOutput(ValueError):
-    """Error for a file that cannot be written at its path; an existing file is unchanged."""
+from ground.common.errors import BadOutput, BadRequest
 
 
 def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: str) -> Path:
@@ -54,6 +53,24 @@ def check_new_path(path: Path, what: str) -> None:
         raise BadOutput(f"{what} {path}: cannot be written ({error.strerror})") from error
     if os.path.islink(path) and not os.path.exists(path):
         raise BadOutput(f"{what} {path}: this is a link to {os.readlink(path)}, which is not there")
+
+
+def check_distinct_files(files: dict[str, Path | None]) -> None:
+    """Refuse two options that name the same file, also through links.
+
+    Args:
+        files: Path of each option by its name; None if it is not given.
+    """
+    given = [(name, path) for name, path in files.items() if path is not None]
+    for (one, path), (other, same) in combinations(given, 2):
+        if _same_file(path, same):
+            raise BadRequest(f"{other} {same}: this is the file of {one} too; give each a file of its own")
+
+
+def _same_file(one: Path, other: Path) -> bool:
+    if os.path.realpath(one) == os.path.realpath(other):
+        return True
+    return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
 
 
 @contextmanager

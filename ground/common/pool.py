@@ -5,7 +5,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from typing import Protocol, TypeVar
 
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")

@@ -3,9 +3,6 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rich import progress as rich_progress
-from rich.console import Console
-
 Progress = Callable[[float, float, str], None]
 """Function of the amount done, the total amount, and the name of the current activity."""
 
@@ -13,6 +10,9 @@ Progress = Callable[[float, float, str], None]
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
     """Show a progress bar, on a terminal only; give the function that updates it."""
+    from rich import progress as rich_progress  # workers need no rich
+    from rich.console import Console
+
     columns = (
         rich_progress.TextColumn("{task.description:<12}"),
         rich_progress.BarColumn(),

@@ -1,8 +1,6 @@
 """Checks and conversions of request fields that several verbs share, made before any work begins."""
 
 import math
-import os
-from itertools import combinations
 from pathlib import Path
 from typing import Final, Literal, cast
 
@@ -10,6 +8,7 @@ import numpy as np
 
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Vector3
+from ground.common.errors import BadRequest
 from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.effects.effect import Effect
 from sim.params import BadParams, params_over_nominal
@@ -24,10 +23,6 @@ NOMINAL_ARM: Final = "nominal"
 MIN_COMPONENT: Final = 1e-6
 """A vector whose largest component is below this has no direction."""
 WORKSPACE_HINT: Final = "the workspace is around 2.1 0 -0.3 in RNAV"
-
-
-class BadRequest(ValueError):
-    """Error for a request that cannot be carried out; nothing moved and nothing was written."""
 
 
 def check_finite(name: str, values: tuple[float, ...]) -> None:
@@ -150,27 +145,9 @@ def check_seed(seed: int) -> None:
         raise BadRequest(f"seed: {seed} must not be negative")
 
 
-def check_distinct_files(files: dict[str, Path | None]) -> None:
-    """Refuse two options that name the same file, also through links.
-
-    Args:
-        files: Path of each option by its name; None if it is not given.
-    """
-    given = [(name, path) for name, path in files.items() if path is not None]
-    for (one, path), (other, same) in combinations(given, 2):
-        if _same_file(path, same):
-            raise BadRequest(f"{other} {same}: this is the file of {one} too; give each a file of its own")
-
-
 def format_numbers(values: tuple[float, ...]) -> str:
     """Format numbers as a user types them."""
     return " ".join(f"{value:g}" for value in values)
-
-
-def _same_file(one: Path, other: Path) -> bool:
-    if os.path.realpath(one) == os.path.realpath(other):
-        return True
-    return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
 
 
 def _format_beyond(value: float, limit: float) -> str:

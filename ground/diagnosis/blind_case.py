@@ -14,8 +14,8 @@ from typing import Final, Literal
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from ground.common.errors import BadRequest
 from ground.common.files import atomic_write
-from ground.common.requests import BadRequest
 from ground.diagnosis.sampling import (
     DetectableEffect,
     SampledEffect,

@@ -16,8 +16,8 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits
 from fsw.dictionary.validity import COMPONENT_LIMITS
 from fsw.protect.responses import RESPONSE_TO
+from ground.common.errors import BadRequest
 from ground.common.fields import alias_docs, class_doc, field_docs, unit_of
-from ground.common.requests import BadRequest
 from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.schema import array_shape
 from ground.telemetry.topics import PACKET_TOPICS, Topic, channel_matches, channel_name, strip_optional

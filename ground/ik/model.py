@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 from fsw.config import digest
@@ -11,31 +10,16 @@ from fsw.dictionary.enums import Tool
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.ik import IkResult, inverse_kinematics
 from fsw.kinematics.transforms import Array
+from ground.common.errors import BadRequest
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, make_world, select_arm
+from ground.common.requests import make_world, select_arm
+from ground.ik.request import ModelRequest
 from ground.ik.targets import IkTargets
 
-COMPENSATIONS: Final = ("absolute", "off")
 MOST_WARMING_K: Final = 200.0
 """Largest temperature difference from calibration; the coldest night on Mars is nearer."""
-
-
 BATCH_SIZE: Final = 8192
 """Number of targets in a part of a batch; solving a part takes about a second."""
-
-
-@dataclass(frozen=True, slots=True)
-class ModelRequest:
-    """Request for an arm model; angles in degrees, temperatures in kelvin."""
-
-    tool: str = "apxs"
-    compensate: str = "absolute"
-    tilt_roll_deg: float = 0.0
-    tilt_pitch_deg: float = 0.0
-    gravity: str = "mars"
-    warming_K: float = 0.0
-    arm: str = "nominal"
-    params: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,10 +65,6 @@ def build_ik_model(request: ModelRequest) -> IkModel:
         BadRequest: A field of the request is wrong.
     """
     tool = _parse_tool(request.tool)
-    if request.compensate not in COMPENSATIONS:
-        raise BadRequest(
-            f"compensate: {request.compensate!r} is not known; there are {', '.join(COMPENSATIONS)}"
-        )
     world = make_world(request.gravity, request.tilt_roll_deg, request.tilt_pitch_deg, "gravity")
     if not math.isfinite(request.warming_K) or abs(request.warming_K) > MOST_WARMING_K:
         raise BadRequest(

@@ -1,6 +1,6 @@
 """Reach map of the primary workspace: sampling, counts of valid branches, and plot."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
-from ground.common.files import BadOutput, check_output
+from ground.common.options import check_options
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files, check_seed
-from ground.ik.model import IkModel, ModelRequest, build_ik_model
+from ground.ik.model import IkModel, build_ik_model
+from ground.ik.request import ReachRequest
 from ground.ik.tally import Tally, tally
 from ground.ik.targets import IkTargets
 from ground.render.figures import save_figure
@@ -38,7 +38,6 @@ BLUE: Final = "#31688e"
 X_RANGE: Final = (CENTRE_X_M - RADIUS_M, CENTRE_X_M + RADIUS_M)
 Y_RANGE: Final = (-RADIUS_M, RADIUS_M)
 Z_RANGE: Final = (TOP_Z_M, BOTTOM_Z_M)
-MOST_SAMPLES: Final = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,16 +176,6 @@ def _title(samples: ReachSamples, counted: Tally, model: IkModel) -> str:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class ReachRequest:
-    """Request for a reach map."""
-
-    model: ModelRequest = field(default_factory=ModelRequest)
-    samples: int = 20_000
-    seed: int = 0
-    picture: Path | None = None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ReachReport:
     """Result of a request for a reach map."""
@@ -204,19 +193,11 @@ def reach(request: ReachRequest, progress: Progress) -> ReachReport:
     Raises:
         BadRequest: The request is wrong, or the picture cannot be written; nothing was written.
     """
+    check_options(request)
     model = build_ik_model(request.model)
-    check_seed(request.seed)
-    if not 1 <= request.samples <= MOST_SAMPLES:
-        raise BadRequest(f"samples: {request.samples} is not within 1 .. {MOST_SAMPLES}")
-    try:
-        if request.picture is not None:
-            check_distinct_files({"params": request.model.params, "picture": request.picture})
-            check_output(request.picture, (".png",), "picture")
-        samples, counted = sample_workspace(model, request.samples, request.seed, progress)
-        problem = None
-        if request.picture is not None:
-            progress(1, 1, "drawing")
-            problem = save_reach_figure(samples, counted, model, request.picture)
-    except BadOutput as error:
-        raise BadRequest(str(error)) from error
+    samples, counted = sample_workspace(model, request.samples, request.seed, progress)
+    problem = None
+    if request.picture is not None:
+        progress(1, 1, "drawing")
+        problem = save_reach_figure(samples, counted, model, request.picture)
     return ReachReport(request, model, counted, problem)

@@ -1,32 +1,21 @@
 """Inverse kinematics of one target, or of a file of targets, as a request of the command line."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
-from fsw.dictionary.types import Vector3
-from fsw.kinematics.ik import IkResult, select_result
-from ground.common.files import BadOutput, check_output
+from fsw.kinematics.batch import select_targets
+from fsw.kinematics.ik import IkResult
+from ground.common.errors import BadRequest
+from ground.common.options import check_options
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files
-from ground.ik.model import IkModel, ModelRequest, build_ik_model
+from ground.ik.model import IkModel, build_ik_model
+from ground.ik.request import IkRequest
 from ground.ik.tally import Tally, tally
-from ground.ik.targets import SUFFIXES, IkTargets, make_targets, read_targets
+from ground.ik.targets import IkTargets, make_targets, read_targets
 from ground.ik.writers import open_writer
-
-
-@dataclass(frozen=True, slots=True)
-class IkRequest:
-    """Request for one target, or for a file of targets and a file for the results."""
-
-    model: ModelRequest = field(default_factory=ModelRequest)
-    frame: str = "rnav"
-    position_m: Vector3 | None = None
-    approach: Vector3 | None = None
-    batch: Path | None = None
-    out: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,9 +43,10 @@ def solve(request: IkRequest, progress: Progress) -> IkReport | BatchReport:
     Raises:
         BadRequest: The request is wrong, or a file cannot be read or written; nothing was written.
     """
+    check_options(request)
     model = build_ik_model(request.model)
     if request.batch is None and request.out is None:
-        return IkReport(request, model, select_result(model.solve(_one_target(request)), 0))
+        return IkReport(request, model, select_targets(model.solve(_one_target(request)), 0))
     if request.batch is None or request.out is None:
         raise BadRequest("batch and out: give both, a file with targets and a file for the results")
     if request.position_m is not None or request.approach is not None:
@@ -77,18 +67,13 @@ def _one_target(request: IkRequest) -> IkTargets:
 def _solve_batch(
     request: IkRequest, model: IkModel, batch: Path, out: Path, progress: Progress
 ) -> BatchReport:
-    check_distinct_files({"params": request.model.params, "batch": batch, "out": out})
-    try:
-        check_output(out, SUFFIXES, "out")
-        targets = read_targets(batch, request.frame)
-        counted = Tally()
-        with open_writer(out, _about(request, model)) as writer:
-            for result in model.solve_in_batches(targets, progress):
-                writer.add(result)
-                counted += tally(result)
-            progress(1, 1, "writing")
-    except BadOutput as error:
-        raise BadRequest(str(error)) from error
+    targets = read_targets(batch, request.frame)
+    counted = Tally()
+    with open_writer(out, _about(request, model)) as writer:
+        for result in model.solve_in_batches(targets, progress):
+            writer.add(result)
+            counted += tally(result)
+        progress(1, 1, "writing")
     return BatchReport(request, model, counted)
 
 

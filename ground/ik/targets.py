@@ -13,20 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.kinematics.transforms import Array
-from ground.common.requests import (
-    MAX_TARGET_DISTANCE_M,
-    MIN_COMPONENT,
-    WORKSPACE_HINT,
-    BadRequest,
-    format_numbers,
-)
+from ground.common.errors import BadRequest
+from ground.common.requests import MAX_TARGET_DISTANCE_M, MIN_COMPONENT, WORKSPACE_HINT, format_numbers
+from ground.ik.request import BATCH_SUFFIXES
 from sim.frames import p_R_from_N
 
 FRAMES: Final = ("rnav", "rmech")
 
 TargetLabel = Callable[[int], tuple[str, str]]
 """Function from the index of a target to the names of its position and approach in messages."""
-SUFFIXES: Final = (".npz", ".parquet")
 ZIP_MAGIC: Final = b"PK\x03\x04"
 POSITION_COLUMNS: Final = ("position_x_m", "position_y_m", "position_z_m")
 APPROACH_COLUMNS: Final = ("approach_x", "approach_y", "approach_z")
@@ -109,8 +104,8 @@ def read_targets(path: Path, frame: str) -> IkTargets:
         BadRequest: The file cannot be read, an array or column is missing, or a target is wrong.
     """
     suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise BadRequest(f"batch {path}: its name must end in {' or '.join(SUFFIXES)}")
+    if suffix not in BATCH_SUFFIXES:
+        raise BadRequest(f"batch {path}: its name must end in {' or '.join(BATCH_SUFFIXES)}")
     if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe could block forever
         raise BadRequest(f"batch {path}: is not a regular file")
     with _read_errors(path):

@@ -15,7 +15,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.common.files import BadOutput, check_output
+from ground.common.errors import BadOutput, BadRequest
+from ground.common.files import check_output
 from ground.render import gl
 from ground.render.rays import RayCamera
 
@@ -25,7 +26,7 @@ Renderer = Literal["opengl", "rays", "none"]
 APT = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
 
 
-class PictureError(ValueError):
+class PictureError(BadRequest):
     """Error for a picture that cannot be taken: a path, a camera or a size is wrong."""
 
 

@@ -15,6 +15,7 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
 from fsw.estimate.reference import Reference
 from fsw.messages import Sensors
+from ground.common.errors import BadRequest
 from ground.telemetry.format import COMMAND_TOPIC, SENSOR_TOPIC, TICK_NS
 from ground.telemetry.json_codec import BadJson, command_from_json, record_from_json
 from ground.telemetry.lost_messages import LostMessages, trailing_bytes_text
@@ -27,7 +28,7 @@ REQUIRED_TOPICS: Final = (None, SENSOR_TOPIC, COMMAND_TOPIC)
 REQUIRED_KEYS: Final = ("params", "params_sha256", "boot")
 
 
-class NotReplayable(ValueError):
+class NotReplayable(BadRequest):
     """Error of a log that cannot be replayed; the message says why."""
 
 

@@ -10,11 +10,11 @@ from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.params import Params
 from fsw.messages import Outputs
 from fsw.state import boot, outputs_at_rest
+from ground.common.errors import BadRequest
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest
 from ground.replay.behaviour import OUTPUT_TOPICS, Behaviour, behaviour_from_log, behaviour_from_outputs
 from ground.replay.compare import Differences, compare_behaviours
-from ground.replay.inputs import Inputs, NotReplayable, inputs_from_log
+from ground.replay.inputs import Inputs, inputs_from_log
 from ground.telemetry.errors import LogError
 from ground.telemetry.header import cpu_features
 from ground.telemetry.json_codec import record_to_json
@@ -62,7 +62,7 @@ def replay(request: ReplayRequest, progress: Progress) -> ReplayReport:
         log = read_log(request.log)
         inputs = inputs_from_log(log)
         params = inputs.params if request.params is None else params_over(inputs.params, request.params)
-    except (LogError, NotReplayable, BadParams) as error:
+    except (LogError, BadParams) as error:
         raise BadRequest(str(error)) from error
     recorded = behaviour_from_log(log, inputs.ticks)
     _check_channel(request.channel, recorded)

@@ -3,27 +3,29 @@
 A run continues if its log, picture or movie cannot be written.
 """
 
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Literal, Protocol
+from typing import Generic, Protocol, TypeVar
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ, Config
+from fsw.config import CYCLE_HZ, Config, digest
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
-from ground.common.files import BadOutput, check_output
+from ground.common.errors import BadRequest
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files
-from ground.render.picture import PictureError, PictureResult, check_picture_path, save_movie, save_picture
+from ground.render.picture import PictureResult, save_movie, save_picture
 from ground.render.rover_scene import tilt_rover
+from ground.runs.request import RunFiles, WhenDiskFull
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.recorder import Recorder
 from sim.arms import BuiltArm
 from sim.initialisation import InitialisationResult, initialise_joints
+from sim.loop import ClosedLoop
 from sim.plant import Plant
 from sim.record import CycleRecord
 from sim.world import World, build
@@ -35,8 +37,6 @@ MOVIE_SHADOWS = 1024
 
 Qpos = NDArray[np.float64]
 """Positions of the model as in MuJoCo's qpos, shape (nq,), in metres and radians."""
-WhenDiskFull = Literal["go-on", "stop"]
-"""Reaction of a run if its log can no longer be written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,19 +51,6 @@ class LogNotWritten(Evr):
 
 
 @dataclass(frozen=True, slots=True)
-class RunFiles:
-    """Frozen record of the files that a run writes; None for each that it does not."""
-
-    log: Path | None = None
-    picture: Path | None = None
-    movie: Path | None = None
-    when_disk_full: WhenDiskFull = "go-on"
-
-
-NO_FILES: Final = RunFiles()
-
-
-@dataclass(frozen=True, slots=True)
 class Artifacts:
     """Frozen record of the files that a run wrote."""
 
@@ -73,34 +60,6 @@ class Artifacts:
     """Reason why the log is not complete."""
     events: tuple[tuple[float, Evr], ...] = ()
     """Time [s] and event of each event of the ground."""
-
-
-def no_artifacts(files: RunFiles) -> Artifacts:
-    """Return the artifacts of a run that did not begin because its arm was not initialised."""
-    reason = f"log {files.log}: not recorded (the arm was not initialised)"
-    return Artifacts(None, None, None if files.log is None else reason)
-
-
-def check_run_files(files: RunFiles, **others: Path | None) -> None:
-    """Check that the files can be written, and that no two options name the same file.
-
-    Args:
-        files: Files that the run writes.
-        **others: Files that the run reads, by option.
-
-    Raises:
-        BadRequest: a path is wrong. Opening the log, before the run, can still fail.
-    """
-    check_distinct_files({**others, "log": files.log, "picture": files.picture, "movie": files.movie})
-    try:
-        if files.log is not None:
-            check_output(files.log, (".mcap",), "log")
-        if files.picture is not None:
-            check_picture_path(files.picture, ".png", "picture")
-        if files.movie is not None:
-            check_picture_path(files.movie, ".gif", "movie")
-    except (PictureError, BadOutput) as error:
-        raise BadRequest(str(error)) from error
 
 
 def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[InitialisationResult]:
@@ -193,7 +152,19 @@ def open_log(path: Path | None, header: Mapping[str, str], config: Config) -> Ru
         raise BadRequest(str(error)) from error
 
 
-class StoppableRun(Protocol):
+class RunResult(Protocol):
+    """Result of a run."""
+
+    @property
+    def duration_s(self) -> float:
+        """Duration on Mars."""
+
+
+Result = TypeVar("Result", bound=RunResult)
+Result_co = TypeVar("Result_co", bound=RunResult, covariant=True)
+
+
+class StoppableRun(Protocol[Result_co]):
     """Run that can be stopped before its end."""
 
     def __iter__(self) -> Iterator[CycleRecord]:
@@ -202,8 +173,13 @@ class StoppableRun(Protocol):
     def stopping(self) -> Iterator[CycleRecord]:
         """Stop the arm cycle by cycle, instead of the remaining cycles."""
 
+    def result(self) -> Result_co:
+        """Return the result; valid after the last cycle."""
 
-def record_cycles(run: StoppableRun, log: RunLog, when_disk_full: WhenDiskFull) -> Iterator[CycleRecord]:
+
+def record_cycles(
+    run: StoppableRun[Result], log: RunLog, when_disk_full: WhenDiskFull
+) -> Iterator[CycleRecord]:
     """Run and record cycle by cycle.
 
     Args:
@@ -263,3 +239,65 @@ def save_artifacts(
         model.vis.quality.shadowsize = MOVIE_SHADOWS
         movie = save_movie(model, iter_poses(), "overview", files.movie)
     return Artifacts(picture, movie, problem, log.events)
+
+
+@dataclass(frozen=True, slots=True)
+class Execution(Generic[Result]):
+    """Frozen record of a run that was carried out."""
+
+    result: Result
+    params_sha256: str
+    realtime_factor: float
+    """Duration on Mars over wall time; 0 for a run that did not begin."""
+    artifacts: Artifacts
+
+
+def execution_not_begun(result: Result, arm: BuiltArm, files: RunFiles) -> Execution[Result]:
+    """Return the record of a run that did not begin because its arm was not initialised."""
+    reason = f"log {files.log}: not recorded (the arm was not initialised)"
+    artifacts = Artifacts(None, None, None if files.log is None else reason)
+    return Execution(result, digest(arm.params), 0.0, artifacts)
+
+
+def execute(
+    run: StoppableRun[Result],
+    loop: ClosedLoop,
+    header: Mapping[str, str],
+    files: RunFiles,
+    world: World,
+    progress: Progress,
+    progress_at: Callable[[CycleRecord], tuple[float, float]],
+    is_for_picture: Callable[[CycleRecord], bool],
+) -> Execution[Result]:
+    """Carry out a run: record every cycle, then draw the picture and the movie.
+
+    Args:
+        run: The run.
+        loop: Closed loop of the run.
+        header: Header of the log, which describes the run.
+        files: Files that the run writes.
+        world: World of the run.
+        progress: Receiver of the progress.
+        progress_at: Function that returns the amount done at a cycle, and the total amount.
+        is_for_picture: Function that returns whether the picture may show a cycle; it shows the last one.
+
+    Raises:
+        BadRequest: the log cannot be opened; nothing moved.
+    """
+    log = open_log(files.log, header, loop.config)
+    frames = Frames()
+    started = time.perf_counter()
+    try:
+        for record in record_cycles(run, log, files.when_disk_full):
+            if frames.note(loop.plant, record):
+                progress(*progress_at(record), describe_activity(record))
+            if is_for_picture(record):
+                frames.choose(loop.plant)
+    finally:
+        log.close()
+    wall_s = time.perf_counter() - started
+    if loop.failure is not None:
+        raise loop.failure
+    result = run.result()
+    artifacts = save_artifacts(files, world, frames, loop.plant.data.qpos, log, progress)
+    return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts)

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import degrees
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -14,17 +13,11 @@ from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.homing_poses import homing_start_poses
-from ground.common.files import BadOutput, check_output
+from ground.common.errors import BadRequest
+from ground.common.options import check_options
 from ground.common.progress import Progress
-from ground.common.requests import (
-    BadRequest,
-    check_distinct_files,
-    check_seed,
-    make_world,
-    parse_effects,
-    select_arm,
-)
-from ground.runs.hardstop_figure import save_hardstop_figure
+from ground.common.requests import make_world, parse_effects, select_arm
+from ground.runs.request import HardstopRequest
 from sim.arms import BuiltArm, effects_of_run
 from sim.clearance import Clearance, ClearanceModel
 from sim.effects.effect import Effect
@@ -35,33 +28,9 @@ from sim.loop import ClosedLoop, Setup
 from sim.sequence import Outcome
 from sim.world import World
 
-MOST_REPEATS: Final = 1000
 COLDEST_C, WARMEST_C = -130.0, 50.0
 EXPECTED_S: Final = 1500.0
 """Approximate duration of the initialisation of all joints, for the progress bar."""
-
-
-@dataclass(frozen=True, slots=True)
-class HardstopRequest:
-    """Frozen record of the options of `marsarm hardstop`."""
-
-    joint: str | None = None
-    """Name of a joint; None for all."""
-    repeat: int = 1
-    arm: str = "nominal"
-    scene: str = "mars"
-    tilt_roll_deg: float = 0.0
-    tilt_pitch_deg: float = 0.0
-    turret: bool = True
-    start_deg: tuple[float, ...] | None = None
-    """Start pose; None for the planned pose of the joint, near its hardstop."""
-    temperature_C: float | None = None
-    """Temperature of the actuators; None for 20 degC, or for a random one in each of several repetitions."""
-    seed: int = 0
-    params: Path | None = None
-    effects: tuple[str, ...] = ()
-    """Effects as text, as on the command line."""
-    picture: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,8 +42,6 @@ class HardstopReport:
     """One run for every repetition and joint, or one run of all joints."""
     poses_rad: tuple[tuple[float, ...], ...]
     """Pose in which each joint runs to its hardstop, in the order of Joint; its own angle is the first."""
-    picture_problem: str | None
-    """Reason why there is no picture."""
 
     @property
     def outcome(self) -> Outcome:
@@ -94,21 +61,15 @@ class HardstopJob:
 
 
 def hardstop(request: HardstopRequest, progress: Progress) -> HardstopReport:
-    """Find hardstops, and draw a figure of it if the request has a picture.
+    """Find hardstops.
 
     Raises:
         BadRequest: the request is wrong; nothing moved and nothing was written.
     """
     job = prepare_hardstop(request)
     runs = tuple(_iter_runs(request, job, progress))
-    problem = None
-    if request.picture is not None:
-        try:
-            problem = save_hardstop_figure(runs, request.picture)
-        except BadOutput as error:
-            raise BadRequest(str(error)) from error
     poses = tuple(tuple(homing_start_poses(job.arm.params, joint)[-1]) for joint in Joint)
-    return HardstopReport(request, runs, poses, problem)
+    return HardstopReport(request, runs, poses)
 
 
 def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
@@ -117,9 +78,7 @@ def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
     Raises:
         BadRequest: the request is wrong.
     """
-    check_seed(request.seed)
-    if not 1 <= request.repeat <= MOST_REPEATS:
-        raise BadRequest(f"repeat: {request.repeat} is not within 1 .. {MOST_REPEATS}")
+    check_options(request)
     if request.temperature_C is not None and request.repeat > 1:
         raise BadRequest("temperature: is another in each of several repetitions; give no --temperature")
     temperature_C = WARM_C if request.temperature_C is None else request.temperature_C
@@ -127,12 +86,6 @@ def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
         raise BadRequest(
             f"temperature: {temperature_C} degC is not within {COLDEST_C:g} .. {WARMEST_C:g} degC"
         )
-    if request.picture is not None:
-        check_distinct_files({"params": request.params, "picture": request.picture})
-        try:
-            check_output(request.picture, (".png",), "picture")
-        except BadOutput as error:
-            raise BadRequest(str(error)) from error
     if request.start_deg is not None and (request.joint is None or request.repeat > 1):
         raise BadRequest("start: is for one joint, once; give --joint and no --repeat")
     world = make_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)

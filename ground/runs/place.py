@@ -1,20 +1,16 @@
 """Placement of an instrument on a surface: check the request, carry it out, report."""
 
-import time
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Literal
 
-from fsw.config import CYCLE_HZ, digest
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.dictionary.evrs import CommandCompleted
-from fsw.dictionary.types import Vector3
+from ground.common.errors import BadRequest
+from ground.common.options import check_options
 from ground.common.progress import Progress
 from ground.common.requests import (
     WORKSPACE_HINT,
-    BadRequest,
     check_finite,
-    check_seed,
     check_target_distance,
     format_numbers,
     make_world,
@@ -22,50 +18,16 @@ from ground.common.requests import (
     scale_direction,
     select_arm,
 )
-from ground.runs.execution import (
-    NO_FILES,
-    Artifacts,
-    Frames,
-    RunFiles,
-    check_run_files,
-    describe_activity,
-    initialise,
-    no_artifacts,
-    open_log,
-    record_cycles,
-    save_artifacts,
-)
+from ground.runs.execution import Execution, execute, execution_not_begun, initialise
+from ground.runs.request import PlaceRequest
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm, effects_of_run
 from sim.effects.effect import Effect
-from sim.initialisation import InitialisationResult
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementResult, PlacementRun
 from sim.preview import preview_placement, unstow_duration_s
 from sim.sequence import Outcome
 from sim.world import Surface, World, inside_rover
-
-
-@dataclass(frozen=True, slots=True)
-class PlaceRequest:
-    """Frozen record of the options of `marsarm place`."""
-
-    tool: str = "apxs"
-    target_m: Vector3 = (2.05, 0.1, -0.25)
-    """Point on the surface, in RNAV."""
-    normal: Vector3 = (-0.5, 0.1, -0.85)
-    """Direction out of the surface, in RNAV, of any length."""
-    tilt_roll_deg: float = 0.0
-    tilt_pitch_deg: float = 0.0
-    arm: str = "nominal"
-    scene: Literal["mars", "earth"] = "mars"
-    seed: int = 0
-    params: Path | None = None
-    effects: tuple[str, ...] = ()
-    """Effects as text, as on the command line."""
-    has_surface: bool = True
-    """False for a world without the rock."""
-    files: RunFiles = NO_FILES
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +49,7 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
     Raises:
         BadRequest: the request is wrong, or the target cannot be reached.
     """
+    check_options(request)
     tool = _parse_tool(request.tool)
     check_finite("target", request.target_m)
     check_finite("normal", request.normal)
@@ -94,7 +57,6 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
     normal = scale_direction(
         "normal", request.normal, "the direction out of the surface, such as 0 0 -1 for up"
     )
-    check_seed(request.seed)
     effects = parse_effects(request.effects)
     arm = select_arm(request.arm, request.params).with_effects(effects)
     level = make_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
@@ -103,7 +65,6 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
         raise BadRequest(
             f"target: {format_numbers(request.target_m)} m is inside the rover; {WORKSPACE_HINT}"
         )
-    check_run_files(request.files, params=request.params)
     preview = preview_placement(arm, world, Placement(tool, request.target_m, normal), stowed=True)
     if preview.problem is not None:
         raise BadRequest(f"target: {format_numbers(request.target_m)} m cannot be reached: {preview.problem}")
@@ -123,14 +84,10 @@ def _parse_tool(name: str) -> Tool:
 
 @dataclass(frozen=True, slots=True)
 class PlaceReport:
-    """Frozen record of a placement and its artifacts."""
+    """Frozen record of a placement."""
 
     request: PlaceRequest
-    params_sha256: str
-    result: PlacementResult
-    realtime_factor: float
-    """Duration on Mars over wall time."""
-    artifacts: Artifacts
+    execution: Execution[PlacementResult]
 
 
 def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
@@ -140,43 +97,23 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
         BadRequest: the request is wrong; nothing moved and nothing was written.
     """
     job = prepare_placement(request)
-    stops = initialise(job.arm, request.seed, progress)
-    if stops[-1].outcome is not Outcome.DONE:
-        return _not_initialised(request, job.arm, stops)
+    last = initialise(job.arm, request.seed, progress)[-1]
+    if last.outcome is not Outcome.DONE:
+        result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
+        return PlaceReport(request, execution_not_begun(result, job.arm, request.files))
     stowed_rad = job.arm.params.poses.stowed_rad
-    setup = Setup(
-        job.arm, job.world, stowed_rad, request.seed, stops[-1].reference, effects_of_run(job.effects)
-    )
+    setup = Setup(job.arm, job.world, stowed_rad, request.seed, last.reference, effects_of_run(job.effects))
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     run = PlacementRun(loop, job.placement)
     header = run_header(loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects)
-    log = open_log(request.files.log, header, loop.config)
-    frames = Frames()
-    started = time.perf_counter()
-    try:
-        for record in record_cycles(run, log, request.files.when_disk_full):
-            if frames.note(loop.plant, record):
-                progress(record.tick / CYCLE_HZ, job.expected_s, describe_activity(record))
-            if CommandCompleted("GuardedMove") in record.outputs.evrs:
-                frames.choose(loop.plant)
-    finally:
-        log.close()
-    wall_s = time.perf_counter() - started
-    if loop.failure is not None:
-        raise loop.failure
-    result = run.result()
-    artifacts = save_artifacts(request.files, job.world, frames, loop.plant.data.qpos, log, progress)
-    return PlaceReport(
-        request=request,
-        params_sha256=loop.config.params_sha256,
-        result=result,
-        realtime_factor=result.duration_s / wall_s,
-        artifacts=artifacts,
+    execution = execute(
+        run,
+        loop,
+        header,
+        request.files,
+        job.world,
+        progress,
+        progress_at=lambda record: (record.tick / CYCLE_HZ, job.expected_s),
+        is_for_picture=lambda record: CommandCompleted("GuardedMove") in record.outputs.evrs,
     )
-
-
-def _not_initialised(request: PlaceRequest, arm: BuiltArm, stops: list[InitialisationResult]) -> PlaceReport:
-    failed = stops[-1]
-    result = PlacementResult(failed.outcome, None, failed.duration_s, None, None, failed.evrs)
-    artifacts = no_artifacts(request.files)
-    return PlaceReport(request, digest(arm.params), result, 0.0, artifacts)
+    return PlaceReport(request, execution)

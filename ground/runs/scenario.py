@@ -1,28 +1,15 @@
 """Execution of a scenario: check the request, run it, apply its checks, report."""
 
-import time
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 
-from fsw.config import digest
+from ground.common.errors import BadRequest
+from ground.common.options import check_options
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_seed, make_world, parse_effects, select_arm
-from ground.runs.execution import (
-    NO_FILES,
-    Artifacts,
-    Frames,
-    RunFiles,
-    check_run_files,
-    describe_activity,
-    initialise,
-    no_artifacts,
-    open_log,
-    record_cycles,
-    save_artifacts,
-)
+from ground.common.requests import make_world, parse_effects, select_arm
+from ground.runs.execution import Execution, execute, execution_not_begun, initialise
+from ground.runs.request import RunRequest
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm
-from sim.initialisation import InitialisationResult
 from sim.loop import ClosedLoop
 from sim.scenario.data import Scenario
 from sim.scenario.file import BadScenario, load_scenario
@@ -32,38 +19,19 @@ from sim.sequence import Outcome
 
 
 @dataclass(frozen=True, slots=True)
-class RunRequest:
-    """Frozen record of the options of `marsarm run`; None takes the value of the scenario."""
-
-    scenario: str
-    """Name of a built-in scenario, or path of a TOML file."""
-    arm: str | None = None
-    tilt_deg: tuple[float, float] | None = None
-    """Roll and pitch of the rover."""
-    seed: int = 0
-    files: RunFiles = NO_FILES
-    effects: tuple[str, ...] = ()
-    """Effects in addition to those of the scenario, as text as on the command line."""
-
-
-@dataclass(frozen=True, slots=True)
 class RunReport:
-    """Frozen record of a run and its artifacts."""
+    """Frozen record of the run of a scenario."""
 
     request: RunRequest
     scenario: Scenario
     """Scenario with the tilt and the effects of the request."""
     arm: str
-    params_sha256: str
-    result: ScenarioResult
-    realtime_factor: float
-    """Duration on Mars over wall time."""
-    artifacts: Artifacts
+    execution: Execution[ScenarioResult]
 
     @property
     def passed(self) -> bool:
         """True if the run was completed and passed all checks of its scenario."""
-        return self.result.passed
+        return self.execution.result.passed
 
 
 def run(request: RunRequest, progress: Progress) -> RunReport:
@@ -73,48 +41,35 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
         BadRequest: the request or the scenario is wrong; nothing moved and nothing was written.
     """
     scenario, arm = _prepare(request)
-    stops = initialise(arm, request.seed, progress)
-    if stops[-1].outcome is not Outcome.DONE:
-        return _not_initialised(request, scenario, arm, stops)
-    reference = stops[-1].reference
+    last = initialise(arm, request.seed, progress)[-1]
+    if last.outcome is not Outcome.DONE:
+        result = ScenarioResult(last.outcome, 0, last.duration_s, (), last.evrs)
+        return RunReport(request, scenario, arm.name, execution_not_begun(result, arm, request.files))
     progress(0, 1, "teaching")
     try:
-        arm = teach(arm, reference, scenario.taught, scenario.world, request.seed)
+        arm = teach(arm, last.reference, scenario.taught, scenario.world, request.seed)
     except NotTaught as error:
         raise BadRequest(f"scenario {scenario.name}: {error}") from error
-    setup = scenario_setup(scenario, arm, reference, request.seed)
+    setup = scenario_setup(scenario, arm, last.reference, request.seed)
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     scenario_run = ScenarioRun(loop, scenario)
-    header = run_header(loop, arm.name, request.seed, asdict(request), scenario.commands, scenario.effects)
-    log = open_log(request.files.log, header, loop.config)
-    frames, picture_command, total = Frames(), _picture_command(scenario), len(scenario.commands)
-    started = time.perf_counter()
-    try:
-        for record in record_cycles(scenario_run, log, request.files.when_disk_full):
-            if frames.note(loop.plant, record):
-                progress(scenario_run.command - 1, total, describe_activity(record))
-            if scenario_run.command == picture_command:
-                frames.choose(loop.plant)
-    finally:
-        log.close()
-    wall_s = time.perf_counter() - started
-    if loop.failure is not None:
-        raise loop.failure
-    result = scenario_run.result()
-    return RunReport(
-        request=request,
-        scenario=scenario,
-        arm=arm.name,
-        params_sha256=loop.config.params_sha256,
-        result=result,
-        realtime_factor=result.duration_s / wall_s,
-        artifacts=save_artifacts(request.files, scenario.world, frames, loop.plant.data.qpos, log, progress),
+    picture_command, total = _picture_command(scenario), len(scenario.commands)
+    execution = execute(
+        scenario_run,
+        loop,
+        run_header(loop, arm.name, request.seed, asdict(request), scenario.commands, scenario.effects),
+        request.files,
+        scenario.world,
+        progress,
+        progress_at=lambda _: (scenario_run.command - 1, total),
+        is_for_picture=lambda _: scenario_run.command == picture_command,
     )
+    return RunReport(request, scenario, arm.name, execution)
 
 
 def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     """Check a request, before anything moves or is written, and return its scenario and arm."""
-    check_seed(request.seed)
+    check_options(request)
     try:
         scenario = load_scenario(request.scenario)
     except BadScenario as error:
@@ -124,8 +79,6 @@ def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
         tilted = make_world(scenario.world.scene, *request.tilt_deg)
         scenario = scenario.tilted(tilted.tilt_roll_rad, tilted.tilt_pitch_rad)
     scenario = replace(scenario, effects=(*scenario.effects, *parse_effects(request.effects)))
-    path = Path(request.scenario)
-    check_run_files(request.files, scenario=path if path.suffix == ".toml" else None)
     return scenario, scenario.fit_arm(arm)
 
 
@@ -133,12 +86,3 @@ def _picture_command(scenario: Scenario) -> int:
     """Return the number of the command at whose end the picture is taken: the last one with a check."""
     numbers = [getattr(check, name, 0) for check in scenario.checks for name in ("after", "during")]
     return max(numbers) or len(scenario.commands)
-
-
-def _not_initialised(
-    request: RunRequest, scenario: Scenario, arm: BuiltArm, stops: list[InitialisationResult]
-) -> RunReport:
-    failed = stops[-1]
-    result = ScenarioResult(failed.outcome, 0, failed.duration_s, (), failed.evrs)
-    artifacts = no_artifacts(request.files)
-    return RunReport(request, scenario, arm.name, digest(arm.params), result, 0.0, artifacts)

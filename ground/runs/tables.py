@@ -10,8 +10,9 @@ from rich.text import Text
 
 from fsw.dictionary.evrs import Evr, Severity
 from ground.render.console import WARNING_STYLE, plain_console, styled_cell
-from ground.runs.execution import Artifacts
+from ground.runs.execution import Execution
 from ground.runs.place import PlaceReport
+from ground.runs.request import RunFiles
 from ground.runs.scenario import RunReport
 from ground.telemetry.events import json_fields
 from sim.placement import PlacementError
@@ -26,7 +27,8 @@ DISPLAY_UNITS: Final = {"m": ("mm", 1e3), "rad": ("deg", degrees(1.0))}
 
 def place_json(report: PlaceReport) -> dict[str, Any]:
     """Return a placement as a JSON document."""
-    request, result = report.request, report.result
+    request, execution = report.request, report.execution
+    result = execution.result
     contact, standoff = result.contact, result.standoff
     return {
         "outcome": result.outcome.value,
@@ -34,7 +36,7 @@ def place_json(report: PlaceReport) -> dict[str, Any]:
         "arm": request.arm,
         "branch": result.branch,
         "duration_s": result.duration_s,
-        "realtime_factor": report.realtime_factor,
+        "realtime_factor": execution.realtime_factor,
         "error_mm": None if contact is None else _error_json(contact),
         "axis_error_deg": None if contact is None else degrees(contact.axis_rad),
         "standoff_error_mm": None if standoff is None else _error_json(standoff),
@@ -43,16 +45,13 @@ def place_json(report: PlaceReport) -> dict[str, Any]:
         "normal": list(request.normal),
         "tilt_deg": {"roll": request.tilt_roll_deg, "pitch": request.tilt_pitch_deg},
         "seed": request.seed,
-        "params_sha256": report.params_sha256,
-        "evrs": [evr_json(time_s, evr) for time_s, evr in (*result.evrs, *report.artifacts.events)],
-        "log": None if request.files.log is None else str(request.files.log),
-        **artifacts_json(report.artifacts),
+        **_execution_json(execution, request.files),
     }
 
 
 def place_table(report: PlaceReport) -> None:
     """Print a placement: a table of errors, the warnings, and the files."""
-    result, request = report.result, report.request
+    request, result = report.request, report.execution.result
     console = plain_console()
     table = Table(
         title=f"{request.tool.upper()} on {request.arm} arm: {result.outcome.value}", title_justify="left"
@@ -65,34 +64,39 @@ def place_table(report: PlaceReport) -> None:
             table.add_row(name, *_error_cells(error))
     console.print(table)
     console.print(f"branch    {result.branch or 'none'}")
-    console.print(
-        f"duration  {result.duration_s:.1f} s of Mars time, {report.realtime_factor:.0f} times real time"
-    )
-    for time_s, evr in result.evrs:
-        if evr.severity >= Severity.WARNING_LO:
-            console.print(f"{time_s:8.2f} s  {evr.severity.name}  {evr.message}", style=WARNING_STYLE)
-    print_artifacts(console, report.artifacts, request.files.log)
+    _print_execution(console, report.execution, request.files)
 
 
-def artifacts_json(artifacts: Artifacts) -> dict[str, Any]:
-    """Return the artifacts of a run as a part of its JSON document."""
+def _execution_json(execution: Execution[Any], files: RunFiles) -> dict[str, Any]:
+    """Return the end of the JSON document of a run: parameters, events and files."""
+    artifacts = execution.artifacts
     return {
+        "params_sha256": execution.params_sha256,
+        "evrs": [evr_json(time_s, evr) for time_s, evr in (*execution.result.evrs, *artifacts.events)],
+        "log": _path_text(files.log),
         "log_problem": artifacts.log_problem,
         "picture": None if artifacts.picture is None else _path_text(artifacts.picture.path),
         "movie": None if artifacts.movie is None else _path_text(artifacts.movie.path),
     }
 
 
-def print_artifacts(console: Console, artifacts: Artifacts, log: Path | None) -> None:
-    """Print the files of a run, or the reasons why there are none."""
+def _print_execution(console: Console, execution: Execution[Any], files: RunFiles) -> None:
+    """Print duration, warnings and files of a run, or the reasons why there are no files."""
+    result, artifacts = execution.result, execution.artifacts
+    console.print(
+        f"duration  {result.duration_s:.1f} s of Mars time, {execution.realtime_factor:.0f} times real time"
+    )
+    for time_s, evr in result.evrs:
+        if evr.severity >= Severity.WARNING_LO:
+            console.print(f"{time_s:8.2f} s  {evr.severity.name}  {evr.message}", style=WARNING_STYLE)
     for name, drawn in (("picture", artifacts.picture), ("movie", artifacts.movie)):
         if drawn is not None:
             console.print(
                 f"{name:<9} {drawn.path or 'none'}" + (f"  ({drawn.hint})" if drawn.hint else ""),
                 soft_wrap=True,
             )
-    if log is not None:
-        console.print(f"log       {artifacts.log_problem or log}", soft_wrap=True)
+    if files.log is not None:
+        console.print(f"log       {artifacts.log_problem or files.log}", soft_wrap=True)
 
 
 def _error_cells(error: PlacementError) -> tuple[str, ...]:
@@ -124,13 +128,14 @@ def evr_json(time_s: float, evr: Evr) -> dict[str, Any]:
     }
 
 
-def _path_text(path: Any) -> str | None:
+def _path_text(path: Path | None) -> str | None:
     return None if path is None else str(path)
 
 
 def run_json(report: RunReport) -> dict[str, Any]:
     """Return a run as a JSON document."""
-    result, world = report.result, report.scenario.world
+    execution, world = report.execution, report.scenario.world
+    result = execution.result
     return {
         "scenario": report.scenario.name,
         "outcome": result.outcome.value,
@@ -139,20 +144,17 @@ def run_json(report: RunReport) -> dict[str, Any]:
         "commands_begun": result.command,
         "checks": [_check_json(check) for check in result.checks],
         "duration_s": result.duration_s,
-        "realtime_factor": report.realtime_factor,
+        "realtime_factor": execution.realtime_factor,
         "tilt_deg": {"roll": degrees(world.tilt_roll_rad), "pitch": degrees(world.tilt_pitch_rad)},
         "seed": report.request.seed,
         "effects": [effect_text(effect) for effect in report.scenario.effects],
-        "params_sha256": report.params_sha256,
-        "evrs": [evr_json(time_s, evr) for time_s, evr in (*result.evrs, *report.artifacts.events)],
-        "log": None if report.request.files.log is None else str(report.request.files.log),
-        **artifacts_json(report.artifacts),
+        **_execution_json(execution, report.request.files),
     }
 
 
 def run_table(report: RunReport) -> None:
     """Print a run: each check with its bounds, the warnings, and the files."""
-    result, scenario = report.result, report.scenario
+    result, scenario = report.execution.result, report.scenario
     console = plain_console()
     passed = "passed" if report.passed else "NOT passed"
     table = Table(
@@ -166,13 +168,7 @@ def run_table(report: RunReport) -> None:
     number = result.command
     if result.outcome != "done" and number > 0:
         console.print(f"ended in  command {number}, {upper_snake(type(scenario.commands[number - 1]))}")
-    console.print(
-        f"duration  {result.duration_s:.1f} s of Mars time, {report.realtime_factor:.0f} times real time"
-    )
-    for time_s, evr in result.evrs:
-        if evr.severity >= Severity.WARNING_LO:
-            console.print(f"{time_s:8.2f} s  {evr.severity.name}  {evr.message}", style=WARNING_STYLE)
-    print_artifacts(console, report.artifacts, report.request.files.log)
+    _print_execution(console, report.execution, report.request.files)
 
 
 def scenarios_json(scenarios: tuple[Scenario, ...]) -> list[dict[str, Any]]:

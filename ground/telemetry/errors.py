@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+from ground.common.errors import UserError
 
-class LogError(Exception):
+
+class LogError(UserError):
     """Error of a log; `path` is the file and `why` the reason."""
 
     def __init__(self, path: Path, why: str) -> None:

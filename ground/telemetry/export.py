@@ -16,10 +16,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from ground.common.errors import BadOutput
 from ground.common.fields import unit_of
-from ground.common.files import BadOutput, atomic_write, check_new_path, check_output
+from ground.common.files import atomic_write, check_distinct_files, check_new_path, check_output
 from ground.common.progress import Progress
-from ground.common.requests import check_distinct_files
 from ground.telemetry.events import CommandEntry, EvrEntry
 from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS, TRUTH_TEXT
 from ground.telemetry.inspection import NoSuchChannel, index_text, severity_name

@@ -9,6 +9,7 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Severity
+from ground.common.errors import BadRequest
 from ground.render.figures import save_figure
 from ground.telemetry.events import EvrEntry
 from ground.telemetry.format import TICK_NS
@@ -24,7 +25,7 @@ MAX_EVR_NAMES: Final = 12
 COLOURS: Final = {"warning": "#c1121f", "command": "#31688e", "other": "0.75"}
 
 
-class TooManyChannels(ValueError):
+class TooManyChannels(BadRequest):
     """Error of a request for more channels than a figure has panels."""
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.evrs import Severity
+from ground.common.errors import BadRequest
 from ground.common.fields import unit_of
 from ground.telemetry.format import TICK_NS
 from ground.telemetry.read import Log
@@ -22,7 +23,7 @@ INDEXED_PATTERN: Final = re.compile(r"(.*)\[([0-9]{1,9}(?:,[0-9]{1,9})*)\]")
 """Pattern of a channel, followed by the index of one number."""
 
 
-class NoSuchChannel(ValueError):
+class NoSuchChannel(BadRequest):
     """Error of a name or pattern that matches no channel or topic of a log."""
 
 

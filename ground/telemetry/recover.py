@@ -8,9 +8,8 @@ from typing import BinaryIO
 
 from mcap.writer import IndexType, Writer
 
-from ground.common.files import atomic_write, check_output
+from ground.common.files import atomic_write, check_distinct_files, check_output
 from ground.common.progress import Progress
-from ground.common.requests import check_distinct_files
 from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.format import CHANNELS_KEY, FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
 from ground.telemetry.lost_messages import RECOVERED_RECORD, LostMessages, loss_metadata

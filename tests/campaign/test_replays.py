@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from validation import replays
 
 

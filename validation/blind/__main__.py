@@ -10,20 +10,16 @@ from typing import Annotated
 
 import typer
 
-from ground.cli.gap import report_bad_input
-from ground.cli.options import JsonOption, fail, print_result
+from ground.cli.verb import VerbResult, verb
 from ground.common.files import check_output
 from ground.common.pool import local_runner
-from ground.common.progress import progress_bar
-from ground.diagnosis.arm.blind_case import TruthLeaked
+from ground.common.progress import Progress
 from validation.blind.arm_solver import ARM_SOLVER, load_campaign_sensitivities
 from validation.blind.folder import check_jobs, check_make
 from validation.blind.make import make_cases
 from validation.blind.score import score_folder
 from validation.blind.solve import solve_cases
 from validation.blind.table import save_score, score_json, score_markdown
-
-EXIT_LEAKED = 1
 
 FolderArgument = Annotated[Path, typer.Argument(help="Folder made by `make`.", metavar="FOLDER")]
 JobsOption = Annotated[int | None, typer.Option(help="Processes; all cores if not given.")]
@@ -40,13 +36,14 @@ app = typer.Typer(
 
 
 @app.command()
+@verb
 def make(
+    progress: Progress,
     out: Annotated[Path, typer.Option(help="Folder of the cases; a new one, or one to continue.")],
     cases: Annotated[int, typer.Option(help="Number of cases.")] = 200,
     seed: Annotated[int, typer.Option(help="Seed of effects, sizes, arms and noise.")] = 0,
     jobs: JobsOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> VerbResult:
     """Record blind cases: with no effect, one, two, or one that is in no catalogue.
 
     The digest of the truth is in digest.txt before any case is recorded. An interrupted run continues.
@@ -57,60 +54,51 @@ def make(
     def publish(digest: str) -> None:
         print(f"SHA-256 of the truth: {digest}", file=sys.stderr)
 
-    with report_bad_input(as_json):
-        check_make(cases, seed, out, _worker_count(jobs))
-        try:
-            with progress_bar() as progress:
-                made = make_cases(out, cases, seed, local_runner(_worker_count(jobs)), progress, publish)
-        except TruthLeaked as error:
-            fail(str(error), EXIT_LEAKED, as_json)
+    check_make(cases, seed, out, _worker_count(jobs))
+    made = make_cases(out, cases, seed, local_runner(_worker_count(jobs)), progress, publish)
     document = {
         "digest": made.digest,
         "cases": made.cases,
         "recorded": made.recorded,
         "left_out": list(made.left_out),
     }
-    print_result(
-        document, as_json, lambda: print(f"{made.cases} cases, {made.recorded} of them recorded now")
-    )
+    return VerbResult(document, lambda: print(f"{made.cases} cases, {made.recorded} of them recorded now"))
 
 
 @app.command()
-def solve(folder: FolderArgument, jobs: JobsOption = None, as_json: JsonOption = False) -> None:
+@verb
+def solve(progress: Progress, folder: FolderArgument, jobs: JobsOption = None) -> VerbResult:
     """Diagnose every blind case without a result; the truth is not read.
 
     Example: python -m validation.blind solve blind
     """
-
-    with report_bad_input(as_json), progress_bar() as progress:
-        check_jobs(_worker_count(jobs))
-        now, cases = solve_cases(folder, ARM_SOLVER, local_runner(_worker_count(jobs)), progress)
-    print_result(
-        {"solved": now, "cases": cases}, as_json, lambda: print(f"{cases} cases, {now} of them solved now")
+    check_jobs(_worker_count(jobs))
+    now, cases = solve_cases(folder, ARM_SOLVER, local_runner(_worker_count(jobs)), progress)
+    return VerbResult(
+        {"solved": now, "cases": cases}, lambda: print(f"{cases} cases, {now} of them solved now")
     )
 
 
 @app.command()
+@verb
 def score(
+    progress: Progress,
     folder: FolderArgument,
     out: Annotated[
         Path | None, typer.Option(help="Write the score as a page.", metavar="FILE.md|FILE.json")
     ] = None,
     partial: Annotated[bool, typer.Option("--partial", help="Score only solved cases.")] = False,
-    as_json: JsonOption = False,
-) -> None:
+) -> VerbResult:
     """Compare the results of blind cases with their truth, whose digest is checked first.
 
     Example: python -m validation.blind score blind --out blind.md
     """
-
-    with report_bad_input(as_json), progress_bar() as progress:
-        if out is not None:
-            check_output(out, (".md", ".json"), "out")
-        found = score_folder(folder, load_campaign_sensitivities, partial, progress)
-        if out is not None:
-            save_score(found, out)
-    print_result(score_json(found), as_json, lambda: print(score_markdown(found), end=""))
+    if out is not None:
+        check_output(out, (".md", ".json"), "out")
+    found = score_folder(folder, load_campaign_sensitivities, partial, progress)
+    if out is not None:
+        save_score(found, out)
+    return VerbResult(score_json(found), lambda: print(score_markdown(found), end=""))
 
 
 def _worker_count(requested: int | None) -> int:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from ground.common.errors import BadRequest
 from ground.common.pool import Runner, local_runner
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest
 from ground.diagnosis.arm.audit import load_checked_recordings
 from ground.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
 from ground.diagnosis.arm.case import FittedCase, diagnose_fitted_case, fit_case

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from ground.diagnosis.closure import Closure, HeldOutModel, build_held_out_model, compute_closure
 from ground.diagnosis.nonlinear_fit import QuadraticSurrogate, fit_nonlinear
 from ground.diagnosis.normal_equations import NormalEquations, form_normal_equations

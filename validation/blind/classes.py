@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from ground.diagnosis.problem import Hypothesis, Ints
 from ground.diagnosis.result import finite_or_none
 

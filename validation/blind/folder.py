@@ -9,8 +9,9 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 
-from ground.common.files import BadOutput, atomic_write, check_new_path
-from ground.common.requests import BadRequest, check_seed
+from ground.common.errors import BadOutput, BadRequest
+from ground.common.files import atomic_write, check_new_path
+from ground.common.requests import check_seed
 from ground.diagnosis.blind_case import DIGEST, read_digest
 from ground.diagnosis.diagnose import Verdict
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from fsw.kinematics.transforms import Array
+from ground.common.errors import BadRequest
 from ground.common.pool import Runner
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest
 from ground.diagnosis.arm.blind_case import blind_reference, check_leakage, sample_background
 from ground.diagnosis.arm.record import record_campaign
 from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis

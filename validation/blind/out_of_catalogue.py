@@ -15,9 +15,9 @@ import numpy as np
 from fsw.kinematics.transforms import Array, inverse, stack_poses
 from ground.calibration.screws import screw_log
 from ground.common.checkpoint import Checkpoint
+from ground.common.errors import BadRequest
 from ground.common.pool import Runner
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest
 from ground.diagnosis.arm.audit import load_checked_recordings
 from ground.diagnosis.arm.feature_set import FeatureSet, RestFeatures, build_feature_set
 from ground.diagnosis.arm.features import MotionFeatures, evaluate_features

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.stats import binom
 
 from fsw.kinematics.transforms import Array
+from ground.common.errors import BadRequest
 from ground.common.progress import Progress
 from ground.common.rates import Rate, estimate_rate
-from ground.common.requests import BadRequest
 from ground.diagnosis.blind_case import TrueCase, TrueEffect, load_truth
 from ground.diagnosis.problem import Hypothesis
 from validation.blind.case_features import (

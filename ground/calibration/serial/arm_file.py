@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
 from ground.calibration.serial.arm import Link, Repeatability, SerialArm, Uncertainty
+from ground.common.errors import BadRequest
 from sim.scenario.names import did_you_mean
 from sim.scenario.toml_lines import NotToml, parse_toml
 from sim.scenario.toml_record import Findings, read_record
@@ -14,7 +15,7 @@ LINKS: Final = "link"
 MOST_LINKS: Final = 20
 
 
-class BadArmFile(ValueError):
+class BadArmFile(BadRequest):
     """Error: a file does not describe an arm; one line of the message for each problem."""
 
 

@@ -207,7 +207,7 @@ def joint_errors(found: SerialCalibration) -> tuple[JointError, ...]:
                 one.compliance_rad_per_Nm,
                 sigma.get(f"{one.name}.compliance", 0.0),
                 one.hysteresis_rad,
-                sigma.get(f"{one.name}.approach", 0.0),
+                sigma.get(f"{one.name}.hysteresis", 0.0),
                 float(np.sqrt(np.mean(waves**2))),
                 float(np.max(np.abs(waves))),
             )

@@ -10,6 +10,7 @@ from ground.calibration.serial.arm import SerialArm
 from ground.calibration.serial.chain import forward_kinematics, repeat_pose
 from ground.calibration.serial.model import TrackerSetup
 from ground.calibration.serial.series import PoseSeries
+from ground.common.errors import BadRequest
 
 LEAST_POSES: Final = 20
 LEAST_TURN_RAD: Final = 0.2
@@ -19,7 +20,7 @@ MAX_ROTATION_ERROR_RAD: Final = 0.1
 MAX_POSITION_ERROR_M: Final = 0.05
 
 
-class SetupNotFound(ValueError):
+class SetupNotFound(BadRequest):
     """Error: poses do not fit the arm, or do not determine the setup."""
 
 

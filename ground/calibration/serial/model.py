@@ -19,12 +19,12 @@ from ground.calibration.serial.chain import (
 )
 from ground.calibration.serial.series import PoseSeries
 
-NON_PERIODIC: Final = ("compliance", "approach")
+NON_PERIODIC: Final = ("compliance", "hysteresis")
 """Coefficients of a joint before those of its periodic error, which are all cosines, then all sines."""
 GEOMETRY: Final = "geometry"
 COMPLIANCE: Final = "compliance"
-PERIODIC: Final = "waves"
-HYSTERESIS: Final = "approach"
+PERIODIC: Final = "periodic"
+HYSTERESIS: Final = "hysteresis"
 TERMS: Final = (GEOMETRY, COMPLIANCE, PERIODIC, HYSTERESIS)
 """Optional terms of a fit. Base and target frames are always fitted."""
 

@@ -8,9 +8,9 @@ from rich.table import Table
 
 from ground.calibration.serial.arm import GEOMETRY_NAMES
 from ground.calibration.serial.calibrate import contributions_m, joint_errors, periodic_error_rad
+from ground.calibration.serial.execution import SerialReport
 from ground.calibration.serial.model import GEOMETRY, NON_PERIODIC, PERIODIC
 from ground.calibration.serial.nested_models import NestedModel
-from ground.calibration.serial.request import SerialReport
 from ground.calibration.serial.temperature import TemperatureTest
 from ground.render.console import plain_console
 from ground.render.figures import save_figure

@@ -17,6 +17,7 @@ from mcap.stream_reader import StreamReader
 
 from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
+from ground.common.errors import UserError
 from ground.diagnosis.blind_case import TrueCase
 from ground.telemetry.format import CHANNELS_KEY
 from ground.telemetry.header import SESSION
@@ -54,8 +55,10 @@ def sample_background(rng: np.random.Generator) -> tuple[Effect, ...]:
     return (PLANT_NUMERICS, *counters, *errors, *friction)
 
 
-class TruthLeaked(RuntimeError):
-    """Leak of the truth in a blind log; the message says what leaked."""
+class TruthLeaked(UserError):
+    """Leak of the truth in a blind log, which is a bug; the message says what leaked."""
+
+    exit_status = 1
 
 
 def blind_reference(arm: BuiltArm) -> Reference:

@@ -11,10 +11,10 @@ from typing import Final
 from pydantic import TypeAdapter, ValidationError
 
 import ground.diagnosis
+from ground.common.errors import BadRequest
 from ground.common.files import atomic_write
 from ground.common.pool import Runner
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest
 from ground.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from ground.diagnosis.confidence import ConfidenceFeatures
 from ground.diagnosis.model import DiagnosisModel, build_model

@@ -23,10 +23,10 @@ import fsw
 import sim
 from fsw.config import digest
 from fsw.kinematics.transforms import Array
+from ground.common.errors import BadRequest
 from ground.common.files import atomic_write
 from ground.common.pool import Runner
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest
 from ground.diagnosis.arm.audit import load_checked_recordings
 from ground.diagnosis.arm.case_simulator import feature_keys
 from ground.diagnosis.arm.feature_set import build_feature_set

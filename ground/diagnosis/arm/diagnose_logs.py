@@ -9,15 +9,18 @@ from pathlib import Path
 from typing import Final
 
 from fsw.dictionary.params import Params
+from ground.common.errors import BadRequest
+from ground.common.options import check_options
 from ground.common.pool import local_runner
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_seed, parse_effects
+from ground.common.requests import parse_effects
 from ground.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
 from ground.diagnosis.arm.campaign_model import load_campaign_model
 from ground.diagnosis.arm.campaign_sensitivities import Logs
 from ground.diagnosis.arm.case import diagnose_case
 from ground.diagnosis.arm.logs import NotForDiagnosis, Recording
 from ground.diagnosis.arm.record import HELD_OUT_FOLDER
+from ground.diagnosis.arm.request import DiagnoseRequest
 from ground.diagnosis.arm.simulator import list_candidates
 from ground.diagnosis.result import DiagnosisResult
 from sim.effects.catalogue import catalogue, effect_name
@@ -30,7 +33,7 @@ MAX_SUGGESTIONS: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
-class DiagnoseRequest:
+class DiagnoseJob:
     """Checked request for a diagnosis."""
 
     logs: tuple[Path, ...]
@@ -53,43 +56,26 @@ class DiagnoseRequest:
         return nominal_params() if self.params is None else params_over_nominal(self.params)
 
 
-def build_request(
-    logs: Sequence[Path],
-    held_out: Sequence[Path] = (),
-    params: Path | None = None,
-    names: str | None = None,
-    campaign: Path | None = None,
-    seed: int = 0,
-    effects: Sequence[str] = (),
-) -> DiagnoseRequest:
-    """Build the request: list the logs of folders, and check all that needs no log.
-
-    Args:
-        logs: Logs or folders of logs that are fitted.
-        held_out: Logs or folders of logs that the findings are tested on.
-        params: File of flight parameters, if they differ from nominal.
-        names: Candidate effects, separated by commas; None for all.
-        campaign: Folder of the campaign, if the logs repeat one.
-        seed: Seed of bootstrap and noise draws.
-        effects: Effects that are switched on in the simulator.
+def prepare_diagnosis(request: DiagnoseRequest) -> DiagnoseJob:
+    """Check all of a request that needs no log, list the logs of folders, and build the job.
 
     Raises:
         BadRequest: A file is missing or given twice, a name is unknown, or parameters are wrong.
     """
-    check_seed(seed)
-    fitted, held_out_logs = tuple(_expand_logs(logs, "log")), tuple(_expand_logs(held_out, "held-out log"))
-    _check_different(fitted, held_out_logs)
-    if params is not None:
+    check_options(request)
+    fitted = tuple(_expand_logs(request.logs, "log"))
+    held_out = tuple(_expand_logs(request.held_out, "held-out log"))
+    _check_different(fitted, held_out)
+    if request.params is not None:
         try:
-            params_over_nominal(params)
+            params_over_nominal(request.params)
         except BadParams as error:
             raise BadRequest(str(error)) from error
-    if campaign is not None and not os.path.isdir(campaign):
-        raise BadRequest(f"campaign {campaign}: there is no such folder of logs")
-    kinds = None if names is None else _parse_effects(names)
-    return DiagnoseRequest(
-        fitted, held_out_logs, params, kinds, campaign, seed, parse_effects(tuple(effects))
-    )
+    if request.campaign is not None and not os.path.isdir(request.campaign):
+        raise BadRequest(f"campaign {request.campaign}: there is no such folder of logs")
+    kinds = None if request.catalogue is None else _parse_effects(request.catalogue)
+    effects = parse_effects(request.effects)
+    return DiagnoseJob(fitted, held_out, request.params, kinds, request.campaign, request.seed, effects)
 
 
 def _expand_logs(given: Sequence[Path], what: str) -> Iterator[Path]:
@@ -148,33 +134,31 @@ def _unknown_effect(name: str, known: set[str]) -> str:
     return f"catalogue: effect {shorten(name)!r} is not known; {meant}`marsarm effects` lists what there is"
 
 
-def diagnose_logs(request: DiagnoseRequest, progress: Progress) -> DiagnosisResult:
-    """Diagnose the logs of a request.
+def diagnose_logs(job: DiagnoseJob, progress: Progress) -> DiagnosisResult:
+    """Diagnose the logs of a checked request.
 
     Raises:
         NotForDiagnosis: They cannot be diagnosed; the message says what they lack.
         BadRequest: A cached file of the campaign cannot be read.
         BadOutput: A cached file cannot be written.
     """
-    base = request.base
-    fitted, held_out_recordings = (
-        load_checked_recordings(paths, base) for paths in (request.logs, request.held_out)
-    )
-    _check_sessions((*request.logs, *request.held_out), (*fitted, *held_out_recordings))
+    base = job.base
+    fitted, held_out_recordings = (load_checked_recordings(paths, base) for paths in (job.logs, job.held_out))
+    _check_sessions((*job.logs, *job.held_out), (*fitted, *held_out_recordings))
     _check_held_out(fitted, held_out_recordings)
     _check_motion(fitted)
-    logs, held_out = request.logs, request.held_out
-    if request.campaign is not None:
-        logs, held_out = _campaign_logs(request.campaign, fitted, held_out_recordings)
+    logs, held_out = job.logs, job.held_out
+    if job.campaign is not None:
+        logs, held_out = _campaign_logs(job.campaign, fitted, held_out_recordings)
     campaign = load_campaign_model(
         logs,
         held_out,
-        request.campaign or _cache_folder(),
+        job.campaign or _cache_folder(),
         local_runner(os.cpu_count() or 1),
         progress,
-        request.kinds,
+        job.kinds,
     )
-    return diagnose_case(fitted, held_out_recordings, campaign, request.seed, request.patch)
+    return diagnose_case(fitted, held_out_recordings, campaign, job.seed, job.patch)
 
 
 def _cache_folder() -> Path:

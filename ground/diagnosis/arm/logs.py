@@ -13,6 +13,7 @@ from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Sensors
+from ground.common.errors import BadRequest
 from ground.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, read_tracker_poses
 from ground.replay.inputs import NotReplayable, inputs_from_log
 from ground.telemetry.errors import LogError
@@ -25,7 +26,7 @@ DRIVE: Final = "/drive"
 COUNTS: Final = "setpoint_count"
 
 
-class NotForDiagnosis(ValueError):
+class NotForDiagnosis(BadRequest):
     """Log that cannot be compared with the simulator; the message says what it lacks."""
 
 

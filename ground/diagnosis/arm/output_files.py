@@ -1,14 +1,12 @@
 """Output files of a diagnosis: report page, patch of effects, and new flight parameters."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from fsw.dictionary.params import Params
-from ground.common.files import BadOutput, atomic_write, check_output
+from ground.common.files import atomic_write
 from ground.common.params_toml import params_toml
-from ground.common.requests import BadRequest, check_distinct_files
-from ground.diagnosis.arm.diagnose_logs import DiagnoseRequest
+from ground.diagnosis.arm.request import DiagnoseRequest
 from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
 from ground.diagnosis.page import save_diagnosis_page
 from ground.diagnosis.result import DiagnosisResult, list_alternatives
@@ -110,55 +108,21 @@ def _patch_comments(result: DiagnosisResult) -> list[str]:
     return lines
 
 
-@dataclass(frozen=True, slots=True)
-class DiagnosisFiles:
-    """Paths of the output files; None for a file that is not wanted."""
+def save_diagnosis_files(result: DiagnosisResult, request: DiagnoseRequest, base: Params) -> tuple[str, ...]:
+    """Write the files of a request; return sentences about those without content.
 
-    report: Path | None = None
-    patch: Path | None = None
-    new_params: Path | None = None
-
-
-def check_diagnosis_files(files: DiagnosisFiles, params: Path | None, effects: Sequence[str] = ()) -> None:
-    """Refuse, before any computation, paths that cannot be written or that are also read.
+    Args:
+        result: Diagnosis.
+        request: Request with the paths of the files.
+        base: Flight parameters of the arm.
 
     Raises:
-        BadRequest: The message names the path.
-    """
-    read = {f"effect {text}": Path(text) for text in effects if text.endswith(".toml")}
-    check_distinct_files(
-        {
-            **read,
-            "params": params,
-            "report": files.report,
-            "patch": files.patch,
-            "new-params": files.new_params,
-        }
-    )
-    try:
-        for what, path, suffix in (
-            ("report", files.report, ".html"),
-            ("patch", files.patch, ".toml"),
-            ("new-params", files.new_params, ".toml"),
-        ):
-            if path is not None:
-                check_output(path, (suffix,), what)
-    except BadOutput as error:
-        raise BadRequest(str(error)) from error
-
-
-def save_diagnosis_files(
-    result: DiagnosisResult, request: DiagnoseRequest, files: DiagnosisFiles
-) -> tuple[str, ...]:
-    """Write the files; return sentences about those without content.
-
-    Raises:
-        BadRequest: A file cannot be written.
+        BadOutput: A file cannot be written.
     """
     savers: tuple[tuple[str, Path | None, Callable[[Path], None]], ...] = (
-        ("report", files.report, lambda path: save_diagnosis_page(result, path)),
-        ("patch", files.patch, lambda path: save_patch(result, path)),
-        ("new-params", files.new_params, lambda path: save_new_params(result, request.base, path)),
+        ("report", request.report, lambda path: save_diagnosis_page(result, path)),
+        ("patch", request.patch, lambda path: save_patch(result, path)),
+        ("new-params", request.new_params, lambda path: save_new_params(result, base, path)),
     )
     not_written = []
     for what, path, save in savers:
@@ -168,6 +132,4 @@ def save_diagnosis_files(
             save(path)
         except NothingToWrite as why:
             not_written.append(f"{what} {path}: not written: {why}")
-        except BadOutput as error:
-            raise BadRequest(str(error)) from error
     return tuple(not_written)

@@ -3,7 +3,6 @@
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -12,9 +11,12 @@ import numpy as np
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, Pose, stack_poses
 from ground.calibration.survey import TooFewTargets, measure_pose
+from ground.common.errors import BadRequest
 from ground.common.files import atomic_path, check_new_path
+from ground.common.options import check_options
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_seed, parse_effects, select_arm
+from ground.common.requests import parse_effects, select_arm
+from ground.diagnosis.arm.request import RecordRequest
 from ground.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, write_tracker_poses
 from ground.telemetry.header import SESSION, flight_header
 from ground.telemetry.json_codec import record_to_json
@@ -113,17 +115,6 @@ def _stack_poses(rows: list[tuple[int, Pose, Array]]) -> TrackerPoses:
     return TrackerPoses(np.array(ticks, np.int64), stack_poses(poses), np.stack(sigmas, -1))
 
 
-@dataclass(frozen=True, slots=True)
-class RecordRequest:
-    """Request to record a campaign."""
-
-    out: Path
-    arm: str = "nominal"
-    effects: tuple[str, ...] = ()
-    params: Path | None = None
-    seed: int = 0
-
-
 def check_record_request(request: RecordRequest) -> None:
     """Refuse a request that cannot be carried out; write nothing.
 
@@ -131,7 +122,7 @@ def check_record_request(request: RecordRequest) -> None:
         BadRequest: Seed, effects, arm or folder are wrong.
         BadOutput: The folder cannot be written.
     """
-    check_seed(request.seed)
+    check_options(request)
     parse_effects(request.effects)
     select_arm(request.arm, request.params)
     if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):

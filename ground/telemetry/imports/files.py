@@ -5,8 +5,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
+from ground.common.errors import BadRequest
 
-class BadImport(ValueError):
+
+class BadImport(BadRequest):
     """Error of a table or a mapping that cannot be imported; the message has one line for each problem."""
 
     def __init__(self, problems: Iterable[str]):

@@ -11,9 +11,9 @@ from rich.table import Table
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command
-from ground.common.files import BadOutput, atomic_write, check_output
+from ground.common.errors import BadRequest
+from ground.common.files import atomic_write, check_distinct_files, check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files
 from ground.render.console import plain_console, pluralize
 from ground.telemetry.format import SENSOR_TOPIC, TICK_NS
 from ground.telemetry.header import SESSION, commands_header, start_header, versions_header
@@ -99,8 +99,6 @@ def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
         progress(2, 3, "writing the log")
         with atomic_write(request.log, "log") as file:
             write_table_log(file, converted.header, converted.series, converted.commands)
-    except (BadImport, BadOutput) as error:
-        raise BadRequest(str(error)) from error
     except MemoryError as error:
         raise BadRequest(f"{request.table}: is too large for the memory; give it in parts") from error
     return _report(request, converted)

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ground.accuracy.budget import BudgetReport, run_budget
 from ground.accuracy.budget_report import budget_json, save_budget_page
-from ground.accuracy.budget_request import BudgetReport, BudgetRequest, run_budget
 from ground.accuracy.reproduce import TABLE_3, TABLE_4
-from ground.common.requests import BadRequest
+from ground.accuracy.request import BudgetRequest
+from ground.common.errors import BadRequest
 from tests.ground.command import marsarm, marsarm_process
 
 

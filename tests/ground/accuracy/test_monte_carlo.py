@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from ground.accuracy.budget import COMPONENTS, MOMENTS
-from ground.accuracy.monte_carlo import MonteCarloReport, MonteCarloRequest, run_monte_carlo
+from ground.accuracy.monte_carlo import MonteCarloReport, run_monte_carlo
 from ground.accuracy.monte_carlo_report import monte_carlo_json, save_monte_carlo_page
-from ground.common.requests import BadRequest
+from ground.accuracy.request import MonteCarloRequest
+from ground.common.errors import BadRequest
 from tests.ground.command import marsarm, marsarm_process
 
-STATICS = MonteCarloRequest(arms=150, how="statics", seed=3)
+STATICS = MonteCarloRequest(arms=150, move_model="statics", seed=3, workers=1)
 
 
 def quiet(*_) -> None:
@@ -102,15 +103,20 @@ def test_without_ray_a_cluster_is_refused_and_nothing_is_written(monkeypatch, tm
 
 
 def test_the_closed_loop_measures_what_statics_do():
-    loop = run_monte_carlo(MonteCarloRequest("mars", arms=2, how="closed-loop", seed=5), quiet)
-    statics = run_monte_carlo(MonteCarloRequest("mars", arms=2, how="statics", seed=5), quiet)
+    loop = run_monte_carlo(
+        MonteCarloRequest("mars", arms=2, move_model="closed-loop", seed=5, workers=1), quiet
+    )
+    statics = run_monte_carlo(
+        MonteCarloRequest("mars", arms=2, move_model="statics", seed=5, workers=1), quiet
+    )
     for a, b in zip(loop.trials, statics.trials, strict=True):
         assert np.linalg.norm((a[0].error - b[0].error)[3:]) < 1e-4
 
 
 def test_an_arm_of_its_own_has_what_the_case_adds():
     found = run_monte_carlo(
-        MonteCarloRequest("mars", "calibrated", arms=3, places=3, how="statics", seed=1), quiet
+        MonteCarloRequest("mars", "calibrated", arms=3, places=3, move_model="statics", seed=1, workers=1),
+        quiet,
     )
     assert 1e-4 < found.coverage.percentile["total_m"] < 1e-2
     assert found.three_sigma["total_m"].accuracy.upper > found.three_sigma["total_m"].accuracy.estimate > 0
@@ -134,8 +140,8 @@ def test_an_interval_without_an_end_is_null_in_the_document(report):
     ("wrong", "words"),
     [
         ({"case": "venus"}, "case: 'venus' is not known; there are accuracy"),
-        ({"built": "borrowed"}, "built: 'borrowed' is not known; there are drawn, calibrated, as-built"),
-        ({"how": "guess"}, "how: 'guess' is not known; there are closed-loop, statics"),
+        ({"built": "borrowed"}, "built: 'borrowed' is not known; there are sampled, calibrated, as-built"),
+        ({"move_model": "guess"}, "move-model: 'guess' is not known; there are closed-loop, statics"),
         ({"arms": 0}, "arms: 0 is not within 1 .. 1000000"),
         ({"places": 0}, "places: 0 is not within"),
         ({"workers": 0}, "workers: 0 is not within"),
@@ -192,7 +198,7 @@ def test_results_of_other_parameter_files_are_not_mixed_in(tmp_path):
 
 
 def test_the_command_prints_one_document(tmp_path):
-    words = ("monte-carlo", "--arms", "3", "--how", "statics", "--workers", "1", "--json")
+    words = ("monte-carlo", "--arms", "3", "--move-model", "statics", "--workers", "1", "--json")
     done = marsarm(tmp_path, *words, "--report", "page.html", "--results", "r.jsonl")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["arms"] == 3

@@ -8,10 +8,12 @@ import pytest
 
 from fsw.kinematics.arm import build_arm
 from ground.calibration.campaign_file import save_campaign
+from ground.calibration.execution import run_calibration
 from ground.calibration.parameter_file import calibrated_params, parameter_text
 from ground.calibration.report import calibration_json, save_calibration_page
-from ground.calibration.request import CalibrateRequest, run_calibration
-from ground.common.requests import BadRequest, select_arm
+from ground.calibration.request import CalibrateRequest
+from ground.common.errors import BadRequest
+from ground.common.requests import select_arm
 from sim.params import params_over_nominal
 from tests.ground.calibration.lab import calibration, campaign, quiet
 from tests.ground.command import marsarm, marsarm_process

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ground.common.checkpoint import Checkpoint
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 
 ASKED = {"case": "mars", "seed": 1}
 

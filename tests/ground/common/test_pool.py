@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from ground.common.errors import BadRequest
 from ground.common.pool import cluster_runner, local_runner
-from ground.common.requests import BadRequest
 
 
 def square(x: int) -> int:

@@ -4,8 +4,9 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from ground.ik.model import ModelRequest, build_ik_model
-from ground.ik.solve import IkRequest, solve
+from ground.ik.model import build_ik_model
+from ground.ik.request import IkRequest, ModelRequest
+from ground.ik.solve import solve
 from ground.ik.targets import APPROACH_COLUMNS, POSITION_COLUMNS, IkTargets
 from sim.frames import p_R_from_N
 

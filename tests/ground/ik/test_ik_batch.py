@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
+from fsw.kinematics.batch import select_targets
 from fsw.kinematics.branches import slot_name
-from fsw.kinematics.ik import BranchVerdict, select_result
+from fsw.kinematics.ik import BranchVerdict
 from ground.ik.model import BATCH_SIZE
 from ground.ik.tally import JOINT_NAMES, VERDICT_NAMES, tally
 from ground.ik.writers import open_writer
@@ -46,7 +47,7 @@ def test_a_table_has_a_row_for_each_target_and_branch(tmp_path, suffix):
     assert len(rows) == np.sum(answers.verdict != BranchVerdict.ABSENT)
     for row in rows:
         slot = next(k for k in range(len(answers.verdict)) if slot_name(k) == row["branch"])
-        one = select_result(answers, row["target"])
+        one = select_targets(answers, row["target"])
         angles = np.array([row[f"{joint}_rad"] for joint in JOINT_NAMES], dtype=float)
         assert row["verdict"] == VERDICT_NAMES[one.verdict[slot]]
         assert np.allclose(angles, one.output_rad[:, slot], atol=1e-9, equal_nan=True)

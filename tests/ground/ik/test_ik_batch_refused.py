@@ -15,8 +15,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from ground.common.files import BadOutput
-from ground.common.requests import BadRequest
+from ground.common.errors import BadOutput, BadRequest
 from ground.ik.targets import APPROACH_COLUMNS, POSITION_COLUMNS, read_targets
 from ground.ik.writers import open_writer
 from tests.ground.command import ROOT, marsarm

@@ -9,10 +9,10 @@ from fsw.dictionary.enums import Tool
 from fsw.kinematics.arm import build_arm, heat_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle
-from ground.common.requests import BadRequest
-from ground.ik.model import ModelRequest
+from ground.common.errors import BadRequest
 from ground.ik.report import ik_json
-from ground.ik.solve import IkRequest, solve
+from ground.ik.request import IkRequest, ModelRequest
+from ground.ik.solve import solve
 from sim.arms import arm_named
 from sim.frames import p_R_from_N
 from sim.world import World

@@ -7,10 +7,11 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from ground.common.requests import BadRequest
-from ground.ik.model import ModelRequest, build_ik_model
-from ground.ik.reach import ReachRequest, reach, sample_workspace
+from ground.common.errors import BadRequest
+from ground.ik.model import build_ik_model
+from ground.ik.reach import reach, sample_workspace
 from ground.ik.report import reach_json
+from ground.ik.request import ModelRequest, ReachRequest
 from sim.workspace import approach_from, random_surface, random_targets
 from tests.ground.command import marsarm, marsarm_process
 
@@ -21,7 +22,7 @@ def quiet(*_) -> None:
 
 @pytest.fixture(scope="module")
 def document():
-    return reach_json(reach(ReachRequest(samples=4000), quiet))
+    return reach_json(reach(ReachRequest(samples=4000, picture=None), quiet))
 
 
 def test_nearly_every_target_of_the_workspace_has_a_branch_and_at_most_four(document):

@@ -11,7 +11,8 @@ from ground.render.picture import PictureResult
 from ground.render.rays import Rays
 from ground.render.rover_scene import tilt_rover
 from ground.runs import execution
-from ground.runs.execution import Frames, RunFiles, RunLog, save_artifacts
+from ground.runs.execution import Frames, RunLog, save_artifacts
+from ground.runs.request import RunFiles
 from sim.world import Scene, Surface, World, build
 
 ROCK = Surface((2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))

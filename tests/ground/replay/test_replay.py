@@ -6,11 +6,11 @@ import pytest
 
 import sim.loop
 from fsw.cycle import step
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from ground.replay.replay import ReplayRequest, replay
 from ground.replay.tables import replay_json, replay_table, verdict_line
-from ground.runs.execution import RunFiles
-from ground.runs.scenario import RunRequest, run
+from ground.runs.request import RunFiles, RunRequest
+from ground.runs.scenario import run
 from ground.telemetry.header import run_header
 from ground.telemetry.read import read_log
 from ground.telemetry.recorder import Recorder

@@ -6,9 +6,10 @@ import PIL.Image
 import pytest
 
 from fsw.dictionary.enums import Joint
-from ground.common.requests import BadRequest
-from ground.runs.hardstop import HardstopRequest, hardstop, plan_stops
-from ground.runs.hardstop_tables import hardstop_json, plan_json
+from ground.common.errors import BadRequest
+from ground.runs.hardstop import hardstop, plan_stops
+from ground.runs.hardstop_report import hardstop_json, plan_json
+from ground.runs.request import HardstopRequest
 from tests.ground.command import marsarm, marsarm_process
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from ground.common.files import BadOutput
+from ground.common.errors import BadOutput
 from ground.telemetry.export import export, index_suffixes
 from ground.telemetry.inspection import NoSuchChannel, range_of, select_channels, summarize_log
 from ground.telemetry.read import Log, read_log

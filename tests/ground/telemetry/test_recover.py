@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.format import TICK_NS
 from ground.telemetry.lost_messages import LogDamaged, LostMessages

@@ -5,9 +5,10 @@ import json
 import PIL.Image
 import pytest
 
+from ground.calibration.request import SerialRequest
 from ground.calibration.serial.arm_file import arm_from_toml
-from ground.calibration.serial.request import SerialRequest, calibrate_serial
-from ground.common.requests import BadRequest
+from ground.calibration.serial.execution import calibrate_serial
+from ground.common.errors import BadRequest
 from tests.ground.calibration.serial.files import MAPPING, rows, write
 from tests.ground.calibration.serial.synthetic import POSITION_M
 from tests.ground.command import marsarm, marsarm_process
@@ -30,7 +31,7 @@ def ended(tmp_path_factory):
     """Run the command as in the documents; return its folder and its result."""
     folder = tmp_path_factory.mktemp("serial")
     write(folder)
-    options = ("--ladder", "--out", "found.toml", "--picture", "found.png", "--json")
+    options = ("--nested", "--out", "found.toml", "--picture", "found.png", "--json")
     return folder, marsarm(folder, *VERB, *options)
 
 
@@ -47,9 +48,9 @@ def test_standard_output_is_one_document(ended):
 def test_the_large_errors_of_the_arm_are_worth_their_terms(ended):
     steps = json.loads(ended[1].stdout)["models"]
     worth = {step["terms"][-1]: step["significant"] for step in steps[1:]}
-    assert list(worth) == ["geometry", "compliance", "waves", "approach"]
+    assert list(worth) == ["geometry", "compliance", "periodic", "hysteresis"]
     assert worth["geometry"]
-    assert worth["waves"]
+    assert worth["periodic"]
     held_out = [step["held_out_rms_m"] for step in steps]
     assert held_out[-1] < 0.5 * held_out[1] < 0.5 * held_out[0]
 
@@ -78,7 +79,7 @@ def test_people_read_a_table(tmp_path):
 
 def test_the_same_files_give_the_same_bytes(ended):
     folder, done = ended
-    again = marsarm(folder, *VERB, "--ladder", "--out", "again.toml", "--picture", "found.png", "--json")
+    again = marsarm(folder, *VERB, "--nested", "--out", "again.toml", "--picture", "found.png", "--json")
     assert again.stdout == done.stdout
     assert (folder / "again.toml").read_bytes() == (folder / "found.toml").read_bytes()
 
@@ -86,9 +87,9 @@ def test_the_same_files_give_the_same_bytes(ended):
 @pytest.mark.parametrize(
     ("option", "change", "said"),
     [
-        ({"share": 0.01}, None, "share: 0.01 is not within 0.05 .. 1"),
+        ({"fit_share": 0.01}, None, "fit-share: 0.01 is not within 0.05 .. 1"),
         ({"terms": "geometri"}, None, "terms: 'geometri' is not known; did you mean geometry?"),
-        ({"terms": "all,waves"}, None, "all and none stand alone"),
+        ({"terms": "all,periodic"}, None, "all and none stand alone"),
         ({"out": "found.txt"}, None, "found.txt: its name must end in .toml"),
         ({"out": "arm.toml"}, None, "this is the file of arm too"),
         ({"table": "none.csv"}, None, "none.csv: cannot be read"),

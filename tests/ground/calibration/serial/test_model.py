@@ -53,7 +53,7 @@ def test_what_the_poses_tell_is_found_within_its_sigma(known):
     names = {parameter.name: k for k, parameter in enumerate(fit.parameters)}
     joints = [f"{one.name}.compliance" for one in drawn.links]
     truth = [one.compliance_rad_per_Nm for one in built.links]
-    joints += [f"{one.name}.approach" for one in drawn.links]
+    joints += [f"{one.name}.hysteresis" for one in drawn.links]
     truth += [one.hysteresis_rad for one in built.links]
     joints += [f"{one.name}.cos{k + 1}" for one in drawn.links for k in range(2, 6)]
     truth += [amplitude for one in built.links for amplitude in one.cos_rad[2:6]]

@@ -4,7 +4,8 @@ import json
 
 import pytest
 
-from ground.calibration.serial.request import SerialRequest, calibrate_serial
+from ground.calibration.request import SerialRequest
+from ground.calibration.serial.execution import calibrate_serial
 from validation.ur10 import BOUNDS_MM, FILES, TABLES, document
 
 

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.transforms import IDENTITY, stack_poses
+from ground.common.errors import BadRequest
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest
 from ground.diagnosis.arm import diagnose_logs, logs, record
 from ground.diagnosis.arm.campaign_model import load_thresholds, save_thresholds
 from ground.diagnosis.arm.campaign_sensitivities import keys_path, load_keys
 from ground.diagnosis.arm.logs import NotForDiagnosis
+from ground.diagnosis.arm.request import RecordRequest
 from ground.diagnosis.arm.tracker_poses import (
     BadTracker,
     TrackerPoses,
@@ -195,7 +196,7 @@ def test_a_campaign_that_does_not_complete_leaves_nothing(
     monkeypatch.setattr(record, "record_campaign", stopped)
     silent: Progress = lambda *_: None  # noqa: E731
     with pytest.raises(BadRequest, match="session elsewhere; with smaller effects"):
-        record.record_logs(record.RecordRequest(tmp_path / "logs"), silent)
+        record.record_logs(RecordRequest(tmp_path / "logs"), silent)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -13,7 +13,7 @@ from ground.diagnosis.arm import campaign_sensitivities, nuisance_fit
 from ground.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
 from ground.diagnosis.arm.case import TooLittleMotion, diagnose_case, fit_case
 from ground.diagnosis.arm.case_simulator import CaseSimulator, resimulate
-from ground.diagnosis.arm.diagnose_logs import DiagnoseRequest, diagnose_logs
+from ground.diagnosis.arm.diagnose_logs import DiagnoseJob, diagnose_logs
 from ground.diagnosis.arm.logs import NotForDiagnosis, load_recording
 from ground.diagnosis.arm.record import record_campaign
 from ground.diagnosis.result import DiagnosisResult
@@ -146,9 +146,9 @@ def test_most_of_a_campaign_must_be_there(nominal: Logs, against: CampaignModel)
 
 
 def test_a_campaign_without_such_sessions_is_refused(nominal: Logs, tmp_path: Path) -> None:
-    request = DiagnoseRequest(tuple(nominal[0]), campaign=tmp_path)
+    job = DiagnoseJob(tuple(nominal[0]), campaign=tmp_path)
     with pytest.raises(NotForDiagnosis, match="has no session poses-level-1, poses-level-1-again"):
-        diagnose_logs(request, silent)
+        diagnose_logs(job, silent)
 
 
 def test_a_part_of_the_effects_is_taken_from_what_is_kept_of_all(

@@ -2,8 +2,9 @@
 
 import pytest
 
-from ground.common.requests import BadRequest
-from ground.diagnosis.arm.diagnose_logs import build_request
+from ground.common.errors import BadRequest
+from ground.diagnosis.arm.diagnose_logs import prepare_diagnosis
+from ground.diagnosis.arm.request import DiagnoseRequest
 from sim.effects.catalogue import catalogue
 
 
@@ -19,14 +20,16 @@ def folder(tmp_path):
 
 
 def test_a_folder_is_all_logs_in_it(folder):
-    request = build_request([folder / "logs"], [folder / "other.mcap"])
+    request = prepare_diagnosis(DiagnoseRequest((folder / "logs",), (folder / "other.mcap",)))
     assert [path.name for path in request.logs] == ["a.mcap", "b.mcap"]
     assert [path.name for path in request.held_out] == ["other.mcap"]
     assert request.kinds is None
 
 
 def test_effects_are_named_in_any_order(folder):
-    request = build_request([folder / "logs"], names="gear-stiffness, coulomb-friction,gear-stiffness")
+    request = prepare_diagnosis(
+        DiagnoseRequest((folder / "logs",), catalogue="gear-stiffness, coulomb-friction,gear-stiffness")
+    )
     assert sorted(request.kinds) == ["coulomb-friction", "gear-stiffness"]
     assert list(request.kinds) == [name for name in catalogue() if name in request.kinds]
 
@@ -35,23 +38,26 @@ def test_what_is_held_out_takes_no_part_in_fitting(folder):
     (folder / "copy.mcap").write_text("a")
     for held_out in ("logs/a.mcap", "copy.mcap", "logs"):
         with pytest.raises(BadRequest, match=r"held-out log .* is log .*a\.mcap too"):
-            build_request([folder / "logs"], [folder / held_out])
+            prepare_diagnosis(DiagnoseRequest((folder / "logs",), (folder / held_out,)))
 
 
 def test_no_log_counts_as_its_own_repeat(folder):
     with pytest.raises(BadRequest, match="is the same as"):
-        build_request([folder / "logs", folder / "logs" / "a.mcap"])
+        prepare_diagnosis(DiagnoseRequest((folder / "logs", folder / "logs" / "a.mcap")))
 
 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"names": "coulomb-frictoin"}, r"'coulomb-frictoin' is not known; did you mean coulomb-friction"),
-        ({"names": ""}, "'' is not known"),
-        ({"names": "sensor-fault"}, "sensor-fault is an effect"),
+        (
+            {"catalogue": "coulomb-frictoin"},
+            r"'coulomb-frictoin' is not known; did you mean coulomb-friction",
+        ),
+        ({"catalogue": ""}, "'' is not known"),
+        ({"catalogue": "sensor-fault"}, "sensor-fault is an effect"),
         ({"seed": -1}, "must not be negative"),
         ({"campaign": "none"}, "campaign .*none: there is no such folder"),
-        ({"effects": ["rusty-gear"]}, "'rusty-gear' is not known"),
+        ({"effects": ("rusty-gear",)}, "'rusty-gear' is not known"),
         ({"params": "other.mcap"}, "is not TOML"),
         ({"held_out": ["none.mcap"]}, "held-out log .*none.mcap: there is no such file or folder"),
         ({"held_out": ["n" * 300]}, "there is no such file or folder"),
@@ -63,12 +69,12 @@ def test_what_is_wrong_is_refused(folder, options, said):
         if name in options:
             options = {name: folder / options[name]}
     if "held_out" in options:
-        options = {"held_out": [folder / path for path in options["held_out"]]}
+        options = {"held_out": tuple(folder / path for path in options["held_out"])}
     with pytest.raises(BadRequest, match=said):
-        build_request([folder / "logs"], **options)
+        prepare_diagnosis(DiagnoseRequest((folder / "logs",), **options))
 
 
 def test_a_folder_without_logs_is_refused(folder):
     (folder / "empty").mkdir()
     with pytest.raises(BadRequest, match=r"log .*empty: this folder holds no \.mcap file"):
-        build_request([folder / "empty"])
+        prepare_diagnosis(DiagnoseRequest((folder / "empty",)))

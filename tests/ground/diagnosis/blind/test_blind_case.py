@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from ground.diagnosis.blind_case import (
     DIGEST,
     TRUTH,

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from ground.common.errors import BadRequest
 from ground.common.pool import local_runner
-from ground.common.requests import BadRequest
 from ground.diagnosis.blind_case import TRUTH
 from validation.blind.case_features import read_case_features
 from validation.blind.folder import SOLVED_FOLDER, load_results, result_path, write_json

@@ -16,7 +16,7 @@ from fsw.cycle import step
 from fsw.dictionary.enums import Mode
 from fsw.messages import Sensors
 from fsw.state import boot
-from ground.common.requests import BadRequest
+from ground.common.errors import BadRequest
 from ground.diagnosis.arm.logs import load_recording
 from ground.telemetry.imports.job import ImportRequest, import_table
 from ground.telemetry.imports.targets import known_targets

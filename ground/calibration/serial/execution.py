@@ -1,4 +1,4 @@
-"""Calibration of a serial arm as a request of the command line."""
+"""Execution of a calibration of a serial arm: read the files, fit, validate, write the fitted arm."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,41 +8,25 @@ from typing import Final
 import numpy as np
 
 from ground.calibration.identifiability import Identifiability, assess_identifiability
-from ground.calibration.outliers import TooManyOutliers
+from ground.calibration.request import SerialRequest
 from ground.calibration.serial.arm import SerialArm
-from ground.calibration.serial.arm_file import BadArmFile, arm_from_toml, arm_to_toml, unknown_words
+from ground.calibration.serial.arm_file import arm_from_toml, arm_to_toml, unknown_words
 from ground.calibration.serial.calibrate import held_out_ratio
-from ground.calibration.serial.initial_setup import SetupNotFound, estimate_setup
+from ground.calibration.serial.initial_setup import estimate_setup
 from ground.calibration.serial.model import TERMS
 from ground.calibration.serial.nested_models import NestedModel, fit_nested_models
 from ground.calibration.serial.series import PoseSeries
 from ground.calibration.serial.temperature import TemperatureTest, temperature_test
 from ground.calibration.serial.tracker_table import mapping_from_toml, series_from_table, sha256
-from ground.common.files import BadOutput, atomic_write, check_output
+from ground.common.errors import BadRequest
+from ground.common.files import atomic_write
+from ground.common.options import check_options
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_distinct_files
-from ground.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
+from ground.telemetry.imports.files import MAX_TABLE_BYTES, read_file
 from ground.telemetry.imports.mapping_file import MAX_MAPPING_BYTES
 
 ALL: Final = "all"
 NONE: Final = "none"
-LEAST_SHARE: Final = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class SerialRequest:
-    """Request for a calibration."""
-
-    arm: Path
-    table: Path
-    mapping: Path
-    terms: str = ALL
-    share: float = 0.5
-    """Share of the poses to fit, from the first in time; the others validate."""
-    nested: bool = False
-    """Fit term by term."""
-    out: Path | None = None
-    picture: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,29 +55,20 @@ def calibrate_serial(request: SerialRequest, progress: Progress) -> SerialReport
     Raises:
         BadRequest: A file is wrong, or its poses do not determine the parameters; nothing was written.
     """
-    files = {name: getattr(request, name) for name in ("arm", "table", "mapping", "out", "picture")}
-    check_distinct_files(files)
+    check_options(request)
     terms = _parse_terms(request.terms)
-    if not LEAST_SHARE <= request.share <= 1.0:
-        raise BadRequest(f"share: {request.share:g} is not within {LEAST_SHARE:g} .. 1")
-    try:
-        for name, suffix in (("out", ".toml"), ("picture", ".png")):
-            if files[name] is not None:
-                check_output(files[name], (suffix,), name)
-        arm, series, digests = _read(request)
-        count = round(request.share * series.count)
-        is_part = np.arange(series.count) < count
-        part, fresh = series.at(is_part), series.at(~is_part) if count < series.count else None
-        steps = fit_nested_models(
-            arm, estimate_setup(arm, part), part, fresh, _term_sets(terms, request.nested), progress
-        )
-        report = _build_report(request, arm, series, part, fresh, steps, digests)
-        if request.out is not None:
-            text = arm_to_toml(steps[-1].found.arm, _provenance(report))
-            with atomic_write(request.out, "out") as file:
-                file.write(text.encode())
-    except (BadImport, BadArmFile, SetupNotFound, TooManyOutliers, BadOutput) as error:
-        raise BadRequest(str(error)) from error
+    arm, series, digests = _read(request)
+    count = round(request.fit_share * series.count)
+    is_part = np.arange(series.count) < count
+    part, fresh = series.at(is_part), series.at(~is_part) if count < series.count else None
+    steps = fit_nested_models(
+        arm, estimate_setup(arm, part), part, fresh, _term_sets(terms, request.nested), progress
+    )
+    report = _build_report(request, arm, series, part, fresh, steps, digests)
+    if request.out is not None:
+        text = arm_to_toml(steps[-1].found.arm, _provenance(report))
+        with atomic_write(request.out, "out") as file:
+            file.write(text.encode())
     return report
 
 

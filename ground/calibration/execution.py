@@ -1,0 +1,112 @@
+"""Execution of a calibration: measure or read poses, fit, check, verify, write the files."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from fsw.dictionary.params import Params
+from ground.calibration.calibrate import Calibration, calibrate
+from ground.calibration.campaign import (
+    PAPER_GROUPS,
+    CampaignPlan,
+    earth_reference,
+    resize_groups,
+    run_campaign,
+)
+from ground.calibration.campaign_data import Campaign
+from ground.calibration.campaign_file import read_campaign, save_campaign
+from ground.calibration.checks import BadData, check_data, check_fit
+from ground.calibration.parameter_file import calibrated_params, save_parameter_file
+from ground.calibration.request import CalibrateRequest
+from ground.calibration.verify import Verification, register_tools, verify_calibration
+from ground.common.errors import BadRequest
+from ground.common.options import check_options
+from ground.common.progress import Progress
+from ground.common.requests import select_arm
+from sim.arms import BuiltArm
+from sim.params import BadParams, check_params, nominal_params, params_over_nominal
+from sim.tracker import Tracker
+
+MICRO: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrateReport:
+    """Result of a request for a calibration."""
+
+    request: CalibrateRequest
+    found: Calibration
+    params: Params
+    """Calibrated parameters."""
+    verification: Verification | None
+
+
+def run_calibration(request: CalibrateRequest, progress: Progress) -> CalibrateReport:
+    """Measure or read a campaign, fit, check and verify, and write the requested files.
+
+    Raises:
+        BadRequest: The request or the data are wrong, or the fit is not acceptable; nothing was written.
+    """
+    arm, base = _check_request(request)
+    try:
+        if arm is None:
+            campaign = read_campaign(_require_table(request.data))
+            _check_same_arm(base, campaign)
+        else:
+            campaign = _measure_campaign(request, arm, progress)
+        check_data(base, campaign)
+        progress(0, 1, "fitting")
+        found = calibrate(base, campaign)
+        check_fit(found)
+        tools = None if arm is None else register_tools(arm, request.seed)
+        params = calibrated_params(found, tools)
+        check_params(params, "the calibrated arm")
+        verification = None
+        if arm is not None and request.verify:
+            verification = verify_calibration(arm, params, request.verify, request.seed, progress)
+        if request.save_data is not None:
+            save_campaign(campaign, request.save_data)
+        if request.out is not None:
+            save_parameter_file(found, params, request.out)
+    except BadParams as error:
+        raise BadRequest(str(error)) from error
+    return CalibrateReport(request, found, params, verification)
+
+
+def _check_request(request: CalibrateRequest) -> tuple[BuiltArm | None, Params]:
+    """Check all that can be checked before any motion or output."""
+    check_options(request)
+    if (request.arm is None) == (request.data is None):
+        raise BadRequest(
+            "calibrate: give --arm ARM to measure one in simulation, or --data TABLE of a real one"
+        )
+    if request.data is not None and (request.verify or request.save_data is not None):
+        raise BadRequest("calibrate: --verify and --save-data are for an arm in simulation; give no --data")
+    if not all(0 <= um < 1e4 for um in request.tracker_um) or request.tracker_um[0] == 0:
+        raise BadRequest("tracker: its noise is not within 0 .. 10000 micrometres, the first above 0")
+    try:
+        base = nominal_params() if request.params is None else params_over_nominal(request.params)
+    except BadParams as error:
+        raise BadRequest(str(error)) from error
+    return (None if request.arm is None else select_arm(request.arm, request.params)), base
+
+
+def _require_table(path: Path | None) -> Path:
+    if path is None:
+        raise BadRequest("data: give a table")
+    return path
+
+
+def _check_same_arm(base: Params, campaign: Campaign) -> None:
+    if base.arm_name not in ("nominal", campaign.arm_name):
+        raise BadData(
+            f"params: these are of the arm {base.arm_name}, the data of {campaign.arm_name}; give the "
+            "nominal ones or its own"
+        )
+
+
+def _measure_campaign(request: CalibrateRequest, arm: BuiltArm, progress: Progress) -> Campaign:
+    um, um_per_m = request.tracker_um
+    tracker = Tracker(sigma_m=um * MICRO, sigma_per_m=um_per_m * MICRO)
+    plan = CampaignPlan(resize_groups(PAPER_GROUPS, request.poses), tracker, request.seed)
+    return run_campaign(arm, earth_reference(arm, progress), plan, progress)

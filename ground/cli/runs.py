@@ -1,0 +1,91 @@
+"""Define the verbs of runs: `place`, `hardstop`, `run` and `scenarios`."""
+
+from typing import Annotated
+
+import typer
+
+from ground.cli.verb import VerbResult, verb
+from ground.common.errors import BadRequest
+from ground.common.progress import Progress
+from ground.runs.request import HardstopRequest, PlaceRequest, RunRequest
+
+AllOption = Annotated[
+    bool, typer.Option("--all", help="All joints, one after the other, as flight software does it.")
+]
+PlanOption = Annotated[
+    bool, typer.Option("--plan", help="Move nothing; show the poses and the torques that they equalise.")
+]
+
+
+@verb
+def place(request: PlaceRequest, progress: Progress) -> VerbResult:
+    """Unstow, place an instrument on a rock, and retract.
+
+    RNAV is x forward, y right, z down, from the ground below the rover: a rock 0.25 m high has z = -0.25.
+
+    Example: marsarm place --tool mahli --target 2.1 0 -0.2 --normal -0.4 0 -1 --tilt-pitch 10
+    """
+    from ground.runs.place import place
+    from ground.runs.tables import place_json, place_table
+
+    report = place(request, progress)
+    is_done = report.execution.result.outcome == "done"
+    return VerbResult(place_json(report), lambda: place_table(report), is_done)
+
+
+@verb
+def hardstop(
+    request: HardstopRequest, progress: Progress, all_joints: AllOption = False, plan: PlanOption = False
+) -> VerbResult:
+    """Run joints against their negative hardstops and set the encoder zeros there.
+
+    Flight software begins without any zero. Errors are relative to the true hardstop of the arm.
+
+    Example: marsarm hardstop --joint elbow --arm as-built:7 --temperature -40 --picture elbow.png
+    """
+    from ground.runs.hardstop import hardstop, plan_stops
+    from ground.runs.hardstop_report import (
+        hardstop_json,
+        hardstop_table,
+        plan_json,
+        plan_table,
+        save_hardstop_figure,
+    )
+
+    if all_joints and request.joint is not None:
+        raise BadRequest(
+            f"all: --joint {request.joint} asks for one joint, --all for all; give one of the two"
+        )
+    if plan:
+        plans = plan_stops(request)
+        return VerbResult(plan_json(plans), lambda: plan_table(plans))
+    report = hardstop(request, progress)
+    problem = None if request.picture is None else save_hardstop_figure(report.runs, request.picture)
+    document = hardstop_json(report, problem)
+    return VerbResult(document, lambda: hardstop_table(report, problem), report.outcome == "done")
+
+
+@verb
+def run(request: RunRequest, progress: Progress) -> VerbResult:
+    """Run a scenario in the closed loop, and check it against the true motion of the arm.
+
+    Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --movie sol46.gif
+    """
+    from ground.runs.scenario import run
+    from ground.runs.tables import run_json, run_table
+
+    report = run(request, progress)
+    return VerbResult(run_json(report), lambda: run_table(report), report.passed)
+
+
+@verb
+def scenarios() -> VerbResult:
+    """List the built-in scenarios.
+
+    Example: marsarm scenarios --json
+    """
+    from ground.runs.tables import scenarios_json, scenarios_table
+    from sim.scenario.file import built_in_scenarios, load_scenario
+
+    loaded = tuple(load_scenario(name) for name in built_in_scenarios())
+    return VerbResult({"scenarios": scenarios_json(loaded)}, lambda: scenarios_table(loaded))

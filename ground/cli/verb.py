@@ -1,0 +1,148 @@
+"""Verbs: functions whose options come from request classes, and whose results and errors are printed here."""
+
+import inspect
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import MISSING, dataclass, is_dataclass
+from typing import Annotated, Any, Final, Literal, get_args, get_origin
+
+import typer
+
+from ground.common.errors import UserError
+from ground.common.options import Field, Option, option_fields
+from ground.common.progress import progress_bar
+
+EXIT_BAD_INPUT: Final = 2
+EXIT_ARM_SAFE: Final = 3
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+
+
+@dataclass(frozen=True, slots=True)
+class VerbResult:
+    """Result of a verb, as a JSON document and as a table."""
+
+    document: dict[str, Any]
+    print_table: Callable[[], None]
+    is_done: bool = True
+    """False if the arm refused or faulted and is safe."""
+    save: Callable[[], None] | None = None
+    """Function that writes files; a result that took minutes is printed first."""
+
+
+def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:
+    """Make a command for typer from a function that carries out a verb.
+
+    The options are the fields of each parameter that is a request, all other parameters, and `--json`. A
+    parameter `progress` is no option: it gets the function that updates the progress bar. The function
+    imports its domain itself, so that `--help` does not load it.
+    """
+    parameters = tuple(inspect.signature(work, eval_str=True).parameters.values())
+
+    def command(as_json: bool, **values: Any) -> None:
+        with report_user_errors(as_json):
+            result = _carry_out(work, parameters, values)
+        print_result(result.document, as_json, result.print_table)
+        if result.save is not None:
+            with report_user_errors(as_json=False):  # the JSON document is complete
+                result.save()
+        if not result.is_done:
+            raise typer.Exit(EXIT_ARM_SAFE)
+
+    options = [option for parameter in parameters for option in _verb_options(parameter)]
+    signature = inspect.Signature([*options, _parameter("as_json", JsonOption, False)])
+    command.__signature__ = signature  # type: ignore[attr-defined]
+    command.__name__, command.__doc__ = work.__name__, work.__doc__
+    return command
+
+
+def _carry_out(
+    work: Callable[..., VerbResult], parameters: tuple[inspect.Parameter, ...], values: dict[str, Any]
+) -> VerbResult:
+    for parameter in parameters:
+        if is_dataclass(parameter.annotation):
+            values[parameter.name] = _build_request(parameter.annotation, values)
+    if all(parameter.name != "progress" for parameter in parameters):
+        return work(**values)
+    with progress_bar() as progress:
+        return work(progress=progress, **values)
+
+
+def _verb_options(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
+    if is_dataclass(parameter.annotation):
+        yield from _request_options(parameter.annotation, MISSING)
+    elif parameter.name != "progress":
+        yield parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+
+
+def _request_options(request_type: Any, group: Any) -> Iterator[inspect.Parameter]:
+    """Yield the options of a request class; `group` holds their defaults if they are a group in another."""
+    for field in option_fields(request_type):
+        default = field.default if group is MISSING else getattr(group, field.name)
+        if field.option is None:
+            yield from _request_options(field.type, default)
+            continue
+        kind = Annotated[_typer_type(field), _typer_option(field, field.option)]  # type: ignore[valid-type]
+        yield _parameter(field.name, kind, None if default == () else default)
+        if field.option.help_without is not None and default is not None:
+            flag = typer.Option(f"--no-{field.label}", help=field.option.help_without)
+            yield _parameter(f"no_{field.name}", Annotated[bool, flag], False)
+
+
+def _typer_type(field: Field) -> Any:
+    """Return the type for typer, which knows lists instead of tuples; `check_options` checks literals."""
+    if not _is_list(field):
+        return str if get_origin(field.type) is Literal else field.type
+    values = list[get_args(field.type)[0]]  # type: ignore[misc, valid-type]
+    return values | None if field.default == () else values
+
+
+def _typer_option(field: Field, option: Option) -> Any:
+    if option.is_argument:
+        return typer.Argument(help=option.help, metavar=option.metavar)
+    return typer.Option(option.name or f"--{field.label}", help=option.help, metavar=option.metavar)
+
+
+def _is_list(field: Field) -> bool:
+    return get_origin(field.type) is tuple and get_args(field.type)[1:] == (...,)
+
+
+def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
+    if default is MISSING:
+        default = inspect.Parameter.empty
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=default)
+
+
+def _build_request(request_type: Any, values: dict[str, Any]) -> Any:
+    """Build a request, and remove its options from the values."""
+    made: dict[str, Any] = {}
+    for field in option_fields(request_type):
+        if field.option is None:
+            made[field.name] = _build_request(field.type, values)
+            continue
+        value = values.pop(field.name)
+        if values.pop(f"no_{field.name}", False):
+            value = None
+        made[field.name] = tuple(value or ()) if _is_list(field) else value
+    return request_type(**made)
+
+
+def print_result(document: dict[str, Any], as_json: bool, print_table: Callable[[], None]) -> None:
+    """Print a result as JSON for a program, or as a table for a person."""
+    if as_json:
+        print(json.dumps(document, indent=2, allow_nan=False))
+    else:
+        print_table()
+
+
+@contextmanager
+def report_user_errors(as_json: bool) -> Iterator[None]:
+    """Print an error of the user, and exit with its status."""
+    try:
+        yield
+    except UserError as error:
+        if as_json:
+            print(json.dumps({"error": str(error)}))
+        print(error, file=sys.stderr)
+        raise typer.Exit(error.exit_status) from error

@@ -1,0 +1,138 @@
+"""Options of the verbs: each is declared once, at a field of a request class, and checked from there.
+
+A field is declared as `poses: Annotated[int, Option("Number of poses.", within=(1, 100))] = 10`. The command
+line makes an option of it with the default of the field; `check_options` refuses what is not allowed.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+
+from ground.common.errors import BadRequest
+from ground.common.files import check_distinct_files, check_output
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """Option of a verb, as metadata of a field of its request."""
+
+    help: str
+    metavar: str | None = None
+    name: str | None = None
+    """Name on the command line; None for that of the field, `--new-params` for `new_params`."""
+    is_argument: bool = False
+    within: tuple[float, float | None] | None = None
+    """Smallest and largest value; None for no largest one."""
+    is_read: bool = False
+    """True for a file that is read, so that none that is written may be the same."""
+    suffixes: tuple[str, ...] = ()
+    """Suffixes of a file that is written."""
+    help_without: str | None = None
+    """Help of the flag `--no-NAME`, which sets the field to None."""
+
+
+class Field(NamedTuple):
+    """Field of a request with its option, or a group of options: a field that is a request itself."""
+
+    name: str
+    type: Any
+    option: Option | None
+    """None for a group."""
+    default: Any
+    """dataclasses.MISSING if the option must be given."""
+
+    @property
+    def label(self) -> str:
+        """Name of the option in errors."""
+        name = None if self.option is None else self.option.name
+        return (name or self.name.replace("_", "-")).removeprefix("--")
+
+
+def option_fields(request_type: type) -> Iterator[Field]:
+    """List the options and groups of a request class; fields that are neither are left out."""
+    hints = get_type_hints(request_type, include_extras=True)
+    for field in fields(request_type):
+        hint = hints[field.name]
+        if is_dataclass(hint):
+            yield Field(field.name, hint, None, field.default)
+        elif get_origin(hint) is Annotated:
+            kind, option = get_args(hint)
+            yield Field(field.name, kind, option, field.default)
+
+
+def check_options(request: Any) -> None:
+    """Check the values of a request against the declarations of its options.
+
+    Raises:
+        BadRequest: a value is not allowed, two options name the same file, or a file cannot be written.
+    """
+    given = list(_values(request))
+    for field, option, value in given:
+        _check_value(field, option, value)
+    read = dict(file for field, option, value in given if option.is_read for file in _files(field, value))
+    written = [(field.label, option, value) for field, option, value in given if option.suffixes]
+    check_distinct_files(read | {label: path for label, _, path in written})
+    for label, option, path in written:
+        check_output(path, option.suffixes, label)
+
+
+def _values(request: Any) -> Iterator[tuple[Field, Option, Any]]:
+    """Yield each option with its value, except None, which is allowed where the type has it."""
+    for field in option_fields(type(request)):
+        value = getattr(request, field.name)
+        if field.option is None:
+            yield from _values(value)
+        elif value is not None:
+            yield field, field.option, value
+
+
+def _files(field: Field, value: Any) -> Iterator[tuple[str, Path]]:
+    """Yield the files that an option names; an effect or a scenario is a file if it ends in .toml."""
+    for one in value if isinstance(value, tuple) else (value,):
+        label = f"{field.label} {one}" if isinstance(value, tuple) else field.label
+        if isinstance(one, Path) or one.endswith(".toml"):
+            yield label, Path(one)
+
+
+def _check_value(field: Field, option: Option, value: Any) -> None:
+    if get_origin(field.type) is Literal and value not in get_args(field.type):
+        raise BadRequest(
+            f"{field.label}: {value!r} is not known; there are {', '.join(get_args(field.type))}"
+        )
+    if option.within is None:
+        return
+    least, most = option.within
+    if most is None and value < least:
+        raise BadRequest(f"{field.label}: {value} must not be negative")
+    if most is not None and not least <= value <= most:
+        raise BadRequest(f"{field.label}: {_format(value)} is not within {_format(least)} .. {_format(most)}")
+
+
+def _format(value: float) -> str:
+    return str(value) if isinstance(value, int) else f"{value:g}"
+
+
+ArmOption = Annotated[str, Option("nominal, as-built:SEED or calibrated:SEED.", "ARM")]
+RollOption = Annotated[float, Option("Rover roll, right side down, in degrees.", "DEG", "--tilt-roll")]
+PitchOption = Annotated[float, Option("Rover pitch, nose up, in degrees.", "DEG", "--tilt-pitch")]
+SeedOption = Annotated[int, Option("Seed of everything random except the arm.", within=(0, None))]
+ParamsOption = Annotated[
+    Path | None,
+    Option("TOML file of flight parameters that replace nominal ones.", "FILE.toml", is_read=True),
+]
+EffectsOption = Annotated[
+    tuple[str, ...],
+    Option(
+        "Switch on an effect of `marsarm effects`, or FILE.py:CLASS as its name, or all of a FILE.toml with "
+        "[[effect]] tables; repeatable.",
+        "NAME:PLACE:PARAMETER=VALUE,...",
+        "--effect",
+        is_read=True,
+    ),
+]
+ReportOption = Annotated[
+    Path | None, Option("Write a page with tables and pictures.", "FILE.html", suffixes=(".html",))
+]

@@ -1,0 +1,60 @@
+"""Requests of `marsarm diagnose` and `gap record`: their options, with defaults and bounds."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from ground.common.options import ArmOption, EffectsOption, Option, ParamsOption, ReportOption, SeedOption
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnoseRequest:
+    """Request for a diagnosis."""
+
+    logs: Annotated[
+        tuple[Path, ...],
+        Option("Logs, or folders: all .mcap files in them.", "LOG...", is_argument=True),
+    ]
+    held_out: Annotated[
+        tuple[Path, ...],
+        Option(
+            "Logs that are not fitted; the reduction of their residuals validates the result; repeatable.",
+            "LOG",
+        ),
+    ] = ()
+    params: ParamsOption = None
+    catalogue: Annotated[
+        str | None,
+        Option(
+            "Effects of `marsarm effects` that may be the cause; all of them if not given.", "NAME,NAME,..."
+        ),
+    ] = None
+    campaign: Annotated[
+        Path | None,
+        Option(
+            "Folder with logs of the campaign that these repeat; it caches the sensitivities. Without it "
+            "the sensitivities of the logs themselves are computed, which takes minutes.",
+            "DIR",
+        ),
+    ] = None
+    effects: EffectsOption = ()
+    seed: SeedOption = 0
+    patch: Annotated[
+        Path | None, Option("Write the identified effects, for --effect.", "FILE.toml", suffixes=(".toml",))
+    ] = None
+    new_params: Annotated[
+        Path | None,
+        Option("Write flight parameters with these effects, for --params.", "FILE.toml", suffixes=(".toml",)),
+    ] = None
+    report: ReportOption = None
+
+
+@dataclass(frozen=True, slots=True)
+class RecordRequest:
+    """Request to record a campaign."""
+
+    out: Annotated[Path, Option("A new folder for the logs.", "DIR")]
+    arm: ArmOption = "nominal"
+    effects: EffectsOption = ()
+    params: ParamsOption = None
+    seed: SeedOption = 0
