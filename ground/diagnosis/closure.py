@@ -49,7 +49,7 @@ class Closure:
     """Upper end of the 90 % interval, over noise draws."""
     before: float
     after: float
-    """Explainable energy over noise energy, plus 1: 1 means that nothing is left."""
+    """Energy in the explainable directions over that of noise there; 1 means that only noise is left."""
     channels: tuple[ChannelClosure, ...]
 
 
