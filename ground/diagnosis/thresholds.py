@@ -6,7 +6,7 @@ effect was left out of the catalogue, train the confidence classifier.
 
 The classifier is trained only on left-out effects that no remaining hypothesis can imitate. An example of the
 opposite: if viscous friction is left out, Coulomb friction of the joint imitates it, and no data can tell.
-Nothing imitates effects outside every catalogue as well.
+It is assumed that nothing imitates effects outside the catalogue so closely.
 """
 
 from collections.abc import Callable
