@@ -134,7 +134,7 @@ class ContactMade(Evr):
 
 @dataclass(frozen=True, slots=True)
 class Preloaded(Evr):
-    """The overdrive for a force is complete; no sensor measures the force."""
+    """The overdrive for a force is complete; the force is an estimate, because no sensor measures it."""
 
     severity = Severity.ACTIVITY_HI
     text = "{e.tool.name} pressed with {e.force_N:.1f} N"
@@ -144,7 +144,7 @@ class Preloaded(Evr):
 
 @dataclass(frozen=True, slots=True)
 class ForceEstimated(Evr):
-    """The motor currents show this share of the modelled force; the rest of the press corrects it."""
+    """Ratios of true to modelled force, estimated from motor currents; they correct the rest of the press."""
 
     severity = Severity.ACTIVITY_LO
     text = "{e.tool.name}: a newton of the model is {e.along:.3f} N along its axis, {e.across:.3f} N across"

@@ -88,7 +88,7 @@ def _check_axes(name: str, link: Transform6) -> Iterator[str]:
         ("beta_rad", link.beta_rad, 0.0),
     ):
         if abs(value - orthogonal) > MAX_SKEW_RAD:
-            nominal = f"the square arm's {orthogonal:.6g}"
+            nominal = f"the orthogonal arm's {orthogonal:.6g}"
             yield f"{where}.{angle}: {value} is not within {MAX_SKEW_RAD} of {nominal}"
 
 

@@ -28,7 +28,7 @@ MARS_GRAVITY_M_S2: Final = 3.711
 ON_FLANK_RAD: Final = 1e-6
 """An output this close to a flank lies on it."""
 STILL_RAD: Final = 2e-5
-"""An output that shall move by less than this is left at rest."""
+"""Smaller motions of an output are planned as no motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

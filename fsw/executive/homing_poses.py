@@ -74,7 +74,7 @@ def _check_pose(config: Config, output_rad: Array, joint: Joint, pose_rad: Array
     """Check that outputs are near a start pose; the homed joint may be between it and its hardstop."""
     tolerance = config.params.hardstop.pose_tolerance_rad
     low, high = pose_rad - tolerance, pose_rad + tolerance
-    low[joint] = config.protection.lowest_seeking_rad[joint, joint]
+    low[joint] = config.protection.lowest_homing_rad[joint, joint]
     beyond = np.maximum(low - output_rad, output_rad - high)
     if beyond.max() <= 0:
         return None

@@ -19,7 +19,7 @@ from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import Compensation, final_direction
 from fsw.motion.paths import Path, Travel, joint_path, line_path
 
-TOO_SOFT: Final = "the arm of these parameters is too soft to hang still"
+TOO_SOFT: Final = "with these parameters, no static equilibrium of the arm is found"
 
 
 @dataclass(frozen=True, slots=True)

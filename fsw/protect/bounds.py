@@ -10,7 +10,7 @@ from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import Array
 
 LOAD_ERROR_FACTOR: Final = 5.0
-"""Times the error of a modelled load that a gear must be wound up to count on an approach."""
+"""On an approach, a gear counts if its torque exceeds this many times the error of its modelled load."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,8 +26,8 @@ class ProtectionBounds:
     lowest_rad: Array
     """Motor angles that are never to be passed: the soft limits and their margin, (5,)."""
     highest_rad: Array
-    lowest_seeking_rad: Array
-    """Lowest motor angles while a joint seeks its hardstop, a row for each seeking joint, (5, 5)."""
+    lowest_homing_rad: Array
+    """Lowest motor angles in homing, a row for each joint that is being homed, (5, 5)."""
     setpoint_step_rad: Array
     """Largest change of a set-point in a cycle, (5,)."""
     over_current_A: Array
@@ -54,8 +54,8 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
     joints, monitors = params.joints.in_order(), params.monitors
     lowest = np.array([j.soft_min_rad - monitors.soft_limit_margin_rad for j in joints])
     highest = np.array([j.soft_max_rad + monitors.soft_limit_margin_rad for j in joints])
-    lowest_seeking = np.tile(lowest, (len(joints), 1))
-    np.fill_diagonal(lowest_seeking, [j.hardstop_rad - 2 * params.hardstop.window_rad for j in joints])
+    lowest_homing = np.tile(lowest, (len(joints), 1))
+    np.fill_diagonal(lowest_homing, [j.hardstop_rad - 2 * params.hardstop.window_rad for j in joints])
     lag = np.full(len(joints), min(monitors.stall_error_rad, monitors.following_error_rad))
     over_current = monitors.over_current_fraction * np.array([j.current_limit_A for j in joints])
     coldest, hottest = np.full_like(lag, monitors.winding_min_C), np.full_like(lag, monitors.winding_max_C)
@@ -68,7 +68,7 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         press_error_share=params.preload.error_share,
         lowest_rad=lowest,
         highest_rad=highest,
-        lowest_seeking_rad=lowest_seeking,
+        lowest_homing_rad=lowest_homing,
         setpoint_step_rad=np.array([monitors.setpoint_step_factor * cycle_s * j.speed_rad_s for j in joints]),
         over_current_A=over_current,
         approach_wind_up_rad=LOAD_ERROR_FACTOR * load_error / arm.gear_stiffness_Nm_rad,

@@ -25,9 +25,9 @@ from fsw.protect.bounds import ProtectionBounds
 from fsw.protect.status import ArmStatus, PressStatus
 
 FULL_LEVER_M: Final = 1.0
-"""With less, all joints that count together, the uncertainty of the resolvers is more of a force."""
+"""Lever of all counted joints below which the bound rises: resolver errors look like larger forces."""
 LEAST_LEVER_M: Final = 0.2
-"""With less than this, no force can be told."""
+"""Lever below which no force is estimated."""
 MAY_TOUCH: Final = (Mode.GUARDED, Mode.RETRACTING, Mode.PRELOAD, Mode.FAULTED)
 FORCE_GAIN: Final = 0.125
 """Smoothing per cycle: the force rises by newtons a cycle, and the noise of a reading is as large."""

@@ -55,8 +55,8 @@ def check_setpoint(bounds: ProtectionBounds, move: MoveStatus, last_rad: Array) 
 
 
 def get_lowest(bounds: ProtectionBounds, move: MoveStatus) -> Array:
-    """Return the lowest motor angles, (5,); a joint that seeks its hardstop goes beyond its soft limit."""
-    return bounds.lowest_rad if move.seeking is None else bounds.lowest_seeking_rad[move.seeking]
+    """Return the lowest motor angles, (5,); a joint in homing may pass its soft limit."""
+    return bounds.lowest_rad if move.homing is None else bounds.lowest_homing_rad[move.homing]
 
 
 def exceed_any_bound(bounds: ProtectionBounds, arm: ArmStatus, sensors: Sensors) -> bool:
@@ -83,7 +83,7 @@ def check_soft_limits(bounds: ProtectionBounds, move: MoveStatus, motor_rad: Arr
     if not (below.any() or above.any()):
         return ()
     joint = Joint(int(np.argmax(below | above)))
-    lowest = bounds.arm.soft_min_rad if move.seeking is None else get_lowest(bounds, move)
+    lowest = bounds.arm.soft_min_rad if move.homing is None else get_lowest(bounds, move)
     limit = lowest[joint] if below[joint] else bounds.arm.soft_max_rad[joint]
     return (SoftLimitPassed(joint, float(motor_rad[joint]), float(limit)),)
 
@@ -105,7 +105,7 @@ def check_stall(
     """Check that every motor that is far from its set-point turns as it is commanded to.
 
     Nearer to its set-point a motor may be held by friction.
-    A joint that seeks its hardstop is to stall, and is watched by its own rules.
+    A joint in homing shall stall, so homing itself monitors it.
 
     Args:
         bounds: Bounds of protection.
@@ -118,7 +118,7 @@ def check_stall(
         The count with this cycle, and the fault.
     """
     monitors = bounds.monitors
-    if move.seeking is not None:
+    if move.homing is not None:
         return 0, ()
     commanded = move.setpoint_rate_rad_s
     short = monitors.stall_share * np.abs(commanded) - rate_rad_s * np.sign(commanded)

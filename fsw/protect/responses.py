@@ -124,11 +124,11 @@ def decide(
 ) -> Decision:
     """Decide the response to the events of a cycle.
 
-    A standing fault is not answered again, for the arm is on its way to its brakes or on them. New kinds of
-    events are still reported, each once.
+    While a fault stands there is no further response, because the brakes are on or being applied. Each new
+    event is still reported once.
 
-    A motor that lags is not driven on, and a reading that is the fault is not driven to: the motors are held
-    where they read, but no farther from the last set-point than a motor may follow.
+    Motors are held at their measured angles, so a motor that lags is not driven on. These angles are clipped
+    to the following error around the last set-point, so a wrong reading is not followed far.
 
     Args:
         bounds: Bounds of protection.

@@ -31,8 +31,8 @@ class MoveStatus(NamedTuple):
     """A command or a fault has stopped the move."""
     is_releasing: bool
     """The brakes are still letting go."""
-    seeking: Joint | None
-    """Joint that seeks its hardstop."""
+    homing: Joint | None
+    """Joint in homing; None if no joint is being homed."""
     approaching: Tool | None
     """Guarded tool that runs along its line and has not touched yet."""
     press: PressStatus | None

@@ -22,8 +22,7 @@ NOISE_DRAWS: Final = 2000
 MIN_GAP_SIGMAS: Final = 2.0
 """Sigmas of noise above which the explainable energy must lie, else no share is given."""
 MIN_MOVED_SIGMAS: Final = 2.0
-"""Sigmas by which just detectable effects must move the features along a direction to count as
-explainable."""
+"""Sigmas by which effects at their detection limit must move the features along an explainable direction."""
 MAX_LEVERAGE: Final = 0.5
 """Leverage above which a feature does not estimate its own noise; the noise floor is used."""
 
@@ -49,7 +48,7 @@ class Closure:
     """Upper end of the 90 % interval, over noise draws."""
     before: float
     after: float
-    """Explainable energy over noise energy, plus 1: 1 means that nothing is left."""
+    """Energy in the explainable directions over that of noise there; 1 means that only noise is left."""
     channels: tuple[ChannelClosure, ...]
 
 

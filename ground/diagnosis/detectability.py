@@ -94,7 +94,7 @@ def detection_limits(equations: NormalEquations) -> tuple[Detectability, ...]:
     """Compute the amplitude of every hypothesis that a likelihood-ratio test finds with 90 % power.
 
     The test against no effect has 5 % false alarm, with nuisances free. Its statistic is a noncentral
-    chi-square of k degrees with noncentrality d'R d for amplitudes d. Typical sizes give d = limit * scale.
+    chi-square of k degrees with noncentrality a'R a for amplitudes a. Typical sizes give a = limit * scale.
     The effective number of blocks is the inverse of the sum of squared shares of information lost with each
     block.
     """

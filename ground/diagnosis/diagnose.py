@@ -245,12 +245,12 @@ def _make_findings(
     comparison: ModelComparison | None,
 ) -> tuple[Finding, ...]:
     """Return the chosen effects with values, intervals and alternatives."""
-    drawn = find_alternatives(
+    bootstrapped = find_alternatives(
         candidates, model.cosine, selection, bootstrap_selections(candidates, rhs, selection, seed)
     )
     others = [
         own.with_likelihoods(one, _replacements(candidates, rhs, selection.chosen, one, comparison))
-        for one, own in zip(selection.chosen, drawn, strict=True)
+        for one, own in zip(selection.chosen, bootstrapped, strict=True)
     ]
     result = []
     for index, hypothesis in enumerate(selection.chosen):
@@ -319,15 +319,15 @@ def _linear_start(model: DiagnosisModel, rhs: RightHandSide, chosen: Subset) -> 
     columns = model.equations.columns(chosen)
     theta = fit_linear(model.equations, rhs, columns).theta[model.equations.q :]
     own = {one: theta[model.equations.owner[columns] == one] for one in chosen}
-    return {model.sensitivities.hypotheses[one]: _parameter_values(model, one, t) for one, t in own.items()}
+    return {model.sensitivities.hypotheses[one]: _parameter_values(model, one, a) for one, a in own.items()}
 
 
-def _parameter_values(model: DiagnosisModel, hypothesis: int, t: Array) -> Array:
-    """Return all parameter values of a hypothesis with amplitudes t in standard errors."""
+def _parameter_values(model: DiagnosisModel, hypothesis: int, a: Array) -> Array:
+    """Return all parameter values of a hypothesis with amplitudes a in standard errors."""
     effect = model.sensitivities.hypotheses[hypothesis]
     scale = model.equations.scale[model.equations.owner == hypothesis]
     values, at = effect.absent, np.flatnonzero([parameter.is_amplitude for parameter in effect.parameters])
-    values[at] += np.array([effect.parameters[index].typical for index in at]) * t / scale
+    values[at] += np.array([effect.parameters[index].typical for index in at]) * a / scale
     return values
 
 

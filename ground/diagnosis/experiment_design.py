@@ -1,4 +1,4 @@
-"""Experiment design: find the motion that would best distinguish hypotheses that are aliased now."""
+"""Experiment design: find the motion that would best distinguish aliases and alternatives."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,9 +27,9 @@ def rank_motions(
 ) -> tuple[CandidateMotion, ...]:
     """Rank candidate motions by the least separation over all pairs of hypotheses.
 
-    The squared separation of hypothesis g, with amplitudes x, from hypothesis h is
+    The squared separation of hypothesis g, with amplitudes a in typical sizes, from hypothesis h is
 
-        x'(R_gg - R_gh R_hh^-1 R_hg) x
+        a'(R_gg - R_gh R_hh^-1 R_hg) a
 
     This is the part of g that h cannot imitate, with nuisances free. R sums the data so far and the
     candidate.
@@ -51,7 +51,7 @@ def rank_motions(
 
 
 def rank_repeats(model: DiagnosisModel, diagnosis: Diagnosis) -> tuple[CandidateMotion, ...]:
-    """Rank the campaign's motions by how well a repeat would distinguish the alternatives of a diagnosis."""
+    """Rank the campaign's motions by how well a repeat would distinguish aliases and alternatives."""
     sizes: dict[int, Array] = {}
     for finding in diagnosis.findings:
         hypothesis = model.sensitivities.hypotheses[finding.hypothesis]
@@ -93,11 +93,11 @@ def _information(parts: list[NormalEquations]) -> Array:
 def _separation(R: Array, equations: NormalEquations, sizes: Mapping[int, Array]) -> float:
     """Return the least separation over all pairs, in sigmas."""
     least = np.inf
-    for g, x in sizes.items():
+    for g, a in sizes.items():
         for h in sizes:
             if g != h:
                 of_g, of_h = (np.flatnonzero(equations.owner == one) for one in (g, h))
                 across = R[np.ix_(of_g, of_h)]
                 other = np.linalg.pinv(R[np.ix_(of_h, of_h)], hermitian=True)
-                least = min(least, float(x @ (R[np.ix_(of_g, of_g)] - across @ other @ across.T) @ x))
+                least = min(least, float(a @ (R[np.ix_(of_g, of_g)] - across @ other @ across.T) @ a))
     return float(np.sqrt(max(least, 0.0)))

@@ -1,6 +1,6 @@
 """Linear fits of sets of columns to a case: amplitudes, likelihood ratio and cross-validation.
 
-Every function solves R t = r of `normal_equations` for chosen columns. The likelihood-ratio statistic t'r is
+Every function solves R a = r of `normal_equations` for chosen columns. The likelihood-ratio statistic a'r is
 the deviance that the columns explain. Without effect it follows a chi-square distribution with as many
 degrees of freedom as there are columns (Wilks 1938). `columns` has shape (j,) for one set, (n, j) for n sets.
 """
@@ -91,26 +91,26 @@ def likelihood_ratio(equations: NormalEquations, rhs: RightHandSide, columns: In
     return np.asarray(np.sum(estimate_amplitudes(equations, rhs, columns) * rhs.all[columns], axis=-1))
 
 
-def within_bounds(equations: NormalEquations, t: Array, columns: Ints) -> Flags:
+def within_bounds(equations: NormalEquations, a: Array, columns: Ints) -> Flags:
     """Check that no amplitude is at or beyond a bound.
 
     Args:
         equations: Normal equations of the campaign.
-        t: Amplitudes in units of standard errors, shape (j,) or (n, j).
+        a: Amplitudes in units of standard errors, shape (j,) or (n, j).
         columns: Indices of columns, same shape.
 
     Returns:
         Flags, shape () or (n,).
     """
     least, most = equations.bounds[:, columns]
-    return np.asarray(np.all((t > least) & (t < most), axis=-1))
+    return np.asarray(np.all((a > least) & (a < most), axis=-1))
 
 
 def cross_validation_losses(equations: NormalEquations, rhs: RightHandSide, columns: Ints) -> Array:
     """Compute the deviance of each block as predicted by the other blocks, relative to no effect.
 
     The deviance of a block given the others is that of all blocks minus that of the others. Both have free
-    nuisances: D(t) = t'R t - 2 r't. Normalising terms are the same for all sets.
+    nuisances: D(a) = a'R a - 2 r'a. Normalising terms are the same for all sets.
 
     Args:
         equations: Normal equations of the campaign.
@@ -120,9 +120,9 @@ def cross_validation_losses(equations: NormalEquations, rhs: RightHandSide, colu
     Returns:
         Losses, shape (n, b); negative where the prediction helps.
     """
-    r, t = rhs.r[:, columns], _fold_estimates(equations, rhs, columns)
+    r, a = rhs.r[:, columns], _fold_estimates(equations, rhs, columns)
     return np.asarray(
-        _block_information(equations, columns, t) - 2.0 * np.einsum("fni,fni->nf", t, r[-1] - r[:-1])
+        _block_information(equations, columns, a) - 2.0 * np.einsum("fni,fni->nf", a, r[-1] - r[:-1])
     )
 
 
@@ -155,10 +155,10 @@ def _fold_estimates(equations: NormalEquations, rhs: RightHandSide, columns: Int
     return np.asarray(np.linalg.solve(information, rhs.r[:-1][:, columns][..., None])[..., 0])
 
 
-def _block_information(equations: NormalEquations, columns: Ints, t: Array) -> Array:
-    """Compute t'R t of each block given the others, for amplitudes t of shape (b, n, j); shape (n, b)."""
+def _block_information(equations: NormalEquations, columns: Ints, a: Array) -> Array:
+    """Compute a'R a of each block given the others, for amplitudes a of shape (b, n, j); shape (n, b)."""
     R = equations.R[:, columns[:, :, None], columns[:, None, :]]
-    return np.asarray(np.einsum("fni,fnij,fnj->nf", t, R[-1] - R[:-1], t))
+    return np.asarray(np.einsum("fni,fnij,fnj->nf", a, R[-1] - R[:-1], a))
 
 
 def neg_log10_p(statistic: Array, k: Array | float) -> Array:

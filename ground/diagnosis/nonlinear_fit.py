@@ -48,10 +48,10 @@ class QuadraticSurrogate:
         """
         total = np.zeros(self.sensitivities.layout.size)
         for hypothesis, values in settings.items():
-            columns, t = self._departures(hypothesis, values)
-            inside = self._within_reach(columns, t)
-            total += self.sensitivities.effect[:, columns] @ t
-            total += self.sensitivities.curve[:, columns] @ (inside * (2.0 * t - inside))
+            columns, a = self._departures(hypothesis, values)
+            inside = self._within_reach(columns, a)
+            total += self.sensitivities.effect[:, columns] @ a
+            total += self.sensitivities.curve[:, columns] @ (inside * (2.0 * a - inside))
         return total
 
     def slopes(self, settings: Mapping[Hypothesis, Array], change: Array) -> Array:
@@ -66,18 +66,18 @@ class QuadraticSurrogate:
         """
         parts = []
         for hypothesis, values in settings.items():
-            columns, t = self._departures(hypothesis, values)
+            columns, a = self._departures(hypothesis, values)
             own = self.sensitivities.effect[:, columns]
-            own = own + 2.0 * self.sensitivities.curve[:, columns] * self._within_reach(columns, t)
+            own = own + 2.0 * self.sensitivities.curve[:, columns] * self._within_reach(columns, a)
             part = np.zeros((self.sensitivities.layout.size, len(hypothesis.parameters)))
             part[:, [parameter.is_amplitude for parameter in hypothesis.parameters]] = own
             parts.append(part)
         return np.hstack(parts)
 
-    def _within_reach(self, columns: Ints, t: Array) -> Array:
+    def _within_reach(self, columns: Ints, a: Array) -> Array:
         """Clip amplitudes to the simulated departures."""
         reach = self.sensitivities.reach[columns]
-        return np.clip(t, -reach, reach)
+        return np.clip(a, -reach, reach)
 
     def _departures(self, hypothesis: Hypothesis, values: Array) -> tuple[Ints, Array]:
         """Return the columns of a hypothesis, and its amplitudes in typical sizes."""

@@ -1,6 +1,6 @@
 """Normal equations of the linear model, with nuisances eliminated, and the right-hand sides of cases.
 
-The whitened model is y = N v + S t + e with A = [N S] and e of unit covariance. The nuisances v have a
+The whitened model is y = N v + S a + e with A = [N S] and e of unit covariance. The nuisances v have a
 Gaussian prior of precision P. For each block b, G_b = A_b'A_b and c_b = A_b'y_b. Summed over blocks, the
 nuisances are eliminated by the Schur complement:
 
@@ -9,7 +9,7 @@ nuisances are eliminated by the Schur complement:
     R = G_SS - W G_NS
     r = c_S - W c_N
 
-The amplitudes solve R t = r. The folds of the cross-validation leave out one block each; the last fold has
+The amplitudes a solve R a = r. The folds of the cross-validation leave out one block each; the last fold has
 all blocks. Shapes use m features, q shared nuisances, k columns of h hypotheses, b blocks and f = b + 1
 folds.
 """
@@ -85,7 +85,7 @@ def build_whitener(sensitivities: Sensitivities) -> Whitener:
 class NormalEquations:
     """Normal equations of a campaign; they do not depend on measured data.
 
-    Columns are scaled so that an amplitude t of 1 is one standard error, with nuisances free.
+    Columns are scaled so that an amplitude a of 1 is one standard error, with nuisances free.
     """
 
     layout: FeatureLayout

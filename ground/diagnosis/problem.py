@@ -3,9 +3,9 @@
 A diagnosis compares m features (numbers derived from logs) with the prediction of a simulator. Near the
 nominal state the residual (measured minus simulated) follows a linear model:
 
-    y = N v + S t + e
+    y = N v + S a + e
 
-Here y is the whitened residual, v the nuisances, t the amplitudes of the effects, and e noise of unit
+Here y is the whitened residual, v the nuisances, a the amplitudes of the effects, and e noise of unit
 variance. N and S are the sensitivities. The diagnosis finds the few hypotheses whose amplitudes are not 0.
 These classes are all that the diagnosis knows about a robot.
 """

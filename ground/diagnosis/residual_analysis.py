@@ -1,6 +1,6 @@
 """Residual map and lack-of-fit test: is there structure that no model explains, and on what does it depend?
 
-For the model y = N v + S t + e with A = [N S], the fit leaves M y, which has the covariance M:
+For the model y = N v + S a + e with A = [N S], the fit leaves M y, which has the covariance M:
 
     M = I - A (A'A + P)^-1 A'
 

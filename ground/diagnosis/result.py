@@ -35,7 +35,7 @@ class DiagnosisResult:
     tool: ToolError | None
     """None if no held-out motion has tracker poses."""
     next_motion: tuple[CandidateMotion, ...]
-    """Candidate motions, best first; empty if nothing has an alias or nothing was found."""
+    """Candidate motions, best first; empty if no finding has an alias or an alternative."""
     notes: tuple[str, ...]
     """Notes of the audit."""
     noise_floor: tuple[str, ...]

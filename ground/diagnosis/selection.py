@@ -57,7 +57,7 @@ class Selection:
     """Single hypotheses that explain anything, best first, even if none is selected."""
     neg_log10_p: float
     """-log10 p of the best single hypothesis, without effect."""
-    t: Array
+    a: Array
     """Amplitudes of the chosen in standard errors, in the order of `NormalEquations.columns`."""
     likelihood_ratio: float
     """Deviance that all chosen together explain."""
@@ -90,9 +90,9 @@ def select_effects(candidates: CandidateSet, rhs: RightHandSide) -> Selection:
             break
         chosen, loss = longer
     columns = candidates.equations.columns(chosen)
-    t = estimate_amplitudes(candidates.equations, rhs, columns)
-    total = float(t @ rhs.all[columns])
-    return Selection(chosen, first, best, t, total, _own_shares(candidates.equations, rhs, chosen, total))
+    a = estimate_amplitudes(candidates.equations, rhs, columns)
+    total = float(a @ rhs.all[columns])
+    return Selection(chosen, first, best, a, total, _own_shares(candidates.equations, rhs, chosen, total))
 
 
 def subset_neg_log10_p(candidates: CandidateSet, rhs: RightHandSide, chosen: Subset) -> float:
@@ -187,9 +187,9 @@ def rank_additions(candidates: CandidateSet, rhs: RightHandSide, chosen: Subset)
     taken = np.isin(candidates.label, candidates.label[list(chosen)])
     indices, significances = [np.zeros(0, np.intp)], [np.zeros(0)]
     for k, hypotheses, columns in _candidate_columns(candidates, base, ~taken):
-        t = estimate_amplitudes(equations, rhs, columns)
-        gains = np.sum(t * rhs.all[columns], axis=-1) - beside
-        ok = within_bounds(equations, t, columns) & (gains > 0.0)
+        a = estimate_amplitudes(equations, rhs, columns)
+        gains = np.sum(a * rhs.all[columns], axis=-1) - beside
+        ok = within_bounds(equations, a, columns) & (gains > 0.0)
         indices.append(hypotheses[ok])
         significances.append(neg_log10_p(gains[ok], k))
     index, significance = np.concatenate(indices), np.concatenate(significances)

@@ -1,8 +1,8 @@
 """Sensitivities of the features to every hypothesis and nuisance: computed once for a campaign, and cached.
 
-Near its nominal state the simulator f is approximated for amplitudes x in typical sizes and nuisances v by
+Near its nominal state the simulator f is approximated for amplitudes a in typical sizes and nuisances v by
 
-    f(x, v) = f(0, 0) + S x + Q x^2 + N v
+    f(a, v) = f(0, 0) + S a + Q a^2 + N v
 
 with the square taken of each amplitude.
 """

@@ -122,11 +122,11 @@ def next_sentence(result: DiagnosisResult) -> str:
         best = result.next_motion[0]
         if best.separation < MIN_SEPARATION:
             return (
-                "No motion of this campaign would distinguish the aliased effects: the best, "
+                "No motion of this campaign would distinguish the possible causes: the best, "
                 f"{best.name}, separates them by {format_number(best.separation)} sigmas."
             )
         return (
-            f"Record {best.name}: it would separate the aliased effects by "
+            f"Record {best.name}: it would separate the possible causes by "
             f"{format_number(best.separation)} sigmas (now {format_number(best.separation_now)})."
         )
     near = best_rejected(result)
@@ -261,8 +261,8 @@ def _nearest_names(result: DiagnosisResult) -> str:
 def best_rejected(result: DiagnosisResult) -> int | None:
     """Return the best single hypothesis if it is significant but nothing was selected; else None."""
     diagnosis = result.diagnosis
-    surprising = diagnosis.neg_log10_p >= result.model.thresholds.effect
-    return diagnosis.ranking[0] if diagnosis.ranking and surprising and not diagnosis.findings else None
+    significant = diagnosis.neg_log10_p >= result.model.thresholds.effect
+    return diagnosis.ranking[0] if diagnosis.ranking and significant and not diagnosis.findings else None
 
 
 def _nearest_sentence(result: DiagnosisResult) -> str:

@@ -6,7 +6,7 @@ effect was left out of the catalogue, train the confidence classifier.
 
 The classifier is trained only on left-out effects that no remaining hypothesis can imitate. An example of the
 opposite: if viscous friction is left out, Coulomb friction of the joint imitates it, and no data can tell.
-Effects outside every catalogue have no such alias.
+It is assumed that nothing imitates effects outside the catalogue so closely.
 """
 
 from collections.abc import Callable
@@ -43,10 +43,10 @@ MAX_FALSE_ALARM: Final = 0.04
 MAX_WITHHELD: Final = 0.02
 """Share of correctly selected cases that may be rejected for their unexplained structure."""
 MAX_WRONG_NAMES: Final = 0.13
-"""Share of left-out cases without an alias that may get a wrong name."""
-NEAR_ALIAS_COSINE: Final = 0.8
-"""Absolute cosine from which on a hypothesis is an alias of a left-out effect: it explains two thirds of
-it."""
+"""Share of left-out cases, of effects that nothing imitates, that may get a wrong name."""
+IMITATION_COSINE: Final = 0.8
+"""Absolute cosine from which on a hypothesis imitates a left-out effect: it explains two thirds of it. For an
+alias it must be above `ALIAS_COSINE`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ class Thresholds:
     cases: int
     """Number of simulated cases of each kind, left-out cases excepted."""
     left_out_cases: int
-    """Number of left-out cases: those without an alias, or all if none is without."""
+    """Number of left-out cases: those of effects that nothing imitates, or all if there are none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +123,8 @@ def calibrate_thresholds(
     effect, structure = _joint_thresholds(found)
     candidates = CandidateSet(equations, label, effect, none.allowed)
     outcomes: list[_Outcome] = []
-    without_alias: list[tuple[CandidateSet, Array]] = []
-    with_alias: list[tuple[CandidateSet, Array]] = []
+    not_imitated: list[tuple[CandidateSet, Array]] = []
+    imitated: list[tuple[CandidateSet, Array]] = []
     detectable = _detectable_effects(candidates, limits)
     for index in range(cases if detectable else 0):
         one = sample_amplitude(sample_effect(detectable, rng), rng)
@@ -138,10 +138,10 @@ def calibrate_thresholds(
         outcomes += _selection_outcome(candidates, cosine, groups, both, {one.source.label, two.source.label})
         left = _without_effect(candidates, one.source)
         if left.allowed.any():
-            same = without_alias if _has_no_alias(left, cosine, one.source) else with_alias
+            same = not_imitated if _is_not_imitated(left, cosine, one.source) else imitated
             same.append((left, y))
         step(cases + index + 1, 2 * cases)
-    left_out = without_alias or with_alias
+    left_out = not_imitated or imitated
     outcomes += [one for left, y in left_out for one in _selection_outcome(left, cosine, groups, y, set())]
     return _derive_thresholds(found, effect, structure, outcomes, len(left_out))
 
@@ -181,18 +181,18 @@ def _detectable_effects(
     return [one for one in all_seen if can_sample(one)]
 
 
-def _simulate_features(equations: NormalEquations, rng: np.random.Generator, t: Array) -> Array:
-    """Simulate whitened features (m,) for amplitudes t (k,) in standard errors."""
+def _simulate_features(equations: NormalEquations, rng: np.random.Generator, a: Array) -> Array:
+    """Simulate whitened features (m,) for amplitudes a (k,) in standard errors."""
     v = np.where(equations.prior == 1.0, rng.standard_normal(equations.q), 0.0)
-    return np.asarray(equations.A @ np.concatenate([v, t]) + rng.standard_normal(equations.layout.size))
+    return np.asarray(equations.A @ np.concatenate([v, a]) + rng.standard_normal(equations.layout.size))
 
 
 def _amplitudes_of(equations: NormalEquations, one: SampledEffect) -> Array:
     """Return the amplitudes (k,) of a sampled effect in standard errors."""
     own = equations.owner == equations.hypotheses.index(one.source.hypothesis)
-    t = np.zeros(equations.owner.size)
-    t[own] = one.source.hypothesis.departures(one.values) * equations.scale[own]
-    return t
+    a = np.zeros(equations.owner.size)
+    a[own] = one.source.hypothesis.departures(one.values) * equations.scale[own]
+    return a
 
 
 def _null_statistics(
@@ -235,10 +235,10 @@ def _without_effect(candidates: CandidateSet, one: DetectableEffect) -> Candidat
     return replace(candidates, allowed=candidates.allowed & ~same & (candidates.label != one.label))
 
 
-def _has_no_alias(left: CandidateSet, cosine: Array, one: DetectableEffect) -> bool:
+def _is_not_imitated(left: CandidateSet, cosine: Array, one: DetectableEffect) -> bool:
     """Check that no allowed hypothesis with as many parameters imitates the effect."""
     return bool(
-        cosine[left.equations.hypotheses.index(one.hypothesis), left.allowed].max() < NEAR_ALIAS_COSINE
+        cosine[left.equations.hypotheses.index(one.hypothesis), left.allowed].max() < IMITATION_COSINE
     )
 
 

@@ -94,11 +94,11 @@ BAD = {
     ),
     "a shoulder without a right angle": (
         "[links.arm2.transform]\nalpha_rad = 1.0\n",
-        ["links.arm2.transform.alpha_rad: 1.0 is not within 0.02 of the square arm's 1.5708"],
+        ["links.arm2.transform.alpha_rad: 1.0 is not within 0.02 of the orthogonal arm's 1.5708"],
     ),
     "a wrist without a right angle": (
         "[links.arm5.transform]\nalpha_rad = 0.0\n",
-        ["links.arm5.transform.alpha_rad: 0.0 is not within 0.02 of the square arm's -1.5708"],
+        ["links.arm5.transform.alpha_rad: 0.0 is not within 0.02 of the orthogonal arm's -1.5708"],
     ),
     "an azimuth axis along the elevation axis": (
         "[links.arm2.transform]\nalpha_rad = 0.0\n",
@@ -110,7 +110,7 @@ BAD = {
     ),
     "an upper arm along its own joint axis": (
         "[links.arm3.transform]\nbeta_rad = 1.5707963267948966\n",
-        ["links.arm3.transform.beta_rad: 1.5707963267948966 is not within 0.02 of the square arm's 0"],
+        ["links.arm3.transform.beta_rad: 1.5707963267948966 is not within 0.02 of the orthogonal arm's 0"],
     ),
     "a forearm along its own joint axis": (
         "[links.arm4.transform]\nbeta_rad = -1.5707963267948966\n",

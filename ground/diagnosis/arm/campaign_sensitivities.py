@@ -36,7 +36,7 @@ from ground.diagnosis.arm.finite_differences import (
     OneSidedStep,
     adapt_step,
     count_sides,
-    find_aliases,
+    find_equal_columns,
     find_shared_slopes,
     group_columns,
     list_columns,
@@ -146,7 +146,7 @@ def _difference_all(paths: Logs, names: Names, run: Runner, progress: Progress) 
     """
     simulator = _simulator(paths, names)
     columns = list_columns(simulator)
-    same, given = find_aliases(simulator, columns), find_shared_slopes(simulator, columns)
+    same, given = find_equal_columns(simulator, columns), find_shared_slopes(simulator, columns)
     nominal = _nominal_features(paths, names)
 
     def simulated(shares: Mapping[int, float], side: int, what: str) -> dict[int, OneSidedStep]:
@@ -205,7 +205,7 @@ def _assemble(
         sides = [side, down[k]] if k in down else [side]
         slope[:, k], curvature[:, k] = fit_parabola([(one.change, one.size) for one in sides])
         reach[k] = max(abs(one.size) for one in sides)
-    for k, (other, typical) in find_aliases(simulator, columns).items():
+    for k, (other, typical) in find_equal_columns(simulator, columns).items():
         slope[:, k] = slope[:, other] / typical
     for k, (other, typical) in find_shared_slopes(simulator, columns).items():
         slope[:, k] = slope[:, other] * typical

@@ -84,14 +84,16 @@ def list_columns(simulator: ArmSimulator) -> list[JacobianColumn]:
     return sized + [JacobianColumn(None, k) for k in range(len(simulator.nuisances))]
 
 
-def find_aliases(simulator: ArmSimulator, columns: Sequence[JacobianColumn]) -> dict[int, tuple[int, float]]:
+def find_equal_columns(
+    simulator: ArmSimulator, columns: Sequence[JacobianColumn]
+) -> dict[int, tuple[int, float]]:
     """Find the nuisances that equal a hypothesis or another nuisance.
 
     A hypothesis that is a factor is excluded, as its step is many sigmas of the nuisance. There the response
     is not linear, and backlash changes sides.
 
     Returns:
-        For each alias its column, the equal column, and the typical size of that.
+        For each such nuisance its column, the equal column, and the typical size of that.
     """
     known: dict[str, tuple[int, float]] = {}
     found: dict[int, tuple[int, float]] = {}
@@ -120,7 +122,7 @@ def find_shared_slopes(
         For each such hypothesis its column, the nuisance's column, and its typical size in the nuisance's
         unit.
     """
-    same = find_aliases(simulator, columns)
+    same = find_equal_columns(simulator, columns)
     own = {
         simulator.nuisance_effects[column.index].same_as: k
         for k, column in enumerate(columns)

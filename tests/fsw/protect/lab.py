@@ -22,7 +22,7 @@ STILL = MoveStatus(
     setpoint_rate_rad_s=ZERO,
     is_stopping=False,
     is_releasing=False,
-    seeking=None,
+    homing=None,
     approaching=None,
     press=None,
 )

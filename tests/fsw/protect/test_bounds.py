@@ -27,11 +27,11 @@ def test_motors_may_go_a_margin_beyond_the_soft_limits(margin_rad):
     np.testing.assert_allclose(bounds.highest_rad - HIGH, margin_rad, atol=1e-12)
 
 
-def test_only_the_joint_that_seeks_its_hardstop_may_go_two_windows_beyond_it():
+def test_only_the_joint_in_homing_may_go_two_windows_beyond_it():
     bounds, window_rad = bounds_of(), PARAMS.hardstop.window_rad
-    beyond_rad = of_joints("hardstop_rad") - bounds.lowest_seeking_rad
+    beyond_rad = of_joints("hardstop_rad") - bounds.lowest_homing_rad
     np.testing.assert_allclose(np.diag(beyond_rad), 2 * window_rad, atol=1e-12)
-    for joint, lowest_rad in enumerate(bounds.lowest_seeking_rad):
+    for joint, lowest_rad in enumerate(bounds.lowest_homing_rad):
         others = np.arange(5) != joint
         np.testing.assert_array_equal(lowest_rad[others], bounds.lowest_rad[others])
         assert lowest_rad[joint] < bounds.lowest_rad[joint]

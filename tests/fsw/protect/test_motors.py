@@ -60,8 +60,8 @@ joints = pytest.mark.parametrize("joint", Joint)
 ends = pytest.mark.parametrize(("end", "outward"), [("low", -1), ("high", 1)])
 
 
-def unsafe_setpoint(last_rad, setpoint_rad, seeking=None, bounds=BOUNDS):
-    return check_setpoint(bounds, a_move(setpoint_rad=setpoint_rad, seeking=seeking), last_rad)
+def unsafe_setpoint(last_rad, setpoint_rad, homing=None, bounds=BOUNDS):
+    return check_setpoint(bounds, a_move(setpoint_rad=setpoint_rad, homing=homing), last_rad)
 
 
 @joints
@@ -138,7 +138,7 @@ def test_beyond_the_limit_rounding_is_no_motion_outward(joint, end, outward):
 
 @joints
 @pytest.mark.parametrize("other", Joint)
-def test_only_the_joint_that_seeks_its_hardstop_may_be_sent_there_and_not_far_beyond_it(joint, other):
+def test_only_the_joint_in_homing_may_be_sent_there_and_not_far_beyond_it(joint, other):
     stop = JOINTS[other].hardstop_rad
     small = 0.1 * STEP[other]
     farthest = stop - 2 * PARAMS.hardstop.window_rad
@@ -236,16 +236,16 @@ def test_a_joint_that_is_moved_outward_beyond_soft_limit_and_margin_is_reported_
 
 
 @joints
-def test_a_joint_that_seeks_its_hardstop_has_its_limit_beyond_it(joint):
+def test_a_joint_in_homing_has_its_limit_beyond_it(joint):
     farthest = JOINTS[joint].hardstop_rad - 2 * PARAMS.hardstop.window_rad
-    down = a_move(seeking=joint, setpoint_rate_rad_s=at(joint, -0.01))
+    down = a_move(homing=joint, setpoint_rate_rad_s=at(joint, -0.01))
     assert check_soft_limits(BOUNDS, down, at(joint, farthest, READY)) == ()
     found = check_soft_limits(BOUNDS, down, at(joint, below(farthest), READY))
     assert found == (SoftLimitPassed(joint, below(farthest), farthest),)
     other = Joint((joint + 1) % 5)
     found = check_soft_limits(
         BOUNDS,
-        a_move(seeking=joint, setpoint_rate_rad_s=at(other, -0.01)),
+        a_move(homing=joint, setpoint_rate_rad_s=at(other, -0.01)),
         at(other, LOWEST[other] - 0.01, READY),
     )
     assert [evr.joint for evr in found] == [other]
@@ -275,9 +275,9 @@ ASKED = 0.01
 SHARE = MONITORS.stall_share
 
 
-def stall(count, joint, rate_rad_s, commanded_rad_s, error_rad=1.0, seeking=None):
+def stall(count, joint, rate_rad_s, commanded_rad_s, error_rad=1.0, homing=None):
     """A joint commanded one rate that turns at another; the others turn as they are asked to."""
-    move = a_move(setpoint_rate_rad_s=at(joint, commanded_rad_s, ASKED), seeking=seeking)
+    move = a_move(setpoint_rate_rad_s=at(joint, commanded_rad_s, ASKED), homing=homing)
     return check_stall(BOUNDS, count, move, at(joint, error_rad, 1.0), at(joint, rate_rad_s, ASKED))
 
 
@@ -293,12 +293,12 @@ def test_a_motor_has_stalled_if_it_turns_less_than_its_share_of_what_is_asked(jo
 
 
 @joints
-def test_a_motor_near_its_set_point_or_asked_to_stand_or_seeking_has_not_stalled(joint):
+def test_a_motor_near_its_set_point_or_asked_to_stand_or_in_homing_has_not_stalled(joint):
     bound = MONITORS.stall_error_rad
     assert stall(100, joint, 0.0, ASKED, error_rad=bound) == (0, ())
     assert stall(100, joint, 0.0, ASKED, error_rad=above(bound))[0] == 101
     assert stall(100, joint, -1.0, 0.0) == (0, ())
-    assert stall(100, joint, 0.0, ASKED, seeking=Joint.AZIMUTH) == (0, ())
+    assert stall(100, joint, 0.0, ASKED, homing=Joint.AZIMUTH) == (0, ())
 
 
 def test_motors_that_all_lag_far_but_turn_as_they_are_asked_to_have_not_stalled():

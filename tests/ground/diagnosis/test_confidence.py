@@ -52,10 +52,10 @@ def test_a_cause_that_is_left_out_seldom_gets_a_name(made, campaign, rng):
     assert named <= binom.ppf(0.975, cases, 0.15)
 
 
-def test_where_every_effect_has_an_alias_these_train_the_classifier(campaign, monkeypatch):
+def test_if_every_left_out_effect_is_imitated_these_train_the_classifier(campaign, monkeypatch):
     of = (campaign.equations, campaign.label, campaign.cosine, campaign.limits, campaign.groups)
     for cosine in (0.0, 1.1):
-        monkeypatch.setattr("ground.diagnosis.thresholds.NEAR_ALIAS_COSINE", cosine)
+        monkeypatch.setattr("ground.diagnosis.thresholds.IMITATION_COSINE", cosine)
         thresholds = calibrate_thresholds(*of, seed=1, cases=20)
         assert thresholds.left_out_cases == 20
         assert thresholds.wrong_names <= MAX_WRONG_NAMES

@@ -46,7 +46,7 @@ def test_the_right_one_wins_and_its_interval_covers(made, campaign, rng):
         if selection.chosen == (one,):
             at = campaign.equations.columns((one,))
             sigma = np.sqrt(np.diag(np.linalg.inv(campaign.equations.R[-1][np.ix_(at, at)])))
-            covered += list(np.abs(selection.t - t[at] * campaign.equations.scale[at]) < 1.645 * sigma)
+            covered += list(np.abs(selection.a - t[at] * campaign.equations.scale[at]) < 1.645 * sigma)
     assert right >= 0.95 * cases
     share = estimate_rate(sum(covered), len(covered))
     assert share.least <= 0.9 <= share.most

@@ -20,7 +20,7 @@ from ground.diagnosis.arm.feature_set import (
 )
 from ground.diagnosis.arm.features import CHANNELS, CURRENT, IMU, ROTATION, TRANSLATION
 from ground.diagnosis.arm.finite_differences import (
-    find_aliases,
+    find_equal_columns,
     find_shared_slopes,
     group_columns,
     list_columns,
@@ -217,7 +217,7 @@ def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: li
     begin, names = len(columns) - len(simulator.nuisances), [one.name for one in simulator.nuisances]
     own = [begin + names.index(f"friction {joint.name.lower()}") for joint in Joint]
     session = [begin + names.index(f"friction {joint.name.lower()} of a session") for joint in Joint]
-    same = find_aliases(simulator, columns)
+    same = find_equal_columns(simulator, columns)
     assert not set(own) & set(same)
     assert [same[k] for k in session] == [(k, 1.0) for k in own]
     assert [k for k, _ in find_shared_slopes(simulator, columns).values()] == own
