@@ -327,7 +327,9 @@ def test_the_container_is_that_of_the_stock_writer(make: Any, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_killed_process_groups_leave_nothing_wrong() -> None:
-    done = python("import json; from validation.killed import killed; print(json.dumps(killed(5, 3)))")
+    done = python(
+        "import json; from validation.killed import measure_losses; print(json.dumps(measure_losses(5, 3)))"
+    )
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert (found["kills"], found["outcomes"]["cut short"], found["wrong"]) == (5, 5, [])

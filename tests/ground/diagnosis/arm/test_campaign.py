@@ -39,6 +39,7 @@ from sim.effects.links import LinkLength, ToolOffset
 from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
 from sim.effects.structure import TurretMass
 from sim.params import nominal_params
+from tests.marks import slow_but
 from validation.blind.out_of_catalogue import list_uncatalogued
 
 BASE = nominal_params()
@@ -183,7 +184,7 @@ def test_a_sensitivity_is_the_difference_of_predictions(recordings: list[Recordi
         np.testing.assert_allclose(predicted / sigma, change / sigma, atol=0.1)
 
 
-@pytest.mark.parametrize("kind", ["viscous-friction", "output-friction"])
+@pytest.mark.parametrize("kind", slow_but(["viscous-friction", "output-friction"], "output-friction"))
 def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Recording], kind: str) -> None:
     campaign = build_feature_set([one for one in recordings if not one.tracker_poses.tick.size])
     simulator = build_simulator(campaign, estimate_floor(campaign).sigma, {kind: catalogue()[kind]})

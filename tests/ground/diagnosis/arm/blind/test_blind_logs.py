@@ -73,6 +73,7 @@ def test_a_blind_log_gives_nothing_away_and_can_be_compared(recorded: Recorded) 
     assert not np.isclose(here.start.zero_rad, nominal_hardware().counter_zero_rad).any()
 
 
+@pytest.mark.slow
 def test_a_case_that_is_made_again_is_the_same(recorded: Recorded, tmp_path: Path) -> None:
     path, case = recorded
     make.record_case(tmp_path, case, SESSIONS)
