@@ -21,8 +21,7 @@ from ground.cli.calibrate import calibrate, calibrate_serial
 from ground.cli.diagnosis import diagnose, gap_app
 from ground.cli.dictionary import dictionary, effects
 from ground.cli.ik import ik, reach
-from ground.cli.log import log_app
-from ground.cli.replay import replay
+from ground.cli.log import log_app, replay
 from ground.cli.runs import hardstop, place, run, scenarios
 from ground.cli.verb import EXIT_BAD_INPUT
 

@@ -1,4 +1,4 @@
-"""Define the verbs `log info`, `channels`, `plot`, `export`, `recover` and `import`."""
+"""Define the verb `replay`, and `log` with `info`, `channels`, `plot`, `export`, `recover` and `import`."""
 
 import sys
 from pathlib import Path
@@ -183,3 +183,32 @@ def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) 
     if read.trailing_bytes:
         print(f"log {log}: {trailing_bytes_text(read.trailing_bytes)}", file=sys.stderr)
     return read
+
+
+@verb
+def replay(
+    progress: Progress,
+    log: LogArgument,
+    channel: Annotated[
+        str,
+        typer.Option(
+            help="Compare only channels that match, such as '/joint.*'; events and lengths always.",
+            metavar="GLOB",
+        ),
+    ] = "*",
+    params: Annotated[
+        Path | None,
+        typer.Option(help="TOML file of parameters that replace those of the log.", metavar="FILE.toml"),
+    ] = None,
+) -> VerbResult:
+    """Feed the sensors and commands of a log to today's flight software, and compare its outputs.
+
+    The exit status is 0 if all outputs are identical, 3 if not.
+
+    Example: marsarm replay run.mcap --channel '/joint.*'
+    """
+    from ground.replay.replay import ReplayRequest, replay
+    from ground.replay.tables import replay_json, replay_table
+
+    report = replay(ReplayRequest(log, channel, params), progress)
+    return VerbResult(replay_json(report), lambda: replay_table(report), report.differences.identical)
