@@ -75,5 +75,5 @@ def marsarm_process(folder: Path, *words: str, **variables: str) -> Ran:
     command = [sys.executable, "-c", "from ground.cli.app import main; main()", *words]
     env = os.environ | {"PYTHONPATH": str(ROOT)} | variables
     return subprocess.run(
-        command, cwd=folder, env=env, capture_output=True, text=True, timeout=300, check=False
+        command, cwd=folder, env=env, capture_output=True, text=True, timeout=3000, check=False
     )

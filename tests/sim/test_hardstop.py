@@ -189,7 +189,7 @@ def test_a_seized_motor_is_stuck():
 
 
 @pytest.mark.parametrize("reads", [Stuck(3.5), Stuck(-3.5), Stuck(0.0), Scaled(0.6), Shifted(0.5)], ids=str)
-@pytest.mark.parametrize("joint", [Joint.ELBOW, Joint.TURRET])
+@pytest.mark.parametrize("joint", slow_but([Joint.ELBOW, Joint.TURRET], Joint.TURRET))
 def test_with_a_current_sensor_that_lies_nothing_is_pressed_too_hard_or_for_ever(joint, reads):
     run = prepare_homing(arm_named("nominal"), joint, World())
     sense = run.loop.avionics.sense

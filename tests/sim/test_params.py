@@ -273,6 +273,7 @@ def test_what_is_missing_is_named(missing: str) -> None:
         _validate(table, "nominal.toml")
 
 
+@pytest.mark.slow
 def test_any_number_that_is_not_one_is_named() -> None:
     places = list(numbers_of(nominal_table()))
     assert len(places) > 300

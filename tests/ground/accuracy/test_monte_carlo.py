@@ -27,6 +27,7 @@ def report() -> MonteCarloReport:
     return run_monte_carlo(STATICS, quiet)
 
 
+@pytest.mark.slow
 def test_the_papers_rule_and_the_worst_case_cover_everything_and_are_twice_as_wide(report):
     for rule in ("paper", "worst case"):
         for name in ("total_m", "lateral_m", "normal_m"):
@@ -35,6 +36,7 @@ def test_the_papers_rule_and_the_worst_case_cover_everything_and_are_twice_as_wi
             assert found.width > 2.0
 
 
+@pytest.mark.slow
 def test_ours_covers_what_it_should_and_is_hardly_wider(report):
     for name in COMPONENTS:
         found = report.coverage.by_rule[MOMENTS][name]
@@ -42,10 +44,12 @@ def test_ours_covers_what_it_should_and_is_hardly_wider(report):
         assert 0.85 < found.width < 1.3
 
 
+@pytest.mark.slow
 def test_the_best_case_does_not_cover(report):
     assert not any(c.holds(0.9973) for c in report.coverage.by_rule["root sum square"].values())
 
 
+@pytest.mark.slow
 def test_outputs_lie_on_flanks_but_their_gaps_do_not_add_up(report):
     assert np.all(report.coverage.on_flank > 0.99)
     median, _, most = report.coverage.backlash
@@ -53,6 +57,7 @@ def test_outputs_lie_on_flanks_but_their_gaps_do_not_add_up(report):
     assert most <= 1.0
 
 
+@pytest.mark.slow
 def test_what_makes_the_papers_rule_wide_is_adding_sources_and_adding_frames(report):
     whole, no_source, no_frames, neither = report.coverage.variant_totals_m.values()
     assert neither < no_source < 0.7 * whole
@@ -60,23 +65,27 @@ def test_what_makes_the_papers_rule_wide_is_adding_sources_and_adding_frames(rep
     assert whole == pytest.approx(report.coverage.budget.estimate("paper", "total_m"))
 
 
+@pytest.mark.slow
 def test_errors_are_of_the_same_size_in_every_component_as_their_bounds(report):
     for name in COMPONENTS:
         within = report.coverage.budget.estimate(MOMENTS, name)
         assert 0.2 * within < np.sqrt(np.mean(report.coverage.error[name] ** 2)) < 0.7 * within
 
 
+@pytest.mark.slow
 def test_an_arm_alone_is_what_it_is_among_others(report):
     alone = run_monte_carlo(replace(STATICS, only=7), quiet)
     assert np.array_equal(alone.trials[0][0].error, report.trials[7][0].error)
 
 
+@pytest.mark.slow
 def test_two_processes_measure_what_one_does(report):
     two = run_monte_carlo(replace(STATICS, arms=6, workers=2), quiet)
     for trial, same in zip(two.trials, report.trials[:6], strict=True):
         assert np.array_equal(trial[0].error, same[0].error)
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_where_it_was(report, tmp_path):
     path = tmp_path / "r.jsonl"
     run_monte_carlo(replace(STATICS, arms=4, results=path), quiet)
@@ -122,6 +131,7 @@ def test_an_arm_of_its_own_has_what_the_case_adds():
     assert found.three_sigma["total_m"].accuracy.upper > found.three_sigma["total_m"].accuracy.estimate > 0
 
 
+@pytest.mark.slow
 def test_the_page_holds_its_picture(report, tmp_path):
     page = tmp_path / "mc.html"
     save_monte_carlo_page(report, page)
@@ -130,6 +140,7 @@ def test_the_page_holds_its_picture(report, tmp_path):
     assert "equation 13" in text
 
 
+@pytest.mark.slow
 def test_an_interval_without_an_end_is_null_in_the_document(report):
     document = monte_carlo_json(report)
     assert document["coverage"]["percentile_interval"]["total_m"][1] is None

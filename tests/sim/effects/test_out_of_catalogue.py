@@ -13,6 +13,7 @@ from sim.effects.catalogue import EffectHypothesis, catalogue, hypotheses
 from sim.effects.effect import Effect
 from sim.initialisation import true_reference
 from sim.scenario.effects import effect_classes_in_file, effect_text, parse_effect_text
+from tests.marks import slow_but
 
 FOLDER = Path(__file__).parents[3] / "validation" / "out_of_catalogue_effects"
 KINDS = {
@@ -38,6 +39,7 @@ SHOWN: dict[str, tuple[str, ...]] = {
 }
 """Readings that an effect changes."""
 EACH = pytest.mark.parametrize("name", KINDS)
+FEW = pytest.mark.parametrize("name", slow_but(KINDS, "TightSpots", "SettlingRover"))
 
 
 def hypothesis_at(name: str) -> EffectHypothesis:
@@ -76,7 +78,7 @@ def test_no_catalogue_has_it_and_it_comes_back_from_what_is_written_of_it(name: 
         assert parse_effect_text(effect_text(one.typical())) == one.typical()
 
 
-@EACH
+@FEW
 def test_where_it_is_neutral_it_changes_nothing(name: str) -> None:
     assert all(
         value == 0.0
@@ -84,7 +86,7 @@ def test_where_it_is_neutral_it_changes_nothing(name: str) -> None:
     )
 
 
-@EACH
+@FEW
 def test_of_its_typical_size_it_shows_and_the_same_each_time(name: str) -> None:
     with_it = record_session(hypothesis_at(name).typical())
     moved = differences(with_it, record_session())

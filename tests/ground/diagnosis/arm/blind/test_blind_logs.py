@@ -126,6 +126,7 @@ def test_a_case_with_a_revealing_log_is_deleted(tmp_path: Path, monkeypatch: pyt
     assert list((tmp_path / "cases").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_case_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(make, "all_sessions", lambda: SESSIONS)
     case = cases()["single"]
