@@ -44,7 +44,7 @@ BAD = {
     "movie of another kind": (("short.toml", "--movie", "m.png"), "must end in .gif"),
     "picture in no folder": (("short.toml", "--picture", "nowhere/p.png"), "nowhere"),
     "a log in no folder": (("short.toml", "--log", "nowhere/run.mcap"), "nowhere"),
-    "a wish for a full disk": (("short.toml", "--when-disk-full", "cry"), "'cry' is not one of"),
+    "a wish for a full disk": (("short.toml", "--when-disk-full", "cry"), "'cry' is not known; there are"),
 }
 
 
