@@ -126,8 +126,8 @@ ParamsOption = Annotated[
 EffectsOption = Annotated[
     tuple[str, ...],
     Option(
-        "Switch on an effect of `marsarm effects`, or FILE.py:CLASS as its name, or all of a FILE.toml with "
-        "[[effect]] tables; repeatable.",
+        "Switch on an effect of `marsarm effects`, or FILE.py:CLASS as its name, or every effect of a "
+        "FILE.toml; repeatable.",
         "NAME:PLACE:PARAMETER=VALUE,...",
         "--effect",
         is_read=True,
