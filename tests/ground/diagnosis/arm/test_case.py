@@ -136,7 +136,7 @@ def test_with_the_patch_on_nothing_is_left(case: Callable[..., DiagnosisResult])
     said = case(effect, patch=(effect,))
     assert said.diagnosis.verdict == "none"
     assert said.tool is not None
-    assert said.tool.before_mm < 2.0 * said.tool.floor_mm
+    assert said.tool.before_mm < 2.0 * said.tool.noise_floor_mm
 
 
 def test_most_of_a_campaign_must_be_there(nominal: Logs, against: CampaignModel) -> None:
