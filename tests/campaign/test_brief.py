@@ -40,6 +40,7 @@ def test_a_campaign_that_lacks_what_it_needs_is_skipped_and_says_so(monkeypatch:
     assert ended.line().endswith("needs MARSARM_DATA, a folder with the measured poses")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "status"), [("--targets 19 --vectors 19", 0), ("--targets 0", 1)])
 def test_the_exit_status_tells_whether_all_are_in_bounds(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: str, status: int

@@ -14,6 +14,7 @@ from validation.fuzz import TARGETS, FuzzTarget, fuzz
 TRIES = 400
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 def test_broken_files_are_refused_with_an_error_that_says_so(
     target: FuzzTarget, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -14,6 +14,7 @@ from validation.contact import ContactRest, rest_after
 POINT_N_M, NORMAL_N = (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm_name", ["nominal", "calibrated:1"])
 @pytest.mark.parametrize("tool", [Tool.APXS, Tool.DRILL])
 def test_a_touch_rests_half_a_second_after_the_last_set_point(tool: Tool, arm_name: str) -> None:

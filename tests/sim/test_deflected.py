@@ -118,6 +118,7 @@ def settle_down(plant: Plant, case: Case) -> None:
     assert np.abs(plant.data.qacc).max() < STILL_RAD_S2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turret_kg", TURRETS_KG)
 def test_the_arm_hangs_where_flight_statics_say(turret_kg: float) -> None:
     arm, plant = arm_with(turret_kg), plant_with(turret_kg)

@@ -102,6 +102,7 @@ def test_along_the_guarded_line_the_body_of_the_tool_is_looked_at(monkeypatch: p
     assert problem.endswith("on the way from the standoff to the target")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("surface", [OPEN, BEHIND_AN_EDGE], ids=["open", "behind an edge"])
 def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface: tuple[Vector3, Vector3]) -> None:
     world = World(tilt_roll_rad=0.1, tilt_pitch_rad=-0.15, surface=Surface(*surface))
@@ -128,6 +129,7 @@ def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface: tuple[Vect
     assert result.duration_s == pytest.approx(loop.state.tick / 64)
 
 
+@pytest.mark.slow
 def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on() -> None:
     loop, result = place(preview(OPEN).placement, World())
     evrs = [evr for _, evr in result.evrs]

@@ -9,6 +9,8 @@ from sim.pose_sequence import RestState, random_goals, visit_poses
 from sim.world import World
 from tests.sim import lab
 
+pytestmark = pytest.mark.slow
+
 ARM = arm_named("nominal")
 FRICTION_NM = np.array([joint.output_friction_Nm for joint in ARM.params.joints.in_order()])
 TILTED = World("mars", np.radians(15.0), np.radians(-20.0))

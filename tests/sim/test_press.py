@@ -117,6 +117,7 @@ def press_and_release() -> tuple[ClosedLoop, np.ndarray, np.ndarray, list[float]
     return loop, np.array(forces), np.array(places), pressed
 
 
+@pytest.mark.slow
 def test_the_drill_presses_with_the_force_and_neither_slips_nor_leans():
     (loop, forces, places, pressed), axis = press_and_release(), -NORMAL
     normal = forces @ -axis

@@ -120,6 +120,7 @@ def crossings(gears_rad: lab.Array, joint: Joint) -> int:
     return int(np.count_nonzero(np.diff(np.sign(gear[np.abs(gear) >= half]))))
 
 
+@pytest.mark.slow
 def test_a_gap_is_crossed_as_often_and_in_the_same_time() -> None:
     own, reference = (over_the_vertical(step_s) for step_s in (None, REFERENCE_STEP_S))
     assert [crossings(own, j) for j in Joint] == [crossings(reference, j) for j in Joint]

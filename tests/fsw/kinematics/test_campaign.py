@@ -130,6 +130,7 @@ def test_a_chunk_comes_again_with_its_seed():
     assert twice[0] == twice[1]
 
 
+@pytest.mark.slow
 def test_the_result_of_a_campaign_is_json_by_case_and_adds_up():
     result = json.loads(json.dumps(run_kinematics_campaign(100, 100, seed=3)))
     assert list(result["cases"]) == [case.name for case in CASES]

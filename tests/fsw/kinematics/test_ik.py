@@ -173,6 +173,7 @@ def test_every_root_for_a_skew_tool_meets_its_target_and_the_original_pose_is_am
         assert_consistent(solved.trial.arm, solved.result)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset_m", [1e-15, 1e-12, 1e-9, 1e-6, 1e-5, 1e-4])
 def test_a_boresight_that_passes_the_turret_axis_at_next_to_nothing_loses_no_root(offset_m):
     arm = tool_of_the_drawing_but(offset_m)
@@ -413,6 +414,7 @@ def test_a_batch_of_rigid_targets_is_its_single_targets_bit_for_bit_in_any_shape
             np.testing.assert_array_equal(several, getattr(shaped, name)[..., k // 30, k % 30])
 
 
+@pytest.mark.slow
 def test_targets_of_more_than_one_chunk_are_answered_as_those_of_one():
     """Chunks may have different numbers of slots; the whole has the largest."""
     solved = near_double_roots("calibrated:3", "rigid", Tool.DRT, 40)

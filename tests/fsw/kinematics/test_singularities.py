@@ -106,6 +106,7 @@ def test_a_root_clear_of_the_folds_is_in_a_slot_of_its_own_branch(name, gravity,
     np.testing.assert_array_equal(branch_index(signs)[clear], slot[clear] % len(BRANCHES))
 
 
+@pytest.mark.slow
 def test_some_branches_next_to_double_roots_have_several_roots_and_some_roots_vanish():
     """The tests above need such targets."""
     batches = [near_double_roots(*case, N) for case in RADIAL]

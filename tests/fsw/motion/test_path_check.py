@@ -110,6 +110,7 @@ def way(*poses_rad):
     return plan.paths
 
 
+@pytest.mark.slow
 def test_the_first_look_misses_nothing_that_a_close_look_finds():
     rng = np.random.default_rng(52)
     refused = 0

@@ -65,6 +65,7 @@ def test_auto_takes_the_quickest_branch_that_a_name_could_have_chosen(tool):
         assert seconds(auto, joints) == min(seconds(plan, joints) for plan in valid.values())
 
 
+@pytest.mark.slow
 def test_a_named_branch_is_the_one_that_is_taken():
     joints = joints_at()
     seen = set()

@@ -1,6 +1,7 @@
 """Errors of a built arm before any calibration."""
 
 import numpy as np
+import pytest
 from numpy.random import SeedSequence
 
 from fsw.dictionary.enums import Tool
@@ -19,6 +20,7 @@ def errors_m(name, how, seed, count):
     return np.array([np.linalg.norm(one.error[3:]) for one in found])
 
 
+@pytest.mark.slow
 def test_as_built_arms_are_10_to_20_mm_off():
     """Use 100 arms at two placements each, so that a few good arms cannot decide."""
     errors = np.concatenate([errors_m(f"as-built:{seed}", "statics", seed, 2) for seed in range(100)])

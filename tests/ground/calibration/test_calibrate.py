@@ -84,11 +84,13 @@ def test_with_the_backlash_state_left_out_shoulder_in_poses_stand_apart():
     assert np.median(off[inside]) > 2e-3
 
 
+@pytest.mark.slow
 def test_without_backlash_state_the_fit_is_refused():
     with pytest.raises(ValueError, match=r"times the noise|no arm explains them"):
         check_fit(calibrate(NOMINAL, campaign(), with_backlash=False))
 
 
+@pytest.mark.slow
 def test_wrong_poses_are_left_out_and_named():
     clean = campaign()
     X = Pose(clean.measured.X_RT.R, clean.measured.X_RT.p.copy())

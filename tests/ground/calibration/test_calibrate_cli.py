@@ -45,6 +45,7 @@ def test_the_parameter_file_says_where_it_comes_from_and_is_always_the_same(tabl
         assert words in text
 
 
+@pytest.mark.slow
 def test_the_page_is_one_file_with_its_pictures_in_it(table, tmp_path):
     report = run_calibration(CalibrateRequest(data=table), quiet)
     save_calibration_page(report, tmp_path / "page.html")

@@ -18,6 +18,8 @@ from ground.diagnosis.normal_equations import form_normal_equations
 from ground.diagnosis.problem import Residuals
 from tests.ground.diagnosis.worlds import found
 
+pytestmark = pytest.mark.slow
+
 
 def elsewhere(made):
     """Return sensitivities of the same motions under other names."""

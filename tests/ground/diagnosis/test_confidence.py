@@ -39,6 +39,7 @@ def test_where_nothing_chosen_was_ever_right_no_name_is_allowed():
     )
 
 
+@pytest.mark.slow
 def test_a_cause_that_is_left_out_seldom_gets_a_name(made, campaign, rng):
     """On cases outside the training, at most as often as 97.5 % of samples of a rate of 15 %."""
     named, cases = 0, 60
@@ -52,6 +53,7 @@ def test_a_cause_that_is_left_out_seldom_gets_a_name(made, campaign, rng):
     assert named <= binom.ppf(0.975, cases, 0.15)
 
 
+@pytest.mark.slow
 def test_if_every_left_out_effect_is_imitated_these_train_the_classifier(campaign, monkeypatch):
     of = (campaign.equations, campaign.label, campaign.cosine, campaign.limits, campaign.groups)
     for cosine in (0.0, 1.1):

@@ -21,6 +21,7 @@ def _sized(made, campaign, one, times):
     return np.where(made.owner == one, times * campaign.limits[one].limit, 0.0)
 
 
+@pytest.mark.slow
 def test_no_effect_is_not_called_one(made, campaign, rng):
     """At most as many alarms as 97.5 % of samples of a rate of 5 %."""
     alarms, cases = 0, 120
@@ -64,6 +65,7 @@ def test_a_pair_is_found_with_its_shares(made, campaign, rng):
     assert hits >= 12
 
 
+@pytest.mark.slow
 def test_the_winner_of_a_model_comparison_keeps_its_values_in_any_order(made, campaign, rng):
     pair = (2, 25)
     t = _sized(made, campaign, pair[0], 4.0) + _sized(made, campaign, pair[1], 6.0)
@@ -82,6 +84,7 @@ def test_the_winner_of_a_model_comparison_keeps_its_values_in_any_order(made, ca
         assert 8 in instead.alternatives.hypotheses
 
 
+@pytest.mark.slow
 def test_sets_hold_the_truth_and_intervals_the_size(made, campaign, rng):
     held, sizes, covered, cases = 0, [], [], 40
     for _ in range(cases):
@@ -104,6 +107,7 @@ def test_sets_hold_the_truth_and_intervals_the_size(made, campaign, rng):
     assert share.least <= 0.9 <= share.most
 
 
+@pytest.mark.slow
 def test_what_is_in_no_catalogue_gets_no_name(made, campaign, rng):
     """The structure in one channel is several times the detectable size, and no hypothesis imitates it."""
     named, where, cases = 0, 0, 10

@@ -162,6 +162,7 @@ def test_a_setting_of_opengl_that_is_not_there_does_not_stop_a_run(no_surface):
     assert (folder / json.loads(done.stdout)["picture"]).stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_the_arm_if_so_asked_and_is_told(tmp_path):
     words = ("place", "--json", "--no-picture", "--log", "run.mcap", "--when-disk-full", "stop")
     with largest_file(500_000):

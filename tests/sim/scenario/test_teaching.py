@@ -40,6 +40,7 @@ def teaching_errors(name: str, point: TaughtPoint = AIR) -> tuple[float, float, 
     )
 
 
+@pytest.mark.slow
 def test_a_nominal_arm_learns_what_the_drawing_says():
     off_m, axis_rad, believed_m = teaching_errors("nominal")
     assert off_m < 1e-3
@@ -47,6 +48,7 @@ def test_a_nominal_arm_learns_what_the_drawing_says():
     assert believed_m < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 8])
 def test_a_built_arm_that_believes_to_be_elsewhere_comes_back_to_the_true_place(seed):
     off_m, axis_rad, believed_m = teaching_errors(f"as-built:{seed}")

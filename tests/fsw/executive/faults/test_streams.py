@@ -75,6 +75,7 @@ def assert_safe(rig):
         assert "nan" not in evr.message
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 1.0]))
 def test_random_sensors_and_commands_never_make_the_arm_unsafe(seed, trouble):

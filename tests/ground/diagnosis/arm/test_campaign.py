@@ -204,6 +204,7 @@ def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Re
         assert 0.0 < np.linalg.norm(off) < 0.05 * np.linalg.norm(whole)
 
 
+@pytest.mark.slow
 def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: list[Recording]) -> None:
     """The large step of the equal hypothesis is not used; all joints are simulated at once."""
     campaign = build_feature_set([one for one in recordings if not one.tracker_poses.tick.size])
@@ -233,6 +234,7 @@ def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: li
         assert np.linalg.norm((side.change - alone) / sigma) < 0.05 * np.linalg.norm(alone / sigma)
 
 
+@pytest.mark.slow
 def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path) -> None:
     poses = [path for path in logs if path.stem.startswith("poses")]
     calls: list[str] = []

@@ -27,6 +27,8 @@ from sim.effects.links import LinkLength
 from sim.initialisation import true_reference
 from sim.plant import PlantDiverged
 
+pytestmark = pytest.mark.slow
+
 FITTED = ("poses-level-1", "poses-level-1-again", "poses-level-2", "poses-rolled-1")
 APART = ("poses-level-3", "poses-rolled-2")
 KINDS = ("resolver-bias", "link-length")

@@ -16,6 +16,8 @@ from validation.blind.score import score_folder
 from validation.blind.solve import NoDiagnosis, solve_cases
 from validation.blind.table import score_json, score_markdown
 
+pytestmark = pytest.mark.slow
+
 RUN = local_runner(1)
 
 

@@ -8,6 +8,7 @@ from validation.fuzz_inputs import BETWEEN, MAPPING, import_once, import_seeds, 
 TRIES = 1000
 
 
+@pytest.mark.slow
 def test_odd_tables_are_imported_or_refused_and_nothing_else_happens() -> None:
     outcomes = [import_once(random_case(np.random.default_rng(seed))) for seed in range(TRIES)]
     assert 0.02 * TRIES < sum(outcomes) < TRIES

@@ -28,6 +28,8 @@ from validation.blind import make
 from validation.blind.folder import CASES_FOLDER
 from validation.blind.out_of_catalogue import list_uncatalogued
 
+pytestmark = pytest.mark.slow
+
 SESSIONS = tuple(one for one in make.all_sessions() if one.name == "cold")
 
 
