@@ -13,7 +13,6 @@ from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PACKAGES: Final = ("fsw", "sim", "ground", "marsarm", "validation")
-COUNTED: Final = ("fsw", "sim", "ground", "validation")
 NUMERIC: Final = ("fsw/kinematics", "fsw/estimate", "ground/calibration", "ground/diagnosis")
 """Folders whose public functions say shapes and units."""
 ARRAYS: Final = re.compile(r"\b(Array|Flags|Integers|Indices|NDArray|Pose)\b")
@@ -27,7 +26,6 @@ TEXT_UNIT: Final = re.compile(
 OPENINGS: Final = ("What", "Of", "Where", "Whether", "How", "Who")
 MAX_FILE: Final = 400
 MAX_FUNCTION: Final = 60
-MAX_MODULES: Final = 330
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -46,15 +44,10 @@ def main(folders: list[str]) -> int:
         place = path.relative_to(ROOT).as_posix()
         if place.startswith(chosen):
             problems += [f"{place}:{line}: {text}" for line, text in check_toml(place, path, retired)]
-    for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))):
+    for path in (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))):
         place = path.relative_to(ROOT).as_posix()
         if place.startswith(chosen):
             problems += [f"{place}:{line}: {text}" for line, text in check_page(place, path, retired)]
-    counted = [
-        path for path in modules if path.name != "__init__.py" and path.relative_to(ROOT).parts[0] in COUNTED
-    ]
-    if len(counted) > MAX_MODULES:
-        problems.append(f"{len(counted)} modules, {MAX_MODULES} at most")
     print("\n".join(problems) or f"style: {len(modules)} modules in order")
     return 1 if problems else 0
 
@@ -86,7 +79,8 @@ def check_module(place: str, path: Path, retired: dict[str, dict[str, str]]) -> 
             if length - docstring_lines(node) > MAX_FUNCTION:
                 yield node.lineno, f"{node.name} has {length} lines, {MAX_FUNCTION} at most"
     if place.startswith(NUMERIC):
-        for node in tree.body:
+        classes = [one for one in tree.body if isinstance(one, ast.ClassDef) and not one.name.startswith("_")]
+        for node in (*tree.body, *(one for kind in classes for one in kind.body)):
             if isinstance(node, Function) and not node.name.startswith("_"):
                 yield from check_arguments(node)
 
@@ -122,7 +116,7 @@ def check_page(place: str, path: Path, retired: dict[str, dict[str, str]]) -> It
             if path.name != "glossary.md" and re.search(phrase, text):
                 yield line, f"{phrase!r} is a retired phrase; {instead}"
         for name in re.findall(r"`([\w.-]+)`", text):
-            for part in name.split("."):
+            for part in name.split(".") if path.name != "CHANGELOG.md" else ():
                 yield from ((line, problem) for problem in name_problems(f"key:{part}", place, retired))
 
 
@@ -133,8 +127,8 @@ def check_opening(node: ast.Module | ast.ClassDef | Function) -> Iterator[tuple[
         The line and the sentence of the problem.
     """
     text = ast.get_docstring(node) or ""
-    first = re.split(r"[\s,;:]", text, maxsplit=1)[0]
-    if first in OPENINGS:
+    first = re.split(r"[\s,;:]", text.strip("`"), maxsplit=1)[0].strip("`")
+    if first.capitalize() in OPENINGS:
         yield (
             getattr(node, "lineno", 1),
             f"the docstring opens with {first!r}; begin with a verb or a noun",
@@ -153,6 +147,10 @@ def check_arguments(node: Function) -> Iterator[tuple[int, str]]:
     if not any(ARRAYS.search(kind) for kind in (*kinds.values(), returned)):
         return
     text = ast.get_docstring(node) or ""
+    if any(isinstance(one, ast.Name) and one.id == "property" for one in node.decorator_list):
+        if "Array" in returned and not SHAPE.search(text):
+            yield node.lineno, f"{node.name}: the docstring gives no shape"
+        return
     said = sections(text)
     for name, kind in kinds.items():
         entry = said["Args"].get(name)
@@ -195,6 +193,8 @@ def identifiers(tree: ast.Module, place: str) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.arg
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             yield node.lineno, node.id
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.attr
 
 
 def document_keys(tree: ast.Module) -> Iterator[tuple[int, str]]:

@@ -64,7 +64,11 @@ class Grid:
     """Number of pitches of the turret axis."""
 
     def pitch_rad(self) -> Array:
-        """Return the pitches, (pitches,)."""
+        """List the pitches.
+
+        Returns:
+            Angles, evenly over a turn, shape (k,).
+        """
         return np.linspace(0.0, 2 * np.pi, self.pitches, endpoint=False)
 
 

@@ -121,17 +121,17 @@ def _monitor_joints(
 ) -> tuple[Counts, tuple[Evr, ...]]:
     """Run the monitors of the joints, one by one."""
     move = arm.move
-    resolver, apart = motors.check_resolvers(bounds, last.resolver, arm)
+    resolver, disagreements = motors.check_resolvers(bounds, last.resolver, arm)
     is_moving = move is not None and not move.is_stopping
     winding, heat = motors.check_windings(bounds, last.winding, is_moving, sensors.winding_C)
     if move is None:
-        return Counts(winding=winding, resolver=resolver), apart + heat
-    evrs = apart + heat + motors.check_soft_limits(bounds, move, arm.motor_rad)
-    following = stalled = drawn = 0
+        return Counts(winding=winding, resolver=resolver), disagreements + heat
+    evrs = disagreements + heat + motors.check_soft_limits(bounds, move, arm.motor_rad)
+    following = stalled = over_current = 0
     if not move.is_releasing:
         error = np.abs(move.setpoint_rad - arm.motor_rad)
         stalled, still = motors.check_stall(bounds, last.stalled, move, error, arm.motor_rate_rad_s)
         following, behind = motors.check_following(bounds, last.following, error)
-        drawn, high = motors.check_current(bounds, last.over_current, sensors.current_A)
+        over_current, high = motors.check_current(bounds, last.over_current, sensors.current_A)
         evrs += still + behind + high
-    return Counts(following, stalled, drawn, winding, resolver), evrs
+    return Counts(following, stalled, over_current, winding, resolver), evrs

@@ -74,7 +74,7 @@ class ArmModel:
         """Compute the error screws from modelled to measured poses.
 
         Args:
-            x: Parameter values, shape (p,).
+            x: Parameter values, each in its own unit, shape (p,).
 
         Returns:
             Screws in axes of the modelled turret frame, rotation [rad] above translation [m], shape (6, n).

@@ -17,12 +17,12 @@ from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances
 from fsw.kinematics.transforms import Array
 from ground.calibration.campaign_data import Campaign
 from ground.calibration.survey import CampaignRow, TooFewTargets, measure_pose, stack_rows
-from ground.common.errors import UserError
+from ground.common.errors import BadRequest, UserError
 from ground.common.progress import Progress
 from sim.arms import BuiltArm
 from sim.clearance import ClearanceModel
 from sim.effects.structure import StandInTurret, params_with_stand_in
-from sim.hardstop_loads import without_turret
+from sim.hardstop_loads import NoPlan, without_turret
 from sim.initialisation import initialise_joints
 from sim.loop import ClosedLoop, Setup
 from sim.pose_sequence import free_air_loop, pose_in_workspace, run_and_rest
@@ -146,9 +146,14 @@ def earth_reference(arm: BuiltArm, progress: Progress) -> Reference:
 
     Raises:
         CampaignFailed: A hardstop was not found.
+        BadRequest: The arm has no poses whose loads on Earth without a turret equal those on Mars.
     """
+    try:
+        bare = without_turret(arm, on_earth=True)
+    except NoPlan as error:
+        raise BadRequest(f"arm: no poses for Earth without a turret: {error}") from error
     runs = []
-    for run in initialise_joints(without_turret(arm, on_earth=True), World("earth")):
+    for run in initialise_joints(bare, World("earth")):
         runs.append(run)
         progress(len(runs), len(HARDSTOP_ORDER), "hardstops")
     if runs[-1].outcome is not Outcome.DONE:

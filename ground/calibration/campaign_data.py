@@ -27,7 +27,14 @@ class BelievedPoses:
     """Mass of the stand-in turret, shape (n,); NaN for the arm's own turret."""
 
     def at(self, poses: Flags | Integers) -> "BelievedPoses":
-        """Select some of the poses."""
+        """Select some of the poses.
+
+        Args:
+            poses: Flags, shape (n,), or indices, shape (k,).
+
+        Returns:
+            The selected poses.
+        """
         return select_targets(self, poses)
 
 
@@ -55,7 +62,14 @@ class Campaign:
         return self.group.size
 
     def at(self, poses: Flags | Integers) -> "Campaign":
-        """Select some of the poses, in order."""
+        """Select some of the poses.
+
+        Args:
+            poses: Flags, shape (n,), or indices in the wanted order, shape (k,).
+
+        Returns:
+            Campaign of the selected poses.
+        """
         where = np.flatnonzero(poses) if poses.dtype == bool else poses
         return Campaign(
             self.arm_name,

@@ -57,7 +57,14 @@ class Linearisation:
         return np.asarray(np.any(self.jacobian != 0.0, axis=-1))
 
     def at(self, poses: Flags) -> "Linearisation":
-        """Select some of the poses."""
+        """Select some of the poses.
+
+        Args:
+            poses: Selection as flags, shape (n,).
+
+        Returns:
+            Linearisation at the selected poses.
+        """
         return Linearisation(self.residual[poses], self.jacobian[poses])
 
 

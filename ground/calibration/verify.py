@@ -124,6 +124,9 @@ class VerificationRun:
     def tool_errors(self, targets: int) -> Iterator[tuple[Tool, Array]]:
         """Move to targets and measure the tool errors.
 
+        Args:
+            targets: Number of targets.
+
         Yields:
             The tool and its errors: total, lateral, along the approach [m], and axis [rad]; shape (4,).
         """

@@ -12,7 +12,7 @@ from ground.common.errors import BadRequest
 def effects() -> VerbResult:
     """List the effects of the plant: meaning, possible places, and parameters.
 
-    To use one, give --effect to run, place or hardstop, or write [[effect]] in a scenario.
+    To use one, give --effect to run, place or hardstop, or write an `effect` table in a scenario.
 
     Example: marsarm run contact-science --effect coulomb-friction:elbow:torque_Nm=25
     """

@@ -53,8 +53,14 @@ def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:
     options = [option for parameter in parameters for option in _verb_options(parameter)]
     signature = inspect.Signature([*options, _parameter("as_json", JsonOption, False)])
     command.__signature__ = signature  # type: ignore[attr-defined]
-    command.__name__, command.__doc__ = work.__name__, work.__doc__
+    command.__name__, command.__doc__ = work.__name__, _help_text(inspect.getdoc(work) or "")
     return command
+
+
+def _help_text(doc: str) -> str:
+    """Return a docstring with each paragraph on one line, so that the screen decides its lines."""
+    paragraphs = doc.split("\n\n")
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
 
 
 def _carry_out(

@@ -123,10 +123,9 @@ def _rename_fields(owner: str, values: Mapping[str, Any], names: Mapping[str, st
 
 def _rename_command_fields(command: str, values: Mapping[str, Any]) -> dict[str, Any]:
     renamed = _rename_fields(command, values, COMMAND_FIELDS)
-    return {
-        name: PARAMETERS.get(value, value) if isinstance(value, str) else value
-        for name, value in renamed.items()
-    }
+    if command == "SetParam" and isinstance(renamed.get("name"), str):
+        renamed["name"] = PARAMETERS.get(renamed["name"], renamed["name"])
+    return renamed
 
 
 def _rename_effect(text: str) -> str:

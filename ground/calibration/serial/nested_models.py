@@ -41,7 +41,7 @@ class HeldOutErrors:
 
     @property
     def rms_by_block_m(self) -> Array:
-        """Compute the root mean square of each block, shape (BLOCKS,)."""
+        """Compute the root mean square of each block, shape (b,)."""
         return np.sqrt([np.mean(self.square_m2[self.block == k]) for k in range(BLOCKS)])
 
 

@@ -33,7 +33,14 @@ class PoseSeries:
         return self.row.size
 
     def at(self, poses: Flags | Integers) -> "PoseSeries":
-        """Select some of the poses; directions of moves stay those of the whole series."""
+        """Select some of the poses; directions of moves stay those of the whole series.
+
+        Args:
+            poses: Flags, shape (n,), or indices, shape (k,).
+
+        Returns:
+            Series of the selected poses.
+        """
         air = None if self.air_C is None else self.air_C[poses]
         return PoseSeries(
             self.name,
