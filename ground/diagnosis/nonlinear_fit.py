@@ -41,7 +41,8 @@ class QuadraticSurrogate:
         """Compute the change of the features.
 
         Args:
-            settings: Values of all parameters of each effect; shape parameters have no influence.
+            settings: Values of all parameters of each effect in their units, shape (p,). Shape parameters
+                have no influence.
 
         Returns:
             Change in the units of the channels, shape (m,).
@@ -58,8 +59,8 @@ class QuadraticSurrogate:
         """Compute the derivatives by each parameter of each effect, per typical size.
 
         Args:
-            settings: Values of all parameters of each effect, n in total.
-            change: Not used.
+            settings: Values of all parameters of each effect in their units, shape (p,); n in total.
+            change: Not used; change at these values in the units of the channels, shape (m,).
 
         Returns:
             Derivatives in the units of the channels, shape (m, n); 0 for shape parameters.
@@ -89,10 +90,25 @@ class EffectResponse(Protocol):
     """Response of the features to effects."""
 
     def change(self, settings: Mapping[Hypothesis, Array]) -> Array:
-        """Compute the change of the features, shape (m,), for values of all parameters of each effect."""
+        """Compute the change of the features.
+
+        Args:
+            settings: Values of all parameters of each effect in their units, shape (p,).
+
+        Returns:
+            Change in the units of the channels, shape (m,).
+        """
 
     def slopes(self, settings: Mapping[Hypothesis, Array], change: Array) -> Array:
-        """Compute derivatives by each parameter per typical size, shape (m, n), at a known change."""
+        """Compute the derivatives by each parameter of each effect, per typical size.
+
+        Args:
+            settings: Values of all parameters of each effect in their units, shape (p,); n in total.
+            change: Change at these values in the units of the channels, shape (m,).
+
+        Returns:
+            Derivatives in the units of the channels, shape (m, n).
+        """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,12 +119,27 @@ class SimulatorResponse:
     surrogate: QuadraticSurrogate
 
     def change(self, settings: Mapping[Hypothesis, Array]) -> Array:
-        """Simulate once with these effects."""
+        """Simulate the change of the features, with nominal nuisances.
+
+        Args:
+            settings: Values of all parameters of each effect in their units, shape (p,).
+
+        Returns:
+            Change in the units of the channels, shape (m,).
+        """
         zero = np.zeros(len(self.simulator.nuisances))
         return np.asarray(self.simulator.predict(settings, zero) - self.simulator.predict({}, zero))
 
     def slopes(self, settings: Mapping[Hypothesis, Array], change: Array) -> Array:
-        """Simulate once more for each shape parameter."""
+        """Compute the derivatives; simulate once more for each shape parameter.
+
+        Args:
+            settings: Values of all parameters of each effect in their units, shape (p,); n in total.
+            change: Change at these values in the units of the channels, shape (m,).
+
+        Returns:
+            Derivatives in the units of the channels, per typical size, shape (m, n).
+        """
         result, column = self.surrogate.slopes(settings, change), 0
         for hypothesis in settings:
             for at, parameter in enumerate(hypothesis.parameters):

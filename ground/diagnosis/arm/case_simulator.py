@@ -52,14 +52,29 @@ class CaseSimulator:
         return self.arm.nuisances
 
     def predict(self, settings: EffectValues, nuisance: Array) -> Array:
-        """Predict the features, shape (m,)."""
+        """Predict the features with these effects and nuisances.
+
+        Args:
+            settings: Values of the effects that are switched on.
+            nuisance: Departures from nominal in the units of the nuisances, shape (q,).
+
+        Returns:
+            Features in the units of their channels, shape (m,).
+
+        Raises:
+            PlantDiverged: MuJoCo counted a warning.
+        """
         effects = tuple(self.arm.effects(settings, nuisance))
         if not effects:
             return np.asarray(self.nominal[self.at])
         return np.asarray((self.nominal + simulate_change(self.arm, effects, self.nominal))[self.at])
 
     def residual(self) -> Array:
-        """Return measured minus nominal features, shape (m,)."""
+        """Subtract the nominal from the measured features.
+
+        Returns:
+            Residual in the units of the channels, shape (m,).
+        """
         return np.asarray((measure_features(self.arm.feature_set) - self.nominal)[self.at])
 
 
@@ -75,8 +90,7 @@ def build_case_simulator(
         layout: Layout of the campaign's features, m of them.
         keys: Keys of the campaign's features.
         nominal: Nominal prediction for the campaign in the units of the channels, shape (m,); None to
-            simulate
-            the case.
+            simulate the case.
 
     Returns:
         Simulator of the shared features.

@@ -69,12 +69,20 @@ class Recording:
         return len(self.drive[COUNTS])
 
     def motor_rad(self) -> Array:
-        """Return the motor angles by encoders, shape (5, n)."""
+        """Convert the counts of the encoders to motor angles.
+
+        Returns:
+            Motor angles on the output side [rad], shape (5, n).
+        """
         rad: Array = self.sensors["encoder_count"].T * self.rad_per_count[:, None]
         return rad + self.start.zero_rad[:, None]
 
     def setpoint_rad(self) -> Array:
-        """Return the set-points, shape (5, n)."""
+        """Convert the set-points from counts to angles.
+
+        Returns:
+            Commanded motor angles on the output side [rad], shape (5, n).
+        """
         rad: Array = self.drive[COUNTS].T * self.rad_per_count[:, None]
         return rad + self.start.zero_rad[:, None]
 

@@ -73,11 +73,30 @@ class ArmSimulator:
         return replace(self, patch=patch)
 
     def predict(self, settings: EffectValues, nuisance: Array) -> Array:
-        """Predict the features, shape (m,); errors as for `simulate_features`."""
+        """Predict the features with the patch, these effects and nuisances.
+
+        Args:
+            settings: Values of the effects that are switched on.
+            nuisance: Departures from nominal in the units of the nuisances, shape (q,).
+
+        Returns:
+            Features in the units of their channels, shape (m,).
+
+        Raises:
+            PlantDiverged: MuJoCo counted a warning.
+        """
         return self.predict_effects(self.effects(settings, nuisance))
 
     def effects(self, settings: EffectValues, nuisance: Array) -> list[Effect]:
-        """Return the effects beside the patch: hypotheses, and nuisances that are not 0."""
+        """Create the effects beside the patch: of hypotheses, and of nuisances that are not 0.
+
+        Args:
+            settings: Values of the effects that are switched on.
+            nuisance: Departures from nominal in the units of the nuisances, shape (q,).
+
+        Returns:
+            Effects of the hypotheses, then those of the nuisances.
+        """
         found = [make_effect(self.catalogue_entry[one], one, values) for one, values in settings.items()]
         found += [one.effect(float(v)) for one, v in zip(self.nuisance_effects, nuisance, strict=True) if v]
         return found
@@ -85,7 +104,18 @@ class ArmSimulator:
     def predict_effects(
         self, effects: Sequence[Effect], wanted: Callable[[MotionFeatures], bool] = every_motion
     ) -> Array:
-        """Predict the features with patch and effects, (m,); NaN for motions that are not wanted."""
+        """Predict the features with the patch and these effects.
+
+        Args:
+            effects: Effects that are switched on beside the patch.
+            wanted: Predicate of the motions to simulate.
+
+        Returns:
+            Features in the units of their channels, shape (m,); NaN for motions that are not wanted.
+
+        Raises:
+            PlantDiverged: MuJoCo counted a warning.
+        """
         return simulate_features(self.feature_set, (*self.patch, *effects), self.options, wanted)
 
 
