@@ -165,12 +165,13 @@ def _load_module(path: Path) -> ModuleType:
     if name in sys.modules:
         return sys.modules[name]
     spec = spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
+    if spec is None:
         raise NotAnEffect(f"effect {path}: is no Python file; its name ends in .py")
     module = module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look up the module of their class
     try:
-        spec.loader.exec_module(module)
+        # Not by its loader, which takes compiled code for up to a second after a change of the file.
+        exec(compile(content, path, "exec"), module.__dict__)
     except Exception as error:
         del sys.modules[name]
         raise NotAnEffect(f"effect {path}: cannot be run: {type(error).__name__}: {error}") from error
