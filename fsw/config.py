@@ -17,7 +17,7 @@ CYCLE_S = 1.0 / CYCLE_HZ
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Config:
-    """Frozen record of what is constant during a run; joint arrays (5,) in the order of Joint."""
+    """Values that are constant during a run; joint arrays (5,) in the order of Joint."""
 
     params: Params
     params_sha256: str

@@ -20,7 +20,7 @@ from fsw.protect.responses import StandingFault
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """Frozen record of a sequence step in which the arm waits on its brakes."""
+    """Sequence step in which the arm waits on its brakes."""
 
     duration_s: float
     vibrate: bool
@@ -31,7 +31,7 @@ SequenceStep = Command | Hold
 
 @dataclass(frozen=True, slots=True)
 class Sequence:
-    """Frozen record of a compound command and its remaining steps."""
+    """Compound command and its remaining steps."""
 
     command: str
     remaining: tuple[SequenceStep, ...]
@@ -39,7 +39,7 @@ class Sequence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """Frozen record of everything that a cycle leaves for the next one."""
+    """Everything that a cycle leaves for the next one."""
 
     tick: int
     mode: Mode

@@ -50,7 +50,7 @@ class UnknownArm(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class BuiltArm:
-    """Frozen record of an arm: its differences from the drawing, and its flight parameters."""
+    """Arm: its differences from the drawing, and its flight parameters."""
 
     name: str
     effects: tuple[Effect, ...]

@@ -84,7 +84,7 @@ HELD_OUT_SESSIONS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisSession:
-    """Frozen record of one log to make: its start, its commands and its conditions."""
+    """Plan of one log: its start, its commands and its conditions."""
 
     name: str
     block: str
@@ -100,7 +100,7 @@ class DiagnosisSession:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionCycle:
-    """Frozen record of one cycle of a session."""
+    """One cycle of a session."""
 
     record: CycleRecord
     rested: bool

@@ -64,7 +64,7 @@ class HomingSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InitialisationResult:
-    """Frozen record of the outcome of a hardstop initialisation."""
+    """Outcome of a hardstop initialisation."""
 
     outcome: Outcome
     duration_s: float

@@ -27,7 +27,7 @@ SETTLE_S = 16.0
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """Frozen record of what defines a run; the seed is that of everything random but the arm."""
+    """Definition of a run; the seed is that of everything random but the arm."""
 
     arm: BuiltArm
     world: World

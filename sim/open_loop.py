@@ -18,7 +18,7 @@ from sim.world import World, build
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedStart:
-    """Frozen record of the start of a recorded run; joint arrays have shape (5,)."""
+    """Start of a recorded run; joint arrays have shape (5,)."""
 
     world: World
     motor_rad: Array

@@ -19,7 +19,7 @@ from sim.sequence import Outcome, observe_cycles, run_sequence, stop_sequence
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Frozen record of a placement in RNAV; the normal points out of the surface."""
+    """Placement in RNAV; the normal points out of the surface."""
 
     tool: Tool
     target_N_m: Vector3
@@ -48,7 +48,7 @@ class PlacementError:
 
 @dataclass(frozen=True, slots=True)
 class PlacementResult:
-    """Frozen record of the outcome of a placement."""
+    """Outcome of a placement."""
 
     outcome: Outcome
     branch: str | None

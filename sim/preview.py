@@ -42,7 +42,7 @@ SPACING_M: Final = 0.001
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preview:
-    """Frozen record of a placement with a branch and a path without collisions, or of the reason for none."""
+    """Placement with a branch and a path without collisions, or with the reason for none."""
 
     placement: Placement
     problem: str | None

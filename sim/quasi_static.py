@@ -23,7 +23,7 @@ from sim.disturbance import MoveDisturbance, body_index
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StaticArm:
-    """Frozen record of a true arm and of what flight software knows about it."""
+    """True arm, and the parameters that flight software has for it."""
 
     believed: Config
     true: Config

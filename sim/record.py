@@ -33,7 +33,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CycleRecord:
-    """Frozen record of the inputs and outputs of one cycle; the tick is an integer at the cycle rate."""
+    """Inputs and outputs of one cycle; the tick is an integer at the cycle rate."""
 
     tick: int
     sensors: Sensors

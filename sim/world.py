@@ -38,7 +38,7 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """Frozen record of the surroundings of the arm."""
+    """Surroundings of the arm."""
 
     scene: Scene = "mars"
     tilt_roll_rad: float = 0.0

@@ -25,7 +25,7 @@ TIMEOUT_S: Final = 600.0
 
 @dataclass(frozen=True, slots=True)
 class Brief:
-    """Frozen record of a campaign, and of arguments with which it takes a minute at most."""
+    """Campaign, and the arguments with which it takes a minute at most."""
 
     name: str
     arguments: str
@@ -56,7 +56,7 @@ BRIEFS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class BriefResult:
-    """Frozen record of a campaign that has ended."""
+    """Campaign that has ended."""
 
     brief: Brief
     status: int

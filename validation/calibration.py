@@ -51,7 +51,7 @@ NUMERIC: Final[dict[str, Any]] = {
 
 @dataclass(frozen=True, slots=True)
 class CalibrationTrial:
-    """Frozen record of the calibration of one arm."""
+    """Calibration of one arm."""
 
     seed: int
     closed_loop: bool

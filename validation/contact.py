@@ -33,7 +33,7 @@ SOON, LATER = 0.20, 0.05
 
 @dataclass(frozen=True, slots=True)
 class ContactRest:
-    """Frozen record of the contact of a tool, from the touch until 4 s after the command."""
+    """Contact of a tool, from the touch until 4 s after the command."""
 
     arm: str
     tool: str

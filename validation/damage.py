@@ -34,7 +34,7 @@ HERE: Final = Path("damaged.mcap")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Original:
-    """Frozen record of an undamaged file: bytes, contents, and locations of chunks with messages."""
+    """Undamaged file: bytes, contents, and locations of chunks with messages."""
 
     data: bytes
     log: Log

@@ -70,7 +70,7 @@ SIZES = {
 
 @dataclass(frozen=True, slots=True)
 class FaultOutcome:
-    """Frozen record of an injected fault and its outcome."""
+    """Injected fault and its outcome."""
 
     scenario: str
     fault: str

@@ -55,7 +55,7 @@ class TooSlow(BaseException):
 
 @dataclass(frozen=True, slots=True)
 class FuzzTarget:
-    """Frozen record of a function to fuzz."""
+    """Function to fuzz."""
 
     name: str
     run: Callable[[bytes], bool]

@@ -33,7 +33,7 @@ PLACES: Final[tuple[Place, ...]] = ("mars", "earth", "earth, poses of mars")
 
 @dataclass(frozen=True, slots=True)
 class HardstopTrial:
-    """Frozen record of one repetition with one joint of one arm."""
+    """One repetition with one joint of one arm."""
 
     place: Place
     arm: int
@@ -43,7 +43,7 @@ class HardstopTrial:
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """Frozen record of the errors and loads of a trial."""
+    """Errors and loads of a trial."""
 
     trial: HardstopTrial
     outcome: str

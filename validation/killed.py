@@ -44,7 +44,7 @@ MOST_RUNS = 3
 
 @dataclass(frozen=True, slots=True)
 class Kill:
-    """Frozen record of a kill and the log of the run."""
+    """Run that was killed, and its log."""
 
     outcome: str
     """ "cut short", which counts; "not begun" or "closed" if no log was open; or an error, "wrong: ..."."""

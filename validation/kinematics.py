@@ -49,7 +49,7 @@ EXAMPLE = "example: python -m validation.kinematics --targets 200000 --vectors 2
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Frozen record of the work of one process at a time, with its own seed."""
+    """Share of the work that one process does at a time, with its own seed."""
 
     index: int
     case: Case

@@ -44,7 +44,7 @@ CLEAR_SIGMA: Final = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Frozen record of a kind of arm under a kind of gravity."""
+    """Kind of arm under a kind of gravity."""
 
     name: str
     chunks: int
@@ -73,7 +73,7 @@ CASES: Final = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """Frozen record of an arm with a tool under a gravity, on which a batch of targets is tried."""
+    """Arm with a tool under a gravity, on which a batch of targets is tried."""
 
     arm_name: str
     arm: Arm

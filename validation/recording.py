@@ -48,7 +48,7 @@ MOST_BARE_STEPS = 0.65
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Frozen record of the times of consecutive cycles."""
+    """Times of consecutive cycles."""
 
     cycles_us: NDArray[np.float64]
     """Time of each cycle, shape (STRETCH,)."""

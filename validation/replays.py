@@ -30,7 +30,7 @@ NOT_REPLAYED = "not replayed"
 
 @dataclass(frozen=True, slots=True)
 class ReplayOutcome:
-    """Frozen record of a scenario on an arm and its replay."""
+    """Scenario on an arm and its replay."""
 
     scenario: str
     arm: str

@@ -34,7 +34,7 @@ AS_BUILT_SHARE = 0.2
 
 @dataclass(frozen=True, slots=True)
 class ScenarioOutcome:
-    """Frozen record of a scenario on an arm."""
+    """Scenario on an arm."""
 
     scenario: str
     arm: str

@@ -53,7 +53,7 @@ SERIES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Frozen record of the prediction errors of the drill in a pose."""
+    """Prediction errors of the drill in a pose."""
 
     shoulder_in: bool
     as_initialised_mm: float

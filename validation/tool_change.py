@@ -43,7 +43,7 @@ FIRST, SECOND = Tool.APXS, Tool.MAHLI
 
 @dataclass(frozen=True, slots=True)
 class ToolChangeErrors:
-    """Frozen record of the lateral distances of a tool change."""
+    """Lateral distances of a tool change."""
 
     from_spot_mm: float
     """Second tool, placed by the tool change, from the true contact of the first."""

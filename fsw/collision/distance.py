@@ -45,7 +45,7 @@ _FROM: Final = np.stack(
 
 @dataclass(frozen=True, slots=True)
 class ClearanceViolation:
-    """Frozen record of a part of the arm that comes too close to an obstacle on a path."""
+    """Part of the arm that comes too close to an obstacle on a path."""
 
     part: str
     obstacle: str

@@ -28,7 +28,7 @@ FRAME_OF: Final = {"link2": 1, "link3": 2, "link4": 3, "link5": 4}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoundedBoxes:
-    """Frozen record of rounded boxes, batch (m); each belongs to a part and is fixed to a frame."""
+    """Rounded boxes, batch (m); each belongs to a part and is fixed to a frame."""
 
     part: NDArray[np.intp]
     """Index in PARTS or OBSTACLES, (m,)."""
@@ -52,7 +52,7 @@ class RoundedBoxes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CollisionGeometry:
-    """Frozen record of the shapes of arm (in link frames) and rover (in RMECH), and of level ground."""
+    """Shapes of arm (in link frames) and rover (in RMECH), and of level ground."""
 
     arm: RoundedBoxes
     rover: RoundedBoxes

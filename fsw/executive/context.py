@@ -13,7 +13,7 @@ from fsw.state import SequenceStep, State
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommandContext:
-    """Frozen record of state, readings and events; each command returns a new one."""
+    """State, readings and events; each command returns a new one."""
 
     state: State
     usable: bool

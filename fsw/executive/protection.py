@@ -22,7 +22,7 @@ from fsw.state import Sequence
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveOutcome:
-    """Frozen record of mode, move, sequence and standing fault after a move has advanced, and its events."""
+    """Mode, move, sequence and standing fault after a move has advanced, and its events."""
 
     mode: Mode
     move: Move | None

@@ -18,7 +18,7 @@ NO_GRAVITY: Final = np.zeros(3)
 
 @dataclass(frozen=True, slots=True)
 class Compensation:
-    """Frozen record of the compensations of a move; wind-up of the gears counts as deflection."""
+    """Compensations of a move; wind-up of the gears counts as deflection."""
 
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"

@@ -83,7 +83,7 @@ RUNNING_GAIN: Final = {stage: 1.0 / (time_s * CYCLE_HZ) for stage, time_s in RUN
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Homing:
-    """Frozen record of the homing of a joint from cycle to cycle."""
+    """Homing of a joint from cycle to cycle."""
 
     joint: Joint
     known: bool
@@ -113,7 +113,7 @@ class Homing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HomingUpdate:
-    """Frozen record of homing after a cycle, with the set-point of all joints and the failure, if any."""
+    """Homing after a cycle, with the set-point of all joints and the failure, if any."""
 
     homing: Homing
     setpoint: Setpoint
@@ -122,7 +122,7 @@ class HomingUpdate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HomingInputs:
-    """Frozen record of the parameters and readings of the joint in this cycle."""
+    """Parameters and readings of the joint in this cycle."""
 
     config: Config
     params: JointParams

@@ -50,7 +50,7 @@ class Phase(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
-    """Frozen record of a move: paths in sequence, each from rest to rest, or the homing of a joint."""
+    """Move: paths in sequence, each from rest to rest, or the homing of a joint."""
 
     command: str
     end_mode: Mode
@@ -82,7 +82,7 @@ class Move:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveUpdate:
-    """Frozen record of a move after a cycle, None if it has ended, with its events and its final mode."""
+    """Move after a cycle, None if it has ended, with its events and its final mode."""
 
     move: Move | None
     evrs: tuple[Evr, ...] = ()

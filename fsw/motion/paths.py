@@ -17,7 +17,7 @@ SPEED_SAMPLES: Final = np.linspace(0.0, 1.0, 9)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setpoint:
-    """Frozen record of commanded motor angles and rates on the output side, (5,)."""
+    """Commanded motor angles and rates on the output side, (5,)."""
 
     motor_rad: Array
     rate_rad_s: Array
@@ -25,7 +25,7 @@ class Setpoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointPath:
-    """Frozen record of a jerk-limited move of all joints, which start and end together, at rest."""
+    """Jerk-limited move of all joints, which start and end together, at rest."""
 
     duration_s: float
     trajectory: Trajectory
@@ -48,7 +48,7 @@ class Travel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinePath:
-    """Frozen record of a jerk-limited travel over equally spaced knots; cubics join the knots."""
+    """Jerk-limited travel over equally spaced knots; cubics join the knots."""
 
     duration_s: float
     travel: Trajectory
@@ -75,7 +75,7 @@ class LinePath:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HoldPath:
-    """Frozen record of a path on which no joint moves."""
+    """Path on which no joint moves."""
 
     duration_s: float
     motor_rad: Array
@@ -87,7 +87,7 @@ class HoldPath:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StopPath:
-    """Frozen record of a stop with constant deceleration; all joints come to rest together."""
+    """Stop with constant deceleration; all joints come to rest together."""
 
     duration_s: float
     start: Setpoint

@@ -24,14 +24,14 @@ TOO_SOFT: Final = "with these parameters, no static equilibrium of the arm is fo
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Frozen record of the reason that a move cannot be planned."""
+    """Reason that a move cannot be planned."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointPositions:
-    """Frozen record of motor angles and gear angles (output less motor), (5,) each."""
+    """Motor angles and gear angles (output less motor), (5,) each."""
 
     motor_rad: Array
     gear_rad: Array
@@ -45,7 +45,7 @@ class JointPositions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """Frozen record of paths to follow in sequence, and of the joints at their end."""
+    """Paths to follow in sequence, and the joints at their end."""
 
     paths: tuple[Path, ...]
     end: JointPositions

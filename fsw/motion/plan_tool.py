@@ -37,7 +37,7 @@ MAX_KNOT_STEP_RAD = 0.2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
-    """Frozen record of a straight tool move; it starts at the modelled pose of the motor angles."""
+    """Straight tool move; it starts at the modelled pose of the motor angles."""
 
     tool: Tool
     compensation: Compensation

@@ -74,7 +74,7 @@ RATIO_RANGE: Final = (0.5, 2.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreloadState:
-    """Frozen record of a tool in contact: its pose at the contact, and the overdrive since.
+    """Tool in contact: its pose at the contact, and the overdrive since.
 
     The unit of overdrive is the newton of the model: the force that the modelled arm would apply. The built
     arm is stiffer or softer and applies `force_ratio` times as much.
@@ -119,7 +119,7 @@ class PreloadState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreloadChange:
-    """Frozen record of one leg of a change of force; a leg may end short of the target."""
+    """One leg of a change of force; a leg may end short of the target."""
 
     start: PreloadState
     end_model_N: float
@@ -260,7 +260,7 @@ def _solve_outputs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceFit:
-    """Frozen record of sums over cycles, for a straight line of each joint's load over the force.
+    """Sums over cycles, for a straight line of each joint's load over the force.
 
     A joint counts in the cycles in which its current shows the load.
     """
@@ -292,7 +292,7 @@ class ForceFit:
 
 @dataclass(frozen=True, slots=True)
 class ForceRatio:
-    """Frozen record of the estimated force in newtons per newton of the model."""
+    """Estimated force in newtons per newton of the model."""
 
     along: float
     """Component along the tool axis."""

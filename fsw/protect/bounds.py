@@ -15,7 +15,7 @@ LOAD_ERROR_FACTOR: Final = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProtectionBounds:
-    """Frozen record of bounds; joint arrays in the order of Joint, angles on the output side."""
+    """Bounds; joint arrays in the order of Joint, angles on the output side."""
 
     monitors: MonitorParams
     arm: Arm

@@ -133,7 +133,7 @@ def estimate_force_error(bounds: ProtectionBounds, arm: ArmStatus, press: PressS
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ApproachState:
-    """Frozen record of the sensorless contact monitor from cycle to cycle of an approach."""
+    """Sensorless contact monitor from cycle to cycle of an approach."""
 
     rad_per_N: Array
     """Wind-up of each gear per newton; 0 for a joint that shows nothing, (5,)."""

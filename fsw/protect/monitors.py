@@ -51,7 +51,7 @@ ALL_ZERO: Final = Counts()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MonitorState:
-    """Frozen record of what monitors remember from cycle to cycle."""
+    """Memory of the monitors from cycle to cycle."""
 
     counts: Counts = ALL_ZERO
     cycle: int | None = None

@@ -87,7 +87,7 @@ EventKey = tuple[type[Evr], object]
 
 @dataclass(frozen=True, slots=True)
 class StandingFault:
-    """Frozen record of a fault that the ground has not cleared: its mode and what has been reported since."""
+    """Fault that the ground has not cleared: its mode and what has been reported since."""
 
     mode: Mode
     """Mode in which the fault happened."""
@@ -102,7 +102,7 @@ class StandingFault:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decision:
-    """Frozen record of what is done about the events of a cycle."""
+    """Responses to the events of a cycle."""
 
     response: Response | None
     """None where the move goes on as it is."""

@@ -106,7 +106,7 @@ def _check_value(field: Field, option: Option, value: Any) -> None:
         return
     least, most = option.within
     if most is None and value < least:
-        raise BadRequest(f"{field.label}: {value} must not be negative")
+        raise BadRequest(f"{field.label}: {_format(value)} is below {_format(least)}")
     if most is not None and not least <= value <= most:
         raise BadRequest(f"{field.label}: {_format(value)} is not within {_format(least)} .. {_format(most)}")
 

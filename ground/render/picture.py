@@ -32,7 +32,7 @@ class PictureError(BadRequest):
 
 @dataclass(frozen=True, slots=True)
 class PictureResult:
-    """Frozen record of a picture or movie: its file, and the renderer that drew it."""
+    """Picture or movie: its file, and the renderer that drew it."""
 
     path: Path | None
     """None if there is no picture."""

@@ -52,7 +52,7 @@ class LogNotWritten(Evr):
 
 @dataclass(frozen=True, slots=True)
 class Artifacts:
-    """Frozen record of the files that a run wrote."""
+    """Files that a run wrote."""
 
     picture: PictureResult | None
     movie: PictureResult | None
@@ -67,6 +67,9 @@ def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[Initialisat
 
     Returns:
         The result of each joint; only the last one may have failed.
+
+    Raises:
+        Exception: the one that ended flight software.
     """
     stops: list[InitialisationResult] = []
     for run in initialise_joints(arm, seed=seed):
@@ -243,7 +246,7 @@ def save_artifacts(
 
 @dataclass(frozen=True, slots=True)
 class Execution(Generic[Result]):
-    """Frozen record of a run that was carried out."""
+    """Run that was carried out."""
 
     result: Result
     params_sha256: str

@@ -35,7 +35,7 @@ EXPECTED_S: Final = 1500.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HardstopReport:
-    """Frozen record of the runs of a request."""
+    """Runs of a request."""
 
     request: HardstopRequest
     runs: tuple[InitialisationResult, ...]
@@ -51,7 +51,7 @@ class HardstopReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HardstopJob:
-    """Frozen record of a checked request."""
+    """Checked request."""
 
     joints: tuple[Joint, ...]
     arm: BuiltArm
@@ -169,7 +169,7 @@ def _run_all_joints(request: HardstopRequest, job: HardstopJob, progress: Progre
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StopPlan:
-    """Frozen record of the planned poses on Mars or Earth, with their joint torques and clearance."""
+    """Planned poses on Mars or Earth, with their joint torques and clearance."""
 
     place: str
     """Planet and turret, for the report."""

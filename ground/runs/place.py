@@ -32,7 +32,7 @@ from sim.world import Surface, World, inside_rover
 
 @dataclass(frozen=True, slots=True)
 class PlaceJob:
-    """Frozen record of a checked request."""
+    """Checked request."""
 
     arm: BuiltArm
     world: World
@@ -59,7 +59,7 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
     )
     effects = parse_effects(request.effects)
     arm = select_arm(request.arm, request.params).with_effects(effects)
-    level = make_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
+    level = make_world("mars", request.tilt_roll_deg, request.tilt_pitch_deg)
     world = replace(level, surface=Surface(request.target_m, normal))
     if inside_rover(request.target_m):
         raise BadRequest(
@@ -84,7 +84,7 @@ def _parse_tool(name: str) -> Tool:
 
 @dataclass(frozen=True, slots=True)
 class PlaceReport:
-    """Frozen record of a placement."""
+    """Placement that was carried out."""
 
     request: PlaceRequest
     execution: Execution[PlacementResult]

@@ -22,7 +22,7 @@ WhenDiskFull = Literal["go-on", "stop"]
 
 @dataclass(frozen=True, slots=True)
 class RunFiles:
-    """Frozen record of the files that a run writes; None for each that it does not."""
+    """Files that a run writes; None for each that it does not."""
 
     log: Annotated[Path | None, Option("Write a telemetry log (MCAP).", "FILE.mcap", suffixes=(".mcap",))] = (
         None
@@ -47,7 +47,7 @@ NO_FILES: Final = RunFiles()
 
 @dataclass(frozen=True, slots=True)
 class PlaceRequest:
-    """Frozen record of the options of `marsarm place`."""
+    """Options of `marsarm place`."""
 
     tool: Annotated[str, Option("apxs, mahli, drt or drill.", "TOOL")] = "apxs"
     target_m: Annotated[Vector, Option("Point on the surface, RNAV, in metres.", "X Y Z", "--target")] = (
@@ -59,7 +59,6 @@ class PlaceRequest:
     tilt_roll_deg: RollOption = 0.0
     tilt_pitch_deg: PitchOption = 0.0
     arm: ArmOption = "nominal"
-    scene: Literal["mars", "earth"] = "mars"
     seed: SeedOption = 0
     params: ParamsOption = None
     effects: EffectsOption = ()
@@ -72,7 +71,7 @@ class PlaceRequest:
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """Frozen record of the options of `marsarm run`; None takes the value of the scenario."""
+    """Options of `marsarm run`; None takes the value of the scenario."""
 
     scenario: Annotated[
         str,
@@ -100,7 +99,7 @@ class RunRequest:
 
 @dataclass(frozen=True, slots=True)
 class HardstopRequest:
-    """Frozen record of the options of `marsarm hardstop`."""
+    """Options of `marsarm hardstop`."""
 
     joint: Annotated[
         str | None, Option("azimuth, elevation, elbow, wrist or turret; all if not given.", "NAME")
@@ -115,7 +114,7 @@ class HardstopRequest:
         ),
     ] = 1
     arm: ArmOption = "nominal"
-    scene: Annotated[str, Option("mars or earth.", "mars|earth")] = "mars"
+    scene: Annotated[Literal["mars", "earth"], Option("mars or earth.", "mars|earth")] = "mars"
     tilt_roll_deg: RollOption = 0.0
     tilt_pitch_deg: PitchOption = 0.0
     turret: Annotated[

@@ -20,7 +20,7 @@ from sim.sequence import Outcome
 
 @dataclass(frozen=True, slots=True)
 class RunReport:
-    """Frozen record of the run of a scenario."""
+    """Run of a scenario."""
 
     request: RunRequest
     scenario: Scenario

@@ -44,7 +44,7 @@ Offsets = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MessageBatch:
-    """Frozen record of all messages of some chunks, in the order of the file."""
+    """Messages of some chunks, in the order of the file."""
 
     data: NDArray[np.uint8]
     """Decompressed chunks, one after the other, shape (bytes,)."""

@@ -79,7 +79,7 @@ class ActiveEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hardware:
-    """Frozen record of avionics and sensors; joint arrays in the order of Joint."""
+    """Avionics and sensors; joint arrays in the order of Joint."""
 
     rad_per_count: Array
     """True encoder scale, output side; flight software may use another one."""

@@ -188,7 +188,7 @@ class Injection:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """Frozen record of a run without the seed of its arm."""
+    """Run without the seed of its arm."""
 
     name: str
     title: str

@@ -24,7 +24,7 @@ NO_MOTION: Joints5 = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class ScenarioResult:
-    """Frozen record of the outcome of a scenario."""
+    """Outcome of a scenario."""
 
     outcome: Outcome
     command: int

@@ -61,7 +61,7 @@ def beyond(distance_m: float) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceRun:
-    """Frozen record of a reference run."""
+    """Reference run."""
 
     name: str
     start_deg: tuple[float, ...] | None

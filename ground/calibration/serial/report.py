@@ -227,7 +227,7 @@ def _draw_errors(axes: Any, report: SerialReport) -> None:
     axes.text(count, 0.02, " held out", transform=axes.get_xaxis_transform())
     axes.text(count, 0.02, "fitted ", transform=axes.get_xaxis_transform(), ha="right")
     axes.set(xlabel="pose, in order of time", ylabel="position error [mm]", yscale="log", ylim=(0.005, 10))
-    axes.set_title(f"{report.arm.name}: distance of the target from where the model has it")
+    axes.set_title(f"{report.arm.name}: distance between the measured and the predicted target")
     axes.legend(markerscale=5, loc="upper left", ncols=3, fontsize="small")
 
 

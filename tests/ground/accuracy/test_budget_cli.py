@@ -71,7 +71,7 @@ def test_the_page_is_one_file_with_its_pictures_in_it(report, tmp_path):
         ({"case": "venus"}, "case: 'venus' is not known; there are accuracy, repeatability, mars"),
         ({"tool": "spoon"}, "tool: 'spoon' is not known; there are drill"),
         ({"poses": 3}, "poses: 3 is not within 100 .. 200000"),
-        ({"seed": -1}, "seed: -1 must not be negative"),
+        ({"seed": -1}, "seed: -1 is below 0"),
         ({"gravity": "moon"}, "gravity: 'moon' is not known"),
         ({"report": Path("page.txt")}, "its name must end in .html"),
         ({"params": Path("none.toml")}, "none.toml: cannot be read"),

@@ -157,7 +157,7 @@ def test_an_interval_without_an_end_is_null_in_the_document(report):
         ({"places": 0}, "places: 0 is not within"),
         ({"workers": 0}, "workers: 0 is not within"),
         ({"only": 150}, "only: 150 is not within 0 .. 149"),
-        ({"seed": -1}, "seed: -1 must not be negative"),
+        ({"seed": -1}, "seed: -1 is below 0"),
         ({"params": Path("none.toml")}, "none.toml: cannot be read"),
         ({"report": Path("page.txt")}, "its name must end in .html"),
         ({"results": Path("results.csv")}, "its name must end in .jsonl"),

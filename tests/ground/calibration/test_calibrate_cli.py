@@ -68,7 +68,7 @@ WRONG = [
     (CalibrateRequest(), "give --arm ARM"),
     (CalibrateRequest(arm="as-built:1", poses=3), "poses: 3 is not within 24"),
     (CalibrateRequest(arm="as-new:1"), "not known"),
-    (CalibrateRequest(arm="nominal", seed=-1), "must not be negative"),
+    (CalibrateRequest(arm="nominal", seed=-1), "is below 0"),
     (CalibrateRequest(arm="nominal", tracker_um=(0.0, 0.0)), "tracker: its noise"),
 ]
 

@@ -82,7 +82,7 @@ class Request:
     ("request_", "sentence"),
     [
         (Request(size=3.0), "size: 3 is not within 0.5 .. 2"),
-        (Request(seed=-1), "seed: -1 must not be negative"),
+        (Request(seed=-1), "seed: -1 is below 0"),
         (Request(kind="c"), "kind: 'c' is not known; there are a, b"),
         (Request(files=Files(Path("out.txt"))), "out out.txt: its name must end in .csv"),
         (

@@ -24,7 +24,7 @@ def blind(folder: Path, *words: str) -> Ran:
         (("record", "--out", "logs", "--effect", "rusty-gear"), "'rusty-gear' is not known"),
         (("make", "--cases", "0", "--out", "b"), "cases: 0 is not within 1 .. 1000"),
         (("make", "--cases", "-3", "--out", "b"), "cases: -3 is not within"),
-        (("make", "--seed", "-1", "--out", "b"), "seed: -1 must not be negative"),
+        (("make", "--seed", "-1", "--out", "b"), "seed: -1 is below 0"),
         (("make", "--jobs", "0", "--out", "b"), "jobs: 0 is not 1 or more"),
         (("make", "--out", "no/b"), "there is no folder no"),
         (("make", "--out", "b" * 300), "cannot be written (File name too long)"),

@@ -109,7 +109,7 @@ def test_with_json_there_is_one_document(tmp_path):
 BAD = {
     "no samples": (("--samples", "0"), "samples: 0 is not within 1 .. 1000000"),
     "too many samples": (("--samples", "1" + 30 * "0"), "is not within 1 .. 1000000"),
-    "negative seed": (("--seed", "-1"), "seed: -1 must not be negative"),
+    "negative seed": (("--seed", "-1"), "seed: -1 is below 0"),
     "no such tool": (("--tool", "spoon"), "tool: 'spoon' is not known"),
     "no such compensation": (("--compensate", "relative"), "compensate: 'relative' is not known"),
     "too much tilt": (("--tilt-pitch", "-31"), "up to 30 deg"),

@@ -81,7 +81,7 @@ def test_all_joints_one_after_the_other_as_flight_software_does_it(tmp_path):
         (["--temperature", "nan"], "temperature: nan degC"),
         (["--scene", "moon"], "scene: 'moon' is not known"),
         (["--arm", "bent"], "arm 'bent' is not known"),
-        (["--seed", "-1"], "seed: -1 must not be negative"),
+        (["--seed", "-1"], "seed: -1 is below 0"),
         (["--tilt-roll", "40"], "tilt"),
         (["--picture", "x.jpg"], "its name must end in .png"),
         (["--start", "0", "0", "0", "0", "0"], "start: is for one joint, once"),

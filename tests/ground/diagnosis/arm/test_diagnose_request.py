@@ -55,7 +55,7 @@ def test_no_log_counts_as_its_own_repeat(folder):
         ),
         ({"catalogue": ""}, "'' is not known"),
         ({"catalogue": "sensor-fault"}, "sensor-fault is an effect"),
-        ({"seed": -1}, "must not be negative"),
+        ({"seed": -1}, "is below 0"),
         ({"campaign": "none"}, "campaign .*none: there is no such folder"),
         ({"effects": ("rusty-gear",)}, "'rusty-gear' is not known"),
         ({"params": "other.mcap"}, "is not TOML"),
