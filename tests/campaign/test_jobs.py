@@ -5,7 +5,6 @@ import pytest
 from sim.arms import arm_named
 from sim.initialisation import true_reference
 from sim.scenario.file import built_in_scenarios
-from tests.marks import slow_but
 from validation.scenarios import run_scenario_on
 from validation.tool_change import ToolChangeErrors, one_target
 
@@ -17,7 +16,8 @@ ARMS = ("calibrated:1", "calibrated:2", "calibrated:3")
 JOBS = [(arm, name) for arm in ARMS for name in sorted(built_in_scenarios())]
 
 
-@pytest.mark.parametrize(("arm_name", "name"), slow_but(JOBS, ("calibrated:1", "bit-exchange")))
+@pytest.mark.slow
+@pytest.mark.parametrize(("arm_name", "name"), JOBS)
 def test_a_job_is_done_on_an_arm_whose_parameters_are_its_own(arm_name, name, request):
     if (arm_name, name) in MISSES:
         request.applymarker(pytest.mark.xfail(strict=True, reason="a release leaves force across the tool"))

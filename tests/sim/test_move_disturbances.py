@@ -93,6 +93,7 @@ def test_flight_software_does_not_see_where_its_encoders_are_wrong():
     )
 
 
+@pytest.mark.slow
 def test_what_presses_on_something_stays_where_it_is():
     point, normal = (2.1, 0.2, -0.3), (-0.3, 0.0, -1.0)
     world = World(surface=Surface(point, normal))

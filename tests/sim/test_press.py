@@ -82,6 +82,7 @@ def until_at_rest(loop: ClosedLoop) -> list:
             return evrs
 
 
+@pytest.mark.slow
 def test_a_rock_that_gives_way_ends_a_press_without_refusing_what_comes_then():
     loop = half_pressed()
     loop = loop.fork((RockGone(loop.plant.data.time),))

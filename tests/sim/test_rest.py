@@ -55,7 +55,8 @@ def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_s
     assert lab.tool_distance_mm(coarse, fine) < STOPPED_MM
 
 
-@pytest.mark.parametrize("world", slow_but(WORLDS.values(), WORLDS["mars, 25 deg"]), ids=WORLDS)
+@pytest.mark.slow
+@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
 def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world: World) -> None:
     goal = tuple(float(a) for a in np.radians([5.0, -55.0, 115.0, 135.0, 95.0]))
     coarse, fine = (move_arm(world, step_s, goal) for step_s in (None, FINE_S))

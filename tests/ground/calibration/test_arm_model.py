@@ -39,6 +39,7 @@ def model():
     return arm_model(NOMINAL, poses)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_finite_differences(model):
     x = some_numbers(0)
     exact = model(x).jacobian

@@ -21,6 +21,7 @@ from tests.ground.calibration.lab import NOMINAL, calibration, campaign
 SEEDS = (1, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_as_built_arm_is_calibrated(seed):
     check_data(NOMINAL, campaign(seed))

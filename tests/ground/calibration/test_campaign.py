@@ -20,6 +20,7 @@ ZERO_RAD = 3e-4
 """Tolerance of an encoder zero from a hardstop; at two metres it is 0.6 mm."""
 
 
+@pytest.mark.slow
 def test_the_papers_campaign_is_planned():
     assert [(g.turret_kg, round(np.degrees(g.roll_rad)), g.count) for g in PAPER_GROUPS] == [
         (8.0, 0, 40),

@@ -144,6 +144,7 @@ def test_a_size_at_its_bound_is_no_finding(made, rng):
     assert 4 not in select_effects(bounded.candidates, case).ranking
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [1.0, 2.5])
 def test_a_nonlinear_effect_is_fitted(rng, times):
     """Within the simulated steps the parabola suffices; beyond them the simulator is needed."""

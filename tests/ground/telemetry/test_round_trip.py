@@ -39,6 +39,7 @@ def assert_holds(log: Log, cycles: list[CycleRecord]) -> None:
             assert logged.tobytes() == np.asarray(value).tobytes(), f"{topic} {name} in cycle {row}"
 
 
+@pytest.mark.slow
 @settings(derandomize=True, deadline=None, max_examples=40)
 @given(data=st.data(), n=st.integers(1, 3))
 def test_any_bits_come_back(make: Any, tmp_path_factory: pytest.TempPathFactory, data: Any, n: int) -> None:

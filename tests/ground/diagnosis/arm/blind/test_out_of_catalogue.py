@@ -1,6 +1,7 @@
 """At rest, the simulated plant agrees with statics for effects that statics include."""
 
 import numpy as np
+import pytest
 
 from fsw.dictionary.enums import Frame, Joint
 from ground.diagnosis.arm.feature_set import build_feature_set, simulate_features
@@ -14,6 +15,7 @@ from validation.blind.out_of_catalogue import change
 BASE = nominal_params()
 
 
+@pytest.mark.slow
 def test_it_agrees_with_statics(recordings: list[Recording]) -> None:
     campaign = build_feature_set(recordings[:1])
     for effect in (LinkLength(Frame.ARM3, "x", 1e-3), ResolverBias(Joint.ELBOW, 1e-3)):
