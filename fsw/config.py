@@ -22,6 +22,8 @@ class Config:
     params: Params
     params_sha256: str
     arm: Arm
+    farthest_tool: str
+    """Tool at the greatest distance from the turret axis."""
     collision_geometry: CollisionGeometry
     """Shapes of the arm, the rover and the ground."""
     protection: ProtectionBounds
@@ -63,6 +65,7 @@ def configure(params: Params) -> Config:
         params=params,
         params_sha256=digest(params),
         arm=arm,
+        farthest_tool=max(arm.X_FT, key=lambda name: float(np.hypot(*arm.X_FT[name].p[:2]))),
         collision_geometry=build_collision_geometry(params, arm),
         protection=compute_bounds(params, arm, CYCLE_S),
         rad_per_count=np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints]),

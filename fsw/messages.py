@@ -17,7 +17,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensors:
-    """Readings of the avionics at the start of a cycle; arrays in the order of Joint and Switch."""
+    """Readings of the avionics at the start of a cycle; arrays in the order of joints and switches."""
 
     cycle: int
     """Cycle counter of the avionics, with any start; a step of more than one means missed cycles."""

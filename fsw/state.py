@@ -7,7 +7,7 @@ import numpy as np
 from fsw.config import Config
 from fsw.dictionary.channels import JointChannels
 from fsw.dictionary.commands import Command
-from fsw.dictionary.enums import Mode, Tool
+from fsw.dictionary.enums import Mode
 from fsw.estimate.joints import JointEstimate, LoadEstimate, no_load, uninitialised_estimate
 from fsw.estimate.reference import Reference, no_reference
 from fsw.kinematics.transforms import Array
@@ -43,7 +43,7 @@ class State:
 
     tick: int
     mode: Mode
-    tool: Tool
+    tool: str
     """Tool of the last tool command; the tool channels refer to it."""
     joints: JointEstimate
     load: LoadEstimate
@@ -78,7 +78,7 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
     return State(
         tick=0,
         mode=mode,
-        tool=Tool.DRILL,
+        tool=config.params.tools[0].name,
         joints=uninitialised_estimate(config, no_reference(config) if reference is None else reference),
         load=no_load(n),
         planned_backlash_rad=np.zeros(n),

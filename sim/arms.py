@@ -1,13 +1,13 @@
 """Arms that can be simulated, by name, and their random manufacturing tolerances."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Row6, row6
 from sim.effects.effect import Effect, params_with_effects
@@ -76,9 +76,11 @@ def arm_named(name: str, params: Params | None = None) -> BuiltArm:
     if match is None:
         raise UnknownArm(f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED")
     seed = int(match[2])
-    effects = draw_tolerances(seed)
+    effects = draw_tolerances(flight_params.tool_names, seed)
     if match[1] == "calibrated":
-        flight_params = params_with_effects((*effects, *draw_calibration_errors(seed)), flight_params)
+        flight_params = params_with_effects(
+            (*effects, *draw_calibration_errors(flight_params.tool_names, seed)), flight_params
+        )
     return BuiltArm(name, effects, replace(flight_params, arm_name=name))
 
 
@@ -87,11 +89,11 @@ def effects_of_run(effects: Iterable[Effect]) -> tuple[Effect, ...]:
     return tuple(effect for effect in effects if not effect.built_in)
 
 
-def draw_tolerances(seed: int) -> tuple[Effect, ...]:
+def draw_tolerances(tools: Sequence[str], seed: int) -> tuple[Effect, ...]:
     """Draw the manufacturing tolerances of an as-built arm."""
     rng = np.random.default_rng([seed, 0])
     effects: list[Effect] = []
-    for frame, tool in _all_frames():
+    for frame, tool in _all_frames(tools):
         effects.append(FrameError(frame, _draw_screw(rng, FRAME_SIGMA_RAD, FRAME_SIGMA_M), tool))
     for joint in Joint:
         effects.append(HardstopAngle(joint, -ZERO_SIGMA_RAD * rng.standard_normal()))
@@ -109,11 +111,11 @@ def draw_tolerances(seed: int) -> tuple[Effect, ...]:
     return tuple(effects)
 
 
-def draw_calibration_errors(seed: int) -> tuple[Effect, ...]:
+def draw_calibration_errors(tools: Sequence[str], seed: int) -> tuple[Effect, ...]:
     """Draw the errors that flight parameters of arm `seed` keep after a calibration."""
     rng = np.random.default_rng([seed, 1])
     effects: list[Effect] = []
-    for frame, tool in _all_frames():
+    for frame, tool in _all_frames(tools):
         determined = np.isin(np.arange(6), IDENTIFIABLE_AXES[frame])
         screw = np.where(
             determined, _draw_screw(rng, CALIBRATED_FRAME_SIGMA_RAD, CALIBRATED_FRAME_SIGMA_M), 0.0
@@ -127,9 +129,9 @@ def draw_calibration_errors(seed: int) -> tuple[Effect, ...]:
     return tuple(effects)
 
 
-def _all_frames() -> list[tuple[Frame, Tool | None]]:
-    inner: list[tuple[Frame, Tool | None]] = [(frame, None) for frame in Frame if frame is not Frame.TOOL]
-    return inner + [(Frame.TOOL, tool) for tool in Tool]
+def _all_frames(tools: Sequence[str]) -> list[tuple[Frame, str | None]]:
+    inner: list[tuple[Frame, str | None]] = [(frame, None) for frame in Frame if frame is not Frame.TOOL]
+    return inner + [(Frame.TOOL, tool) for tool in tools]
 
 
 def _draw_factor(rng: np.random.Generator, sigma: float) -> float:

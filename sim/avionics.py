@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.enums import Joint, Switch
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Counts, Flags, Sensors
 from sim.effects.effect import (
@@ -35,7 +35,7 @@ class Avionics:
     def __init__(self, plant: Plant, hardware: Hardware, rng: np.random.Generator):
         model = plant.model
         motors = plant.at.actuators
-        switches = [model.sensor(switch.name.lower()).id for switch in Switch]
+        switches = [model.sensor(switch.lower()).id for switch in plant.switches]
         self._plant = plant
         self._hardware = hardware
         self._rng = rng
@@ -46,7 +46,7 @@ class Avionics:
         self._winding_rise_K = np.zeros(len(motors))
         self._winding_time_s = plant.data.time
         self._touch = as_slice(model.sensor_adr[switches])
-        self._closed = np.zeros(len(Switch), bool)
+        self._closed = np.zeros(len(plant.switches), bool)
         self._brake_cycles = np.rint(hardware.brake_delay_s * CYCLE_HZ).astype(int)
         self._pending: dict[int, tuple[int, bool]] = {}
         self._drive: ActuatorCommand | None = None

@@ -5,7 +5,6 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from fsw.dictionary.enums import Tool
 from fsw.kinematics.transforms import Array
 from sim.frames import FLIP
 from sim.plant import Plant
@@ -18,20 +17,20 @@ def tool_forces(plant: Plant) -> Array:
     """Compute the contact force on each tool, friction included.
 
     Returns:
-        Forces [N] in RMECH axes, shape (5, 3), in the order of Tool.
+        Forces [N] in RMECH axes, shape (n, 3), in the order of the tools.
     """
     model, data = plant.model, plant.data
-    total = np.zeros((len(Tool), 3))
+    total = np.zeros((len(plant.tools), 3))
     if data.ncon == 0:
         return total
     wrench = np.zeros(6)
     bodies = model.geom_bodyid[data.contact.geom]
-    for tool in Tool:
-        is_tool = bodies == model.body(tool.name.lower()).id
+    for n, tool in enumerate(plant.tools):
+        is_tool = bodies == model.body(tool.lower()).id
         for k in np.flatnonzero(is_tool.any(axis=1)):
             mujoco.mj_contactForce(model, data, k, wrench)
             force_W = data.contact.frame[k].reshape(3, 3).T @ wrench[:3]  # of the first geom on the second
-            total[tool] += FLIP * force_W * (1.0 if is_tool[k, 1] else -1.0)
+            total[n] += FLIP * force_W * (1.0 if is_tool[k, 1] else -1.0)
     return total
 
 

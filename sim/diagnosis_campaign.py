@@ -12,7 +12,7 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.commands import Command, GuardedMove, MoveJoint, MoveJoints, Preload, SetParam
-from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.reference import Reference
@@ -66,11 +66,8 @@ SESSION_SETTLE_S: Final = 8.0
 """Time on the brakes before a session; longer changes every reading by less than its noise."""
 SESSION_REST_S: Final = 1.0
 """Rest before and after a motion."""
-PLACEMENTS: Final = (
-    ("place-drill", Tool.DRILL, (0.0, -50.0, 100.0, 130.0, 90.0)),
-    ("place-apxs", Tool.APXS, (0.0, -50.0, 100.0, 130.0, 90.0)),
-)
-"""Names, tools, and the poses [deg] from which a rock is touched."""
+TOUCHING_DEG: Final = (0.0, -50.0, 100.0, 130.0, 90.0)
+"""Pose from which a rock is touched."""
 HELD_OUT_SESSIONS: Final = (
     "poses-level-5",
     "poses-level-8",
@@ -178,26 +175,27 @@ def coordinated_sessions() -> list[DiagnosisSession]:
 
 
 def placement_sessions(params: Params) -> list[DiagnosisSession]:
-    """List placements, each on a rock in front of the modelled position of the tool."""
+    """List placements of the first and the last tool with switches, each on a rock in front of the tool."""
     config, sessions = configure(params), []
-    for name, tool, pose_deg in PLACEMENTS:
-        start = np.radians(pose_deg)
+    touching = [tool for tool, switches in params.tool_switches.items() if switches]
+    for tool in dict.fromkeys((touching[0], touching[-1])):
+        start = np.radians(TOUCHING_DEG)
         gravity = World("mars").gravity_N_m_s2
         flank = np.sign(settle_output(config.arm, start, gravity).torque_Nm)
         deflected = settle(config.arm, start, flank * config.half_backlash_rad, gravity)
         X_RT = tool_pose(config.arm, deflected.frames, tool)
-        sessions.append(placement_session(name, tool, start, X_RT.p, X_RT.R[:, 0]))
+        sessions.append(placement_session(f"place-{tool.lower()}", tool, start, X_RT.p, X_RT.R[:, 0]))
     return sessions
 
 
 def placement_session(
-    name: str, tool: Tool, start_rad: Array, p_RoTo_R_m: Array, approach_R: Array
+    name: str, tool: str, start_rad: Array, p_RoTo_R_m: Array, approach_R: Array
 ) -> DiagnosisSession:
     """Make a session that places a tool on a rock in front of it and presses.
 
     Args:
         name: Name of session and block.
-        tool: Tool that touches.
+        tool: str that touches.
         start_rad: Output angles at the start, shape (5,).
         p_RoTo_R_m: Position of the tool at the start, shape (3,).
         approach_R: Approach of the tool at the start, unit vector, shape (3,).

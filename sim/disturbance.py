@@ -1,53 +1,55 @@
 """Disturbances of the plant: those of each control cycle, and those that are drawn for each move."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.transforms import Array
 
-FRAME_BODIES: Final = (
-    *("arm1", "link2", "link3", "link4", "link5", "turret"),
-    *(tool.name.lower() for tool in Tool),
-)
-"""Bodies of the plant that represent the frames Arm1 to Arm6 and the tool frames."""
+LINK_BODIES: Final = ("arm1", "link2", "link3", "link4", "link5", "turret")
+"""Bodies of the plant that represent the frames Arm1 to Arm6."""
+NO_SCREW: Final = np.zeros(6)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveDisturbance:
     """Displacements of frames, gears and motors from a move on; they add up."""
 
-    screw: Array
-    """Displacement of each of FRAME_BODIES in its own axes, rotation first [rad, m], shape (6, 11)."""
+    screws: Mapping[str, Array]
+    """Displacement of each displaced frame body in its own axes, rotation first [rad, m], shape (6,)."""
     gear_rad: Array
     """Output angles beyond backlash and wind-up, shape (5,)."""
     motor_rad: Array
     """Motor angles beyond those that the encoders read, output side, shape (5,)."""
 
     def __add__(self, other: "MoveDisturbance") -> "MoveDisturbance":
-        return MoveDisturbance(
-            self.screw + other.screw, self.gear_rad + other.gear_rad, self.motor_rad + other.motor_rad
-        )
+        screws = {name: self.screw(name) + other.screw(name) for name in {**self.screws, **other.screws}}
+        return MoveDisturbance(screws, self.gear_rad + other.gear_rad, self.motor_rad + other.motor_rad)
+
+    def screw(self, body: str) -> Array:
+        """Return the displacement of a frame body, shape (6,); 0 if it is not displaced."""
+        return self.screws.get(body, NO_SCREW)
 
 
 def no_move_disturbance() -> MoveDisturbance:
     """Return a disturbance without displacement."""
-    return MoveDisturbance(np.zeros((6, len(FRAME_BODIES))), np.zeros(len(Joint)), np.zeros(len(Joint)))
+    return MoveDisturbance({}, np.zeros(len(Joint)), np.zeros(len(Joint)))
 
 
-def body_index(frame: Frame, tool: Tool | None) -> int:
-    """Return the index in FRAME_BODIES of a frame.
+def frame_body(frame: Frame, tool: str | None) -> str:
+    """Return the body of the plant that represents a frame.
 
     Raises:
         ValueError: the frame is TOOL and there is no tool.
     """
     if frame is not Frame.TOOL:
-        return int(frame)
+        return LINK_BODIES[frame]
     if tool is None:
         raise ValueError("an effect at TOOL names its tool")
-    return int(Frame.TOOL) + tool
+    return tool.lower()
 
 
 def _no_change() -> Array:

@@ -4,6 +4,7 @@ import json
 import os
 import tomllib
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import asdict
 from datetime import date, time
 from functools import lru_cache
@@ -18,6 +19,9 @@ from fsw.dictionary.validity import check_arm, check_limits
 
 MAX_BYTES: Final = 1_000_000
 """Largest size of a file, seventy times that of all parameters."""
+
+NAMED: Final = ("tools", "switches", "collision.rover")
+"""Tables of a parameter file whose keys are names of records."""
 
 
 class BadParams(ValueError):
@@ -44,7 +48,17 @@ def params_over(params: Params, path: Path) -> Params:
     Raises:
         BadParams: the file cannot be read, or names or values in it are wrong.
     """
-    return _validate(_merge(asdict(params), _read_toml(path)), str(path))
+    return _validate(_merge(params_table(params), _read_toml(path)), str(path))
+
+
+def params_table(params: Params) -> dict[str, Any]:
+    """Return parameters as tables, as they stand in a TOML file: records with a name by their names."""
+    table = asdict(params)
+    for place in NAMED:
+        owner, key = _owner(table, place)
+        owner[key] = {str(record.pop("name")).lower(): record for record in owner[key]}
+    table["switches"] = {name: record["tool"].lower() for name, record in table["switches"].items()}
+    return table
 
 
 def check_params(params: Params, name: str) -> None:
@@ -90,13 +104,60 @@ def _merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 def _validate(table: dict[str, Any], name: str) -> Params:
     _refuse(name, _find_dates(table))
+    listed = _list_named(table)
     try:
-        params = _ADAPTER.validate_json(json.dumps(table), strict=True, extra="forbid")
+        params = _ADAPTER.validate_json(json.dumps(listed), strict=True, extra="forbid")
     except ValidationError as error:
-        lines = [f"{name}: {'.'.join(str(p) for p in e['loc'])}: {_error_text(e)}" for e in error.errors()]
+        lines = [f"{name}: {_place(listed, e['loc'])}: {_error_text(e)}" for e in error.errors()]
         raise BadParams("\n".join(lines)) from error
     check_params(params, name)
     return params
+
+
+def _list_named(table: dict[str, Any]) -> dict[str, Any]:
+    """Replace tables of named records by lists of them, in the order of the file."""
+    listed = deepcopy(table)
+    for place in NAMED:
+        owner, key = _owner(listed, place)
+        if isinstance(owner.get(key), dict):
+            owner[key] = [_named_record(place, name, value) for name, value in owner[key].items()]
+    return listed
+
+
+def _owner(table: dict[str, Any], place: str) -> tuple[dict[str, Any], str]:
+    """Return the table that holds the last key of a dotted place, and that key."""
+    *path, key = place.split(".")
+    for name in path:
+        inner = table.get(name)
+        table = inner if isinstance(inner, dict) else {}
+    return table, key
+
+
+def _named_record(place: str, name: str, value: Any) -> Any:
+    if place == "switches":
+        return {"name": name.upper(), "tool": value.upper() if isinstance(value, str) else value}
+    if not isinstance(value, dict):
+        return value
+    if place == "tools":
+        return {"title": name.replace("_", " "), **value, "name": name.upper()}
+    return {**value, "name": name}
+
+
+def _place(listed: dict[str, Any], location: tuple[int | str, ...]) -> str:
+    """Return the dotted place of an error, with the names of named records in place of their indices."""
+    names: list[str] = []
+    value: Any = listed
+    for key in location:
+        value = (
+            value.get(key)
+            if isinstance(value, dict)
+            else value[int(key)]
+            if isinstance(value, list)
+            else None
+        )
+        is_named = isinstance(key, int) and isinstance(value, dict) and "name" in value
+        names.append(str(value["name"]).lower() if is_named else str(key))
+    return ".".join(names)
 
 
 def _refuse(name: str, problems: Iterator[str]) -> None:

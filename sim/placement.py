@@ -7,7 +7,7 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command, GuardedMove, MoveTool, Retract, Unstow
-from fsw.dictionary.enums import Mode, Tool
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import BranchChosen, CommandCompleted, ContactMade, Evr
 from fsw.dictionary.types import Vector3, vector3
 from fsw.kinematics.transforms import angle_between, normalize
@@ -21,7 +21,7 @@ from sim.sequence import Outcome, observe_cycles, run_sequence, stop_sequence
 class Placement:
     """Placement in RNAV; the normal points out of the surface."""
 
-    tool: Tool
+    tool: str
     target_N_m: Vector3
     normal_N: Vector3
     standoff_m: float = 0.10
@@ -128,10 +128,10 @@ class PlacementRun:
         placement, plant = self._placement, self._loop.plant
         normal = normalize(placement.normal_N)
         target = p_R_from_N(np.array(placement.target_N_m)) + height_m * normal
-        truth = plant.truth()
-        error = truth.p_RoTo_R_m[placement.tool] - target
+        truth, tool = plant.truth(), plant.tools.index(placement.tool)
+        error = truth.p_RoTo_R_m[tool] - target
         along = float(error @ normal)
-        boresight = truth.R_RT[placement.tool][:, 0]
+        boresight = truth.R_RT[tool][:, 0]
         shift = plant.tool_shift(
             placement.tool, plant.backlash_rad() - record.outputs.joint.planned_backlash_rad
         )

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.enums import Joint, Switch, Tool
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Pose, screw_exp
-from sim.disturbance import FRAME_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, no_move_disturbance
+from sim.disturbance import LINK_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, no_move_disturbance
 from sim.frames import FLIP, P_NR_M
 from sim.record import Truth
 
@@ -35,11 +35,6 @@ RESISTANCE, MOTOR_CONSTANT, POSITION_GAIN, RATE_GAIN, GAINS = 0, 1, 4, 6, slice(
 
 REFERENCE_STEP_S = 1 / 2048
 """Time step that the dampers of `arm.xml` are made for."""
-
-TOOL_FLIP_ROWS = np.tile(FLIP[:, None], (len(Tool), 1, 3))
-TOOL_FLIP = np.tile(FLIP, (len(Tool), 1))
-TOOL_P_NR_M = np.tile(P_NR_M, (len(Tool), 1))
-"""Full arrays for axes and origins of all tools: broadcasting would take twice as long."""
 
 
 # MuJoCo would write its warnings to a file in the current directory; Plant.step checks their count
@@ -66,11 +61,11 @@ class Addresses:
     springs: NDArray[np.intp]
     """Springs of rover and links, from the rover outward, shape (5, 6), rotations first."""
     tools: NDArray[np.intp]
-    """Sites, in the order of Tool."""
+    """Sites, in the order of `Plant.tools`."""
     pads: NDArray[np.intp]
-    """Sites of the contact switches, in the order of Switch."""
+    """Sites, in the order of `Plant.switches`."""
     bodies: NDArray[np.intp]
-    """Bodies, in the order of FRAME_BODIES."""
+    """Frame bodies: LINK_BODIES, then those of the tools."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +104,17 @@ class Plant:
             raise ValueError(
                 f"time step {model.opt.timestep} s does not divide the control cycle of 1/{CYCLE_HZ} s"
             )
+        turret = model.body("turret").id
+        self.tools = tuple(model.body(k).name.upper() for k in np.flatnonzero(model.body_parentid == turret))
+        """Names of the tools: the bodies on the turret."""
+        touch = np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH)
+        self.switches = tuple(model.sensor(k).name.upper() for k in touch)
+        """Names of the contact switches, in the order of the sensor word."""
+        self.frame_bodies = (*LINK_BODIES, *(tool.lower() for tool in self.tools))
+        # full arrays for axes and origins of all tools: broadcasting would take twice as long
+        self._flip_rows = np.tile(FLIP[:, None], (len(self.tools), 1, 3))
+        self._flip = np.tile(FLIP, (len(self.tools), 1))
+        self._p_NR_m = np.tile(P_NR_M, (len(self.tools), 1))
         self.at = Addresses(
             motor=np.array([model.joint(f"{name}_motor").qposadr[0] for name in JOINT_NAMES]),
             gear=np.array([model.joint(f"{name}_gear").qposadr[0] for name in JOINT_NAMES]),
@@ -119,9 +125,9 @@ class Plant:
             springs=np.array(
                 [[model.joint(f"{s}_{axis}").qposadr[0] for axis in SCREW_AXES] for s in SPRING_NAMES]
             ),
-            tools=np.array([model.site(tool.name.lower()).id for tool in Tool]),
-            pads=np.array([model.site(switch.name.lower()).id for switch in Switch]),
-            bodies=np.array([model.body(name).id for name in FRAME_BODIES]),
+            tools=np.array([model.site(tool.lower()).id for tool in self.tools]),
+            pads=np.array([model.site(switch.lower()).id for switch in self.switches]),
+            bodies=np.array([model.body(name).id for name in self.frame_bodies]),
         )
         self._built_quat = model.body_quat[self.at.bodies]
         self._built = Pose(rotation_matrices(self._built_quat), model.body_pos[self.at.bodies].T.copy())
@@ -172,9 +178,10 @@ class Plant:
 
     def set_move_disturbance(self, move: MoveDisturbance) -> None:
         """Displace frames and gears from their built positions."""
-        X = self._built @ screw_exp(move.screw)
+        screw = np.stack([move.screw(name) for name in self.frame_bodies], axis=1)
+        X = self._built @ screw_exp(screw)
         quat = self._built_quat.copy()
-        for k in np.flatnonzero(move.screw.any(axis=0)):
+        for k in np.flatnonzero(screw.any(axis=0)):
             mujoco.mju_mat2Quat(quat[k], X.R[:, :, k].ravel())
         self.model.body_pos[self.at.bodies] = X.p.T
         self.model.body_quat[self.at.bodies] = quat
@@ -317,15 +324,15 @@ class Plant:
         current: Array = self._views.motor_torque_Nm / self.torque_constant_Nm_A
         return current
 
-    def tool_shift(self, tool: Tool, output_rad: Array) -> Array:
+    def tool_shift(self, tool: str, output_rad: Array) -> Array:
         """Return the shift [m] of a tool in RMECH, shape (3,), by a small output change, shape (5,)."""
         jacobian = np.zeros((3, self.model.nv))
-        mujoco.mj_jacSite(self.model, self.data, jacobian, None, self.at.tools[tool])
+        mujoco.mj_jacSite(self.model, self.data, jacobian, None, self.at.tools[self.tools.index(tool)])
         shift: Array = FLIP * (jacobian[:, self.at.gear] @ output_rad)
         return shift
 
     def pads_R_m(self) -> Array:
-        """Return the positions of the contact switches in RMECH, (10, 3), of the last call of `truth`."""
+        """Return the positions of the contact switches in RMECH, (n, 3), of the last call of `truth`."""
         p_R_m: Array = FLIP * self.data.site_xpos.take(self.at.pads, 0) - P_NR_M
         return p_R_m
 
@@ -339,8 +346,8 @@ class Plant:
             motor_rad=self.motor_rad(),
             output_rad=self.output_rad(),
             motor_torque_Nm=data.actuator_force.copy(),
-            p_RoTo_R_m=TOOL_FLIP * data.site_xpos.take(tools, 0) - TOOL_P_NR_M,
-            R_RT=TOOL_FLIP_ROWS * data.site_xmat.take(tools, 0).reshape(-1, 3, 3),
+            p_RoTo_R_m=self._flip * data.site_xpos.take(tools, 0) - self._p_NR_m,
+            R_RT=self._flip_rows * data.site_xmat.take(tools, 0).reshape(-1, 3, 3),
             contact_force_N=self._contact_force() if data.ncon else 0.0,
             kinetic_energy_J=float(data.energy[1]),
         )

@@ -8,7 +8,6 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ, Config
 from fsw.dictionary.commands import BacklashMode, Command, MoveJoints
-from fsw.dictionary.enums import Tool
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
@@ -123,7 +122,7 @@ def visit_poses(
 
 def _rest_state(loop: ClosedLoop, goal_rad: Array) -> RestState:
     plant, state = loop.plant, loop.state
-    joints, truth = state.joints, plant.truth()
+    joints, truth, tool = state.joints, plant.truth(), loop.config.farthest_tool
     return RestState(
         goal_rad=goal_rad,
         output_rad=truth.output_rad,
@@ -135,8 +134,8 @@ def _rest_state(loop: ClosedLoop, goal_rad: Array) -> RestState:
         uncertainty_rad=joints.uncertainty_rad,
         load_Nm=state.load.torque_Nm,
         gravity_R_m_s2=joints.gravity_R_m_s2,
-        backlash_shift_m=plant.tool_shift(Tool.DRILL, plant.backlash_rad() - state.planned_backlash_rad),
-        p_RoTo_R_m=truth.p_RoTo_R_m[Tool.DRILL],
+        backlash_shift_m=plant.tool_shift(tool, plant.backlash_rad() - state.planned_backlash_rad),
+        p_RoTo_R_m=truth.p_RoTo_R_m[plant.tools.index(tool)],
     )
 
 
@@ -152,7 +151,8 @@ def random_goals(config: Config, rng: np.random.Generator, count: int) -> list[A
             case 0:
                 goals.append(_random_pose(config, rng))
             case 1 | 2:
-                tool = Tool(int(rng.integers(len(Tool))))
+                tools = config.params.tool_names
+                tool = tools[int(rng.integers(len(tools)))]
                 goals.append(pose_in_workspace(config, rng, tool, BRANCHES))
             case 3:
                 goals.append(goals[-2] if len(goals) > 1 else goals[-1])
@@ -168,7 +168,7 @@ def _random_pose(config: Config, rng: np.random.Generator) -> Array:
 
 
 def pose_in_workspace(
-    config: Config, rng: np.random.Generator, tool: Tool, branches: Collection[str]
+    config: Config, rng: np.random.Generator, tool: str, branches: Collection[str]
 ) -> Array:
     """Draw a target of the workspace until one of these branches is valid, and return its pose.
 

@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 
 from fsw.config import Config, configure
-from fsw.dictionary.enums import Tool
 from fsw.estimate.joints import JointEstimate, uninitialised_estimate
 from fsw.estimate.reference import Reference, no_reference
 from fsw.executive.planning import plan_command
@@ -157,7 +156,7 @@ def _guarded_poses(config: Config, joints: JointEstimate, line: Plan, placement:
 
 
 def _first_collision(
-    plant: Plant, poses: Equilibrium, clearance_m: float, touching: Tool | None = None
+    plant: Plant, poses: Equilibrium, clearance_m: float, touching: str | None = None
 ) -> str | None:
     """Return the first two geoms that come too close at these poses, or None.
 
@@ -174,11 +173,11 @@ def _first_collision(
     return None
 
 
-def _is_intended(names: list[str], touching: Tool | None) -> bool:
+def _is_intended(names: list[str], touching: str | None) -> bool:
     """Return whether a tool touches the rock face with its pads."""
     if touching is None or "rock_face" not in names:
         return False
-    pads = touching.name.lower() + "_"
+    pads = touching.lower() + "_"
     return any(name.startswith(pads) and name.endswith("_pad") for name in names)
 
 
@@ -188,13 +187,13 @@ def _geom_name(model: mujoco.MjModel, geom: int) -> str:
     return name
 
 
-def random_placement(seed: int, arm: BuiltArm, tool: Tool, max_tilt_rad: float) -> tuple[World, Preview]:
+def random_placement(seed: int, arm: BuiltArm, tool: str, max_tilt_rad: float) -> tuple[World, Preview]:
     """Draw placements of random point, normal and tilt until the preview of one has a path.
 
     Args:
         seed: Seed of the draws.
         arm: Arm with its flight parameters.
-        tool: Tool to place.
+        tool: str to place.
         max_tilt_rad: Largest tilt of the rover, in any direction.
     """
     rng = np.random.default_rng([seed, 3])

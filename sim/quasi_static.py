@@ -9,7 +9,7 @@ import numpy as np
 
 from fsw.config import Config
 from fsw.dictionary.commands import BacklashMode
-from fsw.dictionary.enums import Frame, Tool
+from fsw.dictionary.enums import Frame
 from fsw.estimate.gear import LIKELY, bound_gear, bound_loads, clip_to_backlash
 from fsw.estimate.joints import uninitialised_estimate
 from fsw.estimate.reference import Reference
@@ -18,7 +18,7 @@ from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, screw_exp
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan import JointPositions, plan_joint_move
-from sim.disturbance import MoveDisturbance, body_index
+from sim.disturbance import MoveDisturbance, frame_body
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +45,7 @@ def solve_quasi_static_move(
     arm: StaticArm,
     start_rad: Array,
     goal_rad: Array,
-    tool: Tool,
+    tool: str,
     gravity_R_m_s2: Array,
     backlash: BacklashMode,
     disturbance: MoveDisturbance,
@@ -58,7 +58,7 @@ def solve_quasi_static_move(
         arm: True arm and what flight software knows about it.
         start_rad: Estimated output angles before the move, shape (5,).
         goal_rad: Commanded output angles, shape (5,).
-        tool: Tool of the returned pose.
+        tool: str of the returned pose.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
         backlash: Compensation of the backlash.
         disturbance: Displacements of frames, gears and motors in this move.
@@ -85,9 +85,9 @@ def solve_quasi_static_move(
         motor = waypoint_rad + off_rad
     frames = settle_output(true.arm, motor + gear + disturbance.gear_rad, gravity_R_m_s2).frames
     X_RT = tool_pose(true.arm, frames, tool)
-    bodies = [body_index(frame, tool) for frame in Frame]
+    screws = np.stack([disturbance.screw(frame_body(frame, tool)) for frame in Frame], axis=1)
     J = frame_jacobian(frames, X_RT)
-    shift = np.einsum("ikj,kj->i", J, disturbance.screw[:, bodies])
+    shift = np.einsum("ikj,kj->i", J, screws)
     moved = screw_exp(np.concatenate([shift[:3], np.zeros(3)]))
     return QuasiStaticMove(
         Pose(moved.R @ X_RT.R, X_RT.p + shift[3:]), clip_to_backlash(true.half_backlash_rad, gear)

@@ -22,9 +22,9 @@ class Truth:
     motor_torque_Nm: NDArray[np.float64]
     """Of the motors, at the output."""
     p_RoTo_R_m: NDArray[np.float64]
-    """Every tool's origin, in the order of Tool, shape (5, 3), in the rover frame RMECH."""
+    """Every tool's origin, in the order of the tools, shape (n, 3), in the rover frame RMECH."""
     R_RT: NDArray[np.float64]
-    """Every tool's axes as columns, shape (5, 3, 3)."""
+    """Every tool's axes as columns, shape (n, 3, 3)."""
     contact_force_N: float
     """Sum of the normal contact forces on the arm."""
     kinetic_energy_J: float

@@ -12,7 +12,9 @@ import numpy as np
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Vector3
 from fsw.kinematics.transforms import Array
+from sim.drawing import attach_drawing
 from sim.frames import FLIP, P_NR_M, gravity_in_rover
+from sim.params import nominal_params
 
 Scene = Literal["mars", "earth"]
 MJCF: Final = Path(str(files("sim") / "models" / "mjcf"))
@@ -73,6 +75,7 @@ def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
     if mujoco.__version__ != REQUIRED_MUJOCO:
         raise WrongMujoco(f"MuJoCo {mujoco.__version__} is installed, {REQUIRED_MUJOCO} is required")
     spec = _load_scene(world.scene, for_pictures).copy()
+    attach_drawing(spec, nominal_params())
     spec.option.gravity = FLIP * world.gravity_N_m_s2
     if world.surface is not None:
         add_rock(spec, np.array(world.surface.p_N_m), np.array(world.surface.normal_N))

@@ -10,24 +10,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.collision.geometry import GROUND, OBSTACLES, PARTS, CollisionGeometry
-from fsw.dictionary.enums import Tool
+from fsw.collision.geometry import GROUND, CollisionGeometry
 from fsw.kinematics.chain import Frames
 from fsw.kinematics.transforms import Array, Pose, dot, inverse, rotate_back
 
 ROUNDING_M: Final = 1e-5
 """Rounding error: a part that starts too close may come this much closer."""
-
-DISPLAY_NAMES: Final = {
-    "link2": "upper arm",
-    "link3": "forearm",
-    "link4": "wrist",
-    "link5": "turret joint",
-    "drt": "DRT",
-    "mahli": "MAHLI",
-    "apxs": "APXS",
-    "portion": "portion tube",
-}
 
 Indices = NDArray[np.intp]
 
@@ -49,6 +37,9 @@ class ClearanceViolation:
 
     part: str
     obstacle: str
+    part_title: str
+    """Name of the part in sentences."""
+    obstacle_title: str
     distance_m: float
     """Least distance on the path; at most 0 where they meet."""
     least_m: float
@@ -59,17 +50,17 @@ class ClearanceViolation:
     @property
     def reason(self) -> str:
         """Return the sentence for a refusal."""
-        part, obstacle = _display_name(self.part), _display_name(self.obstacle)
         if self.distance_m <= 0:
-            return f"the {part} meets the {obstacle}"
+            return f"the {self.part_title} meets the {self.obstacle_title}"
         return (
-            f"the {part} comes within {1e3 * self.distance_m:.1f} mm of the {obstacle}, "
+            f"the {self.part_title} comes within {1e3 * self.distance_m:.1f} mm of the "
+            f"{self.obstacle_title}, "
             f"at least {1e3 * self.least_m:.1f} mm are to be kept"
         )
 
 
 def find_violation(
-    geometry: CollisionGeometry, frames: Frames, padding_m: float, touching: Tool | None = None
+    geometry: CollisionGeometry, frames: Frames, padding_m: float, touching: str | None = None
 ) -> ClearanceViolation | None:
     """Find the first pose of a path at which a part of the arm is too close to an obstacle.
 
@@ -79,7 +70,7 @@ def find_violation(
         geometry: Shapes of arm and rover.
         frames: Frames of the links in RMECH along the path, batch (n).
         padding_m: Distance to be kept.
-        touching: Tool that is to touch; no distance is required of it.
+        touching: str that is to touch; no distance is required of it.
 
     Returns:
         The violation, or None if there is none.
@@ -93,8 +84,10 @@ def find_violation(
     short = np.where(bad[..., first], clearance[..., first] - least[..., 0], np.inf)
     part, obstacle = np.unravel_index(int(short.argmin()), short.shape)
     return ClearanceViolation(
-        PARTS[part],
-        OBSTACLES[obstacle],
+        geometry.parts[part],
+        geometry.obstacles[obstacle],
+        geometry.titles[geometry.parts[part]],
+        geometry.titles[geometry.obstacles[obstacle]],
         float(clearance[part, obstacle].min()),
         float(least[part, obstacle, 0]),
         first,
@@ -102,7 +95,7 @@ def find_violation(
 
 
 def compute_clearances(
-    geometry: CollisionGeometry, frames: Frames, within_m: float, touching: Tool | None = None
+    geometry: CollisionGeometry, frames: Frames, within_m: float, touching: str | None = None
 ) -> Array:
     """Compute the distance of each part of the arm to each obstacle.
 
@@ -110,13 +103,13 @@ def compute_clearances(
         geometry: Shapes of arm and rover.
         frames: Frames of the links in RMECH, batch (n).
         within_m: Distances beyond this are infinite in the result.
-        touching: Tool whose distances are infinite in the result.
+        touching: str whose distances are infinite in the result.
 
     Returns:
-        Distances in metres, shape (PARTS, OBSTACLES, n).
+        Distances in metres, shape (parts, obstacles, n).
     """
     arm, rover, X_RS = geometry.arm, geometry.rover, place_shapes(geometry, frames)
-    clearance = np.full((len(PARTS), len(OBSTACLES), X_RS.p.shape[-1]), np.inf)
+    clearance = np.full((len(geometry.parts), len(geometry.obstacles), X_RS.p.shape[-1]), np.inf)
     height = _compute_heights(geometry, X_RS)
     shape, pose = np.nonzero(height < within_m)
     np.minimum.at(clearance[:, GROUND], (arm.part[shape], pose), height[shape, pose])
@@ -124,7 +117,7 @@ def compute_clearances(
     distance = _compute_distances(geometry, X_RS[shape, pose], shape, obstacle)
     np.minimum.at(clearance, (arm.part[shape], rover.part[obstacle], pose), distance)
     if touching is not None:
-        clearance[PARTS.index(touching.name.lower())] = np.inf
+        clearance[geometry.parts.index(touching)] = np.inf
     clearance[clearance > within_m] = np.inf
     return clearance
 
@@ -194,10 +187,6 @@ def _compute_distances(geometry: CollisionGeometry, X_RS: Pose, shape: Indices, 
     distance[other] = edges_distance(inverse(X_OS[other]), half_O[:, other], half_S[:, other], edges=1)
     distance[neither] = box_distance(X_OS[neither], half_O[:, neither], half_S[:, neither])
     return distance - geometry.arm.radius_m[shape] - geometry.rover.radius_m[obstacle]
-
-
-def _display_name(name: str) -> str:
-    return DISPLAY_NAMES.get(name, name.replace("_", " "))
 
 
 def box_distance(X_AB: Pose, half_A_m: Array, half_B_m: Array) -> Array:

@@ -4,23 +4,29 @@ A rounded box is all points within a radius of a box. The box of a capsule has a
 sphere is a point.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.dictionary.collision_params import ArmGeometry, Box, Capsule, PartGeometry, RoverGeometry
-from fsw.dictionary.enums import Tool
+from fsw.dictionary.collision_params import ArmGeometry, Box, Capsule, PartGeometry, RoverPart
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import IDENTITY, Array, Flags, Pose, cross, norm, rotation_z, stack_poses
 
-PARTS: Final = tuple(field.name for field in fields(ArmGeometry))
-"""Parts of the arm, from the shoulder outward."""
-OBSTACLES: Final = (*(field.name for field in fields(RoverGeometry)), "ground")
-GROUND: Final = OBSTACLES.index("ground")
+LINK_PARTS: Final = tuple(field.name for field in fields(ArmGeometry))
+"""Parts of the arm but its tools, from the shoulder outward."""
+GROUND: Final = -1
+"""Index of level ground among the obstacles: the last."""
+LINK_TITLES: Final = {
+    "link2": "upper arm",
+    "link3": "forearm",
+    "link4": "wrist",
+    "link5": "turret joint",
+    "turret": "turret",
+}
 TURRET_FRAME: Final = 5
 FRAME_OF: Final = {"link2": 1, "link3": 2, "link4": 3, "link5": 4}
 """Index of the link that carries a part, 0 for link 1; the other parts are on the turret, in frame Arm6."""
@@ -31,7 +37,7 @@ class RoundedBoxes:
     """Rounded boxes, batch (m); each belongs to a part and is fixed to a frame."""
 
     part: NDArray[np.intp]
-    """Index in PARTS or OBSTACLES, (m,)."""
+    """Index among the parts of the arm or the obstacles, (m,)."""
     carrier: NDArray[np.intp]
     """Index of the frame that each is fixed to, (m,); see FRAME_OF."""
     X_CS: Pose
@@ -54,6 +60,12 @@ class RoundedBoxes:
 class CollisionGeometry:
     """Shapes of arm (in link frames) and rover (in RMECH), and of level ground."""
 
+    parts: tuple[str, ...]
+    """Parts of the arm, from the shoulder outward: links, turret, tools."""
+    obstacles: tuple[str, ...]
+    """Parts of the rover, and the ground."""
+    titles: Mapping[str, str]
+    """Names of parts and obstacles in sentences."""
     arm: RoundedBoxes
     rover: RoundedBoxes
     ground_z_m: float
@@ -63,21 +75,34 @@ class CollisionGeometry:
 
 def build_collision_geometry(params: Params, arm: Arm) -> CollisionGeometry:
     """Build the collision geometry from the shapes of the parameters."""
-    shapes, tools = params.collision, {tool.name.lower(): arm.X_FT[tool] for tool in Tool}
+    shapes = params.collision
+    parts = {name: getattr(shapes.arm, name) for name in LINK_PARTS}
+    parts |= {tool.name: tool.geometry for tool in params.tools}
     arm_boxes = _collect(
-        (part, FRAME_OF.get(name, TURRET_FRAME), tools.get(name, IDENTITY), shape)
-        for part, name in enumerate(PARTS)
-        for shape in _shapes_of(getattr(shapes.arm, name))
+        (part, FRAME_OF.get(name, TURRET_FRAME), arm.X_FT.get(name, IDENTITY), shape)
+        for part, name in enumerate(parts)
+        for shape in _shapes_of(parts[name])
     )
     rover_boxes = _collect(
         (obstacle, 0, IDENTITY, shape)
-        for obstacle, name in enumerate(OBSTACLES[:GROUND])
-        for shape in _shapes_of(getattr(shapes.rover, name))
+        for obstacle, part in enumerate(shapes.rover)
+        for shape in _shapes_of(part)
     )
-    return CollisionGeometry(arm_boxes, rover_boxes, shapes.ground_z_m, _bound_levers(arm, arm_boxes))
+    obstacles = (*(part.name for part in shapes.rover), "ground")
+    titles = {name: name.replace("_", " ") for name in obstacles} | LINK_TITLES
+    titles |= {tool.name: tool.title for tool in params.tools}
+    return CollisionGeometry(
+        parts=tuple(parts),
+        obstacles=obstacles,
+        titles=titles,
+        arm=arm_boxes,
+        rover=rover_boxes,
+        ground_z_m=shapes.ground_z_m,
+        lever_m=_bound_levers(arm, arm_boxes),
+    )
 
 
-def _shapes_of(part: PartGeometry) -> tuple[Capsule | Box, ...]:
+def _shapes_of(part: PartGeometry | RoverPart) -> tuple[Capsule | Box, ...]:
     return (*part.capsules, *part.boxes)
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.dictionary.enums import Mode, Tool
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.types import Limits
 
 
@@ -51,8 +51,8 @@ class ToolChannels:
 
     tick: int
     """Number of the cycle since boot."""
-    tool: Tool
-    """Tool of the last tool command."""
+    tool: int
+    """Tool of the last tool command: its index among the tools of the parameters."""
     p_RoTo_R_m: Annotated[NDArray[np.float64], Limits(-5.0, 5.0)]
     """Origin of the tool in the rover frame RMECH."""
     R_RT: Annotated[NDArray[np.float64], Limits(-1.0, 1.0)]

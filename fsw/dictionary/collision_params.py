@@ -40,7 +40,7 @@ class PartGeometry:
 
 @dataclass(frozen=True, slots=True)
 class ArmGeometry:
-    """Parts of the arm: links in the frames before their springs, turret in Arm6, tools in their frames.
+    """Parts of the arm but its tools: links in the frames before their springs, turret in Arm6.
 
     The housing of azimuth and elevation is not included: it turns between the plates of its bracket.
     """
@@ -50,26 +50,16 @@ class ArmGeometry:
     link4: PartGeometry
     link5: PartGeometry
     turret: PartGeometry
-    drill: PartGeometry
-    drt: PartGeometry
-    mahli: PartGeometry
-    apxs: PartGeometry
-    portion: PartGeometry
 
 
 @dataclass(frozen=True, slots=True)
-class RoverGeometry:
-    """Parts of the rover, in RMECH."""
+class RoverPart:
+    """Part of the rover, with shapes in RMECH."""
 
-    chassis: PartGeometry
-    shoulder_bracket: PartGeometry
-    bit_box_1: PartGeometry
-    bit_box_2: PartGeometry
-    port_wheels: PartGeometry
-    starboard_wheels: PartGeometry
-    mast: PartGeometry
-    mast_head: PartGeometry
-    antenna: PartGeometry
+    name: str
+    """Name in sentences, with _ for a space."""
+    capsules: tuple[Capsule, ...] = ()
+    boxes: tuple[Box, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,4 +71,4 @@ class CollisionParams:
     ground_z_m: Annotated[float, Limits(0.0, 5.0)]
     """Position of level ground along the z axis of RMECH, which points down."""
     arm: ArmGeometry
-    rover: RoverGeometry
+    rover: tuple[RoverPart, ...]

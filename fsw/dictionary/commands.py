@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from fsw.dictionary.enums import Joint, Tool
-from fsw.dictionary.types import Joints5, Vector3
+from fsw.dictionary.enums import Joint
+from fsw.dictionary.types import Joints5, ToolName, Vector3
 
 BacklashMode = Literal["off", "on"]
 """Backlash compensation: set-points allow for the backlash, and each output ends on a known side of it."""
@@ -74,7 +74,7 @@ class MoveTool:
     gears drag outputs that their load does not hold.
     """
 
-    tool: Tool
+    tool: ToolName
     p_FoTo_F_m: Vector3
     """Target position of the tool's origin."""
     approach_F: Vector3
@@ -95,7 +95,7 @@ class MoveTool:
 class GuardedMove:
     """Move the tool slowly in a straight line until a contact switch closes; no contact is a fault."""
 
-    tool: Tool
+    tool: ToolName
     end_p_RoTo_R_m: Vector3
     """Position at which the tool stops at the latest."""
     approach_R: Vector3
@@ -108,7 +108,7 @@ class GuardedMove:
 class PlaceTool:
     """Move to a standoff in front of a target, then straight on until a contact switch closes."""
 
-    tool: Tool
+    tool: ToolName
     p_RoTo_R_m: Vector3
     """Position of the target."""
     approach_R: Vector3
@@ -127,7 +127,7 @@ class PlaceTool:
 class Preload:
     """Press the touching tool with a force, by overdrive through the modelled stiffness; 0 releases it."""
 
-    tool: Tool
+    tool: ToolName
     force_N: float
     """Force along the tool axis."""
 
@@ -140,7 +140,7 @@ class ToolChange:
     kinematics between the two poses matters. Absolute and relative compensation therefore agree.
     """
 
-    tool: Tool
+    tool: ToolName
     standoff_m: float = 0.10
     """Distance by which the tools retreat."""
     overtravel_m: float = 0.03
@@ -184,7 +184,7 @@ class Dock:
 class Process:
     """Turn wrist and turret until gravity with tilt is along a direction of a tool; hold and vibrate."""
 
-    tool: Tool
+    tool: ToolName
     gravity_T: Vector3
     """Direction of gravity in the axes of the tool."""
     duration_s: float
@@ -199,7 +199,7 @@ class Process:
 class Retract:
     """Move the tool in a straight line back along its approach axis."""
 
-    tool: Tool
+    tool: ToolName
     distance_m: float
     """Distance."""
     backlash: BacklashMode = "on"

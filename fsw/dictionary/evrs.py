@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar
 
-from fsw.dictionary.enums import Joint, Mode, Switch, Tool
+from fsw.dictionary.enums import Joint, Mode
 
 
 class Severity(IntEnum):
@@ -117,8 +117,8 @@ class BranchChosen(Evr):
     """A tool move takes this branch of the inverse kinematics."""
 
     severity = Severity.ACTIVITY_LO
-    text = "{e.tool.name}: branch {e.branch}"
-    tool: Tool
+    text = "{e.tool}: branch {e.branch}"
+    tool: str
     branch: str
 
 
@@ -127,8 +127,8 @@ class ContactMade(Evr):
     """A contact switch closed in a guarded move, as intended."""
 
     severity = Severity.ACTIVITY_HI
-    text = "contact on {e.switch.name} after {e.travel_m:.4f} m"
-    switch: Switch
+    text = "contact on {e.switch} after {e.travel_m:.4f} m"
+    switch: str
     travel_m: float
 
 
@@ -137,8 +137,8 @@ class Preloaded(Evr):
     """The overdrive for a force is complete; the force is an estimate, because no sensor measures it."""
 
     severity = Severity.ACTIVITY_HI
-    text = "{e.tool.name} pressed with {e.force_N:.1f} N"
-    tool: Tool
+    text = "{e.tool} pressed with {e.force_N:.1f} N"
+    tool: str
     force_N: float
 
 
@@ -147,8 +147,8 @@ class ForceEstimated(Evr):
     """Ratios of true to modelled force, estimated from motor currents; they correct the rest of the press."""
 
     severity = Severity.ACTIVITY_LO
-    text = "{e.tool.name}: a newton of the model is {e.along:.3f} N along its axis, {e.across:.3f} N across"
-    tool: Tool
+    text = "{e.tool}: a newton of the model is {e.along:.3f} N along its axis, {e.across:.3f} N across"
+    tool: str
     along: float
     across: float
 
@@ -158,8 +158,8 @@ class SpotSet(Evr):
     """A tool change starts from this estimated position of the touching tool."""
 
     severity = Severity.ACTIVITY_LO
-    text = "spot of {e.tool.name} at {e.x_m:.4f} {e.y_m:.4f} {e.z_m:.4f} m in RMECH"
-    tool: Tool
+    text = "spot of {e.tool} at {e.x_m:.4f} {e.y_m:.4f} {e.z_m:.4f} m in RMECH"
+    tool: str
     x_m: float
     y_m: float
     z_m: float

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from fsw.dictionary.enums import Joint, Switch, Tool
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Evr, Severity
 
 
@@ -158,8 +158,8 @@ class FollowingErrorHigh(Fault):
 class ContactInFreeSpace(Fault):
     """A contact switch closed in a move without intended contact."""
 
-    text = "contact on {e.switch.name} in free space"
-    switch: Switch
+    text = "contact on {e.switch} in free space"
+    switch: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,16 +242,16 @@ class TiltChanged(Fault):
 class ContactLost(Fault):
     """A tool that presses has no closed contact switch."""
 
-    text = "{e.tool.name} lost contact"
-    tool: Tool
+    text = "{e.tool} lost contact"
+    tool: str
 
 
 @dataclass(frozen=True, slots=True)
 class PreloadOutside(Fault):
     """The force estimated from the joints differs from the commanded one."""
 
-    text = "force on {e.tool.name} off by {e.error_N:.1f} N from {e.force_N:.1f} N, bound {e.bound_N:.1f} N"
-    tool: Tool
+    text = "force on {e.tool} off by {e.error_N:.1f} N from {e.force_N:.1f} N, bound {e.bound_N:.1f} N"
+    tool: str
     force_N: float
     error_N: float
     bound_N: float

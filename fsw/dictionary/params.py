@@ -7,7 +7,7 @@ give the limits; the loader and the ground dictionary read them.
 from dataclasses import dataclass
 from typing import Annotated
 
-from fsw.dictionary.collision_params import CollisionParams
+from fsw.dictionary.collision_params import CollisionParams, PartGeometry
 from fsw.dictionary.types import Angle, Joints5, Length, Limits, Matrix6, Row6, Vector3
 
 _ZERO_ROW: Row6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -80,26 +80,30 @@ class Links:
 
 @dataclass(frozen=True, slots=True)
 class ToolParams:
-    """Pose of a tool frame in the turret frame Arm6; the x axis of the tool is the approach direction."""
+    """Tool on the turret: its frame in the turret frame Arm6, and its shapes.
 
+    The x axis of the tool is the approach direction.
+    """
+
+    name: str
+    """Name in commands, in capitals."""
+    title: str
+    """Name in sentences."""
     transform: Transform6
+    geometry: PartGeometry
+    """Shapes for the collision check, in the tool frame."""
     expansion_1_K: Row6 = _ZERO_ROW
     """Expansion per kelvin, in tool axes."""
 
 
 @dataclass(frozen=True, slots=True)
-class Tools:
-    """The tools on the turret."""
+class SwitchParams:
+    """Contact switch, with a bit in the sensor word."""
 
-    drill: ToolParams
-    drt: ToolParams
-    mahli: ToolParams
-    apxs: ToolParams
-    portion: ToolParams
-
-    def in_order(self) -> tuple[ToolParams, ...]:
-        """Return the tools in the order of Tool."""
-        return (self.drill, self.drt, self.mahli, self.apxs, self.portion)
+    name: str
+    """Name in events, in capitals."""
+    tool: str
+    """Name of the tool that it is on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +229,7 @@ class MotionParams:
     takeup_rad: Annotated[float, Limits(1e-5, 0.05)]
     """Least distance over which the gear drags an output that its load does not hold to its goal."""
     tool_speed_m_s: Annotated[float, Limits(1e-3, 1.0)]
-    """Largest speed of the drill in a joint move; it limits the impact on an unforeseen obstacle."""
+    """Largest speed of the farthest tool in a joint move; it limits the impact on an unforeseen obstacle."""
     guarded_speed_m_s: Annotated[float, Limits(1e-4, 0.02)]
     """Speed of the tool in a guarded move."""
     switch_force_N: Annotated[float, Limits(0.1, 50.0)]
@@ -271,7 +275,7 @@ class TeachPoint:
     name: str
     """Name of the point in commands."""
     tool: str
-    """Taught tool, by its name in Tool."""
+    """Name of the taught tool, in any case."""
     p_RoTo_R_m: Vector3
     """Estimated position of the tool."""
     approach_R: Vector3
@@ -342,7 +346,10 @@ class Params:
     arm_name: str
     """Name of the arm."""
     links: Links
-    tools: Tools
+    tools: tuple[ToolParams, ...]
+    """Tools on the turret, in the order of every array of tools."""
+    switches: tuple[SwitchParams, ...]
+    """Contact switches, in the order of the sensor word."""
     joints: Joints
     hardstop: HardstopParams
     poses: PoseParams
@@ -351,3 +358,16 @@ class Params:
     collision: CollisionParams
     monitors: MonitorParams
     teach: tuple[TeachPoint, ...]
+
+    @property
+    def tool_names(self) -> tuple[str, ...]:
+        """Return the names of the tools, in order."""
+        return tuple(tool.name for tool in self.tools)
+
+    @property
+    def tool_switches(self) -> dict[str, tuple[int, ...]]:
+        """Return the indices of the contact switches of each tool."""
+        return {
+            tool.name: tuple(k for k, switch in enumerate(self.switches) if switch.tool == tool.name)
+            for tool in self.tools
+        }

@@ -13,6 +13,14 @@ class Limits:
     high: float
 
 
+@dataclass(frozen=True, slots=True)
+class ToolMark:
+    """Mark of a field that names a tool of the arm."""
+
+
+ToolName = Annotated[str, ToolMark()]
+"""Name of a tool, in capitals."""
+
 Length = Annotated[float, Limits(-5.0, 5.0)]
 Angle = Annotated[float, Limits(-6.5, 6.5)]
 

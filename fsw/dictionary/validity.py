@@ -7,8 +7,8 @@ from typing import Any, Final, get_type_hints
 
 import numpy as np
 
-from fsw.dictionary.collision_params import CollisionParams
-from fsw.dictionary.params import Params, Tools, Transform6
+from fsw.dictionary.collision_params import PartGeometry, RoverPart
+from fsw.dictionary.params import Params, ToolParams, Transform6
 from fsw.dictionary.types import Limits, Matrix6
 
 COMPONENT_LIMITS: Final = {"_m": Limits(-5.0, 5.0), "_1_K": Limits(-1e-4, 1e-4)}
@@ -44,7 +44,7 @@ def check_limits(record: Any, place: str = "") -> Iterator[str]:
             continue
         if isinstance(value, tuple) and value and is_dataclass(value[0]):
             for k, item in enumerate(value):
-                yield from check_limits(item, f"{where}.{k}.")
+                yield from check_limits(item, f"{where}.{str(getattr(item, 'name', k)).lower()}.")
             continue
         if not all(math.isfinite(v) for v in _leaf_numbers(value)):
             yield f"{where}: must be finite, is {value}"
@@ -70,10 +70,11 @@ def check_arm(params: Params) -> Iterator[str]:
         if problem is not None:
             yield f"{where}.compliance: {problem}"
         yield from _check_axes(field.name, link.transform)
+    yield from _check_names(params)
     yield from _check_boresights(params.tools)
     yield from _check_poses(params)
     yield from _check_hardstops(params)
-    yield from _check_geometry(params.collision)
+    yield from _check_geometry(params)
 
 
 def _check_axes(name: str, link: Transform6) -> Iterator[str]:
@@ -92,12 +93,35 @@ def _check_axes(name: str, link: Transform6) -> Iterator[str]:
             yield f"{where}.{angle}: {value} is not within {MAX_SKEW_RAD} of {nominal}"
 
 
-def _check_boresights(tools: Tools) -> Iterator[str]:
+def _check_names(params: Params) -> Iterator[str]:
+    """Yield a sentence for each name that is used twice, and for each tool that is not among the tools."""
+    names = params.tool_names
+    if not names:
+        yield "tools: is empty; an arm has at least one tool"
+    for place, given in (
+        ("tools", names),
+        ("switches", [switch.name for switch in params.switches]),
+        ("collision.rover", [part.name for part in params.collision.rover]),
+    ):
+        yield from (
+            f"{place}: {name} is there twice" for name in sorted({n for n in given if given.count(n) > 1})
+        )
+    known = ", ".join(name.lower() for name in names)
+    uses = [(f"switches.{switch.name.lower()}", switch.tool) for switch in params.switches]
+    uses += [(f"teach.{point.name}.tool", point.tool) for point in params.teach]
+    yield from (
+        f"{place}: tool {tool!r} is not known; there are {known}"
+        for place, tool in uses
+        if tool.upper() not in names
+    )
+
+
+def _check_boresights(tools: tuple[ToolParams, ...]) -> Iterator[str]:
     """Yield a sentence for each tool whose boresight is nearly parallel to the turret axis."""
-    for field in fields(tools):
-        beta = getattr(tools, field.name).transform.beta_rad
+    for tool in tools:
+        beta = tool.transform.beta_rad
         if math.asin(abs(math.cos(beta))) < MIN_LEAN_RAD:
-            where = f"tools.{field.name}.transform.beta_rad"
+            where = f"tools.{tool.name.lower()}.transform.beta_rad"
             yield f"{where}: {beta} brings the boresight within {MIN_LEAN_RAD} of the turret axis"
 
 
@@ -136,16 +160,20 @@ def _check_hardstops(params: Params) -> Iterator[str]:
             )
 
 
-def _check_geometry(collision: CollisionParams) -> Iterator[str]:
+def _check_geometry(params: Params) -> Iterator[str]:
     """Yield a sentence for each part without a shape, and for each box with a negative edge."""
-    for place, parts in (("arm", collision.arm), ("rover", collision.rover)):
-        for field in fields(parts):
-            shapes, where = getattr(parts, field.name), f"collision.{place}.{field.name}"
-            if not shapes.capsules and not shapes.boxes:
-                yield f"{where}: has neither capsules nor boxes; a part needs at least one shape"
-            for k, box in enumerate(shapes.boxes):
-                if min(box.half_m) <= 0:
-                    yield f"{where}.boxes.{k}.half_m: {box.half_m} must be positive"
+    parts: list[tuple[str, PartGeometry | RoverPart]] = [
+        (f"collision.arm.{field.name}", getattr(params.collision.arm, field.name))
+        for field in fields(params.collision.arm)
+    ]
+    parts += [(f"tools.{tool.name.lower()}.geometry", tool.geometry) for tool in params.tools]
+    parts += [(f"collision.rover.{part.name}", part) for part in params.collision.rover]
+    for where, shapes in parts:
+        if not shapes.capsules and not shapes.boxes:
+            yield f"{where}: has neither capsules nor boxes; a part needs at least one shape"
+        for k, box in enumerate(shapes.boxes):
+            if min(box.half_m) <= 0:
+                yield f"{where}.boxes.{k}.half_m: {box.half_m} must be positive"
 
 
 def _check_compliance(compliance: Matrix6) -> str | None:

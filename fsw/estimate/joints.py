@@ -10,7 +10,7 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ, Config
 from fsw.dictionary.channels import ToolChannels
-from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.enums import Joint
 from fsw.estimate.gear import (
     LIKELY,
     GearBounds,
@@ -241,7 +241,7 @@ def no_load(n: int) -> LoadEstimate:
 def update_load(
     config: Config,
     tick: int,
-    tool: Tool,
+    tool: str,
     joints: JointEstimate,
     last: LoadEstimate,
     push: ToolForce | None = None,
@@ -256,7 +256,7 @@ def update_load(
         push_Nm = torque - compute_load(arm, frames, joints.gravity_R_m_s2)[1]
         uncertainty_Nm = _force_uncertainty(config, push_Nm, push)
     X_RT = tool_pose(arm, frames, tool)
-    channels = ToolChannels(tick, tool, X_RT.p, X_RT.R, output, torque)
+    channels = ToolChannels(tick, config.params.tool_names.index(tool), X_RT.p, X_RT.R, output, torque)
     return (
         LoadEstimate(True, strain, torque, push_Nm),
         apply_load(config, joints, torque, uncertainty_Nm),

@@ -31,7 +31,7 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
-from fsw.dictionary.enums import TOOL_SWITCHES, Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Vector3
 from fsw.kinematics.branches import BRANCHES
@@ -40,22 +40,18 @@ from fsw.motion.plan_tool import AUTO
 MAX_POSITION_M = 1e6
 MAX_ATTITUDE_RAD = 1.6
 
-FRAME_NAMES = (
-    ROVER,
-    *(frame.name for frame in Frame if frame is not Frame.TOOL),
-    *(tool.name for tool in Tool),
-)
+LINK_FRAMES = tuple(frame.name for frame in Frame if frame is not Frame.TOOL)
 MAX_LENGTH_M = 1.0
 MAX_DURATION_S = 3600.0
 
 
-def check_arguments(command: Command) -> str | None:
-    """Check the arguments of a command, as far as neither state nor parameters matter.
+def check_arguments(params: Params, command: Command) -> str | None:
+    """Check the arguments of a command, as far as the state does not matter.
 
     Returns:
         The first problem as a sentence, or None.
     """
-    no_tool = _check_tool(command.tool) if hasattr(command, "tool") else None
+    no_tool = _check_tool(params, command.tool) if hasattr(command, "tool") else None
     if no_tool is not None:
         return no_tool
     match command:
@@ -70,16 +66,20 @@ def check_arguments(command: Command) -> str | None:
             finite = None if np.all(np.isfinite(angles)) else "a joint angle is not finite"
             return finite or _check_compensation(command)
         case MoveTool():
-            return _check_move_tool(command)
+            return _check_move_tool(params, command)
         case GuardedMove():
-            problem = _check_switch(command.tool) or _check_target(command.end_p_RoTo_R_m, command.approach_R)
+            problem = _check_switch(params, command.tool) or _check_target(
+                command.end_p_RoTo_R_m, command.approach_R
+            )
             return problem or _check_compensation(command)
         case PlaceTool():
-            problem = _check_switch(command.tool) or _check_target(command.p_RoTo_R_m, command.approach_R)
+            problem = _check_switch(params, command.tool) or _check_target(
+                command.p_RoTo_R_m, command.approach_R
+            )
             problem = problem or _check_lengths(command) or _check_compensation(command)
             return problem or _check_branch_name(command.branch)
         case ToolChange():
-            problem = _check_switch(command.tool) if command.hover_m == 0 else None
+            problem = _check_switch(params, command.tool) if command.hover_m == 0 else None
             if not 0 <= command.hover_m < command.standoff_m:
                 problem = problem or f"hover_m {command.hover_m} m is not below the standoff, nor 0"
             problem = problem or _check_lengths(command) or _check_compensation(command)
@@ -123,9 +123,10 @@ def check_bounds(params: Params, command: Preload | SetTilt) -> str | None:
     return None if inside else problem
 
 
-def _check_move_tool(command: MoveTool) -> str | None:
-    if command.frame not in FRAME_NAMES:
-        return f"frame {command.frame!r} is not known; there are {', '.join(FRAME_NAMES)}"
+def _check_move_tool(params: Params, command: MoveTool) -> str | None:
+    frames = (ROVER, *LINK_FRAMES, *params.tool_names)
+    if command.frame not in frames:
+        return f"frame {command.frame!r} is not known; there are {', '.join(frames)}"
     if command.straight and command.branch != AUTO:
         return f"a straight move stays on the branch that the arm is on; leave branch {AUTO}"
     problem = _check_branch_name(command.branch) or _check_length("line_m", command.line_m, least_m=0.0)
@@ -133,8 +134,8 @@ def _check_move_tool(command: MoveTool) -> str | None:
     return problem or _check_compensation(command)
 
 
-def _check_switch(tool: Tool) -> str | None:
-    return None if TOOL_SWITCHES[tool] else f"{tool.name} has no contact switch to end a guarded move"
+def _check_switch(params: Params, tool: str) -> str | None:
+    return None if params.tool_switches[tool] else f"{tool} has no contact switch to end a guarded move"
 
 
 def _check_lengths(command: PlaceTool | ToolChange) -> str | None:
@@ -163,10 +164,10 @@ def _check_joint(joint: object) -> str | None:
     return f"joint {joint!r} is not known; there are {', '.join(joint.name.lower() for joint in Joint)}"
 
 
-def _check_tool(tool: object) -> str | None:
-    if isinstance(tool, Tool):
+def _check_tool(params: Params, tool: object) -> str | None:
+    if tool in params.tool_names:
         return None
-    return f"tool {tool!r} is not known; there are {', '.join(tool.name.lower() for tool in Tool)}"
+    return f"tool {tool!r} is not known; there are {', '.join(params.tool_names)}"
 
 
 def _check_target(p_m: Vector3, approach: Vector3) -> str | None:

@@ -30,7 +30,7 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
-from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Switch, Tool
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import (
     BranchChosen,
     CommandAborted,
@@ -41,6 +41,7 @@ from fsw.dictionary.evrs import (
     Preloaded,
     SpotSet,
 )
+from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.types import vector3
 from fsw.estimate.reference import forget_joint
 from fsw.executive.checks import check_arguments, check_bounds
@@ -133,7 +134,7 @@ def clear_fault(config: Config, context: CommandContext, command: ClearFault) ->
         return refuse(context, command, "the arm is still being stopped")
     if context.state.sequence is not None:
         context = end_sequence(context, CommandAborted(context.state.sequence.command))
-    tool = _touching_tool(context) if mode is Mode.GUARDED else context.state.tool
+    tool = _touching_tool(config, context) if mode is Mode.GUARDED else context.state.tool
     state = replace(context.state, mode=mode, tool=tool, preload=tool_preload(context, tool), fault=None)
     context = replace(context, state=state)
     return with_events(context, FaultCleared(), CommandCompleted(command_name(command)))
@@ -159,13 +160,13 @@ def end_sequence(context: CommandContext, evr: Evr) -> CommandContext:
     return with_events(replace(context, state=replace(context.state, sequence=None)), evr)
 
 
-def _touching_tool(context: CommandContext) -> Tool:
+def _touching_tool(config: Config, context: CommandContext) -> str:
     """Find the tool of a switch that is closed or was reported by the fault; else the last commanded tool."""
-    switches = [switch for switch in Switch if context.closed[switch]]
+    switches = [k for k, is_closed in enumerate(context.closed) if is_closed]
     if context.state.fault is not None:
-        switches += [about for _, about in context.state.fault.reported if isinstance(about, Switch)]
-    touching = (tool for switch in switches for tool in Tool if switch in TOOL_SWITCHES[tool])
-    return next(touching, context.state.tool)
+        reported = [about for event, about in context.state.fault.reported if event is ContactInFreeSpace]
+        switches += [k for k, name in enumerate(config.protection.switch_names) if name in reported]
+    return next((config.params.switches[k].tool for k in switches), context.state.tool)
 
 
 def _clear_event(config: Config, context: CommandContext) -> ModeEvent:
@@ -185,10 +186,12 @@ def _clear_event(config: Config, context: CommandContext) -> ModeEvent:
 def _begin_sequence(config: Config, context: CommandContext, command: CompoundCommand) -> CommandContext:
     """Begin a compound command, after each step was planned from the end of the step before it."""
     state = context.state
-    problem = check_ready(context) or check_calibrated(context, command) or check_arguments(command)
+    problem = (
+        check_ready(context) or check_calibrated(context, command) or check_arguments(config.params, command)
+    )
     problem = problem or check_mode(context, EVENT_OF[type(command)])
     if isinstance(command, ToolChange):
-        problem = problem or _check_tool_change(context, command)
+        problem = problem or _check_tool_change(config, context, command)
     if isinstance(command, Dock):
         problem = problem or _check_other_tool(context, None)
     if problem is not None:
@@ -209,19 +212,19 @@ def _begin_sequence(config: Config, context: CommandContext, command: CompoundCo
     return with_events(replace(context, state=replace(state, sequence=sequence)), *evrs)
 
 
-def _check_tool_change(context: CommandContext, command: ToolChange) -> str | None:
+def _check_tool_change(config: Config, context: CommandContext, command: ToolChange) -> str | None:
     """Check that the present tool is in contact and the other tool is a different one."""
-    if command.tool is context.state.tool:
-        return f"{command.tool.name} is the tool that touches"
-    if in_contact(context, context.state.tool):
+    if command.tool == context.state.tool:
+        return f"{command.tool} is the tool that touches"
+    if in_contact(config, context, context.state.tool):
         return None
-    return f"{context.state.tool.name} touches nothing: there is no spot to go back to"
+    return f"{context.state.tool} touches nothing: there is no spot to go back to"
 
 
-def _check_other_tool(context: CommandContext, tool: Tool | None) -> str | None:
+def _check_other_tool(context: CommandContext, tool: str | None) -> str | None:
     """Check that no tool but this one may be in contact."""
-    if context.state.mode in (Mode.GUARDED, Mode.PRELOAD) and tool is not context.state.tool:
-        return f"{context.state.tool.name} is the tool that may touch; retract it first"
+    if context.state.mode in (Mode.GUARDED, Mode.PRELOAD) and tool != context.state.tool:
+        return f"{context.state.tool} is the tool that may touch; retract it first"
     return None
 
 
@@ -238,7 +241,11 @@ def _begin_calibrate_all(config: Config, context: CommandContext, command: Calib
 
 
 def _begin_calibrate(config: Config, context: CommandContext, command: Calibrate) -> CommandContext:
-    problem = check_ready(context) or check_arguments(command) or check_mode(context, ModeEvent.MOVE_FREE)
+    problem = (
+        check_ready(context)
+        or check_arguments(config.params, command)
+        or check_mode(context, ModeEvent.MOVE_FREE)
+    )
     problem = problem or check_homing(config, context.state.joints, Joint(command.joint))
     if problem is not None:
         return refuse(context, command, problem)
@@ -255,7 +262,9 @@ def _begin_calibrate(config: Config, context: CommandContext, command: Calibrate
 
 
 def _begin_move(config: Config, context: CommandContext, command: SingleMoveCommand) -> CommandContext:
-    problem = check_ready(context) or check_arguments(command) or check_calibrated(context, command)
+    problem = (
+        check_ready(context) or check_arguments(config.params, command) or check_calibrated(context, command)
+    )
     problem = problem or check_mode(context, EVENT_OF[type(command)])
     if isinstance(command, GuardedMove | Retract):
         problem = problem or _check_other_tool(context, command.tool)
@@ -278,7 +287,7 @@ def _begin_move(config: Config, context: CommandContext, command: SingleMoveComm
     if plan.branch is not None:
         evrs = (*evrs, BranchChosen(tool, plan.branch))
     # a guarded move of a tool already in contact ends at once: the preload stays as it is
-    is_kept = isinstance(command, GuardedMove) and in_contact(context, tool)
+    is_kept = isinstance(command, GuardedMove) and in_contact(config, context, tool)
     preload = tool_preload(context, tool) if is_kept else None
     state = replace(
         context.state,
@@ -293,20 +302,20 @@ def _begin_move(config: Config, context: CommandContext, command: SingleMoveComm
 
 def _begin_preload(config: Config, context: CommandContext, command: Preload) -> CommandContext:
     state = context.state
-    problem = check_ready(context) or check_calibrated(context, command) or check_arguments(command)
+    problem = (
+        check_ready(context) or check_calibrated(context, command) or check_arguments(config.params, command)
+    )
     problem = problem or check_mode(context, ModeEvent.PRESS) or _check_other_tool(context, command.tool)
     problem = problem or check_bounds(config.params, command)
-    if problem is None and command.force_N > 0 and not in_contact(context, command.tool):
-        problem = f"{command.tool.name} touches nothing: there is nothing to press on"
+    if problem is None and command.force_N > 0 and not in_contact(config, context, command.tool):
+        problem = f"{command.tool} touches nothing: there is nothing to press on"
     if problem is not None:
         return refuse(context, command, problem)
     preload = state.preload or model_contact(config, state.joints, command.tool)
     if state.mode is Mode.PRELOAD and command.force_N == 0 and preload.force_N < config.params.preload.step_N:
         return _finish_release(context, command, preload)
     if abs(command.force_N - preload.force_N) < config.params.preload.step_N:
-        return refuse(
-            context, command, f"{command.tool.name} is pressed with {preload.force_N:.1f} N as it is"
-        )
+        return refuse(context, command, f"{command.tool} is pressed with {preload.force_N:.1f} N as it is")
     planned = plan_preload(config, state.joints, preload, command.force_N)
     if isinstance(planned, Refusal):
         return refuse(context, command, planned.reason)

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, replace
 
+from fsw.config import Config
 from fsw.dictionary.commands import MoveJoint
-from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Tool
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandRefused, Evr
 from fsw.executive.modes import ModeEvent, next_mode
 from fsw.messages import Flags
@@ -23,15 +24,15 @@ class CommandContext:
     evrs: tuple[Evr, ...] = ()
 
 
-def in_contact(context: CommandContext, tool: Tool) -> bool:
+def in_contact(config: Config, context: CommandContext, tool: str) -> bool:
     """Return whether a contact switch of a tool is closed."""
-    return any(context.closed[switch] for switch in TOOL_SWITCHES[tool])
+    return any(context.closed[k] for k in config.protection.tool_switches[tool])
 
 
-def tool_preload(context: CommandContext, tool: Tool) -> PreloadState | None:
+def tool_preload(context: CommandContext, tool: str) -> PreloadState | None:
     """Return the preload of a tool; None if another tool presses, or none does."""
     preload = context.state.preload
-    return preload if preload is not None and preload.tool is tool else None
+    return preload if preload is not None and preload.tool == tool else None
 
 
 def with_events(context: CommandContext, *evrs: Evr) -> CommandContext:

@@ -19,7 +19,7 @@ from fsw.dictionary.commands import (
     Retract,
     ToolChange,
 )
-from fsw.dictionary.enums import HARDSTOP_ORDER, Joint, Tool
+from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params, TeachPoint
 from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.joints import JointEstimate
@@ -38,14 +38,14 @@ UNPARK_ORDER: Final = (Joint.AZIMUTH, Joint.TURRET, Joint.WRIST, Joint.ELBOW, Jo
 
 
 def expand_command(
-    config: Config, joints: JointEstimate, tool: Tool, command: CompoundCommand
+    config: Config, joints: JointEstimate, tool: str, command: CompoundCommand
 ) -> tuple[SequenceStep, ...] | Refusal:
     """Expand a compound command into single moves from the present joint angles.
 
     Args:
         config: Configuration of flight software.
         joints: Estimate of the joints.
-        tool: Tool of the last tool command.
+        tool: str of the last tool command.
         command: Compound command.
 
     Returns:
@@ -78,12 +78,12 @@ def find_teach_point(config: Config, name: str) -> TeachPoint | Refusal:
     return Refusal(f"point {name!r} was not taught; there are {', '.join(points) or 'none'}")
 
 
-def teach_point_tool(point: TeachPoint) -> Tool:
+def teach_point_tool(point: TeachPoint) -> str:
     """Return the tool of a taught point."""
-    return Tool[point.tool.upper()]
+    return point.tool.upper()
 
 
-def locate_spot(config: Config, joints: JointEstimate, touching: Tool, command: ToolChange) -> Line:
+def locate_spot(config: Config, joints: JointEstimate, touching: str, command: ToolChange) -> Line:
     """Estimate the contact point of a tool, as a tool change assumes it.
 
     Returns:
@@ -94,7 +94,7 @@ def locate_spot(config: Config, joints: JointEstimate, touching: Tool, command: 
 
 
 def _expand_place(
-    config: Config, joints: JointEstimate, tool: Tool, command: PlaceTool
+    config: Config, joints: JointEstimate, tool: str, command: PlaceTool
 ) -> tuple[SequenceStep, ...]:
     """Expand a placement into a move to the standoff and a guarded move.
 
@@ -111,7 +111,7 @@ def _expand_place(
 
 
 def _expand_tool_change(
-    config: Config, joints: JointEstimate, touching: Tool, command: ToolChange
+    config: Config, joints: JointEstimate, touching: str, command: ToolChange
 ) -> tuple[SequenceStep, ...]:
     """Expand a tool change: retract, and place the other tool at the estimated contact point of this one.
 

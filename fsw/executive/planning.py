@@ -6,7 +6,7 @@ import numpy as np
 
 from fsw.config import Config
 from fsw.dictionary.commands import GuardedMove, MoveJoint, MoveJoints, MoveTool, Retract, Stow, Unstow
-from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.enums import Joint
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.checks import check_arguments
 from fsw.motion.compensation import Compensation
@@ -21,7 +21,7 @@ SingleMoveCommand = Unstow | Stow | MoveJoint | MoveJoints | MoveTool | GuardedM
 def plan_command(
     config: Config,
     joints: JointEstimate,
-    tool: Tool,
+    tool: str,
     command: SingleMoveCommand,
 ) -> Plan | Refusal:
     """Plan the move of a command, and check its paths for collisions with rover and ground.
@@ -29,7 +29,7 @@ def plan_command(
     Args:
         config: Configuration of flight software.
         joints: Estimate of the joints, from which the move starts.
-        tool: Tool of the last tool command.
+        tool: str of the last tool command.
         command: Command of a single move.
 
     Returns:
@@ -45,7 +45,7 @@ def plan_command(
 
 
 def _plan_motion(
-    config: Config, joints: JointEstimate, tool: Tool, command: SingleMoveCommand
+    config: Config, joints: JointEstimate, tool: str, command: SingleMoveCommand
 ) -> Plan | Refusal:
     match command:
         case Unstow():
@@ -78,7 +78,7 @@ def check_steps(config: Config, state: State, steps: tuple[SequenceStep, ...]) -
     for step in steps:
         if not isinstance(step, SingleMoveCommand):
             continue
-        problem = check_arguments(step)
+        problem = check_arguments(config.params, step)
         if problem is not None:
             return f"{type(step).__name__}: {problem}"
         plan = plan_command(config, joints, tool, step)

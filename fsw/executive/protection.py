@@ -6,7 +6,7 @@ from typing import assert_never
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.enums import Mode, Tool
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAborted, Evr
 from fsw.estimate.gear import LIKELY
 from fsw.estimate.joints import JointEstimate
@@ -33,7 +33,7 @@ class MoveOutcome:
 
 def describe_arm(
     mode: Mode,
-    tool: Tool,
+    tool: str,
     joints: JointEstimate,
     uncertainty_rad: Array,
     move: Move | None,
@@ -43,7 +43,7 @@ def describe_arm(
 
     Args:
         mode: Mode of the arm.
-        tool: Tool of the last tool command.
+        tool: str of the last tool command.
         joints: Estimate of the joints.
         uncertainty_rad: Greatest error of the likely gear angles of that estimate, shape (5,).
         move: Move under way.

@@ -4,6 +4,7 @@ The orthogonal arm has the lengths of this arm, and axes that are parallel or at
 of the inverse kinematics solves it.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -57,7 +58,7 @@ def build_orthogonal_arm(theta_rad: Array, X_LF: Pose, X_FT: Pose) -> Orthogonal
     Args:
         theta_rad: Constant turn of each link, shape (6,).
         X_LF: Frame at the end of each link in the link frame, batch (6,).
-        X_FT: Tool frame in frame Arm6.
+        X_FT: str frame in frame Arm6.
 
     Returns:
         Lengths of the orthogonal arm.
@@ -101,7 +102,7 @@ def _is_orthogonal(X_LF: Pose) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arm:
-    """Constant arrays of the chain; links from the rover outward (6), joints (5), tools (5).
+    """Constant arrays of the chain; links from the rover outward (6), joints (5), tools (n).
 
     A link turns by theta plus its joint angle about the z axis of the frame before it. It carries its near
     mass, deflects at its spring C, and carries its far mass and the next frame F beyond the spring.
@@ -125,20 +126,20 @@ class Arm:
     """Near point masses in the link frame, (3, 6)."""
     far_p_C_m: Array
     """Far point masses relative to the spring, (3, 6)."""
-    X_FT: tuple[Pose, ...]
-    """Tool frames in frame Arm6, in the order of Tool."""
+    X_FT: Mapping[str, Pose]
+    """Frame of each tool in frame Arm6, in the order of the parameters."""
     expansion_F: Array
     """Thermal screw of each link per kelvin, at its end and in its end frame, (6, 6), links last."""
     expansion_T: Array
-    """Thermal screw of each tool per kelvin, in its own frame, (6, 5)."""
+    """Thermal screw of each tool per kelvin, in its own frame, (6, n)."""
     gear_stiffness_Nm_rad: Array
     """Stiffness between motor and output, (5,)."""
     soft_min_rad: Array
     """Lowest output angles, (5,)."""
     soft_max_rad: Array
     """Highest output angles, (5,)."""
-    orthogonal: tuple[OrthogonalArm, ...]
-    """Nearest orthogonal arm with each tool, in the order of Tool."""
+    orthogonal: Mapping[str, OrthogonalArm]
+    """Nearest orthogonal arm with each tool."""
 
     @property
     def X_CF(self) -> Pose:
@@ -148,11 +149,11 @@ class Arm:
 
 def build_arm(params: Params) -> Arm:
     """Build the arm of these parameters at the calibration temperature."""
-    links, joints, tools = params.links.in_order(), params.joints.in_order(), params.tools.in_order()
+    links, joints, tools = params.links.in_order(), params.joints.in_order(), params.tools
     theta = np.array([link.transform.theta_rad for link in links])
     centre = np.array([link.elastic_centre_m for link in links]).T
     X_LF = stack_poses([transform6_to_pose(replace(link.transform, theta_rad=0.0)) for link in links])
-    X_FT = tuple(transform6_to_pose(tool.transform) for tool in tools)
+    X_FT = {tool.name: transform6_to_pose(tool.transform) for tool in tools}
     near_kg, far_kg = (np.array([getattr(link, side).mass_kg for link in links]) for side in ("near", "far"))
     return Arm(
         theta_rad=theta,
@@ -170,7 +171,7 @@ def build_arm(params: Params) -> Arm:
         gear_stiffness_Nm_rad=np.array([joint.gear_stiffness_Nm_rad for joint in joints]),
         soft_min_rad=np.array([joint.soft_min_rad for joint in joints]),
         soft_max_rad=np.array([joint.soft_max_rad for joint in joints]),
-        orthogonal=tuple(build_orthogonal_arm(theta, X_LF, tool) for tool in X_FT),
+        orthogonal={name: build_orthogonal_arm(theta, X_LF, X) for name, X in X_FT.items()},
     )
 
 
@@ -185,14 +186,14 @@ def heat_arm(arm: Arm, warming_K: float) -> Arm:
         The warmer arm.
     """
     X_CF = arm.X_CF @ screw_exp(arm.expansion_F * warming_K)
-    tools = stack_poses(arm.X_FT) @ screw_exp(arm.expansion_T * warming_K)
-    X_FT = tuple(tools[k] for k in range(len(arm.X_FT)))
+    tools = stack_poses(list(arm.X_FT.values())) @ screw_exp(arm.expansion_T * warming_K)
+    X_FT = {name: tools[k] for k, name in enumerate(arm.X_FT)}
     X_LF = Pose(X_CF.R, X_CF.p + arm.p_LC_m)
     return replace(
         arm,
         RP_CF=_side_by_side(X_CF),
         X_FT=X_FT,
-        orthogonal=tuple(build_orthogonal_arm(arm.theta_rad, X_LF, tool) for tool in X_FT),
+        orthogonal={name: build_orthogonal_arm(arm.theta_rad, X_LF, X) for name, X in X_FT.items()},
     )
 
 

@@ -103,13 +103,13 @@ def _small_cos_sin(x: Array) -> tuple[Array, Array]:
     return cosine, sine
 
 
-def tool_pose(arm: Arm, frames: Frames, tool: int) -> Pose:
+def tool_pose(arm: Arm, frames: Frames, tool: str) -> Pose:
     """Compute the pose of a tool in the rover frame.
 
     Args:
         arm: Arm.
         frames: Frames of the arm.
-        tool: Index of the tool.
+        tool: Name of the tool.
 
     Returns:
         X_RT, batch (...).

@@ -49,7 +49,7 @@ class Roots:
 
 
 def closed_form(
-    arm: Arm, tool: int, p_RoTo_R_m: Array, approach_R: Array, least_bend_rad: float = 0.0
+    arm: Arm, tool: str, p_RoTo_R_m: Array, approach_R: Array, least_bend_rad: float = 0.0
 ) -> Roots:
     """Compute all roots of the orthogonal rigid arm.
 
@@ -57,7 +57,7 @@ def closed_form(
 
     Args:
         arm: Arm.
-        tool: Index of the tool.
+        tool: Name of the tool.
         p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).
         approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
         least_bend_rad: Least distance of the elbow from straight and folded, where two roots meet.

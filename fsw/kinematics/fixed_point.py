@@ -54,7 +54,7 @@ class FixedPointRoots:
 
 def solve_fixed_point(
     arm: Arm,
-    tool: int,
+    tool: str,
     p: Array,
     a: Array,
     gravity_R_m_s2: Array,
@@ -66,7 +66,7 @@ def solve_fixed_point(
 
     Args:
         arm: Arm.
-        tool: Index of the tool.
+        tool: Name of the tool.
         p: Target positions in m in the rover frame, shape (3, n).
         a: Approach directions, unit vectors in the rover frame, shape (3, n).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
@@ -102,7 +102,7 @@ def root_tolerance(gravity_R_m_s2: Array) -> float:
 
 def _solve_block(
     arm: Arm,
-    tool: int,
+    tool: str,
     p: Array,
     a: Array,
     gravity: Array,
@@ -140,7 +140,7 @@ def _solve_block(
             p, a, virtual, q, strain = (v[..., follow] for v in (p, a, virtual, q, strain))
 
 
-def _may_enter_limits(arm: Arm, tool: int, q: Array) -> Flags:
+def _may_enter_limits(arm: Arm, tool: str, q: Array) -> Flags:
     """Find the roots (5, k) that may be inside the limits, judged after one iteration."""
     elbow = np.sin(q[Joint.ELBOW] + arm.orthogonal[tool].theta_rad[Joint.ELBOW])
     margin = np.where(np.abs(elbow) < NEAR_FOLD, NEAR_FOLD, LIMIT_MARGIN_RAD)

@@ -84,7 +84,7 @@ class NewtonStarts:
 
 def search_grid(
     arm: Arm,
-    tool: int,
+    tool: str,
     p_RoTo_R_m: Array,
     approach_R: Array,
     gravity_R_m_s2: Array,
@@ -95,7 +95,7 @@ def search_grid(
 
     Args:
         arm: Arm.
-        tool: Index of the tool.
+        tool: Name of the tool.
         p_RoTo_R_m: Target positions in the rover frame, shape (3, n).
         approach_R: Approach directions, unit vectors in the rover frame, shape (3, n).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
@@ -186,7 +186,7 @@ def _azimuths(s: OrthogonalArm, foot: Array, grid: Grid) -> Array:
     return azimuth
 
 
-def _evaluate_nodes(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, q: Array) -> tuple[Array, Array]:
+def _evaluate_nodes(arm: Arm, tool: str, p: Array, a: Array, gravity: Array, q: Array) -> tuple[Array, Array]:
     """Correct nodes (5, k) in plane and turret to first order, and evaluate the two conditions (2, k)."""
     evaluation = evaluate_pose(arm, tool, q, None, gravity)
     to_turret_axis, s = _toward_turret_axis(arm, tool), arm.orthogonal[tool]
@@ -208,7 +208,7 @@ def _evaluate_nodes(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, q: 
     return q, conditions + np.einsum("ij...,j...->i...", J_conditions, step)
 
 
-def _toward_turret_axis(arm: Arm, tool: int) -> Array:
+def _toward_turret_axis(arm: Arm, tool: str) -> Array:
     """Compute the rotation (2, 2) that turns the tool's y axis nearest to the turret axis."""
     y, z = arm.X_FT[tool].R[2, 1:] / np.hypot(*arm.X_FT[tool].R[2, 1:])
     return np.array([[y, z], [z, -y]])

@@ -122,7 +122,7 @@ class _Reasons:
 
 def inverse_kinematics(
     arm: Arm,
-    tool: int,
+    tool: str,
     p_RoTo_R_m: Array,
     approach_R: Array,
     gravity_R_m_s2: Array | None = None,
@@ -135,7 +135,7 @@ def inverse_kinematics(
 
     Args:
         arm: Arm.
-        tool: Index of the tool.
+        tool: Name of the tool.
         p_RoTo_R_m: Target positions in the rover frame RMECH, shape (3, ...).
         approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,); None for the rigid arm.
@@ -171,14 +171,14 @@ def _chunks(n: int, size: int) -> Iterator[slice]:
     return (slice(k, k + size) for k in range(0, max(n, 1), size))
 
 
-def _solve_exact(arm: Arm, tool: int, p: Array, a: Array, near_rad: Array | None) -> IkResult:
+def _solve_exact(arm: Arm, tool: str, p: Array, a: Array, near_rad: Array | None) -> IkResult:
     """Solve the orthogonal rigid arm for targets (3, n)."""
     return concatenate_results(
         [_solve_exact_chunk(arm, tool, p[:, k], a[:, k], near_rad) for k in _chunks(p.shape[1], EXACT_CHUNK)]
     )
 
 
-def _solve_exact_chunk(arm: Arm, tool: int, p: Array, a: Array, near_rad: Array | None) -> IkResult:
+def _solve_exact_chunk(arm: Arm, tool: str, p: Array, a: Array, near_rad: Array | None) -> IkResult:
     """Solve the orthogonal rigid arm for one chunk of targets."""
     roots = closed_form(arm, tool, p, a)
     X_RT = tool_pose(arm, forward(arm, roots.output_rad), tool)
@@ -188,7 +188,7 @@ def _solve_exact_chunk(arm: Arm, tool: int, p: Array, a: Array, near_rad: Array 
     return _classify(arm, FoundRoots(output, np.zeros_like(output), error), _find_reasons(roots), near_rad)
 
 
-def _solve_real(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, near_rad: Array | None) -> IkResult:
+def _solve_real(arm: Arm, tool: str, p: Array, a: Array, gravity: Array, near_rad: Array | None) -> IkResult:
     """Solve the arm that is not orthogonal, or that deflects, for targets (3, n)."""
     chunks = [_solve_real_chunk(arm, tool, p[:, k], a[:, k], gravity) for k in _chunks(p.shape[1], CHUNK)]
     found, reasons, candidates = (concatenate_records(parts) for parts in zip(*chunks, strict=True))
@@ -206,7 +206,7 @@ def _solve_real(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, near_ra
 
 
 def _solve_real_chunk(
-    arm: Arm, tool: int, p: Array, a: Array, gravity: Array
+    arm: Arm, tool: str, p: Array, a: Array, gravity: Array
 ) -> tuple[FoundRoots, _Reasons, SingularityCandidates]:
     """Find the fixed-point roots, the reasons for missing ones, and the singularity candidates."""
     roots = closed_form(arm, tool, p, a)

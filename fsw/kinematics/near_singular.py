@@ -53,7 +53,7 @@ class FoundRoots:
 
 def find_near_singular_roots(
     arm: Arm,
-    tool: int,
+    tool: str,
     p_RoTo_R_m: Array,
     approach_R: Array,
     gravity_R_m_s2: Array,
@@ -67,7 +67,7 @@ def find_near_singular_roots(
 
     Args:
         arm: Arm.
-        tool: Index of the tool.
+        tool: Name of the tool.
         p_RoTo_R_m: Target positions in the rover frame, shape (3, n).
         approach_R: Approach directions, unit vectors in the rover frame, shape (3, n).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
@@ -101,7 +101,7 @@ class _Targets:
     """Targets (3, n) with singularity candidates."""
 
     arm: Arm
-    tool: int
+    tool: str
     p: Array
     a: Array
     gravity_R_m_s2: Array

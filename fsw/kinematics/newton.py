@@ -53,7 +53,7 @@ class NewtonRoots:
 
 def refine_roots(
     arm: Arm,
-    tool: int,
+    tool: str,
     p_RoTo_R_m: Array,
     approach_R: Array,
     gravity_R_m_s2: Array,
@@ -68,7 +68,7 @@ def refine_roots(
 
     Args:
         arm: Arm.
-        tool: Index of the tool.
+        tool: Name of the tool.
         p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).
         approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,); zero for the rigid arm.
@@ -174,7 +174,7 @@ class _Newton:
     """Newton iteration towards targets (3, n)."""
 
     arm: Arm
-    tool: int
+    tool: str
     p: Array
     a: Array
     gravity_R_m_s2: Array

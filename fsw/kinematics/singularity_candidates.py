@@ -58,7 +58,7 @@ class SingularityCandidates:
 
 def find_singularity_candidates(
     arm: Arm,
-    tool: int,
+    tool: str,
     p: Array,
     a: Array,
     roots: Roots,
@@ -70,7 +70,7 @@ def find_singularity_candidates(
 
     Args:
         arm: Arm.
-        tool: Index of the tool.
+        tool: Name of the tool.
         p: Target position of each root in m in the rover frame, shape (3, k), k = 8 n.
         a: Approach direction of each root, unit vector in the rover frame, shape (3, k).
         roots: Roots of the orthogonal arm, batch (n,).
@@ -109,7 +109,7 @@ def find_singularity_candidates(
     )
 
 
-def _may_reach(arm: Arm, tool: int, p: Array, a: Array, q: Array, missing_m: Array, gravity: Array) -> Flags:
+def _may_reach(arm: Arm, tool: str, p: Array, a: Array, q: Array, missing_m: Array, gravity: Array) -> Flags:
     """Find targets (3, k) that the real arm may reach but the orthogonal arm, nearest at (5, k), does not.
 
     Fixed-point iterations, aimed at what the orthogonal arm can reach, give the distance that then remains.

@@ -29,7 +29,7 @@ MAX_PASSES = 30
 class ToolForce:
     """Contact force on the arm at the origin of a tool."""
 
-    tool: int
+    tool: str
     force_R_N: Array
     """Force on the arm in the rover frame, (3,) or (3, ...)."""
 
@@ -174,7 +174,7 @@ def _deflect_springs(arm: Arm, frames: Frames, moment_L: Array, force_L: Array) 
 
 def relative_target(
     arm: Arm,
-    reference_tool: int,
+    reference_tool: str,
     reference_rad: Array,
     gravity_R_m_s2: Array,
     p_RoTo_R_m: Array,
@@ -187,7 +187,7 @@ def relative_target(
 
     Args:
         arm: Arm.
-        reference_tool: Index of the tool at the reference pose.
+        reference_tool: Name of the tool at the reference pose.
         reference_rad: Output angles of the reference pose, shape (5,).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
         p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).

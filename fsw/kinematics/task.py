@@ -31,13 +31,13 @@ class PoseEvaluation:
 
 
 def evaluate_pose(
-    arm: Arm, tool: int, output_rad: Array, strain: Array | None, gravity_R_m_s2: Array
+    arm: Arm, tool: str, output_rad: Array, strain: Array | None, gravity_R_m_s2: Array
 ) -> PoseEvaluation:
     """Evaluate load and deflection once at given angles.
 
     Args:
         arm: Arm.
-        tool: Index of the tool.
+        tool: Name of the tool.
         output_rad: Output angles, shape (5, n).
         strain: Assumed strain in rad and m, shape (6, 6, n); None for the rigid arm.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).

@@ -7,7 +7,6 @@ import numpy as np
 
 from fsw.config import Config
 from fsw.dictionary.commands import BacklashMode, DeflectionMode
-from fsw.dictionary.enums import Tool
 from fsw.estimate.gear import clip_to_backlash, load_error
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.statics import relative_target
@@ -48,7 +47,7 @@ class Compensation:
         return backlash if self.backlash == "on" else np.zeros_like(backlash)
 
     def target(
-        self, config: Config, joints: JointEstimate, reference: Tool, p_RoTo_R_m: Array, approach_R: Array
+        self, config: Config, joints: JointEstimate, reference: str, p_RoTo_R_m: Array, approach_R: Array
     ) -> tuple[Array, Array]:
         """Convert a target to one for absolute inverse kinematics.
 
@@ -57,7 +56,7 @@ class Compensation:
         Args:
             config: Configuration of flight software.
             joints: Estimate of the joints.
-            reference: Tool whose present deflection counts.
+            reference: str whose present deflection counts.
             p_RoTo_R_m: Position of the tool in RMECH, shape (3, ...).
             approach_R: Unit direction of the tool axis, same shape.
 

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_S, Config
-from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Switch, Tool
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, ForceEstimated, Preloaded
 from fsw.dictionary.faults import NoContact, NotSettled
 from fsw.estimate.hardstop import HardstopFit
@@ -60,7 +60,7 @@ class Move:
     paths: tuple[Path, ...]
     setpoint: Setpoint
     """Set-point of this cycle."""
-    guarded_tool: Tool | None = None
+    guarded_tool: str | None = None
     """Tool whose contact ends the move; None for a move that is not to touch."""
     contact_travel: float | None = None
     """Travel of a guarded move in metres when a switch closed; None before."""
@@ -165,9 +165,10 @@ def stop_early(config: Config, move: Move, end_mode: Mode) -> Move:
     return stopped
 
 
-def find_closed_switch(tool: Tool, closed: Flags) -> Switch | None:
-    """Return the first closed contact switch of a tool, or None."""
-    return next((switch for switch in TOOL_SWITCHES[tool] if closed[switch]), None)
+def find_closed_switch(config: Config, tool: str, closed: Flags) -> str | None:
+    """Return the name of the first closed contact switch of a tool, or None."""
+    first = next((k for k in config.protection.tool_switches[tool] if closed[k]), None)
+    return None if first is None else config.protection.switch_names[first]
 
 
 def _advance_homing(
@@ -186,7 +187,7 @@ def _advance_homing(
 
 def _follow_paths(config: Config, move: Move, joints: JointEstimate, sensors: Sensors) -> MoveUpdate:
     if move.guarded_tool is not None and move.contact_travel is None:
-        switch = find_closed_switch(move.guarded_tool, sensors.switch_closed)
+        switch = find_closed_switch(config, move.guarded_tool, sensors.switch_closed)
         if switch is not None:
             return _press_on_contact(
                 config, move, move.guarded_tool, joints, ContactMade(switch, distance_travelled(move))
@@ -204,7 +205,7 @@ def _follow_paths(config: Config, move: Move, joints: JointEstimate, sensors: Se
 
 
 def _press_on_contact(
-    config: Config, move: Move, tool: Tool, joints: JointEstimate, made: ContactMade
+    config: Config, move: Move, tool: str, joints: JointEstimate, made: ContactMade
 ) -> MoveUpdate:
     """Stop a guarded move whose tool has touched, and preload the tool just enough to stay in contact.
 

@@ -6,7 +6,6 @@ import numpy as np
 
 from fsw.collision.distance import compute_clearances, find_violation
 from fsw.config import Config
-from fsw.dictionary.enums import Tool
 from fsw.estimate.gear import bound_gear
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import Frames, forward
@@ -29,7 +28,7 @@ def check_paths(
     joints: JointEstimate,
     paths: tuple[Path, ...],
     padding_m: float,
-    touching: Tool | None = None,
+    touching: str | None = None,
 ) -> str | None:
     """Check that the deflected arm stays clear of rover and ground along paths.
 
@@ -40,7 +39,7 @@ def check_paths(
         joints: Estimate of the joints, of which gravity and backlash are used.
         paths: Paths of the motors, one after the other.
         padding_m: Distance to be kept.
-        touching: Tool that is to touch; no distance is required of it.
+        touching: str that is to touch; no distance is required of it.
 
     Returns:
         The reason for a refusal, or None if the paths are clear.

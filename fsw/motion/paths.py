@@ -7,7 +7,6 @@ import numpy as np
 from ruckig import InputParameter, Result, Ruckig, Trajectory
 
 from fsw.config import CYCLE_S, Config
-from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Array, norm
 
@@ -126,7 +125,7 @@ def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
 def _speed_share(config: Config, start_rad: Array, end_rad: Array) -> float:
     """Compute the share of the joint speeds at which no tool is too fast.
 
-    The drill reaches farthest. Its speed is sampled along a move with all joints at constant rates.
+    The speed of the tool that is farthest from the turret axis is sampled along a move with all joints at constant rates.
     """
     turn_rad = end_rad - start_rad
     longest_s = float(np.max(np.abs(turn_rad) / config.speed_rad_s))
@@ -134,7 +133,7 @@ def _speed_share(config: Config, start_rad: Array, end_rad: Array) -> float:
         return 1.0
     poses = start_rad[:, None] + turn_rad[:, None] * SPEED_SAMPLES
     frames = forward(config.arm, poses)
-    J = joint_jacobian(frames, tool_pose(config.arm, frames, Tool.DRILL).p)[3:]
+    J = joint_jacobian(frames, tool_pose(config.arm, frames, config.farthest_tool).p)[3:]
     fastest = float(norm(np.einsum("ijk,j->ik", J, turn_rad / longest_s)).max())
     return min(1.0, config.params.motion.tool_speed_m_s / fastest)
 

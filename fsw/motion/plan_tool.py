@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fsw.config import Config
 from fsw.dictionary.commands import ROVER, GuardedMove, MoveTool, Retract
-from fsw.dictionary.enums import Frame, Tool
+from fsw.dictionary.enums import Frame
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.batch import select_targets
 from fsw.kinematics.branches import BRANCHES
@@ -39,7 +39,7 @@ MAX_KNOT_STEP_RAD = 0.2
 class Line:
     """Straight tool move; it starts at the modelled pose of the motor angles."""
 
-    tool: Tool
+    tool: str
     compensation: Compensation
     gravity_R_m_s2: Array
     """Gravity that deflects the modelled arm, (3,); zero if deflection is not compensated."""
@@ -59,7 +59,7 @@ class Line:
 
 
 def plan_tool(
-    config: Config, joints: JointEstimate, command: MoveTool, reference: Tool | None = None
+    config: Config, joints: JointEstimate, command: MoveTool, reference: str | None = None
 ) -> Plan | Refusal:
     """Plan a move to a target: straight, or a joint move to the fastest valid branch with a clear path.
 
@@ -69,7 +69,7 @@ def plan_tool(
         config: Configuration of flight software.
         joints: Estimate of the joints, from which the move starts.
         command: Command with the target, the branch and the compensation.
-        reference: Tool whose present deflection relative compensation uses; None for that of the command.
+        reference: str whose present deflection relative compensation uses; None for that of the command.
 
     Returns:
         The plan, or the reason for a refusal.
@@ -118,7 +118,7 @@ def _plan_first_clear(
         if not isinstance(plan, Refusal):
             return replace(plan, branch=names[slot])
         reasons.append(f"{names[slot]}: {plan.reason}")
-    return Refusal(f"{command.tool.name}: {reasons[0]}")
+    return Refusal(f"{command.tool}: {reasons[0]}")
 
 
 def _refuse_blocked(config: Config, joints: JointEstimate, plan: Plan) -> Plan | Refusal:
@@ -141,21 +141,21 @@ def _target_in_rover(
 
 def _frame_pose(config: Config, frames: Frames, name: str) -> Pose:
     """Return the pose of an arm frame or a tool in RMECH by its name."""
-    if name in Tool.__members__:
-        return tool_pose(config.arm, frames, Tool[name])
+    if name in config.arm.X_FT:
+        return tool_pose(config.arm, frames, name)
     k = Frame[name]
     return Pose(frames.X_RF.R[:, :, k], frames.X_RF.p[:, k])
 
 
-def _explain_refusal(config: Config, tool: Tool, result: IkResult, wanted: NDArray[np.bool_]) -> str:
+def _explain_refusal(config: Config, tool: str, result: IkResult, wanted: NDArray[np.bool_]) -> str:
     """Explain why no wanted branch is valid: the reason of the nearest one, at the target or after it."""
     for k, name in enumerate(("the target", "the end of the approach")):
         verdict, excess = result.verdict[:, k], result.excess[:, k]
         if not np.any(wanted & (verdict == BranchVerdict.VALID)):
             # by verdict first (a limit is nearer than the reach), then by excess
             nearest = int(np.lexsort((excess, verdict, ~wanted))[0])
-            return f"{tool.name}: {name}: {describe_slot(config.arm, select_targets(result, k), nearest)}"
-    return f"{tool.name}: no branch asked for reaches the target and the end of the approach alike"
+            return f"{tool}: {name}: {describe_slot(config.arm, select_targets(result, k), nearest)}"
+    return f"{tool}: no branch asked for reaches the target and the end of the approach alike"
 
 
 def plan_guarded(config: Config, joints: JointEstimate, command: GuardedMove) -> Plan | Refusal:
@@ -207,7 +207,7 @@ def plan_retract(config: Config, joints: JointEstimate, command: Retract) -> Pla
     return _plan_line(config, joints, line, config.params.motion.retract_speed_m_s)
 
 
-def start_line(config: Config, joints: JointEstimate, tool: Tool, compensation: Compensation) -> Line:
+def start_line(config: Config, joints: JointEstimate, tool: str, compensation: Compensation) -> Line:
     """Build a line of no length at the modelled pose of a tool.
 
     A line that starts there begins at the present set-points, without a step.

@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.enums import Tool
 from fsw.estimate.gear import LIKELY
 from fsw.estimate.joints import JointEstimate, LoadEstimate
 from fsw.kinematics.chain import joint_jacobian, tool_pose
@@ -80,7 +79,7 @@ class PreloadState:
     arm is stiffer or softer and applies `force_ratio` times as much.
     """
 
-    tool: Tool
+    tool: str
     p_RoTo_R_m: Array
     """Position of the tool at the contact, (3,)."""
     axis_R: Array
@@ -150,7 +149,7 @@ def holding_force_N(config: Config) -> float:
     return config.params.motion.switch_force_N + config.params.preload.step_N
 
 
-def model_contact(config: Config, joints: JointEstimate, tool: Tool) -> PreloadState:
+def model_contact(config: Config, joints: JointEstimate, tool: str) -> PreloadState:
     """Model the preload of a tool that has just touched with the force that closes its switch.
 
     Friction is neglected at so small a force.

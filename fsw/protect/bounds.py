@@ -1,5 +1,6 @@
 """Bounds that protection applies, computed once from the parameters."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,6 +20,10 @@ class ProtectionBounds:
 
     monitors: MonitorParams
     arm: Arm
+    switch_names: tuple[str, ...]
+    """Contact switches, in the order of the sensor word."""
+    tool_switches: Mapping[str, tuple[int, ...]]
+    """Indices of the contact switches of each tool."""
     press_step_N: float
     """A tool that presses with more must have a switch closed."""
     press_error_share: float
@@ -64,6 +69,8 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
     return ProtectionBounds(
         monitors=monitors,
         arm=arm,
+        switch_names=tuple(switch.name for switch in params.switches),
+        tool_switches=params.tool_switches,
         press_step_N=params.preload.step_N,
         press_error_share=params.preload.error_share,
         lowest_rad=lowest,

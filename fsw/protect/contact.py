@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.enums import TOOL_SWITCHES, Mode, Switch, Tool
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, PreloadOutside
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
@@ -39,16 +39,18 @@ UNCERTAIN_RAD: Final = 1e-3
 """A gear whose angle is known no better shows no force."""
 
 
-def check_unexpected_contact(mode: Mode, tool: Tool, closed: Flags) -> tuple[Evr, ...]:
+def check_unexpected_contact(
+    bounds: ProtectionBounds, mode: Mode, tool: str, closed: Flags
+) -> tuple[Evr, ...]:
     """Find a closed switch where nothing was to be touched: any in free space, elsewhere another tool's.
 
     After a fault anything may touch; the arm has been stopped.
     """
-    expected: tuple[Switch, ...] = ()
-    if mode in MAY_TOUCH:
-        expected = tuple(Switch) if mode is Mode.FAULTED else TOOL_SWITCHES[tool]
-    found = next((switch for switch in Switch if closed[switch] and switch not in expected), None)
-    return () if found is None else (ContactInFreeSpace(found),)
+    if mode is Mode.FAULTED:
+        return ()
+    expected = bounds.tool_switches[tool] if mode in MAY_TOUCH else ()
+    found = next((k for k in np.flatnonzero(closed) if k not in expected), None)
+    return () if found is None else (ContactInFreeSpace(bounds.switch_names[found]),)
 
 
 def check_contact_kept(
@@ -63,13 +65,13 @@ def check_contact_kept(
         bounds: Bounds of protection.
         count: Cycles in a row in which no switch was closed.
         press: Press under way.
-        closed: Switches that are closed, shape (10,).
+        closed: Switches that are closed, one flag each.
 
     Returns:
         The count with this cycle, and the fault.
     """
     is_firm = press.force_N > bounds.press_step_N
-    if not is_firm or any(closed[switch] for switch in TOOL_SWITCHES[press.tool]):
+    if not is_firm or any(closed[k] for k in bounds.tool_switches[press.tool]):
         return 0, ()
     lost = count + 1 >= bounds.monitors.contact_persistence
     return count + 1, (ContactLost(press.tool),) if lost else ()
@@ -175,7 +177,7 @@ def monitor_approach(
     return ApproachState(per_N, last.rest_rad + REST_GAIN * wound_rad, force_N), found
 
 
-def _compute_wind_up(bounds: ProtectionBounds, arm: ArmStatus, tool: Tool) -> Array:
+def _compute_wind_up(bounds: ProtectionBounds, arm: ArmStatus, tool: str) -> Array:
     """Compute the wind-up of each gear per newton against the approach of a tool, (5,)."""
     frames = forward(bounds.arm, arm.motor_rad + arm.gear_rad)
     X_RT = tool_pose(bounds.arm, frames, tool)

@@ -98,7 +98,7 @@ def _monitor_arm(
     evrs: tuple[Evr, ...] = ()
     counts = ALL_ZERO
     if True in sensors.switch_closed.tolist():
-        evrs = check_unexpected_contact(arm.mode, arm.tool, sensors.switch_closed)
+        evrs = check_unexpected_contact(bounds, arm.mode, arm.tool, sensors.switch_closed)
     if motors.exceed_any_bound(bounds, arm, sensors):
         counts, found = _monitor_joints(bounds, last, arm, sensors)
         evrs += found

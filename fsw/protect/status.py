@@ -5,14 +5,14 @@ The records are named tuples: they are made in every cycle, and a frozen datacla
 
 from typing import NamedTuple
 
-from fsw.dictionary.enums import Joint, Mode, Tool
+from fsw.dictionary.enums import Joint, Mode
 from fsw.kinematics.transforms import Array, Flags
 
 
 class PressStatus(NamedTuple):
     """Record of a press under way."""
 
-    tool: Tool
+    tool: str
     force_N: float
     """Believed force of the tool on what it presses."""
     torque_per_N: Array
@@ -33,7 +33,7 @@ class MoveStatus(NamedTuple):
     """The brakes are still letting go."""
     homing: Joint | None
     """Joint in homing; None if no joint is being homed."""
-    approaching: Tool | None
+    approaching: str | None
     """Guarded tool that runs along its line and has not touched yet."""
     press: PressStatus | None
     """None unless a tool presses and the move is not being stopped."""
@@ -43,7 +43,7 @@ class ArmStatus(NamedTuple):
     """Record of mode, tool, estimate of the joints and move; joint arrays (5,), output side."""
 
     mode: Mode
-    tool: Tool
+    tool: str
     """Tool of the last tool command."""
     calibrated: Flags
     """Joints whose hardstop has been found."""

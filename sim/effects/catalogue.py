@@ -15,8 +15,10 @@ from types import MappingProxyType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import sim.effects
+from fsw.dictionary.types import ToolMark
 from sim.effects import effect as bases
 from sim.effects.effect import EachCycle, EachMove, Effect, ParameterSpec, Timed
+from sim.params import nominal_params
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +74,7 @@ def has_flight_parameter(kind: type[Effect]) -> bool:
 
 def place_fields_of(kind: type[Effect]) -> tuple[PlaceField, ...]:
     """List the fields of an effect whose type is a joint, a frame, a tool or a literal."""
-    hints = get_type_hints(kind)
+    hints = get_type_hints(kind, include_extras=True)
     found = []
     for field in fields(kind):
         hint = hints[field.name]
@@ -138,6 +140,8 @@ def _neutral_value(parameter: ParameterField) -> Any:
 
 
 def _choices_of(hint: Any) -> dict[str, Any]:
+    if any(isinstance(mark, ToolMark) for mark in getattr(hint, "__metadata__", ())):
+        return {tool.lower(): tool for tool in nominal_params().tool_names}
     if isinstance(hint, type) and issubclass(hint, IntEnum):
         return {member.name.lower(): member for member in hint}
     return {word: word for word in get_args(hint)} if get_origin(hint) is Literal else {}

@@ -5,7 +5,7 @@ from typing import Annotated, Final, Literal
 
 import numpy as np
 
-from fsw.dictionary.enums import Joint, Switch
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from sim.effects.effect import Hardware, ParameterSpec, Timed, with_element
@@ -18,8 +18,9 @@ SensorName = Literal[
 ]
 SensorFaultKind = Literal["frozen", "biased", "noisy", "nan"]
 INTEGER_SENSORS: Final = ("encoder_count", "switch_closed")
-CHANNEL_COUNTS: Final = {"switch_closed": len(Switch), "gravity_R_m_s2": 3}
-"""Number of channels of the sensors that do not have one for each joint."""
+MAX_SWITCHES: Final = 32
+CHANNEL_COUNTS: Final = {"switch_closed": MAX_SWITCHES, "gravity_R_m_s2": 3}
+"""Most channels of the sensors that do not have one for each joint."""
 TiltAngle = Annotated[float, ParameterSpec(-0.6, 0.6, unit="rad", typical=0.05)]
 """Angle at which a rover can stand."""
 CLOSED_THRESHOLD: Final = 0.5

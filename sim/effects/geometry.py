@@ -1,21 +1,26 @@
 """Effects on frames: displacement and thermal growth."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Annotated
 
 import mujoco
 import numpy as np
 
-from fsw.dictionary.enums import Frame, Tool
+from fsw.dictionary.enums import Frame
 from fsw.dictionary.params import LinkParams, Params, PointMass, Transform6
-from fsw.dictionary.types import Row6, row6, vector3
+from fsw.dictionary.types import Row6, ToolName, row6, vector3
 from fsw.kinematics.arm import pose_to_transform6, transform6_to_pose
 from fsw.kinematics.transforms import Pose, inverse, rotation_z, screw_exp
-from sim.disturbance import FRAME_BODIES, body_index
-from sim.effects.effect import Effect, ParameterSpec, TemperatureRise, params_with_effects
+from sim.disturbance import frame_body
+from sim.drawing import expansion_of, tools_of
+from sim.effects.effect import (
+    Effect,
+    ParameterSpec,
+    TemperatureRise,
+    params_with_effects,
+)
 from sim.effects.flight_params import link_of, rotate_matrix, with_link
-from sim.params import nominal_params
 from sim.plant import rotation_matrices
 
 
@@ -25,7 +30,7 @@ class FrameError(Effect):
 
     frame: Frame
     screw: Annotated[Row6, ParameterSpec(-0.1, 0.1, unit="rad, m", typical=2e-3, neutral=0.0)]
-    tool: Tool | None = None
+    tool: ToolName | None = None
     """Tool, if the frame is TOOL."""
 
     def __post_init__(self) -> None:
@@ -44,10 +49,11 @@ class FrameError(Effect):
     def on_params(self, params: Params) -> Params:
         """Set the six numbers of the displaced link transform."""
         if self.frame is Frame.TOOL:
-            name = self._body()
-            tool = getattr(params.tools, name)
-            moved = replace(tool, transform=self._displaced(tool.transform))
-            return replace(params, tools=replace(params.tools, **{name: moved}))
+            tools = tuple(
+                replace(tool, transform=self._displaced(tool.transform)) if tool.name == self.tool else tool
+                for tool in params.tools
+            )
+            return replace(params, tools=tools)
         link = link_of(params, self.frame)
         changed = self._with_fixed_lumps(link, replace(link, transform=self._displaced(link.transform)))
         return with_link(params, self.frame, changed)
@@ -76,7 +82,7 @@ class FrameError(Effect):
         return pose_to_transform6(transform6_to_pose(transform) @ screw_exp(np.array(self.screw)))
 
     def _body(self) -> str:
-        return FRAME_BODIES[body_index(self.frame, self.tool)]
+        return frame_body(self.frame, self.tool)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +91,7 @@ class LinkWarming(Effect):
 
     frame: Frame
     warming_K: TemperatureRise
-    tool: Tool | None = None
+    tool: ToolName | None = None
     """Tool, if the frame is TOOL."""
 
     def __post_init__(self) -> None:
@@ -93,14 +99,18 @@ class LinkWarming(Effect):
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Displace the frame by the growth, in its own axes."""
-        self._frame_error().on_model(spec)
+        self._frame_error(expansion_of(spec, frame_body(self.frame, self.tool))).on_model(spec)
 
     def on_params(self, params: Params) -> Params:
         """Set the numbers of the grown link."""
-        return self._frame_error().on_params(params) if self.warming_K else params
+        if not self.warming_K:
+            return params
+        if self.frame is not Frame.TOOL:
+            return self._frame_error(link_of(params, self.frame).expansion_1_K).on_params(params)
+        tool = next(tool for tool in params.tools if tool.name == self.tool)
+        return self._frame_error(tool.expansion_1_K).on_params(params)
 
-    def _frame_error(self) -> FrameError:
-        expansion_1_K = _expansions_1_K()[body_index(self.frame, self.tool)]
+    def _frame_error(self, expansion_1_K: Row6) -> FrameError:
         return FrameError(self.frame, row6(self.warming_K * np.array(expansion_1_K)), self.tool)
 
 
@@ -112,35 +122,26 @@ class Warming(Effect):
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Displace every frame by its growth."""
-        for part in self._parts():
+        for part in self._parts(tools_of(spec)):
             part.on_model(spec)
 
     def on_params(self, params: Params) -> Params:
         """Set the numbers of all grown links and tools."""
-        return params_with_effects(self._parts(), params)
+        return params_with_effects(self._parts(params.tool_names), params)
 
-    def _parts(self) -> list[LinkWarming]:
+    def _parts(self, tools: Iterable[str]) -> list[LinkWarming]:
         links = [LinkWarming(frame, self.warming_K) for frame in Frame if frame is not Frame.TOOL]
-        return links + [LinkWarming(Frame.TOOL, self.warming_K, tool) for tool in Tool]
+        return links + [LinkWarming(Frame.TOOL, self.warming_K, tool) for tool in tools]
 
 
-@cache
-def _expansions_1_K() -> tuple[Row6, ...]:
-    """Return the nominal expansion of each of FRAME_BODIES."""
-    params = nominal_params()
-    links = [link.expansion_1_K for link in params.links.in_order()]
-    return (*links, *(tool.expansion_1_K for tool in params.tools.in_order()))
-
-
-def check_tool(frame: Frame, tool: Tool | None) -> None:
+def check_tool(frame: Frame, tool: ToolName | None) -> None:
     """Check that a tool is given if, and only if, the frame is TOOL.
 
     Raises:
         ValueError: the tool is missing, or the frame has none.
     """
     if frame is Frame.TOOL and tool is None:
-        known = ", ".join(tool.name.lower() for tool in Tool)
-        raise ValueError(f"tool: an effect at frame tool names its tool; there are {known}")
+        raise ValueError("tool: an effect at frame tool names its tool; write tool.NAME")
     if frame is not Frame.TOOL and tool is not None:
         raise ValueError(f"tool: frame {frame.name.lower()} has none; leave it out")
 

@@ -6,22 +6,23 @@ from typing import Annotated, Final, Literal
 import mujoco
 import numpy as np
 
-from fsw.dictionary.enums import Frame, Tool
+from fsw.dictionary.enums import Frame
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import row6
+from fsw.dictionary.types import Row6, ToolName, row6
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Array
+from sim.disturbance import LINK_BODIES
+from sim.drawing import expansion_of, length_of
 from sim.effects.effect import Effect, ParameterSpec, SmallAngle, SmallLength
 from sim.effects.flight_params import link_of
 from sim.effects.geometry import FrameError
-from sim.params import nominal_params
 
 Axis = Literal["x", "y", "z"]
 AXIS_NAMES: Final = ("x", "y", "z")
 WIDTH_M: Final = 0.1
 """Assumed width of a link between its warm and its cold side."""
-PARALLEL_COSINE: Final = 0.9
-"""Cosine above which a link counts as parallel to an axis."""
+LIES_ALONG: Final = {Frame.ARM2: "x", Frame.ARM3: "x", Frame.ARM4: "x", Frame.ARM6: "z"}
+"""Axis of the end frame along which a link lies; the other links lie askew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,7 @@ class LinkAngle(_FrameEffect):
 class ToolOffset(_FrameEffect):
     """Translation of a tool along an axis of its frame."""
 
-    tool: Tool
+    tool: ToolName
     axis: Axis
     offset_m: SmallLength
 
@@ -91,7 +92,7 @@ class ToolOffset(_FrameEffect):
 class ToolTurn(_FrameEffect):
     """Rotation of a tool about an axis of its frame."""
 
-    tool: Tool
+    tool: ToolName
     axis: Axis
     angle_rad: SmallAngle
 
@@ -101,7 +102,7 @@ class ToolTurn(_FrameEffect):
 
 
 @dataclass(frozen=True, slots=True)
-class ThermalGradient(_FrameEffect):
+class ThermalGradient(Effect):
     """Bending of the link that ends in a frame, about an axis of that frame, by a warmer side.
 
     The link bends to an arc. Its end turns by the difference of growth over the width.
@@ -117,25 +118,28 @@ class ThermalGradient(_FrameEffect):
 
     def __post_init__(self) -> None:
         _refuse_tool(self.frame, "tool-turn")
-        p, axis = self._along()[0], AXIS_NAMES.index(self.axis)
-        if abs(p[axis]) > PARALLEL_COSINE * np.linalg.norm(p):
+        if LIES_ALONG.get(self.frame) == self.axis:
             others = " and ".join(other for other in AXIS_NAMES if other != self.axis)
             raise ValueError(
                 f"axis: {self.frame.name.lower()} lies along {self.axis}; it bends about {others}"
             )
 
-    def error(self) -> FrameError:
-        """Return the rotation and the translation of the end of the link."""
-        p, growth_K = self._along()
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Displace the frame at the end of the link."""
+        self._error(length_of(spec, self.frame), expansion_of(spec, LINK_BODIES[self.frame])).on_model(spec)
+
+    def on_params(self, params: Params) -> Params:
+        """Set the numbers of the bent link."""
+        link = link_of(params, self.frame)
+        X = transform6_to_pose(link.transform)
+        return self._error(X.R.T @ X.p, link.expansion_1_K).on_params(params) if self.gradient_K else params
+
+    def _error(self, p: Array, expansion_1_K: Row6) -> FrameError:
+        """Return the rotation and the translation of the end of a link p [m], (3,), in axes of its end."""
+        growth_K = np.array(expansion_1_K[3:])
         axis = np.array([self.axis == other for other in AXIS_NAMES], float)
         turn = self.gradient_K / WIDTH_M * float(np.linalg.norm(np.cross(axis, growth_K))) * axis
         return FrameError(self.frame, row6(np.concatenate([turn, 0.5 * np.cross(turn, p)])))
-
-    def _along(self) -> tuple[Array, Array]:
-        """Return the link from start to end [m] and its growth [m/K], each (3,), in axes of its end."""
-        link = link_of(nominal_params(), self.frame)
-        X = transform6_to_pose(link.transform)
-        return X.R.T @ X.p, np.array(link.expansion_1_K[3:])
 
 
 def _shift(axis: Axis) -> Array:

@@ -1,14 +1,14 @@
 """Disturbances that are drawn for each move, uniform within bounds."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 
-from fsw.dictionary.enums import Frame, Joint, Tool
-from fsw.dictionary.types import Row6
+from fsw.dictionary.enums import Frame, Joint
+from fsw.dictionary.types import Row6, ToolName
 from fsw.kinematics.transforms import Array
-from sim.disturbance import MoveDisturbance, body_index, no_move_disturbance
+from sim.disturbance import MoveDisturbance, frame_body, no_move_disturbance
 from sim.effects.effect import EachMove, ParameterSpec
 from sim.effects.geometry import check_tool
 
@@ -22,7 +22,7 @@ class FramePlay(EachMove):
 
     frame: Frame
     within: Annotated[Row6, ParameterSpec(0.0, 0.1, unit="rad, m", typical=3e-5, neutral=0.0)]
-    tool: Tool | None = None
+    tool: ToolName | None = None
     """Tool, if the frame is TOOL."""
 
     def __post_init__(self) -> None:
@@ -30,9 +30,8 @@ class FramePlay(EachMove):
 
     def draw(self, rng: np.random.Generator) -> MoveDisturbance:
         """Draw every axis independently."""
-        drawn = no_move_disturbance()
-        drawn.screw[:, body_index(self.frame, self.tool)] = self.within * rng.uniform(-1.0, 1.0, 6)
-        return drawn
+        screw = np.array(self.within) * rng.uniform(-1.0, 1.0, 6)
+        return replace(no_move_disturbance(), screws={frame_body(self.frame, self.tool): screw})
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,7 @@ from math import pi
 from typing import Annotated, Final, Literal
 
 from fsw.dictionary.commands import Command
-from fsw.dictionary.enums import Tool
-from fsw.dictionary.types import Limits, Vector3
+from fsw.dictionary.types import Limits, ToolName, Vector3
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.effects.environment import WARM_C
@@ -40,7 +39,7 @@ class Placed:
     """Check that a tool touches the surface next to its point at the end of a command."""
 
     after: CommandNumber
-    tool: Tool
+    tool: ToolName
     lateral_m: CheckLength = 0.015
 
 
@@ -49,9 +48,9 @@ class SameSpot:
     """Check that a tool touches the point that another one touched, by their true positions."""
 
     after: CommandNumber
-    tool: Tool
+    tool: ToolName
     first_after: CommandNumber
-    first_tool: Tool
+    first_tool: ToolName
     lateral_m: CheckLength = 0.010
 
 
@@ -60,7 +59,7 @@ class Preloaded:
     """Check that a tool presses with a force at the end of a command, and did not slip before."""
 
     after: CommandNumber
-    tool: Tool
+    tool: ToolName
     force_N: CheckForce
     share: Share = 0.10
     """Tolerance of the force, as a fraction of it."""
@@ -79,7 +78,7 @@ class GravityHeld:
     """Check that true gravity is along a direction of a tool during vibration and at the end of a command."""
 
     during: CommandNumber
-    tool: Tool
+    tool: ToolName
     gravity_T: Vector3
     """Direction in the true axes of the tool."""
     angle_rad: CheckAngle = 1.0 * DEGREE
@@ -120,7 +119,7 @@ class Loaded:
 class Released:
     """Check that a tool touches nothing at the end of the scenario."""
 
-    tool: Tool
+    tool: ToolName
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +168,7 @@ class TaughtPoint:
     """Pose of a tool, by its true tip and boresight, that the arm is taught before a scenario."""
 
     name: str
-    tool: Tool
+    tool: ToolName
     p_N_m: Vector3
     """Position in RNAV."""
     approach_N: Vector3

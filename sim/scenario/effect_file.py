@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from sim.effects.catalogue import catalogue, effect_name, parameters_of, place_fields_of
 from sim.effects.effect import Effect
+from sim.params import nominal_params
 from sim.scenario.effects import BadEffect, parameter_key
 from sim.scenario.names import shorten
 from sim.scenario.toml_lines import NotToml, parse_toml
@@ -32,7 +33,7 @@ def read_effect_file(path: Path) -> tuple[Effect, ...]:
         raise BadEffect(f"{path}:{error.line}: {error}") from error
     except ValueError as error:
         raise BadEffect(f"{path}: cannot be read as text ({error})") from error
-    findings = Findings(lines)
+    findings = Findings(lines, nominal_params().tool_names)
     for key in data:
         if key != TABLE_NAME:
             findings.report(

@@ -20,6 +20,7 @@ from sim.effects.catalogue import (
     place_fields_of,
 )
 from sim.effects.effect import Effect
+from sim.params import nominal_params
 from sim.scenario.names import did_you_mean, field_keys, list_choices, shorten
 from sim.scenario.toml_record import Findings, read_record
 
@@ -103,7 +104,7 @@ def effect_from_fields(kind: type[Effect], name: str, table: Mapping[str, Any]) 
     Raises:
         BadEffect: a field is missing, not known, or has a wrong value.
     """
-    findings = Findings({(): 0})
+    findings = Findings({(): 0}, nominal_params().tool_names)
     effect = read_record(kind, dict(table), (), findings)
     if effect is None:
         raise BadEffect("\n".join(f"effect {name}: {problem.text}" for problem in findings.problems))

@@ -11,6 +11,7 @@ import numpy as np
 
 from fsw.dictionary.commands import Command, Preload, SetParam, SetTilt
 from fsw.dictionary.enums import Mode
+from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits
 from fsw.executive.checks import check_bounds
 from fsw.executive.settings import replace_param
@@ -127,14 +128,15 @@ def parse_scenario(text: str, name: str, file: str) -> Scenario:
         data, lines = parse_toml(text)
     except NotToml as error:
         raise BadScenario(file, [Problem(error.line, str(error))]) from error
-    findings = Findings(lines)
-    scenario = _read_scenario(data, name, findings)
+    params = nominal_params()
+    findings = Findings(lines, params.tool_names)
+    scenario = _read_scenario(data, name, params, findings)
     if scenario is None or findings.problems:
         raise BadScenario(file, findings.problems)
     return scenario
 
 
-def _read_scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario | None:
+def _read_scenario(data: dict[str, Any], name: str, params: Params, findings: Findings) -> Scenario | None:
     head = _read_head(data, findings)
     world = _read_world(data, findings)
     taught = [
@@ -143,7 +145,7 @@ def _read_scenario(data: dict[str, Any], name: str, findings: Findings) -> Scena
     _check_taught(taught, findings)
     points = {point.name: point.tool for point in taught if point is not None}
     command_tables = list(list_tables(data, "command", findings))
-    commands = [read_command(table, place, findings, points) for place, table in command_tables]
+    commands = [read_command(table, place, findings, points, params) for place, table in command_tables]
     touchable = world is None or world.surface is not None
     faults = [
         read_fault(table, place, findings, len(command_tables), touchable)
@@ -156,7 +158,7 @@ def _read_scenario(data: dict[str, Any], name: str, findings: Findings) -> Scena
     ]
     _check_ending(checks, findings)
     if head is not None:
-        _check_sequence(head.start, commands, faults, findings)
+        _check_sequence(params, head.start, commands, faults, findings)
     if head is None or world is None or None in (*taught, *commands, *faults, *effects, *checks):
         return None
     return Scenario(
@@ -242,7 +244,11 @@ def _check_ending(checks: list[Check | None], findings: Findings) -> None:
 
 
 def _check_sequence(
-    start: StartPose, commands: list[Command | None], faults: list[Injection | None], findings: Findings
+    params: Params,
+    start: StartPose,
+    commands: list[Command | None],
+    faults: list[Injection | None],
+    findings: Findings,
 ) -> None:
     """Report commands that flight software would certainly refuse, as far as the file was read."""
     read_commands: tuple[Command, ...] = _without_none(
@@ -257,14 +263,13 @@ def _check_sequence(
     mode = Mode.STOWED if start == "stowed" else Mode.DEPLOYED
     for number, problem in (
         *find_refusals(read_commands, mode, faulting, troubled),
-        *_invalid_commands(read_commands),
+        *_invalid_commands(params, read_commands),
     ):
         findings.report(("command", number - 1), f"command {number}: {problem}")
 
 
-def _invalid_commands(commands: tuple[Command, ...]) -> Iterator[tuple[int, str]]:
+def _invalid_commands(params: Params, commands: tuple[Command, ...]) -> Iterator[tuple[int, str]]:
     """List commands, by number from 1, that flight software refuses for their own arguments."""
-    params = nominal_params()
     for number, command in enumerate(commands, start=1):
         problem: str | None = None
         if isinstance(command, SetParam):

@@ -7,7 +7,7 @@ from typing import Final, assert_never
 
 import numpy as np
 
-from fsw.dictionary.enums import TOOL_SWITCHES, Mode, Switch, Tool
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAborted, CommandRefused
 from fsw.kinematics.transforms import Array, angle_between, normalize
 from fsw.protect.responses import RESPONSE_TO, Response
@@ -143,9 +143,8 @@ def _check_preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[Che
     normals = [float(m.force_R_N[check.tool] @ normal) for m in snapshots]
     pressed = [(m, f) for m, f in zip(snapshots, normals, strict=True) if f >= check.pressed_N]
     ratios = [_lateral(m.force_R_N[check.tool], normal) / f for m, f in pressed]
-    slips = [
-        slip for switch in TOOL_SWITCHES[check.tool] for slip in _slips(snapshots, switch, normal, check)
-    ]
+    switches = range(snapshots[0].closed[check.tool].size) if snapshots else ()
+    slips = [slip for switch in switches for slip in _slips(snapshots, switch, normal, check)]
     return (
         _force_result(trace, normal, check.after, check.tool, check.force_N, check.share),
         CheckResult("most force", _maximum(normals), "N", high=check.max_N),
@@ -154,13 +153,14 @@ def _check_preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[Che
     )
 
 
-def _slips(snapshots: Sequence[Snapshot], switch: Switch, normal: Array, check: Preloaded) -> list[float]:
+def _slips(snapshots: Sequence[Snapshot], switch: int, normal: Array, check: Preloaded) -> list[float]:
     """Return the shift of a pad across the normal since it touched: a tool may roll or turn on its pads."""
-    touched = [m for m in snapshots if m.closed[switch]]
+    tool = check.tool
+    touched = [m for m in snapshots if m.closed[tool][switch]]
     return [
-        _lateral(m.pads_R_m[switch] - touched[0].pads_R_m[switch], normal)
+        _lateral(m.pads_R_m[tool][switch] - touched[0].pads_R_m[tool][switch], normal)
         for m in touched
-        if float(m.force_R_N[check.tool] @ normal) >= check.pressed_N
+        if float(m.force_R_N[tool] @ normal) >= check.pressed_N
     ]
 
 
@@ -221,16 +221,16 @@ def _all_done(trace: Trace) -> bool:
 
 
 def _force_result(
-    trace: Trace, away: Array, after: int, tool: Tool, force_N: float, share: float
+    trace: Trace, away: Array, after: int, tool: str, force_N: float, share: float
 ) -> CheckResult:
     """Check the force of a tool along the unit vector `away`."""
     force = _value_after(trace, after, lambda m: float(m.force_R_N[tool] @ away))
     return CheckResult("force", force, "N", (1 - share) * force_N, (1 + share) * force_N)
 
 
-def _contact_result(trace: Trace, after: int, tool: Tool) -> CheckResult:
+def _contact_result(trace: Trace, after: int, tool: str) -> CheckResult:
     return _bool_result(
-        f"{tool.name.lower()} in contact",
+        f"{tool.lower()} in contact",
         _value_after(trace, after, lambda m: float(is_touching(m, tool))) == 1.0,
     )
 

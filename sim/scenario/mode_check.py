@@ -19,7 +19,7 @@ from fsw.dictionary.commands import (
     Stow,
     ToolChange,
 )
-from fsw.dictionary.enums import Mode, Tool
+from fsw.dictionary.enums import Mode
 from fsw.executive.modes import EVENT_OF, ModeEvent, next_mode
 from sim.scenario.names import upper_snake
 
@@ -59,7 +59,7 @@ class SequenceState:
 
     modes: Modes
     """Possible modes."""
-    tool: Tool | None = None
+    tool: str | None = None
     """Tool that touches, if it is known."""
     faulted_in: int | None = None
     """Number of the command that an injected fault ended."""
@@ -132,11 +132,11 @@ def _refusal_reason(before: SequenceState, command: Command) -> str | None:
         # a possible fault would have ended the sequence
         here = " or ".join(mode.name for mode in sorted(modes - {Mode.FAULTED}))
         return f"{name} is refused in mode {here}; before it comes {_enabling_commands(modes, command)}"
-    if isinstance(command, ToolChange) and command.tool is before.tool:
-        return f"{name}: {command.tool.name.lower()} is the tool that touches already; name another"
-    wrong_tool = isinstance(command, GuardedMove | Retract | Preload) and command.tool is not before.tool
+    if isinstance(command, ToolChange) and command.tool == before.tool:
+        return f"{name}: {command.tool.lower()} is the tool that touches already; name another"
+    wrong_tool = isinstance(command, GuardedMove | Retract | Preload) and command.tool != before.tool
     if wrong_tool and before.tool is not None:
-        touching = before.tool.name.lower()
+        touching = before.tool.lower()
         return f"{name}: {touching} is the tool that touches; write {touching}"
     return None
 

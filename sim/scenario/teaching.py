@@ -60,18 +60,19 @@ def _teach_point(
     wanted = p_R_from_N(np.array(point.p_N_m)) - SURVEY_DISTANCE_M * axis
     start = _pose_near(arm, point, wanted, axis, world)
     level = replace(world, surface=None)
+    tool = arm.params.tool_names.index(point.tool)
     loop = ClosedLoop(Setup(arm, level, joints5(start), seed, reference, (NothingToTouch(),)))
     aim, towards = wanted, axis
     for _ in range(TEACH_PASSES):
         believed = _move_tool_to(loop, point, aim, towards)
         truth = loop.plant.truth()
-        error_m = wanted - truth.p_RoTo_R_m[point.tool]
-        axis_error = axis - truth.R_RT[point.tool][:, 0]
+        error_m = wanted - truth.p_RoTo_R_m[tool]
+        axis_error = axis - truth.R_RT[tool][:, 0]
         aim, towards = aim + error_m, towards + axis_error
     approach = believed.R_RT[:, 0] + axis_error
     return TeachPoint(
         name=point.name,
-        tool=point.tool.name.lower(),
+        tool=point.tool.lower(),
         p_RoTo_R_m=vector3(believed.p_RoTo_R_m + error_m + SURVEY_DISTANCE_M * approach),
         approach_R=vector3(approach),
         branch=point.branch,
@@ -90,7 +91,7 @@ def _pose_near(arm: BuiltArm, point: TaughtPoint, p_R_m: Array, axis: Array, wor
         if point.branch in (AUTO, BRANCHES[slot % len(BRANCHES)])
     ]
     if not poses:
-        raise NotTaught(f"{arm.name}: {point.name} is out of reach of the {point.tool.name.lower()}")
+        raise NotTaught(f"{arm.name}: {point.name} is out of reach of the {point.tool.lower()}")
     nearest = min(poses, key=lambda pose: float(np.abs(pose - ready).max()))
     return np.asarray(nearest + TEACH_OFFSET_RAD * np.sign(ready - nearest))
 

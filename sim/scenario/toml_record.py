@@ -1,17 +1,19 @@
 """Frozen dataclasses from tables of a scenario file: names, units, types and limits by reflection."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from enum import IntEnum
 from types import UnionType
 from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from fsw.dictionary.types import Limits
+from fsw.dictionary.types import Limits, ToolMark
 from sim.scenario.names import FieldKeys, did_you_mean, field_keys, list_choices, shorten
 from sim.scenario.toml_lines import TomlPath
 
 T = TypeVar("T")
+Words = tuple[str, ...] | Mapping[str, str]
+"""Values that a field may have; a mapping has the value for each word of the file."""
 Choices = Mapping[str, tuple[str, ...]]
 """Allowed texts, by name of a field."""
 
@@ -34,6 +36,8 @@ class Findings:
     """Problems of a file, collected while it is read."""
 
     lines: Mapping[TomlPath, int]
+    tools: tuple[str, ...] = ()
+    """Names of the tools of the arm; none if the file names no tool."""
     problems: list[Problem] = field(default_factory=list)
 
     def report(self, place: TomlPath, text: str) -> None:
@@ -68,7 +72,7 @@ def read_record(
                 (*place, key),
                 findings,
                 words[f.name].factors[key],
-                choices.get(f.name),
+                tool_words(findings.tools) if names_tool(hints[f.name]) else choices.get(f.name),
             )
         elif key is None and f.default is MISSING and f.default_factory is MISSING:
             findings.report(place, f"{words[f.name]}: is missing")
@@ -79,6 +83,17 @@ def read_record(
     except ValueError as error:  # fields that contradict each other
         findings.report(place, str(error))
         return None
+
+
+def names_tool(hint: Any) -> bool:
+    """Return whether an annotation, or one of its alternatives, is a ToolName."""
+    marks = getattr(hint, "__metadata__", ())
+    return any(isinstance(mark, ToolMark) for mark in marks) or any(map(names_tool, get_args(hint)))
+
+
+def tool_words(tools: Iterable[str]) -> dict[str, str]:
+    """Return the names of tools by the words that a file has for them."""
+    return {tool.lower(): tool for tool in tools}
 
 
 def require_table(value: Any, place: TomlPath, findings: Findings) -> dict[str, Any] | None:
@@ -133,7 +148,7 @@ def _without_unit(key: str, words: list[FieldKeys]) -> FieldKeys | None:
 
 
 def _read_value(
-    kind: Any, value: Any, place: TomlPath, findings: Findings, factor: float, choices: tuple[str, ...] | None
+    kind: Any, value: Any, place: TomlPath, findings: Findings, factor: float, choices: Words | None
 ) -> Any:
     plain = _bare_type(kind)
     if is_dataclass(plain):
@@ -149,13 +164,15 @@ def _read_value(
     return read
 
 
-def _convert_value(kind: Any, value: Any, factor: float, choices: tuple[str, ...] | None) -> Any:
+def _convert_value(kind: Any, value: Any, factor: float, choices: Words | None) -> Any:
     if kind is float:
         return _read_number(value, factor)
     if kind is bool:
         return _check_type(bool, value, "true or false")
     if kind is int:
         return _check_type(int, value, "a whole number")
+    if isinstance(choices, Mapping):
+        return choices[_match_choice(tuple(choices), value)]
     if get_origin(kind) is Literal or choices is not None:
         return _match_choice(get_args(kind) if choices is None else choices, value)
     if kind is str:

@@ -7,11 +7,10 @@ from typing import Annotated, Any, Final, get_args
 import numpy as np
 
 from fsw.dictionary.commands import ROVER, Command, Dock
-from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.dictionary.faults import Fault
+from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits, Vector3, vector3
-from fsw.executive.checks import FRAME_NAMES as COMMAND_FRAMES
-from fsw.executive.checks import check_arguments, check_vector
+from fsw.executive.checks import LINK_FRAMES, check_arguments, check_vector
 from fsw.kinematics.branches import BRANCHES
 from fsw.motion.plan_tool import AUTO
 from sim.effects.effect import Effect, Timed
@@ -29,7 +28,6 @@ FAULT_CLASSES: Final[tuple[type[InjectedFault], ...]] = get_args(InjectedFault)
 RNAV: Final = "RNAV"
 ROVER_FRAMES: Final = (RNAV, "RMECH")
 """Frames of the rover; the first is the default of positions."""
-FRAMES: Final = (*ROVER_FRAMES, *(frame for frame in COMMAND_FRAMES if frame != ROVER))
 MAX_DISTANCE_M: Final = 20.0
 COMMAND_CLASSES: Final[dict[str, type[Command]]] = {upper_snake(kind): kind for kind in get_args(Command)}
 CHECK_CLASSES: Final[dict[str, type[Check]]] = {upper_snake(kind).lower(): kind for kind in get_args(Check)}
@@ -99,7 +97,11 @@ def check_direction(name: str, direction: Vector3, place: TomlPath, findings: Fi
 
 
 def read_command(
-    table: dict[str, Any], place: TomlPath, findings: Findings, points: Mapping[str, Tool]
+    table: dict[str, Any],
+    place: TomlPath,
+    findings: Findings,
+    points: Mapping[str, str],
+    params: Params,
 ) -> Command | None:
     """Read a command, or return None and report problems.
 
@@ -108,6 +110,7 @@ def read_command(
         place: Its place in the file.
         findings: Problems to add to.
         points: Tools of the taught places, by name.
+        params: Flight parameters of the arm.
 
     Returns:
         The command, its positions in RMECH.
@@ -117,7 +120,7 @@ def read_command(
         return None
     names = [field.name for field in fields(kind)]
     positions = [name for name in names if is_position(name)]
-    frames = FRAMES if "frame" in names else ROVER_FRAMES
+    frames = (*ROVER_FRAMES, *LINK_FRAMES, *params.tool_names) if "frame" in names else ROVER_FRAMES
     rest = {key: value for key, value in table.items() if key != TYPE_KEY}
     frame = rest.pop("frame", RNAV) if positions else None
     command = read_record(kind, rest, place, findings, {"branch": (AUTO, *BRANCHES), "point": tuple(points)})
@@ -134,9 +137,9 @@ def read_command(
     if "frame" in names:
         changed["frame"] = ROVER if frame in ROVER_FRAMES else frame
     command = replace(command, **changed)
-    problem = check_arguments(command)
-    if isinstance(command, Dock) and not TOOL_SWITCHES[points[command.point]]:
-        problem = f"the {points[command.point].name.lower()} has no contact switch to dock with"
+    problem = check_arguments(params, command)
+    if isinstance(command, Dock) and not params.tool_switches[points[command.point]]:
+        problem = f"the {points[command.point].lower()} has no contact switch to dock with"
     if problem is not None:
         findings.report(place, f"{table[TYPE_KEY]}: {problem}")
     return command

@@ -1,11 +1,12 @@
 """True states of the plant in a scenario, cycle by cycle, for its checks."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.dictionary.enums import TOOL_SWITCHES, Mode, Switch, Tool
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandRefused, Evr
 from fsw.kinematics.transforms import Array
 from sim.contact import tool_forces
@@ -16,20 +17,20 @@ from sim.sequence import Outcome
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """Plant at the end of a cycle; tools in the order of Tool, vectors in RMECH axes."""
+    """Plant at the end of a cycle, by tool; vectors in RMECH axes."""
 
     command: int
     """Number of the present command, from 1."""
-    p_RoTo_R_m: Array
-    """Positions, shape (5, 3)."""
-    R_RT: Array
-    """Rotations, shape (5, 3, 3)."""
-    force_R_N: Array
-    """Contact forces on each tool, shape (5, 3)."""
-    closed: NDArray[np.bool_]
-    """Closed switches as this cycle read them, in the order of Switch."""
-    pads_R_m: Array
-    """Positions of the contact switches, shape (10, 3)."""
+    p_RoTo_R_m: Mapping[str, Array]
+    """Position of each tool, shape (3,)."""
+    R_RT: Mapping[str, Array]
+    """Rotation of each tool, shape (3, 3)."""
+    force_R_N: Mapping[str, Array]
+    """Contact force on each tool, shape (3,)."""
+    closed: Mapping[str, NDArray[np.bool_]]
+    """Switches of each tool that are closed, as this cycle read them."""
+    pads_R_m: Mapping[str, Array]
+    """Positions of the switches of each tool, shape (n, 3)."""
     vibrates: bool
 
 
@@ -81,19 +82,19 @@ class Trace:
 
 def take_snapshot(loop: ClosedLoop, record: CycleRecord, command: int) -> Snapshot:
     """Record the state of the plant after a cycle."""
-    plant, truth = loop.plant, loop.truth()
+    plant, truth, closed = loop.plant, loop.truth(), record.sensors.switch_closed
+    pads_R_m, switches = plant.pads_R_m(), loop.config.protection.tool_switches
     return Snapshot(
         command=command,
-        p_RoTo_R_m=truth.p_RoTo_R_m,
-        R_RT=truth.R_RT,
-        force_R_N=tool_forces(plant),
-        closed=record.sensors.switch_closed,
-        pads_R_m=plant.pads_R_m(),
+        p_RoTo_R_m=dict(zip(plant.tools, truth.p_RoTo_R_m, strict=True)),
+        R_RT=dict(zip(plant.tools, truth.R_RT, strict=True)),
+        force_R_N=dict(zip(plant.tools, tool_forces(plant), strict=True)),
+        closed={tool: closed[list(found)] for tool, found in switches.items()},
+        pads_R_m={tool: pads_R_m[list(found)] for tool, found in switches.items()},
         vibrates=record.outputs.drive.vibrate,
     )
 
 
-def is_touching(snapshot: Snapshot, tool: Tool) -> bool:
+def is_touching(snapshot: Snapshot, tool: str) -> bool:
     """Return whether a contact switch of a tool is closed."""
-    closed: NDArray[np.bool_] = snapshot.closed[[Switch(switch) for switch in TOOL_SWITCHES[tool]]]
-    return bool(closed.any())
+    return bool(snapshot.closed[tool].any())
