@@ -5,7 +5,7 @@ Import everything else from `fsw`, `sim` and `ground`.
 
 from fsw.config import Config, configure
 from fsw.cycle import step
-from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.messages import Outputs, Sensors
 from fsw.state import State, boot

@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array
@@ -34,7 +33,7 @@ BUDGET_RUNS: Final = 3
 IK_TARGETS: Final = 10_000
 IK_SINGLE_TARGETS: Final = 100
 IK_REPEATS: Final = 5
-IK_TOOL: Final = Tool.APXS
+IK_TOOL: Final = "APXS"
 MARS_R_m_s2: Final = np.array([0.0, 0.0, 3.711])
 RIGID: Final = Trial("nominal", arm_of("nominal"), IK_TOOL, None)
 ARMS: Final = ("nominal", "calibrated:3")

@@ -20,7 +20,6 @@ import numpy as np
 import sim.loop
 from fsw.config import CYCLE_HZ
 from fsw.cycle import step
-from fsw.dictionary.enums import Tool
 from fsw.estimate.reference import Reference
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
@@ -33,7 +32,7 @@ REPEATS = 5
 BARE_STEPS = 40_000
 SETTLING_STEPS = 4_096
 REFERENCE_MODEL = Path(__file__).with_name("plant-50fd31b.mjb")
-TARGET = Placement(Tool.APXS, (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
+TARGET = Placement("APXS", (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
 
 
 @cache

@@ -15,7 +15,6 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command, ToolChange
-from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.dictionary.types import joints5
 from sim.arms import arm_named
 from sim.contact import tool_forces
@@ -56,7 +55,7 @@ class ContactRest:
         )
 
 
-def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: Tool, arm: str = "") -> ContactRest | str:
+def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: str, arm: str = "") -> ContactRest | str:
     """Measure the contact of a tool that touches at the end of these commands.
 
     The loop runs until 4 s after the last command.
@@ -68,8 +67,8 @@ def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: Tool, arm: s
     commanded = run_sequence(loop, commands)
     for record in chain(commanded, (loop.cycle() for _ in range(round(HELD_S * CYCLE_HZ)))):
         evrs += record.outputs.evrs
-        force_N.append(float(np.linalg.norm(tool_forces(loop.plant)[tool])))
-        closed.append(record.sensors.switch_closed[list(TOOL_SWITCHES[tool])])
+        force_N.append(float(np.linalg.norm(tool_forces(loop.plant)[loop.plant.tools.index(tool)])))
+        closed.append(record.sensors.switch_closed[list(loop.config.protection.tool_switches[tool])])
         setpoint_count.append(record.outputs.drive.setpoint_count)
         braked.append(loop.braked)
     problem = not_completed(commands[-1], evrs)
@@ -83,7 +82,7 @@ def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: Tool, arm: s
     changes = np.diff(np.array(closed[soon:]).astype(int), axis=0)
     return ContactRest(
         arm,
-        tool.name,
+        tool,
         mean_N,
         force_error_0_5_s=float(deviation[soon:].max()),
         force_error_2_s=float(deviation[later:].max()),

@@ -112,7 +112,7 @@ class Tally:
     def note(self, trial: Trial, what: str, where: Any, **more: Any) -> None:
         """Keep an example, with all that is necessary to repeat it."""
         gravity = trial.gravity_R_m_s2
-        setup = {"arm": trial.arm_name, "tool": trial.tool.name, "gravity_R_m_s2": gravity}
+        setup = {"arm": trial.arm_name, "tool": trial.tool, "gravity_R_m_s2": gravity}
         values = {"what": what, "near": where, **setup, **more}
         self._keep({name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in values.items()})
 

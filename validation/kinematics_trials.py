@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.enums import Tool
 from fsw.kinematics.arm import Arm, build_arm, build_orthogonal_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.ik import BranchVerdict, IkResult
@@ -25,6 +24,7 @@ from fsw.kinematics.transforms import (
 )
 from sim.arms import arm_named
 from sim.frames import gravity_in_rover
+from sim.params import nominal_params
 from sim.world import GRAVITY_M_S2
 
 MAX_TILT_RAD: Final = np.radians(30.0)
@@ -77,7 +77,7 @@ class Trial:
 
     arm_name: str
     arm: Arm
-    tool: Tool
+    tool: str
     gravity_R_m_s2: Array | None
 
     def tool_pose(self, output_rad: Array) -> Pose:
@@ -99,7 +99,7 @@ def trials(case: Case, rng: np.random.Generator) -> Iterator[Trial]:
     """Draw an arm and a gravity, and yield a trial for each tool; each skew tool is drawn separately."""
     gravity = _gravity(case.gravity, rng)
     seed = int(rng.integers(CALIBRATED_SEEDS))
-    for tool in Tool:
+    for tool in nominal_params().tool_names:
         name = {
             "nominal": "nominal",
             "calibrated": f"calibrated:{seed}",
@@ -130,7 +130,7 @@ def skew_tool(seed: int, offset_m: float = 0.06, tilt_rad: float = 0.8) -> Arm:
     p_m = clock @ [rng.uniform(0.2, 0.4), rng.uniform(-offset_m, offset_m), rng.uniform(-0.15, 0.0)]
     X_FT = Pose(clock @ lean, p_m)
     shape = build_orthogonal_arm(arm.theta_rad, Pose(arm.X_CF.R, arm.X_CF.p + arm.p_LC_m), X_FT)
-    return replace(arm, X_FT=(X_FT,) * len(Tool), orthogonal=(shape,) * len(Tool))
+    return replace(arm, X_FT=dict.fromkeys(arm.X_FT, X_FT), orthogonal=dict.fromkeys(arm.X_FT, shape))
 
 
 def _gravity(name: str, rng: np.random.Generator) -> Array | None:

@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array, wrap_angle
@@ -123,16 +122,16 @@ class Comparison:
         for root in roots.T[: max(EXAMPLES - len(self.examples), 0)]:
             sigma = float(smallest_singular_value(trial, root[:, None])[0])
             self.examples.append(
-                {"what": what, "tool": trial.tool.name, "root_rad": root.tolist(), "sigma": sigma}
+                {"what": what, "tool": trial.tool, "root_rad": root.tolist(), "sigma": sigma}
             )
 
 
-def compare(eaik: Eaik, tool: Tool, p_m: Array, approach: Array) -> Comparison:
+def compare(eaik: Eaik, tool: str, p_m: Array, approach: Array) -> Comparison:
     """Compare our roots of targets with the oracle's, modulo full turns.
 
     Args:
         eaik: The oracle.
-        tool: Tool at the targets.
+        tool: str at the targets.
         p_m: Positions in the rover frame, shape (3, n).
         approach: Unit approach vectors in the rover frame, shape (3, n).
     """
@@ -159,11 +158,11 @@ def compare(eaik: Eaik, tool: Tool, p_m: Array, approach: Array) -> Comparison:
     return comparison
 
 
-def random_targets(tool: Tool, kind: str, rng: np.random.Generator, n: int) -> tuple[Array, Array]:
+def random_targets(tool: str, kind: str, rng: np.random.Generator, n: int) -> tuple[Array, Array]:
     """Draw random targets.
 
     Args:
-        tool: Tool at the targets.
+        tool: str at the targets.
         kind: `workspace` for the primary workspace, `vectors` for poses of random joint vectors.
         rng: Source of randomness.
         n: Number of targets.
@@ -195,15 +194,16 @@ def main() -> int:
     except ImportError as missing:
         print(f"marsarm: the oracle is not installed ({missing}); `make oracle` installs it", file=sys.stderr)
         return 2
-    each = -(-options.targets // (len(Tool) * len(KINDS)))
+    tools = nominal_params().tool_names
+    each = -(-options.targets // (len(tools) * len(KINDS)))
     results, differ = {}, False
     for kind in KINDS:
-        for tool in Tool:
-            print(f"marsarm: {each} targets from {kind}, {tool.name}", file=sys.stderr)
-            rng = np.random.default_rng([options.seed, int(tool), KINDS.index(kind)])
+        for tool in tools:
+            print(f"marsarm: {each} targets from {kind}, {tool}", file=sys.stderr)
+            rng = np.random.default_rng([options.seed, tools.index(tool), KINDS.index(kind)])
             comparison = compare(eaik, tool, *random_targets(tool, kind, rng, each))
             differ |= bool(comparison.only_ours or comparison.only_theirs)
-            results[f"{kind} {tool.name}"] = asdict(comparison)
+            results[f"{kind} {tool}"] = asdict(comparison)
     print(json.dumps({"family": eaik.family, "seed": options.seed, "results": results}, indent=2))
     return int(differ)
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fsw.dictionary.commands import Command, PlaceTool, Retract, ToolChange
-from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
 from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.reference import Reference
@@ -38,7 +38,7 @@ POSES = 5
 FROM_SPOT_MM = 10.0
 """Largest distance from the spot after a tool change on a calibrated arm."""
 MOST_DRAWS = 25
-FIRST, SECOND = Tool.APXS, Tool.MAHLI
+FIRST, SECOND = "APXS", "MAHLI"
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +140,7 @@ def _touch(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array, Arra
     return truth.p_RoTo_R_m[tool], truth.R_RT[tool]
 
 
-def _tool_shift(arm: BuiltArm, tool: Tool) -> Array:
+def _tool_shift(arm: BuiltArm, tool: str) -> Array:
     """Return the position error of a tool on the turret, in tool axes, shape (3,), in metres.
 
     It is relative to the nominal parameters.

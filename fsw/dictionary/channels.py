@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.types import Limits
+from fsw.dictionary.types import Limits, ToolMark
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +51,7 @@ class ToolChannels:
 
     tick: int
     """Number of the cycle since boot."""
-    tool: int
+    tool: Annotated[int, ToolMark()]
     """Tool of the last tool command: its index among the tools of the parameters."""
     p_RoTo_R_m: Annotated[NDArray[np.float64], Limits(-5.0, 5.0)]
     """Origin of the tool in the rover frame RMECH."""

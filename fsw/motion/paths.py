@@ -125,7 +125,8 @@ def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
 def _speed_share(config: Config, start_rad: Array, end_rad: Array) -> float:
     """Compute the share of the joint speeds at which no tool is too fast.
 
-    The speed of the tool that is farthest from the turret axis is sampled along a move with all joints at constant rates.
+    The tool that is farthest from the turret axis counts. Its speed is sampled along a move with all joints
+    at constant rates.
     """
     turn_rad = end_rad - start_rad
     longest_s = float(np.max(np.abs(turn_rad) / config.speed_rad_s))

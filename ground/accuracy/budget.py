@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config, configure, digest
-from fsw.dictionary.enums import Tool
+from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, Flags
 from ground.accuracy.combine import (
     COVERAGE,
@@ -30,7 +30,7 @@ from ground.accuracy.sources import BudgetCase, ErrorModel, is_compensated, load
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
 from ground.common.progress import Progress
-from ground.common.requests import make_world, select_arm
+from ground.common.requests import make_world, parse_tool, select_arm
 
 MOMENTS: Final = "moments"
 ALL: Final = "all"
@@ -56,7 +56,7 @@ class Budget:
 
     name: str
     case: BudgetCase
-    tools: Mapping[Tool, ToolBudget]
+    tools: Mapping[str, ToolBudget]
 
     def estimate(self, rule: str, component: str) -> float:
         """Compute the bound [m, rad] that holds at 99.73 % of the poses.
@@ -81,7 +81,7 @@ def compute_budgets(
     names: tuple[str, ...],
     config: Config,
     gravity_R_m_s2: Array,
-    tools: tuple[Tool, ...],
+    tools: tuple[str, ...],
     count: int,
     seed: int,
     progress: Progress,
@@ -101,9 +101,9 @@ def compute_budgets(
     Returns:
         The budgets by name of the case.
     """
-    found: dict[str, dict[Tool, ToolBudget]] = {name: {} for name in names}
+    found: dict[str, dict[str, ToolBudget]] = {name: {} for name in names}
     for k, tool in enumerate(tools):
-        progress(k, len(tools), tool.name.lower())
+        progress(k, len(tools), tool.lower())
         poses = workspace_poses(config.arm, tool, gravity_R_m_s2, -(-count // len(tools)), seed)
         sensitivity = compute_sensitivity(config, poses, gravity_R_m_s2)
         for name in names:
@@ -188,9 +188,9 @@ def run_budget(request: BudgetRequest, progress: Progress) -> BudgetReport:
     names = tuple(model.case) if request.case == ALL else (request.case,)
     if request.case not in (ALL, *model.case):
         raise BadRequest(f"case: {request.case!r} is not known; there are {', '.join(model.case)} and {ALL}")
-    tools = _parse_tools(request.tool)
     gravity = make_world(request.gravity, 0.0, 0.0, "gravity").gravity_N_m_s2
     params = select_arm("nominal", request.params).params
+    tools = _parse_tools(request.tool, params)
     config = configure(params)
     budgets = compute_budgets(model, names, config, gravity, tools, request.poses, request.seed, progress)
     rows = [
@@ -205,10 +205,7 @@ def run_budget(request: BudgetRequest, progress: Progress) -> BudgetReport:
     return BudgetReport(request, model, budgets, tuple(rows), tuple(reproduced), digest(params))
 
 
-def _parse_tools(name: str) -> tuple[Tool, ...]:
-    known = {tool.name.lower(): tool for tool in Tool}
+def _parse_tools(name: str, params: Params) -> tuple[str, ...]:
     if name.lower() == ALL:
-        return tuple(Tool)
-    if name.lower() not in known:
-        raise BadRequest(f"tool: {name!r} is not known; there are {', '.join(known)} and {ALL}")
-    return (known[name.lower()],)
+        return params.tool_names
+    return (parse_tool(name, params.tool_names, ALL),)

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Flags
 from ground.accuracy.budget import (
     COMPONENTS,
@@ -141,8 +141,9 @@ def check_coverage(
     trials: Sequence[Sequence[MeasuredPlacement]],
 ) -> CoverageReport:
     """Compare the budget of a case with the trials, one trial for each arm."""
-    by_tool = {tool: [m for trial in trials for m in trial if m.tool == tool] for tool in Tool}
-    by_tool = {tool: found for tool, found in by_tool.items() if found}
+    placements = [m for trial in trials for m in trial]
+    used = [tool for tool in config.params.tool_names if any(m.tool == tool for m in placements)]
+    by_tool = {tool: [m for m in placements if m.tool == tool] for tool in used}
     sensitivity = {
         tool: _tool_sensitivity(config, gravity_R_m_s2, tool, found) for tool, found in by_tool.items()
     }
@@ -190,16 +191,16 @@ def _variant_totals_m(model: ErrorModel, case: str, sensitivity: Iterable[Sensit
     }
 
 
-def _measured_poses(tool: Tool, found: Sequence[MeasuredPlacement]) -> Poses:
+def _measured_poses(tool: str, found: Sequence[MeasuredPlacement]) -> Poses:
     output = np.array([m.output_rad for m in found]).T
     return Poses(tool, output, np.full((3, len(found)), np.nan))
 
 
 def _tool_sensitivity(
-    config: Config, gravity_R_m_s2: Array, tool: Tool, found: Sequence[MeasuredPlacement]
+    config: Config, gravity_R_m_s2: Array, tool: str, found: Sequence[MeasuredPlacement]
 ) -> Sensitivity:
     return compute_sensitivity(config, _measured_poses(tool, found), gravity_R_m_s2)
 
 
-def _join_bounds(budgets: Mapping[Tool, ToolBudget], rule: str, name: str) -> Array:
+def _join_bounds(budgets: Mapping[str, ToolBudget], rule: str, name: str) -> Array:
     return np.concatenate([getattr(one.by_rule[rule], name) for one in budgets.values()])

@@ -9,7 +9,6 @@ import numpy as np
 
 from fsw.config import configure
 from fsw.dictionary.commands import BacklashMode, MoveTool
-from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.reference import Reference, no_reference
@@ -39,7 +38,7 @@ POSES_PER_PLACEMENT: Final = 20
 class Placement:
     """Commanded placement of a tool."""
 
-    tool: Tool
+    tool: str
     start_rad: Array
     output_rad: Array
     X_RT: Pose
@@ -51,7 +50,7 @@ class Placement:
 class MeasuredPlacement:
     """Error of a tool at a placement."""
 
-    tool: Tool
+    tool: str
     output_rad: Array
     """Commanded joint angles, shape (5,)."""
     error: Array
@@ -67,9 +66,7 @@ MoveModel = Callable[[Placement], tuple[Pose, Array]]
 """Function from a placement to the true tool pose and the positions of the outputs in their backlash."""
 
 
-def random_placements(
-    params: Params, tool: Tool, count: int, seed: np.random.SeedSequence
-) -> list[Placement]:
+def random_placements(params: Params, tool: str, count: int, seed: np.random.SeedSequence) -> list[Placement]:
     """Draw placements over workspace and branches, with the gravity deflection known to flight software."""
     arm, gravity = build_arm(params), World().gravity_N_m_s2
     rng = np.random.default_rng(seed)
@@ -125,7 +122,8 @@ def closed_loop_model(arm: BuiltArm, reference: Reference, backlash: BacklashMod
         if problem is not None:
             raise RuntimeError(f"{arm.name}: no way to {np.degrees(place.output_rad)} deg: {problem}")
         truth, plant = loop.truth(), loop.plant
-        X_RT = Pose(truth.R_RT[place.tool], truth.p_RoTo_R_m[place.tool])
+        index = plant.tools.index(place.tool)
+        X_RT = Pose(truth.R_RT[index], truth.p_RoTo_R_m[index])
         return X_RT, plant.backlash_rad() / plant.half_backlash_rad
 
     return move

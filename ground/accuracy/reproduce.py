@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from fsw.config import Config
-from fsw.dictionary.enums import Frame, Tool
+from fsw.dictionary.enums import Frame
 from fsw.dictionary.types import Vector3, vector3
 from fsw.kinematics.transforms import Array
 from ground.accuracy.combine import COVERAGE, bounds, paper_rule
@@ -92,7 +92,7 @@ def reproduce(
         compute_sensitivity(
             config, workspace_poses(config.arm, tool, gravity_R_m_s2, POSES_A_TOOL, seed), gravity_R_m_s2
         )
-        for tool in Tool
+        for tool in config.params.tool_names
     ]
     terms = {name: _terms(model, name, sensitivity) for name in {row.case for row in rows}}
     parts = list(dict.fromkeys(part for case in terms.values() for part in case.part))

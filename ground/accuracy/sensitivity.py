@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.enums import Frame, Tool
+from fsw.dictionary.enums import Frame
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import Frames, frame_jacobian, tool_pose
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
@@ -28,14 +28,14 @@ BRANCHES_A_TARGET: Final = 3
 class Poses:
     """Joint angles that bring a tool to targets of the workspace."""
 
-    tool: Tool
+    tool: str
     output_rad: Array
     """Joint angles of the deflected arm, shape (5, n)."""
     p_NoTo_N_m: Array
     """Positions of the tool in RNAV, shape (3, n)."""
 
 
-def workspace_poses(arm: Arm, tool: Tool, gravity_R_m_s2: Array, count: int, seed: int) -> Poses:
+def workspace_poses(arm: Arm, tool: str, gravity_R_m_s2: Array, count: int, seed: int) -> Poses:
     """Draw poses of a tool over the workspace; the result depends only on the arguments.
 
     Args:
@@ -48,7 +48,7 @@ def workspace_poses(arm: Arm, tool: Tool, gravity_R_m_s2: Array, count: int, see
     Returns:
         The poses.
     """
-    rng = np.random.default_rng([seed, tool])
+    rng = np.random.default_rng([seed, list(arm.X_FT).index(tool)])
     outputs, targets = np.zeros((5, 0)), np.zeros((3, 0))
     while outputs.shape[1] < count:
         p_N_m, angles = random_targets(rng, -(-count // BRANCHES_A_TARGET))
@@ -107,7 +107,9 @@ def compute_sensitivity(config: Config, poses: Poses, gravity_R_m_s2: Array) -> 
     deflected = settle_output(arm, poses.output_rad, gravity_R_m_s2)
     X_RT = tool_pose(arm, deflected.frames, poses.tool)
     J = frame_jacobian(deflected.frames, X_RT)
-    expansion = np.concatenate([arm.expansion_F, arm.expansion_T[:, [poses.tool]]], axis=1)
+    expansion = np.concatenate(
+        [arm.expansion_F, arm.expansion_T[:, [list(arm.X_FT).index(poses.tool)]]], axis=1
+    )
     growth = np.einsum("ikjn,kj->ijn", J, expansion)
     deflection = np.zeros((6, len(Frame), poses.output_rad.shape[1]))
     deflection[:, :-1] = np.einsum(

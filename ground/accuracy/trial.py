@@ -8,7 +8,7 @@ import numpy as np
 
 from fsw.config import configure
 from fsw.dictionary.commands import BacklashMode
-from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import row6
 from fsw.estimate.reference import Reference
@@ -38,7 +38,7 @@ ARM_SOURCES: Final = ("assembly", "calibration", "deflection", "zero_offset", "b
 
 
 def sample_effects(
-    model: ErrorModel, case: BudgetCase, tool: Tool, rng: np.random.Generator
+    model: ErrorModel, case: BudgetCase, tool: str, rng: np.random.Generator
 ) -> tuple[Effect, ...]:
     """Sample an arm with all sources of a case; errors of tool frames apply to this tool."""
     effects: list[Effect] = []
@@ -48,7 +48,7 @@ def sample_effects(
 
 
 def sample_source(
-    source: ErrorSource, factor: float, tool: Tool, rng: np.random.Generator
+    source: ErrorSource, factor: float, tool: str, rng: np.random.Generator
 ) -> Iterator[Effect]:
     """Sample the effects of one source with a factor of its magnitude.
 
@@ -112,7 +112,7 @@ def _frames(theta: Array) -> list[Frame]:
     return [frame for frame in Frame if theta[:, frame].any()]
 
 
-def _tool_of(frame: Frame, tool: Tool) -> Tool | None:
+def _tool_of(frame: Frame, tool: str) -> str | None:
     return tool if frame is Frame.TOOL else None
 
 
@@ -131,7 +131,7 @@ def run_sampled_trial(
     """
     sample_seed, placement_seed = seed.spawn(2)
     rng = np.random.default_rng(sample_seed)
-    tool = Tool(int(rng.integers(len(Tool))))
+    tool = params.tool_names[int(rng.integers(len(params.tools)))]
     effects = sample_effects(model, case, tool, rng)
     backlash: BacklashMode = "on" if is_compensated(case.sources.get("backlash", 0.0)) else "off"
     arm = BuiltArm("drawn", effects, params)
@@ -161,7 +161,7 @@ def run_built_trial(
     """
     sample_seed, placement_seed = seed.spawn(2)
     rng = np.random.default_rng(sample_seed)
-    tool = Tool(int(rng.integers(len(Tool))))
+    tool = params.tool_names[int(rng.integers(len(params.tools)))]
     added = {name: factor for name, factor in case.sources.items() if name not in ARM_SOURCES}
     cold = Ambient(float(rng.uniform(*RANDOM_TEMPERATURE_C)))
     arm = arm_named(name, params)

@@ -8,7 +8,7 @@ import numpy as np
 
 from fsw.config import Config, configure
 from fsw.dictionary.commands import MoveJoints
-from fsw.dictionary.enums import HARDSTOP_ORDER, Tool
+from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import joints5
 from fsw.estimate.gear import LIKELY, clip_to_backlash
@@ -86,7 +86,7 @@ def _clear_pose(
     config: Config, space: ClearanceModel, rng: np.random.Generator, names: tuple[str, ...]
 ) -> Array:
     while True:
-        pose = pose_in_workspace(config, rng, Tool.DRILL, names)
+        pose = pose_in_workspace(config, rng, config.farthest_tool, names)
         clearance = space.clearance(pose[:, None])
         if min(clearance.outside_m, clearance.self_m) > MIN_CLEARANCE_M:
             return pose
@@ -121,7 +121,9 @@ def branch_name(config: Config, output_rad: Array) -> str:
     Returns:
         The name of the branch.
     """
-    return BRANCHES[int(branch_index(fold_distances(config.arm.orthogonal[Tool.DRILL], output_rad)))]
+    return BRANCHES[
+        int(branch_index(fold_distances(config.arm.orthogonal[config.farthest_tool], output_rad)))
+    ]
 
 
 class CampaignFailed(UserError):

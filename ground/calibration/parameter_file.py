@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from fsw.config import digest
-from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import pose_to_transform6
 from fsw.kinematics.transforms import Pose
@@ -19,7 +18,7 @@ from ground.common.files import atomic_write
 from ground.common.params_toml import params_toml
 
 
-def calibrated_params(found: Calibration, tools: dict[Tool, Pose] | None = None) -> Params:
+def calibrated_params(found: Calibration, tools: dict[str, Pose] | None = None) -> Params:
     """Build the parameters of the calibrated arm, with the encoder zeros in its hardstop angles.
 
     Args:
@@ -30,11 +29,11 @@ def calibrated_params(found: Calibration, tools: dict[Tool, Pose] | None = None)
         Parameters of flight software.
     """
     _, params = move_zeros_to_hardstops(found.nominal, found.best.values)
-    for tool, X_FT in (tools or {}).items():
-        name = tool.name.lower()
-        changed = replace(getattr(params.tools, name), transform=pose_to_transform6(X_FT))
-        params = replace(params, tools=replace(params.tools, **{name: changed}))
-    return replace(params, arm_name=found.campaign.arm_name)
+    registered = {name: pose_to_transform6(X_FT) for name, X_FT in (tools or {}).items()}
+    changed = tuple(
+        replace(tool, transform=registered.get(tool.name, tool.transform)) for tool in params.tools
+    )
+    return replace(params, tools=changed, arm_name=found.campaign.arm_name)
 
 
 def data_sha256(campaign: Campaign) -> str:

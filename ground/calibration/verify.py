@@ -11,7 +11,6 @@ import numpy as np
 
 from fsw.config import configure
 from fsw.dictionary.commands import MoveTool
-from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import vector3
 from fsw.estimate.reference import Reference
@@ -37,7 +36,7 @@ CALIBRATION_C: Final = 20.0
 MOST_TRIES: Final = 20
 
 
-def register_tools(arm: BuiltArm, seed: int) -> dict[Tool, Pose]:
+def register_tools(arm: BuiltArm, seed: int) -> dict[str, Pose]:
     """Simulate the measurement of every tool frame by targets on the tool and on the interface.
 
     Args:
@@ -50,7 +49,9 @@ def register_tools(arm: BuiltArm, seed: int) -> dict[Tool, Pose]:
     rng = np.random.default_rng([seed, 3])
     truth = build_arm(true_params(arm))
     noise = np.repeat([FIXTURE_RAD, FIXTURE_M], 3)
-    return {tool: truth.X_FT[tool] @ screw_exp(noise * rng.standard_normal(6)) for tool in Tool}
+    return {
+        tool: truth.X_FT[tool] @ screw_exp(noise * rng.standard_normal(6)) for tool in arm.params.tool_names
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +59,7 @@ class PlaceErrors:
     """Tool errors at the targets of one environment; arrays of shape (n,)."""
 
     name: str
-    tool: tuple[Tool, ...]
+    tool: tuple[str, ...]
     total_m: Array
     lateral_m: Array
     normal_m: Array
@@ -121,7 +122,7 @@ class VerificationRun:
         self._loop = free_air_loop(Setup(arm, world, ready, seed, reference, effects))
         self._rng = np.random.default_rng([seed, 4])
 
-    def tool_errors(self, targets: int) -> Iterator[tuple[Tool, Array]]:
+    def tool_errors(self, targets: int) -> Iterator[tuple[str, Array]]:
         """Move to targets and measure the tool errors.
 
         Args:
@@ -131,10 +132,10 @@ class VerificationRun:
             The tool and its errors: total, lateral, along the approach [m], and axis [rad]; shape (4,).
         """
         for k in range(targets):
-            tool = Tool(k % len(Tool))
+            tool = self._loop.plant.tools[k % len(self._loop.plant.tools)]
             yield tool, self._visit_target(tool)
 
-    def _visit_target(self, tool: Tool) -> Array:
+    def _visit_target(self, tool: str) -> Array:
         for _ in range(MOST_TRIES):
             p_N_m, angles = random_targets(self._rng, 1)
             target, approach = p_R_from_N(p_N_m[:, 0]), approach_from(angles)[:, 0]
@@ -143,9 +144,10 @@ class VerificationRun:
                 return self._tool_error(tool, target, approach)
         raise CampaignFailed(f"no target in {MOST_TRIES} could be reached: {problem}")
 
-    def _tool_error(self, tool: Tool, target: Array, approach: Array) -> Array:
+    def _tool_error(self, tool: str, target: Array, approach: Array) -> Array:
         truth = self._loop.plant.truth()
-        miss, axis = truth.p_RoTo_R_m[tool] - target, truth.R_RT[tool][:, 0]
+        index = self._loop.plant.tools.index(tool)
+        miss, axis = truth.p_RoTo_R_m[index] - target, truth.R_RT[index][:, 0]
         along = float(miss @ approach)
         lateral = float(np.linalg.norm(miss - along * approach))
         turned = angle_between(axis, approach)

@@ -1,6 +1,7 @@
 """Checks and conversions of request fields that several verbs share, made before any work begins."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal, cast
 
@@ -108,6 +109,23 @@ def parse_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
     if problems:
         raise BadRequest("\n".join(problems))
     return tuple(effects)
+
+
+def parse_tool(name: str, tools: Sequence[str], *others: str) -> str:
+    """Return the tool of this name, in any case.
+
+    Args:
+        name: Name that was given.
+        tools: Names of the tools of the arm.
+        others: Other words that are allowed, for the error.
+
+    Raises:
+        BadRequest: the arm has no such tool.
+    """
+    if name.upper() not in tools:
+        known = ", ".join([*(tool.lower() for tool in tools), *others])
+        raise BadRequest(f"tool: {name!r} is not known; there are {known}")
+    return name.upper()
 
 
 def make_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: str = "scene") -> World:

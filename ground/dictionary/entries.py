@@ -19,7 +19,7 @@ from fsw.protect.responses import RESPONSE_TO
 from ground.common.errors import BadRequest
 from ground.common.fields import alias_docs, class_doc, field_docs, unit_of
 from ground.telemetry.json_codec import record_to_json
-from ground.telemetry.schema import array_shape
+from ground.telemetry.schema import arm_names, array_shape
 from ground.telemetry.topics import PACKET_TOPICS, Topic, channel_matches, channel_name, strip_optional
 from sim.params import nominal_params
 from sim.scenario.names import did_you_mean, upper_snake
@@ -189,7 +189,7 @@ def type_name(owner: type, name: str, hint: Any) -> str:
     """Return a type as text with its shape, such as float64[5]."""
     kind = strip_optional(hint)
     if get_origin(kind) is np.ndarray:
-        shape = ", ".join(map(str, array_shape(owner, name)))
+        shape = ", ".join(map(str, array_shape(owner, name, arm_names(nominal_params()))))
         return f"{np.dtype(get_args(get_args(kind)[1])[0]).name}[{shape}]"
     if get_origin(kind) is tuple:
         return _tuple_name(kind)

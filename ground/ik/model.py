@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import Final
 
 from fsw.config import digest
-from fsw.dictionary.enums import Tool
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.ik import IkResult, inverse_kinematics
 from fsw.kinematics.transforms import Array
 from ground.common.errors import BadRequest
 from ground.common.progress import Progress
-from ground.common.requests import make_world, select_arm
+from ground.common.requests import make_world, parse_tool, select_arm
 from ground.ik.request import ModelRequest
 from ground.ik.targets import IkTargets
 
@@ -28,7 +27,7 @@ class IkModel:
 
     request: ModelRequest
     arm: Arm
-    tool: Tool
+    tool: str
     gravity_R_m_s2: Array | None
     params_sha256: str
 
@@ -64,19 +63,12 @@ def build_ik_model(request: ModelRequest) -> IkModel:
     Raises:
         BadRequest: A field of the request is wrong.
     """
-    tool = _parse_tool(request.tool)
     world = make_world(request.gravity, request.tilt_roll_deg, request.tilt_pitch_deg, "gravity")
     if not math.isfinite(request.warming_K) or abs(request.warming_K) > MOST_WARMING_K:
         raise BadRequest(
             f"warming: {request.warming_K:g} K is not within {MOST_WARMING_K:g} K of calibration temperature"
         )
     params = select_arm(request.arm, request.params).params
+    tool = parse_tool(request.tool, params.tool_names)
     gravity = world.gravity_N_m_s2 if request.compensate == "absolute" else None
     return IkModel(request, heat_arm(build_arm(params), request.warming_K), tool, gravity, digest(params))
-
-
-def _parse_tool(name: str) -> Tool:
-    known = {tool.name.lower(): tool for tool in Tool}
-    if name.lower() not in known:
-        raise BadRequest(f"tool: {name!r} is not known; there are {', '.join(known)}")
-    return known[name.lower()]

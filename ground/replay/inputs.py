@@ -20,7 +20,7 @@ from ground.telemetry.format import COMMAND_TOPIC, SENSOR_TOPIC, TICK_NS
 from ground.telemetry.json_codec import BadJson, command_from_json, record_from_json
 from ground.telemetry.lost_messages import LostMessages, trailing_bytes_text
 from ground.telemetry.read import Log
-from ground.telemetry.schema import PER_JOINT, packet_layout
+from ground.telemetry.schema import PER_JOINT, ArmNames, arm_names, packet_layout
 from sim.params import nominal_params
 
 REQUIRED_TOPICS: Final = (None, SENSOR_TOPIC, COMMAND_TOPIC)
@@ -72,7 +72,9 @@ def inputs_from_log(log: Log) -> Inputs:
     except (BadJson, ValueError, RecursionError) as error:
         raise NotReplayable(f"log {log.path}: {error}") from error
     ticks = _count_whole_ticks(log, notes)
-    return Inputs(params, mode, reference, _sensor_columns(log), commands, ticks, tuple(notes))
+    return Inputs(
+        params, mode, reference, _sensor_columns(log, arm_names(params)), commands, ticks, tuple(notes)
+    )
 
 
 def _start_conditions(log: Log, notes: list[str]) -> tuple[Params, Mode, Reference | None]:
@@ -151,11 +153,11 @@ def _last_tick_before(lost: LostMessages) -> int:
     return 0 if lost.after_ns is None else lost.after_ns // TICK_NS
 
 
-def _sensor_columns(log: Log) -> dict[str, NDArray[Any]]:
+def _sensor_columns(log: Log, arm: ArmNames) -> dict[str, NDArray[Any]]:
     """Return the fields of the sensor packets, and check type and shape of each."""
     packets = log[SENSOR_TOPIC]
     columns = {}
-    for field in packet_layout(Sensors, [field.name for field in fields(Sensors)]).fields:
+    for field in packet_layout(Sensors, [field.name for field in fields(Sensors)], arm).fields:
         where = f"log {log.path}: {SENSOR_TOPIC}.{field.name}"
         if field.name not in (packets.dtype.names or ()):
             raise NotReplayable(

@@ -3,8 +3,8 @@
 from dataclasses import asdict, dataclass, replace
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.params import Params
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
 from ground.common.progress import Progress
@@ -50,7 +50,6 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
         BadRequest: the request is wrong, or the target cannot be reached.
     """
     check_options(request)
-    tool = _parse_tool(request.tool)
     check_finite("target", request.target_m)
     check_finite("normal", request.normal)
     check_target_distance("target", request.target_m)
@@ -59,6 +58,7 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
     )
     effects = parse_effects(request.effects)
     arm = select_arm(request.arm, request.params).with_effects(effects)
+    tool = _parse_tool(request.tool, arm.params)
     level = make_world("mars", request.tilt_roll_deg, request.tilt_pitch_deg)
     world = replace(level, surface=Surface(request.target_m, normal))
     if inside_rover(request.target_m):
@@ -73,8 +73,8 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
     return PlaceJob(arm, world, preview.placement, preview.duration_s + unstow_duration_s(arm), effects)
 
 
-def _parse_tool(name: str) -> Tool:
-    known = {tool.name.lower(): tool for tool in Tool if TOOL_SWITCHES[tool]}
+def _parse_tool(name: str, params: Params) -> str:
+    known = {tool.lower(): tool for tool, switches in params.tool_switches.items() if switches}
     if name.lower() not in known:
         raise BadRequest(
             f"tool: {name!r} cannot be placed; the tools with contact switches are {', '.join(known)}"

@@ -69,11 +69,11 @@ def _draw_channel(axes: Any, channel: ChannelSeries) -> None:
     axes.set_title(_title(channel, names), loc="left", fontsize=9)
     axes.set_ylabel(channel.unit or "")
     words = _value_names(channel)
-    if words is None:
-        axes.ticklabel_format(axis="y", useOffset=False)
-    else:
+    if words:
         here = [value for value in words if (flat == value).any()]
-        axes.set_yticks(here, [value.name for value in here], fontsize=7)
+        axes.set_yticks(here, [words[value] for value in here], fontsize=7)
+    else:
+        axes.ticklabel_format(axis="y", useOffset=False)
     axes.grid(alpha=0.3)
     axes.margins(x=0.01)
     if 1 < len(names) <= MAX_LEGEND:
@@ -88,13 +88,14 @@ def _title(channel: ChannelSeries, names: Sequence[str | None]) -> str:
     return f"{title}: {len(names)} lines are too many to name; {one} is one of them"
 
 
-def _value_names(channel: ChannelSeries) -> type[IntEnum] | None:
-    """Return the enumeration of a channel, None if its values are plain numbers."""
+def _value_names(channel: ChannelSeries) -> dict[int, str]:
+    """Return the names of the values of a channel, none if they are plain numbers."""
     for topic, _ in PACKET_TOPICS:
         if topic.name == channel.topic and channel.field in topic.field_names:
             kind = get_type_hints(topic.packet)[channel.field]
-            return kind if isinstance(kind, type) and issubclass(kind, IntEnum) else None
-    return None
+            if isinstance(kind, type) and issubclass(kind, IntEnum):
+                return {member.value: member.name for member in kind}
+    return {}
 
 
 def _line_names(channel: ChannelSeries) -> list[str | None]:

@@ -33,9 +33,11 @@ from ground.telemetry.format import (
 from ground.telemetry.mcap_writer import McapState, McapWriter
 from ground.telemetry.pack import Packer, PacketSource, number_messages
 from ground.telemetry.ros_messages import SAMPLE_CYCLES, joint_sample
+from ground.telemetry.schema import arm_names
 from ground.telemetry.topic_specs import ROSOUT_TOPIC, TopicSpec, encode_topics, mcap_records, topic_specs
 from ground.telemetry.topics import PACKET_TOPICS
 from ground.telemetry.writer_pipe import WriterPipe
+from sim.params import nominal_params
 from sim.record import CycleRecord
 
 
@@ -123,7 +125,7 @@ class Recorder:
             LogNotWritable: no log can be written at this path; a previous file is unchanged.
         """
         self.path = Path(path)
-        channels = topic_specs()
+        channels = topic_specs(arm_names(nominal_params() if config is None else config.params))
         ids = {one.topic: one.id for one in channels}
         self._sources = [
             PacketSource(topic.path, one.id, one.layout)

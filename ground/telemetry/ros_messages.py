@@ -11,9 +11,9 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from fsw.collision.geometry import PARTS, TURRET_FRAME, RoundedBoxes
+from fsw.collision.geometry import TURRET_FRAME, RoundedBoxes
 from fsw.config import Config
-from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.types import vector3
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import IDENTITY, Array, Pose, inverse, rotation_x, rotation_z
@@ -207,7 +207,7 @@ class RosEncoder:
         fixed = [
             (ROOT_FRAME, ROVER_FRAME, Pose(rotation_x(np.array(np.pi)), np.zeros(3))),
             (ROVER_FRAME, "arm1", Pose(X_RL, np.zeros(3)) @ X_LF),
-            *(("arm6", tool.name.lower(), arm.X_FT[tool]) for tool in Tool),
+            *(("arm6", tool.lower(), X_FT) for tool, X_FT in arm.X_FT.items()),
         ]
         message, places = transforms_template([(parent, child) for parent, child, _ in fixed])
         fill_transforms(message, places, time_ns, [(*vector3(X.p), *quaternion(X.R)) for _, _, X in fixed])
@@ -235,7 +235,7 @@ class RosEncoder:
         X_FL = inverse(link_poses(arm))
         placed = []
         for k, carrier in enumerate(shapes.arm.carrier):
-            name, X_CS = PARTS[shapes.arm.part[k]], shapes.arm.X_CS[k]
+            name, X_CS = shapes.parts[shapes.arm.part[k]].lower(), shapes.arm.X_CS[k]
             on_turret = carrier == TURRET_FRAME
             X = X_CS if on_turret else X_FL[carrier] @ X_CS
             placed.append((name, "arm6" if on_turret else f"arm{carrier + 1}", X, shapes.arm, k, ARM_COLOUR))

@@ -7,12 +7,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from math import prod
-from typing import Annotated, Any, Final, Self, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, NamedTuple, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from fsw.dictionary.enums import Joint, Switch, Tool
-from fsw.dictionary.types import Limits
+from fsw.dictionary.enums import Joint
+from fsw.dictionary.params import Params
+from fsw.dictionary.types import Limits, ToolMark
 from ground.common.fields import field_docs, unit_of
 from ground.telemetry.errors import SchemaError
 
@@ -27,16 +28,30 @@ MAX_NUMBER_BYTES: Final = 8
 """Size of the largest number of ROS 2."""
 
 Shape = tuple[int, ...]
+
+
+class ArmNames(NamedTuple):
+    """Names of tools and contact switches of an arm, on which the layout of messages depends."""
+
+    tools: tuple[str, ...]
+    switches: tuple[str, ...]
+
+
+def arm_names(params: Params) -> ArmNames:
+    """Return the names of the tools and switches of the arm of these parameters."""
+    return ArmNames(params.tool_names, tuple(switch.name for switch in params.switches))
+
+
 PER_JOINT: Final = (len(Joint),)
-ARRAY_SHAPES: Final[Mapping[str, Shape]] = {
-    "Sensors.switch_closed": (len(Switch),),
+ARRAY_SHAPES: Final[Mapping[str, tuple[int | str, ...]]] = {
+    "Sensors.switch_closed": ("switches",),
     "Sensors.gravity_R_m_s2": (3,),
     "ToolChannels.p_RoTo_R_m": (3,),
     "ToolChannels.R_RT": (3, 3),
-    "Truth.p_RoTo_R_m": (len(Tool), 3),
-    "Truth.R_RT": (len(Tool), 3, 3),
+    "Truth.p_RoTo_R_m": ("tools", 3),
+    "Truth.R_RT": ("tools", 3, 3),
 }
-"""Shapes of arrays that are not by joint."""
+"""Shapes of arrays that are not by joint; a name stands for the number of names in ArmNames."""
 
 # Foxglove and rosidl reject a whole log if one name of a field has a capital letter or a double underscore.
 ROS_NAME: Final = re.compile(r"[a-z](_?[a-z0-9]+)*")
@@ -134,7 +149,7 @@ def is_ros_number(scalar: np.dtype[Any]) -> bool:
     return scalar.kind in ROS_DTYPE_KINDS and scalar.itemsize <= MAX_NUMBER_BYTES
 
 
-def note_of(name: str, hint: Any) -> str:
+def note_of(name: str, hint: Any, arm: ArmNames) -> str:
     """Return a comment with unit, limits and names of the values of a field, as far as they exist."""
     unit, limits, kind = unit_of(name), limits_of(hint), strip_annotated(hint)
     remarks = [] if unit in (None, "1") else [f"[{unit}]"]
@@ -142,12 +157,20 @@ def note_of(name: str, hint: Any) -> str:
         remarks.append(f"{limits.low:g} .. {limits.high:g}")
     if isinstance(kind, type) and issubclass(kind, IntEnum):
         remarks.append(f"{kind.__name__}: " + ", ".join(f"{e.value} {e.name}" for e in kind))
+    if is_tool_index(hint):
+        remarks.append("Tool: " + ", ".join(f"{k} {tool}" for k, tool in enumerate(arm.tools)))
     return "; ".join(remarks)
 
 
-def array_shape(owner: type, name: str) -> Shape:
-    """Return the shape of an array field of a packet."""
-    return ARRAY_SHAPES.get(f"{owner.__name__}.{name}", PER_JOINT)
+def is_tool_index(hint: Any) -> bool:
+    """Return whether an annotation is of an index of a tool."""
+    return any(isinstance(mark, ToolMark) for mark in get_args(hint)[1:])
+
+
+def array_shape(owner: type, name: str, arm: ArmNames) -> Shape:
+    """Return the shape of an array field of a packet, for an arm with these tools and switches."""
+    shape = ARRAY_SHAPES.get(f"{owner.__name__}.{name}", PER_JOINT)
+    return tuple(len(getattr(arm, size)) if isinstance(size, str) else size for size in shape)
 
 
 def limits_of(hint: Any) -> Limits | None:
@@ -155,19 +178,19 @@ def limits_of(hint: Any) -> Limits | None:
     return next((one for one in get_args(hint)[1:] if isinstance(one, Limits)), None)
 
 
-def packet_field(owner: type, name: str, hint: Any) -> Field:
+def packet_field(owner: type, name: str, hint: Any, arm: ArmNames) -> Field:
     """Return the field that an annotation declares.
 
     Raises:
         SchemaError: the annotation has no fixed layout.
     """
     kind, where = strip_annotated(hint), f"{owner.__name__}.{name}"
-    note, doc = note_of(name, hint), " ".join(field_docs(owner).get(name, "").split())
+    note, doc = note_of(name, hint, arm), " ".join(field_docs(owner).get(name, "").split())
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
         if not is_ros_number(scalar):
             raise SchemaError(f"{where}: an array of {scalar} has no ROS 2 type; use numbers or flags")
-        return Field(name, scalar.str, array_shape(owner, name), note, doc)
+        return Field(name, scalar.str, array_shape(owner, name, arm), note, doc)
     if isinstance(kind, type) and issubclass(kind, IntEnum):
         return Field(name, "<i8", None, note, doc)
     if kind in DTYPES:
@@ -175,7 +198,7 @@ def packet_field(owner: type, name: str, hint: Any) -> Field:
     raise SchemaError(f"{where}: {kind} has no fixed layout; use bool, int, float, IntEnum, NDArray")
 
 
-def packet_layout(packet: type, names: Iterable[str]) -> Layout:
+def packet_layout(packet: type, names: Iterable[str], arm: ArmNames) -> Layout:
     """Return the layout of fields of a packet, from its annotations.
 
     Fields are ordered by size, the largest first, and within a size single numbers before arrays. This order
@@ -185,7 +208,7 @@ def packet_layout(packet: type, names: Iterable[str]) -> Layout:
         SchemaError: a field has no fixed layout, or its name in lower case is taken or not legal in ROS 2.
     """
     hints = get_type_hints(packet, include_extras=True)
-    fields = [packet_field(packet, name, hints[name]) for name in names]
+    fields = [packet_field(packet, name, hints[name], arm) for name in names]
     seen: set[str] = set()
     for f in fields:
         name = f.name.lower()

@@ -16,7 +16,7 @@ from ground.telemetry.ros_messages import (
     TF_TOPIC,
     ros_schema,
 )
-from ground.telemetry.schema import Layout, packet_layout, ros_definition
+from ground.telemetry.schema import ArmNames, Layout, packet_layout, ros_definition
 from ground.telemetry.topics import PACKET_TOPICS
 
 ROSOUT_TOPIC: Final = "/rosout"
@@ -45,10 +45,10 @@ class TopicSpec:
     layout: Layout | None = None
 
 
-def topic_specs() -> tuple[TopicSpec, ...]:
-    """Return all channels, flight channels first."""
+def topic_specs(arm: ArmNames) -> tuple[TopicSpec, ...]:
+    """Return all channels of an arm with these tools and switches, flight channels first."""
     packets = [
-        (topic.name, topic.packet, packet_layout(topic.packet, topic.field_names), topic.is_truth)
+        (topic.name, topic.packet, packet_layout(topic.packet, topic.field_names, arm), topic.is_truth)
         for topic, _ in PACKET_TOPICS
     ]
     lines: list[tuple[str, type[LogEntry]]] = [(EVR_TOPIC, EvrEntry), (COMMAND_TOPIC, CommandEntry)]

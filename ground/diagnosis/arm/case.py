@@ -57,7 +57,9 @@ def compute_tool_error(keys: Sequence[str], before: Array, after: Array, sigma: 
     if not rows.size:
         return None
     tools = configure(nominal_params()).arm.X_FT
-    J = np.stack([np.hstack([-skew(X.p[:, None])[:, :, 0], np.eye(3)]) for X in tools])  # (tools, 3, 6)
+    J = np.stack(
+        [np.hstack([-skew(X.p[:, None])[:, :, 0], np.eye(3)]) for X in tools.values()]
+    )  # (tools, 3, 6)
     squares = [np.mean(np.sum(np.einsum("tij,rj->rti", J, of[rows]) ** 2, axis=2)) for of in (before, after)]
     floor = np.mean(np.einsum("tij,rj->rt", J**2, sigma[rows] ** 2))
     return ToolError(*(float(1e3 * np.sqrt(one)) for one in (*squares, floor)))

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.types import row6
 from ground.diagnosis.problem import LOG_UNIT, Nuisance
 from sim.arms import (
@@ -26,6 +26,7 @@ from sim.effects.numerics import Numerics
 from sim.effects.sensors import CurrentBias, EncoderZero
 from sim.effects.structure import LinkStiffness
 from sim.initialisation import DAILY_FRICTION_SIGMA
+from sim.params import nominal_params
 from sim.plant import SCREW_AXES
 
 NUMERICS: Final = {
@@ -83,10 +84,10 @@ def list_nuisance_effects() -> Iterator[NuisanceEffect]:
 
 def _frame_nuisances() -> Iterator[NuisanceEffect]:
     """Yield rotations and shifts of frames; the last frame has those of every tool."""
-    inner: list[tuple[Frame, Tool | None]] = [(f, None) for f in Frame if f is not Frame.TOOL]
-    for frame, tool in (*inner, *((Frame.TOOL, tool) for tool in Tool)):
+    inner: list[tuple[Frame, str | None]] = [(f, None) for f in Frame if f is not Frame.TOOL]
+    for frame, tool in (*inner, *((Frame.TOOL, tool) for tool in nominal_params().tool_names)):
         for axis in IDENTIFIABLE_AXES[frame]:
-            named = (frame.name if tool is None else tool.name).lower()
+            named = (frame.name if tool is None else tool).lower()
             unit, sigma = ("rad", CALIBRATED_FRAME_SIGMA_RAD) if axis < 3 else ("m", CALIBRATED_FRAME_SIGMA_M)
             word = SCREW_AXES[axis]
             yield NuisanceEffect(
@@ -136,5 +137,5 @@ def _scaled_effect(kind: Callable[[Any, float], Effect], place: Joint | Frame, l
     return kind(place, float(np.exp(logarithm)))
 
 
-def _displaced_frame(frame: Frame, tool: Tool | None, axis: int, value: float) -> Effect:
+def _displaced_frame(frame: Frame, tool: str | None, axis: int, value: float) -> Effect:
     return FrameError(frame, row6(value * np.eye(6)[axis]), tool)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, TypeVar
 import numpy as np
 
 from fsw.config import CYCLE_HZ, configure
-from fsw.dictionary.enums import Mode, Tool
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, Limits
 from fsw.estimate.reference import Reference
@@ -91,7 +91,7 @@ def parse_start(data: dict[str, Any], folder: Path, findings: Findings) -> Fligh
         return None
     reference = _parse_reference(table, params, findings)
     points = {point.name: teach_point_tool(point) for point in params.teach}
-    commands = [_parse_command(table, place, findings, points) for place, table in command_tables]
+    commands = [_parse_command(table, place, findings, points, params) for place, table in command_tables]
     in_order = sorted((one for one in commands if one is not None), key=lambda one: one.tick)
     return FlightStart(params, start.mode, reference, tuple(in_order))
 
@@ -133,11 +133,15 @@ def _parse_reference(table: dict[str, Any], params: Params, findings: Findings) 
 
 
 def _parse_command(
-    table: dict[str, Any], place: TomlPath, findings: Findings, points: Mapping[str, Tool]
+    table: dict[str, Any],
+    place: TomlPath,
+    findings: Findings,
+    points: Mapping[str, str],
+    params: Params,
 ) -> TimedCommand | None:
     at = read_record(_CommandTime, {"at_s": table["at_s"]} if "at_s" in table else {}, place, findings)
     rest = {key: value for key, value in table.items() if key != "at_s"}
-    command = read_command(rest, place, findings, points)
+    command = read_command(rest, place, findings, points, params)
     if at is None or command is None:
         return None
     return TimedCommand(math.ceil(at.at_s * CYCLE_HZ - COMMAND_ROUNDING), command, findings.lines[place])
@@ -360,7 +364,7 @@ def _check_value(item: Any, target: ChannelTarget) -> str | None:
         case _ if target.members is not None:
             if isinstance(item, str) and target.member(item) is not None:
                 return None
-            hint = did_you_mean(str(item)[:60], list(target.members.__members__))
+            hint = did_you_mean(str(item)[:60], list(target.members))
             return f"{item!r:.60} is not known; {hint}"
         case "|b1":
             return None if isinstance(item, bool) else f"{item!r:.60} is not true or false"

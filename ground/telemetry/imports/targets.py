@@ -1,6 +1,7 @@
 """Targets of a mapping: flight channels by name, and custom channels that only the table has."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
@@ -8,16 +9,27 @@ from typing import Final, get_type_hints
 
 import numpy as np
 
-from fsw.dictionary.enums import Joint, Switch
+from fsw.dictionary.enums import Joint
 from ground.common.fields import UNIT_SYMBOLS, unit_of
 from ground.telemetry.imports.units import UNIT_CONVERSIONS, Conversion
-from ground.telemetry.schema import ROS_NAME, Field, Layout, packet_layout, strip_annotated
+from ground.telemetry.schema import (
+    ROS_NAME,
+    ArmNames,
+    Field,
+    Layout,
+    arm_names,
+    is_tool_index,
+    packet_layout,
+    strip_annotated,
+)
 from ground.telemetry.topics import PACKET_TOPICS, Topic
+from sim.params import nominal_params
 
 IMPORT_PREFIX: Final = "/imported/"
 """Prefix of the topics that flight software does not have."""
 CUSTOM_NAME: Final = re.compile(r"/imported/([a-z](?:_?[a-z0-9]+)*)\.(\w+)")
 UNIT_OF_DTYPE: Final = {"|b1": "bool"}
+SWITCHES: Final = "/sensors.switch_closed"
 TOPICS: Final[dict[str, Topic]] = {topic.name: topic for topic, _ in PACKET_TOPICS}
 
 
@@ -29,8 +41,8 @@ class ChannelTarget:
     field: Field
     unit: str | None
     """Unit in the log; None for a member of an enumeration."""
-    members: type[IntEnum] | None = None
-    """Enumeration of the values; None for numbers and flags."""
+    members: Mapping[str, int] | None = None
+    """Names of the values; None for numbers and flags."""
 
     @property
     def name(self) -> str:
@@ -39,8 +51,7 @@ class ChannelTarget:
 
     def member(self, word: str) -> int | None:
         """Return the value of a member of the enumeration; case does not matter; None if there is none."""
-        known = {} if self.members is None else self.members.__members__
-        return known[word.upper()].value if word.upper() in known else None
+        return None if self.members is None else self.members.get(word.upper())
 
     @property
     def size(self) -> int:
@@ -55,18 +66,22 @@ class ChannelTarget:
                 return "one"
             case 5, _:
                 return f"5, one for each joint: {', '.join(joint.name for joint in Joint)}"
-            case 10, _:
-                return f"10, one for each switch: {', '.join(switch.name for switch in Switch)}"
+            case size, _ if self.name == SWITCHES:
+                return f"{size}, one for each switch: {', '.join(_nominal_names().switches)}"
             case 3, _:
                 return "3: x, y, z"
             case size, shape:
                 return f"{size}, row by row of {shape}"
 
 
+def _nominal_names() -> ArmNames:
+    return arm_names(nominal_params())
+
+
 @cache
 def topic_layout(name: str) -> Layout:
     """Return the layout of a flight topic, as the recorder writes it."""
-    return packet_layout(TOPICS[name].packet, TOPICS[name].field_names)
+    return packet_layout(TOPICS[name].packet, TOPICS[name].field_names, _nominal_names())
 
 
 @cache
@@ -77,7 +92,11 @@ def known_targets() -> dict[str, ChannelTarget]:
         hints = get_type_hints(topic.packet, include_extras=True)
         for field in topic_layout(topic.name).fields:
             kind = strip_annotated(hints[field.name])
-            members = kind if isinstance(kind, type) and issubclass(kind, IntEnum) else None
+            members: Mapping[str, int] | None = None
+            if isinstance(kind, type) and issubclass(kind, IntEnum):
+                members = {member.name: member.value for member in kind}
+            if is_tool_index(hints[field.name]):
+                members = {tool: k for k, tool in enumerate(_nominal_names().tools)}
             unit = None if members else UNIT_OF_DTYPE.get(field.kind) or unit_of(field.name)
             target = ChannelTarget(topic.name, field, unit, members)
             found[target.name] = target

@@ -214,13 +214,13 @@ def _convert_names(
     """Convert names or numbers of members of an enumeration to their values."""
     members = channel.target.members
     assert members is not None
-    by_number = {str(member.value): member.value for member in members}
+    by_number = {str(value): value for value in members.values()}
     known = [by_number.get(word, channel.target.member(word)) for word in column.words]
     codes = np.array([-1 if number is None else number for number in known], np.int64)
     found: NDArray[np.int64] = codes[values]
     unknown = np.flatnonzero(found < 0)
     if unknown.size:
         word = column.words[values[unknown[0]]]
-        hint = did_you_mean(word[:60], list(members.__members__))
+        hint = did_you_mean(word[:60], list(members))
         raise table.error_at(f"{word!r:.60} is not known; {hint}", int(rows[unknown[0]]), column.name)
     return found
