@@ -8,7 +8,7 @@ import numpy as np
 from fsw.config import Config, configure
 from fsw.cycle import step
 from fsw.dictionary.commands import Command, GuardedMove, MoveTool
-from fsw.dictionary.enums import Joint, Mode, Tool
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import Evr
 from fsw.estimate.gear import LIKELY
 from fsw.estimate.reference import Reference, no_reference
@@ -60,7 +60,7 @@ def in_limits(config: Config, rng: np.random.Generator, n: int, shrink: float = 
     return rng.uniform(low + shrink, high - shrink, (n, 5)).T.copy()
 
 
-def facing(config: Config, tool: Tool) -> np.ndarray:
+def facing(config: Config, tool: str) -> np.ndarray:
     """The ready pose with the turret turned so that the tool looks well away from the pitch axis."""
     pose = np.array(config.params.poses.ready_rad)
     boresight = config.arm.X_FT[tool].R[:, 0]
@@ -162,18 +162,18 @@ class Rig:
         assert np.any(self.outputs.drive.setpoint_rate_rad_s != 0)
         return self.outputs
 
-    def tool_pose(self, tool: Tool) -> Pose:
+    def tool_pose(self, tool: str) -> Pose:
         """X_RT as flight software believes it, at rest."""
         joints = self.state.joints
         here = settle_output(self.config.arm, joints.output_rad, joints.gravity_R_m_s2)
         return tool_pose(self.config.arm, here.frames, tool)
 
-    def here(self, tool: Tool, ahead_m: float = 0.0, **fields) -> MoveTool:
+    def here(self, tool: str, ahead_m: float = 0.0, **fields) -> MoveTool:
         """A tool move that keeps the approach, some way ahead along it."""
         X = self.tool_pose(tool)
         return MoveTool(tool, floats(X.p + ahead_m * X.R[:, 0]), floats(X.R[:, 0]), **fields)
 
-    def touch(self, tool: Tool, travel_m: float) -> GuardedMove:
+    def touch(self, tool: str, travel_m: float) -> GuardedMove:
         X = self.tool_pose(tool)
         return GuardedMove(tool, floats(X.p + travel_m * X.R[:, 0]), floats(X.R[:, 0]))
 

@@ -9,14 +9,15 @@ import pytest
 from fsw.config import CYCLE_HZ, configure, digest, ticks
 from fsw.cycle import step
 from fsw.dictionary.commands import Calibrate, MoveJoints, Retract, Stop, Unstow
-from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Tool
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import Booted, CommandRefused
 from fsw.state import boot, outputs_at_rest
 from sim.params import nominal_params
 from tests.fsw.rig import Rig, alive, config_of, facing, floats, quiet_sensors, with_params
+from tests.tools import TOOL_SWITCHES, TOOLS
 
 CONFIG = config_of()
-START = facing(CONFIG, Tool.APXS)
+START = facing(CONFIG, "APXS")
 
 
 def seal(record) -> None:
@@ -51,8 +52,8 @@ def session():
     script = {
         5: (MoveJoints(floats(START + 0.01)),),
         60: (Stop(),),
-        150: (rig.here(Tool.APXS, 0.005),),
-        420: (rig.touch(Tool.APXS, 0.004),),
+        150: (rig.here("APXS", 0.005),),
+        420: (rig.touch("APXS", 0.004),),
         440: (),
     }
     return rig, script
@@ -64,7 +65,7 @@ def test_same_arguments_same_outputs_bit_for_bit_and_arguments_unchanged():
     seal(config)
     state, count = rig.state, rig.count
     for tick in range(700):
-        commands = script.get(tick, (Retract(Tool.APXS, 0.003),) if tick == 650 else ())
+        commands = script.get(tick, (Retract("APXS", 0.003),) if tick == 650 else ())
         bad = {"current_A": [np.nan] * 5} if tick == 600 else {}
         read = count * config.rad_per_count + alive(tick)
         sensors = quiet_sensors(count, cycle=tick, resolver_rad=read, **bad)
@@ -131,14 +132,14 @@ def test_without_calibrated_joints_nothing_moves_but_the_tool_pose_that_resolver
 
 def test_the_tool_channels_come_at_their_period_and_are_where_the_settled_arm_is():
     rig = Rig(CONFIG, start_rad=START)
-    rig.cycle(rig.here(Tool.APXS, 0.001))
+    rig.cycle(rig.here("APXS", 0.001))
     rig.run()
     channels = [out.tool for out in (rig.cycle() for _ in range(160)) if out.tool is not None]
     assert len(channels) == 160 // CONFIG.params.motion.load_period_cycles
-    X = rig.tool_pose(Tool.APXS)
+    X = rig.tool_pose("APXS")
     np.testing.assert_allclose(channels[-1].p_RoTo_R_m, X.p, atol=1e-7)
     np.testing.assert_allclose(channels[-1].R_RT, X.R, atol=1e-7)
-    assert channels[-1].tool is Tool.APXS
+    assert channels[-1].tool == "APXS"
 
 
 @pytest.mark.parametrize("joint", Joint)
@@ -171,7 +172,7 @@ def test_the_configuration_is_what_the_parameters_say():
     np.testing.assert_array_equal(config.current_limit_A, [5, 5, 5, 3, 3])
 
 
-@pytest.mark.parametrize("tool", [tool for tool in Tool if TOOL_SWITCHES[tool]])
+@pytest.mark.parametrize("tool", [tool for tool in TOOLS if TOOL_SWITCHES[tool]])
 def test_a_guarded_move_to_a_near_surface_is_planned_for_every_tool_with_switches(tool):
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
     rig.cycle(rig.touch(tool, 0.05))
@@ -179,8 +180,8 @@ def test_a_guarded_move_to_a_near_surface_is_planned_for_every_tool_with_switche
 
 
 def test_a_tool_without_switches_is_not_guarded():
-    rig = Rig(CONFIG, start_rad=facing(CONFIG, Tool.PORTION))
-    rig.cycle(rig.touch(Tool.PORTION, 0.05))
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, "PORTION"))
+    rig.cycle(rig.touch("PORTION", 0.05))
     assert rig.state.mode is Mode.DEPLOYED
     refusals = [evr.reason for evr in rig.evrs if isinstance(evr, CommandRefused)]
     assert refusals == ["PORTION has no contact switch to end a guarded move"]

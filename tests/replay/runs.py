@@ -25,7 +25,7 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
-from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.enums import Joint
 from sim.arms import BuiltArm, arm_named
 from sim.effects.effect import Effect
 from sim.effects.faults import MissedCycles, SensorFault
@@ -115,7 +115,7 @@ RUNS = (
     ReferenceRun(
         "contact",
         APXS_THERE,
-        ((GuardedMove(Tool.APXS, beyond(0.04), IN), LONG),),
+        ((GuardedMove("APXS", beyond(0.04), IN), LONG),),
         "ContactMade",
         arm="calibrated:7",
         world=World(surface=NEAR_ROCK),
@@ -124,8 +124,8 @@ RUNS = (
         "press",
         DRILL_THERE,
         (
-            (GuardedMove(Tool.DRILL, beyond(0.06), IN), LONG),
-            (Preload(Tool.DRILL, 24.0), LONG),
+            (GuardedMove("DRILL", beyond(0.06), IN), LONG),
+            (Preload("DRILL", 24.0), LONG),
         ),
         "Preloaded",
         world=World(surface=DRILL_ROCK),
@@ -134,8 +134,8 @@ RUNS = (
         "tool-change",
         APXS_THERE,
         (
-            (GuardedMove(Tool.APXS, beyond(0.04), IN), LONG),
-            (ToolChange(Tool.DRT, standoff_m=0.005, overtravel_m=0.01), 300),
+            (GuardedMove("APXS", beyond(0.04), IN), LONG),
+            (ToolChange("DRT", standoff_m=0.005, overtravel_m=0.01), 300),
             (Stop(), LONG),
         ),
         "SpotSet",
@@ -178,17 +178,17 @@ RUNS = (
         (
             (MoveJoint(Joint.TURRET, 7.0), 1),
             (MoveJoints((float("nan"), 0.0, 0.0, 0.0, 0.0)), 1),
-            (MoveTool(Tool.APXS, (9.0, 0.0, 0.0), (0.0, 0.0, 1.0)), 1),
-            (MoveTool(Tool.APXS, (1.5, 0.0, 0.5), (0.0, 0.0, 1.0), branch="upside-down"), 1),
-            (PlaceTool(Tool.DRILL, (0.1, 0.0, -2.0), (0.0, 0.0, 1.0)), 1),
-            (Preload(Tool.DRILL, 100.0), 1),
+            (MoveTool("APXS", (9.0, 0.0, 0.0), (0.0, 0.0, 1.0)), 1),
+            (MoveTool("APXS", (1.5, 0.0, 0.5), (0.0, 0.0, 1.0), branch="upside-down"), 1),
+            (PlaceTool("DRILL", (0.1, 0.0, -2.0), (0.0, 0.0, 1.0)), 1),
+            (Preload("DRILL", 100.0), 1),
             (MoveTeachPoint("nowhere"), 1),
-            (Retract(Tool.APXS, float("inf")), 1),
+            (Retract("APXS", float("inf")), 1),
             (SetParam("joints.turret.speed", 1.0), 1),
             (SetParam("joints.turret.speed_rad_s", 9.0), 1),
             (SetTilt(1.0, 0.0), 1),
             (Unstow(), 1),
-            (ToolChange(Tool.APXS), 1),
+            (ToolChange("APXS"), 1),
             (Stow(), 10),
             (MoveJoint(Joint.WRIST, 2.0), 1),
             (SetParam("motion.load_period_cycles", 8.0), 1),
@@ -202,7 +202,7 @@ RUNS = (
         (
             (SetParam("joints.wrist.speed_rad_s", 0.02), LONG),
             (SetTilt(0.02, -0.03), LONG),
-            (Process(Tool.PORTION, (1.0, 0.3, 0.0), 0.5), 60),
+            (Process("PORTION", (1.0, 0.3, 0.0), 0.5), 60),
             (Stop(), LONG),
         ),
         "ParamSet",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.config import digest
-from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import adjoint, inverse
@@ -31,6 +31,7 @@ from sim.effects.joints import (
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.params import nominal_params
 from tests.sim import lab
+from tests.tools import TOOLS
 
 SEEDS = range(200)
 AXES = [(frame, axis) for frame in Frame for axis in range(6)]
@@ -99,7 +100,7 @@ def test_two_hundred_arms_have_the_stated_spread(
 def test_every_place_of_the_arm_is_drawn_once() -> None:
     effects = draw_tolerances(0)
     frames = [(e.frame, e.tool) for e in effects if isinstance(e, FrameError)]
-    assert frames == [(f, None) for f in Frame if f is not Frame.TOOL] + [(Frame.TOOL, t) for t in Tool]
+    assert frames == [(f, None) for f in Frame if f is not Frame.TOOL] + [(Frame.TOOL, t) for t in TOOLS]
     for kind in (
         HardstopAngle,
         HardstopStiffness,
@@ -147,7 +148,7 @@ def test_a_calibration_leaves_a_tenth_of_what_it_found() -> None:
         for kind in ("as-built", "calibrated"):
             believed = build_arm(arm_named(f"{kind}:{seed}").params)
             p = [
-                tool_pose(arm, forward(arm, lab.READY_RAD), Tool.APXS).p
+                tool_pose(arm, forward(arm, lab.READY_RAD), "APXS").p
                 for arm in (build_arm(perfect), believed)
             ]
             miss[kind].append(float(np.linalg.norm(p[1] - p[0])))
@@ -188,7 +189,7 @@ def tool_jacobian() -> lab.Array:
     rows = []
     for _ in range(60):
         frames = forward(arm, rng.uniform(arm.soft_min_rad, arm.soft_max_rad))
-        X_RT = tool_pose(arm, frames, Tool.APXS)
+        X_RT = tool_pose(arm, frames, "APXS")
         poses = (*(frames.X_RF[k] for k in range(6)), X_RT)
         rows.append(np.hstack([adjoint(inverse(X_RT) @ X) for X in poses]))
     return np.vstack(rows)
@@ -222,11 +223,11 @@ def test_the_columns_are_what_frame_errors_do(tool_jacobian: lab.Array, frame: F
     params = nominal_params()
     arm = build_arm(params)
     pose = np.random.default_rng(17).uniform(arm.soft_min_rad, arm.soft_max_rad)
-    X = tool_pose(arm, forward(arm, pose), Tool.APXS)
+    X = tool_pose(arm, forward(arm, pose), "APXS")
     for axis in range(6):
         step = 1e-6 * np.eye(6)[axis]
-        tool = Tool.APXS if frame is Frame.TOOL else None
+        tool = "APXS" if frame is Frame.TOOL else None
         other = build_arm(FrameError(frame, tuple(float(s) for s in step), tool).on_params(params))
-        moved = inverse(X) @ tool_pose(other, forward(other, pose), Tool.APXS)
+        moved = inverse(X) @ tool_pose(other, forward(other, pose), "APXS")
         screw = np.array([moved.R[2, 1], moved.R[0, 2], moved.R[1, 0], *moved.p]) / 1e-6
         np.testing.assert_allclose(tool_jacobian[:6, 6 * frame + axis], screw, rtol=0, atol=1e-5)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fsw.config import CYCLE_HZ, configure
-from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Switch, Tool
+from fsw.dictionary.enums import Joint
 from fsw.messages import ActuatorCommand
 from sim.avionics import Avionics
 from sim.effects.effect import Hardware, nominal_hardware
@@ -17,6 +17,7 @@ from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import World
 from tests.sim import lab
+from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS, tool_index
 
 PARAMS = nominal_params()
 CONFIG = configure(PARAMS)
@@ -215,10 +216,10 @@ def test_a_winding_cools_without_power(ready: Plant) -> None:
     np.testing.assert_allclose(sensors.sense().winding_C - 20.0, left_K, rtol=1e-6)
 
 
-@pytest.mark.parametrize("switch", Switch)
-def test_a_switch_closes_above_its_force_and_no_other_with_it(ready: Plant, switch: Switch) -> None:
+@pytest.mark.parametrize("switch", SWITCHES)
+def test_a_switch_closes_above_its_force_and_no_other_with_it(ready: Plant, switch: str) -> None:
     sensors = avionics_of(ready)
-    address = ready.model.sensor(switch.name.lower()).adr[0]
+    address = ready.model.sensor(switch.lower()).adr[0]
     ready.data.sensordata[:] = 0.0
     ready.data.sensordata[address] = 1.99
     assert not sensors.sense().switch_closed.any()
@@ -226,14 +227,14 @@ def test_a_switch_closes_above_its_force_and_no_other_with_it(ready: Plant, swit
     np.testing.assert_array_equal(np.flatnonzero(sensors.sense().switch_closed), [switch])
 
 
-@pytest.mark.parametrize("tool", [tool for tool in Tool if TOOL_SWITCHES[tool]])
-def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready: Plant, tool: Tool) -> None:
+@pytest.mark.parametrize("tool", [tool for tool in TOOLS if TOOL_SWITCHES[tool]])
+def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready: Plant, tool: str) -> None:
     """The wall is half a millimetre in front of the tool, and gravity pulls towards it."""
     mujoco.mj_resetData(ready.model, ready.data)
     ready.data.qpos[ready.at.motor] = lab.READY_RAD
     mujoco.mj_kinematics(ready.model, ready.data)
-    R_WT = ready.data.site_xmat[ready.at.tools[tool]].reshape(3, 3)
-    p_W = ready.data.site_xpos[ready.at.tools[tool]] + (0.1 + 0.0005) * R_WT[:, 0]
+    R_WT = ready.data.site_xmat[ready.at.tools[tool_index(tool)]].reshape(3, 3)
+    p_W = ready.data.site_xpos[ready.at.tools[tool_index(tool)]] + (0.1 + 0.0005) * R_WT[:, 0]
 
     def wall(spec: mujoco.MjSpec) -> None:
         spec.option.gravity = 2.0 * R_WT[:, 0]
@@ -259,8 +260,8 @@ def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready: Pl
 
 def pad_forces_N(plant: Plant) -> lab.Array:
     """Return the normal force on the pad of each switch, from the contacts."""
-    pads = [plant.model.geom(f"{switch.name.lower()}_pad").id for switch in Switch]
-    total, force = np.zeros(len(Switch)), np.zeros(6)
+    pads = [plant.model.geom(f"{switch.lower()}_pad").id for switch in SWITCHES]
+    total, force = np.zeros(len(SWITCHES)), np.zeros(6)
     for k, contact in enumerate(plant.data.contact):
         mujoco.mj_contactForce(plant.model, plant.data, k, force)
         total += force[0] * np.isin(pads, contact.geom)

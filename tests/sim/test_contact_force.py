@@ -6,7 +6,7 @@ import pytest
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import GuardedMove, MoveJoints
-from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Tool
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import ContactMade
 from fsw.dictionary.faults import (
     ContactInFreeSpace,
@@ -27,6 +27,7 @@ from tests.fsw.rig import MARS_R_m_s2, config_of, facing, floats
 from tests.marks import slow_but
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest
+from tests.tools import TOOL_SWITCHES, TOOLS
 
 CONFIG = config_of()
 NOW_S = 0.0
@@ -58,7 +59,7 @@ def peak_force_N(loop, command) -> tuple[float, list]:
     return peak, evrs
 
 
-TOUCHING = [tool for tool in Tool if TOOL_SWITCHES[tool]]
+TOUCHING = [tool for tool in TOOLS if TOOL_SWITCHES[tool]]
 
 
 def run_without_switches(tool, switches) -> tuple[float, list]:
@@ -72,14 +73,14 @@ def run_without_switches(tool, switches) -> tuple[float, list]:
 DEAD = [(tool, switch) for tool in TOUCHING for switch in TOOL_SWITCHES[tool]]
 
 
-@pytest.mark.parametrize(("tool", "dead"), slow_but(DEAD, (Tool.APXS, TOOL_SWITCHES[Tool.APXS][0])))
+@pytest.mark.parametrize(("tool", "dead"), slow_but(DEAD, ("APXS", TOOL_SWITCHES["APXS"][0])))
 def test_a_guarded_tool_meets_a_rock_with_less_than_50_N_whichever_switch_is_dead(tool, dead):
     peak, evrs = run_without_switches(tool, (dead,))
     assert any(isinstance(evr, ContactMade | PreloadOutside) for evr in evrs)
     assert 0.0 < peak < 50.0
 
 
-@pytest.mark.parametrize("tool", slow_but(TOUCHING, Tool.APXS))
+@pytest.mark.parametrize("tool", slow_but(TOUCHING, "APXS"))
 def test_a_guarded_tool_whose_switches_are_all_dead_is_felt_before_it_presses_with_100_N(tool):
     peak, evrs = run_without_switches(tool, TOOL_SWITCHES[tool])
     assert any(isinstance(evr, PreloadOutside) for evr in evrs)
@@ -101,7 +102,7 @@ def with_turret_angle(pose_rad, turned_rad):
     ids=["azimuth", "elevation", "elbow", "wrist", "all"],
 )
 @pytest.mark.parametrize("stretched", [False, True], ids=["ready", "stretched"])
-@pytest.mark.parametrize("tool", [Tool.APXS, Tool.DRILL])
+@pytest.mark.parametrize("tool", ["APXS", "DRILL"])
 def test_joints_at_full_speed_that_drive_a_tool_into_a_rock_press_with_less_than_250_N(
     tool, stretched, joints
 ):
@@ -124,9 +125,9 @@ def test_joints_at_full_speed_that_drive_a_tool_into_a_rock_press_with_less_than
 
 
 def test_a_rock_that_is_gone_is_not_touched_any_more():
-    loop, X_RT = facing_rock(Tool.APXS, facing(CONFIG, Tool.APXS), ahead_m=0.04)
+    loop, X_RT = facing_rock("APXS", facing(CONFIG, "APXS"), ahead_m=0.04)
     axis = X_RT.R[:, 0]
-    loop.cycle((GuardedMove(Tool.APXS, floats(X_RT.p + 0.07 * axis), floats(axis)),))
+    loop.cycle((GuardedMove("APXS", floats(X_RT.p + 0.07 * axis), floats(axis)),))
     assert any(isinstance(evr, ContactMade) for evr in run_to_rest(loop))
     gone = loop.fork((RockGone(NOW_S),))
     for _ in range(CYCLE_HZ):

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsw.dictionary.enums import Tool
 from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import forward, tool_pose
@@ -20,6 +19,7 @@ from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import MAX_TILT_RAD, World
 from tests.sim import lab
+from tests.tools import TOOLS, tool_index
 
 TURRETS_KG = (34.0, 8.0, 19.0, 30.0)
 """Masses of the flight turret, of two stand-ins at calibration, and of that of the verification."""
@@ -74,8 +74,8 @@ def make_cases(turret_kg: float) -> tuple[Case, ...]:
     """
     rng, arm = np.random.default_rng([2264, round(turret_kg)]), arm_with(turret_kg)
     pose = rng.uniform(arm.soft_min_rad, arm.soft_max_rad, (1000, 5)).T
-    X_RT = tool_pose(arm, forward(arm, pose), Tool.DRILL)
-    answers = inverse_kinematics(arm, Tool.DRILL, X_RT.p, X_RT.R[:, 0])
+    X_RT = tool_pose(arm, forward(arm, pose), "DRILL")
+    answers = inverse_kinematics(arm, "DRILL", X_RT.p, X_RT.R[:, 0])
     valid = [iter(np.flatnonzero(verdicts == BranchVerdict.VALID)) for verdicts in answers.verdict]
     drawn: list[Case] = []
     while len(drawn) < POSES_PER_TURRET:
@@ -129,10 +129,10 @@ def test_the_arm_hangs_where_flight_statics_say(turret_kg: float) -> None:
             plant.truth(),
         )
         assert expected.converged
-        for tool in Tool:
+        for tool in TOOLS:
             X_RT = tool_pose(arm, expected.frames, tool)
-            assert np.linalg.norm(truth.p_RoTo_R_m[tool] - X_RT.p) < NEAR_M
-            assert np.linalg.norm(truth.R_RT[tool] - X_RT.R) / np.sqrt(2) < NEAR_RAD
+            assert np.linalg.norm(truth.p_RoTo_R_m[tool_index(tool)] - X_RT.p) < NEAR_M
+            assert np.linalg.norm(truth.R_RT[tool_index(tool)] - X_RT.R) / np.sqrt(2) < NEAR_RAD
 
 
 def test_two_hundred_poses_are_compared() -> None:
@@ -152,5 +152,5 @@ def test_on_earth_the_arm_hangs_by_centimetres() -> None:
     arm = arm_with(34.0)
     case = next(case for case in make_cases(34.0) if case.world.scene == "earth")
     straight = settle(arm, lab.STRAIGHT_RAD, np.zeros(5), case.world.gravity_N_m_s2)
-    rigid = tool_pose(arm, forward(arm, lab.STRAIGHT_RAD), Tool.DRILL)
-    assert np.linalg.norm(tool_pose(arm, straight.frames, Tool.DRILL).p - rigid.p) > 0.05
+    rigid = tool_pose(arm, forward(arm, lab.STRAIGHT_RAD), "DRILL")
+    assert np.linalg.norm(tool_pose(arm, straight.frames, "DRILL").p - rigid.p) > 0.05

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveJoints
-from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.types import joints5
 from fsw.kinematics.arm import build_arm
@@ -19,12 +19,13 @@ from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementRun
 from sim.world import Surface, World
 from tests.sim import lab
+from tests.tools import tool_index
 
 NOMINAL = arm_named("nominal")
 PLAY = (1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)
 BY_CHANCE = (
     FramePlay(Frame.ARM3, PLAY),
-    FramePlay(Frame.TOOL, PLAY, Tool.DRILL),
+    FramePlay(Frame.TOOL, PLAY, "DRILL"),
     Windup(Joint.ELBOW, 2e-4),
     ServoError(Joint.WRIST, 6e-5),
 )
@@ -101,7 +102,7 @@ def test_what_presses_on_something_stays_where_it_is():
         Setup(NOMINAL, world, NOMINAL.params.poses.ready_rad, 1, true_reference(NOMINAL), BY_CHANCE)
     )
     at_end = {}
-    for record in PlacementRun(loop, Placement(Tool.APXS, point, normal)):
+    for record in PlacementRun(loop, Placement("APXS", point, normal)):
         for evr in record.outputs.evrs:
             if isinstance(evr, CommandCompleted):
                 at_end[evr.command] = drawn(loop)
@@ -112,20 +113,20 @@ def test_what_presses_on_something_stays_where_it_is():
 def test_a_displaced_frame_moves_what_it_carries_and_the_next_draw_begins_where_it_was_built():
     plant = lab.plant()
     plant.show(lab.READY_RAD, np.zeros((6, 6)))
-    before = plant.truth().p_RoTo_R_m[Tool.APXS]
+    before = plant.truth().p_RoTo_R_m[tool_index("APXS")]
     scatter = no_move_disturbance()
     scatter.screw[:, body_index(Frame.ARM4, None)] = (1e-4, -2e-4, 3e-4, 1e-4, 2e-4, -1e-4)
     for _ in range(2):
         plant.set_move_disturbance(scatter)
     plant.show(lab.READY_RAD, np.zeros((6, 6)))
-    moved = plant.truth().p_RoTo_R_m[Tool.APXS] - before
+    moved = plant.truth().p_RoTo_R_m[tool_index("APXS")] - before
     arm = build_arm(NOMINAL.params)
     frames = forward(arm, lab.READY_RAD)
-    J = frame_jacobian(frames, tool_pose(arm, frames, Tool.APXS))
+    J = frame_jacobian(frames, tool_pose(arm, frames, "APXS"))
     assert np.allclose(moved, (J[:, :, Frame.ARM4] @ scatter.screw[:, Frame.ARM4])[3:], atol=3e-7)
     plant.set_move_disturbance(no_move_disturbance())
     plant.show(lab.READY_RAD, np.zeros((6, 6)))
-    assert np.allclose(plant.truth().p_RoTo_R_m[Tool.APXS], before, atol=1e-12)
+    assert np.allclose(plant.truth().p_RoTo_R_m[tool_index("APXS")], before, atol=1e-12)
 
 
 def test_a_shifted_gear_is_not_taken_for_a_gap():

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 
 from fsw.config import configure
-from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Pose, rotation_z
 from sim.params import nominal_params
 from sim.plant import Plant
 from tests.sim import lab
+from tests.tools import TOOLS, tool_index
 
 PARAMS = nominal_params()
 CONFIG = configure(PARAMS)
@@ -58,10 +59,10 @@ def test_every_tool_of_the_rigid_arm_is_where_flight_kinematics_say(nominal: Pla
     for k in range(outputs.shape[1]):
         set_pose(nominal, outputs[:, k])
         truth = nominal.truth()
-        for tool in Tool:
+        for tool in TOOLS:
             X_RT = tool_pose(CONFIG.arm, frames, tool)[k]
-            np.testing.assert_allclose(truth.p_RoTo_R_m[tool], X_RT.p, rtol=0, atol=1e-10)
-            np.testing.assert_allclose(truth.R_RT[tool], X_RT.R, rtol=0, atol=1e-10)
+            np.testing.assert_allclose(truth.p_RoTo_R_m[tool_index(tool)], X_RT.p, rtol=0, atol=1e-10)
+            np.testing.assert_allclose(truth.R_RT[tool_index(tool)], X_RT.R, rtol=0, atol=1e-10)
 
 
 def test_every_frame_of_the_rigid_arm_is_where_flight_kinematics_say(nominal: Plant) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Tool
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandCompleted, ContactMade
 from fsw.dictionary.faults import ContactInFreeSpace, NoContact
 from fsw.dictionary.types import Vector3
@@ -17,6 +17,7 @@ from sim.preview import CLEARANCE_M, VIA_M, Preview, preview_placement
 from sim.sequence import Outcome
 from sim.world import Surface, World
 from tests.sim import lab
+from tests.tools import TOOL_SWITCHES, TOOLS
 
 NOMINAL = arm_named("nominal")
 OPEN: tuple[Vector3, Vector3] = ((2.1, 0.2, -0.3), (-0.3, 0.0, -1.0))
@@ -24,7 +25,7 @@ BEHIND_AN_EDGE: tuple[Vector3, Vector3] = ((2.166, -0.129, -0.127), (-0.927, 0.2
 """Face so steep that the path from the ready pose leads through the rock."""
 
 
-def preview(surface: tuple[Vector3, Vector3], tool: Tool = Tool.APXS) -> Preview:
+def preview(surface: tuple[Vector3, Vector3], tool: str = "APXS") -> Preview:
     return preview_placement(NOMINAL, World(surface=Surface(*surface)), Placement(tool, *surface))
 
 
@@ -69,7 +70,7 @@ def test_a_target_without_a_way_is_told_with_what_is_in_it(
 
 
 def test_the_way_from_the_stowed_pose_is_looked_at_where_the_arm_starts_there() -> None:
-    world, placement = World(surface=Surface(*OPEN)), Placement(Tool.APXS, *OPEN)
+    world, placement = World(surface=Surface(*OPEN)), Placement("APXS", *OPEN)
     poses = replace(NOMINAL.params.poses, unstow_via_rad=((-3.0, 0.0, 0.0, 0.0, 0.0),))
     through_the_rover = replace(NOMINAL, params=replace(NOMINAL.params, poses=poses))
     assert preview_placement(NOMINAL, world, placement, stowed=True).problem is None
@@ -79,23 +80,21 @@ def test_the_way_from_the_stowed_pose_is_looked_at_where_the_arm_starts_there() 
     assert re.search(r"\w+ meets \w+ on the way from the stowed to the ready pose", problem), problem
 
 
-@pytest.mark.parametrize("tool", [tool for tool in Tool if TOOL_SWITCHES[tool]])
+@pytest.mark.parametrize("tool", [tool for tool in TOOLS if TOOL_SWITCHES[tool]])
 def test_along_the_guarded_line_the_pads_may_meet_the_rock_and_nothing_else(
-    tool: Tool, monkeypatch: pytest.MonkeyPatch
+    tool: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert preview(OPEN, tool).problem is None
     monkeypatch.setattr("sim.preview._is_intended", lambda names, touching: False)
     problem = preview(OPEN, tool).problem
     assert problem is not None
-    assert re.search(
-        rf"rock_face.* {tool.name.lower()}_\w+_pad|{tool.name.lower()}_\w+_pad.* rock_face", problem
-    )
+    assert re.search(rf"rock_face.* {tool.lower()}_\w+_pad|{tool.lower()}_\w+_pad.* rock_face", problem)
     assert problem.endswith("on the way from the standoff to the target")
 
 
 def test_along_the_guarded_line_the_body_of_the_tool_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sim.preview.TOUCH_CLEARANCE_M", CLEARANCE_M)
-    problem = preview(OPEN, Tool.APXS).problem
+    problem = preview(OPEN, "APXS").problem
     assert problem is not None
     assert "apxs" in problem
     assert "pad" not in problem
@@ -106,7 +105,7 @@ def test_along_the_guarded_line_the_body_of_the_tool_is_looked_at(monkeypatch: p
 @pytest.mark.parametrize("surface", [OPEN, BEHIND_AN_EDGE], ids=["open", "behind an edge"])
 def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface: tuple[Vector3, Vector3]) -> None:
     world = World(tilt_roll_rad=0.1, tilt_pitch_rad=-0.15, surface=Surface(*surface))
-    found = preview_placement(NOMINAL, world, Placement(Tool.APXS, *surface))
+    found = preview_placement(NOMINAL, world, Placement("APXS", *surface))
     assert found.problem is None
     loop, result = place(found.placement, world)
     evrs = [evr for _, evr in result.evrs]
@@ -115,7 +114,7 @@ def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface: tuple[Vect
     assert not any(isinstance(evr, ContactInFreeSpace) for evr in evrs)
     touched = [evr.switch for evr in evrs if isinstance(evr, ContactMade)]
     assert touched
-    assert set(touched) <= set(TOOL_SWITCHES[Tool.APXS])
+    assert set(touched) <= set(TOOL_SWITCHES["APXS"])
     assert CommandCompleted("Retract") in evrs
     assert result.contact is not None
     assert result.contact.total_m < 1e-3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import PlaceTool, Preload, Retract
-from fsw.dictionary.enums import Joint, Mode, Tool
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import FaultResponse, Preloaded
 from fsw.dictionary.faults import ContactLost, PreloadOutside
 from fsw.kinematics.arm import build_arm
@@ -21,12 +21,13 @@ from sim.params import nominal_params
 from sim.sequence import run_sequence
 from sim.world import Surface, World
 from tests.sim.lab import load, plant, run, settle_fast, tilted_world, true_reference
+from tests.tools import tool_index
 
 POINT_N_M = (2.05, 0.1, -0.25)
 NORMAL = np.array((-0.5, 0.1, -0.85)) / np.linalg.norm((-0.5, 0.1, -0.85))
 PRESSED_N = 20.0
 """Force below which a tool only touches."""
-PLACE = PlaceTool(Tool.DRILL, tuple(p_R_from_N(np.array(POINT_N_M)).tolist()), tuple((-NORMAL).tolist()))
+PLACE = PlaceTool("DRILL", tuple(p_R_from_N(np.array(POINT_N_M)).tolist()), tuple((-NORMAL).tolist()))
 
 
 @pytest.mark.parametrize("force_R_N", [(0.0, 0.0, -200.0), (120.0, -80.0, 0.0), (-50.0, 60.0, 90.0)])
@@ -39,21 +40,21 @@ def test_a_push_on_a_tool_moves_it_as_it_does_in_the_plant(force_R_N):
     force_W = FLIP * np.array(force_R_N)
 
     def pushed(share: float) -> None:
-        at = free.data.site_xpos[free.at.tools[Tool.DRILL]] - free.data.xipos[body]
+        at = free.data.site_xpos[free.at.tools[tool_index("DRILL")]] - free.data.xipos[body]
         free.data.xfrc_applied[body] = share * np.concatenate([force_W, np.cross(at, force_W)])
 
     run(free, 6.0, pushed)
     run(free, 6.0, lambda _: pushed(1.0))
     after = free.truth()
-    push = ToolForce(Tool.DRILL, np.array(force_R_N))
+    push = ToolForce("DRILL", np.array(force_R_N))
     ours = [
-        tool_pose(arm, settle_output(arm, truth.output_rad, world.gravity_N_m_s2, p).frames, Tool.DRILL).p
+        tool_pose(arm, settle_output(arm, truth.output_rad, world.gravity_N_m_s2, p).frames, "DRILL").p
         for truth, p in ((before, None), (after, push))
     ]
-    moved = after.p_RoTo_R_m[Tool.DRILL] - before.p_RoTo_R_m[Tool.DRILL]
+    moved = after.p_RoTo_R_m[tool_index("DRILL")] - before.p_RoTo_R_m[tool_index("DRILL")]
     assert np.linalg.norm(moved) > 5e-3
-    assert np.linalg.norm(ours[1] - after.p_RoTo_R_m[Tool.DRILL]) < 2e-5 + np.linalg.norm(
-        ours[0] - before.p_RoTo_R_m[Tool.DRILL]
+    assert np.linalg.norm(ours[1] - after.p_RoTo_R_m[tool_index("DRILL")]) < 2e-5 + np.linalg.norm(
+        ours[0] - before.p_RoTo_R_m[tool_index("DRILL")]
     )
 
 
@@ -61,7 +62,7 @@ def test_a_push_on_a_tool_moves_it_as_it_does_in_the_plant(force_R_N):
 def half_pressed() -> ClosedLoop:
     """Return a run with the drill on its rock at half of its preload; tests fork it and never run it."""
     loop = on_the_rock()
-    for _ in run_sequence(loop, (PLACE, Preload(Tool.DRILL, 300.0))):
+    for _ in run_sequence(loop, (PLACE, Preload("DRILL", 300.0))):
         if loop.state.preload is not None and loop.state.preload.force_N > 150.0:
             return loop
     raise AssertionError("the press did not come so far")
@@ -87,7 +88,7 @@ def test_a_rock_that_gives_way_ends_a_press_without_refusing_what_comes_then():
     loop = half_pressed()
     loop = loop.fork((RockGone(loop.plant.data.time),))
     evrs = until_at_rest(loop)
-    assert ContactLost(Tool.DRILL) in evrs
+    assert ContactLost("DRILL") in evrs
     assert FaultResponse("STOP_AND_BRAKE") in evrs
     assert loop.state.mode is Mode.PRELOAD
     assert not loop.state.drive.power_on.any()
@@ -105,14 +106,14 @@ def test_a_force_that_the_resolvers_do_not_believe_in_is_a_fault():
 def press_and_release() -> tuple[ClosedLoop, np.ndarray, np.ndarray, list[float]]:
     """Press with 300 N and release: forces (n, 3), places (n, 3), normal force at each `Preloaded`."""
     loop = on_the_rock()
-    commands = (PLACE, Preload(Tool.DRILL, 300.0), Preload(Tool.DRILL, 0.0), Retract(Tool.DRILL, 0.1))
+    commands = (PLACE, Preload("DRILL", 300.0), Preload("DRILL", 0.0), Retract("DRILL", 0.1))
     forces, places, pressed = [], [], []
     cycles = run_sequence(loop, commands)
     for record in cycles:
         assert not any(isinstance(evr, FaultResponse) for evr in record.outputs.evrs)
         if loop.state.preload is not None:
-            forces.append(tool_forces(loop.plant)[Tool.DRILL])
-            places.append(loop.plant.truth().p_RoTo_R_m[Tool.DRILL])
+            forces.append(tool_forces(loop.plant)[tool_index("DRILL")])
+            places.append(loop.plant.truth().p_RoTo_R_m[tool_index("DRILL")])
             if any(isinstance(evr, Preloaded) for evr in record.outputs.evrs):
                 pressed.append(float(forces[-1] @ NORMAL))
     return loop, np.array(forces), np.array(places), pressed

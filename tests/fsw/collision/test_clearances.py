@@ -8,11 +8,11 @@ import pytest
 from fsw.collision.distance import DISPLAY_NAMES, compute_clearances, find_violation
 from fsw.collision.geometry import GROUND, OBSTACLES, PARTS
 from fsw.config import configure
-from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward
 from fsw.kinematics.statics import settle_output
 from tests.fsw.collision.mujoco_reference import FAR_M, mujoco_clearances, obstacle_of, part_of, plant
 from tests.fsw.rig import MARS_R_m_s2, beside_the_rover, in_limits, with_params
+from tests.tools import TOOLS
 
 CONFIG = beside_the_rover()
 GEOMETRY = CONFIG.collision_geometry
@@ -84,7 +84,7 @@ def test_parts_in_the_turret_frame_move_with_the_tools_of_the_parameters():
     """A drill that is calibrated as 3 cm longer is 3 cm closer to the obstacle ahead of it."""
     longer = replace(CONFIG.params.tools.drill.transform, a_m=0.39)
     other = with_params(tools={"drill": replace(CONFIG.params.tools.drill, transform=longer)})
-    X_FT, X_FT_longer = CONFIG.arm.X_FT[Tool.DRILL], other.arm.X_FT[Tool.DRILL]
+    X_FT, X_FT_longer = CONFIG.arm.X_FT["DRILL"], other.arm.X_FT["DRILL"]
     of_drill = GEOMETRY.arm.part == PARTS.index("drill")
     shift = (other.collision_geometry.arm.X_CS.p - GEOMETRY.arm.X_CS.p)[:, of_drill]
     np.testing.assert_allclose(shift, np.tile((X_FT_longer.p - X_FT.p)[:, None], shift.shape[1]), atol=1e-15)
@@ -140,9 +140,9 @@ def test_what_does_not_meet_is_refused_by_how_close_it_comes():
 def test_a_tool_that_is_to_touch_may_come_as_close_as_it_likes_and_nothing_else_may():
     frames = lowered_onto_the_ground()
     everything = compute_clearances(GEOMETRY, frames, FAR_M)
-    for tool in Tool:
+    for tool in TOOLS:
         apart = compute_clearances(GEOMETRY, frames, FAR_M, touching=tool)
-        exempt = PARTS.index(tool.name.lower())
+        exempt = PARTS.index(tool.lower())
         assert np.isinf(apart[exempt]).all()
         others = np.arange(len(PARTS)) != exempt
         np.testing.assert_array_equal(apart[others], everything[others])
@@ -202,7 +202,7 @@ def test_named_poses_are_clear_by_more_than_the_padding(pose):
 
 def test_no_point_of_the_arm_is_farther_from_a_joint_than_its_lever():
     frames = settle_poses(in_limits(CONFIG, np.random.default_rng(34), 200)).frames
-    for tool in Tool:
+    for tool in TOOLS:
         tip = np.einsum("ijn,j->in", frames.X_RF.R[:, :, 5], CONFIG.arm.X_FT[tool].p) + frames.X_RF.p[:, 5]
         for joint in range(5):
             away = np.linalg.norm(tip - frames.X_RL.p[:, joint + 1], axis=0)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from fsw.dictionary import commands, evrs, faults
-from fsw.dictionary.enums import Joint, Mode, Switch, Tool
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import Evr, Severity
 
 EVRS = [
@@ -53,8 +53,8 @@ SENTENCES = {
     faults.ResolverDisagrees(
         Joint.ELEVATION, -0.006, 0.0055
     ): "ELEVATION: resolver off by -0.00600 rad, bound 0.00550 rad",
-    evrs.BranchChosen(Tool.APXS, "b"): "APXS: branch b",
-    evrs.ContactMade(Switch.APXS_1, 0.1): "contact on APXS_1 after 0.1000 m",
+    evrs.BranchChosen("APXS", "b"): "APXS: branch b",
+    evrs.ContactMade("APXS_1", 0.1): "contact on APXS_1 after 0.1000 m",
     faults.SensorNotFinite("current_A"): "non-finite reading in current_A",
     faults.GravityImplausible(25.04, 1.0, 20.0): "gravity reads 25 m/s2, bounds 1 .. 20 m/s2",
     faults.SetpointUnsafe(Joint.ELBOW, 2.9, 2.8): "ELBOW: set-point 2.9000 rad held back, last 2.8000 rad",
@@ -63,7 +63,7 @@ SENTENCES = {
     faults.FollowingErrorHigh(
         Joint.TURRET, 0.003, 0.002
     ): "TURRET is 0.00300 rad from its set-point, bound 0.00200 rad",
-    faults.ContactInFreeSpace(Switch.DRT_2): "contact on DRT_2 in free space",
+    faults.ContactInFreeSpace("DRT_2"): "contact on DRT_2 in free space",
     faults.NoContact(0.15): "no contact within 0.1500 m of guarded travel",
     faults.NotSettled(Joint.AZIMUTH, 1e-4): "AZIMUTH not settled: 0.000100 rad from its set-point",
     faults.MotorStalled(Joint.ELBOW, 0.0, -0.01): (
@@ -74,18 +74,18 @@ SENTENCES = {
     faults.SensorFrozen("current_A", 64): "current_A reads the same for 64 cycles",
     faults.CyclesMissed(9, 4): "9 cycles missed, at most 4 are tolerated",
     faults.TiltChanged(0.0123, 0.01): "gravity turned by 0.0123 rad, bound 0.0100 rad",
-    faults.ContactLost(Tool.DRILL): "DRILL lost contact",
-    faults.PreloadOutside(Tool.DRILL, 300.0, -120.04, 100.0): (
+    faults.ContactLost("DRILL"): "DRILL lost contact",
+    faults.PreloadOutside("DRILL", 300.0, -120.04, 100.0): (
         "force on DRILL off by -120.0 N from 300.0 N, bound 100.0 N"
     ),
     evrs.CyclesSkipped(3): "3 cycles missed",
     evrs.FaultResponse("BRAKE_AND_REFUSE"): "response BRAKE_AND_REFUSE",
     evrs.FaultCleared(): "fault cleared",
-    evrs.Preloaded(Tool.DRILL, 300.0): "DRILL pressed with 300.0 N",
-    evrs.ForceEstimated(Tool.DRILL, 0.9123, 0.1): (
+    evrs.Preloaded("DRILL", 300.0): "DRILL pressed with 300.0 N",
+    evrs.ForceEstimated("DRILL", 0.9123, 0.1): (
         "DRILL: a newton of the model is 0.912 N along its axis, 0.100 N across"
     ),
-    evrs.SpotSet(Tool.APXS, 2.0, -0.1, 0.85): "spot of APXS at 2.0000 -0.1000 0.8500 m in RMECH",
+    evrs.SpotSet("APXS", 2.0, -0.1, 0.85): "spot of APXS at 2.0000 -0.1000 0.8500 m in RMECH",
     evrs.ParamSet("collision.ground_z_m", 1.25, "ab12"): "collision.ground_z_m is 1.25, parameters ab12",
     evrs.TiltSet(0.0012): "tilt set, 0.0012 rad from what the IMU reads",
     evrs.SoftwareError("KeyError: 'a'"): "software error: KeyError: 'a'",

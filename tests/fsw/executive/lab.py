@@ -26,16 +26,16 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
-from fsw.dictionary.enums import Joint, Mode, Switch, Tool
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandRefused
 from fsw.dictionary.params import TeachPoint
 from fsw.motion.move import MIN_CORRECTION_N
 from tests.fsw.rig import Rig, config_of, facing, floats, with_params
 
-START = facing(config_of(), Tool.APXS)
+START = facing(config_of(), "APXS")
 STRONGER = replace(config_of().params.joints.elevation, hardstop_press_Nm=300.0)
 """Elevation with a larger pressing torque: in the ready pose gravity exceeds its share of the nominal one."""
-_X_RT = Rig(with_params(), start_rad=START).tool_pose(Tool.APXS)
+_X_RT = Rig(with_params(), start_rad=START).tool_pose("APXS")
 HERE = TeachPoint("here", "apxs", floats(_X_RT.p), floats(_X_RT.R[:, 0]))
 """Pose of the APXS at the start of these tests, as a taught point."""
 CONFIG = with_params(
@@ -46,7 +46,7 @@ CONFIG = with_params(
 """Configuration in which any joint may be homed from the pose in which these tests start."""
 NAN = float("nan")
 INF = float("inf")
-TOUCHED = {"switch_closed": np.arange(10) == Switch.APXS_1}
+TOUCHED = {"switch_closed": np.arange(10) == "APXS_1"}
 
 
 def stowed():
@@ -71,7 +71,7 @@ def moving_free():
 
 def guarded_moving():
     rig = deployed()
-    rig.until_moving(rig.touch(Tool.APXS, 0.05))
+    rig.until_moving(rig.touch("APXS", 0.05))
     return rig
 
 
@@ -84,7 +84,7 @@ def guarded_in_contact():
 
 def retracting():
     rig = deployed()
-    rig.until_moving(Retract(Tool.APXS, 0.05))
+    rig.until_moving(Retract("APXS", 0.05))
     return rig
 
 
@@ -108,7 +108,7 @@ def faulted():
 
 def preloading():
     rig = guarded_in_contact()
-    rig.cycle(Preload(Tool.APXS, 50.0), **TOUCHED)
+    rig.cycle(Preload("APXS", 50.0), **TOUCHED)
     while rig.state.preload.force_N < 10.0:
         rig.cycle(**TOUCHED)
     return rig
@@ -130,8 +130,8 @@ TOUCHING = (guarded_in_contact, preloading, preloaded)
 
 
 def _place(rig: Rig) -> PlaceTool:
-    ahead = rig.here(Tool.APXS, 0.02)
-    return PlaceTool(Tool.APXS, ahead.p_FoTo_F_m, ahead.approach_F, 0.02, 0.02)
+    ahead = rig.here("APXS", 0.02)
+    return PlaceTool("APXS", ahead.p_FoTo_F_m, ahead.approach_F, 0.02, 0.02)
 
 
 COMMANDS = {
@@ -141,15 +141,15 @@ COMMANDS = {
     Stow: lambda rig: Stow(),
     MoveJoint: lambda rig: MoveJoint(Joint.WRIST, float(rig.state.joints.output_rad[Joint.WRIST])),
     MoveJoints: lambda rig: MoveJoints(floats(rig.state.joints.motor_rad)),
-    MoveTool: lambda rig: rig.here(Tool.APXS),
-    GuardedMove: lambda rig: rig.touch(Tool.APXS, 0.02),
+    MoveTool: lambda rig: rig.here("APXS"),
+    GuardedMove: lambda rig: rig.touch("APXS", 0.02),
     PlaceTool: _place,
-    Preload: lambda rig: Preload(Tool.APXS, 100.0),
-    ToolChange: lambda rig: ToolChange(Tool.MAHLI),
+    Preload: lambda rig: Preload("APXS", 100.0),
+    ToolChange: lambda rig: ToolChange("MAHLI"),
     MoveTeachPoint: lambda rig: MoveTeachPoint(HERE.name),
     Dock: lambda rig: Dock(HERE.name, 0.02),
-    Process: lambda rig: Process(Tool.PORTION, (1.0, 0.0, 0.2), 1.0),
-    Retract: lambda rig: Retract(Tool.APXS, 0.02),
+    Process: lambda rig: Process("PORTION", (1.0, 0.0, 0.2), 1.0),
+    Retract: lambda rig: Retract("APXS", 0.02),
     SetTilt: lambda rig: SetTilt(0.0, 0.0),
     SetParam: lambda rig: SetParam("motion.settle_time_s", 0.5),
     Stop: lambda rig: Stop(),

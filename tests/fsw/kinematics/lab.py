@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.branches import BRANCHES, slot_name
 from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics
 from fsw.kinematics.near_singular import SAME_RAD as TWICE_RAD
@@ -47,7 +47,7 @@ class SolvedTargets:
         return RIGID_M if self.trial.gravity_R_m_s2 is None else DEFLECTED_M
 
 
-def trial_of(name: str, gravity: str, tool: Tool) -> Trial:
+def trial_of(name: str, gravity: str, tool: str) -> Trial:
     return Trial(name, arm_of(name), tool, GRAVITIES[gravity])
 
 
@@ -59,14 +59,14 @@ def solve_poses(trial: Trial, q: np.ndarray) -> SolvedTargets:
 
 
 @lru_cache
-def random_poses(name: str, gravity: str, tool: Tool, n: int) -> SolvedTargets:
+def random_poses(name: str, gravity: str, tool: str, n: int) -> SolvedTargets:
     """Solve targets of joint vectors anywhere inside the limits."""
     rng = np.random.default_rng(100 + tool)
     return solve_poses(trial_of(name, gravity, tool), in_limits(config_of(), rng, n))
 
 
 @lru_cache
-def near_double_roots(name: str, gravity: str, tool: Tool, n: int) -> SolvedTargets:
+def near_double_roots(name: str, gravity: str, tool: str, n: int) -> SolvedTargets:
     """Solve targets of joint vectors that are a microradian to a third of a radian from a double root."""
     trial, rng = trial_of(name, gravity, tool), np.random.default_rng([2264, tool])
     q, near = vectors(trial, rng, 9 * n)

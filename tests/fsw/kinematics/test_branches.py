@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.enums import Tool
 from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances, slot_name
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import closed_form
 from tests.fsw.rig import config_of, in_limits
+from tests.tools import TOOLS
 
 N = 3000
 ARM = config_of().arm
 # distance from the turret axis to each tool point, from the drawing
-RADIUS_M = {Tool.DRILL: 0.360, Tool.DRT: 0.299, Tool.MAHLI: 0.2973, Tool.APXS: 0.2983, Tool.PORTION: 0.2761}
+RADIUS_M = {"DRILL": 0.360, "DRT": 0.299, "MAHLI": 0.2973, "APXS": 0.2983, "PORTION": 0.2761}
 
 
 def poses(n=N):
@@ -40,7 +40,7 @@ def test_the_first_eight_slots_have_the_names_of_the_branches_and_further_ones_a
     assert len({slot_name(k) for k in range(32)}) == 32
 
 
-@pytest.mark.parametrize("tool", Tool)
+@pytest.mark.parametrize("tool", TOOLS)
 def test_out_is_the_shoulder_whose_azimuth_looks_toward_the_foot_of_the_turret_axis(tool):
     q = poses()
     frames = forward(ARM, q)
@@ -60,7 +60,7 @@ def test_up_is_the_elbow_above_the_line_from_shoulder_to_wrist():
     chord = wrist - shoulder
     share = np.sum((elbow - shoulder) * chord, axis=0) / np.sum(chord * chord, axis=0)
     above_m = (shoulder + share * chord - elbow)[2]
-    signs = fold_distances(ARM.orthogonal[Tool.APXS], q)
+    signs = fold_distances(ARM.orthogonal["APXS"], q)
     clear = np.abs(above_m) > 1e-9
     up = named("elbow-up", branch_index(signs))
     np.testing.assert_array_equal(up[clear], (above_m > 0)[clear])
@@ -68,7 +68,7 @@ def test_up_is_the_elbow_above_the_line_from_shoulder_to_wrist():
     assert 0.2 < up.mean() < 0.8
 
 
-@pytest.mark.parametrize("tool", Tool)
+@pytest.mark.parametrize("tool", TOOLS)
 def test_the_wrists_carry_the_turret_axis_on_either_side_of_the_approach(tool):
     q = poses()
     frames = forward(ARM, q)
@@ -80,7 +80,7 @@ def test_the_wrists_carry_the_turret_axis_on_either_side_of_the_approach(tool):
     np.testing.assert_array_equal(named("wrist-up", branch_index(signs)), sine < 0)
 
 
-@pytest.mark.parametrize("tool", Tool)
+@pytest.mark.parametrize("tool", TOOLS)
 def test_the_roots_of_the_orthogonal_arm_are_on_the_branches_of_their_slots(tool):
     q = poses()
     X = tool_pose(ARM, forward(ARM, q), tool)
@@ -93,7 +93,7 @@ def test_the_roots_of_the_orthogonal_arm_are_on_the_branches_of_their_slots(tool
 
 
 def test_a_batch_of_poses_is_on_the_branches_of_its_single_poses():
-    q, s = poses(24), config_of("calibrated:3").arm.orthogonal[Tool.DRT]
+    q, s = poses(24), config_of("calibrated:3").arm.orthogonal["DRT"]
     many = branch_index(fold_distances(s, q.reshape(5, 2, 3, 4)))
     assert many.shape == (2, 3, 4)
     for k, index in enumerate(np.ndindex(2, 3, 4)):

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.enums import Tool
 from fsw.kinematics.arm import build_orthogonal_arm
 from fsw.kinematics.branches import fold_distances
 from fsw.kinematics.chain import forward, tool_pose
@@ -14,12 +13,13 @@ from fsw.kinematics.ik import FREE_SINE
 from fsw.kinematics.task import task_error, task_jacobian
 from fsw.kinematics.transforms import Pose, rotation_y, wrap_angle
 from tests.fsw.rig import config_of, in_limits
+from tests.tools import TOOLS
 from validation.kinematics_samples import vectors
 from validation.kinematics_trials import Trial, skew_tool
 
 N = 2000
 ARM = config_of().arm
-TOOL = Tool.DRILL
+TOOL = "DRILL"
 OFFSET_M = 0.06
 TILT_RAD = 0.8
 MEETS = 1e-9
@@ -30,7 +30,7 @@ def with_tool(R, p_m):
     """Build the arm of the drawing with this tool frame instead of its tools."""
     X_FT, X_LF = Pose(np.array(R), np.array(p_m)), Pose(ARM.X_CF.R, ARM.X_CF.p + ARM.p_LC_m)
     shape = build_orthogonal_arm(ARM.theta_rad, X_LF, X_FT)
-    return replace(ARM, X_FT=(X_FT,) * len(Tool), orthogonal=(shape,) * len(Tool))
+    return replace(ARM, X_FT=(X_FT,) * len(TOOLS), orthogonal=(shape,) * len(TOOLS))
 
 
 def targets_of(arm, q, tool=TOOL):
@@ -51,7 +51,7 @@ def worst_error(arm, roots, p, a, tool=TOOL):
     return np.abs(task_error(X, p[:, None], a[:, None])).max(axis=0)
 
 
-@pytest.mark.parametrize("tool", Tool)
+@pytest.mark.parametrize("tool", TOOLS)
 def test_the_drawing_is_orthogonal_and_its_tools_radial(tool):
     s = ARM.orthogonal[tool]
     assert s.is_exact
@@ -65,7 +65,7 @@ def test_a_tool_alone_does_not_make_the_arm_less_orthogonal():
     assert skew_tool(1).orthogonal[TOOL].is_exact
 
 
-@pytest.mark.parametrize("tool", Tool)
+@pytest.mark.parametrize("tool", TOOLS)
 def test_every_root_of_the_drawing_meets_its_target_to_the_last_digits(tool):
     q = in_limits(config_of(), np.random.default_rng(100 + tool), N)
     p, a, clear = targets_of(ARM, q, tool)
@@ -77,7 +77,7 @@ def test_every_root_of_the_drawing_meets_its_target_to_the_last_digits(tool):
 
 def tool_of_the_drawing_but(offset_m=0.0, lean_rad=0.0):
     """Return the drill frame moved sideways by a bracket, or tilted up."""
-    X = ARM.X_FT[Tool.DRILL]
+    X = ARM.X_FT["DRILL"]
     R = X.R @ rotation_y(np.array(lean_rad))
     return with_tool(R, X.p + np.array([0.0, offset_m, 0.0]))
 
@@ -136,7 +136,7 @@ def test_no_root_of_a_skew_tool_is_lost_next_to_double_roots(seed):
     assert nearest(roots, q)[clear > 1e-4].max() < SAME_RAD
 
 
-@pytest.mark.parametrize("tool", Tool)
+@pytest.mark.parametrize("tool", TOOLS)
 def test_a_target_a_little_beyond_reach_is_missing_a_little(tool):
     q = in_limits(config_of(), np.random.default_rng(3), 300)
     q[2] = 0.0

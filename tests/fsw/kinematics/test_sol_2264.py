@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import Arm, heat_arm
 from fsw.kinematics.chain import Frames, forward, tool_pose
 from fsw.kinematics.statics import settle, settle_output
@@ -39,12 +39,12 @@ FLIGHT = Pose(from_quaternion(FLIGHT_Q_TR).T, FLIGHT_P_R_M)
 
 
 def drill(frames: Frames) -> Pose:
-    return tool_pose(ARM, frames, Tool.DRILL)
+    return tool_pose(ARM, frames, "DRILL")
 
 
 def deflected_drill(backlash_rad, arm: Arm = ARM) -> Pose:
     """Compute the drill pose for the encoder angles, with wind-up beyond these positions in the backlash."""
-    return tool_pose(arm, settle(arm, ENCODER_RAD, backlash_rad, GRAVITY_R_m_s2).frames, Tool.DRILL)
+    return tool_pose(arm, settle(arm, ENCODER_RAD, backlash_rad, GRAVITY_R_m_s2).frames, "DRILL")
 
 
 def across(*joints: Joint) -> Pose:

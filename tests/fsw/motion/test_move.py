@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Tool
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.estimate.joints import no_load
 from fsw.motion.move import Move, Phase, advance_move, command_actuators, find_closed_switch, stop_early
 from fsw.motion.paths import Setpoint, StopPath, joint_path
 from fsw.state import boot
 from tests.fsw.rig import Rig, config_of, quiet_sensors
+from tests.tools import TOOL_SWITCHES
 
 CONFIG = config_of()
 READY = np.array(CONFIG.params.poses.ready_rad)
@@ -75,7 +76,7 @@ def test_paths_run_one_after_the_other_each_to_its_end():
 
 @pytest.mark.parametrize("phase", Phase)
 def test_a_stop_in_any_phase_ends_early_and_forgets_the_contact(phase):
-    stopped = stop_early(CONFIG, move_by(0.5, phase=phase, guarded_tool=Tool.APXS), Mode.GUARDED)
+    stopped = stop_early(CONFIG, move_by(0.5, phase=phase, guarded_tool="APXS"), Mode.GUARDED)
     assert stopped.stopped
     assert stopped.guarded_tool is None
     assert stopped.end_mode is Mode.GUARDED
@@ -87,7 +88,7 @@ def test_a_stop_in_any_phase_ends_early_and_forgets_the_contact(phase):
 
 
 def test_a_tool_without_switches_never_touches():
-    assert find_closed_switch(Tool.PORTION, np.ones(10, bool)) is None
+    assert find_closed_switch("PORTION", np.ones(10, bool)) is None
     for tool, switches in TOOL_SWITCHES.items():
         for switch in switches:
             assert find_closed_switch(tool, np.arange(10) == switch) is switch

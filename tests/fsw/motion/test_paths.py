@@ -11,12 +11,12 @@ from hypothesis.extra import numpy as hnp
 
 from fsw.config import CYCLE_S
 from fsw.dictionary.commands import GuardedMove, Retract
-from fsw.dictionary.enums import Tool
 from fsw.motion.paths import JointPath, LinePath, Setpoint, Travel, joint_path, line_path, stop_path
 from fsw.motion.plan import Plan
 from fsw.motion.plan_tool import plan_guarded, plan_retract
 from tests.fsw.motion.lab import gears_along, likely, sampled, tool_at
 from tests.fsw.rig import Rig, config_of, facing, floats, in_limits, with_params
+from tests.tools import TOOLS
 
 CONFIG = config_of()
 WIND_UP_RAD = CONFIG.output_friction_Nm / CONFIG.arm.gear_stiffness_Nm_rad
@@ -147,7 +147,7 @@ def settled(config, start_rad=None):
 
 
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
-@pytest.mark.parametrize("tool", Tool)
+@pytest.mark.parametrize("tool", TOOLS)
 def test_a_guarded_line_is_straight_and_keeps_its_axis(name, tool):
     config = without_play(name)
     rig = settled(config, facing(config, tool))
@@ -163,9 +163,9 @@ def test_a_guarded_line_is_straight_and_keeps_its_axis(name, tool):
 def test_a_retraction_is_straight_and_goes_back_along_the_tool(name):
     config = without_play(name)
     rig = settled(config)
-    start = rig.tool_pose(Tool.APXS)
-    path = straight(plan_retract(config, rig.state.joints, Retract(Tool.APXS, 0.1)))
-    X, _ = along(config, Tool.APXS, path, likely(rig.state.joints))
+    start = rig.tool_pose("APXS")
+    path = straight(plan_retract(config, rig.state.joints, Retract("APXS", 0.1)))
+    X, _ = along(config, "APXS", path, likely(rig.state.joints))
     off_m, turn_rad, length_m = line_errors(X)
     assert length_m == pytest.approx(0.1, abs=1e-6)
     assert off_m < STRAIGHT_M
@@ -176,11 +176,11 @@ def test_a_retraction_is_straight_and_goes_back_along_the_tool(name):
 CROSSING = [
     *(
         (tool, kind, start)
-        for tool in Tool
+        for tool in TOOLS
         for kind in ("guarded", "retract")
         for start in ("facing", "ready")
         # in the ready pose the drill is parallel to the pitch axes: no line starts there
-        if (tool, start) != (Tool.DRILL, "ready")
+        if (tool, start) != ("DRILL", "ready")
     ),
 ]
 
@@ -224,7 +224,7 @@ def test_a_line_is_straight_also_where_gaps_are_crossed_and_the_crossing_leaves_
 
 def test_some_line_does_cross_a_gap():
     rig = Rig(CONFIG)
-    plan = plan_guarded(CONFIG, rig.state.joints, rig.touch(Tool.DRT, 0.15))
+    plan = plan_guarded(CONFIG, rig.state.joints, rig.touch("DRT", 0.15))
     assert np.abs(plan.backlash_rad - rig.state.joints.backlash_rad).max() > 0
     assert [type(path) for path in plan.paths].count(JointPath) >= 1
     for path, following in pairwise(plan.paths):
@@ -237,11 +237,11 @@ def test_some_line_does_cross_a_gap():
 def test_a_line_may_turn_the_tool_to_its_approach_on_the_way():
     config = without_play("nominal")
     rig = Rig(config)
-    X = rig.tool_pose(Tool.APXS)
+    X = rig.tool_pose("APXS")
     approach = X.R[:, 0] + 0.02 * X.R[:, 1]
-    command = GuardedMove(Tool.APXS, floats(X.p + 0.1 * X.R[:, 0]), floats(approach))
+    command = GuardedMove("APXS", floats(X.p + 0.1 * X.R[:, 0]), floats(approach))
     path = straight(plan_guarded(config, rig.state.joints, command))
-    end, _ = along(config, Tool.APXS, path, likely(rig.state.joints))
+    end, _ = along(config, "APXS", path, likely(rig.state.joints))
     np.testing.assert_allclose(end.R[:, 0, -1], approach / np.linalg.norm(approach), atol=1e-7)
 
 
@@ -250,7 +250,7 @@ def lines(plan):
     return [path for path in plan.paths if isinstance(path, LinePath)]
 
 
-@pytest.mark.parametrize("tool", Tool)
+@pytest.mark.parametrize("tool", TOOLS)
 def test_a_line_runs_from_rest_to_rest_no_faster_than_told_and_no_joint_above_its_speed(tool):
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
     plan = plan_guarded(CONFIG, rig.state.joints, rig.touch(tool, 0.15))
@@ -268,7 +268,7 @@ def test_a_line_runs_from_rest_to_rest_no_faster_than_told_and_no_joint_above_it
 def test_no_joint_is_above_its_speed_where_the_line_crosses_a_gap_close_to_a_singular_pose():
     pose = np.array([0.48507177, -0.71074232, 0.07864559, -1.19383176, 0.24471724])
     rig = Rig(CONFIG, start_rad=pose)
-    for path in plan_guarded(CONFIG, rig.state.joints, rig.touch(Tool.PORTION, 0.09)).paths:
+    for path in plan_guarded(CONFIG, rig.state.joints, rig.touch("PORTION", 0.09)).paths:
         _, _, rate = sampled(path, 800)
         assert (np.abs(rate) <= CONFIG.speed_rad_s * (1 + 1e-9)).all()
 

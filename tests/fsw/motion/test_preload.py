@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import ClearFault, Preload, Retract, Stop
-from fsw.dictionary.enums import Mode, Tool
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, Preloaded
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
@@ -22,19 +22,19 @@ def tool_under_force(rig: Rig):
     state, arm = rig.state, rig.config.arm
     push = None if state.preload is None else state.preload.reaction
     here = settle_output(arm, state.joints.output_rad, state.joints.imu_R_m_s2, push)
-    return tool_pose(arm, here.frames, Tool.APXS)
+    return tool_pose(arm, here.frames, "APXS")
 
 
 def pressed_with(force_N: float) -> Rig:
     rig = guarded_in_contact()
-    rig.run(Preload(Tool.APXS, force_N), **TOUCHED)
+    rig.run(Preload("APXS", force_N), **TOUCHED)
     return rig
 
 
 def test_the_force_rises_and_the_tool_ends_where_it_touched():
     rig = guarded_in_contact()
     forces = []
-    rig.cycle(Preload(Tool.APXS, 300.0), **TOUCHED)
+    rig.cycle(Preload("APXS", 300.0), **TOUCHED)
     while rig.outputs.joint.busy:
         rig.cycle(**TOUCHED)
         forces.append(rig.state.preload.force_N)
@@ -42,17 +42,17 @@ def test_the_force_rises_and_the_tool_ends_where_it_touched():
     touched, ends = rig.state.preload, tool_under_force(rig)
     assert np.linalg.norm(ends.p - touched.p_RoTo_R_m) < STAYS_M
     assert np.abs(ends.R[:, 0] - touched.axis_R).max() < STAYS_M
-    assert Preloaded(Tool.APXS, 300.0) in rig.evrs
+    assert Preloaded("APXS", 300.0) in rig.evrs
     assert rig.state.mode is Mode.PRELOAD
 
 
 def test_a_force_is_changed_and_released_the_way_it_came():
     rig = pressed_with(200.0)
-    rig.run(Preload(Tool.APXS, 80.0), **TOUCHED)
+    rig.run(Preload("APXS", 80.0), **TOUCHED)
     assert (rig.state.mode, rig.state.preload.force_N) == (Mode.PRELOAD, 80.0)
-    assert CommandCompleted("Preload") in rig.run(Preload(Tool.APXS, 0.0), **TOUCHED)
+    assert CommandCompleted("Preload") in rig.run(Preload("APXS", 0.0), **TOUCHED)
     assert (rig.state.mode, rig.state.preload.force_N) == (Mode.GUARDED, 0.0)
-    rig.cycle(Retract(Tool.APXS, 0.02), **TOUCHED)
+    rig.cycle(Retract("APXS", 0.02), **TOUCHED)
     assert (rig.state.mode, rig.state.preload) == (Mode.RETRACTING, None)
 
 
@@ -73,7 +73,7 @@ def test_every_joint_carries_the_force_times_its_lever():
 def test_current_limits_stop_a_press_well_before_the_joints_of_a_move():
     rig = guarded_in_contact()
     rig.state = replace_friction(rig, 170.0)
-    rig.cycle(Preload(Tool.APXS, 100.0), **TOUCHED)
+    rig.cycle(Preload("APXS", 100.0), **TOUCHED)
     rig.cycle(**TOUCHED)
     limit = rig.outputs.drive.current_limit_A
     assert np.all(limit <= rig.config.current_limit_A)
@@ -90,7 +90,7 @@ def replace_friction(rig: Rig, friction_Nm: float):
 def test_a_force_beyond_what_may_be_pressed_with_is_refused(force_N):
     rig = guarded_in_contact()
     rig.evrs.clear()
-    rig.cycle(Preload(Tool.APXS, force_N), **TOUCHED)
+    rig.cycle(Preload("APXS", force_N), **TOUCHED)
     (evr,) = rig.evrs
     assert isinstance(evr, CommandRefused)
     assert "force" in evr.reason
@@ -99,8 +99,8 @@ def test_a_force_beyond_what_may_be_pressed_with_is_refused(force_N):
 def test_nothing_is_pressed_where_no_switch_is_closed_nor_with_another_tool():
     rig = guarded_in_contact()
     rig.evrs.clear()
-    rig.cycle(Preload(Tool.APXS, 100.0))
-    rig.cycle(Preload(Tool.DRILL, 100.0), **TOUCHED)
+    rig.cycle(Preload("APXS", 100.0))
+    rig.cycle(Preload("DRILL", 100.0), **TOUCHED)
     assert [evr.reason for evr in rig.evrs] == [
         "APXS touches nothing: there is nothing to press on",
         "APXS is the tool that may touch; retract it first",
@@ -110,7 +110,7 @@ def test_nothing_is_pressed_where_no_switch_is_closed_nor_with_another_tool():
 @pytest.mark.parametrize("end", ["stop", "fault"])
 def test_a_press_that_ends_early_is_remembered_and_can_be_released(end):
     rig = guarded_in_contact()
-    rig.cycle(Preload(Tool.APXS, 200.0), **TOUCHED)
+    rig.cycle(Preload("APXS", 200.0), **TOUCHED)
     while rig.state.preload.force_N < 100.0:
         rig.cycle(**TOUCHED)
     if end == "stop":
@@ -123,23 +123,23 @@ def test_a_press_that_ends_early_is_remembered_and_can_be_released(end):
         rig.cycle(ClearFault(), **TOUCHED)
     assert rig.state.mode is Mode.PRELOAD
     assert 95.0 < rig.state.preload.force_N < 120.0
-    rig.run(Preload(Tool.APXS, 0.0), **TOUCHED)
+    rig.run(Preload("APXS", 0.0), **TOUCHED)
     assert (rig.state.mode, rig.state.preload.force_N) == (Mode.GUARDED, 0.0)
 
 
 @pytest.mark.parametrize("left_N", [6.0, 0.0])
 def test_a_release_that_is_stopped_near_its_end_can_be_ended_and_the_tool_taken_off(left_N):
     rig = pressed_with(100.0)
-    rig.cycle(Preload(Tool.APXS, 0.0), **TOUCHED)
+    rig.cycle(Preload("APXS", 0.0), **TOUCHED)
     while rig.state.preload.force_N > left_N:
         rig.cycle(**TOUCHED)
     rig.run(Stop(), **TOUCHED)
     assert rig.state.mode is Mode.PRELOAD
     stopped = rig.state.preload.force_N
     assert stopped <= left_N
-    evrs = rig.run(Preload(Tool.APXS, 0.0), **TOUCHED)
-    assert Preloaded(Tool.APXS, stopped) in evrs
+    evrs = rig.run(Preload("APXS", 0.0), **TOUCHED)
+    assert Preloaded("APXS", stopped) in evrs
     assert CommandCompleted("Preload") in evrs
     assert rig.state.mode is Mode.GUARDED
-    rig.cycle(Retract(Tool.APXS, 0.02), **TOUCHED)
+    rig.cycle(Retract("APXS", 0.02), **TOUCHED)
     assert rig.state.mode is Mode.RETRACTING

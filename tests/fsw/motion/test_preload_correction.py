@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import Preload
-from fsw.dictionary.enums import Tool
 from fsw.dictionary.evrs import ForceEstimated, Preloaded
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.motion.move import MIN_CORRECTION_N, Phase
@@ -41,7 +40,7 @@ def pressed(
 
 
 def press(rig, force_N: float, stiffness: float, friction=1.0, offset_Nm=0.0, across=(0.0, 0.0)) -> None:
-    rig.cycle(Preload(Tool.APXS, force_N), **TOUCHED)
+    rig.cycle(Preload("APXS", force_N), **TOUCHED)
     while rig.outputs.joint.busy:
         rig.cycle(current_A=currents(rig, stiffness, friction, offset_Nm, across), **TOUCHED)
 
@@ -117,7 +116,7 @@ def test_a_force_across_is_told_from_the_one_along(across):
 @pytest.mark.parametrize(("share", "is_plausible"), [(0.3, False), (0.8, True), (3.0, False)])
 def test_what_cannot_be_is_not_believed(share, is_plausible):
     rig = guarded_in_contact()
-    joints, preload = rig.state.joints, model_contact(rig.config, rig.state.joints, Tool.APXS)
+    joints, preload = rig.state.joints, model_contact(rig.config, rig.state.joints, "APXS")
     per_N = plan_preload(rig.config, joints, preload, 300.0)[1].torque_per_N
     fit = ForceFit(legs_left=0)
     for model_N in np.linspace(20.0, 280.0, 1000):
@@ -128,5 +127,5 @@ def test_what_cannot_be_is_not_believed(share, is_plausible):
 
 def test_nothing_felt_tells_nothing():
     rig = guarded_in_contact()
-    preload = model_contact(rig.config, rig.state.joints, Tool.APXS)
+    preload = model_contact(rig.config, rig.state.joints, "APXS")
     assert estimate_force_ratio(rig.config, ForceFit(), rig.state.joints, preload) is None

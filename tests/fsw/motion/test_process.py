@@ -7,12 +7,13 @@ import pytest
 
 from fsw.config import Config
 from fsw.dictionary.commands import Process
-from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.motion.plan import Refusal
 from fsw.motion.plan_process import find_gravity_pose
 from tests.fsw.rig import Rig, config_of, floats, in_limits
+from tests.tools import TOOLS
 
 CONFIG = config_of()
 
@@ -23,7 +24,7 @@ def tilted(rng: np.random.Generator, most_rad: float) -> np.ndarray:
     return 3.711 * np.array([np.sin(tilt) * np.cos(heading), np.sin(tilt) * np.sin(heading), np.cos(tilt)])
 
 
-def down_in(config: Config, output_rad: np.ndarray, gravity: np.ndarray, tool: Tool) -> np.ndarray:
+def down_in(config: Config, output_rad: np.ndarray, gravity: np.ndarray, tool: str) -> np.ndarray:
     """Compute the direction of gravity in a tool of the deflected arm."""
     R_RT = tool_pose(config.arm, settle_output(config.arm, output_rad, gravity).frames, tool).R
     return R_RT.T @ gravity / np.linalg.norm(gravity)
@@ -39,7 +40,7 @@ def test_what_wrist_and_turret_can_bring_about_is_found_exactly_whether_the_arm_
         gravity = tilted(rng, np.radians(30.0)) * rng.choice([1.0, 9.81 / 3.711])
         joints = replace(rig.state.joints, motor_rad=start, imu_R_m_s2=gravity)
         there = np.append(joints.output_rad[: Joint.WRIST], other[Joint.WRIST :])
-        tool = Tool(int(rng.integers(len(Tool))))
+        tool = TOOLS[rng.integers(5)]
         wanted = down_in(config, there, gravity, tool)
         answer = find_gravity_pose(config, joints, Process(tool, floats(wanted), 1.0))
         assert not isinstance(answer, Refusal), answer.reason
@@ -58,7 +59,7 @@ def test_what_is_refused_is_out_of_reach_of_the_wrist_or_beyond_a_limit(arm):
     for pose in in_limits(config, rng, 40, shrink=0.05).T:
         gravity = tilted(rng, np.radians(20.0))
         joints = replace(rig.state.joints, motor_rad=pose, imu_R_m_s2=gravity)
-        wanted, tool = rng.standard_normal(3), Tool(int(rng.integers(len(Tool))))
+        wanted, tool = rng.standard_normal(3), TOOLS[rng.integers(5)]
         answer = find_gravity_pose(config, joints, Process(tool, floats(wanted), 1.0))
         if isinstance(answer, Refusal):
             assert "the wrist can bring it to" in answer.reason or "is outside" in answer.reason
@@ -72,8 +73,8 @@ def test_what_the_wrist_cannot_do_with_this_azimuth_is_refused_with_what_it_can(
     rig = Rig(CONFIG)
     gravity = 3.711 * np.array([0.0, np.sin(0.3), np.cos(0.3)])
     joints = replace(rig.state.joints, imu_R_m_s2=gravity)
-    axis_T = CONFIG.arm.X_FT[Tool.PORTION].R[2]
-    answer = find_gravity_pose(CONFIG, joints, Process(Tool.PORTION, floats(axis_T), 1.0, deflection="off"))
+    axis_T = CONFIG.arm.X_FT["PORTION"].R[2]
+    answer = find_gravity_pose(CONFIG, joints, Process("PORTION", floats(axis_T), 1.0, deflection="off"))
     assert isinstance(answer, Refusal)
     assert "with this azimuth the wrist can bring it to 17.2 .. 162.8 deg" in answer.reason
     wrist = np.linspace(-np.pi, np.pi, 721)

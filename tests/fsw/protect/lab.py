@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from fsw.dictionary.enums import Mode, Switch, Tool
+from fsw.dictionary.enums import Mode
 from fsw.protect.status import ArmStatus, MoveStatus, PressStatus
 from tests.fsw.rig import MARS_R_m_s2, config_of, quiet_sensors
+from tests.tools import SWITCHES
 
 CONFIG = config_of()
 PARAMS = CONFIG.params
@@ -28,7 +29,7 @@ STILL = MoveStatus(
 )
 RESTING = ArmStatus(
     mode=Mode.DEPLOYED,
-    tool=Tool.APXS,
+    tool="APXS",
     calibrated=np.ones(5, bool),
     motor_rad=READY,
     motor_rate_rad_s=ZERO,
@@ -59,7 +60,7 @@ def a_move(**changes):
     return STILL._replace(**changes)
 
 
-def a_press(tool=Tool.DRILL, force_N=100.0, torque_per_N=ZERO, at_touch_rad=ZERO):
+def a_press(tool="DRILL", force_N=100.0, torque_per_N=ZERO, at_touch_rad=ZERO):
     return PressStatus(tool, force_N, np.asarray(torque_per_N, float), at_touch_rad)
 
 
@@ -73,7 +74,7 @@ def at(joint, value, elsewhere=0.0):
 
 
 def closed(*switches):
-    return np.isin(np.arange(len(Switch)), switches)
+    return np.isin(SWITCHES, switches)
 
 
 def above(value):

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Switch, Tool
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, PreloadOutside
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.protect.contact import (
@@ -46,10 +46,11 @@ from tests.fsw.protect.lab import (
     resting,
     sensors,
 )
+from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS
 
 FREE = [Mode.STOWED, Mode.DEPLOYED, Mode.FREE_SPACE]
 TOUCHING = [Mode.GUARDED, Mode.RETRACTING, Mode.PRELOAD]
-WITH_SWITCHES = [tool for tool in Tool if TOOL_SWITCHES[tool]]
+WITH_SWITCHES = [tool for tool in TOOLS if TOOL_SWITCHES[tool]]
 STEP_N = PARAMS.preload.step_N
 SHARE = PARAMS.preload.error_share
 with_switches = pytest.mark.parametrize("tool", WITH_SWITCHES)
@@ -60,31 +61,31 @@ def test_every_mode_is_one_in_which_nothing_a_tool_or_anything_may_touch():
     assert {*FREE, *TOUCHING, Mode.FAULTED} == set(Mode)
 
 
-@pytest.mark.parametrize("switch", Switch)
+@pytest.mark.parametrize("switch", SWITCHES)
 def test_in_free_space_no_switch_may_close_and_after_a_fault_any_may(switch):
-    for tool in Tool:
+    for tool in TOOLS:
         for mode in FREE:
             assert check_unexpected_contact(mode, tool, closed(switch)) == (ContactInFreeSpace(switch),)
         assert check_unexpected_contact(Mode.FAULTED, tool, closed(switch)) == ()
 
 
 @pytest.mark.parametrize("mode", TOUCHING)
-@pytest.mark.parametrize("tool", Tool)
+@pytest.mark.parametrize("tool", TOOLS)
 def test_where_a_tool_may_touch_its_own_switches_may_close_and_no_other(mode, tool):
     assert check_unexpected_contact(mode, tool, closed(*TOOL_SWITCHES[tool])) == ()
-    for switch in Switch:
+    for switch in SWITCHES:
         found = check_unexpected_contact(mode, tool, closed(*TOOL_SWITCHES[tool], switch))
         assert found == (() if switch in TOOL_SWITCHES[tool] else (ContactInFreeSpace(switch),))
 
 
 def test_of_several_closed_switches_the_first_is_named():
-    found = check_unexpected_contact(Mode.DEPLOYED, Tool.APXS, closed(Switch.DRT_2, Switch.DRT_1))
-    assert found == (ContactInFreeSpace(min(Switch.DRT_1, Switch.DRT_2)),)
+    found = check_unexpected_contact(Mode.DEPLOYED, "APXS", closed("DRT_2", "DRT_1"))
+    assert found == (ContactInFreeSpace(min("DRT_1", "DRT_2")),)
 
 
 @with_switches
 def test_a_contact_is_lost_when_no_switch_of_the_tool_has_been_closed_for_exactly_its_persistence(tool):
-    others = closed(*(switch for switch in Switch if switch not in TOOL_SWITCHES[tool]))
+    others = closed(*(switch for switch in SWITCHES if switch not in TOOL_SWITCHES[tool]))
     press = a_press(tool, above(STEP_N))
     assert_reports_from(
         MONITORS.contact_persistence,
@@ -116,10 +117,10 @@ def wound_by(torque_Nm, **changes):
 
 def test_at_the_ready_pose_the_drill_has_leverage_enough_for_its_force_to_be_told():
     """By virtual work: how far each joint moves the tool along its axis, by finite differences."""
-    axis_R = tool_pose(CONFIG.arm, forward(CONFIG.arm, READY), Tool.DRILL).R[:, 0]
+    axis_R = tool_pose(CONFIG.arm, forward(CONFIG.arm, READY), "DRILL").R[:, 0]
 
     def along_m(q):
-        return tool_pose(CONFIG.arm, forward(CONFIG.arm, q), Tool.DRILL).p @ axis_R
+        return tool_pose(CONFIG.arm, forward(CONFIG.arm, q), "DRILL").p @ axis_R
 
     levers_m = np.array([along_m(READY - step) - along_m(READY + step) for step in 1e-5 * np.eye(5)]) / 2e-5
     found_N, lever_m = force_error(wound_by(200.0 * levers_m), levers_m)
@@ -217,14 +218,14 @@ def test_what_the_resolvers_were_off_at_the_touch_is_no_force(lever_m, off_rad):
 def test_a_press_may_be_off_by_its_bound_and_more_with_a_short_lever(sign, lever_m, factor, force_N):
     bound_N = (MONITORS.preload_error_N + SHARE * force_N) * factor
     levers_m = at(Joint.ELEVATION, lever_m)
-    press = a_press(Tool.DRILL, force_N, levers_m)
+    press = a_press("DRILL", force_N, levers_m)
     for share, said in ((0.999999, False), (1.000001, True)):
         arm = wound_by(sign * share * bound_N * levers_m)
         count, found = check_press_force(BOUNDS, 1000, arm, press)
         assert count == (1001 if said else 0)
         if said:
             (evr,) = found
-            assert evr == PreloadOutside(Tool.DRILL, force_N, evr.error_N, evr.bound_N)
+            assert evr == PreloadOutside("DRILL", force_N, evr.error_N, evr.bound_N)
             assert (evr.error_N, evr.bound_N) == pytest.approx((sign * share * bound_N, bound_N))
 
 
@@ -235,11 +236,11 @@ def with_stiffness_and_lever_exact(force_N):
 
 
 def test_a_force_at_its_bound_is_none_and_the_persistence_of_one_beyond_it_is_exact():
-    bound_N, press = MONITORS.preload_error_N, a_press(Tool.DRT, 0.0, at(Joint.ELEVATION, 1.0))
+    bound_N, press = MONITORS.preload_error_N, a_press("DRT", 0.0, at(Joint.ELEVATION, 1.0))
     bounds, arm = with_stiffness_and_lever_exact(bound_N)
     assert check_press_force(bounds, 100, arm, press) == (0, ())
     bounds, arm = with_stiffness_and_lever_exact(above(bound_N))
-    event = PreloadOutside(Tool.DRT, 0.0, above(bound_N), bound_N)
+    event = PreloadOutside("DRT", 0.0, above(bound_N), bound_N)
     persistence = MONITORS.preload_persistence
     assert_reports_from(persistence, lambda count: check_press_force(bounds, count, arm, press), event)
 
@@ -248,7 +249,7 @@ def approach(arm, last, **readings):
     return monitor_approach(BOUNDS, last, arm, sensors(**readings))
 
 
-def approaching(tool=Tool.APXS, **changes):
+def approaching(tool="APXS", **changes):
     return moving(a_move(approaching=tool), **changes)
 
 
@@ -333,7 +334,7 @@ def test_a_gear_that_is_not_known_well_enough_shows_nothing_from_then_on(joint):
     assert approach(approaching(gear_uncertainty_rad=np.ones(5)), last, **pushed(50.0)) == (last, ())
 
 
-EXACT = moving(a_move(approaching=Tool.MAHLI), motor_rad=ZERO, gear_rad=ZERO)
+EXACT = moving(a_move(approaching="MAHLI"), motor_rad=ZERO, gear_rad=ZERO)
 
 
 @pytest.mark.parametrize(
@@ -346,7 +347,7 @@ def test_a_force_beyond_its_bound_or_the_noise_is_reported_and_one_at_it_is_not(
     state, found = approach(EXACT, last, resolver_rad=at(joint, bound_N * per_N))
     assert (state.force_N, found) == (bound_N, ())
     state, found = approach(EXACT, last, resolver_rad=at(joint, (bound_N + 1.0) * per_N))
-    assert found == (PreloadOutside(Tool.MAHLI, 0.0, state.force_N, bound_N),)
+    assert found == (PreloadOutside("MAHLI", 0.0, state.force_N, bound_N),)
     assert state.force_N == pytest.approx(bound_N + FORCE_GAIN)
 
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.random import SeedSequence
 
-from fsw.dictionary.enums import Tool
 from ground.accuracy.placements import closed_loop_model, measure_placements, random_placements, statics_model
 from sim.arms import arm_named
 from sim.initialisation import true_reference
@@ -16,7 +15,7 @@ def errors_m(name, how, seed, count):
     moved = (
         statics_model(arm, "on") if how == "statics" else closed_loop_model(arm, true_reference(arm), "on")
     )
-    found = measure_placements(moved, random_placements(arm.params, Tool.APXS, count, SeedSequence(seed)))
+    found = measure_placements(moved, random_placements(arm.params, "APXS", count, SeedSequence(seed)))
     return np.array([np.linalg.norm(one.error[3:]) for one in found])
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.config import configure
-from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.transforms import Array, Pose
 from ground.accuracy.placements import closed_loop_model, error_in_tool, random_placements, statics_model
 from ground.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity
@@ -25,7 +25,7 @@ from sim.world import World
 MODEL = load_error_model()
 NOMINAL = arm_named("nominal")
 CONFIG = configure(NOMINAL.params)
-TOOL = Tool.MAHLI
+TOOL = "MAHLI"
 PLACE = random_placements(NOMINAL.params, TOOL, 1, np.random.SeedSequence(4))[0]
 LARGER = {"slop": 20.0, "wobble": 10.0, "encoder": 10.0, "distortion_gradient": 5.0, "motor_controller": 5.0}
 """Factors that make errors larger than the other errors of the plant."""

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import GuardedMove, Stop
-from fsw.dictionary.enums import Switch, Tool
 from fsw.dictionary.evrs import Booted, ContactMade
 from ground.telemetry.recorder import Recorder
 from ground.telemetry.schema import ARRAY_SHAPES, PER_JOINT
@@ -21,8 +20,8 @@ from ground.telemetry.topics import strip_optional
 from sim.record import CycleRecord
 
 EVENTS = {
-    "commands": (Stop(), GuardedMove(Tool.APXS, (1.0, 0.25, -0.5), (0.0, 0.0, float("nan")))),
-    "evrs": (Booted("é" * 3), ContactMade(Switch.APXS_1, 0.1)),
+    "commands": (Stop(), GuardedMove("APXS", (1.0, 0.25, -0.5), (0.0, 0.0, float("nan")))),
+    "evrs": (Booted("é" * 3), ContactMade("APXS_1", 0.1)),
 }
 
 Bytes = Callable[[int], bytes]

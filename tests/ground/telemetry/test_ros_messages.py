@@ -11,7 +11,6 @@ import pytest
 from mcap.reader import make_reader
 
 from fsw.config import configure
-from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Pose
 from ground.telemetry.read import read_log
@@ -19,6 +18,7 @@ from ground.telemetry.ros_messages import quaternion
 from sim.arms import arm_named
 from sim.record import CycleRecord
 from tests.ground.telemetry.ros2 import Decoder
+from tests.tools import TOOLS
 
 ROOT = Path(__file__).parents[3]
 CONFIG = configure(arm_named("as-built:3").params)
@@ -94,8 +94,8 @@ def test_the_frames_are_those_of_forward_kinematics(messages: Any) -> None:
             np.testing.assert_allclose(
                 pose_in_rover(poses, f"arm{k + 1}").R, frames.X_RF.R[:, :, k], atol=1e-12
             )
-        for tool in Tool:
-            X_RT, X = tool_pose(CONFIG.arm, frames, tool), pose_in_rover(poses, tool.name.lower())
+        for tool in TOOLS:
+            X_RT, X = tool_pose(CONFIG.arm, frames, tool), pose_in_rover(poses, tool.lower())
             np.testing.assert_allclose(np.c_[X.R, X.p], np.c_[X_RT.R, X_RT.p], atol=1e-12)
 
 

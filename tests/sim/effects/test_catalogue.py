@@ -3,7 +3,7 @@
 import pytest
 
 import sim.effects.gears
-from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint
 from sim.effects.catalogue import (
     all_places,
     catalogue,
@@ -18,6 +18,7 @@ from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError
 from sim.effects.structure import LinkBending
 from sim.scenario.effects import effect_text, parameter_key, parse_effect_text
+from tests.tools import TOOLS
 
 KINDS = pytest.mark.parametrize("kind", catalogue().values(), ids=catalogue())
 HYPOTHESES = tuple(hypotheses())
@@ -131,8 +132,8 @@ def test_places_that_a_class_refuses_are_none() -> None:
         Frame.TOOL,
     }
     of_tools = [place["tool"] for place in all_places(FrameError) if place["frame"] is Frame.TOOL]
-    assert of_tools == list(Tool)
-    assert effect_place_text(FrameError, {"frame": Frame.TOOL, "tool": Tool.MAHLI}) == "tool.mahli"
+    assert of_tools == list(TOOLS)
+    assert effect_place_text(FrameError, {"frame": Frame.TOOL, "tool": "MAHLI"}) == "tool.mahli"
 
 
 def test_parameters_are_written_in_units_of_the_house() -> None:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.enums import Tool
 from fsw.dictionary.types import vector3
 from sim.effects.effect import Effect
 from sim.effects.environment import ContactStiffness, SurfacePosition
@@ -12,6 +11,7 @@ from sim.plant import Plant
 from sim.world import Surface, World
 from tests.sim import lab
 from tests.sim.effects import bench
+from tests.tools import tool_index
 
 DEEP_M = 2e-4
 
@@ -19,8 +19,8 @@ DEEP_M = 2e-4
 def put_in_rock(*effects: Effect, deep_m: float = DEEP_M, calm: bool = False) -> Plant:
     """Put the pads of the APXS slightly inside a rock, at rest."""
     truth = bench.set_angles(bench.build_arm()[0], lab.READY_RAD).truth()
-    normal = -truth.R_RT[Tool.APXS][:, 0]
-    face = truth.p_RoTo_R_m[Tool.APXS] + P_NR_M + deep_m * normal
+    normal = -truth.R_RT[tool_index("APXS")][:, 0]
+    face = truth.p_RoTo_R_m[tool_index("APXS")] + P_NR_M + deep_m * normal
     world = World(surface=Surface(vector3(face), vector3(normal)))
     plant, _ = bench.build_arm(*effects, world=world, calm=calm)
     return bench.set_angles(plant, lab.READY_RAD)

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from fsw.config import configure
-from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.kinematics.ik import inverse_kinematics
 from sim.arms import arm_named
 from sim.contact import tool_forces
@@ -13,6 +12,7 @@ from sim.frames import FLIP, p_R_from_N
 from sim.plant import Plant
 from sim.world import Surface, World, build
 from tests.sim import lab
+from tests.tools import TOOL_SWITCHES, tool_index
 
 DEEP_M = 0.004
 """Depth to which the motors would move the tool into the rock."""
@@ -20,7 +20,7 @@ SETTLE_S = 16.0
 
 
 def press_tool(
-    tool: Tool, point_N_m: tuple[float, float, float], normal_N: tuple[float, float, float]
+    tool: str, point_N_m: tuple[float, float, float], normal_N: tuple[float, float, float]
 ) -> Plant:
     """Return the arm at rest with a tool pressed against a rock."""
     world = World(surface=Surface(point_N_m, normal_N))
@@ -34,7 +34,7 @@ def press_tool(
     return plant
 
 
-@pytest.fixture(scope="module", params=[(Tool.DRILL, (0.0, 0.0, -1.0)), (Tool.APXS, (-0.5, 0.1, -0.85))])
+@pytest.fixture(scope="module", params=[("DRILL", (0.0, 0.0, -1.0)), ("APXS", (-0.5, 0.1, -0.85))])
 def contact(request):
     tool, normal = request.param
     plant = press_tool(tool, (2.05, 0.1, -0.25), normal)
@@ -50,16 +50,16 @@ def test_a_pressed_tool_is_pushed_out_of_the_rock_and_no_other_is(contact):
 
 def test_the_normal_force_is_what_the_touch_sensors_feel(contact):
     plant, tool, normal = contact
-    sensors = [plant.model.sensor(switch.name.lower()).id for switch in TOOL_SWITCHES[tool]]
+    sensors = [plant.model.sensor(switch.lower()).id for switch in TOOL_SWITCHES[tool]]
     measured_N = plant.data.sensordata[plant.model.sensor_adr[sensors]].sum()
-    assert tool_forces(plant)[tool] @ normal == pytest.approx(measured_N, rel=1e-6)
+    assert tool_forces(plant)[tool_index(tool)] @ normal == pytest.approx(measured_N, rel=1e-6)
 
 
 def test_the_whole_force_is_what_mujoco_adds_up_on_the_body_of_the_tool(contact):
     plant, tool, _ = contact
     mujoco.mj_rnePostConstraint(plant.model, plant.data)
-    external = plant.data.cfrc_ext[plant.model.body(tool.name.lower()).id, 3:]
-    assert tool_forces(plant)[tool] == pytest.approx(FLIP * external, rel=1e-9, abs=1e-9)
+    external = plant.data.cfrc_ext[plant.model.body(tool.lower()).id, 3:]
+    assert tool_forces(plant)[tool_index(tool)] == pytest.approx(FLIP * external, rel=1e-9, abs=1e-9)
 
 
 def test_what_touches_nothing_feels_nothing():

@@ -23,27 +23,27 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
-from fsw.dictionary.enums import Joint, Mode, Tool
+from fsw.dictionary.enums import Joint, Mode
 from sim.scenario.mode_check import COMMAND_EVENTS, find_refusals, modes_after
 
 UP = (0.0, 0.0, 1.0)
 HERE = (2.0, 0.0, 0.8)
-MOVE = MoveTool(Tool.APXS, HERE, UP)
-PLACE = PlaceTool(Tool.APXS, HERE, UP)
-TOUCH = GuardedMove(Tool.APXS, HERE, UP)
-CHANGE = ToolChange(Tool.MAHLI)
-PRESS, RELEASE = Preload(Tool.APXS, 50.0), Preload(Tool.APXS, 0.0)
-BACK = Retract(Tool.APXS, 0.1)
+MOVE = MoveTool("APXS", HERE, UP)
+PLACE = PlaceTool("APXS", HERE, UP)
+TOUCH = GuardedMove("APXS", HERE, UP)
+CHANGE = ToolChange("MAHLI")
+PRESS, RELEASE = Preload("APXS", 50.0), Preload("APXS", 0.0)
+BACK = Retract("APXS", 0.1)
 
 FINE = {
     "a placement": (Mode.STOWED, (Unstow(), MOVE, PLACE, BACK, Stow())),
     "contact again and again": (Mode.DEPLOYED, (TOUCH, TOUCH, BACK, TOUCH)),
-    "a tool change": (Mode.DEPLOYED, (PLACE, CHANGE, Retract(Tool.MAHLI, 0.1), MOVE)),
-    "a tool that hovers": (Mode.DEPLOYED, (PLACE, ToolChange(Tool.MAHLI, hover_m=0.05), MOVE)),
+    "a tool change": (Mode.DEPLOYED, (PLACE, CHANGE, Retract("MAHLI", 0.1), MOVE)),
+    "a tool that hovers": (Mode.DEPLOYED, (PLACE, ToolChange("MAHLI", hover_m=0.05), MOVE)),
     "a press": (Mode.DEPLOYED, (PLACE, PRESS, PRESS, RELEASE, BACK)),
-    "a dock": (Mode.DEPLOYED, (Dock("box"), Preload(Tool.DRILL, 100.0), Preload(Tool.DRILL, 0.0))),
+    "a dock": (Mode.DEPLOYED, (Dock("box"), Preload("DRILL", 100.0), Preload("DRILL", 0.0))),
     "there and back": (Mode.STOWED, (Unstow(), Stow(), Unstow())),
-    "joints": (Mode.DEPLOYED, (CalibrateAll(), MoveJoint(Joint.ELBOW, 1.0), Process(Tool.DRILL, UP, 1.0))),
+    "joints": (Mode.DEPLOYED, (CalibrateAll(), MoveJoint(Joint.ELBOW, 1.0), Process("DRILL", UP, 1.0))),
     "settings anywhere": (Mode.STOWED, (SetTilt(0.0, 0.0), Stop(), Unstow(), SetTilt(0.0, 0.0))),
 }
 
@@ -87,7 +87,7 @@ REFUSED = {
     ),
     "another tool in contact": (
         Mode.DEPLOYED,
-        (PLACE, Retract(Tool.DRILL, 0.1)),
+        (PLACE, Retract("DRILL", 0.1)),
         2,
         "RETRACT: apxs is the tool that touches",
     ),

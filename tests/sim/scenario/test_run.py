@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from fsw.dictionary.commands import ClearFault, MoveJoint, Preload, Stop
-from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import CommandAccepted, CommandRefused, FaultCleared, FaultResponse
 from fsw.dictionary.faults import SensorNotFinite
 from sim.arms import arm_named
@@ -44,7 +44,7 @@ def test_commands_follow_each_other_and_are_counted():
 
 
 def test_a_refusal_ends_the_scenario_and_its_command_is_told():
-    result = run(scenario(A_LITTLE, Preload(Tool.DRILL, 100.0), BACK))
+    result = run(scenario(A_LITTLE, Preload("DRILL", 100.0), BACK))
     assert (result.outcome, result.command, result.passed) == (Outcome.REFUSED, 2, False)
     assert isinstance(result.evrs[-1][1], CommandRefused)
 

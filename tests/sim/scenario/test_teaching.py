@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveTeachPoint
-from fsw.dictionary.enums import Tool
 from fsw.dictionary.evrs import CommandCompleted
 from sim.arms import arm_named
 from sim.effects.environment import NothingToTouch
@@ -16,7 +15,7 @@ from sim.sequence import run_sequence
 from sim.world import World
 from tests.sim import lab
 
-AIR = TaughtPoint("air", Tool.APXS, (2.0, 0.2, -0.5), (0.3, 0.0, 1.0))
+AIR = TaughtPoint("air", "APXS", (2.0, 0.2, -0.5), (0.3, 0.0, 1.0))
 """Place in free air."""
 WORLD = World(tilt_roll_rad=0.1, tilt_pitch_rad=-0.2)
 
@@ -67,6 +66,6 @@ def test_places_of_the_drawing_stay_and_those_of_the_same_name_are_taught_anew()
 
 def test_a_place_out_of_reach_is_told():
     arm = arm_named("nominal")
-    far = TaughtPoint("far", Tool.DRILL, (9.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    far = TaughtPoint("far", "DRILL", (9.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     with pytest.raises(NotTaught, match="nominal: far is out of reach of the drill"):
         teach(arm, lab.true_reference(arm), (far,), World())

@@ -3,14 +3,14 @@
 import numpy as np
 
 from fsw.dictionary.commands import MoveJoints
-from fsw.dictionary.enums import Switch, Tool
 from fsw.dictionary.evrs import FaultResponse
 from fsw.protect.responses import Response
 from tests.fsw.rig import Rig, config_of, facing, floats
+from tests.tools import SWITCHES
 
 CONFIG = config_of()
 BOUNDS = CONFIG.params.monitors
-START = facing(CONFIG, Tool.APXS)
+START = facing(CONFIG, "APXS")
 REFUSED = FaultResponse(Response.BRAKE_AND_REFUSE)
 UNPOWERED = FaultResponse(Response.POWER_OFF)
 STOPPED = FaultResponse(Response.STOP_AND_BRAKE)
@@ -21,7 +21,7 @@ def windings(joint, winding_C):
 
 
 def closed(*switches):
-    return {"switch_closed": np.isin(np.arange(len(Switch)), switches)}
+    return {"switch_closed": np.isin(SWITCHES, switches)}
 
 
 def currents(joint, ampere):
@@ -35,7 +35,7 @@ def moving(command=None):
     return rig
 
 
-def in_guarded_motion(tool=Tool.APXS):
+def in_guarded_motion(tool="APXS"):
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
     rig.until_moving(rig.touch(tool, 0.05), cycles=240)  # past the crossing of the gaps
     rig.evrs.clear()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.enums import TOOL_SWITCHES, Mode, Tool
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.faults import Fault, PreloadOutside
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
@@ -18,8 +18,9 @@ from tests.fsw.executive.faults.lab import (
     moving,
 )
 from tests.fsw.rig import MARS_R_m_s2
+from tests.tools import TOOL_SWITCHES, TOOLS
 
-PRESSING = [tool for tool in Tool if TOOL_SWITCHES[tool]]
+PRESSING = [tool for tool in TOOLS if TOOL_SWITCHES[tool]]
 LATEST = 40
 
 
@@ -59,32 +60,32 @@ def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool):
 @pytest.mark.parametrize("force_N", [0.8 * BOUNDS.guarded_force_N, -3.0 * BOUNDS.guarded_force_N])
 def test_a_small_force_or_one_that_pulls_does_not(force_N):
     rig = in_guarded_motion()
-    pushed(rig, Tool.APXS, force_N, LATEST)
+    pushed(rig, "APXS", force_N, LATEST)
     assert not found(rig, Fault)
 
 
 def test_a_large_force_is_felt_within_three_cycles():
     rig = in_guarded_motion()
-    pushed(rig, Tool.APXS, 10.0 * BOUNDS.guarded_force_N, 3)
+    pushed(rig, "APXS", 10.0 * BOUNDS.guarded_force_N, 3)
     assert found(rig, PreloadOutside)
 
 
 def test_with_a_switch_closed_a_force_is_as_it_should_be():
     rig = in_guarded_motion()
-    contact = closed(TOOL_SWITCHES[Tool.APXS][0])
-    pushed(rig, Tool.APXS, 2.0 * BOUNDS.guarded_force_N, LATEST, **contact)
+    contact = closed(TOOL_SWITCHES["APXS"][0])
+    pushed(rig, "APXS", 2.0 * BOUNDS.guarded_force_N, LATEST, **contact)
     assert not found(rig, Fault)
 
 
 def test_in_free_space_a_force_is_left_to_the_switches():
     rig = moving()
-    pushed(rig, Tool.APXS, 2.0 * BOUNDS.guarded_force_N, LATEST)
+    pushed(rig, "APXS", 2.0 * BOUNDS.guarded_force_N, LATEST)
     assert not found(rig, Fault)
 
 
 def test_what_grows_slowly_is_no_touch():
     rig = in_guarded_motion()
-    wound = wind_up_rad_N(rig, Tool.APXS)
+    wound = wind_up_rad_N(rig, "APXS")
     for cycle in range(400):
         rig.cycle(resolver_rad=rig.resolver_rad() + 0.1 * cycle * wound)
     assert not found(rig, Fault)

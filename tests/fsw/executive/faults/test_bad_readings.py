@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import ClearFault, MoveJoints, Retract, Stop
-from fsw.dictionary.enums import Mode, Tool
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAborted, CommandRefused, FaultResponse, ModeChanged
 from fsw.dictionary.faults import GravityImplausible, SensorNotFinite
 from fsw.messages import Sensors
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, quiet_sensors
 
 CONFIG = config_of()
-START = facing(CONFIG, Tool.APXS)
+START = facing(CONFIG, "APXS")
 QUIET = {
     "resolver_rad": np.zeros(5),
     "current_A": np.zeros(5),
@@ -24,8 +24,8 @@ BAD = [float("nan"), float("inf"), float("-inf")]
 PLACES = [(name, k) for name, values in QUIET.items() for k in range(values.size)]
 MOVES = {
     "joints": lambda rig: MoveJoints(floats(START + 0.05)),
-    "guarded": lambda rig: rig.touch(Tool.APXS, 0.1),
-    "retract": lambda rig: Retract(Tool.APXS, 0.1),
+    "guarded": lambda rig: rig.touch("APXS", 0.1),
+    "retract": lambda rig: Retract("APXS", 0.1),
 }
 
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveJoints
-from fsw.dictionary.enums import Joint, Mode, Tool
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, FaultResponse
 from fsw.dictionary.faults import SetpointUnsafe
 from fsw.motion.paths import Setpoint
 from tests.fsw.rig import Rig, config_of, facing, floats
 
 CONFIG = config_of()
-START = facing(CONFIG, Tool.APXS)
+START = facing(CONFIG, "APXS")
 
 
 def at(joint, value, pose=START):

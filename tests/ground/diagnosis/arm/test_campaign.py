@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint
 from ground.common.pool import local_runner
 from ground.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from ground.diagnosis.arm.case_simulator import build_case_simulator, feature_keys, resimulate
@@ -122,7 +122,7 @@ def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording
     assert AffectedMotions((GearStiffness(Joint.ELBOW, 1.1),))(touch)
     assert AffectedMotions((TurretMass(1.0),))(touch)
     assert not AffectedMotions((LinkLength(Frame.ARM3, "x", 1e-3),))(touch)
-    assert not AffectedMotions((ToolOffset(Tool.DRILL, "x", 1e-3),))(touch)
+    assert not AffectedMotions((ToolOffset("DRILL", "x", 1e-3),))(touch)
 
 
 def remembering() -> list[Effect]:
