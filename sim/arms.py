@@ -2,7 +2,8 @@
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -10,6 +11,8 @@ import numpy as np
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Row6, row6
+from sim.arm_model.description import BadArm
+from sim.arm_model.load import ArmModel, arm_names, default_arm, load_arm
 from sim.effects.effect import Effect, params_with_effects
 from sim.effects.geometry import FrameError
 from sim.effects.joints import (
@@ -21,16 +24,8 @@ from sim.effects.joints import (
     ResolverBias,
 )
 from sim.effects.structure import LinkMass, LinkStiffness
-from sim.params import nominal_params
+from sim.params_table import BadParams
 
-# assumed, one sigma each; see models/mjcf/PROVENANCE.md
-FRAME_SIGMA_RAD, FRAME_SIGMA_M = 2e-3, 1.5e-3
-ZERO_SIGMA_RAD: Final = 4e-3
-RESOLVER_SIGMA_RAD: Final = 2e-3
-STIFFNESS_SIGMA, BACKLASH_SIGMA, MASS_SIGMA, FRICTION_SIGMA = 0.20, 0.10, 0.03, 0.20
-COM_SIGMA_M: Final = 5e-3
-CALIBRATED_FRAME_SIGMA_RAD, CALIBRATED_FRAME_SIGMA_M = 0.25e-3, 0.15e-3
-CALIBRATED_ZERO_SIGMA_RAD, CALIBRATED_STIFFNESS_SIGMA = 0.2e-3, 0.03
 SPRING_FRAMES: Final = (Frame.ARM1, Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5)
 IDENTIFIABLE_AXES: Final[dict[Frame, tuple[int, ...]]] = {
     Frame.ARM1: (0, 1, 2, 3, 4, 5),
@@ -44,6 +39,9 @@ IDENTIFIABLE_AXES: Final[dict[Frame, tuple[int, ...]]] = {
 """Axes of the frame screws that tool poses can determine: 26 of 42, those of the tool first."""
 
 
+ARM_PATTERN: Final = re.compile(r"nominal|(?:as-built|calibrated):[0-9]{1,9}")
+
+
 class UnknownArm(ValueError):
     """Name that is not an arm."""
 
@@ -55,6 +53,8 @@ class BuiltArm:
     name: str
     effects: tuple[Effect, ...]
     params: Params
+    model: ArmModel = field(default_factory=default_arm)
+    """Drawing that the arm is built from."""
 
     def with_effects(self, effects: Iterable[Effect]) -> "BuiltArm":
         """Return the arm with those of these effects that it has before a run begins."""
@@ -62,26 +62,48 @@ class BuiltArm:
 
 
 def arm_named(name: str, params: Params | None = None) -> BuiltArm:
-    """Make the arm of this name: `nominal`, `as-built:SEED` or `calibrated:SEED`.
+    """Make the arm of this name: `nominal`, `as-built:SEED` or `calibrated:SEED`, of the default drawing.
 
-    `params` replaces the nominal flight parameters. The tolerances depend on the seed alone.
+    `MODEL/NAME`, or `MODEL` alone for `MODEL/nominal`, is an arm of another drawing: the name of one that comes
+    with the project, or a folder with an `arm.toml`.
+
+    Args:
+        name: Name of the arm.
+        params: Flight parameters in place of those of the drawing.
 
     Raises:
-        UnknownArm: the name has none of these forms.
+        UnknownArm: the name has none of these forms, or the drawing is wrong.
     """
-    flight_params = params or nominal_params()
-    if name == "nominal":
-        return BuiltArm(name, (), flight_params)
-    match = re.fullmatch(r"(as-built|calibrated):([0-9]{1,9})", name)
+    model, kind, seed = _parse_name(name)
+    flight_params = params or model.params
+    if kind == "nominal":
+        return BuiltArm(name, (), flight_params, model)
+    effects = draw_tolerances(model, seed)
+    if kind == "calibrated":
+        errors = draw_calibration_errors(model, seed)
+        flight_params = params_with_effects((*effects, *errors), flight_params)
+    return BuiltArm(name, effects, replace(flight_params, arm_name=name), model)
+
+
+def _parse_name(name: str) -> tuple[ArmModel, str, int]:
+    """Return drawing, kind and seed of an arm."""
+    model, _, last = name.rpartition("/")
+    match = ARM_PATTERN.fullmatch(last)
     if match is None:
-        raise UnknownArm(f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED")
-    seed = int(match[2])
-    effects = draw_tolerances(flight_params.tool_names, seed)
-    if match[1] == "calibrated":
-        flight_params = params_with_effects(
-            (*effects, *draw_calibration_errors(flight_params.tool_names, seed)), flight_params
+        model, match = name, ARM_PATTERN.fullmatch("nominal")
+    assert match is not None
+    try:
+        drawing = load_arm(model) if model else default_arm()
+    except (BadArm, BadParams) as error:
+        if "/" in name or name in arm_names() or Path(name).exists():
+            raise UnknownArm(str(error)) from error
+        others = ", ".join(arm_names())
+        text = (
+            f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED, or put a drawing "
         )
-    return BuiltArm(name, effects, replace(flight_params, arm_name=name))
+        raise UnknownArm(f"{text}and a / before it: {others} or a folder with an arm.toml") from error
+    kind, _, seed = match[0].partition(":")
+    return drawing, kind, int(seed or 0)
 
 
 def effects_of_run(effects: Iterable[Effect]) -> tuple[Effect, ...]:
@@ -89,43 +111,41 @@ def effects_of_run(effects: Iterable[Effect]) -> tuple[Effect, ...]:
     return tuple(effect for effect in effects if not effect.built_in)
 
 
-def draw_tolerances(tools: Sequence[str], seed: int) -> tuple[Effect, ...]:
+def draw_tolerances(model: ArmModel, seed: int) -> tuple[Effect, ...]:
     """Draw the manufacturing tolerances of an as-built arm."""
-    rng = np.random.default_rng([seed, 0])
+    rng, sigma = np.random.default_rng([seed, 0]), model.description.tolerances.built
     effects: list[Effect] = []
-    for frame, tool in _all_frames(tools):
-        effects.append(FrameError(frame, _draw_screw(rng, FRAME_SIGMA_RAD, FRAME_SIGMA_M), tool))
+    for frame, tool in _all_frames(model.params.tool_names):
+        effects.append(FrameError(frame, _draw_screw(rng, sigma.frame_rad, sigma.frame_m), tool))
     for joint in Joint:
-        effects.append(HardstopAngle(joint, -ZERO_SIGMA_RAD * rng.standard_normal()))
-        effects.append(ResolverBias(joint, RESOLVER_SIGMA_RAD * rng.standard_normal()))
-        effects.append(BacklashWidth(joint, _draw_factor(rng, BACKLASH_SIGMA)))
-        effects.append(GearStiffness(joint, _draw_factor(rng, STIFFNESS_SIGMA)))
-        effects.append(GearFriction(joint, _draw_factor(rng, FRICTION_SIGMA)))
+        effects.append(HardstopAngle(joint, -sigma.hardstop_rad * rng.standard_normal()))
+        effects.append(ResolverBias(joint, sigma.resolver_rad * rng.standard_normal()))
+        effects.append(BacklashWidth(joint, _draw_factor(rng, sigma.backlash_share)))
+        effects.append(GearStiffness(joint, _draw_factor(rng, sigma.stiffness_share)))
+        effects.append(GearFriction(joint, _draw_factor(rng, sigma.friction_share)))
     for frame in SPRING_FRAMES:
-        effects.append(LinkStiffness(frame, _draw_factor(rng, STIFFNESS_SIGMA)))
+        effects.append(LinkStiffness(frame, _draw_factor(rng, sigma.stiffness_share)))
     for frame in (*SPRING_FRAMES[1:], Frame.ARM6):
-        x, y, z = (float(v) for v in COM_SIGMA_M * rng.standard_normal(3))
-        effects.append(LinkMass(frame, _draw_factor(rng, MASS_SIGMA), (x, y, z)))
+        x, y, z = (float(v) for v in sigma.com_m * rng.standard_normal(3))
+        effects.append(LinkMass(frame, _draw_factor(rng, sigma.mass_share), (x, y, z)))
     for joint in Joint:
-        effects.append(HardstopStiffness(joint, _draw_factor(rng, STIFFNESS_SIGMA)))
+        effects.append(HardstopStiffness(joint, _draw_factor(rng, sigma.stiffness_share)))
     return tuple(effects)
 
 
-def draw_calibration_errors(tools: Sequence[str], seed: int) -> tuple[Effect, ...]:
+def draw_calibration_errors(model: ArmModel, seed: int) -> tuple[Effect, ...]:
     """Draw the errors that flight parameters of arm `seed` keep after a calibration."""
-    rng = np.random.default_rng([seed, 1])
+    rng, sigma = np.random.default_rng([seed, 1]), model.description.tolerances.calibrated
     effects: list[Effect] = []
-    for frame, tool in _all_frames(tools):
+    for frame, tool in _all_frames(model.params.tool_names):
         determined = np.isin(np.arange(6), IDENTIFIABLE_AXES[frame])
-        screw = np.where(
-            determined, _draw_screw(rng, CALIBRATED_FRAME_SIGMA_RAD, CALIBRATED_FRAME_SIGMA_M), 0.0
-        )
+        screw = np.where(determined, _draw_screw(rng, sigma.frame_rad, sigma.frame_m), 0.0)
         effects.append(FrameError(frame, row6(screw), tool))
     for joint in Joint:
-        effects.append(HardstopAngle(joint, -CALIBRATED_ZERO_SIGMA_RAD * rng.standard_normal()))
-        effects.append(GearStiffness(joint, _draw_factor(rng, CALIBRATED_STIFFNESS_SIGMA)))
+        effects.append(HardstopAngle(joint, -sigma.hardstop_rad * rng.standard_normal()))
+        effects.append(GearStiffness(joint, _draw_factor(rng, sigma.stiffness_share)))
     for frame in SPRING_FRAMES:
-        effects.append(LinkStiffness(frame, _draw_factor(rng, CALIBRATED_STIFFNESS_SIGMA)))
+        effects.append(LinkStiffness(frame, _draw_factor(rng, sigma.stiffness_share)))
     return tuple(effects)
 
 

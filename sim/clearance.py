@@ -10,6 +10,7 @@ from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
+from sim.arm_model.load import ArmModel
 from sim.plant import Plant
 from sim.world import World, build
 
@@ -28,8 +29,8 @@ class Clearance:
 class ClearanceModel:
     """Model of the arm in a world, which measures clearances."""
 
-    def __init__(self, params: Params, world: World):
-        self.plant = Plant(build(world).compile())
+    def __init__(self, params: Params, world: World, arm: ArmModel | None = None):
+        self.plant = Plant(build(world, arm).compile())
         self.arm: Arm = build_arm(params)
         self.gravity_R_m_s2 = world.gravity_N_m_s2
         model = self.plant.model

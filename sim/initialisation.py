@@ -226,8 +226,8 @@ def initial_reference(arm: BuiltArm, seed: int = 0) -> Reference:
 
 def true_reference(arm: BuiltArm) -> Reference:
     """Compute the reference of an initialisation without errors; shifts of the hardstops remain."""
-    spec = build(World())
-    hardware = apply_effects(arm.effects, spec, nominal_hardware())
+    spec = build(World(), arm.model)
+    hardware = apply_effects(arm.effects, spec, nominal_hardware(arm.model.description))
     plant = Plant(spec.compile())
     hardstop_error_rad = configure(arm.params).hardstop_rad - plant.stop_rad()
     return Reference(

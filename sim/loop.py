@@ -47,10 +47,12 @@ class ClosedLoop:
     """Run of an arm in the closed loop; call `cycle` with the commands of each control cycle."""
 
     def __init__(self, setup: Setup, with_truth: bool = False):
-        spec = build(setup.world)
+        spec = build(setup.world, setup.arm.model)
         if setup.time_step_s is not None:
             spec.option.timestep = setup.time_step_s
-        hardware = apply_effects((*setup.arm.effects, *setup.effects), spec, nominal_hardware())
+        hardware = apply_effects(
+            (*setup.arm.effects, *setup.effects), spec, nominal_hardware(setup.arm.model.description)
+        )
         self.config: Config = configure(params_in_world(setup.world, setup.arm.params))
         self.plant = Plant(spec.compile())
         self.avionics = Avionics(self.plant, hardware, hardware_rng(setup.seed))

@@ -58,7 +58,7 @@ def preview_placement(arm: BuiltArm, world: World, placement: Placement, stowed:
     From the stowed pose, the path to the ready pose must be free too; it is the same for every branch.
     """
     config = configure(params_in_world(world, arm.params))
-    spec = build(world)
+    spec = build(world, arm.model)
     for geom in spec.geoms:
         geom.margin = 0.5 * CLEARANCE_M
     plant = Plant(spec.compile())

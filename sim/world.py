@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.resources import files
-from pathlib import Path
 from typing import Final, Literal
 
 import mujoco
@@ -12,12 +10,13 @@ import numpy as np
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Vector3
 from fsw.kinematics.transforms import Array
+from sim.arm_model.load import SCENES, ArmModel, default_arm
 from sim.drawing import attach_drawing
 from sim.frames import FLIP, P_NR_M, gravity_in_rover
-from sim.params import nominal_params
 
 Scene = Literal["mars", "earth"]
-MJCF: Final = Path(str(files("sim") / "models" / "mjcf"))
+ARM_FILE: Final = "arm.xml"
+"""Name under which a scene includes the arm."""
 GRAVITY_M_S2: Final = {"mars": 3.711, "earth": 9.81}
 BELOW_ROCK_M: Final = 0.1
 MAX_TILT_RAD: Final = float(np.radians(30.0))
@@ -63,8 +62,8 @@ class World:
         return float(np.arccos(np.clip(np.cos(self.tilt_roll_rad) * np.cos(self.tilt_pitch_rad), -1.0, 1.0)))
 
 
-def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
-    """Make the MuJoCo specification of this world with the nominal arm.
+def build(world: World, arm: ArmModel | None = None, for_pictures: bool = False) -> mujoco.MjSpec:
+    """Make the MuJoCo specification of this world with the drawing of an arm, None for the default one.
 
     Without `for_pictures`, geoms without contact are left out: they cost time in every step.
     The state is the same, so a run can be drawn with the other model.
@@ -74,8 +73,9 @@ def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
     """
     if mujoco.__version__ != REQUIRED_MUJOCO:
         raise WrongMujoco(f"MuJoCo {mujoco.__version__} is installed, {REQUIRED_MUJOCO} is required")
-    spec = _load_scene(world.scene, for_pictures).copy()
-    attach_drawing(spec, nominal_params())
+    arm = arm or default_arm()
+    spec = _load_scene(world.scene, arm.mjcf, for_pictures).copy()
+    attach_drawing(spec, arm.params)
     spec.option.gravity = FLIP * world.gravity_N_m_s2
     if world.surface is not None:
         add_rock(spec, np.array(world.surface.p_N_m), np.array(world.surface.normal_N))
@@ -86,9 +86,11 @@ def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
 
 
 @cache
-def _load_scene(scene: Scene, for_pictures: bool) -> mujoco.MjSpec:
-    """Read a scene once in a process; callers change a copy."""
-    spec = mujoco.MjSpec.from_file(str(MJCF / f"{scene}.xml"))
+def _load_scene(scene: Scene, arm_mjcf: str, for_pictures: bool) -> mujoco.MjSpec:
+    """Read a scene with an arm once in a process; callers change a copy."""
+    parts = {path.name: path.read_bytes() for path in SCENES.glob("*.xml")}
+    parts[ARM_FILE] = arm_mjcf.encode()
+    spec = mujoco.MjSpec.from_string(parts[f"{scene}.xml"].decode(), include=parts)
     if not for_pictures:
         _remove_visuals(spec)
     return spec
@@ -108,7 +110,7 @@ def params_in_world(world: World, params: Params) -> Params:
 
 def inside_rover(p_N_m: Vector3) -> bool:
     """Return whether a point in RNAV is inside a collision geom of the rover."""
-    spec = mujoco.MjSpec.from_file(str(MJCF / "rover.xml"))
+    spec = mujoco.MjSpec.from_file(str(SCENES / "rover.xml"))
     _remove_visuals(spec)
     probe = spec.worldbody.add_geom(name="probe", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(1e-3, 0, 0))
     probe.pos = FLIP * np.array(p_N_m)

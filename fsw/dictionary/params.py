@@ -340,11 +340,22 @@ class MonitorParams:
 
 
 @dataclass(frozen=True, slots=True)
+class ModelParams:
+    """Drawing that the parameters belong to."""
+
+    name: str
+    """Name of the drawing."""
+    sha256: str
+    """SHA-256 of its description."""
+
+
+@dataclass(frozen=True, slots=True)
 class Params:
     """All parameters of flight software."""
 
     arm_name: str
     """Name of the arm."""
+    model: ModelParams
     links: Links
     tools: tuple[ToolParams, ...]
     """Tools on the turret, in the order of every array of tools."""

@@ -12,16 +12,8 @@ from fsw.dictionary.types import row6, vector3
 from fsw.kinematics.arm import Arm, pose_to_transform6, transform6_to_pose
 from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
 from ground.calibration.fit import FitParameter
-from sim.arms import (
-    BACKLASH_SIGMA,
-    COM_SIGMA_M,
-    FRAME_SIGMA_M,
-    FRAME_SIGMA_RAD,
-    MASS_SIGMA,
-    SPRING_FRAMES,
-    STIFFNESS_SIGMA,
-    ZERO_SIGMA_RAD,
-)
+from sim.arm_model.load import default_arm
+from sim.arms import SPRING_FRAMES
 from sim.effects.flight_params import rotate_matrix
 from sim.effects.geometry import FrameError
 from sim.effects.joints import BacklashWidth, GearStiffness
@@ -44,20 +36,32 @@ BACKLASHES: Final = slice(52, 57)
 MASS_FACTORS: Final = slice(57, 62)
 MASS_CENTRES: Final = slice(62, 77)
 
+BUILT: Final = default_arm().description.tolerances.built
+"""Tolerances of manufacture, which scale the parameters."""
+
 
 def arm_parameters() -> tuple[FitParameter, ...]:
     """List all parameters. Prior sigmas are the manufacturing tolerances. Factors are natural logarithms."""
     return (
         *_frame_screws(),
-        *(FitParameter(f"gear.{j.name.lower()}", "ln", STIFFNESS_SIGMA, STIFFNESS_SIGMA) for j in Joint),
         *(
-            FitParameter(f"spring.{f.name.lower()}", "ln", STIFFNESS_SIGMA, STIFFNESS_SIGMA)
+            FitParameter(f"gear.{j.name.lower()}", "ln", BUILT.stiffness_share, BUILT.stiffness_share)
+            for j in Joint
+        ),
+        *(
+            FitParameter(f"spring.{f.name.lower()}", "ln", BUILT.stiffness_share, BUILT.stiffness_share)
             for f in SPRING_FRAMES
         ),
-        *(FitParameter(f"backlash.{j.name.lower()}", "ln", BACKLASH_SIGMA, BACKLASH_SIGMA) for j in Joint),
-        *(FitParameter(f"mass.{f.name.lower()}", "ln", MASS_SIGMA, MASS_SIGMA) for f in MASS_FRAMES),
         *(
-            FitParameter(f"centre.{f.name.lower()}.{axis}", "m", COM_SIGMA_M, COM_SIGMA_M)
+            FitParameter(f"backlash.{j.name.lower()}", "ln", BUILT.backlash_share, BUILT.backlash_share)
+            for j in Joint
+        ),
+        *(
+            FitParameter(f"mass.{f.name.lower()}", "ln", BUILT.mass_share, BUILT.mass_share)
+            for f in MASS_FRAMES
+        ),
+        *(
+            FitParameter(f"centre.{f.name.lower()}.{axis}", "m", BUILT.com_m, BUILT.com_m)
             for f in MASS_FRAMES
             for axis in "xyz"
         ),
@@ -67,12 +71,12 @@ def arm_parameters() -> tuple[FitParameter, ...]:
 def _frame_screws() -> Iterator[FitParameter]:
     for frame in Frame:
         for k, axis in enumerate(SCREW_AXES):
-            scale = FRAME_SIGMA_RAD if k < 3 else FRAME_SIGMA_M
+            scale = BUILT.frame_rad if k < 3 else BUILT.frame_m
             sigma = scale
             if frame is Frame.TOOL:
                 sigma = FIXTURE_RAD if k < 3 else FIXTURE_M
             elif 6 * frame + k in ENCODER_ZEROS:
-                sigma = float(np.hypot(FRAME_SIGMA_RAD, ZERO_SIGMA_RAD))
+                sigma = float(np.hypot(BUILT.frame_rad, BUILT.hardstop_rad))
             yield FitParameter(f"{frame.name.lower()}.{axis}", "rad" if k < 3 else "m", scale, sigma)
 
 

@@ -24,7 +24,8 @@ from ground.common.options import check_options
 from ground.common.progress import Progress
 from ground.common.requests import select_arm
 from sim.arms import BuiltArm
-from sim.params import BadParams, check_params, nominal_params, params_over_nominal
+from sim.params import nominal_params, params_over_nominal
+from sim.params_table import BadParams, check_params
 from sim.tracker import Tracker
 
 MICRO: Final = 1e-6

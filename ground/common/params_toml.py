@@ -1,15 +1,15 @@
 """Flight parameters written as the TOML that --params reads."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
 from typing import Any
 
 from fsw.dictionary.params import Params
+from sim.params_table import params_table
 
 
 def params_toml(base: Params, params: Params, comments: Sequence[str]) -> str:
     """Write the parameters that differ from `base` as TOML, below these comment lines."""
-    changed = _changed_values(asdict(base), asdict(params))
+    changed = _changed_values(params_table(base), params_table(params))
     return "\n".join([*(f"# {line}" for line in comments), "", *_lines(changed, ()), ""])
 
 

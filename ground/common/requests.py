@@ -12,7 +12,8 @@ from fsw.dictionary.types import Vector3
 from ground.common.errors import BadRequest
 from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.effects.effect import Effect
-from sim.params import BadParams, params_over_nominal
+from sim.params import params_over_nominal
+from sim.params_table import BadParams
 from sim.scenario.effect_file import read_effect_file
 from sim.scenario.effects import BadEffect, parse_effect_text
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World

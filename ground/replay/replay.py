@@ -21,7 +21,8 @@ from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.read import Log, read_log
 from ground.telemetry.topics import channel_matches, channel_name
 from sim.loop import step_flight_software
-from sim.params import BadParams, params_over
+from sim.params import params_over
+from sim.params_table import BadParams
 from sim.scenario.names import did_you_mean
 
 OTHER_PROCESSOR_TOLERANCE: Final = 1e-12

@@ -12,6 +12,8 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
+from sim.arm_model.description import ArmDescription
+from sim.arm_model.load import default_arm
 from sim.disturbance import Disturbance, MoveDisturbance, no_move_disturbance
 from sim.plant import Plant
 
@@ -121,11 +123,15 @@ class Hardware:
     """Effects that act on the plant in every cycle."""
 
 
-def nominal_hardware() -> Hardware:
-    """Return the avionics of the drawing; the sources are in models/mjcf/PROVENANCE.md."""
+def nominal_hardware(arm: ArmDescription | None = None) -> Hardware:
+    """Return the avionics of the drawing of an arm; None for the default one."""
+    arm = arm or default_arm().description
+    joints = arm.joints.by_name()
+    motors = [arm.actuator_of(name) for name in joints]
+    counts = np.array([motor.encoder_counts_per_turn * motor.gear_ratio for motor in motors])
     return Hardware(
-        rad_per_count=2 * np.pi / (256 * np.array([7520.0, 7520.0, 7520.0, 4624.0, 4624.0])),
-        counter_zero_rad=np.array([0.7313, -1.2147, 0.3339, -0.9281, 1.6073]),
+        rad_per_count=2 * np.pi / counts,
+        counter_zero_rad=np.array([joint.counter_zero_rad for joint in joints.values()]),
         resolver_bias_rad=np.zeros(5),
         resolver_step_rad=2 * np.pi / 2**16,
         resolver_noise_rad=1e-4,
@@ -135,8 +141,8 @@ def nominal_hardware() -> Hardware:
         brake_delay_s=np.full(5, 0.075),
         switch_force_N=2.0,
         switch_release_N=1.0,
-        winding_K_W=np.array([2.0, 2.0, 2.0, 3.0, 3.0]),
-        winding_s=np.array([900.0, 900.0, 900.0, 600.0, 600.0]),
+        winding_K_W=np.array([motor.winding_K_W for motor in motors]),
+        winding_s=np.array([motor.winding_s for motor in motors]),
         ambient_C=np.full(5, 20.0),
         power_until_s=np.inf,
         brake_stuck=np.zeros(5, bool),

@@ -13,7 +13,8 @@ import pytest
 
 from fsw.config import digest
 from fsw.dictionary.validity import check_limits
-from sim.params import BadParams, _nominal_text, _validate, nominal_params, params_over_nominal
+from sim.params import _nominal_text, _validate, nominal_params, params_over_nominal
+from sim.params_table import BadParams
 
 
 def write_file(folder: Path, text: str) -> Path:

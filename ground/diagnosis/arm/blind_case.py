@@ -23,13 +23,13 @@ from ground.telemetry.format import CHANNELS_KEY
 from ground.telemetry.header import SESSION
 from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.read import read_log
+from sim.arm_model.load import default_arm
 from sim.arms import BuiltArm, arm_named, draw_calibration_errors
 from sim.effects.effect import Effect
 from sim.effects.joints import GearFriction
 from sim.effects.numerics import Numerics
 from sim.effects.sensors import CounterStart
 from sim.initialisation import DAILY_FRICTION_SIGMA, true_reference
-from sim.params import nominal_params
 
 PLANT_NUMERICS: Final = Numerics("explicit", 7)
 """Numerics of the plant: finer than the solver's, and of a scheme that the solver does not know. With steps
@@ -48,7 +48,7 @@ NUMBER_PATTERN: Final = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?")
 
 def sample_background(rng: np.random.Generator) -> tuple[Effect, ...]:
     """Sample the errors left by a calibration, friction of the day, counter offsets and other numerics."""
-    errors = draw_calibration_errors(nominal_params().tool_names, int(rng.integers(2**31)))
+    errors = draw_calibration_errors(default_arm(), int(rng.integers(2**31)))
     friction = tuple(
         GearFriction(joint, float(np.exp(DAILY_FRICTION_SIGMA * rng.standard_normal()))) for joint in Joint
     )

@@ -25,7 +25,8 @@ from ground.diagnosis.arm.simulator import list_candidates
 from ground.diagnosis.result import DiagnosisResult
 from sim.effects.catalogue import catalogue, effect_name
 from sim.effects.effect import Effect
-from sim.params import BadParams, nominal_params, params_over_nominal
+from sim.params import nominal_params, params_over_nominal
+from sim.params_table import BadParams
 from sim.scenario.names import shorten
 
 MAX_SUGGESTIONS: Final = 3

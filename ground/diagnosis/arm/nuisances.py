@@ -10,14 +10,8 @@ import numpy as np
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.types import row6
 from ground.diagnosis.problem import LOG_UNIT, Nuisance
-from sim.arms import (
-    CALIBRATED_FRAME_SIGMA_M,
-    CALIBRATED_FRAME_SIGMA_RAD,
-    CALIBRATED_STIFFNESS_SIGMA,
-    CALIBRATED_ZERO_SIGMA_RAD,
-    IDENTIFIABLE_AXES,
-    SPRING_FRAMES,
-)
+from sim.arm_model.load import default_arm
+from sim.arms import IDENTIFIABLE_AXES, SPRING_FRAMES
 from sim.effects.catalogue import effect_name
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError
@@ -35,6 +29,8 @@ NUMERICS: Final = {
     "scheme and time step": Numerics("explicit", 8),
 }
 """Other numerics of the plant; the explicit scheme diverges in steps that are not much finer."""
+LEFT: Final = default_arm().description.tolerances.calibrated
+"""Errors that a calibration leaves."""
 FRICTION_STEP_LN: Final = 2.0 * DAILY_FRICTION_SIGMA
 """Change of friction, as a logarithm to both sides, at which other numerics are compared again."""
 COUNT_RAD: Final = 3.3e-6
@@ -66,11 +62,11 @@ def list_nuisance_effects() -> Iterator[NuisanceEffect]:
     """Yield calibration errors (sim.arms), friction of the day, and numerics of the plant."""
     yield from _frame_nuisances()
     for joint in Joint:
-        yield _joint_nuisance(joint, "zero", "rad", CALIBRATED_ZERO_SIGMA_RAD, HardstopAngle)
-        yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, CALIBRATED_STIFFNESS_SIGMA, GearStiffness)
+        yield _joint_nuisance(joint, "zero", "rad", LEFT.hardstop_rad, HardstopAngle)
+        yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, LEFT.stiffness_share, GearStiffness)
         yield _joint_nuisance(joint, "friction", LOG_UNIT, DAILY_FRICTION_SIGMA, GearFriction)
     for frame in SPRING_FRAMES:
-        yield _joint_nuisance(frame, "link stiffness", LOG_UNIT, CALIBRATED_STIFFNESS_SIGMA, LinkStiffness)
+        yield _joint_nuisance(frame, "link stiffness", LOG_UNIT, LEFT.stiffness_share, LinkStiffness)
     for joint in Joint:
         yield _joint_nuisance(joint, "counter", "rad", COUNT_RAD, EncoderZero)
         name = joint.name.lower()
@@ -88,7 +84,7 @@ def _frame_nuisances() -> Iterator[NuisanceEffect]:
     for frame, tool in (*inner, *((Frame.TOOL, tool) for tool in nominal_params().tool_names)):
         for axis in IDENTIFIABLE_AXES[frame]:
             named = (frame.name if tool is None else tool).lower()
-            unit, sigma = ("rad", CALIBRATED_FRAME_SIGMA_RAD) if axis < 3 else ("m", CALIBRATED_FRAME_SIGMA_M)
+            unit, sigma = ("rad", LEFT.frame_rad) if axis < 3 else ("m", LEFT.frame_m)
             word = SCREW_AXES[axis]
             yield NuisanceEffect(
                 Nuisance(f"frame {named}.{word}", unit, sigma),

@@ -12,7 +12,8 @@ from ground.diagnosis.page import save_diagnosis_page
 from ground.diagnosis.result import DiagnosisResult, list_alternatives
 from sim.effects.catalogue import effect_name, has_flight_parameter
 from sim.effects.effect import Effect
-from sim.params import BadParams, check_params, nominal_params
+from sim.params import nominal_params
+from sim.params_table import BadParams, check_params
 from sim.scenario.effect_file import effect_file_text
 from sim.scenario.effects import effect_text
 

@@ -34,7 +34,8 @@ from ground.telemetry.imports.targets import (
 )
 from ground.telemetry.imports.units import Conversion, known_units
 from ground.telemetry.imports.values import convert_to_si
-from sim.params import BadParams, nominal_params, params_over_nominal
+from sim.params import nominal_params, params_over_nominal
+from sim.params_table import BadParams
 from sim.scenario.names import did_you_mean
 from sim.scenario.toml_lines import NotToml, TomlPath, parse_toml
 from sim.scenario.toml_record import Findings, read_record, require_table

@@ -1,0 +1,306 @@
+"""Description of an arm: the content of its `arm.toml`, checked strictly.
+
+The arrangement is fixed: azimuth, elevation, elbow, wrist, turret. Everything else is in the file.
+"""
+
+import json
+import tomllib
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+from pydantic import TypeAdapter, ValidationError
+
+from fsw.dictionary.params import TeachPoint, Transform6
+from fsw.dictionary.types import Joints5, Vector3
+
+Pair = tuple[float, float]
+Six = tuple[float, float, float, float, float, float]
+NO_SPRING: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class BadArm(ValueError):
+    """Description of an arm that is refused; the message names every wrong field."""
+
+
+@dataclass(frozen=True, slots=True)
+class Actuator:
+    """Motor with gear and servo; torques, angles and gains are those of the output."""
+
+    gear_ratio: float
+    encoder_counts_per_turn: int
+    torque_constant_Nm_A: float
+    current_limit_A: float
+    resistance_Ohm: float
+    armature_kg_m2: float
+    friction_Nm: float
+    damping_Nms_rad: float
+    position_gain_Nm_rad: float
+    integral_gain_Nm_rads: float
+    rate_gain_Nms_rad: float
+    integral_limit_rads: float
+    backlash_rad: float
+    gear_stiffness_Nm_rad: float
+    output_friction_Nm: float
+    winding_K_W: float
+    winding_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class JointDescription:
+    """Joint with its actuator, hardstops and limits of moves."""
+
+    actuator: str
+    hardstops_rad: Pair
+    soft_limits_rad: Pair
+    hardstop_stiffness_Nm_rad: float
+    hardstop_press_Nm: float
+    hardstop_rated_Nm: float
+    load_error_Nm: float
+    speed_rad_s: float
+    acceleration_rad_s2: float
+    jerk_rad_s3: float
+    counter_zero_rad: float = 0.0
+    """Motor angle at which the counter of the encoder reads 0; flight software does not know it."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointDescriptions:
+    """Joints from the rover outward."""
+
+    azimuth: JointDescription
+    elevation: JointDescription
+    elbow: JointDescription
+    wrist: JointDescription
+    turret: JointDescription
+
+    def by_name(self) -> dict[str, JointDescription]:
+        """Return the joints by name, from the rover outward."""
+        return {name: getattr(self, name) for name in ("azimuth", "elevation", "elbow", "wrist", "turret")}
+
+
+@dataclass(frozen=True, slots=True)
+class Lump:
+    """Mass on one side of the spring of a link, in the link frame."""
+
+    mass_kg: float
+    com_m: Vector3
+    inertia_kg_m2: Vector3
+    """Moments about the centre of mass and the axes of the link frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkDescription:
+    """Link: transform to the frame at its end, spring, masses, thermal expansion."""
+
+    transform: Transform6
+    expansion_1_K: float
+    far: Lump
+    near: Lump | None = None
+    elastic_centre_m: Vector3 = (0.0, 0.0, 0.0)
+    stiffness: Six = NO_SPRING
+    """About x, y, z [N m/rad], then along x, y, z [N/m]; all 0 for a rigid link."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkDescriptions:
+    """Links, named by the frame at their end."""
+
+    arm1: LinkDescription
+    arm2: LinkDescription
+    arm3: LinkDescription
+    arm4: LinkDescription
+    arm5: LinkDescription
+    arm6: LinkDescription
+
+    def in_order(self) -> tuple[LinkDescription, ...]:
+        """Return the links from the rover outward."""
+        return (self.arm1, self.arm2, self.arm3, self.arm4, self.arm5, self.arm6)
+
+
+@dataclass(frozen=True, slots=True)
+class ToolDescription:
+    """Tool on the turret; the x axis of its frame points outward."""
+
+    transform: Transform6
+    expansion_1_K: float
+    title: str | None = None
+    """Name in sentences; None for that of the table."""
+    pad_solref: Pair = (-6600.0, -66.0)
+    """Stiffness and damping of its pads, negative, as MuJoCo's direct format scales them."""
+
+
+@dataclass(frozen=True, slots=True)
+class SwitchDescription:
+    """Contact switch: a pad on a tool."""
+
+    tool: str
+    p_m: Vector3
+    """Centre of the pad in the tool frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """Shape of a part: a capsule, a box, or a cylinder along z, by the fields that are given."""
+
+    from_m: Vector3 | None = None
+    to_m: Vector3 | None = None
+    radius_m: float | None = None
+    centre_m: Vector3 | None = None
+    half_m: Vector3 | None = None
+    turn_rad: float = 0.0
+    half_length_m: float | None = None
+    of: Literal["both", "plant", "flight"] = "both"
+    """Model that has the shape."""
+
+    @property
+    def kind(self) -> str | None:
+        """Return capsule, box or cylinder; None if the given fields make none of them."""
+        given = {
+            name
+            for name in ("from_m", "to_m", "radius_m", "centre_m", "half_m", "half_length_m")
+            if getattr(self, name) is not None
+        }
+        kinds = {
+            "capsule": {"from_m", "to_m", "radius_m"},
+            "box": {"centre_m", "half_m"},
+            "cylinder": {"centre_m", "radius_m", "half_length_m"},
+        }
+        return next((kind for kind, names in kinds.items() if names == given), None)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseDescriptions:
+    """Named poses, output angles."""
+
+    stowed_rad: Joints5
+    unstow_via_rad: tuple[Joints5, ...]
+    ready_rad: Joints5
+    hardstop_start_rad: Joints5
+    hardstop_park_rad: Joints5
+    hardstop_second_start_rad: Joints5
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltTolerances:
+    """One sigma of what a built arm differs from the drawing; shares are log-normal."""
+
+    frame_rad: float
+    frame_m: float
+    hardstop_rad: float
+    resolver_rad: float
+    stiffness_share: float
+    backlash_share: float
+    mass_share: float
+    friction_share: float
+    com_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class CalibratedTolerances:
+    """One sigma of what the parameters of a calibrated arm differ from the arm."""
+
+    frame_rad: float
+    frame_m: float
+    hardstop_rad: float
+    stiffness_share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """Tolerances of manufacture and of calibration."""
+
+    built: BuiltTolerances
+    calibrated: CalibratedTolerances
+
+
+@dataclass(frozen=True, slots=True)
+class ArmDescription:
+    """Content of an `arm.toml`."""
+
+    name: str
+    title: str
+    instrument: str
+    """Tool that is placed if none is named."""
+    actuators: dict[str, Actuator]
+    joints: JointDescriptions
+    links: LinkDescriptions
+    tools: dict[str, ToolDescription]
+    switches: dict[str, SwitchDescription]
+    """Contact switches, in the order of the sensor word."""
+    shapes: dict[str, tuple[Shape, ...]]
+    """Shapes of links, turret and tools for collisions."""
+    poses: PoseDescriptions
+    tolerances: Tolerances
+    teach: tuple[TeachPoint, ...] = ()
+    flight: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Flight parameters that replace the defaults of all arms."""
+
+    def actuator_of(self, joint: str) -> Actuator:
+        """Return the actuator of a joint."""
+        return self.actuators[self.joints.by_name()[joint].actuator]
+
+
+LINK_PARTS: Final = ("link2", "link3", "link4", "link5", "turret")
+"""Parts with shapes, beside the tools."""
+_ADAPTER: Final = TypeAdapter(ArmDescription)
+
+
+def read_description(text: str, path: str) -> ArmDescription:
+    """Read the text of an `arm.toml`.
+
+    Raises:
+        BadArm: fields in it are missing, not known or wrong; the message names each.
+    """
+    try:
+        table = tomllib.loads(text)
+    except ValueError as error:
+        raise BadArm(f"{path}: is not TOML: {error}") from error
+    try:
+        description = _ADAPTER.validate_json(json.dumps(table, default=str), strict=True, extra="forbid")
+    except ValidationError as error:
+        lines = [f"{path}: {'.'.join(map(str, e['loc']))}: {_error_text(e)}" for e in error.errors()]
+        raise BadArm("\n".join(lines)) from error
+    problems = list(_find_problems(description))
+    if problems:
+        raise BadArm("\n".join(f"{path}: {problem}" for problem in problems))
+    return description
+
+
+def _error_text(error: Any) -> str:
+    unknown = error["type"] in ("unexpected_keyword_argument", "extra_forbidden")
+    return "is not known" if unknown else str(error["msg"])
+
+
+def _find_problems(arm: ArmDescription) -> list[str]:
+    """List references that lead nowhere, and shapes that are none."""
+    problems = []
+    for name, joint in arm.joints.by_name().items():
+        if joint.actuator not in arm.actuators:
+            known = ", ".join(arm.actuators)
+            problems.append(f"joints.{name}.actuator: {joint.actuator!r} is not known; there are {known}")
+    tools = ", ".join(arm.tools)
+    if not arm.tools:
+        problems.append("tools: is empty; an arm has at least one tool")
+    uses = [("instrument", arm.instrument)]
+    uses += [(f"switches.{name}.tool", switch.tool) for name, switch in arm.switches.items()]
+    problems += [
+        f"{place}: {tool!r} is not known; there are {tools}" for place, tool in uses if tool not in arm.tools
+    ]
+    if arm.instrument in arm.tools and all(switch.tool != arm.instrument for switch in arm.switches.values()):
+        problems.append(f"instrument: {arm.instrument} has no contact switch, so it cannot be placed")
+    parts = (*LINK_PARTS, *arm.tools)
+    for part, shapes in arm.shapes.items():
+        if part not in parts:
+            problems.append(f"shapes.{part}: is not known; there are {', '.join(parts)}")
+        problems += [
+            f"shapes.{part}.{k}: is no shape; write a capsule (from_m, to_m, radius_m), "
+            "a box (centre_m, half_m) or a cylinder (centre_m, radius_m, half_length_m)"
+            for k, shape in enumerate(shapes)
+            if shape.kind is None or (shape.kind == "cylinder" and shape.of != "plant")
+        ]
+    problems += [
+        f"shapes.{part}: is missing; flight software needs at least one shape for each part"
+        for part in parts
+        if not any(shape.of != "plant" for shape in arm.shapes.get(part, ()))
+    ]
+    return problems

@@ -1,0 +1,329 @@
+"""MJCF of the plant of an arm, from its description and the looks of its parts.
+
+A body linkK is frame ArmK turned by its joint: hinge axis +z, x along the link. A joint is two hinges in
+series, the motor side and the gear side; their sum is the output angle. A body linkK_far is carried by the
+elastic centre of the link. The names are the same for all arms.
+"""
+
+from collections.abc import Iterable
+from typing import Final
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import mujoco
+import numpy as np
+
+from fsw.dictionary.params import Transform6
+from fsw.dictionary.types import Vector3
+from fsw.kinematics.arm import transform6_to_pose
+from fsw.kinematics.transforms import Array
+from sim.arm_model.description import ArmDescription, LinkDescription, Lump, Shape
+from sim.frames import FLIP, P_NR_M
+
+DAMPING_S: Final = 0.005
+"""Damping over stiffness of every spring; the first mode then has about 4 % of critical damping."""
+DIGITS: Final = 12
+"""Decimals of a difference of two lengths; its rounding errors are smaller."""
+SCREW_AXES: Final = (
+    ("rx", "1 0 0"),
+    ("ry", "0 1 0"),
+    ("rz", "0 0 1"),
+    ("tx", "1 0 0"),
+    ("ty", "0 1 0"),
+    ("tz", "0 0 1"),
+)
+SLIDES_FIRST: Final = (3, 4, 5, 0, 1, 2)
+PAD_SITE_M: Final = 0.01
+"""Radius of the touch site around a pad; it encloses its own pad and no other."""
+DEFAULTS: Final = """
+<default>
+  <default class="arm">
+    <joint type="hinge" axis="0 0 1"/>
+    <site type="sphere" size="0.012" group="4"/>
+    <geom mass="0"/>
+    <default class="visual">
+      <geom type="cylinder" contype="0" conaffinity="0" group="2" material="arm_titanium"/>
+    </default>
+    <default class="collision">
+      <geom type="capsule" contype="1" conaffinity="2" group="3" rgba="0.2 0.7 1 0.4" friction="0.6"/>
+      <default class="pad">
+        <geom type="sphere" size="0.006" priority="1" solimp="0.1 0.1 0.001" friction="0.5"/>
+      </default>
+    </default>
+    <equality solref="0.004 1" solimp="0.9999 0.9999 0.001"/>
+    <default class="motor"><joint solreffriction="0.0004 1" solimpfriction="0.9999 0.9999 0.001"/></default>
+    <default class="output"><tendon solreffriction="0.0004 1" solimpfriction="0.9999 0.9999 0.001"/></default>
+  </default>
+</default>
+"""
+OPTION: Final = """
+<option timestep="0.005208333333333333" integrator="discrete" gravity="0 0 -3.711" tolerance="1e-12"
+        cone="elliptic" impratio="1e6"><flag island="disable" midphase="disable"/></option>
+"""
+
+
+def arm_mjcf(arm: ArmDescription, visual: str | None) -> str:
+    """Write the MJCF of an arm.
+
+    Args:
+        arm: Description of the arm.
+        visual: Looks: materials, and geoms by body; None to show the shapes for collisions instead.
+
+    Returns:
+        The MJCF; it opens by itself, and scenes include it.
+    """
+    root = Element("mujoco", model=f"{arm.name}_arm")
+    SubElement(root, "compiler", angle="radian", autolimits="true")
+    root.append(ElementTree.fromstring(OPTION))
+    root.append(ElementTree.fromstring(DEFAULTS))
+    looks = _Looks(visual)
+    root.append(looks.materials)
+    rmech = SubElement(
+        SubElement(root, "worldbody"),
+        "body",
+        name="rmech",
+        pos=_numbers(FLIP * P_NR_M),
+        quat="0 1 0 0",
+        childclass="arm",
+    )
+    _add_bodies(arm, looks, rmech)
+    _add_tendons(arm, SubElement(root, "tendon"))
+    _add_actuators(arm, SubElement(root, "actuator"))
+    brakes = SubElement(root, "equality")
+    for name in arm.joints.by_name():
+        SubElement(
+            brakes,
+            "joint",
+            name=f"{name}_brake",
+            attrib={"class": "arm"},
+            joint1=f"{name}_motor",
+            active="false",
+        )
+    sensors = SubElement(root, "sensor")
+    for name in arm.switches:
+        SubElement(sensors, "touch", name=name, site=name)
+    ElementTree.indent(root, "  ")
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+class _Looks:
+    """Geoms of each body that only look."""
+
+    def __init__(self, visual: str | None):
+        root = Element("visual") if visual is None else ElementTree.fromstring(visual)
+        materials = root.find("asset")
+        self.materials = Element("asset") if materials is None else materials
+        if visual is None:
+            SubElement(self.materials, "material", name="arm_titanium", rgba="0.72 0.73 0.75 1")
+        self._bodies = {body.get("name"): body for body in root.findall("body")}
+        self.shows_shapes = visual is None
+
+    def add_to(self, body: Element, shapes: Iterable[Shape]) -> None:
+        """Add the looks of a body; without looks, its shapes."""
+        for part in self._bodies.get(body.get("name"), ()):
+            for geom in part.iter("geom"):
+                geom.set("class", "visual")
+            body.append(part)
+        if self.shows_shapes:
+            for shape in shapes:
+                if shape.of != "plant":
+                    _add_shape(body, shape, "visual")
+
+
+def _add_bodies(arm: ArmDescription, looks: _Looks, rmech: Element) -> None:
+    links, joints = arm.links.in_order(), list(arm.joints.by_name())
+    rover = links[0]
+    parent = _body(rmech, "arm1", rover.transform, (0.0, 0.0, 0.0))
+    _add_spring(parent, "rover", rover)
+    _add_mass(parent, rover.far, rover.elastic_centre_m)
+    looks.add_to(parent, ())
+    start, centre = Transform6(), (0.0, 0.0, 0.0)
+    for k, (link, joint) in enumerate(zip(links[1:], joints, strict=True), start=1):
+        body = _body(parent, f"link{k}", start, centre)
+        actuator = arm.actuator_of(joint)
+        SubElement(
+            body,
+            "joint",
+            name=f"{joint}_motor",
+            attrib={"class": "motor"},
+            armature=_numbers(actuator.armature_kg_m2),
+            frictionloss=_numbers(actuator.friction_Nm),
+            damping=_numbers(actuator.damping_Nms_rad),
+        )
+        SubElement(body, "joint", name=f"{joint}_gear")
+        if link.near is not None:
+            _add_mass(body, link.near, (0.0, 0.0, 0.0))
+        shapes = arm.shapes.get(f"link{k}", ())
+        looks.add_to(body, shapes)
+        _add_shapes(body, shapes)
+        if any(link.stiffness):
+            centre = link.elastic_centre_m
+            body = SubElement(body, "body", name=f"link{k}_far", pos=_numbers(centre))
+            _add_spring(body, f"link{k}", link)
+            _add_mass(body, link.far, centre)
+            looks.add_to(body, ())
+        else:
+            centre = (0.0, 0.0, 0.0)
+        parent, start = body, link.transform
+    turret = _body(parent, "turret", start, centre)
+    end = transform6_to_pose(start)
+    far = links[-1].far
+    com = end.R.T @ (np.array(far.com_m) - end.p)
+    _add_mass(
+        turret, Lump(far.mass_kg, (float(com[0]), float(com[1]), float(com[2])), far.inertia_kg_m2), centre
+    )
+    SubElement(turret, "site", name="arm6")
+    looks.add_to(turret, arm.shapes["turret"])
+    _add_shapes(turret, arm.shapes["turret"])
+    for name in arm.tools:
+        _add_tool(arm, name, looks, turret)
+
+
+def _add_tool(arm: ArmDescription, name: str, looks: _Looks, turret: Element) -> None:
+    tool = arm.tools[name]
+    body = _body(turret, name, tool.transform, (0.0, 0.0, 0.0))
+    SubElement(body, "site", name=name)
+    looks.add_to(body, arm.shapes[name])
+    _add_shapes(body, arm.shapes[name])
+    for pad, switch in arm.switches.items():
+        if switch.tool == name:
+            place = _numbers(switch.p_m)
+            SubElement(
+                body,
+                "geom",
+                name=f"{pad}_pad",
+                attrib={"class": "pad"},
+                solref=_numbers(tool.pad_solref),
+                pos=place,
+            )
+            SubElement(body, "site", name=pad, pos=place, size=_numbers(PAD_SITE_M))
+
+
+def _body(parent: Element, name: str, X: Transform6, centre: Vector3) -> Element:
+    """Add a body at the end of a transform, whose start is at minus `centre` in the parent."""
+    pose = transform6_to_pose(X)
+    body = SubElement(parent, "body", name=name, pos=_numbers(_difference(pose.p, centre)))
+    quat = _quaternion(X)
+    if not np.array_equal(quat, (1.0, 0.0, 0.0, 0.0)):
+        body.set("quat", _numbers(quat))
+    return body
+
+
+def _quaternion(X: Transform6) -> Array:
+    """Return the turn of a transform, Rz(theta) Ry(beta) Rx(alpha), as a unit quaternion."""
+    quat, turn = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(4)
+    for angle, axis in ((X.theta_rad, (0, 0, 1)), (X.beta_rad, (0, 1, 0)), (X.alpha_rad, (1, 0, 0))):
+        c, s = np.cos(0.5 * angle), np.sin(0.5 * angle)
+        if abs(angle) == 0.5 * np.pi:  # sine and cosine of 45 degrees differ by rounding
+            s = np.copysign(c, angle)
+        turn[:] = c, *(s * np.array(axis, float))
+        product = np.zeros(4)
+        mujoco.mju_mulQuat(product, quat, turn)
+        quat = product
+    return quat
+
+
+def _add_mass(body: Element, lump: Lump, centre: Vector3) -> None:
+    SubElement(
+        body,
+        "inertial",
+        pos=_numbers(_difference(np.array(lump.com_m), centre)),
+        mass=_numbers(lump.mass_kg),
+        diaginertia=_numbers(lump.inertia_kg_m2),
+    )
+
+
+def _add_spring(body: Element, name: str, link: LinkDescription) -> None:
+    """Add three slides and three hinges with the stiffness of a link; they come before its mass and looks."""
+    for k in SLIDES_FIRST:
+        axis, direction = SCREW_AXES[k]
+        joint = SubElement(body, "joint", name=f"{name}_{axis}", axis=direction)
+        if k >= 3:
+            joint.set("type", "slide")
+        joint.set("stiffness", _numbers(link.stiffness[k]))
+        joint.set("damping", _numbers(round(DAMPING_S * link.stiffness[k], 6)))
+
+
+def _add_shapes(body: Element, shapes: Iterable[Shape]) -> None:
+    for shape in shapes:
+        if shape.of != "flight":
+            _add_shape(body, shape, "collision")
+
+
+def _add_shape(body: Element, shape: Shape, kind: str) -> None:
+    geom = SubElement(body, "geom", attrib={"class": kind})
+    if shape.kind == "capsule":
+        if shape.from_m == shape.to_m:
+            geom.set("type", "sphere")
+            geom.set("size", _numbers(shape.radius_m))
+            geom.set("pos", _numbers(shape.from_m))
+            return
+        if kind == "visual":
+            geom.set("type", "capsule")
+        geom.set("size", _numbers(shape.radius_m))
+        geom.set("fromto", f"{_numbers(shape.from_m)} {_numbers(shape.to_m)}")
+        return
+    geom.set("type", str(shape.kind))
+    if shape.kind == "box":
+        geom.set("size", _numbers(shape.half_m))
+    else:
+        geom.set("size", f"{_numbers(shape.radius_m)} {_numbers(shape.half_length_m)}")
+    geom.set("pos", _numbers(shape.centre_m))
+    if shape.turn_rad:
+        geom.set("euler", f"0 0 {_numbers(shape.turn_rad)}")
+
+
+def _add_tendons(arm: ArmDescription, tendons: Element) -> None:
+    for name in arm.joints.by_name():
+        actuator = arm.actuator_of(name)
+        half = 0.5 * actuator.backlash_rad
+        gear = SubElement(
+            tendons,
+            "fixed",
+            name=f"{name}_gear",
+            springlength=_numbers((-half, half)),
+            stiffness=_numbers(actuator.gear_stiffness_Nm_rad),
+            damping=_numbers(round(DAMPING_S * actuator.gear_stiffness_Nm_rad, 6)),
+        )
+        SubElement(gear, "joint", joint=f"{name}_gear", coef="1")
+    for name, joint in arm.joints.by_name().items():
+        output = SubElement(
+            tendons,
+            "fixed",
+            name=f"{name}_output",
+            attrib={"class": "output"},
+            springlength=_numbers(joint.hardstops_rad),
+            frictionloss=_numbers(arm.actuator_of(name).output_friction_Nm),
+            stiffness=_numbers(joint.hardstop_stiffness_Nm_rad),
+        )
+        SubElement(output, "joint", joint=f"{name}_motor", coef="1")
+        SubElement(output, "joint", joint=f"{name}_gear", coef="1")
+
+
+def _add_actuators(arm: ArmDescription, actuators: Element) -> None:
+    for group, name in enumerate(arm.joints.by_name(), start=1):
+        motor = arm.actuator_of(name)
+        gains = (motor.position_gain_Nm_rad, motor.integral_gain_Nm_rads, motor.rate_gain_Nms_rad)
+        SubElement(
+            actuators,
+            "dcmotor",
+            name=name,
+            joint=f"{name}_motor",
+            group=str(group),
+            input="pos vel",
+            motorconst=_numbers((motor.torque_constant_Nm_A, 0.0)),
+            resistance=_numbers(motor.resistance_Ohm),
+            saturation=_numbers((0.0, motor.current_limit_A, 0.0)),
+            controller=_numbers((*gains, 0.0, motor.integral_limit_rads, 0.0)),
+        )
+
+
+def _difference(p_m: Array, centre_m: Vector3) -> Array:
+    difference: Array = p_m - np.array(centre_m)
+    return np.asarray(np.round(difference, DIGITS)) if any(centre_m) else difference
+
+
+def _numbers(values: object) -> str:
+    """Write numbers so that they read back exactly."""
+    numbers = np.atleast_1d(np.asarray(values, float)) + 0.0  # no negative zero
+    return " ".join(repr(float(number)).removesuffix(".0") for number in numbers)
