@@ -64,8 +64,8 @@ class BuiltArm:
 def arm_named(name: str, params: Params | None = None) -> BuiltArm:
     """Make the arm of this name: `nominal`, `as-built:SEED` or `calibrated:SEED`, of the default drawing.
 
-    `MODEL/NAME`, or `MODEL` alone for `MODEL/nominal`, is an arm of another drawing: the name of one that comes
-    with the project, or a folder with an `arm.toml`.
+    `MODEL/NAME`, or `MODEL` alone for `MODEL/nominal`, is an arm of another drawing: the name of one that
+    comes with the project, or a folder with an `arm.toml`.
 
     Args:
         name: Name of the arm.

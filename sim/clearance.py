@@ -34,10 +34,10 @@ class ClearanceModel:
         self.arm: Arm = build_arm(params)
         self.gravity_R_m_s2 = world.gravity_N_m_s2
         model = self.plant.model
-        arm = [geom for geom in range(model.ngeom) if model.geom_contype[geom] == 1]
+        own = [geom for geom in range(model.ngeom) if model.geom_contype[geom] == 1]
         others = [geom for geom in range(model.ngeom) if model.geom_contype[geom] == 2]
-        self._outside = np.array([(a, b) for a in arm for b in others])
-        self._self = np.array([(a, b) for a in arm for b in arm if _are_separate(model, a, b)])
+        self._outside = np.array([(a, b) for a in own for b in others])
+        self._self = np.array([(a, b) for a in own for b in own if _are_separate(model, a, b)])
 
     def clearance(self, poses_rad: Array) -> Clearance:
         """Compute the least clearances over poses, with the arm deflected by gravity.

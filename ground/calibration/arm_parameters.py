@@ -40,28 +40,20 @@ BUILT: Final = default_arm().description.tolerances.built
 """Tolerances of manufacture, which scale the parameters."""
 
 
+def _scaled(name: str, unit: str, sigma: float) -> FitParameter:
+    return FitParameter(name, unit, sigma, sigma)
+
+
 def arm_parameters() -> tuple[FitParameter, ...]:
     """List all parameters. Prior sigmas are the manufacturing tolerances. Factors are natural logarithms."""
     return (
         *_frame_screws(),
+        *(_scaled(f"gear.{j.name.lower()}", "ln", BUILT.stiffness_share) for j in Joint),
+        *(_scaled(f"spring.{f.name.lower()}", "ln", BUILT.stiffness_share) for f in SPRING_FRAMES),
+        *(_scaled(f"backlash.{j.name.lower()}", "ln", BUILT.backlash_share) for j in Joint),
+        *(_scaled(f"mass.{f.name.lower()}", "ln", BUILT.mass_share) for f in MASS_FRAMES),
         *(
-            FitParameter(f"gear.{j.name.lower()}", "ln", BUILT.stiffness_share, BUILT.stiffness_share)
-            for j in Joint
-        ),
-        *(
-            FitParameter(f"spring.{f.name.lower()}", "ln", BUILT.stiffness_share, BUILT.stiffness_share)
-            for f in SPRING_FRAMES
-        ),
-        *(
-            FitParameter(f"backlash.{j.name.lower()}", "ln", BUILT.backlash_share, BUILT.backlash_share)
-            for j in Joint
-        ),
-        *(
-            FitParameter(f"mass.{f.name.lower()}", "ln", BUILT.mass_share, BUILT.mass_share)
-            for f in MASS_FRAMES
-        ),
-        *(
-            FitParameter(f"centre.{f.name.lower()}.{axis}", "m", BUILT.com_m, BUILT.com_m)
+            _scaled(f"centre.{f.name.lower()}.{axis}", "m", BUILT.com_m)
             for f in MASS_FRAMES
             for axis in "xyz"
         ),
