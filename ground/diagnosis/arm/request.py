@@ -58,3 +58,6 @@ class RecordRequest:
     effects: EffectsOption = ()
     params: ParamsOption = None
     seed: SeedOption = 0
+    sessions: Annotated[
+        str, Option("Record only the sessions with such names; poses-level-* takes a third of the time.", "PATTERN")
+    ] = "*"
