@@ -9,8 +9,8 @@ rock = Surface(p_N_m=(2.05, 0.1, -0.25), normal_N=(-0.5, 0.1, -0.85))
 placement = Placement(Tool.APXS, rock.p_N_m, rock.normal_N)
 loop = start_loop("calibrated:7", World(surface=rock))
 result = run_commands(loop, *placement_commands(placement, stowed=True))
-for time_s, event in result.evrs:
-    print(f"{time_s:7.2f} s  {event.message}")
+for at_s, event in result.evrs:
+    print(f"{at_s:7.2f} s  {event.message}")
 print(f"outcome: {result.outcome}")
 
 figure, (joints, force) = plt.subplots(2, figsize=(8, 6), layout="constrained")

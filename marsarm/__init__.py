@@ -1,6 +1,6 @@
 """Names for Python users: closed loop, effects, logs, and the verbs of the command line.
 
-`__init__.pyi` lists them with their types; each is imported when it is first used. docs/python.md has examples.
+`__init__.pyi` lists them with their types; each is imported when it is first used. docs/python.md shows how.
 """
 
 import ast
@@ -10,20 +10,19 @@ from typing import Any, Final
 
 _STUB: Final = ast.parse(files(__name__).joinpath("__init__.pyi").read_text(encoding="utf-8"))
 _HOME: Final = {
-    alias.asname or alias.name: (node.module or "", alias.name)
+    alias.name: node.module or ""
     for node in _STUB.body
     if isinstance(node, ast.ImportFrom)
     for alias in node.names
 }
-"""Module and name there of each public name."""
+"""Module of each public name."""
 __all__ = tuple(_HOME)
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, own_name = _HOME[name]
-    globals()[name] = value = getattr(import_module(module), own_name)
+    globals()[name] = value = getattr(import_module(_HOME[name]), name)
     return value
 
 

@@ -42,7 +42,7 @@ from ground.runs.place import place as place
 from ground.runs.request import PlaceRequest as PlaceRequest
 from ground.runs.request import RunFiles as RunFiles
 from ground.runs.request import RunRequest as RunRequest
-from ground.runs.scenario import run as run_scenario
+from ground.runs.scenario import run_scenario as run_scenario
 from ground.telemetry.read import Log as Log
 from ground.telemetry.read import read_log as read_log
 from ground.telemetry.record_run import record_commands as record_commands

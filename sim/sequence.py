@@ -3,7 +3,6 @@
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import reduce
 from typing import Any, cast
 
 import numpy as np
@@ -58,7 +57,10 @@ class SequenceResult:
 
 def _field(record: CycleRecord, name: str) -> Any:
     """Return the field with this path; None if a record on the way is None, as `tool` is in some cycles."""
-    return reduce(lambda one, key: None if one is None else getattr(one, key), name.split("."), cast(Any, record))
+    value: Any = record
+    for key in name.split("."):
+        value = None if value is None else getattr(value, key)
+    return value
 
 
 def observe_cycles(

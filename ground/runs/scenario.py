@@ -34,7 +34,7 @@ class RunReport:
         return self.execution.result.passed
 
 
-def run(request: RunRequest, progress: Progress = no_progress) -> RunReport:
+def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunReport:
     """Carry out a scenario.
 
     Raises:

@@ -59,5 +59,5 @@ class RecordRequest:
     params: ParamsOption = None
     seed: SeedOption = 0
     sessions: Annotated[
-        str, Option("Record only the sessions with such names; poses-level-* takes a third of the time.", "PATTERN")
+        str, Option("Record only the sessions with such names, for example poses-level-*.", "PATTERN")
     ] = "*"
