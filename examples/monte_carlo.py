@@ -1,4 +1,4 @@
-"""Sample a hundred arms, and compare their placement errors with the error budget."""
+"""Sample a hundred arms, and estimate three sigma of their placement errors."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -18,7 +18,7 @@ def main() -> None:
     axes.set(title="Placements of a hundred arms", xlabel="error of the tool [mm]", ylabel="placements")
     if report.three_sigma is not None:
         bound_mm = 1e3 * report.three_sigma["total_m"].accuracy.upper
-        axes.axvline(bound_mm, color="tab:red", label=f"three sigma, at most {bound_mm:.1f} mm")
+        axes.axvline(bound_mm, color="tab:red", label=f"three sigma, 95 % sure: {bound_mm:.1f} mm")
         axes.legend()
     figure.savefig("monte_carlo.png", dpi=100)
 
