@@ -13,6 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = sorted(path.stem for path in (ROOT / "examples").glob("*.py"))
 PAGE = (ROOT / "docs" / "python.md").read_text()
+SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 ALLOWED = {"marsarm", "matplotlib", "numpy"}
 
 
@@ -103,10 +104,29 @@ def test_every_example_has_a_test():
     assert all(f'run_example("{name}", tmp_path)' in text for name in SCRIPTS)
 
 
-def test_the_snippets_of_the_page_are_valid_and_their_names_exist():
+@pytest.mark.slow
+@pytest.mark.parametrize("snippet", SNIPPETS, ids=range(len(SNIPPETS)))
+def test_a_snippet_of_the_page_runs(snippet, tmp_path):
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    subprocess.run(
+        [sys.executable, "-W", "error", "-c", snippet], cwd=tmp_path, env=env, timeout=1200, check=True
+    )
+
+
+def test_the_names_in_the_snippets_and_tables_of_the_page_exist():
     import marsarm
 
-    for snippet in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
-        for node in ast.walk(ast.parse(snippet)):
-            if isinstance(node, ast.ImportFrom) and node.module == "marsarm":
-                assert {alias.name for alias in node.names} <= set(marsarm.__all__)
+    trees = [ast.parse(snippet) for snippet in SNIPPETS]
+    imported = {
+        alias.name
+        for tree in trees
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    verbs = {
+        name for row in re.findall(r"^\| (`.*)\|$", PAGE, re.MULTILINE) for name in re.findall(r"`(\w+)", row)
+    }
+    assert len(SNIPPETS) == 2
+    assert len(verbs) == 14
+    assert imported | verbs <= set(marsarm.__all__)
