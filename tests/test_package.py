@@ -89,7 +89,7 @@ class Installed:
             env=outside | {"HOME": str(self.home)},
             capture_output=True,
             text=True,
-            timeout=600,
+            timeout=3000,
             check=False,
         )
 
