@@ -12,7 +12,7 @@ WORKERS ?= 2
 say = echo "marsarm: $(1)" >&2
 
 .PHONY: help setup demo test test-all bench brief campaign accuracy calibration ur10 joints jobs blind killed damage fuzz mutants \
-  references oracle viewers lint lock clean
+  references oracle viewers examples package lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
@@ -34,6 +34,8 @@ help:
 	@echo "make mutants   change fsw/protect in a thousand places, print which changes its own tests do not notice"
 	@echo "make oracle    compare the inverse kinematics with EAIK, if it can be installed"
 	@echo "make viewers   open a log in pymcap-cli and Rerun, if they can be installed"
+	@echo "make examples  run the scripts of examples/, write their pictures to docs/examples"
+	@echo "make package   build the source distribution and the wheel in dist/"
 	@echo "make lint      style, types, the direction of imports, retired names and docstrings"
 	@echo "make lock      choose package versions anew (needs uv)"
 	@echo "make clean     remove what the other targets made"
@@ -139,6 +141,17 @@ viewers: $(VENV)/ready
 	@$(INSTALL) --only-binary :all: "pymcap-cli>=0.34" "rerun-sdk>=0.41" || \
 	  $(call say,they were not installed; pip says why above)
 	@$(BIN)/python -m pytest -q tests/ground/telemetry/test_viewers.py $(ARGS)
+
+# What a script writes besides its picture stays in a folder that is deleted.
+examples: $(VENV)/ready
+	@$(call say,running the examples; this takes some minutes)
+	@scratch=$$(mktemp -d) && trap 'rm -rf "$$scratch"' EXIT && cd "$$scratch" && \
+	for script in "$(CURDIR)"/examples/*.py; do "$(CURDIR)/$(BIN)/python" "$$script" >&2 || exit 1; done && \
+	mkdir -p "$(CURDIR)/docs/examples" && cp ./*.png "$(CURDIR)/docs/examples/"
+
+package: $(VENV)/ready
+	@$(call say,building the source distribution, and the wheel from it, in dist/)
+	@$(BIN)/python .ci/package.py dist >/dev/null
 
 # All four speak before any of them stops the target.
 lint: $(VENV)/ready

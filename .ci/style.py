@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-PACKAGES: Final = ("fsw", "sim", "ground", "marsarm", "validation")
+PACKAGES: Final = ("fsw", "sim", "ground", "marsarm", "validation", "examples")
 NUMERIC: Final = ("fsw/kinematics", "fsw/estimate", "ground/calibration", "ground/diagnosis")
 """Folders whose public functions say shapes and units."""
 ARRAYS: Final = re.compile(r"\b(Array|Flags|Integers|Indices|NDArray|Pose)\b")

@@ -1,38 +1,30 @@
-"""Public names for Python users: flight software, the closed loop, and reading of logs.
+"""Names for Python users: closed loop, effects, logs, and the verbs of the command line.
 
-Import everything else from `fsw`, `sim` and `ground`.
+`__init__.pyi` lists them with their types; each is imported when it is first used. docs/python.md shows how.
 """
 
-from fsw.config import Config, configure
-from fsw.cycle import step
-from fsw.dictionary.enums import Joint
-from fsw.kinematics.ik import inverse_kinematics
-from fsw.messages import Outputs, Sensors
-from fsw.state import State, boot
-from ground.telemetry.read import Log, read_log
-from sim.arms import BuiltArm, arm_named
-from sim.loop import ClosedLoop, Setup
-from sim.record import CycleRecord
-from sim.world import Surface, World
+import ast
+from importlib import import_module
+from importlib.resources import files
+from typing import Any, Final
 
-__all__ = [
-    "BuiltArm",
-    "ClosedLoop",
-    "Config",
-    "CycleRecord",
-    "Joint",
-    "Log",
-    "Outputs",
-    "Sensors",
-    "Setup",
-    "State",
-    "Surface",
-    "Tool",
-    "World",
-    "arm_named",
-    "boot",
-    "configure",
-    "inverse_kinematics",
-    "read_log",
-    "step",
-]
+_STUB: Final = ast.parse(files(__name__).joinpath("__init__.pyi").read_text(encoding="utf-8"))
+_HOME: Final = {
+    alias.name: node.module or ""
+    for node in _STUB.body
+    if isinstance(node, ast.ImportFrom)
+    for alias in node.names
+}
+"""Module of each public name."""
+__all__ = tuple(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value = getattr(import_module(_HOME[name]), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME})

@@ -47,6 +47,7 @@ class ClosedLoop:
     """Run of an arm in the closed loop; call `cycle` with the commands of each control cycle."""
 
     def __init__(self, setup: Setup, with_truth: bool = False):
+        self.setup = setup
         spec = build(setup.world, setup.arm.model)
         if setup.time_step_s is not None:
             spec.option.timestep = setup.time_step_s

@@ -18,7 +18,7 @@ from ground.common.errors import BadRequest
 from ground.replay.replay import ReplayRequest, replay
 from ground.replay.tables import verdict_line
 from ground.runs.request import RunFiles, RunRequest
-from ground.runs.scenario import run
+from ground.runs.scenario import run_scenario
 from sim.scenario.file import built_in_scenarios
 from validation.options import campaign_parser
 
@@ -54,7 +54,7 @@ def replay_one(scenario: str, arm: str) -> ReplayOutcome:
         seed = int(arm.partition(":")[2] or 0)
         tilt_deg = None if arm == "nominal" else TILT_DEG
         try:
-            ran = run(RunRequest(scenario, arm, tilt_deg, seed, RunFiles(log)), silent)
+            ran = run_scenario(RunRequest(scenario, arm, tilt_deg, seed, RunFiles(log)), silent)
             began = time.perf_counter()
             found = replay(ReplayRequest(log), silent).differences
         except BadRequest as error:

@@ -29,7 +29,7 @@ from ground.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity,
 from ground.accuracy.sources import BudgetCase, ErrorModel, is_compensated, load_error_model
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
-from ground.common.progress import Progress
+from ground.common.progress import Progress, no_progress
 from ground.common.requests import make_world, parse_tool, select_arm
 
 MOMENTS: Final = "moments"
@@ -177,7 +177,7 @@ class BudgetReport:
     params_sha256: str
 
 
-def run_budget(request: BudgetRequest, progress: Progress) -> BudgetReport:
+def run_budget(request: BudgetRequest, progress: Progress = no_progress) -> BudgetReport:
     """Compute the budgets of one case or of all cases.
 
     Raises:

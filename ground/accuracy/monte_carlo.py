@@ -25,7 +25,7 @@ from ground.common.checkpoint import Checkpoint
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
 from ground.common.pool import Runner, cluster_runner, local_runner
-from ground.common.progress import Progress
+from ground.common.progress import Progress, no_progress
 from ground.common.requests import load_params, select_arm
 from sim.world import World
 
@@ -147,7 +147,7 @@ class MonteCarloReport:
     """Accuracy of each of COMPONENTS; None if there are too few arms or placements."""
 
 
-def run_monte_carlo(request: MonteCarloRequest, progress: Progress) -> MonteCarloReport:
+def run_monte_carlo(request: MonteCarloRequest, progress: Progress = no_progress) -> MonteCarloReport:
     """Simulate and measure arms of a case, and compare them with the budget.
 
     Raises:

@@ -21,7 +21,7 @@ from ground.calibration.request import CalibrateRequest
 from ground.calibration.verify import Verification, register_tools, verify_calibration
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
-from ground.common.progress import Progress
+from ground.common.progress import Progress, no_progress
 from ground.common.requests import select_arm
 from sim.arms import BuiltArm
 from sim.params import nominal_params, params_over_nominal
@@ -42,7 +42,7 @@ class CalibrateReport:
     verification: Verification | None
 
 
-def run_calibration(request: CalibrateRequest, progress: Progress) -> CalibrateReport:
+def run_calibration(request: CalibrateRequest, progress: Progress = no_progress) -> CalibrateReport:
     """Measure or read a campaign, fit, check and verify, and write the requested files.
 
     Raises:

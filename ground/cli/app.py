@@ -11,8 +11,9 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 from io import BytesIO, TextIOWrapper
-from typing import Final, NoReturn
+from typing import Annotated, Final, NoReturn
 
 import typer
 
@@ -35,10 +36,28 @@ app = typer.Typer(
     name="marsarm",
     help="Control of the Curiosity rover's arm, a MuJoCo plant for it, and ground tools.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def _print_version(is_asked: bool) -> None:
+    if is_asked:
+        print(f"marsarm {version('marsarm')}")
+        raise typer.Exit
+
+
+VersionOption = Annotated[
+    bool,
+    typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True),
+]
+
+
+@app.callback()
+def _options_without_verb(_: VersionOption = False) -> None:
+    """Declare the options that stand without a verb."""
+
+
 app.command()(place)
 app.command()(ik)
 app.command()(reach)

@@ -71,10 +71,10 @@ def run(request: RunRequest, progress: Progress) -> VerbResult:
 
     Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --movie sol46.gif
     """
-    from ground.runs.scenario import run
+    from ground.runs.scenario import run_scenario
     from ground.runs.tables import run_json, run_table
 
-    report = run(request, progress)
+    report = run_scenario(request, progress)
     return VerbResult(run_json(report), lambda: run_table(report), report.passed)
 
 

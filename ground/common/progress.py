@@ -7,6 +7,10 @@ Progress = Callable[[float, float, str], None]
 """Function of the amount done, the total amount, and the name of the current activity."""
 
 
+def no_progress(done: float, total: float, what: str) -> None:
+    """Show nothing."""
+
+
 @contextmanager
 def progress_bar() -> Iterator[Progress]:
     """Show a progress bar, on a terminal only; give the function that updates it."""

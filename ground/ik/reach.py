@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
 from ground.common.options import check_options
-from ground.common.progress import Progress
+from ground.common.progress import Progress, no_progress
 from ground.ik.model import IkModel, build_ik_model
 from ground.ik.request import ReachRequest
 from ground.ik.tally import Tally, tally
@@ -187,7 +187,7 @@ class ReachReport:
     """Reason why a requested picture is missing."""
 
 
-def reach(request: ReachRequest, progress: Progress) -> ReachReport:
+def reach(request: ReachRequest, progress: Progress = no_progress) -> ReachReport:
     """Sample the workspace, and draw the map if requested.
 
     Raises:

@@ -10,7 +10,7 @@ from fsw.kinematics.batch import select_targets
 from fsw.kinematics.ik import IkResult
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
-from ground.common.progress import Progress
+from ground.common.progress import Progress, no_progress
 from ground.ik.model import IkModel, build_ik_model
 from ground.ik.request import IkRequest
 from ground.ik.tally import Tally, tally
@@ -37,7 +37,7 @@ class BatchReport:
     tally: Tally
 
 
-def solve(request: IkRequest, progress: Progress) -> IkReport | BatchReport:
+def solve(request: IkRequest, progress: Progress = no_progress) -> IkReport | BatchReport:
     """Solve the inverse kinematics of a request.
 
     Raises:

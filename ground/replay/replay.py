@@ -11,7 +11,7 @@ from fsw.dictionary.params import Params
 from fsw.messages import Outputs
 from fsw.state import boot, outputs_at_rest
 from ground.common.errors import BadRequest
-from ground.common.progress import Progress
+from ground.common.progress import Progress, no_progress
 from ground.replay.behaviour import OUTPUT_TOPICS, Behaviour, behaviour_from_log, behaviour_from_outputs
 from ground.replay.compare import Differences, compare_behaviours
 from ground.replay.inputs import Inputs, inputs_from_log
@@ -53,7 +53,7 @@ class ReplayReport:
     same_processor: bool
 
 
-def replay(request: ReplayRequest, progress: Progress) -> ReplayReport:
+def replay(request: ReplayRequest, progress: Progress = no_progress) -> ReplayReport:
     """Replay a log and compare the outputs.
 
     Raises:

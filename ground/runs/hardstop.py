@@ -15,7 +15,7 @@ from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.homing_poses import homing_start_poses
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
-from ground.common.progress import Progress
+from ground.common.progress import Progress, no_progress
 from ground.common.requests import make_world, parse_effects, select_arm
 from ground.runs.request import HardstopRequest
 from sim.arms import BuiltArm, effects_of_run
@@ -60,7 +60,7 @@ class HardstopJob:
     effects: tuple[Effect, ...]
 
 
-def hardstop(request: HardstopRequest, progress: Progress) -> HardstopReport:
+def hardstop(request: HardstopRequest, progress: Progress = no_progress) -> HardstopReport:
     """Find hardstops.
 
     Raises:

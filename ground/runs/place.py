@@ -7,7 +7,7 @@ from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import Params
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
-from ground.common.progress import Progress
+from ground.common.progress import Progress, no_progress
 from ground.common.requests import (
     WORKSPACE_HINT,
     check_finite,
@@ -90,7 +90,7 @@ class PlaceReport:
     execution: Execution[PlacementResult]
 
 
-def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
+def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceReport:
     """Carry out a placement.
 
     Raises:

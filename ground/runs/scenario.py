@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass, replace
 
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
-from ground.common.progress import Progress
+from ground.common.progress import Progress, no_progress
 from ground.common.requests import make_world, parse_effects, select_arm
 from ground.runs.execution import Execution, execute, execution_not_begun, initialise
 from ground.runs.request import RunRequest
@@ -34,7 +34,7 @@ class RunReport:
         return self.execution.result.passed
 
 
-def run(request: RunRequest, progress: Progress) -> RunReport:
+def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunReport:
     """Carry out a scenario.
 
     Raises:

@@ -21,7 +21,7 @@ from ground.calibration.serial.tracker_table import mapping_from_toml, series_fr
 from ground.common.errors import BadRequest
 from ground.common.files import atomic_write
 from ground.common.options import check_options
-from ground.common.progress import Progress
+from ground.common.progress import Progress, no_progress
 from ground.telemetry.imports.files import MAX_TABLE_BYTES, read_file
 from ground.telemetry.imports.mapping_file import MAX_MAPPING_BYTES
 
@@ -49,7 +49,7 @@ class SerialReport:
     """SHA-256 of the input files."""
 
 
-def calibrate_serial(request: SerialRequest, progress: Progress) -> SerialReport:
+def calibrate_serial(request: SerialRequest, progress: Progress = no_progress) -> SerialReport:
     """Fit the arm of a file to one part of a table of measured poses, and validate it with the other part.
 
     Raises:

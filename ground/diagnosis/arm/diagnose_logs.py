@@ -12,7 +12,7 @@ from fsw.dictionary.params import Params
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
 from ground.common.pool import local_runner
-from ground.common.progress import Progress
+from ground.common.progress import Progress, no_progress
 from ground.common.requests import parse_effects
 from ground.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
 from ground.diagnosis.arm.campaign_model import load_campaign_model
@@ -133,6 +133,17 @@ def _unknown_effect(name: str, known: set[str]) -> str:
     near = get_close_matches(name.lower(), sorted(known), n=MAX_SUGGESTIONS, cutoff=0.4)
     meant = f"did you mean {' or '.join(near)}? " if near else ""
     return f"catalogue: effect {shorten(name)!r} is not known; {meant}`marsarm effects` lists what there is"
+
+
+def diagnose(request: DiagnoseRequest, progress: Progress = no_progress) -> DiagnosisResult:
+    """Check a request and diagnose its logs; write no file but the cache.
+
+    Raises:
+        BadRequest: The request is wrong, or a cached file cannot be read.
+        NotForDiagnosis: The logs cannot be diagnosed; the message says what they lack.
+        BadOutput: A cached file cannot be written.
+    """
+    return diagnose_logs(prepare_diagnosis(request), progress)
 
 
 def diagnose_logs(job: DiagnoseJob, progress: Progress) -> DiagnosisResult:

@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Final
 
@@ -14,7 +15,7 @@ from ground.calibration.survey import TooFewTargets, measure_pose
 from ground.common.errors import BadRequest
 from ground.common.files import atomic_path, check_new_path
 from ground.common.options import check_options
-from ground.common.progress import Progress
+from ground.common.progress import Progress, no_progress
 from ground.common.requests import parse_effects, select_arm
 from ground.diagnosis.arm.request import RecordRequest
 from ground.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, write_tracker_poses
@@ -34,6 +35,7 @@ from sim.effects.effect import Effect
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop
 from sim.plant import PlantDiverged
+from sim.scenario.names import did_you_mean
 from sim.tracker import TYPICAL_TRACKER, turret_pose
 
 HELD_OUT_FOLDER: Final = "held-out"
@@ -124,22 +126,40 @@ def check_record_request(request: RecordRequest) -> None:
     """
     check_options(request)
     parse_effects(request.effects)
-    select_arm(request.arm, request.params, request.mismatch)
+    _choose_sessions(request, select_arm(request.arm, request.params, request.mismatch))
     if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
         raise BadRequest(f"out {request.out}: is there already; name a new folder")
     check_new_path(request.out, "out")
 
 
-def record_logs(request: RecordRequest, progress: Progress) -> list[Path]:
+def _choose_sessions(request: RecordRequest, arm: BuiltArm) -> list[DiagnosisSession]:
+    """Return the sessions of the campaign that a request asks for.
+
+    Raises:
+        BadRequest: There is none.
+    """
+    every = campaign_sessions(arm.params)
+    chosen = [session for session in every if fnmatchcase(session.name, request.sessions)]
+    if not chosen:
+        raise BadRequest(
+            f"sessions: nothing is called {request.sessions!r}; "
+            f"{did_you_mean(request.sessions, [session.name for session in every])}"
+        )
+    return chosen
+
+
+def record_logs(request: RecordRequest, progress: Progress = no_progress) -> list[Path]:
     """Record all sessions, held-out ones in their own folder; write all logs or none.
 
     Raises:
-        BadRequest: The arm cannot carry out a session with these effects.
+        BadRequest: The request is wrong, or the arm cannot carry out a session with these effects.
+        BadOutput: The folder cannot be written.
     """
+    check_record_request(request)
     effects = parse_effects(request.effects)
     arm = select_arm(request.arm, request.params, request.mismatch).with_effects(effects)
     begun = effects_of_run(effects)
-    wanted, reference, paths = campaign_sessions(arm.params), true_reference(arm), []
+    wanted, reference, paths = _choose_sessions(request, arm), true_reference(arm), []
     try:
         with atomic_path(request.out.resolve()) as part:
             for number, session in enumerate(wanted):

@@ -68,3 +68,6 @@ class RecordRequest:
     params: ParamsOption = None
     mismatch: MismatchOption = False
     seed: SeedOption = 0
+    sessions: Annotated[
+        str, Option("Record only the sessions with such names, for example poses-level-*.", "PATTERN")
+    ] = "*"

@@ -14,6 +14,11 @@ def blind(folder: Path, *words: str) -> Ran:
     return call(blind_app, folder, *words, "--json")
 
 
+def test_a_pattern_chooses_the_sessions_that_are_recorded(tmp_path: Path) -> None:
+    done = marsarm(tmp_path, "gap", "record", "--out", "logs", "--sessions", "poses-level-[15]", "--json")
+    assert json.loads(done.stdout)["logs"] == ["logs/poses-level-1.mcap", "logs/held-out/poses-level-5.mcap"]
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -22,6 +27,10 @@ def blind(folder: Path, *words: str) -> Ran:
         (("record", "--out", "o" * 300), "cannot be written (File name too long)"),
         (("record", "--out", "nothing"), "a link to nowhere/x, which is not there"),
         (("record", "--out", "logs", "--effect", "rusty-gear"), "'rusty-gear' is not known"),
+        (
+            ("record", "--out", "logs", "--sessions", "poses-levl-*"),
+            "sessions: nothing is called 'poses-levl-*'",
+        ),
         (("make", "--cases", "0", "--out", "b"), "cases: 0 is not within 1 .. 1000"),
         (("make", "--cases", "-3", "--out", "b"), "cases: -3 is not within"),
         (("make", "--seed", "-1", "--out", "b"), "seed: -1 is below 0"),

@@ -10,7 +10,7 @@ from ground.common.errors import BadRequest
 from ground.replay.replay import ReplayRequest, replay
 from ground.replay.tables import replay_json, replay_table, verdict_line
 from ground.runs.request import RunFiles, RunRequest
-from ground.runs.scenario import run
+from ground.runs.scenario import run_scenario
 from ground.telemetry.header import run_header
 from ground.telemetry.read import read_log
 from ground.telemetry.recorder import Recorder
@@ -172,7 +172,7 @@ def test_a_scenario_with_a_calibrated_arm_and_missed_cycles_replays_bit_for_bit(
     scenario = tmp_path / "short.toml"
     scenario.write_text(SHORT)
     log = tmp_path / "run.mcap"
-    run(RunRequest(str(scenario), "calibrated:7", (5.0, -3.0), 4, RunFiles(log)), silent)
+    run_scenario(RunRequest(str(scenario), "calibrated:7", (5.0, -3.0), 4, RunFiles(log)), silent)
     found = replayed(tmp_path, log=log).differences
     assert found.identical
     assert found.tolerance == 0.0
@@ -182,7 +182,7 @@ def test_a_scenario_with_a_calibrated_arm_and_missed_cycles_replays_bit_for_bit(
 @pytest.mark.slow
 def test_a_scenario_of_the_project_replays_bit_for_bit(tmp_path):
     log = tmp_path / "run.mcap"
-    run(RunRequest("bit-exchange", files=RunFiles(log)), silent)
+    run_scenario(RunRequest("bit-exchange", files=RunFiles(log)), silent)
     found = replayed(tmp_path, log=log).differences
     assert found.identical
     assert found.tolerance == 0.0

@@ -1,0 +1,132 @@
+"""The scripts of examples/: each runs as a user runs it, prints its result and draws its picture."""
+
+import ast
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib.image
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPTS = sorted(path.stem for path in (ROOT / "examples").glob("*.py"))
+PAGE = (ROOT / "docs" / "python.md").read_text()
+SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+ALLOWED = {"marsarm", "matplotlib", "numpy"}
+
+
+def run_example(name: str, folder: Path) -> str:
+    """Run a script in an empty folder, and return what it prints."""
+    script = ROOT / "examples" / f"{name}.py"
+    env = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
+    done = subprocess.run(
+        [sys.executable, "-W", "error", script],
+        cwd=folder,
+        env=env,
+        capture_output=True,
+        text=True,
+        timeout=1200,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    picture = matplotlib.image.imread(folder / f"{name}.png")
+    assert picture.shape[1] == 800
+    assert picture[..., :3].std() > 0.01
+    return done.stdout
+
+
+def numbers(pattern: str, text: str) -> list[float]:
+    """Return the numbers of the groups of a pattern that occurs in a text."""
+    found = re.search(pattern, text)
+    assert found is not None, text
+    return [float(group) for group in found.groups()]
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_an_example_uses_public_names_only_and_stands_on_the_page_with_its_picture(name):
+    tree = ast.parse((ROOT / "examples" / f"{name}.py").read_text())
+    used = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    used |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names}
+    assert {module.partition(".")[0] for module in used} - set(sys.stdlib_module_names) <= ALLOWED
+    assert f"](../examples/{name}.py)" in PAGE
+    assert f"](examples/{name}.png)" in PAGE
+    assert (ROOT / "docs" / "examples" / f"{name}.png").is_file()
+
+
+@pytest.mark.slow
+def test_the_closed_loop_places_an_instrument(tmp_path):
+    printed = run_example("closed_loop", tmp_path)
+    assert printed.endswith("outcome: done\n")
+    assert "contact on APXS" in printed
+
+
+def test_an_effect_of_ones_own_changes_the_motor_current(tmp_path):
+    (change_A,) = numbers(r"by ([\d.]+) A", run_example("own_effect", tmp_path))
+    assert change_A > 0.1
+
+
+@pytest.mark.slow
+def test_a_monitor_of_ones_own_stops_the_arm_near_its_bound(tmp_path):
+    printed = run_example("own_monitor", tmp_path)
+    (free_m,) = numbers(r"without the monitor: done .* lowest (\S+) m", printed)
+    (stopped_m,) = numbers(r"with the monitor: stopped .* lowest (\S+) m", printed)
+    assert free_m < -0.7
+    assert -0.56 < stopped_m < -0.55
+
+
+@pytest.mark.slow
+def test_a_log_replays_and_a_changed_parameter_shows(tmp_path):
+    printed = run_example("replay_log", tmp_path)
+    assert "replay is identical: True" in printed
+    assert "joints.elbow.gear_stiffness_Nm_rad: 100000.0 is 80000.0 now" in printed
+
+
+@pytest.mark.slow
+def test_a_monte_carlo_samples_a_hundred_arms(tmp_path):
+    printed = run_example("monte_carlo", tmp_path)
+    assert "100 arms, 0 failed" in printed
+    median_mm, largest_mm = numbers(r"median (\S+) mm, largest (\S+) mm", printed)
+    assert 0.5 < median_mm < largest_mm < 6.0
+
+
+@pytest.mark.slow
+def test_a_diagnosis_finds_the_link_and_its_length(tmp_path):
+    printed = run_example("diagnosis", tmp_path)
+    assert "link-length at arm3.x" in printed
+    (length_m,) = numbers(r"length_m=([\d.]+)", printed)
+    assert length_m == pytest.approx(0.006, rel=0.1)
+
+
+def test_every_example_has_a_test():
+    text = Path(__file__).read_text()
+    assert all(f'run_example("{name}", tmp_path)' in text for name in SCRIPTS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("snippet", SNIPPETS, ids=range(len(SNIPPETS)))
+def test_a_snippet_of_the_page_runs(snippet, tmp_path):
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    subprocess.run(
+        [sys.executable, "-W", "error", "-c", snippet], cwd=tmp_path, env=env, timeout=1200, check=True
+    )
+
+
+def test_the_names_in_the_snippets_and_tables_of_the_page_exist():
+    import marsarm
+
+    trees = [ast.parse(snippet) for snippet in SNIPPETS]
+    imported = {
+        alias.name
+        for tree in trees
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    verbs = {
+        name for row in re.findall(r"^\| (`.*)\|$", PAGE, re.MULTILINE) for name in re.findall(r"`(\w+)", row)
+    }
+    assert len(SNIPPETS) == 2
+    assert len(verbs) == 14
+    assert imported | verbs <= set(marsarm.__all__)

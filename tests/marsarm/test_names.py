@@ -1,0 +1,39 @@
+"""The names that `import marsarm` gives: each exists, none is loaded before it is used."""
+
+import subprocess
+import sys
+
+import pytest
+
+import marsarm
+from tests.ground.command import ROOT
+
+
+def run_python(text: str) -> str:
+    done = subprocess.run([sys.executable, "-c", text], cwd=ROOT, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def test_every_name_exists_and_comes_from_the_module_that_defines_it():
+    for name in marsarm.__all__:
+        value = getattr(marsarm, name)
+        home = marsarm._HOME[name]
+        assert getattr(value, "__module__", home) == home, name
+    assert set(marsarm.__all__) <= set(dir(marsarm))
+
+
+def test_an_import_loads_nothing_before_a_name_is_used():
+    ask = "import sys, marsarm; print([name for name in ('numpy', 'mujoco', 'fsw') if name in sys.modules])"
+    assert run_python(ask) == "[]"
+
+
+def test_a_name_that_does_not_exist_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'marsarm' has no attribute 'ClosedLop'"):
+        _ = marsarm.ClosedLop
+
+
+def test_the_module_runs_the_command_line():
+    done = subprocess.run(
+        [sys.executable, "-m", "marsarm", "--help"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert "Usage: python -m marsarm" in done.stdout

@@ -1,0 +1,168 @@
+"""The wheel and the source distribution hold all files, and the installed wheel works from anywhere."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import tomllib
+import venv
+from importlib.metadata import version
+from pathlib import Path
+from zipfile import ZipFile
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("fsw", "sim", "ground", "marsarm")
+FILES = ", ".join(f"{name}.__file__" for name in PACKAGES)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory) -> Path:
+    """Build the source distribution, and the wheel from it."""
+    folder = tmp_path_factory.mktemp("dist")
+    subprocess.run([sys.executable, ".ci/package.py", folder], cwd=ROOT, check=True, capture_output=True)
+    return folder
+
+
+def files_below(folder: Path, place: str) -> set[str]:
+    """List the files of a folder that belong to the project, below another name."""
+    return {
+        f"{place}/{path.relative_to(folder).as_posix()}"
+        for path in folder.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+
+
+def test_the_wheel_holds_every_file_of_the_packages_and_all_models(built):
+    (wheel,) = built.glob("*.whl")
+    expected = set().union(*(files_below(ROOT / name, name) for name in PACKAGES))
+    expected |= files_below(ROOT / "models", "sim/models")
+    assert len(files_below(ROOT / "models", "sim/models")) >= 11
+    packed = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    assert packed == expected
+
+
+def test_the_source_distribution_holds_documentation_and_examples_and_no_tests(built):
+    (archive,) = built.glob("*.tar.gz")
+    with tarfile.open(archive) as opened:
+        packed = {name.partition("/")[2] for name in opened.getnames()}
+    assert {"CITATION.cff", "CHANGELOG.md", "LICENSE", "requirements.lock", "docs/python.md"} <= packed
+    assert {f"examples/{path.name}" for path in (ROOT / "examples").glob("*.py")} <= packed
+    assert not any(name.startswith("tests/") for name in packed)
+
+
+class Installed:
+    """Environment outside of the repository in which the wheel is installed."""
+
+    def __init__(self, folder: Path, wheel: Path, installer: str) -> None:
+        """Install without an index: the packages of the lock file are those of this interpreter."""
+        self.home = folder / "home"
+        self.work = folder / "elsewhere"
+        for path in (self.home, self.work):
+            path.mkdir(parents=True)
+        venv.create(folder / "venv", symlinks=True)
+        self.bin = folder / "venv" / "bin"
+        pip = [installer, "-m", "pip", "--python", str(self.bin / "python")]
+        install = [
+            "--isolated",
+            "--disable-pip-version-check",
+            "install",
+            "--no-index",
+            "--no-deps",
+            str(wheel),
+        ]
+        subprocess.run([*pip, *install], cwd=self.work, check=True, capture_output=True)
+        (packages,) = (folder / "venv").glob("lib/*/site-packages")
+        # The path of a .pth file: .pth files there, such as that of the repository itself, are not read.
+        (packages / "lock.pth").write_text(str(Path(np.__file__).parents[1]) + "\n")
+
+    def run(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """Run a program of the environment in a folder outside of the repository."""
+        outside = {name: os.environ[name] for name in ("PATH", "OPENBLAS_NUM_THREADS") if name in os.environ}
+        return subprocess.run(
+            [str(self.bin / words[0]), *words[1:]],
+            cwd=self.work,
+            env=outside | {"HOME": str(self.home)},
+            capture_output=True,
+            text=True,
+            timeout=3000,
+            check=False,
+        )
+
+    def run_json(self, *words: str) -> dict:
+        """Run `marsarm` with these words, and return its document."""
+        done = self.run("marsarm", *words, "--json")
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="module")
+def installed(built, tmp_path_factory) -> Installed:
+    """Install the wheel."""
+    (wheel,) = built.glob("*.whl")
+    for python in (sys.executable, "python3"):  # an environment may be without pip, as in the Makefile
+        if (
+            subprocess.run([python, "-m", "pip", "--version"], capture_output=True, check=False).returncode
+            == 0
+        ):
+            return Installed(tmp_path_factory.mktemp("installed"), wheel, python)
+    pytest.skip("there is no pip, which installs the wheel")
+
+
+@pytest.mark.slow
+def test_the_installed_packages_are_those_of_the_wheel_and_of_the_lock_file(installed):
+    homes = installed.run("python", "-c", f"import {', '.join(PACKAGES)}; print({FILES})").stdout.split()
+    assert all(Path(home).is_relative_to(installed.bin.parent) for home in homes)
+    locked = dict(re.findall(r"^([\w-]+)==(\S+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE))
+    needed = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    names = [re.match(r"[\w-]+", one)[0] for one in needed]
+    ask = f"from importlib.metadata import version; print(*[version(name) for name in {names}])"
+    assert installed.run("python", "-c", ask).stdout.split() == [locked[name] for name in names]
+
+
+@pytest.mark.slow
+def test_the_command_and_the_module_print_the_version(installed):
+    for words in (("marsarm",), ("python", "-m", "marsarm")):
+        assert installed.run(*words, "--version").stdout == f"marsarm {version('marsarm')}\n"
+
+
+@pytest.mark.slow
+def test_the_installed_command_places_an_instrument(installed):
+    document = installed.run_json("place", "--log", "run.mcap")
+    assert document["outcome"] == "done"
+    assert document["error_mm"]["total"] < 1.0
+    assert (installed.work / "place.png").read_bytes().startswith(b"\x89PNG")
+    assert installed.run_json("replay", "run.mcap")["identical"] is True
+    # The extra `view`: `marsarm view run.mcap --html view.html` belongs here.
+
+
+@pytest.mark.slow
+def test_the_installed_command_runs_a_scenario(installed):
+    document = installed.run_json("run", "sampling")
+    assert document["checks"]
+    assert document["passed"] is True
+
+
+@pytest.mark.slow
+def test_the_installed_command_solves_inverse_kinematics(installed):
+    document = installed.run_json("ik", "--position", "2.1", "0", "-0.3", "--approach", "0.5", "0", "0.85")
+    assert document["valid"] == sum(branch["verdict"] == "valid" for branch in document["branches"]) > 0
+
+
+@pytest.mark.slow
+def test_the_installed_command_calibrates_an_arm(installed):
+    document = installed.run_json("calibrate", "--arm", "as-built:7", "--poses", "60", "--out", "arm7.toml")
+    errors_m = document["position_error_m"]
+    assert document["poses"] == 60
+    assert errors_m["held_out"]["rms"] < errors_m["before"]["rms"] / 5
+    assert "as-built:7" in (installed.work / "arm7.toml").read_text()
+
+
+@pytest.mark.slow
+def test_the_installed_names_start_a_run(installed):
+    ask = "from marsarm import start_loop; print(start_loop('as-built:7').cycle().outputs.joint.mode.name)"
+    assert installed.run("python", "-c", ask).stdout == "STOWED\n"
