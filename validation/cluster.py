@@ -1,6 +1,6 @@
-"""Benchmark of the pool on a Ray cluster of two nodes on the loopback: equal bits, a node killed, overhead, cost.
+"""Benchmark of a Ray cluster of two nodes on the loopback: equal bits, a killed node, overhead, cost.
 
-The same arms run in one process, on the cluster, and on the cluster while one of its nodes is killed half way.
+The same arms run in one process, on the cluster, and on the cluster while a node is killed half way.
 The overhead is the median ratio of times on the cluster and in as many local processes, measured alternately.
 Exit status 1 if a result is out of its bounds, 2 if Ray is not installed.
 """

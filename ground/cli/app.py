@@ -23,7 +23,7 @@ from ground.cli.dictionary import dictionary, effects
 from ground.cli.ik import ik, reach
 from ground.cli.log import log_app, replay
 from ground.cli.runs import hardstop, place, run, scenarios
-from ground.cli.verb import EXIT_BAD_INPUT
+from ground.cli.verb import EXIT_BAD_INPUT, VerbCommand
 
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 """Exit status of a program whose reader has closed the pipe, as `head` does."""
@@ -39,8 +39,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command()(place)
-app.command()(ik)
-app.command()(reach)
+app.command(cls=VerbCommand)(ik)
+app.command(cls=VerbCommand)(reach)
 app.command()(hardstop)
 app.command()(run)
 app.command()(scenarios)
@@ -50,10 +50,10 @@ app.command()(effects)
 app.add_typer(log_app, name="log")
 app.add_typer(gap_app, name="gap")
 app.command()(budget)
-app.command("monte-carlo")(monte_carlo)
+app.command("monte-carlo", cls=VerbCommand)(monte_carlo)
 app.command()(calibrate)
 app.command("calibrate-serial")(calibrate_serial)
-app.command()(diagnose)
+app.command(cls=VerbCommand)(diagnose)
 
 
 def main() -> None:

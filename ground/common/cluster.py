@@ -51,6 +51,8 @@ def connect(address: str) -> Callable[[], Executor]:
         before = signal.getsignal(signal.SIGTERM)
         try:
             _check_answers(_find_head(address))
+            # Ray writes the logs of a node that died to standard output, where JSON documents go.
+            ray._private.worker.listen_error_messages = lambda *_: None
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise BadRequest(

@@ -26,7 +26,7 @@ class LocalWorkers:
 
     @property
     def room(self) -> int:
-        """Return the number of idle workers: a task waits here, so that no worker holds what another could do."""
+        """Return the number of idle workers; a task that waits is not bound to one yet."""
         return self.workers - len(self._running)
 
     def submit(self, number: int, work: Callable[[Any], Any], jobs: Sequence[Any]) -> None:

@@ -30,8 +30,6 @@ class Option:
     """True for a file that is read, so that none that is written may be the same."""
     suffixes: tuple[str, ...] = ()
     """Suffixes of a file that is written."""
-    value_alone: str | None = None
-    """Value of an option that may stand without one; else the next word is one if it is HOST:PORT."""
     help_without: str | None = None
     """Help of the flag `--no-NAME`, which sets the field to None."""
 
@@ -143,7 +141,7 @@ CLUSTER_HELP: Final = (
 WorkersOption = Annotated[
     int | None, Option("Number of processes; all cores if not given.", within=(1, 1000))
 ]
-ClusterOption = Annotated[str | None, Option(CLUSTER_HELP, "HOST:PORT", value_alone=CLUSTER_HERE)]
+ClusterOption = Annotated[str | None, Option(CLUSTER_HELP, "HOST:PORT")]
 ReportOption = Annotated[
     Path | None, Option("Write a page with tables and pictures.", "FILE.html", suffixes=(".html",))
 ]

@@ -7,6 +7,7 @@ alone, so it is the same wherever the job runs.
 
 import math
 import os
+import sys
 import time
 import traceback
 from collections import deque
@@ -87,13 +88,14 @@ def select_runner(workers: int | None, cluster: str | None) -> Runner:
 def local_runner(workers: int) -> Runner:
     """Make a runner with this many processes, reused by the next call; one worker runs in this process."""
     if workers == 1:
-        return _run_here
+        return run_here
     from ground.common.local_workers import LocalWorkers
 
     return _reuse(partial(LocalWorkers, workers))
 
 
-def _run_here(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
+def run_here(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
+    """Carry out the jobs one after the other in this process: a Runner."""
     return map(work, jobs)
 
 
@@ -111,9 +113,7 @@ def cluster_runner(address: str = "auto") -> Runner:
     return _reuse(connect(address))
 
 
-def in_order(
-    run: Runner, work: Callable[..., Result], jobs: Iterable[tuple[Any, ...]]
-) -> Iterator[Result]:
+def in_order(run: Runner, work: Callable[..., Result], jobs: Iterable[tuple[Any, ...]]) -> Iterator[Result]:
     """Yield `work(*job)` of each job in the order of the jobs.
 
     Args:
@@ -202,6 +202,7 @@ def _schedule(executor: Executor, work: Callable[[Job], Result], jobs: Sequence[
             task = running.pop(number)
             if outcome is None:
                 queue.put_back(task)
+                print(f"a worker died; {len(task)} jobs are repeated", file=sys.stderr, flush=True)
                 continue
             queue.note(outcome)
             ready += outcome.results

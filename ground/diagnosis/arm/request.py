@@ -4,7 +4,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from ground.common.options import ArmOption, EffectsOption, Option, ParamsOption, ReportOption, SeedOption
+from ground.common.options import (
+    ArmOption,
+    ClusterOption,
+    EffectsOption,
+    Option,
+    ParamsOption,
+    ReportOption,
+    SeedOption,
+    WorkersOption,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +48,8 @@ class DiagnoseRequest:
     ] = None
     effects: EffectsOption = ()
     seed: SeedOption = 0
+    workers: WorkersOption = None
+    cluster: ClusterOption = None
     patch: Annotated[
         Path | None, Option("Write the identified effects, for --effect.", "FILE.toml", suffixes=(".toml",))
     ] = None
