@@ -6,11 +6,14 @@ first task. Ray is optional, and imported only here.
 
 import hashlib
 import logging
+import math
 import os
 import platform
 import signal
 import socket
+import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import version
@@ -26,6 +29,8 @@ PACKAGES: Final = ("numpy", "scipy", "mujoco-core", "ruckig", "ray")
 """Packages whose version changes results, or how they are sent."""
 SOURCES: Final = ("fsw", "sim", "ground")
 SUFFIXES: Final = (".py", ".toml", ".xml")
+COUNT_PERIOD_S: Final = 1.0
+"""Time after which the processors of the cluster are counted again."""
 CONNECT_S: Final = 5.0
 """Time in which the head of a cluster has to answer."""
 QUEUED: Final = 2
@@ -93,12 +98,18 @@ class ClusterWorkers:
     def __init__(self, ray: Any) -> None:
         self._ray = ray
         self._task = ray.remote(num_cpus=1, max_retries=0)(carry_out_there)
-        self._running: dict[Any, int] = {}
+        self._running: dict[Future[Any], tuple[int, Any]] = {}
+        """Number and reference of a task. Ray's own wait is not used: it holds back signals."""
+        self._workers, self._counted_s = 1, -math.inf
 
     @property
     def workers(self) -> int:
         """Return the number of processors of the nodes that are alive; at least 1, as a node may come."""
-        return max(1, int(self._ray.cluster_resources().get("CPU", 0)))
+        now_s = time.monotonic()
+        if now_s > self._counted_s + COUNT_PERIOD_S:
+            self._counted_s = now_s
+            self._workers = max(1, int(self._ray.cluster_resources().get("CPU", 0)))
+        return self._workers
 
     @property
     def room(self) -> int:
@@ -108,27 +119,28 @@ class ClusterWorkers:
     def submit(self, number: int, work: Callable[[Any], Any], jobs: Sequence[Any]) -> None:
         """Send a task to the cluster."""
         description = describe_computer(_list_packages(work))
-        self._running[self._task.remote(description, work, jobs)] = number
+        reference = self._task.remote(description, work, jobs)
+        self._running[reference.future()] = number, reference
 
     def wait(self) -> list[tuple[int, TaskOutcome | None]]:
         """Wait until tasks end; None for the outcome of one whose worker or node died."""
-        done, _ = self._ray.wait(list(self._running))
-        return [(self._running.pop(one), self._fetch(one)) for one in done]
+        done, _ = wait(self._running, return_when=FIRST_COMPLETED)
+        return [(self._running.pop(one)[0], self._fetch(one)) for one in done]
 
     def stop(self) -> None:
         """Kill all tasks."""
-        for one in self._running:
-            self._ray.cancel(one, force=True)
+        for _, reference in self._running.values():
+            self._ray.cancel(reference, force=True)
         self._running.clear()
 
-    def _fetch(self, one: Any) -> TaskOutcome | None:
+    def _fetch(self, one: Future[Any]) -> TaskOutcome | None:
         """Fetch an outcome.
 
         Raises:
             BadRequest: A node cannot load the software, or differs from this machine.
         """
         try:
-            host, found = self._ray.get(one)
+            host, found = one.result()
         except self._ray.exceptions.RayTaskError as error:
             raise BadRequest(
                 f"cluster: a node cannot load a task ({_first_line(error.cause or error)}); install the "
@@ -162,7 +174,7 @@ def carry_out_there(
 def _list_packages(work: Callable[[Any], Any]) -> tuple[str, ...]:
     """List the packages whose sources decide the results of a function."""
     own = getattr(work, "work", work).__module__.partition(".")[0]
-    return SOURCES if own in (*SOURCES, "__main__") else (*SOURCES, own)
+    return (*SOURCES, own) if own == "validation" else SOURCES
 
 
 @cache
