@@ -12,7 +12,7 @@ WORKERS ?= 2
 say = echo "marsarm: $(1)" >&2
 
 .PHONY: help setup demo test test-all bench brief campaign accuracy calibration ur10 joints jobs blind killed damage fuzz mutants \
-  references oracle viewers lint lock clean
+  references oracle viewers cluster lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
@@ -34,6 +34,7 @@ help:
 	@echo "make mutants   change fsw/protect in a thousand places, print which changes its own tests do not notice"
 	@echo "make oracle    compare the inverse kinematics with EAIK, if it can be installed"
 	@echo "make viewers   open a log in pymcap-cli and Rerun, if they can be installed"
+	@echo "make cluster   compare two Ray nodes on this machine with local processes, if Ray can be installed"
 	@echo "make lint      style, types, the direction of imports, retired names and docstrings"
 	@echo "make lock      choose package versions anew (needs uv)"
 	@echo "make clean     remove what the other targets made"
@@ -139,6 +140,14 @@ viewers: $(VENV)/ready
 	@$(INSTALL) --only-binary :all: "pymcap-cli>=0.34" "rerun-sdk>=0.41" || \
 	  $(call say,they were not installed; pip says why above)
 	@$(BIN)/python -m pytest -q tests/ground/telemetry/test_viewers.py $(ARGS)
+
+# Optional, and not in the lock. Without Ray the tests are skipped and say so, and the benchmark says what is missing.
+cluster: $(VENV)/ready
+	@$(call say,installing Ray from the package index; without it nothing is tried)
+	@$(INSTALL) --only-binary :all: "ray~=2.60.0" || $(call say,Ray was not installed; pip says why above)
+	@$(BIN)/python -m pytest -q tests/ground/common/test_cluster.py >&2
+	@$(call say,200 arms on two nodes; this takes five minutes)
+	@$(BIN)/python -m validation.cluster $(ARGS)
 
 # All four speak before any of them stops the target.
 lint: $(VENV)/ready
