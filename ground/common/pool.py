@@ -202,7 +202,7 @@ def _schedule(executor: Executor, work: Callable[[Job], Result], jobs: Sequence[
             task = running.pop(number)
             if outcome is None:
                 queue.put_back(task)
-                print(f"a worker died; {len(task)} jobs are repeated", file=sys.stderr, flush=True)
+                print("a worker died; its jobs are repeated", file=sys.stderr, flush=True)
                 continue
             queue.note(outcome)
             ready += outcome.results
