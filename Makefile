@@ -12,7 +12,7 @@ WORKERS ?= 2
 say = echo "marsarm: $(1)" >&2
 
 .PHONY: help setup demo test test-all bench brief campaign accuracy calibration ur10 joints jobs blind killed damage fuzz mutants \
-  references oracle viewers examples package lint lock clean
+  references oracle viewers examples package cluster lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
@@ -36,6 +36,7 @@ help:
 	@echo "make viewers   open a log in pymcap-cli and Rerun, if they can be installed"
 	@echo "make examples  run the scripts of examples/, write their pictures to docs/examples"
 	@echo "make package   build the source distribution and the wheel in dist/"
+	@echo "make cluster   compare two Ray nodes on this machine with local processes, if Ray can be installed"
 	@echo "make lint      style, types, the direction of imports, retired names and docstrings"
 	@echo "make lock      choose package versions anew (needs uv)"
 	@echo "make clean     remove what the other targets made"
@@ -152,6 +153,13 @@ examples: $(VENV)/ready
 package: $(VENV)/ready
 	@$(call say,building the source distribution, and the wheel from it, in dist/)
 	@$(BIN)/python .ci/package.py dist >/dev/null
+# Optional, and not in the lock. Without Ray the tests are skipped and say so, and the benchmark says what is missing.
+cluster: $(VENV)/ready
+	@$(call say,installing Ray from the package index; without it nothing is tried)
+	@$(INSTALL) --only-binary :all: "ray~=2.60.0" || $(call say,Ray was not installed; pip says why above)
+	@$(BIN)/python -m pytest -q tests/ground/common/test_cluster.py >&2
+	@$(call say,200 arms on two nodes; this takes five minutes)
+	@$(BIN)/python -m validation.cluster $(ARGS)
 
 # All four speak before any of them stops the target.
 lint: $(VENV)/ready

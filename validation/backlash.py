@@ -7,8 +7,6 @@ with backlash compensation, and a fifth of them also without.
 import json
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from typing import Any, Final
 
 import numpy as np
@@ -17,11 +15,12 @@ from fsw.config import configure
 from fsw.dictionary.commands import BacklashMode
 from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
+from ground.common.pool import Runner, in_order
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
 from sim.pose_sequence import RestState, random_goals, visit_poses
 from sim.world import World
-from validation.options import campaign_parser
+from validation.options import campaign_parser, campaign_runner
 
 EXAMPLE = "example: python -m validation.backlash --sequences 20 --poses 50 --arm nominal > backlash.json"
 MAX_TILT_RAD: Final = float(np.radians(30.0))
@@ -82,7 +81,7 @@ def summary(friction_Nm: np.ndarray, settled: Sequence[RestState]) -> dict[str, 
     }
 
 
-def campaign(arm_name: str, sequences: int, poses: int, seed: int, workers: int) -> dict[str, Any]:
+def campaign(arm_name: str, sequences: int, poses: int, seed: int, run: Runner) -> dict[str, Any]:
     """Run all sequences, with and without compensation; the same arguments give the same result."""
     friction = configure(arm_named(arm_name).params).output_friction_Nm
     result: dict[str, Any] = {"arm": arm_name, "pose_sequences": sequences, "seed": seed}
@@ -94,13 +93,12 @@ def campaign(arm_name: str, sequences: int, poses: int, seed: int, workers: int)
         for k in range(sequences if mode == "on" else max(1, sequences // 5))
     ]
     found: dict[str, list[RestState]] = {mode: [] for mode in modes}
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        arm, seeds = arm_named(arm_name), range(seed, seed + sequences)
-        known = dict(zip(seeds, pool.map(initial_reference, [arm] * sequences, seeds), strict=True))
-        running = [(mode, pool.submit(one_tour, arm_name, known[s], mode, poses, s)) for mode, s in jobs]
-        for done, (mode, future) in enumerate(running, 1):
-            found[mode].extend(future.result())
-            print(f"marsarm: {done} of {len(jobs)} sequences", file=sys.stderr)
+    arm, seeds = arm_named(arm_name), range(seed, seed + sequences)
+    known = dict(zip(seeds, in_order(run, initial_reference, ((arm, s) for s in seeds)), strict=True))
+    tours = in_order(run, one_tour, ((arm_name, known[s], mode, poses, s) for mode, s in jobs))
+    for done, ((mode, _), rests) in enumerate(zip(jobs, tours, strict=True), 1):
+        found[mode].extend(rests)
+        print(f"marsarm: {done} of {len(jobs)} sequences", file=sys.stderr)
     for mode in modes:
         result[f"backlash_{mode}"] = summary(friction, found[mode])
     tool = "tool_error_from_backlash_mm"
@@ -121,9 +119,9 @@ def main() -> int:
     parser.add_argument("--sequences", type=int, default=20, help="sequences of each kind (default 20)")
     parser.add_argument("--poses", type=int, default=50, help="settled poses a tour (default 50)")
     options = parser.parse_args()
-    if min(options.sequences, options.poses, options.workers) < 1 or options.seed < 0:
-        parser.error("sequences, poses and workers are 1 or more, the seed is not negative")
-    found = campaign(options.arm, options.sequences, options.poses, options.seed, options.workers)
+    if min(options.sequences, options.poses) < 1 or options.seed < 0:
+        parser.error("sequences and poses are 1 or more, the seed is not negative")
+    found = campaign(options.arm, options.sequences, options.poses, options.seed, campaign_runner(options))
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1
 

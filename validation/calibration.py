@@ -30,11 +30,11 @@ from ground.calibration.simulation import (
     zero_errors_rad,
 )
 from ground.calibration.verify import register_tools
-from ground.common.pool import local_runner
+from ground.common.pool import Runner
 from ground.common.rates import clopper_pearson
 from sim.arms import arm_named
 from sim.params import nominal_params
-from validation.options import campaign_parser
+from validation.options import campaign_parser, campaign_runner
 
 EXAMPLE: Final = "example: python -m validation.calibration --arms 20 --closed-loop > calibration.json"
 INTERVAL: Final = 1.645
@@ -151,12 +151,18 @@ def _best_time(work: Any) -> tuple[float, Any]:
 
 
 def campaign(
-    arms: int, seed: int, workers: int, closed_loop: bool, files: Path | None = None, with_speed: bool = True
+    arms: int,
+    seed: int,
+    runner: Runner,
+    closed_loop: bool,
+    files: Path | None = None,
+    with_speed: bool = True,
 ) -> dict[str, Any]:
     """Calibrate all arms, and check the results; checks of speed require an otherwise idle machine."""
+    files = files and files.absolute()  # a worker may be in another folder
     trials = [CalibrationTrial(seed + k, closed_loop, files) for k in range(arms)]
     results = []
-    for result in local_runner(workers)(run, trials):
+    for result in runner(run, trials):
         results.append(result)
         print(f"marsarm: {len(results)} of {arms} arms", file=sys.stderr)
     results.sort(key=lambda result: int(result["seed"]))
@@ -215,14 +221,14 @@ def main() -> int:
         "--without-speed", action="store_true", help="do not check the speed, on a machine that is not idle"
     )
     options = parser.parse_args()
-    if min(options.arms, options.workers) < 1 or options.seed < 0:
-        parser.error("arms and workers are 1 or more, the seed is not negative")
+    if options.arms < 1 or options.seed < 0:
+        parser.error("arms are 1 or more, the seed is not negative")
     if options.files is not None:
         options.files.mkdir(exist_ok=True)
     result = campaign(
         options.arms,
         options.seed,
-        options.workers,
+        campaign_runner(options),
         options.closed_loop,
         options.files,
         not options.without_speed,

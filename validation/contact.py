@@ -7,7 +7,6 @@ within 20 % of its mean over the last second; from 2 s on, or once the brakes ho
 import json
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from itertools import chain
 
@@ -16,13 +15,14 @@ import numpy as np
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command, ToolChange
 from fsw.dictionary.types import joints5
+from ground.common.pool import Runner, in_order
 from sim.arms import arm_named
 from sim.contact import tool_forces
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.preview import random_placement
 from sim.sequence import run_sequence
-from validation.options import campaign_parser
+from validation.options import campaign_parser, campaign_runner
 from validation.tool_change import FIRST, MOST_DRAWS, SECOND, TILT_RAD, not_completed, place_command
 
 SOON_S, LATER_S, HELD_S = 0.5, 2.0, 4.0
@@ -107,13 +107,12 @@ def one_arm(seed: int) -> list[ContactRest]:
     raise RuntimeError(f"{name}: no tool change was carried out at {MOST_DRAWS} targets")
 
 
-def document(arms: int, seed: int, workers: int) -> dict[str, object]:
+def document(arms: int, seed: int, run: Runner) -> dict[str, object]:
     """Measure this many arms; in bounds if every contact is at rest."""
     found: list[ContactRest] = []
-    with ProcessPoolExecutor(workers) as pool:
-        for k, rests in enumerate(pool.map(one_arm, range(seed, seed + arms)), start=1):
-            found += rests
-            print(f"\rcontacts: {k} of {arms} arms", end="", file=sys.stderr)
+    for k, rests in enumerate(in_order(run, one_arm, ((seed + arm,) for arm in range(arms))), start=1):
+        found += rests
+        print(f"\rcontacts: {k} of {arms} arms", end="", file=sys.stderr)
     print(file=sys.stderr)
     return {
         "contacts": len(found),
@@ -129,7 +128,7 @@ def main() -> int:
     parser = campaign_parser("contact", __doc__, "example: python -m validation.contact --arms 3")
     parser.add_argument("--arms", type=int, default=20, help="calibrated arms (default %(default)s)")
     options = parser.parse_args()
-    found = document(options.arms, options.seed, options.workers)
+    found = document(options.arms, options.seed, campaign_runner(options))
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1
 

@@ -8,7 +8,6 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -20,6 +19,7 @@ from fsw.dictionary.evrs import CommandRefused, FaultResponse
 from fsw.dictionary.faults import Fault as FaultEvr
 from fsw.motion.move import Phase
 from fsw.protect.responses import Response
+from ground.common.pool import Runner, in_order
 from sim.arms import arm_named
 from sim.contact import hull_force_N, tool_forces
 from sim.effects.environment import PowerLoss
@@ -40,7 +40,7 @@ from sim.record import CycleRecord
 from sim.scenario.file import built_in_scenarios, load_scenario
 from sim.scenario.run import scenario_setup
 from sim.sequence import run_sequence
-from validation.options import campaign_parser
+from validation.options import campaign_parser, campaign_runner
 
 FORK_S = 45.0
 """Longest time that a fork runs after its fault."""
@@ -310,7 +310,7 @@ def summary(cases: list[FaultOutcome]) -> dict[str, object]:
     }
 
 
-def document(count: int, seed: int, workers: int, only: str | None = None) -> dict[str, object]:
+def document(count: int, seed: int, run: Runner, only: str | None = None) -> dict[str, object]:
     """Inject this many faults into all scenarios, or into only one."""
     names = [only] if only else list(built_in_scenarios())
     counts = Counter(str(name) for name in np.random.default_rng([seed, 60]).choice(names, count))
@@ -318,10 +318,9 @@ def document(count: int, seed: int, workers: int, only: str | None = None) -> di
         (name, 100 * seed + k, size) for name in names for k, size in enumerate(_chunk_sizes(counts[name]))
     ]
     cases: list[FaultOutcome] = []
-    with ProcessPoolExecutor(workers) as pool:
-        for found in pool.map(campaign, *zip(*chunks, strict=True)):
-            cases += found
-            print(f"\rfaults: {len(cases)} of {count}", end="", file=sys.stderr)
+    for found in in_order(run, campaign, chunks):
+        cases += found
+        print(f"\rfaults: {len(cases)} of {count}", end="", file=sys.stderr)
     print(file=sys.stderr)
     return summary(cases)
 
@@ -336,7 +335,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=1000, help="faults in all (default %(default)s)")
     parser.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
     options = parser.parse_args()
-    found = document(options.count, options.seed, options.workers, options.only)
+    found = document(options.count, options.seed, campaign_runner(options), options.only)
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1
 

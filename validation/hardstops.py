@@ -8,20 +8,19 @@ poses are those of equal torque, and those of Mars, in which the torque differs.
 import json
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from fsw.dictionary.enums import Joint
+from ground.common.pool import Runner
 from sim.arms import BuiltArm, arm_named
 from sim.hardstop_loads import without_turret
 from sim.initialisation import InitialisationResult, prepare_random_homing
 from sim.sequence import Outcome
 from sim.world import World
-from validation.options import campaign_parser
+from validation.options import campaign_parser, campaign_runner
 
 EXAMPLE = "example: python -m validation.hardstops --arms 5 --repeats 50 > hardstops.json"
 ROUNDING: Final = 1e-9
@@ -92,7 +91,7 @@ def _result(trial: HardstopTrial, found: InitialisationResult) -> TrialResult:
 
 
 def campaign(
-    arms: int, repeats: int, seed: int, workers: int, joints: Sequence[Joint] = tuple(Joint)
+    arms: int, repeats: int, seed: int, runner: Runner, joints: Sequence[Joint] = tuple(Joint)
 ) -> dict[str, Any]:
     """Run all trials; the same arguments give the same result."""
     trials = [
@@ -103,12 +102,10 @@ def campaign(
         for repetition in range(repeats if place == "mars" else max(2, repeats // 5))
     ]
     results: list[TrialResult] = []
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        running = [pool.submit(run, trial) for trial in trials]
-        for done, future in enumerate(as_completed(running), 1):
-            results.append(future.result())
-            if done % 50 == 0 or done == len(trials):
-                print(f"marsarm: {done} of {len(trials)} trials", file=sys.stderr)
+    for done, result in enumerate(runner(run, trials), 1):
+        results.append(result)
+        if done % 50 == 0 or done == len(trials):
+            print(f"marsarm: {done} of {len(trials)} trials", file=sys.stderr)
     never = {
         "failed": sum(r.outcome != "done" for r in results),
         "above_rated_torque": sum(r.max_torque_Nm > _rated_Nm(r) for r in results),
@@ -205,10 +202,10 @@ def main() -> int:
     parser.add_argument("--repeats", type=int, default=50, help="repetitions (default 50)")
     parser.add_argument("--joint", choices=list(Joint.__members__), help="only this joint, not all")
     options = parser.parse_args()
-    if min(options.arms, options.workers) < 1 or options.repeats < 2 or options.seed < 0:
-        parser.error("arms and workers are 1 or more, repeats 2 or more, the seed is not negative")
+    if options.arms < 1 or options.repeats < 2 or options.seed < 0:
+        parser.error("arms are 1 or more, repeats 2 or more, the seed is not negative")
     joints = (Joint[options.joint],) if options.joint else tuple(Joint)
-    result = campaign(options.arms, options.repeats, options.seed, options.workers, joints)
+    result = campaign(options.arms, options.repeats, options.seed, campaign_runner(options), joints)
     print(json.dumps(result, indent=2))
     return 0 if result["in_bounds"] else 1
 

@@ -4,7 +4,7 @@ import json
 import sys
 
 from validation import contact, faults, scenarios, tool_change
-from validation.options import campaign_parser
+from validation.options import campaign_parser, campaign_runner
 
 EXAMPLE = "example: python -m validation.jobs --arms 2 --changers 2 --faults 60 > jobs.json"
 
@@ -20,11 +20,12 @@ def main() -> int:
     )
     parser.add_argument("--faults", type=int, default=1000, help="faults in all (default 1000)")
     options = parser.parse_args()
+    run = campaign_runner(options)
     document = {
-        "scenarios": scenarios.document(options.arms, options.arms, options.seed, options.workers),
-        "tool_changes": tool_change.document(options.changers, options.arms, options.seed, options.workers),
-        "contacts": contact.document(options.arms, options.seed, options.workers),
-        "faults": faults.document(options.faults, options.seed, options.workers),
+        "scenarios": scenarios.document(options.arms, options.arms, options.seed, run),
+        "tool_changes": tool_change.document(options.changers, options.arms, options.seed, run),
+        "contacts": contact.document(options.arms, options.seed, run),
+        "faults": faults.document(options.faults, options.seed, run),
     }
     print(json.dumps(document, indent=2))
     return 0 if all(part["in_bounds"] for part in document.values()) else 1

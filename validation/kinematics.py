@@ -9,10 +9,7 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from typing import Any, Final
 
 import numpy as np
@@ -21,6 +18,7 @@ from numpy.typing import NDArray
 from fsw.kinematics.ik import BranchVerdict, IkResult, inverse_kinematics
 from fsw.kinematics.soft_limits import limit_excess
 from fsw.kinematics.transforms import Array
+from ground.common.pool import Runner, in_order, run_here
 from validation.kinematics_samples import Aim, Kinds, near_name, targets, vectors
 from validation.kinematics_trials import (
     CASES,
@@ -34,7 +32,7 @@ from validation.kinematics_trials import (
     smallest_singular_value,
     trials,
 )
-from validation.options import campaign_parser
+from validation.options import campaign_parser, campaign_runner
 
 CHUNK: Final = 10_000
 """Number of targets, and of vectors, in a chunk."""
@@ -264,14 +262,15 @@ def _sort_lost(
 
 
 def run_kinematics_campaign(
-    n_targets: int, n_vectors: int, seed: int = 0, workers: int = 1
+    n_targets: int, n_vectors: int, seed: int = 0, run: Runner = run_here
 ) -> dict[str, Any]:
     """Run the campaign and sum up by case; the same seed and numbers give the same result."""
     began = time.monotonic()
     tallies = {case.name: Tally() for case in CASES}
     chunks = plan_chunks(n_targets, n_vectors, seed)
     printed = began
-    for done, (chunk, tally) in enumerate(_results(chunks, workers), 1):
+    found = in_order(run, run_chunk, ((chunk,) for chunk in chunks))
+    for done, (chunk, tally) in enumerate(zip(chunks, found, strict=True), 1):
         tallies[chunk.case.name].add(tally)
         now = time.monotonic()
         if now - printed > PROGRESS_S or done == len(chunks):
@@ -288,17 +287,6 @@ def run_kinematics_campaign(
             case.name: {"tolerance": case.tolerance_m, **tallies[case.name].as_json()} for case in CASES
         },
     }
-
-
-def _results(chunks: Sequence[Chunk], workers: int) -> Iterator[tuple[Chunk, Tally]]:
-    """Yield tallies when they are ready; their order affects only the choice of examples."""
-    if workers == 1:
-        yield from ((chunk, run_chunk(chunk)) for chunk in chunks)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        running = {pool.submit(run_chunk, chunk): chunk for chunk in chunks}
-        for future in as_completed(running):
-            yield running[future], future.result()
 
 
 def _share(tallies: dict[str, Tally]) -> float:
@@ -318,9 +306,9 @@ def main() -> int:
     parser.add_argument("--targets", type=int, default=200_000, help="random targets (default 200000)")
     parser.add_argument("--vectors", type=int, default=200_000, help="random joint vectors (default 200000)")
     options = parser.parse_args()
-    if min(options.targets, options.vectors, options.workers) < 1 or options.seed < 0:
-        parser.error("targets, vectors and workers are 1 or more, the seed is not negative")
-    result = run_kinematics_campaign(options.targets, options.vectors, options.seed, options.workers)
+    if min(options.targets, options.vectors) < 1 or options.seed < 0:
+        parser.error("targets and vectors are 1 or more, the seed is not negative")
+    result = run_kinematics_campaign(options.targets, options.vectors, options.seed, campaign_runner(options))
     print(json.dumps(result, indent=2))
     return 1 if result["failures"] else 0
 

@@ -37,7 +37,7 @@ MOST_DIFFERENCE_M: Final = 3e-4
 
 def against_budget(case: str, options: Any) -> dict[str, Any]:
     """Run sampled arms of a case, by statics and in the closed loop."""
-    base = MonteCarloRequest(case=case, seed=options.seed, workers=options.workers)
+    base = MonteCarloRequest(case=case, seed=options.seed, workers=options.workers, cluster=options.cluster)
     many = _run(replace(base, move_model="statics", arms=options.statics), options.results)
     some = _run(replace(base, move_model="closed-loop", arms=options.closed_loop), options.results)
     difference_m = [
@@ -64,6 +64,7 @@ def calibrated(options: Any) -> dict[str, Any]:
         places=PLACES,
         seed=options.seed,
         workers=options.workers,
+        cluster=options.cluster,
     )
     report = _run(request, options.results)
     if report.three_sigma is None:

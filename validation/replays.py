@@ -7,7 +7,6 @@ relative to real time, and to the run that it replays.
 import json
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
@@ -15,12 +14,13 @@ from tempfile import TemporaryDirectory
 
 from fsw.config import CYCLE_HZ
 from ground.common.errors import BadRequest
+from ground.common.pool import Runner, in_order
 from ground.replay.replay import ReplayRequest, replay
 from ground.replay.tables import verdict_line
 from ground.runs.request import RunFiles, RunRequest
 from ground.runs.scenario import run_scenario
 from sim.scenario.file import built_in_scenarios
-from validation.options import campaign_parser
+from validation.options import campaign_parser, campaign_runner
 
 TILT_DEG = (6.0, -4.0)
 """Roll and pitch of the rover, with arms other than the nominal one."""
@@ -73,15 +73,14 @@ def replay_one(scenario: str, arm: str) -> ReplayOutcome:
         )
 
 
-def document(arms: int, seed: int, workers: int, only: str | None = None) -> dict[str, object]:
+def document(arms: int, seed: int, runner: Runner, only: str | None = None) -> dict[str, object]:
     """Replay every scenario, or only one, on the nominal arm and on this many of each other kind."""
     names = ["nominal", *(f"{k}:{seed + n}" for n in range(1, arms + 1) for k in ("calibrated", "as-built"))]
     jobs = list(product([only] if only else built_in_scenarios(), names))
     ran: list[ReplayOutcome] = []
-    with ProcessPoolExecutor(workers) as pool:
-        for k, found in enumerate(pool.map(replay_one, *zip(*jobs, strict=True)), start=1):
-            ran.append(found)
-            print(f"\rreplays: {k} of {len(jobs)}", end="", file=sys.stderr)
+    for k, found in enumerate(in_order(runner, replay_one, jobs), start=1):
+        ran.append(found)
+        print(f"\rreplays: {k} of {len(jobs)}", end="", file=sys.stderr)
     print(file=sys.stderr)
     return summarize(ran)
 
@@ -103,7 +102,7 @@ def main() -> None:
     parser.add_argument("--arms", type=int, default=3, help="arms of each kind but nominal (default 3)")
     parser.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
     options = parser.parse_args()
-    found = document(options.arms, options.seed, options.workers, options.only)
+    found = document(options.arms, options.seed, campaign_runner(options), options.only)
     print(json.dumps(found, indent=2))
     sys.exit(found["identical"] != found["requested"])
 

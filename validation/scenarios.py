@@ -7,13 +7,13 @@ twice as large.
 
 import json
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
 from fsw.dictionary.faults import Fault
 from fsw.estimate.reference import Reference
+from ground.common.pool import Runner, in_order
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop
@@ -22,7 +22,7 @@ from sim.scenario.file import built_in_scenarios, load_scenario
 from sim.scenario.run import ScenarioRun, scenario_setup
 from sim.scenario.teaching import teach
 from sim.sequence import Outcome
-from validation.options import campaign_parser
+from validation.options import campaign_parser, campaign_runner
 
 TILT_DEG = {"contact-science": 30.0, "tool-change": 30.0}
 """Tilt in scenarios that place an instrument."""
@@ -124,7 +124,7 @@ def summary(ran: list[ScenarioOutcome]) -> dict[str, object]:
 
 
 def document(
-    calibrated: int, as_built: int, seed: int, workers: int, only: str | None = None
+    calibrated: int, as_built: int, seed: int, run: Runner, only: str | None = None
 ) -> dict[str, object]:
     """Run every scenario, or only one, on the nominal arm and on this many others."""
     names = (only,) if only else tuple(built_in_scenarios())
@@ -132,19 +132,16 @@ def document(
     arms += [f"calibrated:{seed + k}" for k in range(1, calibrated + 1)]
     arms += [f"as-built:{seed + k}" for k in range(1, as_built + 1)]
     ran: list[ScenarioOutcome] = []
-    with ProcessPoolExecutor(workers) as pool:
-        for k, found in enumerate(pool.map(run_on_arm, arms, [names] * len(arms)), start=1):
-            ran += found
-            failed = [
-                f"{case.scenario}: {', '.join(case.failed) or case.outcome}"
-                for case in found
-                if not case.passed
-            ]
-            print(
-                f"{k} of {len(arms)}, {arms[k - 1]}: {'; '.join(failed) or 'passed'}",
-                file=sys.stderr,
-                flush=True,
-            )
+    for k, found in enumerate(in_order(run, run_on_arm, ((arm, names) for arm in arms)), start=1):
+        ran += found
+        failed = [
+            f"{case.scenario}: {', '.join(case.failed) or case.outcome}" for case in found if not case.passed
+        ]
+        print(
+            f"{k} of {len(arms)}, {arms[k - 1]}: {'; '.join(failed) or 'passed'}",
+            file=sys.stderr,
+            flush=True,
+        )
     return summary(ran)
 
 
@@ -157,7 +154,9 @@ def main() -> int:
     parser.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
     parser.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
     options = parser.parse_args()
-    found = document(options.calibrated, options.as_built, options.seed, options.workers, options.only)
+    found = document(
+        options.calibrated, options.as_built, options.seed, campaign_runner(options), options.only
+    )
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1
 

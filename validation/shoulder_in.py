@@ -9,10 +9,8 @@ the backlash side at the hardstop for every joint, the other uses the estimate o
 import json
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,13 +21,14 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle, settle_output
+from ground.common.pool import Runner, in_order
 from ground.render.figures import save_figure
 from sim.arms import BuiltArm, arm_named
 from sim.effects.structure import StandInTurret
 from sim.initialisation import initial_reference
 from sim.pose_sequence import RestState, pose_in_workspace, visit_poses
 from sim.world import World
-from validation.options import campaign_parser
+from validation.options import campaign_parser, campaign_runner
 
 EXAMPLE = "example: python -m validation.shoulder_in --picture docs/shoulder-in.png"
 GROUPS: Final = ((8.0, 0.0), (8.0, 20.0), (19.0, 0.0), (19.0, 20.0))
@@ -84,13 +83,12 @@ def group(index: int, seed: int, poses: int, reference: Reference) -> list[Predi
 
 
 def predictions(
-    seed: int, workers: int, poses: int = POSES, groups: int = len(GROUPS)
+    seed: int, run: Runner, poses: int = POSES, groups: int = len(GROUPS)
 ) -> list[list[Prediction]]:
     """Predict the first groups, or all."""
     reference = initial_reference(arm_named("nominal"), seed)
     one_group = partial(group, seed=seed, poses=poses, reference=reference)
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(one_group, range(groups)))
+    return list(in_order(run, one_group, ((number,) for number in range(groups))))
 
 
 def _predict(config: Config, s: RestState, shoulder_in: bool) -> Prediction:
@@ -169,9 +167,9 @@ def main() -> int:
     options = parser.parse_args()
     if not 1 <= options.groups <= len(GROUPS):
         parser.error(f"groups: {options.groups} is not within 1 .. {len(GROUPS)}")
-    if options.poses < 2 or options.workers < 1 or options.seed < 0:
-        parser.error("poses are 2 or more, workers 1 or more, the seed is not negative")
-    groups = predictions(options.seed, options.workers, options.poses, options.groups)
+    if options.poses < 2 or options.seed < 0:
+        parser.error("poses are 2 or more, the seed is not negative")
+    groups = predictions(options.seed, campaign_runner(options), options.poses, options.groups)
     if options.picture is not None:
         draw(groups, options.picture)
     found = document(groups)

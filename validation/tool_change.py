@@ -8,7 +8,6 @@ also placed by coordinates alone. As-built arms are flown with the nominal param
 import json
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
 from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
+from ground.common.pool import Runner, in_order
 from sim.arms import SPRING_FRAMES, BuiltArm, arm_named
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError, Warming
@@ -29,7 +29,7 @@ from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop, Setup
 from sim.preview import Preview, random_placement
 from sim.sequence import run_sequence
-from validation.options import campaign_parser
+from validation.options import campaign_parser, campaign_runner
 
 WARMING_K = 50.0
 STIFFNESS = 1.2
@@ -172,21 +172,18 @@ def summary(changes: list[ToolChangeErrors]) -> dict[str, object]:
     return {"count": len(changes), **named}
 
 
-def document(
-    calibrated: int, as_built: int, seed: int, workers: int, poses: int = POSES
-) -> dict[str, object]:
+def document(calibrated: int, as_built: int, seed: int, run: Runner, poses: int = POSES) -> dict[str, object]:
     """Measure tool changes of this many arms."""
     found: dict[str, list[ToolChangeErrors]] = {}
     failed: dict[str, list[str]] = {}
-    with ProcessPoolExecutor(workers) as pool:
-        for kind, count in (("calibrated", calibrated), ("as-built", as_built)):
-            found[kind], failed[kind] = [], []
-            arms = pool.map(one_arm, [kind] * count, range(seed, seed + count), [poses] * count)
-            for k, (changes, reasons) in enumerate(arms, start=1):
-                found[kind].extend(changes)
-                failed[kind].extend(reasons)
-                print(f"\rtool changes, {kind}: {k} of {count} arms", end="", file=sys.stderr)
-            print(file=sys.stderr)
+    for kind, count in (("calibrated", calibrated), ("as-built", as_built)):
+        found[kind], failed[kind] = [], []
+        arms = in_order(run, one_arm, ((kind, seed + k, poses) for k in range(count)))
+        for k, (changes, reasons) in enumerate(arms, start=1):
+            found[kind].extend(changes)
+            failed[kind].extend(reasons)
+            print(f"\rtool changes, {kind}: {k} of {count} arms", end="", file=sys.stderr)
+        print(file=sys.stderr)
     measured = {kind: summary(changes) for kind, changes in found.items() if changes}
     near = all(change.from_spot_mm <= FROM_SPOT_MM for change in found["calibrated"])
     carried_out = len(found["calibrated"]) == calibrated * poses
@@ -202,7 +199,9 @@ def main() -> int:
         "--poses", type=int, default=POSES, help="tool changes of each arm (default %(default)s)"
     )
     options = parser.parse_args()
-    found = document(options.calibrated, options.as_built, options.seed, options.workers, options.poses)
+    found = document(
+        options.calibrated, options.as_built, options.seed, campaign_runner(options), options.poses
+    )
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1
 

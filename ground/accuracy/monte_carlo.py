@@ -1,6 +1,5 @@
 """Monte Carlo of arms as a request of the command line: jobs, checkpoints, and comparison with the budget."""
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
@@ -24,7 +23,7 @@ from ground.accuracy.trial import run_built_trial, run_sampled_trial
 from ground.common.checkpoint import Checkpoint
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
-from ground.common.pool import Runner, cluster_runner, local_runner
+from ground.common.pool import Runner, select_runner
 from ground.common.progress import Progress, no_progress
 from ground.common.requests import load_params, select_arm
 from sim.world import World
@@ -156,7 +155,7 @@ def run_monte_carlo(request: MonteCarloRequest, progress: Progress = no_progress
     model = load_error_model()
     _check(request, model)
     jobs = _jobs(request)
-    runner = cluster_runner() if request.cluster else local_runner(request.workers or os.cpu_count() or 1)
+    runner = select_runner(request.workers, request.cluster)
     file = (
         None
         if request.results is None

@@ -4,7 +4,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from ground.common.options import MismatchOption, Option, ParamsOption, ReportOption
+from ground.common.options import (
+    ClusterOption,
+    MismatchOption,
+    Option,
+    ParamsOption,
+    ReportOption,
+    WorkersOption,
+)
 
 ArmKind = Literal["sampled", "calibrated", "as-built"]
 MoveModel = Literal["closed-loop", "statics"]
@@ -66,10 +73,8 @@ class MonteCarloRequest:
         int | None,
         Option("Run arm number K alone; its results are the same as among others.", "K"),
     ] = None
-    workers: Annotated[
-        int | None, Option("Number of processes; all cores if not given.", within=(1, 1000))
-    ] = None
-    cluster: Annotated[bool, Option("Run on the Ray cluster that RAY_ADDRESS names.")] = False
+    workers: WorkersOption = None
+    cluster: ClusterOption = None
     params: Annotated[
         Path | None,
         Option(

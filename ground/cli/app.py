@@ -25,7 +25,7 @@ from ground.cli.dictionary import dictionary, effects
 from ground.cli.ik import ik, reach
 from ground.cli.log import log_app, replay
 from ground.cli.runs import hardstop, place, run, scenarios
-from ground.cli.verb import EXIT_BAD_INPUT
+from ground.cli.verb import EXIT_BAD_INPUT, VerbCommand
 
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 """Exit status of a program whose reader has closed the pipe, as `head` does."""
@@ -59,8 +59,8 @@ def _options_without_verb(_: VersionOption = False) -> None:
 
 
 app.command()(place)
-app.command()(ik)
-app.command()(reach)
+app.command(cls=VerbCommand)(ik)
+app.command(cls=VerbCommand)(reach)
 app.command()(hardstop)
 app.command()(run)
 app.command()(scenarios)
@@ -71,10 +71,10 @@ app.add_typer(log_app, name="log")
 app.add_typer(gap_app, name="gap")
 app.add_typer(arm_app, name="arm")
 app.command()(budget)
-app.command("monte-carlo")(monte_carlo)
+app.command("monte-carlo", cls=VerbCommand)(monte_carlo)
 app.command()(calibrate)
 app.command("calibrate-serial")(calibrate_serial)
-app.command()(diagnose)
+app.command(cls=VerbCommand)(diagnose)
 
 
 def main() -> None:

@@ -2,19 +2,24 @@
 
 import inspect
 import json
+import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, is_dataclass
+from itertools import pairwise
 from typing import Annotated, Any, Final, Literal, get_args, get_origin
 
 import typer
+from typer.core import TyperCommand
 
 from ground.common.errors import UserError
-from ground.common.options import Field, Option, option_fields
+from ground.common.options import CLUSTER_HERE, Field, Option, option_fields
 from ground.common.progress import progress_bar
 
 EXIT_BAD_INPUT: Final = 2
+ADDRESS: Final = re.compile(rf"{CLUSTER_HERE}|\S+:[0-9]+")
+"""Value of the option `--cluster`."""
 EXIT_ARM_SAFE: Final = 3
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 
@@ -29,6 +34,22 @@ class VerbResult:
     """False if the arm refused or faulted and is safe."""
     save: Callable[[], None] | None = None
     """Function that writes files; a result that took minutes is printed first."""
+
+
+class VerbCommand(TyperCommand):
+    """Command with options that may stand without a value, which typer does not know."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words of the command line, after each such option has got a value."""
+        return super().parse_args(ctx, list(give_address(args)))
+
+
+def give_address(words: Sequence[str]) -> Iterator[str]:
+    """Put CLUSTER_HERE after an option `--cluster` that no HOST:PORT follows."""
+    for word, following in pairwise((*words, "")):
+        yield word
+        if word == "--cluster" and not ADDRESS.fullmatch(following):
+            yield CLUSTER_HERE
 
 
 def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:

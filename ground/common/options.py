@@ -7,7 +7,7 @@ line makes an option of it with the default of the field; `check_options` refuse
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from ground.common.errors import BadRequest
 from ground.common.files import check_distinct_files, check_output
@@ -136,6 +136,15 @@ EffectsOption = Annotated[
         is_read=True,
     ),
 ]
+CLUSTER_HERE: Final = "auto"
+"""Value of `--cluster` alone: the cluster that RAY_ADDRESS names, or else that of this machine."""
+CLUSTER_HELP: Final = (
+    "Run on a Ray cluster: on that at HOST:PORT, or without it on that of RAY_ADDRESS or of this machine."
+)
+WorkersOption = Annotated[
+    int | None, Option("Number of processes; all cores if not given.", within=(1, 1000))
+]
+ClusterOption = Annotated[str | None, Option(CLUSTER_HELP, "HOST:PORT")]
 ReportOption = Annotated[
     Path | None, Option("Write a page with tables and pictures.", "FILE.html", suffixes=(".html",))
 ]

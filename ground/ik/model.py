@@ -10,6 +10,7 @@ from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.ik import IkResult, inverse_kinematics
 from fsw.kinematics.transforms import Array
 from ground.common.errors import BadRequest
+from ground.common.pool import Runner, in_order
 from ground.common.progress import Progress
 from ground.common.requests import make_world, parse_tool, select_arm
 from ground.ik.request import ModelRequest
@@ -44,11 +45,14 @@ class IkModel:
         level = request.tilt_roll_deg == request.tilt_pitch_deg == 0.0
         return text + f", deflected by the gravity of {request.gravity.title()}" + ("" if level else tilted)
 
-    def solve_in_batches(self, targets: IkTargets, progress: Progress) -> Iterator[IkResult]:
+    def solve_in_batches(self, targets: IkTargets, run: Runner, progress: Progress) -> Iterator[IkResult]:
         """Solve the inverse kinematics in parts, (S, n) each; the number of slots S may differ."""
-        for start in range(0, len(targets), BATCH_SIZE):
+        starts = range(0, len(targets), BATCH_SIZE)
+        parts = ((self, targets.part(start, BATCH_SIZE)) for start in starts)
+        progress(0, len(targets), "solving")
+        for start, result in zip(starts, in_order(run, IkModel.solve, parts), strict=True):
             progress(start, len(targets), "solving")
-            yield self.solve(targets.part(start, BATCH_SIZE))
+            yield result
 
     def solve(self, targets: IkTargets) -> IkResult:
         """Solve the inverse kinematics of all targets for every branch, shape (S, n)."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
 from ground.common.options import check_options
+from ground.common.pool import Runner, select_runner
 from ground.common.progress import Progress, no_progress
 from ground.ik.model import IkModel, build_ik_model
 from ground.ik.request import ReachRequest
@@ -52,7 +53,9 @@ class ReachSamples:
     """Number of valid branches, shape (n,)."""
 
 
-def sample_workspace(model: IkModel, count: int, seed: int, progress: Progress) -> tuple[ReachSamples, Tally]:
+def sample_workspace(
+    model: IkModel, count: int, seed: int, run: Runner, progress: Progress
+) -> tuple[ReachSamples, Tally]:
     """Draw random targets of the workspace and solve their inverse kinematics.
 
     Returns:
@@ -61,7 +64,7 @@ def sample_workspace(model: IkModel, count: int, seed: int, progress: Progress) 
     p_N_m, angles = random_targets(np.random.default_rng(seed), count)
     targets = IkTargets(p_R_from_N(p_N_m.T).T, approach_from(angles))
     valid, counted = [], Tally()
-    for result in model.solve_in_batches(targets, progress):
+    for result in model.solve_in_batches(targets, run, progress):
         valid.append((result.verdict == BranchVerdict.VALID).sum(axis=0))
         counted += tally(result)
     return ReachSamples(p_N_m, angles, np.concatenate(valid)), counted
@@ -195,7 +198,8 @@ def reach(request: ReachRequest, progress: Progress = no_progress) -> ReachRepor
     """
     check_options(request)
     model = build_ik_model(request.model)
-    samples, counted = sample_workspace(model, request.samples, request.seed, progress)
+    run = select_runner(request.workers, request.cluster)
+    samples, counted = sample_workspace(model, request.samples, request.seed, run, progress)
     problem = None
     if request.picture is not None:
         progress(1, 1, "drawing")

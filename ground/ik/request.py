@@ -4,10 +4,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-from ground.common.options import MismatchOption, Option, ParamsOption, PitchOption, RollOption, Vector
+from ground.common.options import (
+    ClusterOption,
+    MismatchOption,
+    Option,
+    ParamsOption,
+    PitchOption,
+    RollOption,
+    Vector,
+)
 
 MOST_SAMPLES: Final = 1_000_000
 BATCH_SUFFIXES: Final = (".npz", ".parquet")
+BatchWorkersOption = Annotated[
+    int, Option("Number of processes that solve a batch; they pay from 100,000 targets on.", within=(1, 1000))
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +86,8 @@ class IkRequest:
             suffixes=BATCH_SUFFIXES,
         ),
     ] = None
+    workers: BatchWorkersOption = 1
+    cluster: ClusterOption = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +97,8 @@ class ReachRequest:
     model: ModelRequest = ModelRequest()
     samples: Annotated[int, Option("Number of random targets.", within=(1, MOST_SAMPLES))] = 20_000
     seed: Annotated[int, Option("Seed of the random targets.", within=(0, None))] = 0
+    workers: BatchWorkersOption = 1
+    cluster: ClusterOption = None
     picture: Annotated[
         Path | None,
         Option("Draw the map.", "FILE.png", suffixes=(".png",), help_without="Draw no picture."),

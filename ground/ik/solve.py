@@ -10,6 +10,7 @@ from fsw.kinematics.batch import select_targets
 from fsw.kinematics.ik import IkResult
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
+from ground.common.pool import select_runner
 from ground.common.progress import Progress, no_progress
 from ground.ik.model import IkModel, build_ik_model
 from ground.ik.request import IkRequest
@@ -68,9 +69,10 @@ def _solve_batch(
     request: IkRequest, model: IkModel, batch: Path, out: Path, progress: Progress
 ) -> BatchReport:
     targets = read_targets(batch, request.frame)
+    run = select_runner(request.workers, request.cluster)
     counted = Tally()
     with open_writer(out, _about(request, model)) as writer:
-        for result in model.solve_in_batches(targets, progress):
+        for result in model.solve_in_batches(targets, run, progress):
             writer.add(result)
             counted += tally(result)
         progress(1, 1, "writing")

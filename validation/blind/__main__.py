@@ -3,16 +3,16 @@
 `python -m validation.blind make|solve|score`; `python -m validation.blind.brief` does all three in a minute.
 """
 
-import os
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ground.cli.verb import VerbResult, verb
+from ground.cli.verb import VerbCommand, VerbResult, verb
 from ground.common.files import check_output
-from ground.common.pool import local_runner
+from ground.common.options import CLUSTER_HELP
+from ground.common.pool import select_runner
 from ground.common.progress import Progress
 from validation.blind.arm_solver import ARM_SOLVER, load_campaign_sensitivities
 from validation.blind.folder import check_jobs, check_make
@@ -23,6 +23,7 @@ from validation.blind.table import save_score, score_json, score_markdown
 
 FolderArgument = Annotated[Path, typer.Argument(help="Folder made by `make`.", metavar="FOLDER")]
 JobsOption = Annotated[int | None, typer.Option(help="Processes; all cores if not given.")]
+ClusterOption = Annotated[str | None, typer.Option(help=CLUSTER_HELP, metavar="HOST:PORT")]
 
 app = typer.Typer(
     name="python -m validation.blind",
@@ -35,7 +36,7 @@ app = typer.Typer(
 )
 
 
-@app.command()
+@app.command(cls=VerbCommand)
 @verb
 def make(
     progress: Progress,
@@ -43,6 +44,7 @@ def make(
     cases: Annotated[int, typer.Option(help="Number of cases.")] = 200,
     seed: Annotated[int, typer.Option(help="Seed of effects, sizes, arms and noise.")] = 0,
     jobs: JobsOption = None,
+    cluster: ClusterOption = None,
 ) -> VerbResult:
     """Record blind cases: with no effect, one, two, or one that is in no catalogue.
 
@@ -54,8 +56,8 @@ def make(
     def publish(digest: str) -> None:
         print(f"SHA-256 of the truth: {digest}", file=sys.stderr)
 
-    check_make(cases, seed, out, _worker_count(jobs))
-    made = make_cases(out, cases, seed, local_runner(_worker_count(jobs)), progress, publish)
+    check_make(cases, seed, out, jobs)
+    made = make_cases(out, cases, seed, select_runner(jobs, cluster), progress, publish)
     document = {
         "digest": made.digest,
         "cases": made.cases,
@@ -65,15 +67,17 @@ def make(
     return VerbResult(document, lambda: print(f"{made.cases} cases, {made.recorded} of them recorded now"))
 
 
-@app.command()
+@app.command(cls=VerbCommand)
 @verb
-def solve(progress: Progress, folder: FolderArgument, jobs: JobsOption = None) -> VerbResult:
+def solve(
+    progress: Progress, folder: FolderArgument, jobs: JobsOption = None, cluster: ClusterOption = None
+) -> VerbResult:
     """Diagnose every blind case without a result; the truth is not read.
 
     Example: python -m validation.blind solve blind
     """
-    check_jobs(_worker_count(jobs))
-    now, cases = solve_cases(folder, ARM_SOLVER, local_runner(_worker_count(jobs)), progress)
+    check_jobs(jobs)
+    now, cases = solve_cases(folder, ARM_SOLVER, select_runner(jobs, cluster), progress)
     return VerbResult(
         {"solved": now, "cases": cases}, lambda: print(f"{cases} cases, {now} of them solved now")
     )
@@ -99,10 +103,6 @@ def score(
     if out is not None:
         save_score(found, out)
     return VerbResult(score_json(found), lambda: print(score_markdown(found), end=""))
-
-
-def _worker_count(requested: int | None) -> int:
-    return (os.cpu_count() or 1) if requested is None else requested
 
 
 if __name__ == "__main__":

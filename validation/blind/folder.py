@@ -136,7 +136,7 @@ def write_json(path: Path, document: Mapping[str, Any] | list[Any]) -> None:
 MAX_CASES = 1000
 
 
-def check_make(cases: int, seed: int, out: Path, jobs: int) -> None:
+def check_make(cases: int, seed: int, out: Path, jobs: int | None) -> None:
     """Refuse arguments of `make` that are wrong, before anything is written.
 
     Raises:
@@ -157,7 +157,7 @@ def check_make(cases: int, seed: int, out: Path, jobs: int) -> None:
         raise BadRequest(f"out {out}: holds something else; name a new folder, or one of blind cases")
 
 
-def check_jobs(jobs: int) -> None:
+def check_jobs(jobs: int | None) -> None:
     """Refuse a number of processes below 1 with BadRequest."""
-    if jobs < 1:
+    if jobs is not None and jobs < 1:
         raise BadRequest(f"jobs: {jobs} is not 1 or more")

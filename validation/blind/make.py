@@ -99,7 +99,11 @@ def _make_cases(
         truth = draw_truth(cases, seed, *_list_detectable(folder / CAMPAIGN_FOLDER, seed, run, progress))
         seal(folder, truth)
     publish(truth.digest())
-    jobs = [_Job(folder, case) for case in truth.cases if not (folder / CASES_FOLDER / case.name).exists()]
+    jobs = [
+        _Job(folder.absolute(), case)
+        for case in truth.cases
+        if not (folder / CASES_FOLDER / case.name).exists()
+    ]
     for done, name in enumerate(run(_record_job, jobs), 1):
         progress(done, len(jobs), name)
     return MadeCases(truth.digest(), cases, len(jobs), tuple(left_out(folder, truth, all_sessions())))
@@ -175,6 +179,8 @@ def _spec(name: tuple[str, str], values: Array) -> str:
 def _record_job(job: _Job) -> str:
     """Record one case completely or not at all; return its name."""
     place = job.folder / CASES_FOLDER / job.case.name
+    if place.exists():  # a worker recorded it and died before it could say so
+        return job.case.name
     part = place.with_name(f".{place.name}{PARTIAL_SUFFIX}")
     shutil.rmtree(part, ignore_errors=True)
     try:

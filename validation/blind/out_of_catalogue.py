@@ -188,7 +188,9 @@ def uncatalogued_limits(
         shares = {name: 1.0 for name in wanted if name not in limits}
         best = dict.fromkeys(shares, np.inf)
         for attempt in range(MAX_ROUNDS + 1):
-            jobs = [_Job(tuple(logs), name, share) for name, share in shares.items()]
+            jobs = [
+                _Job(tuple(log.absolute() for log in logs), name, share) for name, share in shares.items()
+            ]
             shares = {}
             for done, one in enumerate(run(_difference, jobs), 1):
                 limit = column_detection_limit(equations, one.column[:, None])

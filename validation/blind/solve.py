@@ -52,7 +52,7 @@ def solve_cases(folder: Path, solver: Solver, run: Runner, progress: Progress) -
         BadOutput: A result cannot be written.
     """
     cases = list_cases(folder)
-    jobs = [_Job(case, solver) for case in cases if not result_path(case).exists()]
+    jobs = [_Job(case.absolute(), solver) for case in cases if not result_path(case).exists()]
     if jobs:  # before the pool starts, else every process would compute it
         solver.prepare_campaign(folder / CAMPAIGN_FOLDER, run, progress)
     for done, name in enumerate(run(_solve_case, jobs), 1):

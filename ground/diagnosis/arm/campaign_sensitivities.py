@@ -111,7 +111,8 @@ def compute_sensitivities(
         BadRequest: A cached file cannot be read, or the folder cannot be made.
         BadOutput: A file cannot be written.
     """
-    paths, names = tuple(sorted(logs)), tuple(catalogue() if kinds is None else kinds)
+    paths = tuple(path.absolute() for path in sorted(logs))  # a worker may be in another folder
+    names = tuple(catalogue() if kinds is None else kinds)
     path = kept_in / _cache_name(paths, names)
     if path.exists():
         return CachedSensitivities(_load_cache(path), path)

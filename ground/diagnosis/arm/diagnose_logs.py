@@ -3,7 +3,7 @@
 import hashlib
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
@@ -11,7 +11,7 @@ from typing import Final
 from fsw.dictionary.params import Params
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
-from ground.common.pool import local_runner
+from ground.common.pool import Runner, select_runner
 from ground.common.progress import Progress, no_progress
 from ground.common.requests import parse_effects
 from ground.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
@@ -50,6 +50,8 @@ class DiagnoseJob:
     seed: int = 0
     patch: tuple[Effect, ...] = ()
     """Effects that are switched on in the simulator from the start."""
+    run: Runner = field(default_factory=lambda: select_runner(None, None), compare=False)
+    """Runner of parallel jobs."""
 
     @property
     def base(self) -> Params:
@@ -76,7 +78,8 @@ def prepare_diagnosis(request: DiagnoseRequest) -> DiagnoseJob:
         raise BadRequest(f"campaign {request.campaign}: there is no such folder of logs")
     kinds = None if request.catalogue is None else _parse_effects(request.catalogue)
     effects = parse_effects(request.effects)
-    return DiagnoseJob(fitted, held_out, request.params, kinds, request.campaign, request.seed, effects)
+    run = select_runner(request.workers, request.cluster)
+    return DiagnoseJob(fitted, held_out, request.params, kinds, request.campaign, request.seed, effects, run)
 
 
 def _expand_logs(given: Sequence[Path], what: str) -> Iterator[Path]:
@@ -166,7 +169,7 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> DiagnosisResult:
         logs,
         held_out,
         job.campaign or _cache_folder(),
-        local_runner(os.cpu_count() or 1),
+        job.run,
         progress,
         job.kinds,
     )

@@ -6,12 +6,14 @@ from typing import Annotated
 
 from ground.common.options import (
     ArmOption,
+    ClusterOption,
     EffectsOption,
     MismatchOption,
     Option,
     ParamsOption,
     ReportOption,
     SeedOption,
+    WorkersOption,
 )
 
 
@@ -48,6 +50,8 @@ class DiagnoseRequest:
     ] = None
     effects: EffectsOption = ()
     seed: SeedOption = 0
+    workers: WorkersOption = None
+    cluster: ClusterOption = None
     patch: Annotated[
         Path | None, Option("Write the identified effects, for --effect.", "FILE.toml", suffixes=(".toml",))
     ] = None

@@ -107,7 +107,7 @@ def test_results_of_another_case_are_refused(tmp_path):
 def test_without_ray_a_cluster_is_refused_and_nothing_is_written(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(BadRequest, match="ray is not installed"):
-        run_monte_carlo(replace(STATICS, cluster=True, results=tmp_path / "r.jsonl"), quiet)
+        run_monte_carlo(replace(STATICS, cluster="auto", results=tmp_path / "r.jsonl"), quiet)
     assert not list(tmp_path.iterdir())
 
 

@@ -12,7 +12,7 @@ import pytest
 from ground.accuracy.request import BudgetRequest, MonteCarloRequest
 from ground.calibration.request import CalibrateRequest, SerialRequest
 from ground.cli import accuracy, calibrate, diagnosis, ik, runs
-from ground.cli.verb import VerbResult, verb
+from ground.cli.verb import VerbResult, give_address, verb
 from ground.common.errors import BadRequest
 from ground.common.options import Option, check_options, option_fields
 from ground.diagnosis.arm.request import DiagnoseRequest, RecordRequest
@@ -115,3 +115,20 @@ def test_a_request_is_built_from_the_options(capsys):
     work(**given | {"table": ["x"], "size": 2.0, "no_out": True, "as_json": True})
     assert requests == [Request(), Request(("x",), 2.0, files=Files(None))]
     assert capsys.readouterr().out == 'a table\n{\n  "size": 2.0\n}\n'
+
+
+@pytest.mark.parametrize(
+    ("words", "address"),
+    [
+        (["--cluster"], "auto"),
+        (["--cluster", "--arms", "3"], "auto"),
+        (["--cluster", "logs"], "auto"),
+        (["--cluster", "head:6379"], "head:6379"),
+        (["--cluster", "10.0.0.1:6379", "logs"], "10.0.0.1:6379"),
+        (["--cluster", "auto"], "auto"),
+    ],
+)
+def test_the_option_cluster_may_stand_without_an_address(words, address):
+    complete = list(give_address(words))
+    assert complete[complete.index("--cluster") + 1] == address
+    assert [word for word in complete if word != "auto"] == [word for word in words if word != "auto"]

@@ -1,13 +1,16 @@
-"""Tests of the runners on many cores and on a cluster."""
+"""Tests of the runner on the cores of this machine; `test_cluster.py` has those on a cluster."""
 
 import os
+import signal
 import sys
-from types import SimpleNamespace
+import time
+from multiprocessing import active_children
+from pathlib import Path
 
 import pytest
 
 from ground.common.errors import BadRequest
-from ground.common.pool import cluster_runner, local_runner
+from ground.common.pool import WorkersDied, cluster_runner, in_order, local_runner
 
 
 def square(x: int) -> int:
@@ -43,15 +46,74 @@ def test_without_ray_a_cluster_is_refused_with_what_to_do(monkeypatch):
         cluster_runner()
 
 
-def test_on_a_cluster_results_come_as_they_are_done(monkeypatch):
-    """Check the calls of ray and their order; no cluster is available in tests."""
-    started = []
-    ray = SimpleNamespace(
-        init=lambda **options: started.append(options),
-        remote=lambda work: SimpleNamespace(remote=lambda job: (work, job)),
-        wait=lambda waiting: (waiting[-1:], waiting[:-1]),
-        get=lambda done: [work(job) for work, job in done],
-    )
-    monkeypatch.setitem(sys.modules, "ray", ray)
-    assert list(cluster_runner()(square, [1, 2, 3])) == [9, 4, 1]
-    assert len(started) == 1
+def test_short_jobs_go_in_larger_tasks_and_each_is_done_once():
+    assert sorted(local_runner(2)(square, range(20_000))) == [x * x for x in range(20_000)]
+
+
+def power(x: int, y: int) -> int:
+    return x**y
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_results_can_come_in_the_order_of_their_jobs(workers):
+    assert list(in_order(local_runner(workers), power, [(x, 2) for x in range(50)])) == [
+        x * x for x in range(50)
+    ]
+
+
+def die_once(folder: Path) -> int:
+    """Kill the worker that does this first."""
+    try:
+        (folder / "died").mkdir()
+    except FileExistsError:
+        return os.getpid()
+    os.kill(os.getpid(), signal.SIGKILL)
+    raise AssertionError
+
+
+def test_a_worker_that_dies_costs_its_jobs_only(tmp_path):
+    assert len(list(local_runner(2)(die_once, [tmp_path] * 20))) == 20
+
+
+def die(_: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_job_at_which_every_worker_dies_ends_the_run():
+    with pytest.raises(WorkersDied, match="3 of them died one after the other at the same job"):
+        list(local_runner(2)(die, [1]))
+
+
+def square_or_fail(x: int) -> int:
+    if x == 900:
+        raise ValueError("900 is not allowed")
+    return x * x
+
+
+def test_results_before_an_error_are_kept():
+    found = []
+    with pytest.raises(ValueError, match="900 is not allowed"):
+        found.extend(found.append(one) for one in local_runner(2)(square_or_fail, range(1000)))
+    assert len(set(found)) >= 800
+
+
+def rest(_: int) -> None:
+    time.sleep(60)
+
+
+class Stop(BaseException):
+    """Interruption."""
+
+
+def test_an_interruption_kills_the_workers():
+    def interrupt(*_) -> None:
+        raise Stop
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, 2.0)
+    try:
+        with pytest.raises(Stop):
+            list(local_runner(2)(rest, range(4)))
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert not active_children()

@@ -8,6 +8,7 @@ import PIL.Image
 import pytest
 
 from ground.common.errors import BadRequest
+from ground.common.pool import run_here
 from ground.ik.model import build_ik_model
 from ground.ik.reach import reach, sample_workspace
 from ground.ik.report import reach_json
@@ -46,7 +47,7 @@ def test_the_elevation_limit_is_what_stands_in_the_way(document):
 
 def test_the_same_seed_is_the_same_map_and_another_is_not():
     model = build_ik_model(ModelRequest(compensate="off"))
-    first, again, other = (sample_workspace(model, 300, seed, quiet)[0] for seed in (1, 1, 2))
+    first, again, other = (sample_workspace(model, 300, seed, run_here, quiet)[0] for seed in (1, 1, 2))
     assert np.array_equal(first.valid, again.valid)
     assert np.array_equal(first.p_NoTo_N_m, again.p_NoTo_N_m)
     assert not np.array_equal(first.p_NoTo_N_m, other.p_NoTo_N_m)
