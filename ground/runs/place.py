@@ -105,7 +105,9 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     setup = Setup(job.arm, job.world, stowed_rad, request.seed, last.reference, effects_of_run(job.effects))
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     run = PlacementRun(loop, job.placement)
-    header = run_header(loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects)
+    header = run_header(
+        loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects, job.world
+    )
     execution = execute(
         run,
         loop,

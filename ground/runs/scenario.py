@@ -57,7 +57,15 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
     execution = execute(
         scenario_run,
         loop,
-        run_header(loop, arm.name, request.seed, asdict(request), scenario.commands, scenario.effects),
+        run_header(
+            loop,
+            arm.name,
+            request.seed,
+            asdict(request),
+            scenario.commands,
+            scenario.effects,
+            scenario.world,
+        ),
         request.files,
         scenario.world,
         progress,
