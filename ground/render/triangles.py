@@ -29,7 +29,7 @@ class Triangles:
 
 def triangulate(model: mujoco.MjModel, geom: int) -> Triangles | None:
     """Return the triangles of a geom in its own frame, or None for a height field or a signed distance field."""
-    kind, size = model.geom_type[geom], model.geom_size[geom]
+    kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
     kinds = mujoco.mjtGeom
     if kind == kinds.mjGEOM_MESH:
         return _mesh(model, int(model.geom_dataid[geom]))

@@ -53,19 +53,40 @@ class Frames:
     force_N: NDArray[np.float32]
     """True contact force on the tool, shape (n, 3)."""
 
-    def magnify(self, offset: NDArray[np.float32], factor: float) -> tuple[Array, Array]:
-        """Compute poses with offsets times a factor.
+    def arm_at(self, offset: NDArray[np.float32], time_s: float, factor: float) -> tuple[Array, Array]:
+        """Compute the poses of one arm at a time, between two frames, with its offsets times a factor.
 
         Args:
-            offset: Offsets of one arm, shape (n, b + 1, 6).
+            offset: Offsets of the arm, `true` or `believed`.
+            time_s: Time since boot.
             factor: Factor; 1 for the arm as it is.
 
         Returns:
-            Positions, shape (n, b + 1, 3), and quaternions x, y, z, w, shape (n, b + 1, 4).
+            Positions, shape (b + 1, 3), and quaternions x, y, z, w, shape (b + 1, 4).
         """
-        turn = Rotation.from_rotvec(factor * offset[..., 3:].reshape(-1, 3))
-        q = (turn * Rotation.from_quat(self.q.reshape(-1, 4))).as_quat().reshape(self.q.shape)
-        return self.p_m + factor * offset[..., :3], q
+        added = factor * self.between(offset, time_s)
+        rigid = Rotation.from_quat(self.between(self.q, time_s))
+        turned = Rotation.from_rotvec(added[:, 3:]) * rigid
+        return self.between(self.p_m, time_s) + added[:, :3], turned.as_quat()
+
+    def between(self, values: NDArray[np.float32], time_s: float) -> Array:
+        """Interpolate values of the frames, shape (n, ...), at a time."""
+        frame = self.frame_at(time_s)
+        after = min(frame + 1, len(values) - 1)
+        times_s = self.samples.time_s
+        span_s = times_s[after] - times_s[frame]
+        share = np.clip((time_s - times_s[frame]) / span_s, 0.0, 1.0) if span_s else 0.0
+        return np.asarray((1.0 - share) * values[frame] + share * values[after])
+
+    def frame_at(self, time_s: float) -> int:
+        """Return the last frame at or before a time, or the first one."""
+        return max(int(np.searchsorted(self.samples.time_s, time_s, side="right")) - 1, 0)
+
+    @property
+    def trail_start(self) -> NDArray[np.uint32]:
+        """Frame since which the tool is the same, shape (n,): another tool begins another trail."""
+        is_first = np.append(True, np.diff(self.samples.tool) != 0)
+        return np.maximum.accumulate(np.where(is_first, np.arange(len(is_first)), 0)).astype(np.uint32)
 
     @property
     def tool_error_m(self) -> Array | None:
