@@ -28,7 +28,7 @@ class Triangles:
 
 
 def triangulate(model: mujoco.MjModel, geom: int) -> Triangles | None:
-    """Return the triangles of a geom in its own frame, or None for a height field or a signed distance field."""
+    """Return the triangles of a geom in its own frame, or None for a height field or a distance field."""
     kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
     kinds = mujoco.mjtGeom
     if kind == kinds.mjGEOM_MESH:
@@ -43,7 +43,9 @@ def triangulate(model: mujoco.MjModel, geom: int) -> Triangles | None:
         ends = np.array([[0.0, -h], [r, -h], [r, h], [0.0, h]])
         return join_triangles([_revolve(ends[k : k + 2]) for k in range(3)])
     if kind in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_CAPSULE):
-        return join_triangles([_revolve(_half_circle(size[0], size[1] if kind == kinds.mjGEOM_CAPSULE else 0.0))])
+        return join_triangles(
+            [_revolve(_half_circle(size[0], size[1] if kind == kinds.mjGEOM_CAPSULE else 0.0))]
+        )
     if kind == kinds.mjGEOM_ELLIPSOID:
         round_ = join_triangles([_revolve(_half_circle(float(size.max()), 0.0))])
         return Triangles((round_.vertices_m * (size / size.max())).astype(np.float32), round_.faces)
@@ -70,7 +72,7 @@ def _revolve(profile: NDArray[np.float64]) -> Triangles:
 
 
 def _grid(vertices_m: NDArray[np.float64]) -> Triangles:
-    """Return the triangles of a grid of vertices, shape (rows, columns, 3), without those that have no area."""
+    """Return the triangles of a grid of vertices, shape (rows, columns, 3), but none without area."""
     rows, columns = vertices_m.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = (index[i : rows - 1 + i, j : columns - 1 + j].ravel() for i in (0, 1) for j in (0, 1))

@@ -34,11 +34,23 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Trail:
+    """Places of the tool on the rigid arm [m], and the offsets of the arm that is shown, each (k, 3)."""
+
+    rigid_m: NDArray[np.float32]
+    offset_m: NDArray[np.float32]
+
+    def points_m(self, factor: float) -> NDArray[np.float32]:
+        """Compute the points with offsets times a factor, shape (k, 3)."""
+        return self.rigid_m + np.float32(factor) * self.offset_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Frames:
     """Poses at n times of b carriers and, as the last one, of the tool, in world axes.
 
-    Offsets are what compliance, backlash and errors of the arm add to the rigid arm at its motor angles. A view
-    magnifies them.
+    Offsets are what compliance, backlash and errors of the arm add to the rigid arm at its motor angles. A
+    view magnifies them.
     """
 
     samples: Samples
@@ -83,6 +95,17 @@ class Frames:
         return max(int(np.searchsorted(self.samples.time_s, time_s, side="right")) - 1, 0)
 
     @property
+    def shown(self) -> NDArray[np.float32]:
+        """Offsets of the arm that is shown in full: of the true one, or else of the believed one."""
+        return self.believed if self.true is None else self.true
+
+    def trail(self, time_s: float) -> Trail:
+        """Return the trail of the present tool until a time."""
+        frame = self.frame_at(time_s)
+        kept = slice(int(self.trail_start[frame]), frame + 1)
+        return Trail(self.p_m[kept, -1], self.shown[kept, -1, :3])
+
+    @property
     def trail_start(self) -> NDArray[np.uint32]:
         """Frame since which the tool is the same, shape (n,): another tool begins another trail."""
         is_first = np.append(True, np.diff(self.samples.tool) != 0)
@@ -93,7 +116,7 @@ class Frames:
         """Distance between the true tool and where flight software believes it, shape (n,)."""
         if self.true is None:
             return None
-        return np.linalg.norm(self.true[:, -1, :3] - self.believed[:, -1, :3], axis=1)
+        return np.asarray(np.linalg.norm(self.true[:, -1, :3] - self.believed[:, -1, :3], axis=1), float)
 
 
 def compute_frames(
@@ -108,15 +131,14 @@ def compute_frames(
         samples: Samples of the run, from a log or from its cycles.
         believed_arm: Arm by the parameters of flight software.
         true_arm: Arm as it was built.
-        surface_normal_R: Unit vector out of the surface in the rover frame, shape (3,); None without a surface.
+        surface_normal_R: Unit vector out of the surface in the rover frame, shape (3,); None for no surface.
 
     Raises:
-        BadRequest: no sample has angles of all joints.
+        BadRequest: no sample has angles of all joints and gravity.
     """
-    known = np.isfinite(samples.believed_rad).all(axis=0) & np.isfinite(samples.motor_rad).all(axis=0)
-    if not known.any():
-        raise BadRequest("log: has no finite angles of the joints; there is no arm to show")
-    samples = samples.select(known)
+    samples = samples.select_known()
+    if not len(samples.time_s):
+        raise BadRequest("log: has no finite angles of the joints with gravity; there is no arm to show")
     rigid = _poses(scene, believed_arm, forward(believed_arm, samples.motor_rad), samples)
     gravity = samples.gravity_R_m_s2
     settled = settle_output(believed_arm, samples.believed_rad, gravity).frames
@@ -154,7 +176,8 @@ def _poses(scene: Scene, arm: Arm, frames: ChainFrames, samples: Samples) -> Pos
     times = np.arange(len(samples.time_s))
     tool = Pose(scene.X_WR.R[..., None], scene.X_WR.p[..., None]) @ tools[times, samples.tool]
     return Pose(
-        np.concatenate([carriers.R, tool.R[:, :, None]], axis=2), np.concatenate([carriers.p, tool.p[:, None]], axis=1)
+        np.concatenate([carriers.R, tool.R[:, :, None]], axis=2),
+        np.concatenate([carriers.p, tool.p[:, None]], axis=1),
     )
 
 
@@ -162,7 +185,7 @@ def _offset(rigid: Pose, other: Pose) -> NDArray[np.float32]:
     turn = np.einsum("ik...,jk...->...ij", other.R, rigid.R)
     rotation = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_rotvec().reshape(*turn.shape[:2], 3)
     offset = np.concatenate([np.moveaxis(other.p - rigid.p, 0, -1), rotation], axis=-1)
-    return offset.swapaxes(0, 1).astype(np.float32)
+    return np.asarray(offset.swapaxes(0, 1), np.float32)
 
 
 def _quaternions(R: Array) -> NDArray[np.float32]:
@@ -171,4 +194,4 @@ def _quaternions(R: Array) -> NDArray[np.float32]:
     q = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat().reshape(*matrices.shape[:2], 4)
     flips = np.sign(np.sum(q[1:] * q[:-1], axis=-1))
     q[1:] *= np.cumprod(np.where(flips < 0, -1.0, 1.0), axis=0)[..., None]
-    return q.astype(np.float32)
+    return np.asarray(q, np.float32)

@@ -35,7 +35,10 @@ def make_page(run: WatchedRun) -> bytes:
     """Make a page; the same run gives the same bytes."""
     plots = make_plots(run.frames)
     packed, about = _pack(_arrays(run, plots))
-    read = {name: files("ground.view").joinpath("page", name).read_text() for name in ("page.html", "style.css", "player.js")}
+    read = {
+        name: files("ground.view").joinpath("page", name).read_text()
+        for name in ("page.html", "style.css", "player.js")
+    }
     text = Template(read["page.html"]).substitute(
         title=html.escape(run.title),
         style=read["style.css"],
@@ -50,7 +53,9 @@ def _document(run: WatchedRun, plots: tuple[Plot, ...]) -> dict[str, Any]:
     """Return what the player needs besides arrays."""
     frames = run.frames
     tool_m = frames.p_m[:, -1]
-    starts = np.cumsum([(0, 0), *((len(p.triangles.vertices_m), len(p.triangles.faces)) for p in run.scene.parts)], axis=0)
+    starts = np.cumsum(
+        [(0, 0), *((len(p.triangles.vertices_m), len(p.triangles.faces)) for p in run.scene.parts)], axis=0
+    )
     return {
         "frames": len(frames.samples.time_s),
         "bodies": frames.p_m.shape[1],
@@ -71,7 +76,12 @@ def _document(run: WatchedRun, plots: tuple[Plot, ...]) -> dict[str, Any]:
             for part, start in zip(run.scene.parts, starts, strict=False)
         ],
         "plots": [
-            {"title": plot.title, "unit": plot.unit, "labels": list(plot.values), "series": [f"{plot.title} {label}" for label in plot.values]}
+            {
+                "title": plot.title,
+                "unit": plot.unit,
+                "labels": list(plot.values),
+                "series": [f"{plot.title} {label}" for label in plot.values],
+            }
             for plot in plots
         ],
     }

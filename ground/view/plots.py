@@ -25,7 +25,11 @@ def make_plots(frames: Frames) -> tuple[Plot, ...]:
     samples = frames.samples
     plots = [Plot("joint angle", "deg", _by_joint(np.degrees(samples.believed_rad)))]
     if samples.true_rad is not None:
-        plots.append(Plot("true less believed angle", "mrad", _by_joint(1e3 * (samples.true_rad - samples.believed_rad))))
+        plots.append(
+            Plot(
+                "true less believed angle", "mrad", _by_joint(1e3 * (samples.true_rad - samples.believed_rad))
+            )
+        )
     plots.append(Plot("motor current", "A", _by_joint(samples.current_A)))
     if samples.force_N is not None:
         plots.append(Plot("contact force", "N", {"": samples.force_N}))

@@ -1,8 +1,8 @@
 """Samples of a run for a view: from the records of cycles, or from a log."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final, Self
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,12 @@ from sim.record import CycleRecord
 SAMPLE_CYCLES: Final = CYCLE_HZ // 4
 """Cycles between samples: at 4 Hz no joint turns by more than 2 degrees between two."""
 MOST_SAMPLES: Final = 2000
-"""Largest number of samples of a log; with it a page stays small, and a joint turns by a degree or two."""
+"""Largest number of samples of a log; in half an hour, a joint turns by 5 degrees at most between two."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """State of the arm at n times, true and as flight software believes it; joint arrays have shape (5, n)."""
+    """State of the arm at n times, true and as flight software believes it; joint arrays are (5, n)."""
 
     time_s: Array
     """Time since boot, shape (n,)."""
@@ -43,18 +43,16 @@ class Samples:
     """True contact force, shape (n,); None if it is not known."""
 
     @classmethod
-    def of_records(cls, records: Sequence[CycleRecord]) -> Self:
-        """Collect the records of cycles, all with the truth or all without."""
-        tool, tools = 0, []
-        for record in records:
-            tool = tool if record.outputs.tool is None else int(record.outputs.tool.tool)
-            tools.append(tool)
+    def of_records(
+        cls, time_s: Sequence[float], tools: Sequence[int], records: Sequence[CycleRecord]
+    ) -> Self:
+        """Collect the records of cycles, all with the truth or all without, with their times and tools."""
         joint = [record.outputs.joint for record in records]
         truth = [record.truth for record in records if record.truth is not None]
         return cls(
-            time_s=np.array([record.tick for record in records]) / CYCLE_HZ,
+            time_s=np.array(time_s),
             mode=np.array([int(one.mode) for one in joint]),
-            tool=np.array(tools),
+            tool=np.array(tools, np.intp),
             motor_rad=np.array([one.motor_rad for one in joint]).T,
             believed_rad=np.array([one.output_rad for one in joint]).T,
             gravity_R_m_s2=np.array([record.sensors.gravity_R_m_s2 for record in records]).T,
@@ -75,12 +73,16 @@ class Samples:
             raise BadRequest(f"log {log.path}: has no {missing[0]}, which a view needs; record it with --log")
         ticks, joint = log.ticks("/joint"), log["/joint"]
         period = max(SAMPLE_CYCLES, -(-int(np.ptp(ticks) + 1) // (MOST_SAMPLES - 1)))
-        rows = np.unique(np.searchsorted(ticks, np.arange(ticks[0], ticks[-1] + period, period)).clip(0, len(ticks) - 1))
+        rows = np.unique(
+            np.searchsorted(ticks, np.arange(ticks[0], ticks[-1] + period, period)).clip(0, len(ticks) - 1)
+        )
         at = ticks[rows]
         sensors, truth = log["/sensors"][_rows_at(log, "/sensors", at)], None
         if "/truth" in log.packets:
             truth = log["/truth"][_rows_at(log, "/truth", at)]
-        tool = log["/tool"]["tool"][_rows_at(log, "/tool", at)] if "/tool" in log.packets else np.zeros(len(at))
+        tool = (
+            log["/tool"]["tool"][_rows_at(log, "/tool", at)] if "/tool" in log.packets else np.zeros(len(at))
+        )
         return cls(
             time_s=at / CYCLE_HZ,
             mode=joint["mode"][rows].astype(np.intp),
@@ -93,10 +95,13 @@ class Samples:
             force_N=None if truth is None else truth["contact_force_N"],
         )
 
-    def select(self, is_chosen: NDArray[np.bool_]) -> Self:
-        """Return the samples where the flags, shape (n,), are set."""
-        values = [getattr(self, name) for name in self.__slots__]
-        return type(self)(*(None if value is None else value[..., is_chosen] for value in values))
+    def select_known(self) -> Self:
+        """Return the samples in which flight software has finite angles, and the rover finite gravity."""
+        is_known = np.isfinite(np.vstack([self.believed_rad, self.motor_rad, self.gravity_R_m_s2])).all(
+            axis=0
+        )
+        values: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        return replace(self, **{n: v if v is None else v[..., is_known] for n, v in values.items()})
 
     @property
     def mode_names(self) -> list[str]:
@@ -105,5 +110,5 @@ class Samples:
 
 
 def _rows_at(log: Log, topic: str, ticks: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Return the last message of a topic at each tick, or the first one if there is none before, shape (n,)."""
+    """Return the row of the last message of a topic at each tick, or of the first one, shape (n,)."""
     return (np.searchsorted(log.ticks(topic), ticks, side="right") - 1).clip(0)

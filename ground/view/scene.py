@@ -67,7 +67,11 @@ class Scene:
         """
         near, far = frames.X_RL, frames.X_RL @ frames.X_LD
         R, p = (
-            np.where(self.is_far[:, None], getattr(far, name)[..., self.link, :], getattr(near, name)[..., self.link, :])
+            np.where(
+                self.is_far[:, None],
+                getattr(far, name)[..., self.link, :],
+                getattr(near, name)[..., self.link, :],
+            )
             for name in ("R", "p")
         )
         return _fixed(self.X_WR) @ (Pose(R, p) @ Pose(self.X_LB.R[..., None], self.X_LB.p[..., None]))

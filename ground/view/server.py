@@ -2,8 +2,8 @@
 
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
 from typing import Any, Final
 
 import numpy as np
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from fsw.dictionary.evrs import Severity
 from ground.common.errors import BadRequest
-from ground.view.frames import MOST_MAGNIFICATION, Event, Frames
+from ground.render.triangles import Triangles, join_triangles
+from ground.view.frames import MOST_MAGNIFICATION, Event, Frames, Trail
 from ground.view.plots import Plot, make_plots
 from ground.view.scene import STATIC, Scene
 from ground.view.watched_run import WatchedRun
@@ -39,31 +40,38 @@ class Stage:
     def __init__(self, server: Any, scene: Scene) -> None:
         self._scene = server.scene
         self._arms = {
-            arm: [self._scene.add_frame(f"/{arm}/{body}", show_axes=False) for body in range(len(scene.carriers))]
+            arm: [
+                self._scene.add_frame(f"/{arm}/{body}", show_axes=False)
+                for body in range(len(scene.carriers))
+            ]
             for arm in ("true", "believed")
         }
         for number, part in enumerate(scene.parts):
-            places = ["/world"] if part.carrier == STATIC else [f"/{arm}/{part.carrier}" for arm in self._arms]
-            for place in places:
-                is_ghost = place.startswith("/believed")
-                self._scene.add_mesh_simple(
-                    f"{place}/part{number}",
-                    part.triangles.vertices_m,
-                    part.triangles.faces,
-                    color=GHOST_RGB if is_ghost else tuple(round(255 * value) for value in part.rgb),
-                    opacity=GHOST_OPACITY if is_ghost else None,
-                    cast_shadow=False,
-                )
+            place = "/world" if part.carrier == STATIC else f"/true/{part.carrier}"
+            self._add_mesh(
+                f"{place}/part{number}", part.triangles, tuple(round(255 * value) for value in part.rgb)
+            )
+        for carrier in range(len(scene.carriers)):
+            whole = join_triangles([part.triangles for part in scene.parts if part.carrier == carrier])
+            self._add_mesh(f"/believed/{carrier}/whole", whole, GHOST_RGB, GHOST_OPACITY)
         nowhere = np.zeros((1, 2, 3), np.float32)
         self._trail = self._scene.add_line_segments(
             "/trail", nowhere, colors=TRAIL_RGB, thickness=3.0, thickness_units="screen"
         )
-        self._force = self._scene.add_arrows("/force", nowhere, colors=FORCE_RGB, shaft_radius=0.012, head_radius=0.03)
+        self._force = self._scene.add_arrows(
+            "/force", nowhere, colors=FORCE_RGB, shaft_radius=0.012, head_radius=0.03
+        )
 
-    def draw(self, frames: Frames, time_s: float, factor: float, with_ghost: bool, with_trail: bool) -> None:
-        """Draw a run at a time, with offsets of the arms times a factor."""
-        true = frames.believed if frames.true is None else frames.true
-        p_m, q = frames.arm_at(true, time_s, factor)
+    def _add_mesh(
+        self, name: str, triangles: Triangles, rgb: tuple[int, ...], opacity: float | None = None
+    ) -> None:
+        self._scene.add_mesh_simple(
+            name, triangles.vertices_m, triangles.faces, color=rgb, opacity=opacity, cast_shadow=False
+        )
+
+    def draw(self, frames: Frames, time_s: float, factor: float, with_ghost: bool) -> None:
+        """Draw arms and force at a time, with offsets of the arms times a factor."""
+        p_m, q = frames.arm_at(frames.shown, time_s, factor)
         self._move("true", p_m, q)
         has_ghost = with_ghost and frames.true is not None
         if has_ghost:
@@ -71,10 +79,10 @@ class Stage:
         for node in self._arms["believed"]:
             node.visible = has_ghost
         self._draw_force(p_m[-1], frames.between(frames.force_N, time_s))
-        frame = frames.frame_at(time_s)
-        kept = slice(int(frames.trail_start[frame]), frame + 1)
-        points_m = frames.p_m[kept, -1] + factor * true[kept, -1, :3]
-        self._trail.visible = with_trail and len(points_m) > 1
+
+    def draw_trail(self, points_m: NDArray[Any], is_visible: bool) -> None:
+        """Draw the trail of the tool through points, shape (k, 3)."""
+        self._trail.visible = is_visible and len(points_m) > 1
         if self._trail.visible:
             self._trail.points = np.stack([points_m[:-1], points_m[1:]], axis=1)
 
@@ -94,7 +102,7 @@ class Viewer:
     """Viewer of one run, live or recorded."""
 
     def __init__(self, scene: Scene, port: int, title: str) -> None:
-        """Start the server, and print its address.
+        """Start the server, which prints its address.
 
         Raises:
             BadRequest: viser is missing, or no port is free.
@@ -114,10 +122,12 @@ class Viewer:
         """Address of the page."""
         return f"http://{HOST}:{self._server.get_port()}"
 
-    def draw(self, frames: Frames, time_s: float, events: tuple[Event, ...]) -> None:
+    def draw(self, frames: Frames, time_s: float, events: Sequence[Event], trail: Trail) -> None:
         """Draw a run at a time."""
+        factor = float(self._factor.value)
         with self._server.atomic():
-            self._stage.draw(frames, time_s, self._factor.value, self._ghost.value, self._trail.value)
+            self._stage.draw(frames, time_s, factor, self._ghost.value)
+            self._stage.draw_trail(trail.points_m(factor), self._trail.value)
             self._readout.content = describe(frames, time_s, events)
 
     def play(self, run: WatchedRun) -> None:
@@ -126,9 +136,16 @@ class Viewer:
         start_s, end_s = float(times_s[0]), float(times_s[-1])
         playing = gui.add_checkbox("Play", initial_value=True)
         speed = gui.add_dropdown("Speed", [f"{factor}x" for factor in SPEEDS], initial_value="10x")
-        marks = tuple(sorted({round(event.time_s, 1) for event in run.events if start_s <= event.time_s <= end_s}))
+        marks = tuple(
+            sorted({round(event.time_s, 1) for event in run.events if start_s <= event.time_s <= end_s})
+        )
         clock = gui.add_slider(
-            "Time, s", min=start_s, max=max(end_s, start_s + 0.1), step=0.1, initial_value=start_s, marks=marks
+            "Time, s",
+            min=start_s,
+            max=max(end_s, start_s + 0.1),
+            step=0.1,
+            initial_value=start_s,
+            marks=marks,
         )
         self._add_event_menu(run.events, clock)
         for plot in make_plots(run.frames):
@@ -142,19 +159,20 @@ class Viewer:
                 if playing.value and clock.value < end_s:
                     clock.value = min(clock.value + (now_s - last_s) * int(speed.value[:-1]), end_s)
                 last_s = now_s
-                self.draw(run.frames, clock.value, run.events)
+                self.draw(run.frames, clock.value, run.events, run.frames.trail(clock.value))
                 time.sleep(max(PERIOD_S - (time.monotonic() - now_s), 0.0))
 
-    def _add_event_menu(self, events: tuple[Event, ...], clock: Any) -> None:
+    def _add_event_menu(self, events: Sequence[Event], clock: Any) -> None:
         """Add a menu of the events; choosing one moves the clock to it."""
         names = {f"{event.time_s:.1f} s  {event.text}": event.time_s for event in events}
         if not names:
             return
         menu = self._server.gui.add_dropdown("Event reports", list(names))
 
-        @menu.on_update
-        def _(_: Any) -> None:
+        def move_clock(_: Any) -> None:
             clock.value = names[menu.value]
+
+        menu.on_update(move_clock)
 
     def stop(self) -> None:
         """Stop the server."""
@@ -162,7 +180,7 @@ class Viewer:
 
 
 def open_server(port: int, title: str) -> Any:
-    """Start viser on the loopback interface, and print its address.
+    """Start viser, which prints its address on standard error, on the loopback interface.
 
     Raises:
         BadRequest: viser is missing, or the port cannot be opened.
@@ -170,20 +188,23 @@ def open_server(port: int, title: str) -> Any:
     try:
         import viser
     except ImportError as error:
-        raise BadRequest(f"view: viser is missing ({error}); pip install 'marsarm[view]', or use --html") from error
+        raise BadRequest(
+            f"view: viser is missing ({error}); pip install 'marsarm[view]', or use --html"
+        ) from error
     try:
-        server = viser.ViserServer(host=HOST, port=port, label=title, verbose=False)
+        with redirect_stdout(sys.stderr):  # it greets
+            server = viser.ViserServer(host=HOST, port=port, label=title, verbose=False)
     except OSError as error:
         raise BadRequest(f"port: {port} cannot be opened ({error}); give another --port") from error
     server.scene.set_up_direction("+z")
     server.scene.configure_environment_map(None)  # the others are fetched from the network
+    server.scene.add_light_ambient("/light", intensity=0.7)
     server.initial_camera.position, server.initial_camera.look_at = (4.0, -3.0, 2.2), (1.4, -0.2, 0.6)
     server.gui.configure_theme(show_share_button=False)
-    print(f"viewer    http://{HOST}:{server.get_port()}", file=sys.stderr, flush=True)
     return server
 
 
-def describe(frames: Frames, time_s: float, events: tuple[Event, ...]) -> str:
+def describe(frames: Frames, time_s: float, events: Sequence[Event]) -> str:
     """Return mode, force, tool error and the latest events at a time, as Markdown."""
     frame = frames.frame_at(time_s)
     line = f"**{time_s:.1f} s** {frames.samples.mode_names[frame]}"
@@ -192,7 +213,9 @@ def describe(frames: Frames, time_s: float, events: tuple[Event, ...]) -> str:
         line += f", contact {force_N:.1f} N, tool error {1e3 * frames.tool_error_m[frame]:.1f} mm"
     latest = [event for event in events if event.time_s <= time_s][-LATEST_EVENTS:]
     marks = ["**" if event.severity >= Severity.WARNING_LO else "" for event in latest]
-    lines = [f"- {event.time_s:.1f} s {mark}{event.text}{mark}" for event, mark in zip(latest, marks, strict=True)]
+    lines = [
+        f"- {event.time_s:.1f} s {mark}{event.text}{mark}" for event, mark in zip(latest, marks, strict=True)
+    ]
     return "\n".join([line, "", *lines])
 
 
@@ -202,7 +225,10 @@ def add_plot(gui: Any, plot: Plot, time_s: NDArray[np.float64]) -> None:
 
     rows = np.linspace(0, len(time_s) - 1, min(len(time_s), MOST_POINTS)).astype(int)
     colours = (CURVE_COLOURS * len(plot.values))[: len(plot.values)]
-    series = [uplot.Series(label=label or plot.title, stroke=c, width=1) for label, c in zip(plot.values, colours, strict=True)]
+    series = [
+        uplot.Series(label=label or plot.title, stroke=c, width=1)
+        for label, c in zip(plot.values, colours, strict=True)
+    ]
     gui.add_uplot(
         (time_s[rows], *(np.ascontiguousarray(values[rows], float) for values in plot.values.values())),
         (uplot.Series(label="s"), *series),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-
+from fsw.dictionary.evrs import Severity
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.transforms import Array, normalize
@@ -27,7 +27,7 @@ from sim.world import World
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surroundings:
-    """What does not change in a run: the scene, and the arm as it is and as flight software believes it."""
+    """Constant part of a run: the scene, and the arm as it is and as flight software believes it."""
 
     scene: Scene
     believed_arm: Arm
@@ -88,18 +88,26 @@ def watch_log(path: Path) -> WatchedRun:
     frames = surroundings.frames(Samples.of_log(log))
     if frames.true is None:
         notes.append("The log has no truth: only the arm that flight software believes is drawn.")
-    events = tuple(Event(one.tick * TICK_NS / 1e9, one.severity, one.message) for one in log.evrs)
+    events = tuple(Event(one.tick * TICK_NS / 1e9, Severity(one.severity), one.message) for one in log.evrs)
     return WatchedRun(path.name, _facts(log.header), tuple(notes), surroundings.scene, frames, events)
 
 
 def _facts(header: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
-    names = {"arm": "arm", "seed": "seed", "marsarm": "marsarm", "git": "commit", "params_sha256": "parameters"}
+    names = {
+        "arm": "arm",
+        "seed": "seed",
+        "marsarm": "marsarm",
+        "git": "commit",
+        "params_sha256": "parameters",
+    }
     return tuple((text, header[name][:40]) for name, text in names.items() if name in header)
 
 
 def _world(log: Log, notes: list[str]) -> World:
     if WORLD not in log.header:
-        notes.append("The log does not say where rock and ground were: they are drawn level and without rock.")
+        notes.append(
+            "The log does not say where rock and ground were: they are drawn level and without rock."
+        )
         return World()
     world: World = record_from_json(World, _parse(log.header[WORLD]), WORLD, notes)
     return world

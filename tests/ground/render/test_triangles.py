@@ -41,7 +41,9 @@ def test_the_triangles_of_a_solid_enclose_its_volume_and_face_outward(model, nam
     a, b, c = found.vertices_m.astype(float)[found.faces].transpose(1, 0, 2)
     volume = np.sum(a * np.cross(b, c)) / 6
     assert volume == pytest.approx(VOLUMES[name], rel=0.07)
-    edges = np.sort(_same_place(found)[np.vstack([found.faces[:, [i, (i + 1) % 3]] for i in range(3)])], axis=1)
+    edges = np.sort(
+        _same_place(found)[np.vstack([found.faces[:, [i, (i + 1) % 3]] for i in range(3)])], axis=1
+    )
     _, count = np.unique(edges, axis=0, return_counts=True)
     assert (count == 2).all(), "each edge of a closed surface belongs to two triangles"
 
