@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-FACET_M: Final = 0.02
+FACET_M: Final = 0.025
 """Length of a facet on the circumference of a round geom."""
-FEWEST_FACETS, MOST_FACETS = 10, 28
+FEWEST_FACETS, MOST_FACETS = 8, 20
 """Bounds of the facets on a circumference."""
 PLANE_M: Final = 150.0
 """Half the side of a plane without limits."""

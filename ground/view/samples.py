@@ -101,7 +101,8 @@ class Samples:
             axis=0
         )
         values: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
-        return replace(self, **{n: v if v is None else v[..., is_known] for n, v in values.items()})
+        known: dict[str, Any] = {n: v if v is None else v[..., is_known] for n, v in values.items()}
+        return replace(self, **known)
 
     @property
     def mode_names(self) -> list[str]:

@@ -4,6 +4,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
+from io import StringIO
 from typing import Any, Final
 
 import numpy as np
@@ -41,7 +42,7 @@ class Stage:
         self._scene = server.scene
         self._arms = {
             arm: [
-                self._scene.add_frame(f"/{arm}/{body}", show_axes=False)
+                self._scene.add_frame(f"/{arm}/{body}", show_axes=False, visible=False)
                 for body in range(len(scene.carriers))
             ]
             for arm in ("true", "believed")
@@ -88,7 +89,7 @@ class Stage:
 
     def _move(self, arm: str, p_m: NDArray[Any], q: NDArray[Any]) -> None:
         for node, position, (x, y, z, w) in zip(self._arms[arm], p_m, q, strict=False):
-            node.position, node.wxyz = position, (w, x, y, z)
+            node.position, node.wxyz, node.visible = position, (w, x, y, z), True
 
     def _draw_force(self, tool_m: NDArray[Any], force_N: NDArray[Any]) -> None:
         size_N = float(np.linalg.norm(force_N))
@@ -110,7 +111,7 @@ class Viewer:
         self._server = open_server(port, title)
         self._stage = Stage(self._server, scene)
         gui = self._server.gui
-        self._readout = gui.add_markdown("")
+        self._readout = gui.add_markdown("The run has not begun.")
         self._factor = gui.add_slider(
             "Deflection and backlash ×", min=1.0, max=MOST_MAGNIFICATION, step=0.5, initial_value=1.0
         )
@@ -180,7 +181,7 @@ class Viewer:
 
 
 def open_server(port: int, title: str) -> Any:
-    """Start viser, which prints its address on standard error, on the loopback interface.
+    """Start viser on the loopback interface, and print its address on standard error.
 
     Raises:
         BadRequest: viser is missing, or the port cannot be opened.
@@ -192,7 +193,7 @@ def open_server(port: int, title: str) -> Any:
             f"view: viser is missing ({error}); pip install 'marsarm[view]', or use --html"
         ) from error
     try:
-        with redirect_stdout(sys.stderr):  # it greets
+        with redirect_stdout(StringIO()):  # it greets, also where a program reads
             server = viser.ViserServer(host=HOST, port=port, label=title, verbose=False)
     except OSError as error:
         raise BadRequest(f"port: {port} cannot be opened ({error}); give another --port") from error
@@ -201,6 +202,7 @@ def open_server(port: int, title: str) -> Any:
     server.scene.add_light_ambient("/light", intensity=0.7)
     server.initial_camera.position, server.initial_camera.look_at = (4.0, -3.0, 2.2), (1.4, -0.2, 0.6)
     server.gui.configure_theme(show_share_button=False)
+    print(f"viewer    http://{HOST}:{server.get_port()}", file=sys.stderr, flush=True)
     return server
 
 

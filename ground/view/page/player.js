@@ -8,6 +8,9 @@ const SUN = [0.45, -0.55, 1.0];
 const GHOST_RGB = [0.16, 0.45, 0.95];
 const ARROW_RGB = [0.9, 0.12, 0.1];
 const TRAIL_RGB = [1.0, 0.85, 0.1];
+const TRAIL_STEP_M = 0.01;
+const SLOWEST_S = 1 / 24;
+const COARSEST = 2.5;
 const ARROW_M_PER_N = 0.006;
 const SEVERITY_CLASS = (severity) => (severity >= 5 ? "bad" : severity >= 4 ? "warn" : "");
 
@@ -122,9 +125,10 @@ void main() { vec3 rgb = mix(colour, tint.rgb, tint.a);
 class Painter {
   constructor(canvas, run, arrays) {
     this.canvas = canvas;
-    const gl = canvas.getContext("webgl2", { antialias: true, alpha: true });
+    const gl = canvas.getContext("webgl2", { antialias: !isSoftware(), alpha: true });
     if (!gl) throw new Error("This browser has no WebGL 2, which the scene needs.");
     this.gl = gl;
+    this.coarseness = 1;
     this.program = gl.createProgram();
     for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
       const shader = gl.createShader(kind);
@@ -138,6 +142,7 @@ class Painter {
     this.place = Object.fromEntries(["model", "view", "tint", "sun", "lit", "size"].map((n) => [n, gl.getUniformLocation(this.program, n)]));
     gl.uniform3fv(this.place.sun, unit(SUN));
     gl.enable(gl.DEPTH_TEST);
+    gl.enable(gl.CULL_FACE);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     this.bodies = run.carriers.map((_, body) => this.mesh(arrays, run.parts.filter((part) => part.carrier === body)));
     this.still = this.mesh(arrays, run.parts.filter((part) => part.carrier < 0));
@@ -173,14 +178,14 @@ class Painter {
   }
 
   begin(view) {
-    const gl = this.gl, ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const gl = this.gl, ratio = Math.min(window.devicePixelRatio || 1, 2) / this.coarseness;
     const width = Math.round(this.canvas.clientWidth * ratio), height = Math.round(this.canvas.clientHeight * ratio);
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
     gl.viewport(0, 0, width, height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.uniformMatrix4fv(this.place.view, false, view(width / height));
-    gl.uniform1f(this.place.size, 3 * ratio);
+    gl.uniform1f(this.place.size, Math.max(3 * ratio, 2));
   }
 
   draw(mesh, matrix, tint = [0, 0, 0, 0], lit = 1) {
@@ -192,17 +197,11 @@ class Painter {
     gl.drawElements(gl.TRIANGLES, mesh.count, gl.UNSIGNED_INT, 0);
   }
 
-  /** Draw an arm that lets the scene behind show through: its own parts hide each other. */
+  /** Draw an arm that lets the scene behind show through. */
   drawGhost(matrices) {
     const gl = this.gl;
-    const all = () => matrices.forEach((matrix, body) => this.draw(this.bodies[body], matrix, [...GHOST_RGB, 0.75], 2));
-    gl.colorMask(false, false, false, false);
-    all();
-    gl.colorMask(true, true, true, true);
     gl.enable(gl.BLEND);
-    gl.depthFunc(gl.LEQUAL);
-    all();
-    gl.depthFunc(gl.LESS);
+    matrices.forEach((matrix, body) => this.draw(this.bodies[body], matrix, [...GHOST_RGB, 0.75], 2));
     gl.disable(gl.BLEND);
   }
 
@@ -220,6 +219,13 @@ class Painter {
     gl.drawArrays(gl.LINE_STRIP, first, end - first);
     gl.drawArrays(gl.POINTS, first, end - first);
   }
+}
+
+/** Return whether WebGL is computed without a graphics processor: then smooth edges cost too much. */
+function isSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const about = gl && gl.getExtension("WEBGL_debug_renderer_info");
+  return /swiftshader|llvmpipe|software/i.test(about ? gl.getParameter(about.UNMASKED_RENDERER_WEBGL) : "");
 }
 
 /** Compute normals of vertices as the sum of the normals of their triangles by area. */
@@ -328,12 +334,15 @@ class Plot {
     });
     this.caption = caption;
     this.canvas = document.createElement("canvas");
-    figure.append(caption, this.canvas);
+    this.cursor = document.createElement("div");
+    this.cursor.className = "cursor";
+    const frame = document.createElement("div");
+    frame.append(this.canvas, this.cursor);
+    figure.append(caption, frame);
     byId("plots").append(figure);
     this.canvas.addEventListener("pointerdown", (e) => player.seek(player.start + (e.offsetX / this.canvas.clientWidth) * player.span));
   }
 
-  /** Draw the curves once; `mark` copies them and adds the cursor. */
   layOut() {
     const colours = style("--joints").split(/,\s*/), { time, count } = this.player.motion;
     this.caption.querySelectorAll("span").forEach((item) => { item.style.color = colours[item.dataset.colour]; });
@@ -357,18 +366,10 @@ class Plot {
     const digits = Math.max(0, 2 - Math.floor(Math.log10(high - low)));
     context.fillText(high.toFixed(digits), 4, 13);
     context.fillText(low.toFixed(digits), 4, height - 5);
-    this.picture = Object.assign(document.createElement("canvas"), { width: this.canvas.width, height: this.canvas.height });
-    this.picture.getContext("2d").drawImage(this.canvas, 0, 0);
+    this.width = width;
   }
 
-  mark(share) {
-    const context = this.canvas.getContext("2d");
-    context.setTransform(1, 0, 0, 1, 0, 0);
-    context.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    context.drawImage(this.picture, 0, 0);
-    context.fillStyle = style("--ink");
-    context.fillRect(Math.round(share * this.canvas.width), 0, Math.max(1, Math.round(window.devicePixelRatio)), this.canvas.height);
-  }
+  mark(share) { this.cursor.style.transform = `translateX(${Math.round(share * this.width)}px)`; }
 }
 
 function fillEvents(player) {
@@ -458,14 +459,23 @@ class Player {
     if (this.time >= this.end) this.toggle();
   }
 
+  /** Draw with fewer pixels while a slow machine plays, and with all when it rests. */
+  adapt(wall) {
+    const { painter } = this;
+    this.pace = 0.8 * (this.pace ?? wall) + 0.2 * wall;
+    if (this.playing && this.pace > SLOWEST_S) painter.coarseness = Math.min(painter.coarseness * 1.05, COARSEST);
+    if (!this.playing && painter.coarseness > 1) { painter.coarseness = 1; this.isStale = true; }
+  }
+
   draw() {
     const { motion, painter, factor } = this, place = motion.at(this.time), tool = motion.tool(this.truth, place, factor);
     const matrices = (which) => painter.bodies.map((_, body) => matrixOf(...motion.pose(which, body, place, factor)));
     if (byId("follow").checked) this.orbit.target = tool;
     painter.begin((aspect) => this.orbit.view(aspect));
-    painter.draw(painter.still, matrixOf([0, 0, 0], [0, 0, 0, 1]));
+    // what stands in front comes first: what it hides is not shaded
     matrices(this.truth).forEach((matrix, body) => painter.draw(painter.bodies[body], matrix));
-    if (byId("trail").checked) painter.drawLine(this.trail(factor), this.motion.trailStart[place[0]], place[0] + 1);
+    painter.draw(painter.still, matrixOf([0, 0, 0], [0, 0, 0, 1]));
+    if (byId("trail").checked) this.drawTrail(place[0], factor);
     const force = motion.forceAt(place), size = Math.hypot(...force);
     if (size > 0.05) this.drawArrow(tool, force, size);
     if (this.truth === "true" && byId("ghost").checked) painter.drawGhost(matrices("believed"));
@@ -484,36 +494,42 @@ class Player {
     gl.enable(gl.DEPTH_TEST);
   }
 
-  /** Return the places of the tool at all frames, computed again only for another factor. */
-  trail(factor) {
+  /** Draw the trail of the present tool. Its points are TRAIL_STEP_M apart, computed again only for another factor. */
+  drawTrail(frame, factor) {
     if (this.trailFactor !== factor) {
-      const { count, bodies, p, offsets } = this.motion, offset = offsets[this.truth];
-      this.points = new Float32Array(3 * count);
-      for (let k = 0; k < count; k++) {
-        const body = (k + 1) * bodies - 1;
-        for (let i = 0; i < 3; i++) this.points[3 * k + i] = p[3 * body + i] + factor * offset[6 * body + i];
-      }
       this.trailFactor = factor;
+      this.points = [];
+      this.pointsUntil = Array.from({ length: this.motion.count }, (_, k) => {
+        const tool = this.motion.tool(this.truth, [k, 0], factor), last = this.points.slice(-3);
+        const isFirst = this.motion.trailStart[k] === k;
+        if (isFirst || Math.hypot(...minus(tool, last)) > TRAIL_STEP_M) this.points.push(...tool);
+        return this.points.length / 3;
+      });
+      this.points = new Float32Array(this.points);
     }
-    return this.points;
+    const first = this.pointsUntil[this.motion.trailStart[frame]] - 1;
+    this.painter.drawLine(this.points, first, this.pointsUntil[frame]);
   }
 
   tell([frame], force) {
     const share = (this.time - this.start) / this.span;
     byId("slider").value = share;
-    byId("clock").textContent = this.time.toFixed(1) + " of " + this.end.toFixed(1) + " s";
-    byId("factor").textContent = this.factor.toFixed(this.factor < 10 ? 1 : 0);
+    tell("clock", this.time.toFixed(1) + " of " + this.end.toFixed(1) + " s");
+    tell("factor", this.factor.toFixed(this.factor < 10 ? 1 : 0));
     const error = this.toolError ? ", tool error " + this.toolError[frame].toFixed(1) + " mm" : "";
-    byId("readout").textContent = this.modeOf[frame] + (this.motion.offsets.true ? ", contact " + force.toFixed(1) + " N" : "") + error;
+    tell("readout", this.modeOf[frame] + (this.motion.offsets.true ? ", contact " + force.toFixed(1) + " N" : "") + error);
     this.plots.forEach((plot) => plot.mark(share));
-    this.rows.forEach(([time, button], i) => {
-      const next = this.rows[i + 1];
-      button.classList.toggle("now", time <= this.time && !(next && next[0] <= this.time));
-    });
+    const next = this.rows.findIndex(([time]) => time > this.time), present = (next < 0 ? this.rows.length : next) - 1;
+    if (present === this.present) return;
+    this.rows[this.present]?.[1].classList.remove("now");
+    this.rows[present]?.[1].classList.add("now");
+    this.present = present;
   }
 
   loop(now, last) {
-    this.advance((now - last) / 1000);
+    const wall = (now - last) / 1000;
+    this.advance(wall);
+    this.adapt(wall);
     if (this.isStale) this.draw();
     requestAnimationFrame((next) => this.loop(next, now));
   }
@@ -526,6 +542,11 @@ function describe(run) {
     byId("facts").append(row);
   }
   for (const note of run.notes) byId("notes").append(Object.assign(document.createElement("li"), { textContent: note }));
+}
+
+/** Write a text where it has changed. */
+function tell(id, text) {
+  if (byId(id).textContent !== text) byId(id).textContent = text;
 }
 
 async function main() {
