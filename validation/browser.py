@@ -19,7 +19,14 @@ from typing import Any, Self
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome-headless-shell")
 MISSING = "no Chromium on this machine; apt-get install chromium"
 FLAGS = (
-    *("--headless", "--no-sandbox", "--no-first-run", "--disable-quic", "--disable-sync", "--hide-scrollbars"),
+    *(
+        "--headless",
+        "--no-sandbox",
+        "--no-first-run",
+        "--disable-quic",
+        "--disable-sync",
+        "--hide-scrollbars",
+    ),
     *("--disable-background-networking", "--disable-component-update", "--remote-debugging-pipe"),
     *("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"),
 )
@@ -71,7 +78,11 @@ class Browser:
     def open(self, address: str, width: int = 1400, height: int = 900, dark: bool = False) -> None:
         """Open a page in a window of this size, and wait until its player has drawn a frame."""
         self._ask(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width < 600,
         )
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._ask("Emulation.setEmulatedMedia", features=[scheme])

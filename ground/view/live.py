@@ -52,7 +52,7 @@ class LiveView:
     def watch(self, record: CycleRecord) -> None:
         """Keep a sample of a cycle with its events, and draw it if a drawing is due."""
         if record.tick < self._last_tick:  # another run, which follows the last one
-            self._begun_s += self._last_tick / CYCLE_HZ
+            self._begun_s += (self._last_tick + 1) / CYCLE_HZ
             self._trail = []
         self._last_tick = record.tick
         time_s = self._begun_s + record.tick / CYCLE_HZ
@@ -88,3 +88,7 @@ class LiveView:
         """Play the whole run until the user presses Ctrl-C."""
         scene, frames = self._surroundings.scene, self._frames(slice(None))
         self._viewer.play(WatchedRun(self._title, (), (), scene, frames, tuple(self._events)))
+
+    def stop(self) -> None:
+        """Stop the viewer."""
+        self._viewer.stop()
