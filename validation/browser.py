@@ -1,6 +1,6 @@
 """Headless Chromium, driven by its own protocol over a pipe: pages are opened, asked and photographed.
 
-It needs no package. `apt-get install chromium` installs the browser; where it is missing, what needs it is skipped.
+It needs no package. `apt-get install chromium` installs the browser; what needs it is skipped without it.
 """
 
 import base64

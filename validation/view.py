@@ -1,6 +1,6 @@
 """Frames a second of the page that plays a run, in headless Chromium without a GPU, and its size.
 
-Prints JSON. With `--shots DIR` it also takes the pictures of docs/view.md. Without Chromium it says so, status 0.
+Prints JSON; with `--shots DIR`, takes the pictures of docs/view.md. Without Chromium it says so, status 0.
 """
 
 import argparse
@@ -88,7 +88,8 @@ def take_pictures(browser: Browser, page: Path, folder: Path) -> None:
     for name, (width, height, dark, time_s, factor) in SHOTS.items():
         browser.open(page.as_uri(), width, height, dark)
         browser.evaluate(
-            f"document.getElementById('magnify').value = Math.log({factor}); player.seek({time_s}); player.draw()"
+            f"document.getElementById('magnify').value = Math.log({factor});"
+            f"player.seek({time_s}); player.draw()"
         )
         browser.save_screenshot(folder / name)
 
