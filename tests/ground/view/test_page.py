@@ -21,7 +21,8 @@ FACTORS = (1.0, 7.0)
 PLAYER = files("ground.view").joinpath("page", "player.js").read_text()
 
 DRAWN_TWICE_MORE = """
-(() => { document.getElementById("speed").value = 1; player.seek(player.start); player.playing || player.toggle();
+(() => { document.getElementById("speed").value = 1; player.seek(player.start);
+  player.playing || player.toggle();
   const until = player.drawn + 2;
   return new Promise((done) => {
     const look = () => player.drawn >= until ? done(true) : requestAnimationFrame(look);
@@ -142,7 +143,8 @@ def test_a_page_fits_the_screen_and_draws_the_arm(run, tmp_path, width, dark):
         assert browser.evaluate("document.documentElement.scrollWidth") <= width
         colours = browser.evaluate("""(() => {
           player.draw();
-          const gl = player.painter.gl, { width, height } = gl.canvas, pixels = new Uint8Array(4 * width * height);
+          const gl = player.painter.gl, { width, height } = gl.canvas;
+          const pixels = new Uint8Array(4 * width * height);
           gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
           return new Set(new Uint32Array(pixels.buffer)).size; })()""")
         assert colours > 500
