@@ -36,7 +36,7 @@ new Promise((done) => {
 })
 """
 SHOTS = {
-    "view.png": (1400, 900, False, 290.0, 1.0),
+    "view.png": (1400, 900, False, 470.0, 1.0),
     "view-magnified.png": (1400, 900, False, 541.0, 20.0),
     "view-phone.png": (400, 860, True, 541.0, 1.0),
 }

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from ground.common.files import atomic_write
 from ground.view.frames import MOST_MAGNIFICATION
 from ground.view.plots import Plot, make_plots
 from ground.view.watched_run import WatchedRun
+
+LOOK_AT: Final = np.array([0.5, 0.5, 0.25])
+"""Point at which the camera looks, as shares of the box around the trail: the surface is at its bottom."""
 
 
 def save_page(run: WatchedRun, path: Path) -> int:
@@ -52,7 +55,7 @@ def make_page(run: WatchedRun) -> bytes:
 def _document(run: WatchedRun, plots: tuple[Plot, ...]) -> dict[str, Any]:
     """Return what the player needs besides arrays."""
     frames = run.frames
-    tool_m = frames.p_m[:, -1]
+    low_m, high_m = frames.p_m[:, -1].min(axis=0), frames.p_m[:, -1].max(axis=0)
     starts = np.cumsum(
         [(0, 0), *((len(p.triangles.vertices_m), len(p.triangles.faces)) for p in run.scene.parts)], axis=0
     )
@@ -61,7 +64,7 @@ def _document(run: WatchedRun, plots: tuple[Plot, ...]) -> dict[str, Any]:
         "bodies": frames.p_m.shape[1],
         "carriers": run.scene.carriers,
         "magnification": MOST_MAGNIFICATION,
-        "target": ((tool_m.min(axis=0) + tool_m.max(axis=0)) / 2).astype(float).tolist(),
+        "target": (low_m + LOOK_AT * (high_m - low_m)).astype(float).tolist(),
         "modes": frames.samples.mode_names,
         "facts": run.facts,
         "notes": run.notes,

@@ -2,8 +2,8 @@
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Sequence
+from contextlib import redirect_stdout
 from io import StringIO
 from typing import Any, Final
 
@@ -153,8 +153,8 @@ class Viewer:
             add_plot(gui, plot, times_s)
         for note in run.notes:
             gui.add_markdown(note)
-        with until_interrupted():
-            last_s = time.monotonic()
+        last_s = time.monotonic()
+        try:
             while True:
                 now_s = time.monotonic()
                 if playing.value and clock.value < end_s:
@@ -162,6 +162,9 @@ class Viewer:
                 last_s = now_s
                 self.draw(run.frames, clock.value, run.events, run.frames.trail(clock.value))
                 time.sleep(max(PERIOD_S - (time.monotonic() - now_s), 0.0))
+        except KeyboardInterrupt:  # this is how a user ends a viewer
+            print("viewer    closed", file=sys.stderr)
+        self.stop()
 
     def _add_event_menu(self, events: Sequence[Event], clock: Any) -> None:
         """Add a menu of the events; choosing one moves the clock to it."""
@@ -177,7 +180,8 @@ class Viewer:
 
     def stop(self) -> None:
         """Stop the server."""
-        self._server.stop()
+        with redirect_stdout(StringIO()):  # it takes its leave
+            self._server.stop()
 
 
 def open_server(port: int, title: str) -> Any:
@@ -238,12 +242,3 @@ def add_plot(gui: Any, plot: Plot, time_s: NDArray[np.float64]) -> None:
         scales={"x": uplot.Scale(time=False, auto=True)},
         aspect=1.6,
     )
-
-
-@contextmanager
-def until_interrupted() -> Iterator[None]:
-    """Run a block until Ctrl-C, which is how a user ends a viewer."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        print("viewer    closed", file=sys.stderr)

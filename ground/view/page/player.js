@@ -201,7 +201,10 @@ class Painter {
   drawGhost(matrices) {
     const gl = this.gl;
     gl.enable(gl.BLEND);
+    gl.enable(gl.POLYGON_OFFSET_FILL); // where both arms coincide, the true one is seen
+    gl.polygonOffset(0, 1000);
     matrices.forEach((matrix, body) => this.draw(this.bodies[body], matrix, [...GHOST_RGB, 0.75], 2));
+    gl.disable(gl.POLYGON_OFFSET_FILL);
     gl.disable(gl.BLEND);
   }
 
