@@ -23,7 +23,7 @@ SPEEDS: Final = (1, 2, 5, 10, 20, 50)
 PERIOD_S: Final = 1 / 30
 """Wall time between two frames."""
 GHOST_RGB: Final = (40, 115, 240)
-GHOST_OPACITY: Final = 0.35
+GHOST_OPACITY: Final = 0.25
 FORCE_RGB: Final = (230, 30, 25)
 TRAIL_RGB: Final = (255, 217, 25)
 CURVE_COLOURS: Final = ("#1f77b4", "#d95f02", "#2b8a3e", "#8e44ad", "#7a5c3e")

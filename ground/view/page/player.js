@@ -12,6 +12,7 @@ const TRAIL_STEP_M = 0.01;
 const SLOWEST_S = 1 / 24;
 const COARSEST = 2.5;
 const ARROW_M_PER_N = 0.006;
+const ARROW_WIDTH_M = 0.4;
 const SEVERITY_CLASS = (severity) => (severity >= 5 ? "bad" : severity >= 4 ? "warn" : "");
 
 // ---- data ------------------------------------------------------------------------------------------------------------
@@ -256,7 +257,7 @@ function arrowTriangles() {
     for (let i = 0; i <= n; i++) {
       const angle = (2 * Math.PI * i) / n, c = Math.cos(angle), s = Math.sin(angle);
       p.push(x0, r0 * c, r0 * s, x1, r1 * c, r1 * s);
-      if (i < n) faces.push(base + 2 * i, base + 2 * i + 1, base + 2 * i + 2, base + 2 * i + 2, base + 2 * i + 1, base + 2 * i + 3);
+      if (i < n) faces.push(...[0, 2, 1, 2, 3, 1].map((corner) => base + 2 * i + corner));
     }
   }
   return [p, p.map(() => 0), faces];
@@ -490,7 +491,7 @@ class Player {
   drawArrow(tool, force, size) {
     const length = Math.min(0.1 + ARROW_M_PER_N * size, 0.8), x = force.map((v) => v / size);
     const y = unit(cross(Math.abs(x[2]) < 0.9 ? [0, 0, 1] : [1, 0, 0], x)), z = cross(x, y);
-    const columns = [x, y, z].flatMap((axis) => [...axis.map((v) => v * length), 0]);
+    const columns = [[x, length], [y, ARROW_WIDTH_M], [z, ARROW_WIDTH_M]].flatMap(([axis, s]) => [...axis.map((v) => v * s), 0]);
     const { gl } = this.painter;
     gl.disable(gl.DEPTH_TEST); // the arrow begins inside the tool
     this.painter.draw(this.painter.arrow, [...columns, ...tool, 1], [...ARROW_RGB, 1], 0);
