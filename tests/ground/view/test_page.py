@@ -133,6 +133,7 @@ def test_a_page_plays_from_a_file_at_every_speed(run, tmp_path):
 
 
 @needs_chromium
+@pytest.mark.slow
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", [400, 1400])
 def test_a_page_fits_the_screen_and_draws_the_arm(run, tmp_path, width, dark):
