@@ -26,6 +26,7 @@ from ground.cli.ik import ik, reach
 from ground.cli.log import log_app, replay
 from ground.cli.runs import hardstop, place, run, scenarios
 from ground.cli.verb import EXIT_BAD_INPUT, VerbCommand
+from ground.cli.view import view
 
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 """Exit status of a program whose reader has closed the pipe, as `head` does."""
@@ -64,6 +65,7 @@ app.command(cls=VerbCommand)(reach)
 app.command()(hardstop)
 app.command()(run)
 app.command()(scenarios)
+app.command()(view)
 app.command()(replay)
 app.command()(dictionary)
 app.command()(effects)

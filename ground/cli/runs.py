@@ -1,6 +1,7 @@
 """Define the verbs of runs: `place`, `hardstop`, `run` and `scenarios`."""
 
-from typing import Annotated
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -9,12 +10,20 @@ from ground.common.errors import BadRequest
 from ground.common.progress import Progress
 from ground.runs.request import HardstopRequest, PlaceRequest, RunRequest
 
+if TYPE_CHECKING:
+    from ground.view.live import LiveView
+
 AllOption = Annotated[
     bool, typer.Option("--all", help="All joints, one after the other, as flight software does it.")
 ]
 PlanOption = Annotated[
     bool, typer.Option("--plan", help="Move nothing; show the poses and the torques that they equalise.")
 ]
+
+
+def _player(view: "LiveView | None") -> Callable[[], None] | None:
+    """Return the function that plays a run in its viewer after the result was printed."""
+    return None if view is None else view.play
 
 
 @verb
@@ -30,7 +39,8 @@ def place(request: PlaceRequest, progress: Progress) -> VerbResult:
 
     report = place(request, progress)
     is_done = report.execution.result.outcome == "done"
-    return VerbResult(place_json(report), lambda: place_table(report), is_done)
+    play = _player(report.execution.view)
+    return VerbResult(place_json(report), lambda: place_table(report), is_done, play)
 
 
 @verb
@@ -62,20 +72,22 @@ def hardstop(
     report = hardstop(request, progress)
     problem = None if request.picture is None else save_hardstop_figure(report.runs, request.picture)
     document = hardstop_json(report, problem)
-    return VerbResult(document, lambda: hardstop_table(report, problem), report.outcome == "done")
+    is_done = report.outcome == "done"
+    return VerbResult(document, lambda: hardstop_table(report, problem), is_done, _player(report.view))
 
 
 @verb
 def run(request: RunRequest, progress: Progress) -> VerbResult:
     """Run a scenario in the closed loop, and check it against the true motion of the arm.
 
-    Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --movie sol46.gif
+    Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --movie sol46.mp4
     """
     from ground.runs.scenario import run_scenario
     from ground.runs.tables import run_json, run_table
 
     report = run_scenario(request, progress)
-    return VerbResult(run_json(report), lambda: run_table(report), report.passed)
+    play = _player(report.execution.view)
+    return VerbResult(run_json(report), lambda: run_table(report), report.passed, play)
 
 
 @verb

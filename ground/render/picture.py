@@ -6,8 +6,9 @@ written is bad input, and `check_picture_path` refuses it before any work begins
 
 import importlib.util
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -70,7 +71,7 @@ def save_picture(
     Raises:
         PictureError: the path cannot be written, there is no such camera, or the size is not positive.
     """
-    file = check_picture_path(path, ".png", "picture")
+    file = check_picture_path(path)
     opened, result = _open_camera(model, camera, file, size)
     if opened is None:
         return result
@@ -95,7 +96,7 @@ def save_movie(
     size: tuple[int, int] = (640, 360),
     frames_per_s: float = 16.0,
 ) -> PictureResult:
-    """Save a GIF with one frame for each pose.
+    """Save an MP4 or GIF with one frame for each pose.
 
     A run only stores poses, which are small; the frames are drawn after it.
 
@@ -103,14 +104,15 @@ def save_movie(
         model: The model.
         poses: Positions qpos, each of shape (model.nq,), in metres and radians.
         camera: Name of a camera of the model.
-        path: The GIF file.
-        size: Width and height in pixels.
+        path: The file, MP4 or GIF by its suffix.
+        size: Width and height in pixels, even for an MP4.
         frames_per_s: Frame rate.
 
     Raises:
-        PictureError: the path cannot be written, there is no such camera, or the size is not positive.
+        PictureError: the path cannot be written, PyAV is missing for an MP4, there is no such camera, or the
+            size is not positive.
     """
-    file = check_picture_path(path, ".gif", "movie")
+    file = check_movie_path(path)
     opened, result = _open_camera(model, camera, file, size)
     if opened is None:
         return result
@@ -126,7 +128,7 @@ def save_movie(
     finally:
         opened.close()
     try:
-        write_gif(frames, file, frames_per_s)
+        (write_gif if file.suffix.lower() == ".gif" else write_mp4)(frames, file, frames_per_s)
     except OSError as error:
         return _not_saved("movie", file, error)
     return result
@@ -150,7 +152,7 @@ def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_
     """
     import PIL.Image
 
-    file = check_picture_path(path, ".gif", "movie")
+    file = check_movie_path(path)
     images = [PIL.Image.fromarray(frame).quantize(128, dither=PIL.Image.Dither.NONE) for frame in frames]
     if not images:
         raise PictureError(f"movie {file}: there is no frame to write")
@@ -158,14 +160,55 @@ def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_
     images[0].save(file, save_all=True, append_images=images[1:], duration=duration_ms, loop=0)
 
 
-def check_picture_path(path: str | os.PathLike[str], suffix: str, what: Literal["picture", "movie"]) -> Path:
-    """Return the path if a picture or movie can be written there.
+def write_mp4(frames: Sequence[Image], path: Path, frames_per_s: float = 16.0) -> None:
+    """Write images as an MP4 with H.264, which every browser plays.
+
+    Args:
+        frames: Images, each of shape (height, width, 3), 0 to 255, of even height and width.
+        path: The MP4 file.
+        frames_per_s: Frame rate.
+
+    Raises:
+        PictureError: there is no frame.
+        OSError: the file cannot be written.
+    """
+    import av
+
+    if not frames:
+        raise PictureError(f"movie {path}: there is no frame to write")
+    with av.open(str(path), "w", options={"movflags": "faststart"}) as container:
+        stream = container.add_stream("libx264", rate=Fraction(frames_per_s), options={"crf": "20"})
+        stream.height, stream.width = frames[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        for image in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode())
+
+
+def check_movie_path(path: str | os.PathLike[str]) -> Path:
+    """Return the path if a movie can be written there; an MP4 needs PyAV, a GIF does not.
+
+    Raises:
+        PictureError: wrong suffix, no such folder, impossible name, no permission, or no PyAV.
+    """
+    file = _check_path(path, (".gif", ".mp4"), "movie")
+    if file.suffix.lower() == ".mp4" and importlib.util.find_spec("av") is None:
+        raise PictureError(f"movie {file}: PyAV is missing; pip install 'marsarm[movie]', or name a .gif")
+    return file
+
+
+def check_picture_path(path: str | os.PathLike[str]) -> Path:
+    """Return the path if a picture can be written there.
 
     Raises:
         PictureError: wrong suffix, no such folder, impossible name, or no permission.
     """
+    return _check_path(path, (".png",), "picture")
+
+
+def _check_path(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: str) -> Path:
     try:
-        return check_output(path, (suffix,), what)
+        return check_output(path, suffixes, what)
     except BadOutput as error:
         raise PictureError(str(error)) from error
 

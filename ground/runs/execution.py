@@ -4,10 +4,10 @@ A run continues if its log, picture or movie cannot be written.
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 import mujoco
 import numpy as np
@@ -18,17 +18,21 @@ from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
 from ground.common.errors import BadRequest
 from ground.common.progress import Progress
-from ground.render.picture import PictureResult, save_movie, save_picture
+from ground.render.picture import PictureResult, check_movie_path, save_movie, save_picture
 from ground.render.rover_scene import tilt_rover
 from ground.runs.request import RunFiles, WhenDiskFull
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.recorder import Recorder
 from sim.arms import BuiltArm
+from sim.effects.effect import Effect
 from sim.initialisation import InitialisationResult, initialise_joints
 from sim.loop import ClosedLoop
 from sim.plant import Plant
 from sim.record import CycleRecord
 from sim.world import World, build
+
+if TYPE_CHECKING:
+    from ground.view.live import LiveView
 
 FRAME_PERIOD_S = 3.0
 PICTURE_SIZE = (1280, 720)
@@ -253,6 +257,40 @@ class Execution(Generic[Result]):
     realtime_factor: float
     """Duration on Mars over wall time; 0 for a run that did not begin."""
     artifacts: Artifacts
+    view: "LiveView | None" = None
+    """Viewer that shows the run, if one was asked for."""
+
+
+def check_files(files: RunFiles) -> None:
+    """Refuse a movie that this machine cannot write, before anything moves.
+
+    Raises:
+        PictureError: the movie cannot be written.
+    """
+    if files.movie is not None:
+        check_movie_path(files.movie)
+
+
+def open_view(
+    is_wanted: bool, title: str, world: World, arm: BuiltArm, effects: Sequence[Effect]
+) -> "LiveView | None":
+    """Open a viewer for a run that has not begun, or return None if none is wanted.
+
+    Args:
+        is_wanted: True for a viewer.
+        title: Title of the run.
+        world: World of the run.
+        arm: Arm of the run.
+        effects: Effects beyond those of the arm.
+
+    Raises:
+        BadRequest: the viewer cannot be opened.
+    """
+    if not is_wanted:
+        return None
+    from ground.view.live import LiveView  # a run without a viewer does not wait for it
+
+    return LiveView(title, world, arm, effects)
 
 
 def execution_not_begun(result: Result, arm: BuiltArm, files: RunFiles) -> Execution[Result]:
@@ -271,6 +309,7 @@ def execute(
     progress: Progress,
     progress_at: Callable[[CycleRecord], tuple[float, float]],
     is_for_picture: Callable[[CycleRecord], bool],
+    view: "LiveView | None" = None,
 ) -> Execution[Result]:
     """Carry out a run: record every cycle, then draw the picture and the movie.
 
@@ -283,6 +322,7 @@ def execute(
         progress: Receiver of the progress.
         progress_at: Function that returns the amount done at a cycle, and the total amount.
         is_for_picture: Function that returns whether the picture may show a cycle; it shows the last one.
+        view: Viewer that shows the run; None for none.
 
     Raises:
         BadRequest: the log cannot be opened; nothing moved.
@@ -294,6 +334,8 @@ def execute(
         for record in record_cycles(run, log, files.when_disk_full):
             if frames.note(loop.plant, record):
                 progress(*progress_at(record), describe_activity(record))
+            if view is not None:
+                view.watch(record)
             if is_for_picture(record):
                 frames.choose(loop.plant)
     finally:
@@ -303,4 +345,4 @@ def execute(
         raise loop.failure
     result = run.result()
     artifacts = save_artifacts(files, world, frames, loop.plant.data.qpos, log, progress)
-    return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts)
+    return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts, view)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import degrees
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from ground.common.errors import BadRequest
 from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress
 from ground.common.requests import make_world, parse_effects, select_arm
+from ground.runs.execution import open_view
 from ground.runs.request import HardstopRequest
 from sim.arms import BuiltArm, effects_of_run
 from sim.clearance import Clearance, ClearanceModel
@@ -25,8 +26,12 @@ from sim.effects.environment import WARM_C, default_ambient
 from sim.hardstop_loads import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance, without_turret
 from sim.initialisation import InitialisationResult, InitialisationRun, prepare_homing, prepare_random_homing
 from sim.loop import ClosedLoop, Setup
+from sim.record import CycleRecord
 from sim.sequence import Outcome
 from sim.world import World
+
+if TYPE_CHECKING:
+    from ground.view.live import LiveView
 
 COLDEST_C, WARMEST_C = -130.0, 50.0
 EXPECTED_S: Final = 1500.0
@@ -42,6 +47,8 @@ class HardstopReport:
     """One run for every repetition and joint, or one run of all joints."""
     poses_rad: tuple[tuple[float, ...], ...]
     """Pose in which each joint runs to its hardstop, in the order of Joint; its own angle is the first."""
+    view: "LiveView | None" = None
+    """Viewer that shows the runs, if one was asked for."""
 
     @property
     def outcome(self) -> Outcome:
@@ -67,9 +74,10 @@ def hardstop(request: HardstopRequest, progress: Progress = no_progress) -> Hard
         BadRequest: the request is wrong; nothing moved and nothing was written.
     """
     job = prepare_hardstop(request)
-    runs = tuple(_iter_runs(request, job, progress))
+    view = open_view(request.view, f"hardstops of {job.arm.name} arm", job.world, job.arm, job.effects)
+    runs = tuple(_iter_runs(request, job, progress, view))
     poses = tuple(tuple(homing_start_poses(job.arm.params, joint)[-1]) for joint in Joint)
-    return HardstopReport(request, runs, poses)
+    return HardstopReport(request, runs, poses, view)
 
 
 def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
@@ -128,11 +136,11 @@ def _parse_start(arm: BuiltArm, start_deg: tuple[float, ...]) -> Joints5:
 
 
 def _iter_runs(
-    request: HardstopRequest, job: HardstopJob, progress: Progress
+    request: HardstopRequest, job: HardstopJob, progress: Progress, view: "LiveView | None"
 ) -> Iterator[InitialisationResult]:
     """Carry out one run after the other until one fails."""
     if request.joint is None and request.repeat == 1:
-        yield _run_all_joints(request, job, progress)
+        yield _run_all_joints(request, job, progress, view)
         return
     total = request.repeat * len(job.joints)
     for k in range(total):
@@ -145,7 +153,9 @@ def _iter_runs(
             run = prepare_homing(job.arm, joint, job.world, request.seed, job.effects)
         else:
             run = prepare_random_homing(job.arm, joint, job.world, request.seed + repetition)
-        result = run.finish()
+        for _ in _watched(run, view):
+            pass
+        result = run.result()
         if result.failure is not None:
             raise result.failure
         yield result
@@ -153,11 +163,22 @@ def _iter_runs(
             return
 
 
-def _run_all_joints(request: HardstopRequest, job: HardstopJob, progress: Progress) -> InitialisationResult:
+def _watched(run: InitialisationRun, view: "LiveView | None") -> Iterator[CycleRecord]:
+    """Run all cycles, and show each in the viewer if there is one."""
+    run.loop.with_truth = view is not None
+    for record in run:
+        if view is not None:
+            view.watch(record)
+        yield record
+
+
+def _run_all_joints(
+    request: HardstopRequest, job: HardstopJob, progress: Progress, view: "LiveView | None"
+) -> InitialisationResult:
     start_rad = job.arm.params.hardstop.start_rad
     loop = ClosedLoop(Setup(job.arm, job.world, start_rad, request.seed, effects=job.effects))
     run = InitialisationRun(loop, CalibrateAll())
-    for record in run:
+    for record in _watched(run, view):
         if record.tick % CYCLE_HZ == 0:
             homing = loop.state.move.homing if loop.state.move is not None else None
             activity = "moving" if homing is None else homing.joint.name.lower()

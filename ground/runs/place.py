@@ -18,7 +18,7 @@ from ground.common.requests import (
     scale_direction,
     select_arm,
 )
-from ground.runs.execution import Execution, execute, execution_not_begun, initialise
+from ground.runs.execution import Execution, check_files, execute, execution_not_begun, initialise, open_view
 from ground.runs.request import PlaceRequest
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm, effects_of_run
@@ -50,6 +50,7 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
         BadRequest: the request is wrong, or the target cannot be reached.
     """
     check_options(request)
+    check_files(request.files)
     check_finite("target", request.target_m)
     check_finite("normal", request.normal)
     check_target_distance("target", request.target_m)
@@ -97,15 +98,19 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
         BadRequest: the request is wrong; nothing moved and nothing was written.
     """
     job = prepare_placement(request)
+    title = f"{request.tool.upper()} on {job.arm.name} arm"
+    view = open_view(request.files.view, title, job.world, job.arm, effects_of_run(job.effects))
     last = initialise(job.arm, request.seed, progress)[-1]
     if last.outcome is not Outcome.DONE:
         result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
         return PlaceReport(request, execution_not_begun(result, job.arm, request.files))
     stowed_rad = job.arm.params.poses.stowed_rad
     setup = Setup(job.arm, job.world, stowed_rad, request.seed, last.reference, effects_of_run(job.effects))
-    loop = ClosedLoop(setup, with_truth=request.files.log is not None)
+    loop = ClosedLoop(setup, with_truth=request.files.log is not None or view is not None)
     run = PlacementRun(loop, job.placement)
-    header = run_header(loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects)
+    header = run_header(
+        loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects, job.world
+    )
     execution = execute(
         run,
         loop,
@@ -115,5 +120,6 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
         progress,
         progress_at=lambda record: (record.tick / CYCLE_HZ, job.expected_s),
         is_for_picture=lambda record: CommandCompleted("GuardedMove") in record.outputs.evrs,
+        view=view,
     )
     return PlaceReport(request, execution)

@@ -21,9 +21,14 @@ WhenDiskFull = Literal["go-on", "stop"]
 """Reaction of a run if its log can no longer be written."""
 
 
+ViewOption = Annotated[
+    bool, Option("Show the run in the browser while it runs, then play it again until Ctrl-C.", name="--view")
+]
+
+
 @dataclass(frozen=True, slots=True)
 class RunFiles:
-    """Files that a run writes; None for each that it does not."""
+    """Files that a run writes, None for each that it does not; and whether it is shown."""
 
     log: Annotated[Path | None, Option("Write a telemetry log (MCAP).", "FILE.mcap", suffixes=(".mcap",))] = (
         None
@@ -37,7 +42,10 @@ class RunFiles:
             help_without="Draw no picture.",
         ),
     ] = None
-    movie: Annotated[Path | None, Option("Draw the whole run.", "FILE.gif", suffixes=(".gif",))] = None
+    movie: Annotated[
+        Path | None, Option("Draw the whole run.", "FILE.mp4|FILE.gif", suffixes=(".gif", ".mp4"))
+    ] = None
+    view: ViewOption = False
     when_disk_full: Annotated[
         WhenDiskFull, Option("Reaction of the run if its log can no longer be written.", "go-on|stop")
     ] = "go-on"
@@ -146,6 +154,7 @@ class HardstopRequest:
     params: ParamsOption = None
     mismatch: MismatchOption = False
     effects: EffectsOption = ()
+    view: ViewOption = False
     picture: Annotated[
         Path | None, Option("Draw current, speed and angle.", "FILE.png", suffixes=(".png",))
     ] = None

@@ -6,7 +6,7 @@ from ground.common.errors import BadRequest
 from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress
 from ground.common.requests import make_world, parse_effects, select_arm
-from ground.runs.execution import Execution, execute, execution_not_begun, initialise
+from ground.runs.execution import Execution, check_files, execute, execution_not_begun, initialise, open_view
 from ground.runs.request import RunRequest
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm
@@ -41,6 +41,8 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
         BadRequest: the request or the scenario is wrong; nothing moved and nothing was written.
     """
     scenario, arm = _prepare(request)
+    title = f"{scenario.title} on {arm.name} arm"
+    view = open_view(request.files.view, title, scenario.world, arm, scenario.effects)
     last = initialise(arm, request.seed, progress)[-1]
     if last.outcome is not Outcome.DONE:
         result = ScenarioResult(last.outcome, 0, last.duration_s, (), last.evrs)
@@ -51,18 +53,27 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
     except NotTaught as error:
         raise BadRequest(f"scenario {scenario.name}: {error}") from error
     setup = scenario_setup(scenario, arm, last.reference, request.seed)
-    loop = ClosedLoop(setup, with_truth=request.files.log is not None)
+    loop = ClosedLoop(setup, with_truth=request.files.log is not None or view is not None)
     scenario_run = ScenarioRun(loop, scenario)
     picture_command, total = _picture_command(scenario), len(scenario.commands)
     execution = execute(
         scenario_run,
         loop,
-        run_header(loop, arm.name, request.seed, asdict(request), scenario.commands, scenario.effects),
+        run_header(
+            loop,
+            arm.name,
+            request.seed,
+            asdict(request),
+            scenario.commands,
+            scenario.effects,
+            scenario.world,
+        ),
         request.files,
         scenario.world,
         progress,
         progress_at=lambda _: (scenario_run.command - 1, total),
         is_for_picture=lambda _: scenario_run.command == picture_command,
+        view=view,
     )
     return RunReport(request, scenario, arm.name, execution)
 
@@ -70,6 +81,7 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
 def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     """Check a request, before anything moves or is written, and return its scenario and arm."""
     check_options(request)
+    check_files(request.files)
     try:
         scenario = load_scenario(request.scenario)
     except BadScenario as error:

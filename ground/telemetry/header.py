@@ -24,6 +24,7 @@ from ground.telemetry.json_codec import record_to_json
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
 from sim.scenario.effects import effect_text
+from sim.world import World
 
 
 @cache
@@ -48,6 +49,8 @@ def _blas_kernels() -> str:
 
 REPOSITORY: Final = Path(__file__).resolve().parents[2]
 GIT_TIMEOUT_S: Final = 5.0
+WORLD: Final = "world"
+"""Key of the header: scene, tilt of the rover and surface as JSON, for viewers."""
 SESSION: Final = "session"
 """Key of the header: motion and conditions of a session as JSON, for the diagnosis."""
 
@@ -59,6 +62,7 @@ def run_header(
     request: dict[str, Any],
     commands: Sequence[Command],
     effects: Sequence[Effect] = (),
+    world: World | None = None,
 ) -> dict[str, str]:
     """Return the header of a run that has not begun.
 
@@ -69,6 +73,7 @@ def run_header(
         request: Request that the run carries out.
         commands: Commands of the run.
         effects: Effects that are switched on in addition to those of the arm.
+        world: World of the run; None if it is not recorded.
 
     Raises:
         ValueError: the run has begun, so the start conditions are no longer known.
@@ -80,6 +85,7 @@ def run_header(
         "request": json.dumps(request, default=str, sort_keys=True),
         "effects": json.dumps([effect_text(effect) for effect in effects]),
         "mjcf_sha256": model_digest(loop.plant.model),
+        **({} if world is None else {WORLD: json.dumps(record_to_json(world))}),
     }
 
 

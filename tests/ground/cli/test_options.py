@@ -11,13 +11,14 @@ import pytest
 
 from ground.accuracy.request import BudgetRequest, MonteCarloRequest
 from ground.calibration.request import CalibrateRequest, SerialRequest
-from ground.cli import accuracy, calibrate, diagnosis, ik, runs
+from ground.cli import accuracy, calibrate, diagnosis, ik, runs, view
 from ground.cli.verb import VerbResult, give_address, verb
 from ground.common.errors import BadRequest
 from ground.common.options import Option, check_options, option_fields
 from ground.diagnosis.arm.request import DiagnoseRequest, RecordRequest
 from ground.ik.request import IkRequest, ReachRequest
 from ground.runs.request import HardstopRequest, PlaceRequest, RunRequest
+from ground.view.request import ViewRequest
 from tests.ground.command import ROOT
 
 VERBS = {
@@ -30,6 +31,7 @@ VERBS = {
     MonteCarloRequest: accuracy.monte_carlo,
     CalibrateRequest: calibrate.calibrate,
     SerialRequest: calibrate.calibrate_serial,
+    ViewRequest: view.view,
     DiagnoseRequest: diagnosis.diagnose,
     RecordRequest: diagnosis.record,
 }

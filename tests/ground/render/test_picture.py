@@ -205,8 +205,8 @@ def test_size_must_be_positive(model, data, tmp_path):
 
 
 def test_a_movie_is_called_a_movie(model, tmp_path):
-    with pytest.raises(PictureError, match=r"movie .*lift\.mp4: its name must end in \.gif"):
-        save_movie(model, [], "front", tmp_path / "lift.mp4")
+    with pytest.raises(PictureError, match=r"movie .*lift\.avi: its name must end in \.gif or \.mp4"):
+        save_movie(model, [], "front", tmp_path / "lift.avi")
 
 
 def test_a_link_to_a_file_may_be_written(model, data, tmp_path):
@@ -219,6 +219,30 @@ def test_a_link_to_a_file_may_be_written(model, data, tmp_path):
 def test_movie_without_frames_is_refused(tmp_path):
     with pytest.raises(PictureError, match="no frame"):
         write_gif([], tmp_path / "empty.gif")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("av") is None, reason="PyAV is not installed")
+def test_an_mp4_has_the_frames_of_a_gif(model, tmp_path):
+    import av
+
+    poses = [np.array([0.1 * k]) for k in range(5)]
+    result = save_movie(model, poses, "front", tmp_path / "lift.mp4", SIZE)
+    assert result.path == tmp_path / "lift.mp4"
+    with av.open(str(result.path)) as movie:
+        frames = [frame.to_ndarray(format="rgb24") for frame in movie.decode(video=0)]
+        assert movie.streams.video[0].codec_context.name == "h264"
+    assert [frame.shape for frame in frames] == [(120, 160, 3)] * 5
+    save_movie(model, poses, "front", tmp_path / "lift.gif", SIZE)
+    with PIL.Image.open(tmp_path / "lift.gif") as gif:
+        gif.seek(4)
+        last = np.asarray(gif.convert("RGB")).astype(int)
+    assert np.abs(frames[-1].astype(int) - last).mean() < 8, "both show the ball at its last pose"
+
+
+def test_an_mp4_without_pyav_is_refused_with_the_package_to_install(model, tmp_path, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(PictureError, match=r"PyAV is missing; pip install 'marsarm\[movie\]', or name a"):
+        save_movie(model, [], "front", tmp_path / "lift.mp4")
 
 
 def test_missing_pillow_is_a_message(model, data, tmp_path, monkeypatch):

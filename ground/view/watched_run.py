@@ -1,0 +1,152 @@
+"""Run as a view shows it: its scene, its arms and its events."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fsw.dictionary.evrs import Severity
+from fsw.dictionary.params import Params
+from fsw.kinematics.arm import Arm, build_arm
+from fsw.kinematics.transforms import Array, normalize
+from ground.common.errors import BadRequest
+from ground.telemetry.format import EVR_TOPIC, TICK_NS
+from ground.telemetry.header import WORLD
+from ground.telemetry.json_codec import BadJson, record_from_json
+from ground.telemetry.read import Log, read_log
+from ground.view.frames import Event, Frames, compute_frames
+from ground.view.samples import Samples
+from ground.view.scene import Scene, build_scene
+from sim.arm_model.load import ArmModel
+from sim.arms import BuiltArm, UnknownArm, arm_named
+from sim.effects.effect import Effect, params_with_effects
+from sim.scenario.effects import BadEffect, parse_effect_text
+from sim.world import World
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """Constant part of a run: the scene, and the arm as it is and as flight software believes it."""
+
+    scene: Scene
+    believed_arm: Arm
+    true_arm: Arm
+    surface_normal_R: Array | None
+    """Unit vector out of the surface in the rover frame, shape (3,)."""
+
+    def frames(self, samples: Samples) -> Frames:
+        """Compute the frames of samples.
+
+        Raises:
+            BadRequest: no sample has angles of all joints.
+        """
+        return compute_frames(self.scene, samples, self.believed_arm, self.true_arm, self.surface_normal_R)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WatchedRun:
+    """Run that is over, for the viewer or a page."""
+
+    title: str
+    facts: tuple[tuple[str, str], ...]
+    """Names and values of what identifies the run."""
+    notes: tuple[str, ...]
+    """Sentences about what is not drawn as it was."""
+    scene: Scene
+    frames: Frames
+    events: tuple[Event, ...]
+
+
+def build_surroundings(
+    world: World, params: Params, effects: Sequence[Effect], drawing: ArmModel
+) -> Surroundings:
+    """Build the surroundings of a run.
+
+    Args:
+        world: World of the run.
+        params: Parameters of flight software.
+        effects: All effects of arm and run; those that a parameter describes change the true arm.
+        drawing: Drawing of the arm.
+    """
+    normal = None if world.surface is None else normalize(world.surface.normal_N)
+    true_params = params_with_effects(effects, drawing.params)
+    return Surroundings(build_scene(world, drawing), build_arm(params), build_arm(true_params), normal)
+
+
+def watch_log(path: Path) -> WatchedRun:
+    """Prepare a log for a view.
+
+    Raises:
+        BadRequest: the log cannot be read, or has no joints.
+    """
+    log = read_log(path, ("/joint", "/sensors", "/truth", "/tool", EVR_TOPIC))
+    notes: list[str] = []
+    try:
+        world = _world(log, notes)
+        arm = _arm(log.header, notes)
+        params = _params(log, arm.model, notes)
+    except BadJson as error:
+        raise BadRequest(f"log {path}: {error}") from error
+    effects = (*arm.effects, *_effects(log.header, notes))
+    surroundings = build_surroundings(world, params, effects, arm.model)
+    frames = surroundings.frames(Samples.of_log(log))
+    if frames.true is None:
+        notes.append("The log has no truth: only the arm that flight software believes is drawn.")
+    events = tuple(Event(one.tick * TICK_NS / 1e9, Severity(one.severity), one.message) for one in log.evrs)
+    return WatchedRun(path.name, _facts(log.header), tuple(notes), surroundings.scene, frames, events)
+
+
+def _facts(header: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+    names = {
+        "arm": "arm",
+        "seed": "seed",
+        "marsarm": "marsarm",
+        "git": "commit",
+        "params_sha256": "parameters",
+    }
+    return tuple((text, header[name][:40]) for name, text in names.items() if name in header)
+
+
+def _world(log: Log, notes: list[str]) -> World:
+    if WORLD not in log.header:
+        notes.append(
+            "The log does not say where rock and ground were: they are drawn level and without rock."
+        )
+        return World()
+    world: World = record_from_json(World, _parse(log.header[WORLD]), WORLD, notes)
+    return world
+
+
+def _params(log: Log, drawing: ArmModel, notes: list[str]) -> Params:
+    if "params" not in log.header:
+        notes.append("The log has no parameters: the believed arm is that of the drawing.")
+        return drawing.params
+    # what another version of the parameters lacks changes no picture
+    params: Params = record_from_json(Params, _parse(log.header["params"]), "params", [], drawing.params)
+    return params
+
+
+def _parse(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BadJson(f"header: no JSON ({error})") from error
+
+
+def _arm(header: Mapping[str, str], notes: list[str]) -> BuiltArm:
+    """Return the arm of a log; the default drawing if this machine does not know it."""
+    try:
+        return arm_named(header.get("arm", "nominal"))
+    except UnknownArm as error:
+        notes.append(f"The true arm is drawn as the default drawing: {error}.")
+        return arm_named("nominal")
+
+
+def _effects(header: Mapping[str, str], notes: list[str]) -> tuple[Effect, ...]:
+    """Return the effects of a run as far as this machine knows them."""
+    try:
+        return tuple(parse_effect_text(text) for text in _parse(header.get("effects", "[]")))
+    except (BadEffect, BadJson) as error:
+        notes.append(f"The true arm is drawn without the effects of the run: {error}.")
+        return ()
