@@ -12,7 +12,7 @@ import typer
 
 from ground.common.errors import UserError
 from ground.common.options import Field, Option, option_fields
-from ground.common.progress import progress_bar
+from ground.common.progress import show_progress
 
 EXIT_BAD_INPUT: Final = 2
 EXIT_ARM_SAFE: Final = 3
@@ -71,7 +71,7 @@ def _carry_out(
             values[parameter.name] = _build_request(parameter.annotation, values)
     if all(parameter.name != "progress" for parameter in parameters):
         return work(**values)
-    with progress_bar() as progress:
+    with show_progress() as progress:
         return work(progress=progress, **values)
 
 

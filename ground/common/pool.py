@@ -6,6 +6,7 @@ from multiprocessing import get_context
 from typing import Protocol, TypeVar
 
 from ground.common.errors import BadRequest
+from ground.common.interruption import Interrupted, block_signals
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -28,10 +29,15 @@ def local_runner(workers: int) -> Runner:
             return
         pool = idle.pop() if idle else ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
         try:
-            for done in as_completed([pool.submit(work, job) for job in jobs]):
+            with block_signals():  # only this process answers Ctrl-C
+                waiting = [pool.submit(work, job) for job in jobs]
+            for done in as_completed(waiting):
                 yield done.result()
-        except BaseException:  # GeneratorExit too: the caller may stop early
+        except BaseException as error:  # GeneratorExit too: the caller may stop early
+            workers_left = tuple(pool._processes.values()) if isinstance(error, Interrupted) else ()
             pool.shutdown(wait=False, cancel_futures=True)
+            for worker in workers_left:  # else Python would wait at its end for the jobs that they are at
+                worker.kill()
             raise
         idle.append(pool)
 
