@@ -173,5 +173,5 @@ lock:
 	  --extra test --group build $(ARGS) -o requirements.lock pyproject.toml
 
 clean:
-	@rm -rf $(VENV) *.egg-info build dist mutants .hypothesis .mypy_cache .ruff_cache .pytest_cache
+	@rm -rf $(VENV) *.egg-info build dist mutants .hypothesis .mypy_cache .ruff_cache .pytest_cache place.png
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

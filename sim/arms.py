@@ -31,6 +31,7 @@ STIFFNESS_SIGMA, BACKLASH_SIGMA, MASS_SIGMA, FRICTION_SIGMA = 0.20, 0.10, 0.03, 
 COM_SIGMA_M: Final = 5e-3
 CALIBRATED_FRAME_SIGMA_RAD, CALIBRATED_FRAME_SIGMA_M = 0.25e-3, 0.15e-3
 CALIBRATED_ZERO_SIGMA_RAD, CALIBRATED_STIFFNESS_SIGMA = 0.2e-3, 0.03
+MAX_SEED_DIGITS: Final = 9
 SPRING_FRAMES: Final = (Frame.ARM1, Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5)
 IDENTIFIABLE_AXES: Final[dict[Frame, tuple[int, ...]]] = {
     Frame.ARM1: (0, 1, 2, 3, 4, 5),
@@ -72,9 +73,13 @@ def arm_named(name: str, params: Params | None = None) -> BuiltArm:
     flight_params = params or nominal_params()
     if name == "nominal":
         return BuiltArm(name, (), flight_params)
-    match = re.fullmatch(r"(as-built|calibrated):([0-9]{1,9})", name)
+    match = re.fullmatch(r"(as-built|calibrated):([0-9]+)", name)
     if match is None:
         raise UnknownArm(f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED")
+    if len(match[2]) > MAX_SEED_DIGITS:
+        raise UnknownArm(
+            f"arm {match[1]}: its seed has {len(match[2])} digits; give one with {MAX_SEED_DIGITS} at most"
+        )
     seed = int(match[2])
     effects = draw_tolerances(seed)
     if match[1] == "calibrated":

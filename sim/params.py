@@ -1,7 +1,6 @@
 """Flight parameters from TOML files, checked strictly, with all errors in one message."""
 
 import json
-import os
 import tomllib
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -15,9 +14,23 @@ from pydantic import TypeAdapter, ValidationError
 
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
+from sim.old_names import find_new_name, renamed_text
+from sim.text_file import UnreadableText, read_text
 
-MAX_BYTES: Final = 1_000_000
-"""Largest size of a file, seventy times that of all parameters."""
+WANTED: Final = {
+    "missing": "is missing",
+    "dataclass": "must be a table",
+    "model": "must be a table",
+    "dict": "must be a table",
+    "float": "must be a number",
+    "finite_number": "must be a finite number",
+    "int": "must be a whole number",
+    "bool": "must be true or false",
+    "string": "must be text in quotes",
+    "tuple": "must be values in brackets",
+    "list": "must be values in brackets",
+}
+"""What a value must be, by the start of the kind of pydantic's error."""
 
 
 class BadParams(ValueError):
@@ -58,14 +71,10 @@ def check_params(params: Params, name: str) -> None:
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
-    if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe blocks, a device has no end
-        raise BadParams(f"{path}: cannot be read: it is not a regular file; give the path of a TOML file")
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise BadParams(f"{path}: is too large for parameters; the limit is {MAX_BYTES} bytes")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadParams(f"{path}: cannot be read: {error}") from error
+        return tomllib.loads(read_text(path))
+    except UnreadableText as error:
+        raise BadParams(f"{path}: {error}") from error
     except (ValueError, RecursionError) as error:  # cut off, or an endless number or list
         raise BadParams(f"{path}: is not TOML: {error}") from error
 
@@ -93,7 +102,10 @@ def _validate(table: dict[str, Any], name: str) -> Params:
     try:
         params = _ADAPTER.validate_json(json.dumps(table), strict=True, extra="forbid")
     except ValidationError as error:
-        lines = [f"{name}: {'.'.join(str(p) for p in e['loc'])}: {_error_text(e)}" for e in error.errors()]
+        lines = [
+            f"{name}: {'.'.join(str(p) for p in e['loc'])}: {_error_text(e, params_names())}"
+            for e in error.errors()
+        ]
         raise BadParams("\n".join(lines)) from error
     check_params(params, name)
     return params
@@ -105,10 +117,30 @@ def _refuse(name: str, problems: Iterator[str]) -> None:
         raise BadParams("\n".join(lines))
 
 
-def _error_text(error: Any) -> str:
-    """Return the error of pydantic without its words about function calls."""
-    unknown = error["type"] in ("unexpected_keyword_argument", "extra_forbidden")
-    return "is not a parameter" if unknown else str(error["msg"])
+@lru_cache(maxsize=1)
+def params_names() -> tuple[str, ...]:
+    """List the names of all parameters, such as `motion.takeup_rad`."""
+    return tuple(_list_names(tomllib.loads(_nominal_text()), ""))
+
+
+def _list_names(table: dict[str, Any], place: str) -> Iterator[str]:
+    for key, value in table.items():
+        yield f"{place}{key}"
+        if isinstance(value, dict):
+            yield from _list_names(value, f"{place}{key}.")
+
+
+def _error_text(error: Any, names: tuple[str, ...]) -> str:
+    """Return an error of pydantic in words of this project."""
+    kind, context = error["type"], error.get("ctx", {})
+    if kind in ("unexpected_keyword_argument", "extra_forbidden"):
+        new = find_new_name(".".join(str(part) for part in error["loc"]), names)
+        return "is not a parameter" + ("" if new is None else f"; {renamed_text(new)}")
+    if kind in ("too_short", "too_long"):
+        wanted = context.get("min_length", context.get("max_length"))
+        return f"has {context['actual_length']} values; {wanted} are right"
+    wanted = next((text for start, text in WANTED.items() if kind.startswith(start)), None)
+    return f"has a wrong value ({kind})" if wanted is None else wanted
 
 
 def _find_dates(value: Any, place: str = "") -> Iterator[str]:

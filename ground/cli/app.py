@@ -25,6 +25,7 @@ from ground.cli.log import log_app, replay
 from ground.cli.runs import hardstop, place, run, scenarios
 from ground.cli.verb import EXIT_BAD_INPUT
 from ground.common.interruption import Interrupted, raise_on_signals
+from sim.old_names import OPTIONS, renamed_text
 
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 """Exit status of a program whose reader has closed the pipe, as `head` does."""
@@ -82,16 +83,31 @@ def _drop_gl_settings() -> None:
 
 
 def _run() -> NoReturn:
-    if "--json" not in sys.argv:
-        app()
     try:
-        status = app(standalone_mode=False)
-    except typer.TyperException as error:  # wrong usage, which typer would print in a box
-        message = error.format_message()
-        print(json.dumps({"error": message}))
-        print(message, file=sys.stderr)
+        status = app(prog_name="marsarm", standalone_mode=False)
+    except typer.TyperException as error:
+        message = _describe_usage_error(error)
+        if message:
+            if "--json" in sys.argv:
+                print(json.dumps({"error": message}))
+            print(message, file=sys.stderr)
         status = error.exit_code
     sys.exit(status)
+
+
+def _describe_usage_error(error: typer.TyperException) -> str:
+    """Return one sentence about wrong usage; nothing if typer has printed the help instead."""
+    message = error.format_message().rstrip(".")
+    option, parameter = getattr(error, "option_name", None), getattr(error, "param", None)
+    if option in OPTIONS:
+        message = f"{option}: {renamed_text(OPTIONS[option])}"
+    elif parameter is not None and "Input should be" in message:  # the words of a library
+        number = "whole number" if "integer" in message else "number"
+        plural = "s" if parameter.nargs > 1 else ""
+        message = f"{parameter.get_error_hint()}: takes {parameter.nargs} {number}{plural}"
+    context = getattr(error, "ctx", None)
+    advice = "" if context is None else f"; `{context.command_path} --help` lists what there is"
+    return f"{message}{advice}" if message else ""
 
 
 @contextmanager
