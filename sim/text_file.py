@@ -8,6 +8,9 @@ MAX_BYTES: Final = 1_000_000
 """Largest size of a text file, seventy times that of all flight parameters."""
 
 
+NOT_UTF8: Final = "is not text in UTF-8; save it as UTF-8"
+
+
 class UnreadableText(ValueError):
     """File that is not readable as text; the message says why and what would be right, without its name."""
 
@@ -41,4 +44,4 @@ def decode_text(data: bytes) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise UnreadableText(f"is not text in UTF-8 (byte {error.start}); save it as UTF-8") from error
+        raise UnreadableText(NOT_UTF8) from error

@@ -16,7 +16,7 @@ from fsw.kinematics.transforms import Array, Pose
 from ground.calibration.campaign_data import BelievedPoses, Campaign
 from ground.calibration.checks import BadData
 from ground.calibration.screws import MeasuredPoses
-from ground.common.files import atomic_write
+from ground.common.files import atomic_write, describe_bad_table
 from ground.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
 
 JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
@@ -68,7 +68,7 @@ def read_campaign(path: Path) -> Campaign:
     except BadImport as error:
         raise BadData(str(error)) from error
     except (OSError, pa.ArrowException) as error:
-        raise BadData(f"{path}: cannot be read as a table: {error}") from error
+        raise BadData(f"{path}: {describe_bad_table(error, 'a table')}") from error
     problems = [f"{path}: {problem}" for problem in _problems(table)]
     if problems:
         raise BadData("\n".join(problems))

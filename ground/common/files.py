@@ -1,15 +1,22 @@
 """Checks of output paths, and files that are written completely or not at all."""
 
+import fcntl
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from itertools import combinations
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 from ground.common.errors import BadOutput, BadRequest
+from sim.text_file import NOT_UTF8
+
+WRONG_WIDTH: Final = re.compile(r"(?:Row #(?P<row>[0-9]+): )?Expected (?P<right>[0-9]+) columns, got (?P<n>[0-9]+)")
+"""Error of pyarrow about a row with another number of columns than the first."""
+NO_UTF8: Final = ("utf-8", "utf8")
 
 
 def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: str) -> Path:
@@ -74,6 +81,69 @@ def _same_file(one: Path, other: Path) -> bool:
 
 
 @contextmanager
+def reserve(path: Path | None, what: str) -> Iterator[None]:
+    """Reserve a file for this run in a block, so that no other run writes it at the same time.
+
+    The kernel holds the lock and ends it with the run, whatever ends the run. A new file is empty until it is
+    written, and is deleted if it stays empty.
+
+    Args:
+        path: The file; None reserves nothing.
+        what: Name of the option that gave the path, for the error.
+
+    Raises:
+        BadOutput: another run has reserved or is writing the file, or the file cannot be made.
+    """
+    if path is None:
+        yield
+        return
+    try:
+        file, is_new = _open_reserved(path)
+    except OSError as error:
+        raise BadOutput(f"{what} {path}: cannot be written ({error.strerror or error})") from error
+    try:
+        if not lock_file(file):
+            raise BadOutput(f"{what} {path}: another run is writing it; wait for its end, or give another file")
+        try:
+            yield
+        finally:
+            if is_new:
+                _delete_placeholder(file, path)
+    finally:
+        os.close(file)
+
+
+def lock_file(file: int) -> bool:
+    """Lock a file until its last descriptor is closed; return False if another process holds the lock.
+
+    A file system without locks locks nothing.
+    """
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _open_reserved(path: Path) -> tuple[int, bool]:
+    """Open the file without a change, or make an empty one; return its descriptor and whether it is new."""
+    try:
+        return os.open(path, os.O_RDONLY | os.O_CREAT | os.O_EXCL, 0o666), True
+    except FileExistsError:
+        return os.open(path, os.O_RDONLY), False
+
+
+def _delete_placeholder(file: int, path: Path) -> None:
+    """Delete the empty file that `reserve` made, unless it was replaced."""
+    with suppress(OSError):
+        there = path.stat()
+        if os.path.samestat(there, os.fstat(file)) and there.st_size == 0:
+            path.unlink()
+
+
+@contextmanager
 def atomic_write(path: Path, what: str) -> Iterator[BinaryIO]:
     """Open a temporary file that replaces `path` when the block succeeds, and is deleted when it fails.
 
@@ -109,3 +179,20 @@ def atomic_path(target: Path) -> Iterator[Path]:
             with suppress(OSError):
                 part.unlink()
         raise
+
+
+def describe_bad_table(error: Exception, kind: str) -> str:
+    """Describe why a table cannot be read, in place of the words and bytes that a library gives.
+
+    Args:
+        error: Error of the library.
+        kind: Expected format.
+    """
+    text = str(error)
+    if isinstance(error, UnicodeDecodeError) or any(name in text.lower() for name in NO_UTF8):
+        return NOT_UTF8
+    width = WRONG_WIDTH.search(text)
+    if width is not None:
+        row = f"row {width['row']}" if width["row"] else "a row"
+        return f"cannot be read as {kind}: {row} has {width['n']} columns, the first has {width['right']}"
+    return f"cannot be read as {kind}; it is damaged, cut short or of another format"

@@ -2,11 +2,19 @@
 
 from dataclasses import asdict, dataclass, replace
 
+from fsw.config import CYCLE_HZ
 from ground.common.errors import BadRequest
+from ground.common.files import reserve
 from ground.common.options import check_options
-from ground.common.progress import Progress
+from ground.common.progress import Progress, part_of
 from ground.common.requests import make_world, parse_effects, select_arm
-from ground.runs.execution import Execution, execute, execution_not_begun, initialise
+from ground.runs.execution import (
+    INITIALISATION_SHARE,
+    Execution,
+    execute,
+    execution_not_begun,
+    initialise,
+)
 from ground.runs.request import RunRequest
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm
@@ -41,11 +49,16 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
         BadRequest: the request or the scenario is wrong; nothing moved and nothing was written.
     """
     scenario, arm = _prepare(request)
-    last = initialise(arm, request.seed, progress)[-1]
+    with reserve(request.files.log, "log"):
+        return _carry_out(request, scenario, arm, progress)
+
+
+def _carry_out(request: RunRequest, scenario: Scenario, arm: BuiltArm, progress: Progress) -> RunReport:
+    last = initialise(arm, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
     if last.outcome is not Outcome.DONE:
         result = ScenarioResult(last.outcome, 0, last.duration_s, (), last.evrs)
         return RunReport(request, scenario, arm.name, execution_not_begun(result, arm, request.files))
-    progress(0, 1, "teaching")
+    progress(INITIALISATION_SHARE, 1.0, "teaching")
     try:
         arm = teach(arm, last.reference, scenario.taught, scenario.world, request.seed)
     except NotTaught as error:
@@ -53,15 +66,15 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
     setup = scenario_setup(scenario, arm, last.reference, request.seed)
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     scenario_run = ScenarioRun(loop, scenario)
-    picture_command, total = _picture_command(scenario), len(scenario.commands)
+    picture_command = _picture_command(scenario)
     execution = execute(
         scenario_run,
         loop,
         run_header(loop, arm.name, request.seed, asdict(request), scenario.commands, scenario.effects),
         request.files,
         scenario.world,
-        progress,
-        progress_at=lambda _: (scenario_run.command - 1, total),
+        part_of(progress, INITIALISATION_SHARE, 1.0),
+        progress_at=lambda record: scenario_run.progress_at(record.tick / CYCLE_HZ),
         is_for_picture=lambda _: scenario_run.command == picture_command,
     )
     return RunReport(request, scenario, arm.name, execution)

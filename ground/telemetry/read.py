@@ -167,7 +167,8 @@ def read_log_bytes(path: Path) -> bytes:
             raise LogNotReadable(path, f"has {about.st_size} bytes; a log has at most {MAX_LOG_BYTES}")
         return path.read_bytes()
     except (OSError, ValueError) as error:
-        raise LogNotReadable(path, f"cannot be read ({error}); give the path of a log") from error
+        why = getattr(error, "strerror", None) or error
+        raise LogNotReadable(path, f"cannot be read ({why}); give the path of a log") from error
     except MemoryError as error:
         raise LogNotReadable(path, f"its {about.st_size} bytes do not fit into memory") from error
 

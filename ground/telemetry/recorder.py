@@ -16,7 +16,7 @@ from weakref import finalize
 from mcap.records import Metadata
 
 from fsw.config import Config
-from ground.common.files import atomic_path
+from ground.common.files import atomic_path, lock_file
 from ground.common.interruption import describe_interruption
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.events import command_entry, evr_entry, rosout_message
@@ -58,6 +58,7 @@ def create_log(
     target = _resolve_path(path)
     try:
         with atomic_path(target) as part, FileIO(part, "xb", opener=_open_above_stdio) as file:
+            lock_file(file.fileno())  # it is new; the lock lasts until the log is complete
             yield file, _write_header(file, header, channels)
     except OSError as error:
         why = f"cannot be written ({error.strerror}); give a path with room that you may write"

@@ -61,6 +61,8 @@ def recover(bad: Path, good: Path, progress: Progress) -> RecoveryReport:
     progress(0, 1, "searching")
     found = salvage(data)
     _check_ours(bad, found)
+    if not any(len(chunk.heads) for chunk in found.chunks):
+        raise LogNotReadable(bad, "holds no undamaged message, only a header at most; nothing can be saved")
     lost = (*found.lost_before, *found.lost)
     with atomic_write(good, "GOOD") as file:
         saved, duplicates = _write(file, found, lost, progress)

@@ -184,7 +184,7 @@ def _load_module(path: Path) -> ModuleType:
     sys.modules[name] = module  # dataclasses look up the module of their class
     try:
         # Not by its loader, which takes compiled code for up to a second after a change of the file.
-        exec(compile(content, path, "exec"), module.__dict__)
+        exec(compile(content, str(module.__file__), "exec"), module.__dict__)
     except (Exception, SystemExit) as error:
         del sys.modules[name]
         what = " ".join(f"{type(error).__name__}: {error}".split())
@@ -196,7 +196,9 @@ def _line_of(error: BaseException, path: Path) -> str:
     """Return the last line of a file that an exception passed through, as `:12`; empty if it has none."""
     if isinstance(error, SyntaxError):
         return f":{error.lineno}"
-    passed = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    passed = [
+        frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename) == path.absolute()
+    ]
     return f":{passed[-1].lineno}" if passed else ""
 
 

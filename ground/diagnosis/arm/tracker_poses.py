@@ -61,7 +61,7 @@ def read_tracker_poses(path: Path) -> TrackerPoses:
     except UnreadableText as error:
         raise BadTracker(f"{path}: {error}") from error
     except csv.Error as error:
-        raise BadTracker(f"{path}: is not a table in CSV ({error})") from error
+        raise BadTracker(f"{path}: is not a table in CSV; it is damaged or of another format") from error
     if missing:
         raise BadTracker(f"{path}: has no column {', '.join(sorted(missing))}")
     if not rows:
@@ -69,7 +69,7 @@ def read_tracker_poses(path: Path) -> TrackerPoses:
     try:
         numbers = np.array([[float(row[name]) for name in (*POSE_COLUMNS, *SIGMA_COLUMNS)] for row in rows]).T
     except (TypeError, ValueError) as error:
-        raise BadTracker(f"{path}: something in it is no number ({error})") from error
+        raise BadTracker(f"{path}: something in it is no number") from error
     if not np.isfinite(numbers).all() or (numbers[7:] <= 0).any():
         raise BadTracker(f"{path}: every number must be finite, and every sigma above 0")
     tick = numbers[0].astype(np.int64)
