@@ -30,8 +30,10 @@ def read_text(path: Path) -> str:
         data = path.read_bytes()
     except OSError as error:
         raise UnreadableText(f"cannot be read ({error.strerror or error})") from error
-    except ValueError as error:
-        raise error if isinstance(error, UnreadableText) else UnreadableText(f"cannot be read ({error})")
+    except UnreadableText:
+        raise
+    except ValueError as error:  # a null byte in the name
+        raise UnreadableText(f"cannot be read ({error})") from error
     return decode_text(data)
 
 

@@ -65,11 +65,11 @@ def read_campaign(path: Path) -> Campaign:
     try:
         data = BytesIO(read_file(path, MAX_TABLE_BYTES))
         table = csv.read_csv(data) if path.suffix.lower() == ".csv" else parquet.read_table(data)
+        problems = [f"{path}: {problem}" for problem in _problems(table)]
     except BadImport as error:
         raise BadData(str(error)) from error
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
         raise BadData(f"{path}: {describe_bad_table(error, 'a table')}") from error
-    problems = [f"{path}: {problem}" for problem in _problems(table)]
     if problems:
         raise BadData("\n".join(problems))
     return _campaign(

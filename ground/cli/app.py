@@ -1,7 +1,7 @@
 """Assemble the command line `marsarm` and write its output.
 
-Exit status: 0 done; 1 a bug; 2 bad input; 3 the arm refused or faulted and is safe; 130 interrupted by Ctrl-C,
-143 by SIGTERM; 141 the reader of the output is closed.
+Exit status: 0 done; 1 a bug; 2 bad input; 3 the arm refused or faulted and is safe; 130 interrupted by
+Ctrl-C, 143 by SIGTERM; 141 the reader of the output is closed.
 """
 
 import json
@@ -24,7 +24,7 @@ from ground.cli.ik import ik, reach
 from ground.cli.log import log_app, replay
 from ground.cli.runs import hardstop, place, run, scenarios
 from ground.cli.verb import EXIT_BAD_INPUT
-from ground.common.interruption import Interrupted, raise_on_signals
+from ground.common.interruption import report_interruption
 from sim.old_names import OPTIONS, renamed_text
 
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
@@ -61,16 +61,10 @@ app.command()(diagnose)
 def main() -> None:
     """Run the command `marsarm`."""
     _drop_gl_settings()
-    raise_on_signals()  # an exception unwinds the stack, so that temporary files are deleted
     warnings.simplefilter("ignore", RuntimeWarning)  # warnings of numpy are for developers
-    try:
-        with buffer_stdout():
-            _run()
-    except Interrupted as interrupted:
-        if "--json" in sys.argv:
-            print(json.dumps({"error": interrupted.sentence}))
-        print(interrupted.sentence, file=sys.stderr)
-        sys.exit(interrupted.exit_status)
+    # An interruption is an exception, which unwinds the stack, so that temporary files are deleted.
+    with report_interruption(), buffer_stdout():
+        _run()
 
 
 def _drop_gl_settings() -> None:

@@ -11,7 +11,7 @@ class UserError(Exception):
 
 
 def describe_problems(error: UserError) -> str:
-    """Return the message of an error; one that has a line for each of several problems opens with a sentence."""
+    """Return the message of an error; a message with a line for each problem opens with a sentence."""
     first, *more = str(error).splitlines() or [type(error).__name__]
     if not more or first.endswith(":"):
         return str(error)

@@ -14,7 +14,9 @@ from typing import BinaryIO, Final
 from ground.common.errors import BadOutput, BadRequest
 from sim.text_file import NOT_UTF8
 
-WRONG_WIDTH: Final = re.compile(r"(?:Row #(?P<row>[0-9]+): )?Expected (?P<right>[0-9]+) columns, got (?P<n>[0-9]+)")
+WRONG_WIDTH: Final = re.compile(
+    r"(?:Row #(?P<row>[0-9]+): )?Expected (?P<right>[0-9]+) columns, got (?P<n>[0-9]+)"
+)
 """Error of pyarrow about a row with another number of columns than the first."""
 NO_UTF8: Final = ("utf-8", "utf8")
 
@@ -103,7 +105,7 @@ def reserve(path: Path | None, what: str) -> Iterator[None]:
         raise BadOutput(f"{what} {path}: cannot be written ({error.strerror or error})") from error
     try:
         if not lock_file(file):
-            raise BadOutput(f"{what} {path}: another run is writing it; wait for its end, or give another file")
+            raise BadOutput(f"{what} {path}: another run is writing it; wait for it, or give another file")
         try:
             yield
         finally:

@@ -1,5 +1,6 @@
 """Signals that end a command: one exception for all of them, and sections that they do not break apart."""
 
+import json
 import os
 import signal
 import sys
@@ -7,7 +8,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from multiprocessing import active_children
 from types import FrameType, TracebackType
 from typing import Final
 
@@ -70,6 +70,19 @@ A mask of signals is not enough, because another thread of the process may recei
 """
 
 
+@contextmanager
+def report_interruption() -> Iterator[None]:
+    """Let signals interrupt a block; print one sentence about it, and exit with its status."""
+    raise_on_signals()
+    try:
+        yield
+    except Interrupted as interrupted:
+        if "--json" in sys.argv:
+            print(json.dumps({"error": interrupted.sentence}))
+        print(interrupted.sentence, file=sys.stderr)
+        sys.exit(interrupted.exit_status)
+
+
 def raise_on_signals() -> None:
     """Let the first of END_SIGNALS raise `Interrupted` in the main thread, and ignore all later ones.
 
@@ -96,6 +109,8 @@ def _end_late(number: int) -> None:
     ended = Interrupted(number)
     with suppress(OSError, ValueError):
         print(f"{ended.sentence}; it did not end by itself", file=sys.stderr, flush=True)
+    from multiprocessing import active_children  # loaded late: this module is the first that a command loads
+
     for child in active_children():
         child.kill()
     os._exit(ended.exit_status)

@@ -126,7 +126,7 @@ def _show_bar(state: ProgressState) -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def _print_lines(state: ProgressState) -> Iterator[Callable[[], None]]:
-    """Print a line in each period; a thread does it, so that one comes also while a step of the work lasts."""
+    """Print a line in each period, in a thread, so that one comes also while a step of the work lasts."""
     done = Event()
 
     def print_lines() -> None:

@@ -19,7 +19,7 @@ from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
 from ground.common.errors import BadRequest
 from ground.common.interruption import describe_interruption
-from ground.common.progress import Progress
+from ground.common.progress import Progress, part_of
 from ground.render.picture import PictureResult, save_movie, save_picture
 from ground.render.rover_scene import tilt_rover
 from ground.runs.request import RunFiles, WhenDiskFull
@@ -301,17 +301,19 @@ def execute(
     Raises:
         BadRequest: the log cannot be opened; nothing moved.
     """
+    share = 1.0 if files.movie is None else 0.5
+    running, drawing = part_of(progress, 0.0, share), part_of(progress, share, 1.0)
     frames = Frames()
     started = time.perf_counter()
     with open_log(files.log, header, loop.config) as log:
         for record in record_cycles(run, log, files.when_disk_full):
             if frames.note(loop.plant, record):
-                progress(*progress_at(record), describe_activity(record))
+                running(*progress_at(record), describe_activity(record))
             if is_for_picture(record):
                 frames.choose(loop.plant)
     wall_s = time.perf_counter() - started
     if loop.failure is not None:
         raise loop.failure
     result = run.result()
-    artifacts = save_artifacts(files, world, frames, loop.plant.data.qpos, log, progress)
+    artifacts = save_artifacts(files, world, frames, loop.plant.data.qpos, log, drawing)
     return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts)

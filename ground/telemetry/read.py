@@ -85,7 +85,7 @@ class Log:
 
     @property
     def end(self) -> Literal["closed", "interrupted", "cut short"]:
-        """Return how the log ends; "interrupted" is the log of a run that did not come to its end."""
+        """Return how the log ends; "interrupted" if the run was not completed."""
         if self.truncated:
             return "cut short"
         return "interrupted" if self.interrupted_by else "closed"

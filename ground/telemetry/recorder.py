@@ -39,7 +39,6 @@ from ground.telemetry.topics import PACKET_TOPICS
 from ground.telemetry.writer_pipe import WriterPipe
 from sim.record import CycleRecord
 
-
 NOT_CLOSED: Final = "a recorder that nobody closed"
 """Cause of an interruption if the program ended without an exception that it could report."""
 

@@ -329,7 +329,7 @@ def _parse_schemas(plain: bytes) -> Iterator[Schema]:
 
 
 def _find_metadata(data: bytes) -> dict[str, dict[str, str]]:
-    """Find the format, header, recovery and end records anywhere in a file; a header only if its CRC matches."""
+    """Find format, header, recovery and end records anywhere in a file; a header only if its CRC matches."""
     found = {}
     for name in (FORMAT_RECORD, HEADER_RECORD, RECOVERED_RECORD, END_RECORD):
         encoded_name = len(name).to_bytes(4, "little") + name.encode()

@@ -196,10 +196,9 @@ def _line_of(error: BaseException, path: Path) -> str:
     """Return the last line of a file that an exception passed through, as `:12`; empty if it has none."""
     if isinstance(error, SyntaxError):
         return f":{error.lineno}"
-    passed = [
-        frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename) == path.absolute()
-    ]
-    return f":{passed[-1].lineno}" if passed else ""
+    frames = traceback.extract_tb(error.__traceback__)
+    passed = [frame.lineno for frame in frames if Path(frame.filename) == path.absolute()]
+    return f":{passed[-1]}" if passed else ""
 
 
 def _split(name: str, parts: list[str]) -> tuple[str, str]:

@@ -83,7 +83,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
-    """Return the name of today, or a suggestion of the closest name, to put before more advice; else nothing."""
+    """Return the name of today or the closest name, to put before more advice; else nothing."""
     near = {part: whole for whole in known for part in whole.split(" or ")}
     new = find_new_name(name, near)
     if new is not None:

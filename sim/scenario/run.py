@@ -21,7 +21,7 @@ from sim.scenario.trace import Ending, Snapshot, Trace, take_snapshot
 from sim.sequence import Outcome, observe_cycles, run_sequence, stop_sequence
 
 TYPICAL_COMMAND_S: Final = 200.0
-"""Duration of a typical command, for the progress of the first: an arm unstows in 300 s, and docks in 60 s."""
+"""Duration of a typical command, for the progress: an arm unstows in 300 s, and docks in 60 s."""
 NO_MOTION: Joints5 = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 

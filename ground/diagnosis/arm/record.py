@@ -126,7 +126,7 @@ def check_record_request(request: RecordRequest) -> None:
     parse_effects(request.effects)
     select_arm(request.arm, request.params)
     if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
-        raise BadRequest(f"out {request.out}: is there already and is no empty folder; name a new or empty one")
+        raise BadRequest(f"out {request.out}: is there and is no empty folder; name a new or empty one")
     check_new_path(request.out, "out")
 
 
