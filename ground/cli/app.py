@@ -25,7 +25,6 @@ from ground.cli.log import log_app, replay
 from ground.cli.runs import hardstop, place, run, scenarios
 from ground.cli.verb import EXIT_BAD_INPUT
 from ground.common.interruption import report_interruption
-from sim.old_names import OPTIONS, renamed_text
 
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 """Exit status of a program whose reader has closed the pipe, as `head` does."""
@@ -91,6 +90,8 @@ def _run() -> NoReturn:
 
 def _describe_usage_error(error: typer.TyperException) -> str:
     """Return one sentence about wrong usage; nothing if typer has printed the help instead."""
+    from sim.old_names import OPTIONS, renamed_text  # nothing of sim before a verb runs
+
     message = error.format_message().rstrip(".")
     option, parameter = getattr(error, "option_name", None), getattr(error, "param", None)
     if option in OPTIONS:

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from ground.common.errors import BadOutput, BadRequest
-from sim.text_file import NOT_UTF8
 
 WRONG_WIDTH: Final = re.compile(
     r"(?:Row #(?P<row>[0-9]+): )?Expected (?P<right>[0-9]+) columns, got (?P<n>[0-9]+)"
@@ -190,7 +189,11 @@ def describe_bad_table(error: Exception, kind: str) -> str:
         error: Error of the library.
         kind: Expected format.
     """
+    from sim.text_file import NOT_UTF8  # the command line loads nothing of sim before a verb runs
+
     text = str(error)
+    if "pickle" in text:
+        return "holds Python objects; only arrays of numbers are read"
     if isinstance(error, UnicodeDecodeError) or any(name in text.lower() for name in NO_UTF8):
         return NOT_UTF8
     width = WRONG_WIDTH.search(text)
