@@ -17,7 +17,7 @@ def blind(folder: Path, *words: str) -> Ran:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("record", "--out", "other"), "out other: is there already; name a new folder"),
+        (("record", "--out", "other"), "out other: is there and is no empty folder; name a new or empty one"),
         (("record", "--out", "no/logs"), "there is no folder no"),
         (("record", "--out", "o" * 300), "cannot be written (File name too long)"),
         (("record", "--out", "nothing"), "a link to nowhere/x, which is not there"),
