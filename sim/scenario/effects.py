@@ -160,9 +160,7 @@ def parameter_key(kind: type[Effect], field: str) -> str:
 
 def user_files() -> set[str]:
     """Return the files of users that were run as modules."""
-    return {
-        str(module.__file__) for name, module in [*sys.modules.items()] if name.startswith(MODULE_PREFIX)
-    }
+    return {str(module.__file__) for name, module in [*sys.modules.items()] if name.startswith(MODULE_PREFIX)}
 
 
 def _load_module(path: Path) -> ModuleType:

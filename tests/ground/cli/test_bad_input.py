@@ -16,7 +16,9 @@ from ground.telemetry.recorder import Recorder
 from tests.ground.command import call, largest_file, marsarm
 from tests.ground.telemetry.conftest import cycle_at
 
-LIBRARY_WORDS = re.compile(r"\[Errno|Input should|Traceback|[ (]b['\"]|codec|ArrowInvalid|object at 0x|pydantic")
+LIBRARY_WORDS = re.compile(
+    r"\[Errno|Input should|Traceback|[ (]b['\"]|codec|ArrowInvalid|object at 0x|pydantic"
+)
 """Words of Python and its libraries, which tell a user nothing."""
 SEVERAL = re.compile(r"\d+ things are wrong, one in each line:")
 
@@ -48,8 +50,8 @@ TEXTS = {
     "unknown.toml": "[motion]\nspeed = 4\n",
     "old_effect.toml": "[[effect]]\ntype = 'flex-cable'\njoint = 'elbow'\ngive_rad = 0.1\n",
     "no_effect.toml": "[[effect]]\nname = 3\n",
-    "old_scenario.toml": "title = 'a'\nsentence = 'b'\n[[command]]\ntype = 'STOP'\n[[check]]\ntype = 'done'\n",
-    "bad_command.toml": "title = 'a'\nsummary = 'b'\n[[command]]\ntype = 'FLY'\n[[check]]\ntype = 'done'\n",
+    "old_scenario.toml": "sentence = 'b'\n[[command]]\ntype = 'STOP'\n[[check]]\ntype = 'done'\n",
+    "bad_command.toml": "title = 'a'\n[[command]]\ntype = 'FLY'\n[[check]]\ntype = 'done'\n",
     "boom.py": BROKEN_EFFECT,
     "no_code.py": "def (\n",
     "exits.py": "raise SystemExit(0)\n",

@@ -68,7 +68,7 @@ def test_an_interrupted_verb_says_so_in_one_sentence(
 
 def test_a_signal_in_a_deferred_section_is_raised_at_its_end() -> None:
     done = []
-    with signals_raise(), pytest.raises(Interrupted, match="SIGINT"), defer_interrupts:
+    with signals_raise(), pytest.raises(Interrupted, match="SIGINT"), defer_interrupts:  # noqa: PT012
         with defer_interrupts:
             signal.raise_signal(signal.SIGINT)
             done.append("inner")
@@ -86,7 +86,7 @@ def test_a_second_signal_does_not_disturb_the_end() -> None:
 
 def interrupted_log(path: Path) -> Path:
     """Record a log whose run is interrupted."""
-    with pytest.raises(Interrupted), Recorder(path, {"seed": "1"}) as recorder:
+    with pytest.raises(Interrupted), Recorder(path, {"seed": "1"}) as recorder:  # noqa: PT012
         for tick in range(8):
             recorder.write(cycle_at(tick))
         raise Interrupted(signal.SIGINT)
@@ -105,7 +105,8 @@ def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path: Path) -
         assert (done.returncode, done.stderr) == (0, f"log run.mcap: {sentence}\n")
     assert f"interrupted: {sentence}" in marsarm(tmp_path, "log", "info", "run.mcap").stdout
     document = json.loads(marsarm(tmp_path, "log", "info", "run.mcap", "--json").stdout)
-    assert (document["closed"], document["end"], document["interrupted_by"]) == (False, "interrupted", "SIGINT")
+    end = {name: document[name] for name in ("closed", "end", "interrupted_by")}
+    assert end == {"closed": False, "end": "interrupted", "interrupted_by": "SIGINT"}
     recover(log, tmp_path / "good.mcap", lambda *_: None)
     assert read_log(tmp_path / "good.mcap").interrupted_by == "SIGINT"
 
@@ -127,7 +128,7 @@ def wait_long(_: int) -> None:
 
 def test_workers_end_with_the_command() -> None:
     began_s = time.monotonic()
-    with signals_raise(), pytest.raises(Interrupted):
+    with signals_raise(), pytest.raises(Interrupted):  # noqa: PT012
         signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
         signal.setitimer(signal.ITIMER_REAL, 1.0)
         list(local_runner(2)(wait_long, range(4)))
