@@ -18,10 +18,16 @@ from ground.calibration.campaign_file import read_campaign, save_campaign
 from ground.calibration.checks import BadData, check_data, check_fit
 from ground.calibration.parameter_file import calibrated_params, save_parameter_file
 from ground.calibration.request import CalibrateRequest
-from ground.calibration.verify import Verification, register_tools, verify_calibration
+from ground.calibration.verify import (
+    HARDSTOP_TARGETS,
+    WORLDS,
+    Verification,
+    register_tools,
+    verify_calibration,
+)
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
-from ground.common.progress import Progress, no_progress
+from ground.common.progress import Progress, no_progress, part_of
 from ground.common.requests import select_arm
 from sim.arms import BuiltArm
 from sim.params import nominal_params, params_over_nominal
@@ -49,14 +55,15 @@ def run_calibration(request: CalibrateRequest, progress: Progress = no_progress)
         BadRequest: The request or the data are wrong, or the fit is not acceptable; nothing was written.
     """
     arm, base = _check_request(request)
+    measured = _measuring_share(request)
     try:
         if arm is None:
             campaign = read_campaign(_require_table(request.data))
             _check_same_arm(base, campaign)
         else:
-            campaign = _measure_campaign(request, arm, progress)
+            campaign = _measure_campaign(request, arm, part_of(progress, 0.0, measured))
         check_data(base, campaign)
-        progress(0, 1, "fitting")
+        progress(measured, 1.0, "fitting")
         found = calibrate(base, campaign)
         check_fit(found)
         tools = None if arm is None else register_tools(arm, request.seed)
@@ -64,7 +71,9 @@ def run_calibration(request: CalibrateRequest, progress: Progress = no_progress)
         check_params(params, "the calibrated arm")
         verification = None
         if arm is not None and request.verify:
-            verification = verify_calibration(arm, params, request.verify, request.seed, progress)
+            verification = verify_calibration(
+                arm, params, request.verify, request.seed, part_of(progress, measured, 1.0)
+            )
         if request.save_data is not None:
             save_campaign(campaign, request.save_data)
         if request.out is not None:
@@ -110,4 +119,13 @@ def _measure_campaign(request: CalibrateRequest, arm: BuiltArm, progress: Progre
     um, um_per_m = request.tracker_um
     tracker = Tracker(sigma_m=um * MICRO, sigma_per_m=um_per_m * MICRO)
     plan = CampaignPlan(resize_groups(PAPER_GROUPS, request.poses), tracker, request.seed)
-    return run_campaign(arm, earth_reference(arm, progress), plan, progress)
+    found = HARDSTOP_TARGETS / (HARDSTOP_TARGETS + request.poses)
+    reference = earth_reference(arm, part_of(progress, 0.0, found))
+    return run_campaign(arm, reference, plan, part_of(progress, found, 1.0))
+
+
+def _measuring_share(request: CalibrateRequest) -> float:
+    """Return the share of the measurements in all work; the rest verifies the result."""
+    measuring = HARDSTOP_TARGETS + request.poses
+    verifying = 2 * HARDSTOP_TARGETS + WORLDS * request.verify if request.verify else 0
+    return measuring / (measuring + verifying)

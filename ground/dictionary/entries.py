@@ -22,7 +22,7 @@ from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.schema import arm_names, array_shape
 from ground.telemetry.topics import PACKET_TOPICS, Topic, channel_matches, channel_name, strip_optional
 from sim.params import nominal_params
-from sim.scenario.names import did_you_mean, upper_snake
+from sim.scenario.names import suggest_name, upper_snake
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,8 +256,7 @@ def _suggest_name(dictionary: Dictionary, pattern: str) -> str:
     entries: list[Definition] = [*dictionary.commands, *dictionary.evrs, *dictionary.packets]
     names = [entry.name for entry in entries] + [one.name for one in dictionary.parameters]
     names += [channel_name(packet.name, one.name) for packet in dictionary.packets for one in packet.fields]
-    meant, _, _ = did_you_mean(pattern, names).rpartition("there are ")
     return (
-        f"{meant}`marsarm dictionary` lists all there is, "
+        f"{suggest_name(pattern, names)}`marsarm dictionary` lists all there is, "
         "and a pattern is written as '*tilt*', where * stands for any letters"
     )

@@ -205,9 +205,18 @@ def plan_stops(request: HardstopRequest) -> tuple[StopPlan, ...]:
     Raises:
         BadRequest: the request is wrong, has options of a motion, or there is no such plan.
     """
-    has_motion_options = (request.joint, request.start_deg, request.picture) != (None, None, None)
-    if has_motion_options or request.repeat > 1 or not request.turret:
-        raise BadRequest("plan: moves nothing, and is of both places; give nothing but --arm and --params")
+    of_motion = {
+        "--joint": request.joint is not None,
+        "--start": request.start_deg is not None,
+        "--picture": request.picture is not None,
+        "--repeat": request.repeat > 1,
+        "--no-turret": not request.turret,
+    }
+    given = [name for name, is_given in of_motion.items() if is_given]
+    if given:
+        raise BadRequest(
+            f"plan: moves nothing and is of both Mars and Earth; leave out {' and '.join(given)}, or --plan"
+        )
     whole = prepare_hardstop(request).arm
     bare = prepare_hardstop(replace(request, scene="earth", turret=False)).arm
     return (

@@ -6,8 +6,9 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import Params
 from ground.common.errors import BadRequest
+from ground.common.files import reserve
 from ground.common.options import check_options
-from ground.common.progress import Progress, no_progress
+from ground.common.progress import Progress, no_progress, part_of
 from ground.common.requests import (
     WORKSPACE_HINT,
     check_finite,
@@ -18,7 +19,15 @@ from ground.common.requests import (
     scale_direction,
     select_arm,
 )
-from ground.runs.execution import Execution, check_files, execute, execution_not_begun, initialise, open_view
+from ground.runs.execution import (
+    INITIALISATION_SHARE,
+    Execution,
+    check_files,
+    execute,
+    execution_not_begun,
+    initialise,
+    open_view,
+)
 from ground.runs.request import PlaceRequest
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm, effects_of_run
@@ -98,9 +107,14 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
         BadRequest: the request is wrong; nothing moved and nothing was written.
     """
     job = prepare_placement(request)
+    with reserve(request.files.log, "log"):
+        return _carry_out(request, job, progress)
+
+
+def _carry_out(request: PlaceRequest, job: PlaceJob, progress: Progress) -> PlaceReport:
     title = f"{request.tool.upper()} on {job.arm.name} arm"
     view = open_view(request.files.view, title, job.world, job.arm, effects_of_run(job.effects))
-    last = initialise(job.arm, request.seed, progress)[-1]
+    last = initialise(job.arm, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
     if last.outcome is not Outcome.DONE:
         result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
         return PlaceReport(request, execution_not_begun(result, job.arm, request.files))
@@ -117,7 +131,7 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
         header,
         request.files,
         job.world,
-        progress,
+        part_of(progress, INITIALISATION_SHARE, 1.0),
         progress_at=lambda record: (record.tick / CYCLE_HZ, job.expected_s),
         is_for_picture=lambda record: CommandCompleted("GuardedMove") in record.outputs.evrs,
         view=view,

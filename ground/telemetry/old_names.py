@@ -1,6 +1,7 @@
-"""Names in logs of version 0.1 and their names today; such logs stay readable until version 1.0.
+"""Today's names for the old names in logs of version 0.1, which stay readable until version 1.0.
 
 No name is both an old and a new one, so a log needs no version: an old name is replaced wherever it stands.
+The tables of names are in `sim/old_names.py`.
 """
 
 import json
@@ -10,43 +11,15 @@ from dataclasses import replace
 from typing import Any, Final
 
 from ground.telemetry.events import CommandEntry, EvrEntry
-
-CHANNELS: Final = {
-    "/joint.gap_rad": "/joint.backlash_rad",
-    "/joint.gap_side": "/joint.backlash_side",
-    "/joint.gap_uncertainty_rad": "/joint.backlash_uncertainty_rad",
-    "/joint.planned_gap_rad": "/joint.planned_backlash_rad",
-}
-EVRS: Final = {
-    "ForceFelt": "ForceEstimated",
-    "NoHardstop": "HardstopImplausible",
-    "SpotTaken": "SpotSet",
-}
-EVR_FIELDS: Final = {
-    "MotorStalled.asked_rad_s": "MotorStalled.commanded_rad_s",
-    "NoHardstop.drawn_urad_Nm": "HardstopImplausible.nominal_urad_Nm",
-    "TiltSet.off_rad": "TiltSet.difference_rad",
-}
-COMMAND_FIELDS: Final = {
-    "Calibrate.anew": "Calibrate.accept_moved",
-    "CalibrateAll.anew": "CalibrateAll.accept_moved",
-    "MoveTeachPoint.away_m": "MoveTeachPoint.standoff_m",
-}
-PARAMETERS: Final = {
-    "hardstop.again_rad": "hardstop.second_start_rad",
-    "motion.approach_rad": "motion.takeup_rad",
-    "motion.load_period": "motion.load_period_cycles",
-    "motion.stowed_rad": "motion.stow_tolerance_rad",
-    "preload.guard_share": "preload.current_margin_share",
-    "preload.most_N": "preload.max_force_N",
-}
-REFERENCE_FIELDS: Final = {"reference.half_gap_rad": "reference.half_backlash_rad"}
-EFFECT_PARAMETERS: Final = {
-    "flex-cable.give_rad": "flex-cable.transition_rad",
-    "flex-cable.laid_rad": "flex-cable.neutral_rad",
-    "numerics.finer": "numerics.substeps",
-    "numerics.gears": "numerics.scheme",
-}
+from sim.old_names import (
+    CHANNELS,
+    COMMAND_FIELDS,
+    EFFECT_PARAMETERS,
+    EVR_FIELDS,
+    EVRS,
+    PARAMETERS,
+    REFERENCE_FIELDS,
+)
 
 IN_TEXT: Final = {**PARAMETERS, "away_m": "standoff_m"}
 """Names in the texts of events, such as the reason of a refusal."""

@@ -13,6 +13,7 @@ from sim.scenario.names import shorten
 from sim.scenario.toml_lines import NotToml, parse_toml
 from sim.scenario.toml_record import TYPE_KEY, Findings
 from sim.scenario.toml_tables import list_tables, read_effect
+from sim.text_file import UnreadableText, read_text
 
 TABLE_NAME: Final = "effect"
 
@@ -23,16 +24,12 @@ def read_effect_file(path: Path) -> tuple[Effect, ...]:
     Raises:
         BadEffect: the file cannot be read or is wrong; the message has a line for each problem.
     """
-    if path.exists() and not path.is_file():
-        raise BadEffect(f"{path}: is not a regular file; give the path of a .toml file")
     try:
-        data, lines = parse_toml(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise BadEffect(f"{path}: cannot be read ({error.strerror})") from error
+        data, lines = parse_toml(read_text(path))
+    except UnreadableText as error:
+        raise BadEffect(f"{path}: {error}") from error
     except NotToml as error:
         raise BadEffect(f"{path}:{error.line}: {error}") from error
-    except ValueError as error:
-        raise BadEffect(f"{path}: cannot be read as text ({error})") from error
     findings = Findings(lines, nominal_params().tool_names)
     for key in data:
         if key != TABLE_NAME:

@@ -4,6 +4,7 @@ import hashlib
 import re
 import sys
 import tomllib
+import traceback
 from collections.abc import Mapping
 from difflib import get_close_matches
 from importlib.util import module_from_spec, spec_from_file_location
@@ -27,6 +28,10 @@ from sim.scenario.toml_record import Findings, read_record
 FILE_PATTERN: Final = re.compile(r"(?P<file>.+?\.py):(?P<rest>.*)", re.DOTALL)
 COMMA_PATTERN: Final = re.compile(r",(?![^\[]*\])")
 """Comma outside of brackets."""
+
+
+MODULE_PREFIX: Final = "outside_"
+"""Start of the names of modules that are made of the files of users."""
 
 
 class BadEffect(ValueError):
@@ -154,15 +159,21 @@ def parameter_key(kind: type[Effect], field: str) -> str:
     return next(key for key, factor in field_keys(field, hint).factors.items() if factor == 1.0)
 
 
+def user_files() -> set[str]:
+    """Return the files of users that were run as modules."""
+    return {str(module.__file__) for name, module in [*sys.modules.items()] if name.startswith(MODULE_PREFIX)}
+
+
 def _load_module(path: Path) -> ModuleType:
     """Run a file as a module, once for each of its contents."""
+    if path.exists() and not path.is_file():  # reading a pipe blocks
+        raise NotAnEffect(f"effect {path}: is not a regular file; give the path of a Python file")
     try:
         content = path.read_bytes()
-    except OSError as error:
-        raise NotAnEffect(
-            f"effect {path}: cannot be read ({error.strerror}); give the path of a Python file"
-        ) from error
-    name = f"outside_{hashlib.sha256(bytes(path.resolve()) + content).hexdigest()}"
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise NotAnEffect(f"effect {path}: cannot be read ({why}); give the path of a Python file") from error
+    name = f"{MODULE_PREFIX}{hashlib.sha256(bytes(path.resolve()) + content).hexdigest()}"
     if name in sys.modules:
         return sys.modules[name]
     spec = spec_from_file_location(name, path)
@@ -172,11 +183,21 @@ def _load_module(path: Path) -> ModuleType:
     sys.modules[name] = module  # dataclasses look up the module of their class
     try:
         # Not by its loader, which takes compiled code for up to a second after a change of the file.
-        exec(compile(content, path, "exec"), module.__dict__)
-    except Exception as error:
+        exec(compile(content, str(module.__file__), "exec"), module.__dict__)
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
-        raise NotAnEffect(f"effect {path}: cannot be run: {type(error).__name__}: {error}") from error
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        raise NotAnEffect(f"effect {path}{_line_of(error, path)}: cannot be run: {what}") from error
     return module
+
+
+def _line_of(error: BaseException, path: Path) -> str:
+    """Return the last line of a file that an exception passed through, as `:12`; empty if it has none."""
+    if isinstance(error, SyntaxError):
+        return f":{error.lineno}"
+    frames = traceback.extract_tb(error.__traceback__)
+    passed = [frame.lineno for frame in frames if Path(frame.filename) == path.absolute()]
+    return f":{passed[-1]}" if passed else ""
 
 
 def _split(name: str, parts: list[str]) -> tuple[str, str]:

@@ -34,6 +34,7 @@ from sim.scenario.toml_tables import (
     read_fault,
     read_taught_point,
 )
+from sim.text_file import UnreadableText, read_text
 from sim.world import MAX_TILT_RAD, Scene, Surface, World
 
 T = TypeVar("T")
@@ -102,14 +103,10 @@ def load_scenario(name: str) -> Scenario:
     if path.suffix.lower() != ".toml":
         hint = f"{did_you_mean(name, texts)}, or give the path of a .toml file"
         raise BadScenario(name, [Problem(0, f"there is no such scenario; {hint}")])
-    if path.exists() and not path.is_file():
-        raise BadScenario(name, [Problem(0, "is no regular file; give the path of a .toml file")])
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise BadScenario(name, [Problem(0, f"cannot be read ({error.strerror})")]) from error
-    except ValueError as error:
-        raise BadScenario(name, [Problem(0, f"cannot be read as text ({error})")]) from error
+        text = read_text(path)
+    except UnreadableText as error:
+        raise BadScenario(name, [Problem(0, str(error))]) from error
     return parse_scenario(text, path.stem, name)
 
 

@@ -270,7 +270,7 @@ def test_what_is_missing_is_named(missing: str) -> None:
     for key in groups:
         group = group[key]
     del group[name]
-    with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(missing)}: Field required"):
+    with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(missing)}: is missing"):
         _validate(table, "nominal.toml")
 
 
@@ -322,7 +322,7 @@ def test_the_compliance_of_a_spring_is_taken(tmp_path: Path, changes: dict[tuple
         (b"[joints", "is not TOML"),
         (b"arm_name = " + b"9" * 5000, "is not TOML"),
         (b"arm_name = " + b"[" * 100_000, "is not TOML"),
-        (b"\xff\xfe", "cannot be read"),
+        (b"\xff\xfe", "is not text in UTF-8"),
     ],
     ids=["torn", "a number without end", "a list without end", "binary"],
 )
@@ -341,7 +341,7 @@ def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe.toml"
     os.mkfifo(pipe)
-    with pytest.raises(BadParams, match=r"pipe\.toml: cannot be read: it is not a regular file"):
+    with pytest.raises(BadParams, match=r"pipe\.toml: is not a regular file"):
         params_over_nominal(pipe)
 
 
@@ -349,7 +349,7 @@ def test_a_file_larger_than_memory_is_refused_before_it_is_read(tmp_path: Path) 
     path = tmp_path / "large.toml"
     with path.open("wb") as file:
         file.truncate(1 << 40)
-    with pytest.raises(BadParams, match=r"large\.toml: is too large for parameters"):
+    with pytest.raises(BadParams, match=r"large\.toml: has 1099511627776 bytes, more than 1000000"):
         params_over_nominal(path)
 
 

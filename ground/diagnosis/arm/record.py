@@ -128,7 +128,7 @@ def check_record_request(request: RecordRequest) -> None:
     parse_effects(request.effects)
     _choose_sessions(request, select_arm(request.arm, request.params, request.mismatch))
     if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
-        raise BadRequest(f"out {request.out}: is there already; name a new folder")
+        raise BadRequest(f"out {request.out}: is there and is no empty folder; name a new or empty one")
     check_new_path(request.out, "out")
 
 
