@@ -1,6 +1,6 @@
 """Poses of the hardstop initialisation: gravity torques at the hardstops, and clearances.
 
-The poses are flight parameters, `[hardstop]`. Those of nominal.toml are for the whole arm on Mars.
+The poses are flight parameters, `[hardstop]`. Those of an `arm.toml` are for the whole arm on Mars.
 The calibration of the paper used an arm without a turret on Earth.
 Its poses had the same gravity torque at each hardstop as later on Mars.
 """
