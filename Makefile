@@ -142,12 +142,13 @@ viewers: $(VENV)/ready
 
 # All four speak before any of them stops the target.
 lint: $(VENV)/ready
-	@$(call say,ruff; mypy; import-linter; names and docstrings)
+	@$(call say,ruff; mypy; import-linter; names and docstrings; files made from arm.toml)
 	@failed=0; \
 	$(BIN)/ruff check --quiet --no-cache . || failed=1; \
 	$(BIN)/mypy || failed=1; \
 	$(BIN)/lint-imports --no-logo --no-cache || failed=1; \
 	$(BIN)/python .ci/style.py || failed=1; \
+	$(BIN)/marsarm arm build --check >/dev/null || failed=1; \
 	exit $$failed
 
 $(VENV)/ready: $(VENV)/locked pyproject.toml

@@ -1,5 +1,6 @@
 """World around the arm: the scene, the tilt of the rover, and the rock face to touch."""
 
+import re
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Final, Literal
@@ -16,7 +17,8 @@ from sim.frames import FLIP, P_NR_M, gravity_in_rover
 
 Scene = Literal["mars", "earth"]
 ARM_FILE: Final = "arm.xml"
-"""Name under which a scene includes the arm."""
+INCLUDED_ARM: Final = re.compile(r'(?<=<include file=")[^"]*/arm\.xml')
+"""Arm that a scene includes, so that it opens by itself; another arm may take its place."""
 GRAVITY_M_S2: Final = {"mars": 3.711, "earth": 9.81}
 BELOW_ROCK_M: Final = 0.1
 MAX_TILT_RAD: Final = float(np.radians(30.0))
@@ -90,7 +92,8 @@ def _load_scene(scene: Scene, arm_mjcf: str, for_pictures: bool) -> mujoco.MjSpe
     """Read a scene with an arm once in a process; callers change a copy."""
     parts = {path.name: path.read_bytes() for path in SCENES.glob("*.xml")}
     parts[ARM_FILE] = arm_mjcf.encode()
-    spec = mujoco.MjSpec.from_string(parts[f"{scene}.xml"].decode(), include=parts)
+    text = INCLUDED_ARM.sub(ARM_FILE, parts[f"{scene}.xml"].decode())
+    spec = mujoco.MjSpec.from_string(text, include=parts)
     if not for_pictures:
         _remove_visuals(spec)
     return spec

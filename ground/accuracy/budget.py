@@ -189,7 +189,7 @@ def run_budget(request: BudgetRequest, progress: Progress) -> BudgetReport:
     if request.case not in (ALL, *model.case):
         raise BadRequest(f"case: {request.case!r} is not known; there are {', '.join(model.case)} and {ALL}")
     gravity = make_world(request.gravity, 0.0, 0.0, "gravity").gravity_N_m_s2
-    params = select_arm("nominal", request.params).params
+    params = select_arm("nominal", request.params, request.mismatch).params
     tools = _parse_tools(request.tool, params)
     config = configure(params)
     budgets = compute_budgets(model, names, config, gravity, tools, request.poses, request.seed, progress)

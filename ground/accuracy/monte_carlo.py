@@ -189,9 +189,9 @@ def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
             "nominal" if request.built == "sampled" else f"{request.built}:{number}" for number in numbers
         ]
         paths = [Path(str(request.params).replace(SEED_FIELD, str(number))) for number in numbers]
-        params = [load_params(name, path) for name, path in zip(names, paths, strict=True)]
+        params = [load_params(name, path, request.mismatch) for name, path in zip(names, paths, strict=True)]
     else:
-        params = [select_arm("nominal", request.params).params] * len(arms)
+        params = [select_arm("nominal", request.params, request.mismatch).params] * len(arms)
     return [
         ArmJob(request.case, request.built, request.places, request.move_model, request.seed, arm, own)
         for arm, own in zip(arms, params, strict=True)

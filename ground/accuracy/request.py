@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from ground.common.options import Option, ParamsOption, ReportOption
+from ground.common.options import MismatchOption, Option, ParamsOption, ReportOption
 
 ArmKind = Literal["sampled", "calibrated", "as-built"]
 MoveModel = Literal["closed-loop", "statics"]
@@ -29,6 +29,7 @@ class BudgetRequest:
     ] = 15_000
     seed: Annotated[int, Option("Seed of the random poses.", within=(0, None))] = 0
     params: ParamsOption = None
+    mismatch: MismatchOption = False
     gravity: Annotated[str, Option("mars or earth.", "mars|earth")] = "mars"
     report: ReportOption = None
     reproduce: Annotated[bool, Option("Find the magnitudes that reproduce the paper's rows.")] = False
@@ -78,6 +79,7 @@ class MonteCarloRequest:
             is_read=True,
         ),
     ] = None
+    mismatch: MismatchOption = False
     results: Annotated[
         Path | None,
         Option(

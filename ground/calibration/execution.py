@@ -89,7 +89,7 @@ def _check_request(request: CalibrateRequest) -> tuple[BuiltArm | None, Params]:
         base = nominal_params() if request.params is None else params_over_nominal(request.params)
     except BadParams as error:
         raise BadRequest(str(error)) from error
-    return (None if request.arm is None else select_arm(request.arm, request.params)), base
+    return (None if request.arm is None else select_arm(request.arm, request.params, request.mismatch)), base
 
 
 def _require_table(path: Path | None) -> Path:

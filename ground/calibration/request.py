@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
 
-from ground.common.options import Option, ParamsOption, ReportOption, SeedOption
+from ground.common.options import MismatchOption, Option, ParamsOption, ReportOption, SeedOption
 
 LEAST_POSES: Final = 24
 """Smallest number of poses: three times what the worst-conditioned combination needs. The paper took 160."""
@@ -35,6 +35,7 @@ class CalibrateRequest:
         ),
     ] = (15.0, 6.0)
     params: ParamsOption = None
+    mismatch: MismatchOption = False
     verify: Annotated[
         int,
         Option(

@@ -17,6 +17,7 @@ from typing import Final, NoReturn
 import typer
 
 from ground.cli.accuracy import budget, monte_carlo
+from ground.cli.arm import arm_app
 from ground.cli.calibrate import calibrate, calibrate_serial
 from ground.cli.diagnosis import diagnose, gap_app
 from ground.cli.dictionary import dictionary, effects
@@ -49,6 +50,7 @@ app.command()(dictionary)
 app.command()(effects)
 app.add_typer(log_app, name="log")
 app.add_typer(gap_app, name="gap")
+app.add_typer(arm_app, name="arm")
 app.command()(budget)
 app.command("monte-carlo")(monte_carlo)
 app.command()(calibrate)

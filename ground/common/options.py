@@ -123,6 +123,9 @@ ParamsOption = Annotated[
     Path | None,
     Option("TOML file of flight parameters that replace nominal ones.", "FILE.toml", is_read=True),
 ]
+MismatchOption = Annotated[
+    bool, Option("Take parameters that do not fit the drawing of the arm.", name="--mismatch")
+]
 EffectsOption = Annotated[
     tuple[str, ...],
     Option(

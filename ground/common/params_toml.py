@@ -8,9 +8,15 @@ from sim.params_table import params_table
 
 
 def params_toml(base: Params, params: Params, comments: Sequence[str]) -> str:
-    """Write the parameters that differ from `base` as TOML, below these comment lines."""
-    changed = _changed_values(params_table(base), params_table(params))
+    """Write the parameters that differ from `base` as TOML, below these comment lines, with their drawing."""
+    table = params_table(params)
+    changed = _changed_values(params_table(base), table) | {"model": table["model"]}
     return "\n".join([*(f"# {line}" for line in comments), "", *_lines(changed, ()), ""])
+
+
+def full_params_toml(params: Params, comments: Sequence[str]) -> str:
+    """Write all parameters as TOML, below these comment lines."""
+    return "\n".join([*(f"# {line}" for line in comments), "", *_lines(params_table(params), ()), ""])
 
 
 def _changed_values(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
@@ -47,7 +53,7 @@ def _toml(value: Any) -> str:
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + " }"
     if isinstance(value, tuple):
-        if value and isinstance(value[0], tuple):
+        if value and isinstance(value[0], tuple | dict):
             return "[\n" + "".join(f"    {_toml(row)},\n" for row in value) + "]"
         return "[" + ", ".join(_toml(item) for item in value) + "]"
     return f'"{value}"' if isinstance(value, str) else repr(value)

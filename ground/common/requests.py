@@ -10,9 +10,10 @@ import numpy as np
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Vector3
 from ground.common.errors import BadRequest
+from sim.arm_model.mismatch import find_mismatches
 from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.effects.effect import Effect
-from sim.params import params_over_nominal
+from sim.params import params_over
 from sim.params_table import BadParams
 from sim.scenario.effect_file import read_effect_file
 from sim.scenario.effects import BadEffect, parse_effect_text
@@ -60,32 +61,46 @@ def scale_direction(name: str, vector: Vector3, what: str) -> Vector3:
     return (x, y, z)
 
 
-def select_arm(name: str, params: Path | None) -> BuiltArm:
+def select_arm(name: str, params: Path | None, mismatch: bool = False) -> BuiltArm:
     """Return the arm of this name, with the flight parameters of a TOML file if one is given.
+
+    Args:
+        name: Name of the arm.
+        params: TOML file of flight parameters; None for those of the drawing.
+        mismatch: True to take parameters that do not fit the drawing.
 
     Raises:
         BadRequest: the name or the file is wrong.
     """
     try:
-        return arm_named(name, None if params is None else load_params(name, params))
+        return arm_named(name, None if params is None else load_params(name, params, mismatch))
     except UnknownArm as error:
         raise BadRequest(str(error)) from error
 
 
-def load_params(name: str, path: Path) -> Params:
-    """Read a TOML file of flight parameters over the nominal ones.
+def load_params(name: str, path: Path, mismatch: bool = False) -> Params:
+    """Read a TOML file of flight parameters over those of the drawing of an arm.
 
     Args:
         name: Name of the arm that is flown with them.
         path: The TOML file.
+        mismatch: True to take parameters that do not fit the drawing.
 
     Raises:
         BadRequest: the file is wrong, or its parameters belong to another arm.
     """
     try:
-        params = params_over_nominal(path)
-    except BadParams as error:
+        model = arm_named(name).model
+        params = params_over(model.params, path)
+    except (BadParams, UnknownArm) as error:
         raise BadRequest(str(error)) from error
+    problems = () if mismatch else tuple(find_mismatches(params, model))
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise BadRequest(
+            f"params {path}: {problems[0]}{more}; no built arm is so far from its drawing: give parameters "
+            "of this arm, or --mismatch if it is meant"
+        )
     if params.arm_name not in (NOMINAL_ARM, name):
         raise BadRequest(
             f"params {path}: these are of the arm {params.arm_name}, not of {name}; give its own, or leave "

@@ -68,7 +68,7 @@ def build_ik_model(request: ModelRequest) -> IkModel:
         raise BadRequest(
             f"warming: {request.warming_K:g} K is not within {MOST_WARMING_K:g} K of calibration temperature"
         )
-    params = select_arm(request.arm, request.params).params
+    params = select_arm(request.arm, request.params, request.mismatch).params
     tool = parse_tool(request.tool, params.tool_names)
     gravity = world.gravity_N_m_s2 if request.compensate == "absolute" else None
     return IkModel(request, heat_arm(build_arm(params), request.warming_K), tool, gravity, digest(params))

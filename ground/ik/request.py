@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-from ground.common.options import Option, ParamsOption, PitchOption, RollOption, Vector
+from ground.common.options import MismatchOption, Option, ParamsOption, PitchOption, RollOption, Vector
 
 MOST_SAMPLES: Final = 1_000_000
 BATCH_SUFFIXES: Final = (".npz", ".parquet")
@@ -38,6 +38,7 @@ class ModelRequest:
         ),
     ] = "nominal"
     params: ParamsOption = None
+    mismatch: MismatchOption = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from typing import Annotated, Final, Literal
 from ground.common.options import (
     ArmOption,
     EffectsOption,
+    MismatchOption,
     Option,
     ParamsOption,
     PitchOption,
@@ -61,6 +62,7 @@ class PlaceRequest:
     arm: ArmOption = "nominal"
     seed: SeedOption = 0
     params: ParamsOption = None
+    mismatch: MismatchOption = False
     effects: EffectsOption = ()
     has_surface: Annotated[
         bool,
@@ -142,6 +144,7 @@ class HardstopRequest:
     ] = None
     seed: SeedOption = 0
     params: ParamsOption = None
+    mismatch: MismatchOption = False
     effects: EffectsOption = ()
     picture: Annotated[
         Path | None, Option("Draw current, speed and angle.", "FILE.png", suffixes=(".png",))

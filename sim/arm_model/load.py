@@ -49,6 +49,11 @@ def default_arm() -> ArmModel:
     return load_arm(_default_name())
 
 
+def arm_folder(name: str) -> Path:
+    """Return the folder of an arm of the project, or the one of this name."""
+    return ARMS / name if name in arm_names() else Path(name)
+
+
 def load_arm(name: str) -> ArmModel:
     """Make an arm from its files.
 
@@ -59,7 +64,7 @@ def load_arm(name: str) -> ArmModel:
         BadArm: there is no such arm, or its description is wrong.
         BadParams: flight software does not accept its parameters.
     """
-    folder = ARMS / name if name in arm_names() else Path(name)
+    folder = arm_folder(name)
     path = folder / FILE_NAME
     if not path.is_file():
         known = ", ".join(arm_names())

@@ -4,7 +4,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from ground.common.options import ArmOption, EffectsOption, Option, ParamsOption, ReportOption, SeedOption
+from ground.common.options import (
+    ArmOption,
+    EffectsOption,
+    MismatchOption,
+    Option,
+    ParamsOption,
+    ReportOption,
+    SeedOption,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +31,7 @@ class DiagnoseRequest:
         ),
     ] = ()
     params: ParamsOption = None
+    mismatch: MismatchOption = False
     catalogue: Annotated[
         str | None,
         Option(
@@ -57,4 +66,5 @@ class RecordRequest:
     arm: ArmOption = "nominal"
     effects: EffectsOption = ()
     params: ParamsOption = None
+    mismatch: MismatchOption = False
     seed: SeedOption = 0
