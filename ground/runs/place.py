@@ -58,7 +58,7 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
     )
     effects = parse_effects(request.effects)
     arm = select_arm(request.arm, request.params, request.mismatch).with_effects(effects)
-    tool = _parse_tool(request.tool, arm.params)
+    tool = _parse_tool(request.tool or arm.model.description.instrument, arm.params)
     level = make_world("mars", request.tilt_roll_deg, request.tilt_pitch_deg)
     world = replace(level, surface=Surface(request.target_m, normal))
     if inside_rover(request.target_m):
@@ -87,6 +87,8 @@ class PlaceReport:
     """Placement that was carried out."""
 
     request: PlaceRequest
+    tool: str
+    """Tool that was placed."""
     execution: Execution[PlacementResult]
 
 
@@ -100,7 +102,7 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     last = initialise(job.arm, request.seed, progress)[-1]
     if last.outcome is not Outcome.DONE:
         result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
-        return PlaceReport(request, execution_not_begun(result, job.arm, request.files))
+        return PlaceReport(request, job.placement.tool, execution_not_begun(result, job.arm, request.files))
     stowed_rad = job.arm.params.poses.stowed_rad
     setup = Setup(job.arm, job.world, stowed_rad, request.seed, last.reference, effects_of_run(job.effects))
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
@@ -115,5 +117,6 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
         progress,
         progress_at=lambda record: (record.tick / CYCLE_HZ, job.expected_s),
         is_for_picture=lambda record: CommandCompleted("GuardedMove") in record.outputs.evrs,
+        arm=job.arm.model,
     )
-    return PlaceReport(request, execution)
+    return PlaceReport(request, job.placement.tool, execution)
