@@ -22,7 +22,7 @@ ToolName = Annotated[str, ToolMark()]
 """Name of a tool, in capitals."""
 
 Length = Annotated[float, Limits(-5.0, 5.0)]
-Angle = Annotated[float, Limits(-6.5, 6.5)]
+Angle = Annotated[float, Limits(-7.0, 7.0)]
 
 Vector3 = tuple[float, float, float]
 Joints5 = tuple[float, float, float, float, float]

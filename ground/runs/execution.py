@@ -25,6 +25,7 @@ from ground.render.rover_scene import tilt_rover
 from ground.runs.request import RunFiles, WhenDiskFull
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.recorder import Recorder
+from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.initialisation import InitialisationResult, initialise_joints
@@ -225,7 +226,13 @@ def describe_activity(record: CycleRecord) -> str:
 
 
 def save_artifacts(
-    files: RunFiles, world: World, frames: Frames, last: Qpos, log: RunLog, progress: Progress
+    files: RunFiles,
+    world: World,
+    frames: Frames,
+    last: Qpos,
+    log: RunLog,
+    progress: Progress,
+    arm: ArmModel | None = None,
 ) -> Artifacts:
     """Draw the picture and the movie of a run, and collect its artifacts.
 
@@ -236,11 +243,12 @@ def save_artifacts(
         last: Last pose, drawn if no pose was chosen, shape (nq,), in metres and radians.
         log: Log of the run, closed.
         progress: Receiver of the progress.
+        arm: Drawing of the arm; None for the default one.
     """
     problem = next((event.message for _, event in log.events), None)
     if files.picture is None and files.movie is None:
         return Artifacts(None, None, problem, log.events)
-    spec = build(world, for_pictures=True)
+    spec = build(world, arm, for_pictures=True)
     tilt_rover(spec)
     model = spec.compile()
     picture = movie = None
@@ -323,6 +331,7 @@ def execute(
     progress: Progress,
     progress_at: Callable[[CycleRecord], tuple[float, float]],
     is_for_picture: Callable[[CycleRecord], bool],
+    arm: ArmModel,
     view: "LiveView | None" = None,
 ) -> Execution[Result]:
     """Carry out a run: record every cycle, then draw the picture and the movie.
@@ -336,6 +345,7 @@ def execute(
         progress: Receiver of the progress.
         progress_at: Function that returns the amount done at a cycle, and the total amount.
         is_for_picture: Function that returns whether the picture may show a cycle; it shows the last one.
+        arm: Drawing of the arm, for picture and movie.
         view: Viewer that shows the run; None for none.
 
     Raises:
@@ -357,5 +367,5 @@ def execute(
     if loop.failure is not None:
         raise loop.failure
     result = run.result()
-    artifacts = save_artifacts(files, world, frames, loop.plant.data.qpos, log, drawing)
+    artifacts = save_artifacts(files, world, frames, loop.plant.data.qpos, log, drawing, arm)
     return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts, view)

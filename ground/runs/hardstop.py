@@ -220,11 +220,12 @@ def plan_stops(request: HardstopRequest) -> tuple[StopPlan, ...]:
     whole = prepare_hardstop(request).arm
     bare = prepare_hardstop(replace(request, scene="earth", turret=False)).arm
     return (
-        _plan("mars, with turret", whole.params, World()),
-        _plan("earth, without turret", bare.params, World("earth")),
+        _plan("mars, with turret", whole, World()),
+        _plan("earth, without turret", bare, World("earth")),
     )
 
 
-def _plan(place: str, params: Params, world: World) -> StopPlan:
-    loads = compute_hardstop_loads(params, world.gravity_N_m_s2)
-    return StopPlan(place, params, loads, sweep_clearance(params, ClearanceModel(params, world)))
+def _plan(place: str, arm: BuiltArm, world: World) -> StopPlan:
+    loads = compute_hardstop_loads(arm.params, world.gravity_N_m_s2)
+    space = ClearanceModel(arm.params, world, arm.model)
+    return StopPlan(place, arm.params, loads, sweep_clearance(arm.params, space))

@@ -68,7 +68,7 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
     )
     effects = parse_effects(request.effects)
     arm = select_arm(request.arm, request.params, request.mismatch).with_effects(effects)
-    tool = _parse_tool(request.tool, arm.params)
+    tool = _parse_tool(request.tool or arm.model.description.instrument, arm.params)
     level = make_world("mars", request.tilt_roll_deg, request.tilt_pitch_deg)
     world = replace(level, surface=Surface(request.target_m, normal))
     if inside_rover(request.target_m):
@@ -97,6 +97,8 @@ class PlaceReport:
     """Placement that was carried out."""
 
     request: PlaceRequest
+    tool: str
+    """Tool that was placed."""
     execution: Execution[PlacementResult]
 
 
@@ -112,12 +114,12 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
 
 
 def _carry_out(request: PlaceRequest, job: PlaceJob, progress: Progress) -> PlaceReport:
-    title = f"{request.tool.upper()} on {job.arm.name} arm"
+    title = f"{job.placement.tool} on {job.arm.name} arm"
     view = open_view(request.files.view, title, job.world, job.arm, effects_of_run(job.effects))
     last = initialise(job.arm, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
     if last.outcome is not Outcome.DONE:
         result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
-        return PlaceReport(request, execution_not_begun(result, job.arm, request.files))
+        return PlaceReport(request, job.placement.tool, execution_not_begun(result, job.arm, request.files))
     stowed_rad = job.arm.params.poses.stowed_rad
     setup = Setup(job.arm, job.world, stowed_rad, request.seed, last.reference, effects_of_run(job.effects))
     loop = ClosedLoop(setup, with_truth=request.files.log is not None or view is not None)
@@ -134,6 +136,7 @@ def _carry_out(request: PlaceRequest, job: PlaceJob, progress: Progress) -> Plac
         part_of(progress, INITIALISATION_SHARE, 1.0),
         progress_at=lambda record: (record.tick / CYCLE_HZ, job.expected_s),
         is_for_picture=lambda record: CommandCompleted("GuardedMove") in record.outputs.evrs,
+        arm=job.arm.model,
         view=view,
     )
-    return PlaceReport(request, execution)
+    return PlaceReport(request, job.placement.tool, execution)

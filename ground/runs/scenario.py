@@ -88,6 +88,7 @@ def _carry_out(request: RunRequest, scenario: Scenario, arm: BuiltArm, progress:
         part_of(progress, INITIALISATION_SHARE, 1.0),
         progress_at=lambda record: scenario_run.progress_at(record.tick / CYCLE_HZ),
         is_for_picture=lambda _: scenario_run.command == picture_command,
+        arm=arm.model,
         view=view,
     )
     return RunReport(request, scenario, arm.name, execution)

@@ -179,6 +179,10 @@ class PoseDescriptions:
     hardstop_start_rad: Joints5
     hardstop_park_rad: Joints5
     hardstop_second_start_rad: Joints5
+    bare_hardstop_start_rad: Joints5
+    """This and the next two: about the same poses without a turret on Earth, where the search begins."""
+    bare_hardstop_park_rad: Joints5
+    bare_hardstop_second_start_rad: Joints5
 
 
 @dataclass(frozen=True, slots=True)
