@@ -149,7 +149,7 @@ def _tool_shift(arm: BuiltArm, tool: str) -> Array:
         (
             np.array(effect.screw[3:])
             for effect in arm.effects
-            if isinstance(effect, FrameError) and effect.frame is Frame.TOOL and effect.tool is tool
+            if isinstance(effect, FrameError) and effect.frame is Frame.TOOL and effect.tool == tool
         ),
         np.zeros(3),
     )
