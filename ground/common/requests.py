@@ -11,7 +11,7 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import Vector3
 from ground.common.errors import BadRequest
 from sim.arms import BuiltArm, UnknownArm, arm_named
-from sim.effects.effect import Effect
+from sim.effects.effect import Effect, EffectMisfit
 from sim.params import BadParams, params_over_nominal
 from sim.scenario.effect_file import read_effect_file
 from sim.scenario.effects import BadEffect, parse_effect_text
@@ -109,6 +109,18 @@ def parse_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
     if problems:
         raise BadRequest("\n".join(problems))
     return tuple(effects)
+
+
+def fit_effects(arm: BuiltArm, effects: tuple[Effect, ...]) -> BuiltArm:
+    """Return the arm with those of these effects that it has before a run begins.
+
+    Raises:
+        BadRequest: the arm cannot have one of them.
+    """
+    try:
+        return arm.with_effects(effects)
+    except EffectMisfit as error:
+        raise BadRequest(str(error)) from error
 
 
 def parse_tool(name: str, tools: Sequence[str], *others: str) -> str:

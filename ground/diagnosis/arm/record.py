@@ -15,7 +15,7 @@ from ground.common.errors import BadRequest
 from ground.common.files import atomic_path, check_new_path
 from ground.common.options import check_options
 from ground.common.progress import Progress
-from ground.common.requests import parse_effects, select_arm
+from ground.common.requests import fit_effects, parse_effects, select_arm
 from ground.diagnosis.arm.request import RecordRequest
 from ground.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, write_tracker_poses
 from ground.telemetry.header import SESSION, flight_header
@@ -123,8 +123,8 @@ def check_record_request(request: RecordRequest) -> None:
         BadOutput: The folder cannot be written.
     """
     check_options(request)
-    parse_effects(request.effects)
-    select_arm(request.arm, request.params)
+    effects = parse_effects(request.effects)
+    fit_effects(select_arm(request.arm, request.params), effects)
     if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
         raise BadRequest(f"out {request.out}: is there already; name a new folder")
     check_new_path(request.out, "out")
@@ -137,7 +137,7 @@ def record_logs(request: RecordRequest, progress: Progress) -> list[Path]:
         BadRequest: The arm cannot carry out a session with these effects.
     """
     effects = parse_effects(request.effects)
-    arm = select_arm(request.arm, request.params).with_effects(effects)
+    arm = fit_effects(select_arm(request.arm, request.params), effects)
     begun = effects_of_run(effects)
     wanted, reference, paths = campaign_sessions(arm.params), true_reference(arm), []
     try:
