@@ -77,8 +77,10 @@ def snapshot_at(
     p[tool], force[tool] = np.asarray(p_N_m) - P_NR_M, force_N
     if R is not None:
         axes[tool] = R
-    closed = np.isin(np.arange(len(SWITCHES)), TOOL_SWITCHES[tool][:1]) & touching
-    return Snapshot(command, p, axes, force, closed, np.tile(p[tool], (len(SWITCHES), 1)), vibrates)
+    closed = {name: np.zeros(len(switches), bool) for name, switches in TOOL_SWITCHES.items()}
+    closed[tool][:1] = touching
+    pads = {name: np.tile(p[tool], (len(switches), 1)) for name, switches in TOOL_SWITCHES.items()}
+    return Snapshot(command, p, axes, force, closed, pads, vibrates)
 
 
 def results(
