@@ -50,5 +50,4 @@ def _add_numeric(spec: mujoco.MjSpec, name: str, values: Iterable[float]) -> Non
 
 
 def _read_numeric(spec: mujoco.MjSpec, name: str) -> Array:
-    numeric = spec.numeric(name)
-    return np.array(numeric.data[: numeric.size])
+    return np.array(spec.numeric(name).data)
