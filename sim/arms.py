@@ -13,7 +13,7 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import Row6, row6
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel, arm_names, default_arm, load_arm
-from sim.effects.effect import Effect, params_with_effects
+from sim.effects.effect import Effect, check_effects, params_with_effects
 from sim.effects.geometry import FrameError
 from sim.effects.joints import (
     BacklashWidth,
@@ -58,7 +58,13 @@ class BuiltArm:
     """Drawing that the arm is built from."""
 
     def with_effects(self, effects: Iterable[Effect]) -> "BuiltArm":
-        """Return the arm with those of these effects that it has before a run begins."""
+        """Return the arm with those of these effects that it has before a run begins.
+
+        Raises:
+            EffectMisfit: one of them is at a tool or a contact switch that the arm does not have.
+        """
+        effects = tuple(effects)
+        check_effects(effects, self.params)
         return replace(self, effects=(*self.effects, *(effect for effect in effects if effect.built_in)))
 
 

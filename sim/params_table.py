@@ -93,7 +93,7 @@ def params_from_table(table: dict[str, Any], name: str) -> Params:
         params = _ADAPTER.validate_json(json.dumps(listed), strict=True, extra="forbid")
     except ValidationError as error:
         lines = [
-            f"{name}: {_place(listed, e['loc'])}: {describe_error(e, params_names())}" for e in error.errors()
+            f"{name}: {_place(table, e['loc'])}: {describe_error(e, params_names())}" for e in error.errors()
         ]
         raise BadParams("\n".join(lines)) from error
     check_params(params, name)
@@ -129,20 +129,14 @@ def _named_record(place: str, name: str, value: Any) -> Any:
     return {**value, "name": name}
 
 
-def _place(listed: dict[str, Any], location: tuple[int | str, ...]) -> str:
+def _place(table: dict[str, Any], location: tuple[int | str, ...]) -> str:
     """Return the dotted place of an error, with the names of named records in place of their indices."""
-    names: list[str] = []
-    value: Any = listed
-    for key in location:
-        value = (
-            value.get(key)
-            if isinstance(value, dict)
-            else value[int(key)]
-            if isinstance(value, list)
-            else None
-        )
-        is_named = isinstance(key, int) and isinstance(value, dict) and "name" in value
-        names.append(str(value["name"]).lower() if is_named else str(key))
+    names = [str(key) for key in location]
+    for place in NAMED:
+        depth = place.count(".") + 1
+        owner, key = _owner(table, place)
+        if names[:depth] == place.split(".") and len(names) > depth and isinstance(owner.get(key), dict):
+            names[depth] = list(owner[key])[int(names[depth])]
     return ".".join(names)
 
 

@@ -12,7 +12,7 @@ from fsw.dictionary.types import Vector3
 from ground.common.errors import BadRequest
 from sim.arm_model.mismatch import find_mismatches
 from sim.arms import BuiltArm, UnknownArm, arm_named
-from sim.effects.effect import Effect
+from sim.effects.effect import Effect, EffectMisfit
 from sim.params import params_over
 from sim.params_table import BadParams
 from sim.scenario.effect_file import read_effect_file
@@ -125,6 +125,18 @@ def parse_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
     if problems:
         raise BadRequest("\n".join(problems))
     return tuple(effects)
+
+
+def fit_effects(arm: BuiltArm, effects: tuple[Effect, ...]) -> BuiltArm:
+    """Return the arm with those of these effects that it has before a run begins.
+
+    Raises:
+        BadRequest: the arm cannot have one of them.
+    """
+    try:
+        return arm.with_effects(effects)
+    except EffectMisfit as error:
+        raise BadRequest(str(error)) from error
 
 
 def parse_tool(name: str, tools: Sequence[str], *others: str) -> str:

@@ -16,7 +16,7 @@ from fsw.executive.homing_poses import homing_start_poses
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress
-from ground.common.requests import make_world, parse_effects, select_arm
+from ground.common.requests import fit_effects, make_world, parse_effects, select_arm
 from ground.runs.execution import open_view
 from ground.runs.request import HardstopRequest
 from sim.arms import BuiltArm, effects_of_run
@@ -98,7 +98,7 @@ def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
         raise BadRequest("start: is for one joint, once; give --joint and no --repeat")
     world = make_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
     effects = parse_effects(request.effects)
-    arm = select_arm(request.arm, request.params, request.mismatch).with_effects(effects)
+    arm = fit_effects(select_arm(request.arm, request.params, request.mismatch), effects)
     return HardstopJob(
         joints=HARDSTOP_ORDER if request.joint is None else (_parse_joint(request.joint),),
         arm=arm if request.turret else _remove_turret(arm, request),

@@ -13,6 +13,7 @@ from ground.common.requests import (
     WORKSPACE_HINT,
     check_finite,
     check_target_distance,
+    fit_effects,
     format_numbers,
     make_world,
     parse_effects,
@@ -67,7 +68,7 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
         "normal", request.normal, "the direction out of the surface, such as 0 0 -1 for up"
     )
     effects = parse_effects(request.effects)
-    arm = select_arm(request.arm, request.params, request.mismatch).with_effects(effects)
+    arm = fit_effects(select_arm(request.arm, request.params, request.mismatch), effects)
     tool = _parse_tool(request.tool or arm.model.description.instrument, arm.params)
     level = make_world("mars", request.tilt_roll_deg, request.tilt_pitch_deg)
     world = replace(level, surface=Surface(request.target_m, normal))

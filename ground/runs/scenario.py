@@ -20,6 +20,7 @@ from ground.runs.execution import (
 from ground.runs.request import RunRequest
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm
+from sim.effects.effect import EffectMisfit
 from sim.loop import ClosedLoop
 from sim.scenario.data import Scenario
 from sim.scenario.file import BadScenario, load_scenario
@@ -107,7 +108,10 @@ def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
         tilted = make_world(scenario.world.scene, *request.tilt_deg)
         scenario = scenario.tilted(tilted.tilt_roll_rad, tilted.tilt_pitch_rad)
     scenario = replace(scenario, effects=(*scenario.effects, *parse_effects(request.effects)))
-    return scenario, scenario.fit_arm(arm)
+    try:
+        return scenario, scenario.fit_arm(arm)
+    except EffectMisfit as error:
+        raise BadRequest(f"{request.scenario}: {error}") from error
 
 
 def _picture_command(scenario: Scenario) -> int:

@@ -16,6 +16,7 @@ from fsw.dictionary.types import Limits
 from fsw.executive.checks import check_bounds
 from fsw.executive.settings import replace_param
 from sim.arms import UnknownArm, arm_named
+from sim.effects.effect import Effect
 from sim.effects.environment import WARM_C
 from sim.params import nominal_params
 from sim.scenario.data import Check, Done, Faulted, Injection, Recovered, Scenario, StartPose, TaughtPoint
@@ -153,6 +154,7 @@ def _read_scenario(data: dict[str, Any], name: str, params: Params, findings: Fi
         read_check(table, place, findings, tuple(points), len(command_tables), touchable)
         for place, table in list_tables(data, "check", findings)
     ]
+    _check_misfits(params, faults, effects, findings)
     _check_ending(checks, findings)
     if head is not None:
         _check_sequence(params, head.start, commands, faults, findings)
@@ -225,6 +227,18 @@ def _check_taught(taught: list[TaughtPoint | None], findings: Findings) -> None:
                 ("teach", k, "name"), f"name: {point.name!r} is empty or taken; give each its own"
             )
         names.append(point.name)
+
+
+def _check_misfits(
+    params: Params, faults: list[Injection | None], effects: list[Effect | None], findings: Findings
+) -> None:
+    """Report faults and effects at a tool or a contact switch that the arm does not have."""
+    of_faults = [None if one is None else one.fault for one in faults]
+    for what, found in (("fault", of_faults), ("effect", effects)):
+        for k, effect in enumerate(found):
+            problem = None if effect is None else effect.find_misfit(params)
+            if problem is not None:
+                findings.report((what, k), problem)
 
 
 def _check_ending(checks: list[Check | None], findings: Findings) -> None:

@@ -144,7 +144,10 @@ BAD = {
         "[[collision.arm.link5.capsules]]\nfrom_m = [0, 0, 0.0]\nto_m = [0, 0, 0.1]\nradius_m = 0.0\n",
         ["collision.arm.link5.capsules.0.radius_m: 0.0 is outside 0.001 .. 1.0"],
     ),
-    "a tool that there is not": ("[tools.scoop.transform]\na_m = 0.3\n", ["tools.scoop: is not a parameter"]),
+    "a tool that there is not": (
+        "[tools.scoop.transform]\na_m = 0.3\n",
+        ["tools.scoop.geometry: Field required"],
+    ),
     "a link that there is not": ("[links.arm7.transform]\na_m = 0.3\n", ["links.arm7: is not a parameter"]),
     "a number for a tool": ("[tools]\ndrill = 3\n", ["tools.drill: "]),
     "a list for the tools": ("tools = []\n", ["tools: "]),
@@ -251,10 +254,28 @@ def test_the_compliance_of_every_link_is_looked_at(tmp_path: Path, link: str) ->
 
 
 @pytest.mark.parametrize(
+    ("missing", "sentence"),
+    [
+        ("tools.drill", "switches.drill_1: tool 'DRILL' is not known; there are drt, mahli, apxs, portion"),
+        (
+            "tools.portion",
+            "teach.inlet_1.tool: tool 'portion' is not known; there are drill, drt, mahli, apxs",
+        ),
+    ],
+)
+def test_a_missing_tool_is_named_where_it_is_used(missing: str, sentence: str) -> None:
+    table = nominal_table()
+    del table["tools"][missing.removeprefix("tools.")]
+    with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(sentence)}"):
+        _validate(table, "nominal.toml")
+
+
+@pytest.mark.parametrize(
     "missing",
     [
-        "tools.drill",
-        "tools.portion",
+        "tools",
+        "switches",
+        "tools.drill.geometry",
         "tools.apxs.transform",
         "links.arm1",
         "links.arm6",
