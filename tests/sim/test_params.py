@@ -2,7 +2,6 @@
 
 import os
 import re
-import tomllib
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -13,8 +12,8 @@ import pytest
 
 from fsw.config import digest
 from fsw.dictionary.validity import check_limits
-from sim.params import _nominal_text, _validate, nominal_params, params_over_nominal
-from sim.params_table import BadParams
+from sim.params import nominal_params, params_over_nominal
+from sim.params_table import BadParams, params_from_table, params_table
 
 
 def write_file(folder: Path, text: str) -> Path:
@@ -267,7 +266,7 @@ def test_a_missing_tool_is_named_where_it_is_used(missing: str, sentence: str) -
     table = nominal_table()
     del table["tools"][missing.removeprefix("tools.")]
     with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(sentence)}"):
-        _validate(table, "nominal.toml")
+        params_from_table(table, "nominal.toml")
 
 
 @pytest.mark.parametrize(
@@ -292,7 +291,7 @@ def test_what_is_missing_is_named(missing: str) -> None:
         group = group[key]
     del group[name]
     with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(missing)}: is missing"):
-        _validate(table, "nominal.toml")
+        params_from_table(table, "nominal.toml")
 
 
 @pytest.mark.slow
@@ -307,12 +306,12 @@ def test_any_number_that_is_not_one_is_named() -> None:
         group[place[-1]] = float("nan")
         field = ".".join(str(key) for key in place[: 1 + _last_name(place)])
         with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(field)}\b"):
-            _validate(table, "nominal.toml")
+            params_from_table(table, "nominal.toml")
 
 
 def nominal_table() -> dict[str, Any]:
     """Return the content of the nominal file, to be changed."""
-    return tomllib.loads(_nominal_text())
+    return params_table(nominal_params())
 
 
 def _last_name(place: tuple[str | int, ...]) -> int:
