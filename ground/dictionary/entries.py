@@ -163,8 +163,13 @@ def _limits(kind: type, name: str, hint: Any) -> Limits | None:
 
 def _type_text(kind: type, name: str) -> str:
     """Return the documentation of an enumeration, or of a named type such as Backlash."""
-    if _names_of(get_type_hints(kind, include_extras=True)[name]) == nominal_params().tool_names:
-        return "The tools on the turret."
+    if names := _names_of(get_type_hints(kind, include_extras=True)[name]):
+        is_tool = names == nominal_params().tool_names
+        return (
+            "The tools on the turret."
+            if is_tool
+            else "The contact switches, one bit each in the sensor word."
+        )
     hint = get_type_hints(kind)[name]
     if isinstance(hint, type) and issubclass(hint, IntEnum):
         return class_doc(hint)
