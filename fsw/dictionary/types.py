@@ -18,8 +18,15 @@ class ToolMark:
     """Mark of a field that names a tool of the arm."""
 
 
+@dataclass(frozen=True, slots=True)
+class SwitchMark:
+    """Mark of a field that names a contact switch of the arm."""
+
+
 ToolName = Annotated[str, ToolMark()]
 """Name of a tool, in capitals."""
+SwitchName = Annotated[str, SwitchMark()]
+"""Name of a contact switch, in capitals."""
 
 
 def names_tool(hint: Any) -> bool:

@@ -13,7 +13,7 @@ from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Limits
+from fsw.dictionary.types import Limits, SwitchMark, ToolMark
 from fsw.dictionary.validity import COMPONENT_LIMITS
 from fsw.protect.responses import RESPONSE_TO
 from ground.common.errors import BadRequest
@@ -163,10 +163,25 @@ def _limits(kind: type, name: str, hint: Any) -> Limits | None:
 
 def _type_text(kind: type, name: str) -> str:
     """Return the documentation of an enumeration, or of a named type such as Backlash."""
+    if names := _names_of(get_type_hints(kind, include_extras=True)[name]):
+        is_tool = names == nominal_params().tool_names
+        return (
+            "The tools on the turret."
+            if is_tool
+            else "The contact switches, one bit each in the sensor word."
+        )
     hint = get_type_hints(kind)[name]
     if isinstance(hint, type) and issubclass(hint, IntEnum):
         return class_doc(hint)
     return alias_docs(commands.__name__).get(str(_alias(kind, name)), "")
+
+
+def _names_of(hint: Any) -> tuple[str, ...]:
+    """Return the nominal tools or switches if an annotation is of one of them, else nothing."""
+    marks, arm = getattr(hint, "__metadata__", ()), arm_names(nominal_params())
+    if any(isinstance(mark, ToolMark) for mark in marks):
+        return arm.tools
+    return arm.switches if any(isinstance(mark, SwitchMark) for mark in marks) else ()
 
 
 def _alias(kind: type, name: str) -> str | None:
@@ -177,6 +192,8 @@ def _alias(kind: type, name: str) -> str | None:
 
 def is_numeric_type(hint: Any) -> bool:
     """Return whether an annotation is of numbers, which can have a unit."""
+    if _names_of(hint):
+        return False
     kind = strip_optional(hint)
     if get_origin(kind) is np.ndarray:
         return get_args(get_args(kind)[1])[0] is not np.bool_
@@ -187,6 +204,8 @@ def is_numeric_type(hint: Any) -> bool:
 
 def type_name(owner: type, name: str, hint: Any) -> str:
     """Return a type as text with its shape, such as float64[5]."""
+    if names := _names_of(hint):
+        return " | ".join(names)
     kind = strip_optional(hint)
     if get_origin(kind) is np.ndarray:
         shape = ", ".join(map(str, array_shape(owner, name, arm_names(nominal_params()))))
