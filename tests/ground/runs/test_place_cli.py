@@ -38,7 +38,7 @@ BAD = {
     "a whole turn": (("--tilt-pitch", "-360"), "by 360 deg"),
     "too much of both": (("--tilt-roll", "25", "--tilt-pitch", "25"), "34.8 deg"),
     "no such arm": (("--arm", "as-built"), "as-built:SEED"),
-    "negative seed": (("--seed", "-1"), "negative"),
+    "negative seed": (("--seed", "-1"), "below 0"),
     "log in no folder": (("--log", "nowhere/run.mcap"), "nowhere"),
     "log is a folder": (("--log", "folder.mcap"), "this is a folder"),
     "log of another kind": (("--log", "run.png"), "must end in .mcap"),

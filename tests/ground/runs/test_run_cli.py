@@ -38,7 +38,7 @@ BAD = {
     "no arm": (("short.toml", "--arm", ""), "as-built:SEED"),
     "too much tilt": (("short.toml", "--tilt", "25", "25"), "34.8 deg"),
     "NaN tilt": (("short.toml", "--tilt", "nan", "0"), "finite"),
-    "negative seed": (("short.toml", "--seed", "-1"), "negative"),
+    "negative seed": (("short.toml", "--seed", "-1"), "below 0"),
     "log of another kind": (("short.toml", "--log", "run.png"), "must end in .mcap"),
     "log over the scenario": (("short.toml", "--log", "short.toml"), "the file of scenario"),
     "movie of another kind": (("short.toml", "--movie", "m.png"), "must end in .gif"),
