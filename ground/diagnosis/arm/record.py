@@ -123,8 +123,8 @@ def check_record_request(request: RecordRequest) -> None:
         BadOutput: The folder cannot be written.
     """
     check_options(request)
-    parse_effects(request.effects)
-    select_arm(request.arm, request.params, request.mismatch)
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    parse_effects(request.effects, arm.params.tool_names)
     if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
         raise BadRequest(f"out {request.out}: is there already; name a new folder")
     check_new_path(request.out, "out")
@@ -136,8 +136,9 @@ def record_logs(request: RecordRequest, progress: Progress) -> list[Path]:
     Raises:
         BadRequest: The arm cannot carry out a session with these effects.
     """
-    effects = parse_effects(request.effects)
-    arm = select_arm(request.arm, request.params, request.mismatch).with_effects(effects)
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    effects = parse_effects(request.effects, arm.params.tool_names)
+    arm = arm.with_effects(effects)
     begun = effects_of_run(effects)
     wanted, reference, paths = campaign_sessions(arm.params), true_reference(arm), []
     try:
