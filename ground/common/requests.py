@@ -109,8 +109,12 @@ def load_params(name: str, path: Path, mismatch: bool = False) -> Params:
     return params
 
 
-def parse_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
+def parse_effects(texts: tuple[str, ...], tools: Sequence[str] | None = None) -> tuple[Effect, ...]:
     """Parse effects, each written as text or as the name of a TOML file of effects.
+
+    Args:
+        texts: Texts and names.
+        tools: Tools of the arm; None for those of the default arm.
 
     Raises:
         BadRequest: some are wrong; the message lists all errors.
@@ -119,7 +123,10 @@ def parse_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
     problems: list[str] = []
     for text in texts:
         try:
-            effects += read_effect_file(Path(text)) if text.endswith(".toml") else (parse_effect_text(text),)
+            if text.endswith(".toml"):
+                effects += read_effect_file(Path(text), tools)
+            else:
+                effects.append(parse_effect_text(text, tools))
         except BadEffect as error:
             problems.append(str(error))
     if problems:

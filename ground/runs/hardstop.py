@@ -97,8 +97,9 @@ def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
     if request.start_deg is not None and (request.joint is None or request.repeat > 1):
         raise BadRequest("start: is for one joint, once; give --joint and no --repeat")
     world = make_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
-    effects = parse_effects(request.effects)
-    arm = fit_effects(select_arm(request.arm, request.params, request.mismatch), effects)
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    effects = parse_effects(request.effects, arm.params.tool_names)
+    arm = fit_effects(arm, effects)
     return HardstopJob(
         joints=HARDSTOP_ORDER if request.joint is None else (_parse_joint(request.joint),),
         arm=arm if request.turret else _remove_turret(arm, request),

@@ -67,8 +67,9 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
     normal = scale_direction(
         "normal", request.normal, "the direction out of the surface, such as 0 0 -1 for up"
     )
-    effects = parse_effects(request.effects)
-    arm = fit_effects(select_arm(request.arm, request.params, request.mismatch), effects)
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    effects = parse_effects(request.effects, arm.params.tool_names)
+    arm = fit_effects(arm, effects)
     tool = _parse_tool(request.tool or arm.model.description.instrument, arm.params)
     level = make_world("mars", request.tilt_roll_deg, request.tilt_pitch_deg)
     world = replace(level, surface=Surface(request.target_m, normal))

@@ -100,14 +100,15 @@ def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     check_options(request)
     check_files(request.files)
     try:
-        scenario = load_scenario(request.scenario)
+        scenario = load_scenario(request.scenario, request.arm)
     except BadScenario as error:
         raise BadRequest(str(error)) from error
     arm = select_arm(scenario.arm if request.arm is None else request.arm, None)
     if request.tilt_deg is not None:
         tilted = make_world(scenario.world.scene, *request.tilt_deg)
         scenario = scenario.tilted(tilted.tilt_roll_rad, tilted.tilt_pitch_rad)
-    scenario = replace(scenario, effects=(*scenario.effects, *parse_effects(request.effects)))
+    added = parse_effects(request.effects, arm.params.tool_names)
+    scenario = replace(scenario, effects=(*scenario.effects, *added))
     try:
         return scenario, scenario.fit_arm(arm)
     except EffectMisfit as error:

@@ -5,7 +5,7 @@ import re
 import sys
 import tomllib
 import traceback
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import Any, Final, get_type_hints
 
 from sim.effects.catalogue import (
+    PlaceField,
     catalogue,
     effect_classes_in,
     effect_name,
@@ -42,8 +43,12 @@ class NotAnEffect(ValueError):
     """File or class that is no effect; the message says what would be right."""
 
 
-def parse_effect_text(text: str) -> Effect:
+def parse_effect_text(text: str, tools: Sequence[str] | None = None) -> Effect:
     """Make the effect of a text, from the catalogue or from FILE.py:CLASS:PLACE:PARAMETER=VALUE,...
+
+    Args:
+        text: The text.
+        tools: Tools of the arm; None for those of the default arm.
 
     Raises:
         BadEffect: the name is not known, or its place or its parameters are wrong.
@@ -54,13 +59,14 @@ def parse_effect_text(text: str) -> Effect:
         name = f"{file['file']}:{name}"
     kind = find_effect_class(name)
     place, said = _split(name, parts)
-    table = {**_parse_place(kind, name, place), **_parse_parameters(name, said)}
-    missing = [where for where in place_fields_of(kind) if not where.optional and where.field not in table]
+    known = place_fields_of(kind, tools)
+    table = {**_parse_place(known, name, place), **_parse_parameters(name, said)}
+    missing = [where for where in known if not where.optional and where.field not in table]
     if missing:
         raise BadEffect(
             f"effect {name}: place: {missing[0].field} is missing; there are {', '.join(missing[0].members)}"
         )
-    return effect_from_fields(kind, f"{name}:{place}" if place else name, table)
+    return effect_from_fields(kind, f"{name}:{place}" if place else name, table, tools)
 
 
 def effect_text(effect: Effect) -> str:
@@ -103,13 +109,15 @@ def find_effect_class(name: str) -> type[Effect]:
         raise BadEffect(str(error)) from error
 
 
-def effect_from_fields(kind: type[Effect], name: str, table: Mapping[str, Any]) -> Effect:
-    """Make the effect of a table of its fields.
+def effect_from_fields(
+    kind: type[Effect], name: str, table: Mapping[str, Any], tools: Sequence[str] | None = None
+) -> Effect:
+    """Make the effect of a table of its fields; `tools` of None are those of the default arm.
 
     Raises:
         BadEffect: a field is missing, not known, or has a wrong value.
     """
-    findings = Findings({(): 0}, nominal_params().tool_names)
+    findings = Findings({(): 0}, tuple(tools or nominal_params().tool_names))
     effect = read_record(kind, dict(table), (), findings)
     if effect is None:
         raise BadEffect("\n".join(f"effect {name}: {problem.text}" for problem in findings.problems))
@@ -211,9 +219,9 @@ def _split(name: str, parts: list[str]) -> tuple[str, str]:
     return (parts[0], parts[1]) if parts else ("", "")
 
 
-def _parse_place(kind: type[Effect], name: str, text: str) -> dict[str, str]:
+def _parse_place(known: Sequence[PlaceField], name: str, text: str) -> dict[str, str]:
     """Return the fields of a place, such as arm3.z."""
-    words, known = text.split(".") if text else [], place_fields_of(kind)
+    words = text.split(".") if text else []
     if len(words) > len(known):
         what = " and ".join(where.field for where in known)
         sits = f"it sits at a {what}" if known else "it has no place"

@@ -91,15 +91,19 @@ def built_in_scenarios() -> dict[str, str]:
     return {file.name.removesuffix(".toml"): file.read_text(encoding="utf-8") for file in files}
 
 
-def load_scenario(name: str) -> Scenario:
+def load_scenario(name: str, arm: str | None = None) -> Scenario:
     """Load a built-in scenario by name, or a TOML file by path.
+
+    Args:
+        name: Name or path.
+        arm: Arm in place of that of the scenario; tools are those of its drawing.
 
     Raises:
         BadScenario: there is none, it cannot be read, or something in it is wrong.
     """
     texts = built_in_scenarios()
     if name in texts:
-        return parse_scenario(texts[name], name, f"{name}.toml")
+        return parse_scenario(texts[name], name, f"{name}.toml", arm)
     path = Path(name)
     if path.suffix.lower() != ".toml":
         hint = f"{did_you_mean(name, texts)}, or give the path of a .toml file"
@@ -108,16 +112,17 @@ def load_scenario(name: str) -> Scenario:
         text = read_text(path)
     except UnreadableText as error:
         raise BadScenario(name, [Problem(0, str(error))]) from error
-    return parse_scenario(text, path.stem, name)
+    return parse_scenario(text, path.stem, name, arm)
 
 
-def parse_scenario(text: str, name: str, file: str) -> Scenario:
+def parse_scenario(text: str, name: str, file: str, arm: str | None = None) -> Scenario:
     """Parse the text of a scenario.
 
     Args:
         text: TOML text.
         name: Name of the scenario.
         file: Name of the file in messages.
+        arm: Arm in place of that of the scenario.
 
     Raises:
         BadScenario: something is wrong; the message has every problem, by line.
@@ -126,12 +131,20 @@ def parse_scenario(text: str, name: str, file: str) -> Scenario:
         data, lines = parse_toml(text)
     except NotToml as error:
         raise BadScenario(file, [Problem(error.line, str(error))]) from error
-    params = nominal_params()
+    params = _drawing_params(arm or data.get("arm"))
     findings = Findings(lines, params.tool_names)
     scenario = _read_scenario(data, name, params, findings)
     if scenario is None or findings.problems:
         raise BadScenario(file, findings.problems)
     return scenario
+
+
+def _drawing_params(arm: Any) -> Params:
+    """Return the parameters of the drawing of an arm; those of the default one if there is no such arm."""
+    try:
+        return arm_named(str(arm or "nominal")).model.params
+    except UnknownArm:
+        return nominal_params()
 
 
 def _read_scenario(data: dict[str, Any], name: str, params: Params, findings: Findings) -> Scenario | None:

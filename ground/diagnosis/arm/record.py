@@ -125,9 +125,8 @@ def check_record_request(request: RecordRequest) -> None:
         BadOutput: The folder cannot be written.
     """
     check_options(request)
-    effects = parse_effects(request.effects)
     arm = select_arm(request.arm, request.params, request.mismatch)
-    fit_effects(arm, effects)
+    fit_effects(arm, parse_effects(request.effects, arm.params.tool_names))
     _choose_sessions(request, arm)
     if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
         raise BadRequest(f"out {request.out}: is there and is no empty folder; name a new or empty one")
@@ -158,8 +157,9 @@ def record_logs(request: RecordRequest, progress: Progress = no_progress) -> lis
         BadOutput: The folder cannot be written.
     """
     check_record_request(request)
-    effects = parse_effects(request.effects)
-    arm = fit_effects(select_arm(request.arm, request.params, request.mismatch), effects)
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    effects = parse_effects(request.effects, arm.params.tool_names)
+    arm = fit_effects(arm, effects)
     begun = effects_of_run(effects)
     wanted, reference, paths = _choose_sessions(request, arm), true_reference(arm), []
     try:
