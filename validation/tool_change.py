@@ -96,14 +96,14 @@ def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors |
     target, axis = np.array(place.p_RoTo_R_m), np.array(place.approach_R)
     first = _touch(loop, (place,))
     if isinstance(first, str):
-        return f"{FIRST.name}: {first}"
+        return f"{FIRST}: {first}"
     again = replace(place, tool=SECOND, branch="AUTO")
     relative = _touch(loop.fork(), (ToolChange(SECOND),))
     absolute = _touch(loop.fork(), (Retract(FIRST, place.standoff_m), again))
     if isinstance(relative, str):
         return f"ToolChange: {relative}"
     if isinstance(absolute, str):
-        return f"{SECOND.name} by coordinates: {absolute}"
+        return f"{SECOND} by coordinates: {absolute}"
     (spot, R_1), (second, R_2) = first, relative
     frames = R_2 @ _tool_shift(arm, SECOND) - R_1 @ _tool_shift(arm, FIRST)
     return ToolChangeErrors(
@@ -136,7 +136,7 @@ def _touch(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array, Arra
     problem = not_completed(commands[-1], evrs)
     if problem is not None:
         return problem
-    truth, tool = loop.plant.truth(), loop.state.tool
+    truth, tool = loop.plant.truth(), loop.plant.tools.index(loop.state.tool)
     return truth.p_RoTo_R_m[tool], truth.R_RT[tool]
 
 
@@ -149,7 +149,7 @@ def _tool_shift(arm: BuiltArm, tool: str) -> Array:
         (
             np.array(effect.screw[3:])
             for effect in arm.effects
-            if isinstance(effect, FrameError) and effect.frame is Frame.TOOL and effect.tool is tool
+            if isinstance(effect, FrameError) and effect.frame is Frame.TOOL and effect.tool == tool
         ),
         np.zeros(3),
     )
