@@ -95,7 +95,7 @@ def test_a_figure_takes_every_colour_of_its_text_and_axes_from_the_page():
     assert "var(--blue)" in text
     assert "var(--ink)" in text
     assert set(re.findall(r"#[0-9a-f]{6}\b", text)) == set()
-    assert not re.search(r'<g id=|<metadata|<image|<\?xml|<svg[^>]* width=', text)
+    assert not re.search(r"<g id=|<metadata|<image|<\?xml|<svg[^>]* width=", text)
 
 
 def test_two_figures_share_no_identifier():

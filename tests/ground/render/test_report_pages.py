@@ -22,10 +22,15 @@ from tests.ground.diagnosis.worlds import found, world
 from tests.marks import slow_but
 from validation.browser import LOADED, MISSING, Browser, find_chromium
 
-WIDTHS = (320, 400, 1400)
+PHONE = 400
+WIDTHS = (320, PHONE, 1400)
 LEAST_CONTRAST = 4.5
 """Of text, by WCAG 2.1, level AA."""
 
+VERDICTS_SHOWN = (
+    "(({scrollWidth, clientWidth}) => scrollWidth <= clientWidth)(document.querySelector('.scroll'))"
+)
+"""True if the whole table of requirements is seen without scrolling."""
 CONTRAST = """
 (() => {
   const canvas = document.createElement("canvas").getContext("2d");
@@ -110,6 +115,8 @@ def test_a_report_never_scrolls_sideways_and_is_readable_in_a_browser(page):
                 browser.open(page.as_uri(), width, 900, dark, LOADED)
                 assert browser.evaluate("innerWidth") == width
                 assert browser.evaluate("document.documentElement.scrollWidth") == width
+                if width >= PHONE:
+                    assert browser.evaluate(VERDICTS_SHOWN)
                 assert browser.evaluate(CONTRAST) >= LEAST_CONTRAST
                 papers.add((dark, browser.evaluate("getComputedStyle(document.body).backgroundColor")))
         assert len(papers) == 2
