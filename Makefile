@@ -11,8 +11,8 @@ WORKERS ?= 2
 
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: help setup demo test test-all bench brief campaign accuracy calibration ur10 joints jobs blind requirements killed damage fuzz mutants \
-  references oracle viewers examples package cluster lint lock clean
+.PHONY: help setup demo test test-all bench brief campaign accuracy calibration ur10 joints jobs blind requirements killed interrupt \
+  damage fuzz mutants references oracle viewers examples package cluster lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
@@ -29,6 +29,7 @@ help:
 	@echo "make blind     make, solve and score 200 cases of the diagnosis whose effect is withheld, print the score as JSON"
 	@echo "make requirements  measure every requirement of the paper, write docs/requirements.md"
 	@echo "make killed    kill recorded runs at random moments, print what their logs lost as JSON"
+	@echo "make interrupt  press Ctrl-C at several moments of every long command, print how soon it ends as JSON"
 	@echo "make references  make the reference runs of tests/replay anew, print what differs"
 	@echo "make damage    flip bits of logs and cut them, see what reading and recovery make of it, print it as JSON"
 	@echo "make fuzz      feed the readers of files with broken ones for a minute, print what came of it as JSON"
@@ -107,6 +108,10 @@ requirements: $(VENV)/ready
 killed: $(VENV)/ready
 	@$(call say,killing recorded runs at random moments; this takes ten minutes)
 	@$(BIN)/python -m validation.killed $(ARGS)
+
+interrupt: $(VENV)/ready
+	@$(call say,interrupting every long command at several moments; this takes ten minutes)
+	@$(BIN)/python -m validation.interrupt $(ARGS)
 
 references: $(VENV)/ready
 	@$(call say,making the reference runs anew)
@@ -202,5 +207,5 @@ lock:
 	  --extra test --group build $(ARGS) -o requirements.lock pyproject.toml
 
 clean:
-	@rm -rf $(VENV) *.egg-info build dist mutants .hypothesis .mypy_cache .ruff_cache .pytest_cache
+	@rm -rf $(VENV) *.egg-info build dist mutants .hypothesis .mypy_cache .ruff_cache .pytest_cache place.png
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -13,7 +13,7 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import Row6, row6
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel, arm_names, default_arm, load_arm
-from sim.effects.effect import Effect, params_with_effects
+from sim.effects.effect import Effect, check_effects, params_with_effects
 from sim.effects.geometry import FrameError
 from sim.effects.joints import (
     BacklashWidth,
@@ -26,6 +26,7 @@ from sim.effects.joints import (
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.params_table import BadParams
 
+MAX_SEED_DIGITS: Final = 9
 SPRING_FRAMES: Final = (Frame.ARM1, Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5)
 IDENTIFIABLE_AXES: Final[dict[Frame, tuple[int, ...]]] = {
     Frame.ARM1: (0, 1, 2, 3, 4, 5),
@@ -39,7 +40,7 @@ IDENTIFIABLE_AXES: Final[dict[Frame, tuple[int, ...]]] = {
 """Axes of the frame screws that tool poses can determine: 26 of 42, those of the tool first."""
 
 
-ARM_PATTERN: Final = re.compile(r"nominal|(?:as-built|calibrated):[0-9]{1,9}")
+ARM_PATTERN: Final = re.compile(r"nominal|(?:as-built|calibrated):[0-9]+")
 
 
 class UnknownArm(ValueError):
@@ -57,7 +58,13 @@ class BuiltArm:
     """Drawing that the arm is built from."""
 
     def with_effects(self, effects: Iterable[Effect]) -> "BuiltArm":
-        """Return the arm with those of these effects that it has before a run begins."""
+        """Return the arm with those of these effects that it has before a run begins.
+
+        Raises:
+            EffectMisfit: one of them is at a tool or a contact switch that the arm does not have.
+        """
+        effects = tuple(effects)
+        check_effects(effects, self.params)
         return replace(self, effects=(*self.effects, *(effect for effect in effects if effect.built_in)))
 
 
@@ -103,6 +110,10 @@ def _parse_name(name: str) -> tuple[ArmModel, str, int]:
         )
         raise UnknownArm(f"{text}and a / before it: {others} or a folder with an arm.toml") from error
     kind, _, seed = match[0].partition(":")
+    if len(seed) > MAX_SEED_DIGITS:
+        raise UnknownArm(
+            f"arm {kind}: its seed has {len(seed)} digits; give one with {MAX_SEED_DIGITS} at most"
+        )
     return drawing, kind, int(seed or 0)
 
 

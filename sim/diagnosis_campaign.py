@@ -195,7 +195,7 @@ def placement_session(
 
     Args:
         name: Name of session and block.
-        tool: str that touches.
+        tool: Tool that touches.
         start_rad: Output angles at the start, shape (5,).
         p_RoTo_R_m: Position of the tool at the start, shape (3,).
         approach_R: Approach of the tool at the start, unit vector, shape (3,).

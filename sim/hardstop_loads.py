@@ -1,13 +1,13 @@
 """Poses of the hardstop initialisation: gravity torques at the hardstops, and clearances.
 
-The poses are flight parameters, `[hardstop]`. Those of nominal.toml are for the whole arm on Mars.
+The poses are flight parameters, `[hardstop]`. Those of the drawing are for the whole arm on Mars.
 The calibration of the paper used an arm without a turret on Earth.
 Its poses had the same gravity torque at each hardstop as later on Mars.
 """
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -22,6 +22,7 @@ from fsw.executive.homing_poses import homing_start_poses
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
+from sim.arm_model.description import PoseDescriptions
 from sim.arms import BuiltArm
 from sim.clearance import Clearance, ClearanceModel
 from sim.effects.structure import StandInTurret
@@ -32,6 +33,7 @@ HARDSTOP_CLEARANCE_M: Final = 0.015
 LOAD_TOLERANCE_NM: Final = 0.5
 
 PoseName = Literal["start_rad", "park_rad", "second_start_rad"]
+POSE_NAMES: Final[tuple[PoseName, ...]] = get_args(PoseName)
 FREE_ANGLES: Final[tuple[tuple[PoseName, Joint], ...]] = (
     ("start_rad", Joint.ELEVATION),
     ("park_rad", Joint.ELEVATION),
@@ -40,18 +42,6 @@ FREE_ANGLES: Final[tuple[tuple[PoseName, Joint], ...]] = (
 """Angles that are solved for equal torques at the hardstops of wrist, elbow and elevation."""
 EQUALISED_JOINTS: Final = (Joint.WRIST, Joint.ELBOW, Joint.ELEVATION)
 """Joints whose torques are made equal; those of the others are near 0 at their hardstops."""
-
-
-def _joints_from_deg(*angles_deg: float) -> Joints5:
-    return joints5(np.radians(angles_deg))
-
-
-EARTH_GUESS: Final[dict[PoseName, Joints5]] = {
-    "start_rad": _joints_from_deg(-81.1, -110.4, -158.2, -184.2, -14.2),
-    "park_rad": _joints_from_deg(-179.9, -101.8, -163.9, -172.6, 38.9),
-    "second_start_rad": _joints_from_deg(-81.1, -175.0, -158.0, -172.6, 38.9),
-}
-"""First guess of `equalise_loads` for the arm without a turret on Earth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,12 +166,21 @@ def without_turret(arm: BuiltArm, on_earth: bool) -> BuiltArm:
     if not on_earth:
         return bare
     wanted_Nm = compute_hardstop_loads(arm.params, World().gravity_N_m_s2).torque_Nm
-    guess = with_poses(bare.params, EARTH_GUESS)
+    guess = with_poses(bare.params, _poses_without_turret(arm.model.description.poses))
     return replace(bare, params=equalise_loads(guess, World("earth").gravity_N_m_s2, wanted_Nm))
 
 
+def _poses_without_turret(poses: PoseDescriptions) -> dict[PoseName, Joints5]:
+    """Return the first guess of the poses for the arm without a turret on Earth."""
+    return {
+        "start_rad": poses.bare_hardstop_start_rad,
+        "park_rad": poses.bare_hardstop_park_rad,
+        "second_start_rad": poses.bare_hardstop_second_start_rad,
+    }
+
+
 def _with_free_angles(params: Params, angles: Array) -> Params:
-    poses = {name: list(getattr(params.hardstop, name)) for name in EARTH_GUESS}
+    poses = {name: list(getattr(params.hardstop, name)) for name in POSE_NAMES}
     for (pose, joint), angle in zip(FREE_ANGLES, angles, strict=True):
         poses[pose][joint] = float(angle)
     return with_poses(params, {name: joints5(np.array(pose)) for name, pose in poses.items()})

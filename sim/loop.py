@@ -16,7 +16,7 @@ from fsw.messages import Outputs, Sensors
 from fsw.state import State, boot, outputs_at_rest
 from sim.arms import BuiltArm
 from sim.avionics import Avionics
-from sim.effects.effect import Effect, apply_effects, nominal_hardware
+from sim.effects.effect import Effect, apply_effects, check_effects, nominal_hardware
 from sim.effects.faults import InjectedFault
 from sim.plant import Plant
 from sim.record import CycleRecord, Truth
@@ -47,6 +47,7 @@ class ClosedLoop:
     """Run of an arm in the closed loop; call `cycle` with the commands of each control cycle."""
 
     def __init__(self, setup: Setup, with_truth: bool = False):
+        check_effects(setup.effects, setup.arm.params)
         self.setup = setup
         spec = build(setup.world, setup.arm.model)
         if setup.time_step_s is not None:

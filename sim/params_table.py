@@ -1,23 +1,35 @@
 """Tables of flight parameters, as they stand in a TOML file; all errors are in one message."""
 
 import json
-import os
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
-from dataclasses import asdict
+from dataclasses import asdict, fields, is_dataclass
 from datetime import date, time
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
+from sim.old_names import find_new_name, renamed_text
+from sim.text_file import UnreadableText, read_text
 
-MAX_BYTES: Final = 1_000_000
-"""Largest size of a file, seventy times that of all parameters."""
-
+WANTED: Final = {
+    "missing": "is missing",
+    "dataclass": "must be a table",
+    "model": "must be a table",
+    "dict": "must be a table",
+    "float": "must be a number",
+    "finite_number": "must be a finite number",
+    "int": "must be a whole number",
+    "bool": "must be true or false",
+    "string": "must be text in quotes",
+    "tuple": "must be values in brackets",
+    "list": "must be values in brackets",
+}
+"""What a value must be, by the start of the kind of pydantic's error."""
 NAMED: Final = ("tools", "switches", "collision.rover")
 """Tables of a parameter file whose keys are names of records."""
 
@@ -52,14 +64,10 @@ def read_params_toml(path: Path) -> dict[str, Any]:
     Raises:
         BadParams: the file cannot be read.
     """
-    if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe blocks, a device has no end
-        raise BadParams(f"{path}: cannot be read: it is not a regular file; give the path of a TOML file")
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise BadParams(f"{path}: is too large for parameters; the limit is {MAX_BYTES} bytes")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadParams(f"{path}: cannot be read: {error}") from error
+        return tomllib.loads(read_text(path))
+    except UnreadableText as error:
+        raise BadParams(f"{path}: {error}") from error
     except (ValueError, RecursionError) as error:  # cut off, or an endless number or list
         raise BadParams(f"{path}: is not TOML: {error}") from error
 
@@ -84,7 +92,9 @@ def params_from_table(table: dict[str, Any], name: str) -> Params:
     try:
         params = _ADAPTER.validate_json(json.dumps(listed), strict=True, extra="forbid")
     except ValidationError as error:
-        lines = [f"{name}: {_place(listed, e['loc'])}: {_error_text(e)}" for e in error.errors()]
+        lines = [
+            f"{name}: {_place(table, e['loc'])}: {describe_error(e, params_names())}" for e in error.errors()
+        ]
         raise BadParams("\n".join(lines)) from error
     check_params(params, name)
     return params
@@ -119,20 +129,14 @@ def _named_record(place: str, name: str, value: Any) -> Any:
     return {**value, "name": name}
 
 
-def _place(listed: dict[str, Any], location: tuple[int | str, ...]) -> str:
+def _place(table: dict[str, Any], location: tuple[int | str, ...]) -> str:
     """Return the dotted place of an error, with the names of named records in place of their indices."""
-    names: list[str] = []
-    value: Any = listed
-    for key in location:
-        value = (
-            value.get(key)
-            if isinstance(value, dict)
-            else value[int(key)]
-            if isinstance(value, list)
-            else None
-        )
-        is_named = isinstance(key, int) and isinstance(value, dict) and "name" in value
-        names.append(str(value["name"]).lower() if is_named else str(key))
+    names = [str(key) for key in location]
+    for place in NAMED:
+        depth = place.count(".") + 1
+        owner, key = _owner(table, place)
+        if names[:depth] == place.split(".") and len(names) > depth and isinstance(owner.get(key), dict):
+            names[depth] = list(owner[key])[int(names[depth])]
     return ".".join(names)
 
 
@@ -142,10 +146,35 @@ def _refuse(name: str, problems: Iterator[str]) -> None:
         raise BadParams("\n".join(lines))
 
 
-def _error_text(error: Any) -> str:
-    """Return the error of pydantic without its words about function calls."""
-    unknown = error["type"] in ("unexpected_keyword_argument", "extra_forbidden")
-    return "is not a parameter" if unknown else str(error["msg"])
+def describe_error(error: Any, names: Sequence[str]) -> str:
+    """Return an error of pydantic in words of this project.
+
+    Args:
+        error: Error as pydantic lists it.
+        names: Names that there are, to tell what became of an old one.
+    """
+    kind, context = error["type"], error.get("ctx", {})
+    if kind in ("unexpected_keyword_argument", "extra_forbidden"):
+        new = find_new_name(".".join(str(part) for part in error["loc"]), names)
+        return "is not a parameter" + ("" if new is None else f"; {renamed_text(new)}")
+    if kind in ("too_short", "too_long"):
+        wanted = context.get("min_length", context.get("max_length"))
+        return f"has {context['actual_length']} values; {wanted} are right"
+    wanted = next((text for start, text in WANTED.items() if kind.startswith(start)), None)
+    return f"has a wrong value ({kind})" if wanted is None else wanted
+
+
+def params_names() -> tuple[str, ...]:
+    """List the names of all parameters that are not of a tool or a switch, such as `motion.takeup_rad`."""
+    return tuple(_list_names(Params, ""))
+
+
+def _list_names(kind: Any, place: str) -> Iterator[str]:
+    for field in fields(kind):
+        yield f"{place}{field.name}"
+        inner = get_type_hints(kind)[field.name]
+        if is_dataclass(inner):
+            yield from _list_names(inner, f"{place}{field.name}.")
 
 
 def _find_dates(value: Any, place: str = "") -> Iterator[str]:

@@ -3,6 +3,7 @@
 It uses what flight software knows: the nominal model of rover and terrain, not the built arm.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -167,18 +168,17 @@ def _first_collision(
         plant.show(output, strain)
         mujoco.mj_collision(model, data)
         for contact in data.contact:
-            names = [_geom_name(model, geom) for geom in contact.geom]
-            if contact.dist < clearance_m and not _is_intended(names, touching):
-                return " meets ".join(names)
+            if contact.dist < clearance_m and not _is_intended(model, contact.geom, touching):
+                return " meets ".join(_geom_name(model, geom) for geom in contact.geom)
     return None
 
 
-def _is_intended(names: list[str], touching: str | None) -> bool:
+def _is_intended(model: mujoco.MjModel, geoms: Iterable[int], touching: str | None) -> bool:
     """Return whether a tool touches the rock face with its pads."""
+    names = {model.geom(geom).name: model.body(model.geom_bodyid[geom]).name for geom in geoms}
     if touching is None or "rock_face" not in names:
         return False
-    pads = touching.lower() + "_"
-    return any(name.startswith(pads) and name.endswith("_pad") for name in names)
+    return any(name.endswith("_pad") and body == touching.lower() for name, body in names.items())
 
 
 def _geom_name(model: mujoco.MjModel, geom: int) -> str:

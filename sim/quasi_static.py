@@ -58,7 +58,7 @@ def solve_quasi_static_move(
         arm: True arm and what flight software knows about it.
         start_rad: Estimated output angles before the move, shape (5,).
         goal_rad: Commanded output angles, shape (5,).
-        tool: str of the returned pose.
+        tool: Tool of the returned pose.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
         backlash: Compensation of the backlash.
         disturbance: Displacements of frames, gears and motors in this move.

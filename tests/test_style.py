@@ -83,7 +83,7 @@ def test_a_problem_is_told_with_its_line(tmp_path, place, text, line, expected):
     ("place", "text"),
     [
         ("sim/a.py", MODULE + 'where = {"log_odds": 1}\n'),
-        ("ground/telemetry/old_names.py", MODULE + 'OLD = {"half_gap_rad": "half_backlash_rad"}\n'),
+        ("sim/old_names.py", MODULE + 'OLD = {"half_gap_rad": "half_backlash_rad"}\n'),
         ("models/a.toml", "[uncertainty]\nperiodic_rad = 1.0  # wave_rad was the name\n"),
         ("docs/a.md", "The verb `gap` records; the key is `log_odds`.\n"),
         (

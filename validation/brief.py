@@ -48,6 +48,7 @@ BRIEFS: Final = (
     Brief("kinematics", "--targets 4000 --vectors 4000 --workers 1"),
     Brief("damage", "--tries 50 --cycles 128"),
     Brief("killed", "--kills 3"),
+    Brief("interrupt", "--moments 3 --only ik --only reach --only monte-carlo --only 'gap record'"),
     Brief("ur10", "", needs="MARSARM_DATA, a folder with the measured poses"),
     Brief("oracle", "--targets 2000", needs="EAIK"),
 )

@@ -131,7 +131,7 @@ def compare(eaik: Eaik, tool: str, p_m: Array, approach: Array) -> Comparison:
 
     Args:
         eaik: The oracle.
-        tool: str at the targets.
+        tool: Tool at the targets.
         p_m: Positions in the rover frame, shape (3, n).
         approach: Unit approach vectors in the rover frame, shape (3, n).
     """
@@ -162,7 +162,7 @@ def random_targets(tool: str, kind: str, rng: np.random.Generator, n: int) -> tu
     """Draw random targets.
 
     Args:
-        tool: str at the targets.
+        tool: Tool at the targets.
         kind: `workspace` for the primary workspace, `vectors` for poses of random joint vectors.
         rng: Source of randomness.
         n: Number of targets.

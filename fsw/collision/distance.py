@@ -70,7 +70,7 @@ def find_violation(
         geometry: Shapes of arm and rover.
         frames: Frames of the links in RMECH along the path, batch (n).
         padding_m: Distance to be kept.
-        touching: str that is to touch; no distance is required of it.
+        touching: Tool that is to touch; no distance is required of it.
 
     Returns:
         The violation, or None if there is none.
@@ -103,7 +103,7 @@ def compute_clearances(
         geometry: Shapes of arm and rover.
         frames: Frames of the links in RMECH, batch (n).
         within_m: Distances beyond this are infinite in the result.
-        touching: str whose distances are infinite in the result.
+        touching: Tool whose distances are infinite in the result.
 
     Returns:
         Distances in metres, shape (parts, obstacles, n).

@@ -5,6 +5,7 @@ from enum import IntEnum
 from typing import ClassVar
 
 from fsw.dictionary.enums import Joint, Mode
+from fsw.dictionary.types import SwitchName, ToolName
 
 
 class Severity(IntEnum):
@@ -118,7 +119,7 @@ class BranchChosen(Evr):
 
     severity = Severity.ACTIVITY_LO
     text = "{e.tool}: branch {e.branch}"
-    tool: str
+    tool: ToolName
     branch: str
 
 
@@ -128,7 +129,7 @@ class ContactMade(Evr):
 
     severity = Severity.ACTIVITY_HI
     text = "contact on {e.switch} after {e.travel_m:.4f} m"
-    switch: str
+    switch: SwitchName
     travel_m: float
 
 
@@ -138,7 +139,7 @@ class Preloaded(Evr):
 
     severity = Severity.ACTIVITY_HI
     text = "{e.tool} pressed with {e.force_N:.1f} N"
-    tool: str
+    tool: ToolName
     force_N: float
 
 
@@ -148,7 +149,7 @@ class ForceEstimated(Evr):
 
     severity = Severity.ACTIVITY_LO
     text = "{e.tool}: a newton of the model is {e.along:.3f} N along its axis, {e.across:.3f} N across"
-    tool: str
+    tool: ToolName
     along: float
     across: float
 
@@ -159,7 +160,7 @@ class SpotSet(Evr):
 
     severity = Severity.ACTIVITY_LO
     text = "spot of {e.tool} at {e.x_m:.4f} {e.y_m:.4f} {e.z_m:.4f} m in RMECH"
-    tool: str
+    tool: ToolName
     x_m: float
     y_m: float
     z_m: float

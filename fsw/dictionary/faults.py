@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Evr, Severity
+from fsw.dictionary.types import SwitchName, ToolName
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +160,7 @@ class ContactInFreeSpace(Fault):
     """A contact switch closed in a move without intended contact."""
 
     text = "contact on {e.switch} in free space"
-    switch: str
+    switch: SwitchName
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +244,7 @@ class ContactLost(Fault):
     """A tool that presses has no closed contact switch."""
 
     text = "{e.tool} lost contact"
-    tool: str
+    tool: ToolName
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,7 +252,7 @@ class PreloadOutside(Fault):
     """The force estimated from the joints differs from the commanded one."""
 
     text = "force on {e.tool} off by {e.error_N:.1f} N from {e.force_N:.1f} N, bound {e.bound_N:.1f} N"
-    tool: str
+    tool: ToolName
     force_N: float
     error_N: float
     bound_N: float

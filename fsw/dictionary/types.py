@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any, get_args
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,11 +18,25 @@ class ToolMark:
     """Mark of a field that names a tool of the arm."""
 
 
+@dataclass(frozen=True, slots=True)
+class SwitchMark:
+    """Mark of a field that names a contact switch of the arm."""
+
+
 ToolName = Annotated[str, ToolMark()]
 """Name of a tool, in capitals."""
+SwitchName = Annotated[str, SwitchMark()]
+"""Name of a contact switch, in capitals."""
+
+
+def names_tool(hint: Any) -> bool:
+    """Return whether an annotation, or one of its alternatives, is a ToolName."""
+    marks = getattr(hint, "__metadata__", ())
+    return any(isinstance(mark, ToolMark) for mark in marks) or any(map(names_tool, get_args(hint)))
+
 
 Length = Annotated[float, Limits(-5.0, 5.0)]
-Angle = Annotated[float, Limits(-6.5, 6.5)]
+Angle = Annotated[float, Limits(-7.0, 7.0)]
 
 Vector3 = tuple[float, float, float]
 Joints5 = tuple[float, float, float, float, float]

@@ -45,7 +45,7 @@ def expand_command(
     Args:
         config: Configuration of flight software.
         joints: Estimate of the joints.
-        tool: str of the last tool command.
+        tool: Tool of the last tool command.
         command: Compound command.
 
     Returns:

@@ -29,7 +29,7 @@ def plan_command(
     Args:
         config: Configuration of flight software.
         joints: Estimate of the joints, from which the move starts.
-        tool: str of the last tool command.
+        tool: Tool of the last tool command.
         command: Command of a single move.
 
     Returns:

@@ -43,7 +43,7 @@ def describe_arm(
 
     Args:
         mode: Mode of the arm.
-        tool: str of the last tool command.
+        tool: Tool of the last tool command.
         joints: Estimate of the joints.
         uncertainty_rad: Greatest error of the likely gear angles of that estimate, shape (5,).
         move: Move under way.

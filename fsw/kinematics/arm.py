@@ -58,7 +58,7 @@ def build_orthogonal_arm(theta_rad: Array, X_LF: Pose, X_FT: Pose) -> Orthogonal
     Args:
         theta_rad: Constant turn of each link, shape (6,).
         X_LF: Frame at the end of each link in the link frame, batch (6,).
-        X_FT: str frame in frame Arm6.
+        X_FT: Tool frame in frame Arm6.
 
     Returns:
         Lengths of the orthogonal arm.

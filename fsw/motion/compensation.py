@@ -56,7 +56,7 @@ class Compensation:
         Args:
             config: Configuration of flight software.
             joints: Estimate of the joints.
-            reference: str whose present deflection counts.
+            reference: Tool whose present deflection counts.
             p_RoTo_R_m: Position of the tool in RMECH, shape (3, ...).
             approach_R: Unit direction of the tool axis, same shape.
 

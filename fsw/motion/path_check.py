@@ -39,7 +39,7 @@ def check_paths(
         joints: Estimate of the joints, of which gravity and backlash are used.
         paths: Paths of the motors, one after the other.
         padding_m: Distance to be kept.
-        touching: str that is to touch; no distance is required of it.
+        touching: Tool that is to touch; no distance is required of it.
 
     Returns:
         The reason for a refusal, or None if the paths are clear.

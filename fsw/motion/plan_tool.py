@@ -69,7 +69,7 @@ def plan_tool(
         config: Configuration of flight software.
         joints: Estimate of the joints, from which the move starts.
         command: Command with the target, the branch and the compensation.
-        reference: str whose present deflection relative compensation uses; None for that of the command.
+        reference: Tool whose present deflection relative compensation uses; None for that of the command.
 
     Returns:
         The plan, or the reason for a refusal.

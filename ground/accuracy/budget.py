@@ -29,7 +29,7 @@ from ground.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity,
 from ground.accuracy.sources import BudgetCase, ErrorModel, is_compensated, load_error_model
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
-from ground.common.progress import Progress, no_progress
+from ground.common.progress import Progress, no_progress, part_of
 from ground.common.requests import make_world, parse_tool, select_arm
 
 MOMENTS: Final = "moments"
@@ -192,7 +192,10 @@ def run_budget(request: BudgetRequest, progress: Progress = no_progress) -> Budg
     params = select_arm("nominal", request.params, request.mismatch).params
     tools = _parse_tools(request.tool, params)
     config = configure(params)
-    budgets = compute_budgets(model, names, config, gravity, tools, request.poses, request.seed, progress)
+    share = 0.5 if request.reproduce else 1.0
+    budgets = compute_budgets(
+        model, names, config, gravity, tools, request.poses, request.seed, part_of(progress, 0.0, share)
+    )
     rows = [
         (row, budgets[row.case].estimate("paper", row.component))
         for row in (*TABLE_3, *TABLE_4)
@@ -200,7 +203,7 @@ def run_budget(request: BudgetRequest, progress: Progress = no_progress) -> Budg
     ]
     reproduced: list[MagnitudeFit] = []
     for table in (TABLE_3, TABLE_4) if request.reproduce else ():
-        progress(len(reproduced), 2, "reproducing")
+        part_of(progress, share, 1.0)(len(reproduced), 2, "reproducing")
         reproduced.append(reproduce(model, table, config, gravity, request.seed))
     return BudgetReport(request, model, budgets, tuple(rows), tuple(reproduced), digest(params))
 

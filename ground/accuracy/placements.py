@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Final
 
 import numpy as np
@@ -21,7 +20,6 @@ from sim.arms import BuiltArm
 from sim.avionics import move_rng
 from sim.effects.effect import EachMove, draw_move_disturbance, params_with_effects
 from sim.loop import Setup, hardware_rng
-from sim.params import nominal_params
 from sim.pose_sequence import free_air_loop, run_and_rest
 from sim.quasi_static import StaticArm, solve_quasi_static_move
 from sim.world import World
@@ -134,7 +132,7 @@ def statics_model(arm: BuiltArm, backlash: BacklashMode) -> MoveModel:
 
     The gears have the wind-up and the side of the backlash that the move leaves.
     """
-    believed, true = configure(arm.params), configure(params_with_effects(arm.effects, _nominal_params()))
+    believed, true = configure(arm.params), configure(params_with_effects(arm.effects, arm.model.params))
     static = StaticArm(believed, true, no_reference(believed), true.hardstop_rad - believed.hardstop_rad)
     random_effects = [effect for effect in arm.effects if isinstance(effect, EachMove)]
     gravity = World().gravity_N_m_s2
@@ -147,8 +145,3 @@ def statics_model(arm: BuiltArm, backlash: BacklashMode) -> MoveModel:
         return settled.X_RT, settled.backlash_rad / true.half_backlash_rad
 
     return move
-
-
-@cache
-def _nominal_params() -> Params:
-    return nominal_params()

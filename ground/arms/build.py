@@ -92,10 +92,10 @@ def arms_table(models: Iterable[ArmModel]) -> None:
     for name in ("arm", "title", "upper arm m", "forearm m", "kg", "tools"):
         table.add_column(name, justify="right" if name.split()[-1] in ("m", "kg") else "left")
     for model in models:
-        told = describe_arm(model)
-        numbers = [f"{told[key]:g}" for key in ("upper_arm_m", "forearm_m", "mass_kg")]
-        name = model.name + (" (default)" if told["is_default"] else "")
-        table.add_row(name, model.description.title, *numbers, " ".join(told["tools"]))
+        described = describe_arm(model)
+        numbers = [f"{described[key]:g}" for key in ("upper_arm_m", "forearm_m", "mass_kg")]
+        name = model.name + (" (default)" if described["is_default"] else "")
+        table.add_row(name, model.description.title, *numbers, " ".join(described["tools"]))
     plain_console().print(table)
 
 

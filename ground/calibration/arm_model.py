@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from ground.calibration.arm_parameters import (
     MASS_CENTRES,
     MASS_FACTORS,
     MASS_FRAMES,
-    arm_parameters,
+    PARAMETER_COUNT,
     arm_with_values,
     turret_displacement,
 )
@@ -38,8 +37,6 @@ from ground.calibration.fit import Fit, Linearisation
 from ground.calibration.screws import MeasuredPoses, error_screw, linearise
 from sim.arms import SPRING_FRAMES
 from sim.effects.structure import params_with_stand_in
-
-PARAMETER_COUNT: Final = len(arm_parameters())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

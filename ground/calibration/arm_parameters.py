@@ -12,6 +12,7 @@ from fsw.dictionary.types import row6, vector3
 from fsw.kinematics.arm import Arm, pose_to_transform6, transform6_to_pose
 from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
 from ground.calibration.fit import FitParameter
+from sim.arm_model.description import BuiltTolerances
 from sim.arm_model.load import default_arm
 from sim.arms import SPRING_FRAMES
 from sim.effects.flight_params import rotate_matrix
@@ -35,40 +36,43 @@ LINK_STIFFNESSES: Final = slice(47, 52)
 BACKLASHES: Final = slice(52, 57)
 MASS_FACTORS: Final = slice(57, 62)
 MASS_CENTRES: Final = slice(62, 77)
-
-BUILT: Final = default_arm().description.tolerances.built
-"""Tolerances of manufacture, which scale the parameters."""
+PARAMETER_COUNT: Final = MASS_CENTRES.stop
 
 
 def _scaled(name: str, unit: str, sigma: float) -> FitParameter:
     return FitParameter(name, unit, sigma, sigma)
 
 
-def arm_parameters() -> tuple[FitParameter, ...]:
-    """List all parameters. Prior sigmas are the manufacturing tolerances. Factors are natural logarithms."""
+def arm_parameters(built: BuiltTolerances | None = None) -> tuple[FitParameter, ...]:
+    """List all parameters. Prior sigmas are the manufacturing tolerances. Factors are natural logarithms.
+
+    Args:
+        built: Tolerances of manufacture; None for those of the default arm.
+    """
+    built = built or default_arm().description.tolerances.built
     return (
-        *_frame_screws(),
-        *(_scaled(f"gear.{j.name.lower()}", "ln", BUILT.stiffness_share) for j in Joint),
-        *(_scaled(f"spring.{f.name.lower()}", "ln", BUILT.stiffness_share) for f in SPRING_FRAMES),
-        *(_scaled(f"backlash.{j.name.lower()}", "ln", BUILT.backlash_share) for j in Joint),
-        *(_scaled(f"mass.{f.name.lower()}", "ln", BUILT.mass_share) for f in MASS_FRAMES),
+        *_frame_screws(built),
+        *(_scaled(f"gear.{j.name.lower()}", "ln", built.stiffness_share) for j in Joint),
+        *(_scaled(f"spring.{f.name.lower()}", "ln", built.stiffness_share) for f in SPRING_FRAMES),
+        *(_scaled(f"backlash.{j.name.lower()}", "ln", built.backlash_share) for j in Joint),
+        *(_scaled(f"mass.{f.name.lower()}", "ln", built.mass_share) for f in MASS_FRAMES),
         *(
-            _scaled(f"centre.{f.name.lower()}.{axis}", "m", BUILT.com_m)
+            _scaled(f"centre.{f.name.lower()}.{axis}", "m", built.com_m)
             for f in MASS_FRAMES
             for axis in "xyz"
         ),
     )
 
 
-def _frame_screws() -> Iterator[FitParameter]:
+def _frame_screws(built: BuiltTolerances) -> Iterator[FitParameter]:
     for frame in Frame:
         for k, axis in enumerate(SCREW_AXES):
-            scale = BUILT.frame_rad if k < 3 else BUILT.frame_m
+            scale = built.frame_rad if k < 3 else built.frame_m
             sigma = scale
             if frame is Frame.TOOL:
                 sigma = FIXTURE_RAD if k < 3 else FIXTURE_M
             elif 6 * frame + k in ENCODER_ZEROS:
-                sigma = float(np.hypot(BUILT.frame_rad, BUILT.hardstop_rad))
+                sigma = float(np.hypot(built.frame_rad, built.hardstop_rad))
             yield FitParameter(f"{frame.name.lower()}.{axis}", "rad" if k < 3 else "m", scale, sigma)
 
 

@@ -1,5 +1,6 @@
 """Calibration of the arm: fit, rejection of outliers, hold-out validation and identifiability."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,9 +11,10 @@ from fsw.kinematics.transforms import Array, Flags, Integers
 from ground.calibration.arm_model import arm_model
 from ground.calibration.arm_parameters import FRAME_SCREWS, arm_parameters
 from ground.calibration.campaign_data import Campaign
-from ground.calibration.fit import Fit, HoldOutValidation, Linearisation, fit, validate_hold_out
+from ground.calibration.fit import Fit, FitParameter, HoldOutValidation, Linearisation, fit, validate_hold_out
 from ground.calibration.identifiability import Identifiability, assess_identifiability
 from ground.calibration.outliers import OutlierRejection, reject_outliers
+from sim.arm_model.description import BuiltTolerances
 
 HOLD_OUT_STRIDE: Final = 5
 """Stride of held-out poses in each group: every fifth pose is left out of the fit that it validates.
@@ -53,7 +55,9 @@ class Calibration:
         return self.rejection.fit
 
 
-def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -> Calibration:
+def calibrate(
+    nominal: Params, campaign: Campaign, with_backlash: bool = True, built: BuiltTolerances | None = None
+) -> Calibration:
     """Fit the arm to a campaign, reject outliers, and validate the fit on held-out poses.
 
     `checks.check_fit` decides whether the result is acceptable.
@@ -62,6 +66,7 @@ def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -
         nominal: Nominal parameters of flight software.
         campaign: Measured poses.
         with_backlash: True if the model uses the state of the backlash.
+        built: Tolerances of manufacture; None for those of the default arm.
 
     Returns:
         The calibration.
@@ -69,13 +74,13 @@ def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -
     Raises:
         TooManyOutliers: No arm explains the poses.
     """
-    parameters = arm_parameters()
+    parameters = arm_parameters(built)
     everything = np.ones(campaign.count, bool)
-    preliminary = _preliminary_fit(nominal, campaign, everything, with_backlash)
+    preliminary = _preliminary_fit(parameters, nominal, campaign, everything, with_backlash)
     model = arm_model(nominal, campaign, preliminary, with_backlash)
     cleaned = reject_outliers(parameters, model, preliminary.values)
     is_held_out = select_held_out(campaign.group)
-    preliminary_part = _preliminary_fit(nominal, campaign, ~is_held_out, with_backlash)
+    preliminary_part = _preliminary_fit(parameters, nominal, campaign, ~is_held_out, with_backlash)
     part_model = arm_model(nominal, campaign, preliminary_part, with_backlash, is_held_out)
     part = reject_outliers(parameters, part_model, preliminary_part.values, ~is_held_out).fit
     held_out = is_held_out & cleaned.fit.used
@@ -97,9 +102,10 @@ def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -
     )
 
 
-def _preliminary_fit(nominal: Params, campaign: Campaign, used: Flags, with_backlash: bool) -> Fit:
+def _preliminary_fit(
+    parameters: Sequence[FitParameter], nominal: Params, campaign: Campaign, used: Flags, with_backlash: bool
+) -> Fit:
     """Fit the used poses to decide the side of uncertain outputs, without the measurements of other poses."""
-    parameters = arm_parameters()
     preliminary = fit(parameters, arm_model(nominal, campaign, None, with_backlash), None, used)
     # fit again: with known backlash widths, more outputs can be confirmed
     return fit(

@@ -62,11 +62,11 @@ def resize_groups(groups: tuple[PoseGroup, ...], poses: int) -> tuple[PoseGroup,
     return tuple(PoseGroup(g.turret_kg, g.roll_rad, share + (k < rest)) for k, g in enumerate(groups))
 
 
-def group_poses(params: Params, group: PoseGroup, scene: World, rng: np.random.Generator) -> list[Array]:
+def group_poses(arm: BuiltArm, group: PoseGroup, scene: World, rng: np.random.Generator) -> list[Array]:
     """Draw the collision-free poses of one group.
 
     Args:
-        params: Nominal parameters of flight software.
+        arm: Arm with its flight parameters.
         group: Turret, tilt and number of poses.
         scene: World whose terrain the arm must clear.
         rng: Random generator.
@@ -74,8 +74,8 @@ def group_poses(params: Params, group: PoseGroup, scene: World, rng: np.random.G
     Returns:
         Joint angles [rad] of each pose, shape (5,), ordered for short moves from the ready pose.
     """
-    config = configure(group.params(params))
-    space = ClearanceModel(config.params, scene)
+    config = configure(group.params(arm.params))
+    space = ClearanceModel(config.params, scene, arm.model)
     inside = round(SHOULDER_IN_SHARE * group.count)
     branches = [SHOULDER_IN_BRANCHES] * inside + [SHOULDER_OUT_BRANCHES] * (group.count - inside)
     goals = [_clear_pose(config, space, rng, names) for names in branches]
@@ -181,7 +181,7 @@ def group_rows(arm: BuiltArm, reference: Reference, plan: CampaignPlan, k: int) 
     """Run the poses of one group; leave out poses at which the tracker sees too few targets."""
     group = plan.groups[k]
     world = World("earth", tilt_roll_rad=group.roll_rad)
-    goals = group_poses(arm.params, group, World("earth"), np.random.default_rng([plan.seed, k, 0]))
+    goals = group_poses(arm, group, World("earth"), np.random.default_rng([plan.seed, k, 0]))
     rng = np.random.default_rng([plan.seed, k, 1])
     turret = () if group.turret_kg is None else (StandInTurret(group.turret_kg),)
     known = replace(arm, params=group.params(arm.params))

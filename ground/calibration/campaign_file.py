@@ -16,6 +16,7 @@ from fsw.kinematics.transforms import Array, Pose
 from ground.calibration.campaign_data import BelievedPoses, Campaign
 from ground.calibration.checks import BadData
 from ground.calibration.screws import MeasuredPoses
+from ground.common.bad_tables import describe_bad_table
 from ground.common.files import atomic_write
 from ground.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
 
@@ -65,11 +66,11 @@ def read_campaign(path: Path) -> Campaign:
     try:
         data = BytesIO(read_file(path, MAX_TABLE_BYTES))
         table = csv.read_csv(data) if path.suffix.lower() == ".csv" else parquet.read_table(data)
+        problems = [f"{path}: {problem}" for problem in _problems(table)]
     except BadImport as error:
         raise BadData(str(error)) from error
-    except (OSError, pa.ArrowException) as error:
-        raise BadData(f"{path}: cannot be read as a table: {error}") from error
-    problems = [f"{path}: {problem}" for problem in _problems(table)]
+    except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
+        raise BadData(f"{path}: {describe_bad_table(error, 'a table')}") from error
     if problems:
         raise BadData("\n".join(problems))
     return _campaign(

@@ -9,7 +9,7 @@ from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, Flags, Integers, Pose, inverse
 from ground.calibration.arm_model import predict_poses
-from ground.calibration.arm_parameters import arm_parameters
+from ground.calibration.arm_parameters import PARAMETER_COUNT
 from ground.calibration.calibrate import Calibration
 from ground.calibration.campaign_data import Campaign
 from ground.calibration.fit import Fit, HoldOutValidation
@@ -178,7 +178,7 @@ def _find_stale(campaign: Campaign) -> Flags:
 
 def _check_frames(nominal: Params, campaign: Campaign) -> Iterator[str]:
     """Check that measured poses are near nominal ones; if not, try common mistakes of convention."""
-    x = np.zeros(len(arm_parameters()))
+    x = np.zeros(PARAMETER_COUNT)
     X = predict_poses(nominal, x, campaign.believed)
     off_m = _pose_error_m(X, campaign.measured.X_RT)
     as_given = float(np.median(off_m))

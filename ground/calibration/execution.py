@@ -18,13 +18,20 @@ from ground.calibration.campaign_file import read_campaign, save_campaign
 from ground.calibration.checks import BadData, check_data, check_fit
 from ground.calibration.parameter_file import calibrated_params, save_parameter_file
 from ground.calibration.request import CalibrateRequest
-from ground.calibration.verify import Verification, register_tools, verify_calibration
+from ground.calibration.verify import (
+    HARDSTOP_TARGETS,
+    WORLDS,
+    Verification,
+    register_tools,
+    verify_calibration,
+)
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
-from ground.common.progress import Progress, no_progress
+from ground.common.progress import Progress, no_progress, part_of
 from ground.common.requests import select_arm
-from sim.arms import BuiltArm
-from sim.params import nominal_params, params_over_nominal
+from sim.arm_model.load import ArmModel, default_arm
+from sim.arms import BuiltArm, UnknownArm, arm_named
+from sim.params import params_over
 from sim.params_table import BadParams, check_params
 from sim.tracker import Tracker
 
@@ -48,23 +55,25 @@ def run_calibration(request: CalibrateRequest, progress: Progress = no_progress)
     Raises:
         BadRequest: The request or the data are wrong, or the fit is not acceptable; nothing was written.
     """
-    arm, base = _check_request(request)
+    arm = _check_request(request)
+    measured = _measuring_share(request)
     try:
-        if arm is None:
-            campaign = read_campaign(_require_table(request.data))
-            _check_same_arm(base, campaign)
-        else:
-            campaign = _measure_campaign(request, arm, progress)
+        campaign = _take_campaign(request, arm, part_of(progress, 0.0, measured))
+        drawing = _drawing_of(campaign.arm_name) if arm is None else arm.model
+        base = drawing.params if request.params is None else params_over(drawing.params, request.params)
+        _check_same_arm(base, campaign)
         check_data(base, campaign)
-        progress(0, 1, "fitting")
-        found = calibrate(base, campaign)
+        progress(measured, 1.0, "fitting")
+        found = calibrate(base, campaign, built=drawing.description.tolerances.built)
         check_fit(found)
         tools = None if arm is None else register_tools(arm, request.seed)
         params = calibrated_params(found, tools)
         check_params(params, "the calibrated arm")
         verification = None
         if arm is not None and request.verify:
-            verification = verify_calibration(arm, params, request.verify, request.seed, progress)
+            verification = verify_calibration(
+                arm, params, request.verify, request.seed, part_of(progress, measured, 1.0)
+            )
         if request.save_data is not None:
             save_campaign(campaign, request.save_data)
         if request.out is not None:
@@ -74,8 +83,8 @@ def run_calibration(request: CalibrateRequest, progress: Progress = no_progress)
     return CalibrateReport(request, found, params, verification)
 
 
-def _check_request(request: CalibrateRequest) -> tuple[BuiltArm | None, Params]:
-    """Check all that can be checked before any motion or output."""
+def _check_request(request: CalibrateRequest) -> BuiltArm | None:
+    """Check all that can be checked before any motion or output; return the arm to measure, if any."""
     check_options(request)
     if (request.arm is None) == (request.data is None):
         raise BadRequest(
@@ -85,11 +94,15 @@ def _check_request(request: CalibrateRequest) -> tuple[BuiltArm | None, Params]:
         raise BadRequest("calibrate: --verify and --save-data are for an arm in simulation; give no --data")
     if not all(0 <= um < 1e4 for um in request.tracker_um) or request.tracker_um[0] == 0:
         raise BadRequest("tracker: its noise is not within 0 .. 10000 micrometres, the first above 0")
+    return None if request.arm is None else select_arm(request.arm, request.params, request.mismatch)
+
+
+def _drawing_of(arm_name: str) -> ArmModel:
+    """Return the drawing that the name of a measured arm begins with, or the default one."""
     try:
-        base = nominal_params() if request.params is None else params_over_nominal(request.params)
-    except BadParams as error:
-        raise BadRequest(str(error)) from error
-    return (None if request.arm is None else select_arm(request.arm, request.params, request.mismatch)), base
+        return arm_named(arm_name).model
+    except UnknownArm:
+        return default_arm()
 
 
 def _require_table(path: Path | None) -> Path:
@@ -106,8 +119,20 @@ def _check_same_arm(base: Params, campaign: Campaign) -> None:
         )
 
 
-def _measure_campaign(request: CalibrateRequest, arm: BuiltArm, progress: Progress) -> Campaign:
+def _take_campaign(request: CalibrateRequest, arm: BuiltArm | None, progress: Progress) -> Campaign:
+    """Read the measured poses, or measure the arm in simulation."""
+    if arm is None:
+        return read_campaign(_require_table(request.data))
     um, um_per_m = request.tracker_um
     tracker = Tracker(sigma_m=um * MICRO, sigma_per_m=um_per_m * MICRO)
     plan = CampaignPlan(resize_groups(PAPER_GROUPS, request.poses), tracker, request.seed)
-    return run_campaign(arm, earth_reference(arm, progress), plan, progress)
+    found = HARDSTOP_TARGETS / (HARDSTOP_TARGETS + request.poses)
+    reference = earth_reference(arm, part_of(progress, 0.0, found))
+    return run_campaign(arm, reference, plan, part_of(progress, found, 1.0))
+
+
+def _measuring_share(request: CalibrateRequest) -> float:
+    """Return the share of the measurements in all work; the rest verifies the result."""
+    measuring = HARDSTOP_TARGETS + request.poses
+    verifying = 2 * HARDSTOP_TARGETS + WORLDS * request.verify if request.verify else 0
+    return measuring / (measuring + verifying)

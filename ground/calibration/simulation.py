@@ -41,7 +41,7 @@ def simulate_campaign(arm: BuiltArm, plan: CampaignPlan) -> Campaign:
     rows = []
     for k, group in enumerate(plan.groups):
         rng = np.random.default_rng([plan.seed, k, 2])
-        goals = group_poses(arm.params, group, World("earth"), rng)
+        goals = group_poses(arm, group, World("earth"), rng)
         scene = _scene(arm, plan, k)
         rows += [row for goal in goals if (row := _settle_row(scene, goal, rng)) is not None]
     return stack_rows(arm.name, rows)
@@ -73,7 +73,7 @@ def _scene(arm: BuiltArm, plan: CampaignPlan, k: int) -> _Scene:
         true=configure(group.params(true_params(arm))),
         hardstop_error_rad=hardstop_errors_rad(arm),
         gravity_R_m_s2=World("earth", tilt_roll_rad=group.roll_rad).gravity_N_m_s2,
-        plant=ClearanceModel(known, World("earth")).plant,
+        plant=ClearanceModel(known, World("earth"), arm.model).plant,
         tracker=plan.tracker,
     )
 

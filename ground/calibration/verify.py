@@ -19,7 +19,7 @@ from fsw.kinematics.transforms import Array, Pose, angle_between, screw_exp
 from ground.calibration.arm_parameters import FIXTURE_M, FIXTURE_RAD
 from ground.calibration.campaign import CampaignFailed, earth_reference
 from ground.calibration.simulation import true_params
-from ground.common.progress import Progress
+from ground.common.progress import Progress, part_of
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.effects.environment import Ambient
@@ -52,6 +52,12 @@ def register_tools(arm: BuiltArm, seed: int) -> dict[str, Pose]:
     return {
         tool: truth.X_FT[tool] @ screw_exp(noise * rng.standard_normal(6)) for tool in arm.params.tool_names
     }
+
+
+WORLDS: Final = 3
+"""Environments of a verification: Earth, Mars and cold Mars."""
+HARDSTOP_TARGETS: Final = 10
+"""Number of targets that last as long as the hardstops of all joints, for the progress."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +102,11 @@ def verify_calibration(
         CampaignFailed: A hardstop was not found, or a move failed.
     """
     known = replace(arm, params=params)
-    before, reference = (earth_reference(which, progress) for which in (arm, known))
+    stops = 2 * HARDSTOP_TARGETS
+    share = stops / (stops + WORLDS * targets)
+    before = earth_reference(arm, part_of(progress, 0.0, 0.5 * share))
+    reference = earth_reference(known, part_of(progress, 0.5 * share, share))
+    moving = part_of(progress, share, 1.0)
     changed_rad = configure(params).hardstop_rad - configure(arm.params).hardstop_rad
     cold = (Ambient(COLD_C), Warming(COLD_C - CALIBRATION_C))
     where = (("earth", World("earth"), ()), ("mars", World(), ()), ("cold mars", World(), cold))
@@ -106,7 +116,7 @@ def verify_calibration(
         found = []
         for one in run.tool_errors(targets):
             found.append(one)
-            progress(k * targets + len(found), len(where) * targets, name)
+            moving(k * targets + len(found), len(where) * targets, name)
         tools, errors = zip(*found, strict=True)
         places.append(PlaceErrors(name, tools, *np.array(errors).T))
     return Verification(reference.zero_rad - before.zero_rad, changed_rad, tuple(places))

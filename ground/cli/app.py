@@ -1,7 +1,7 @@
 """Assemble the command line `marsarm` and write its output.
 
-Exit status: 0 done; 1 a bug; 2 bad input; 3 the arm refused or faulted and is safe; 141 the reader of the
-output is closed.
+Exit status: 0 done; 1 a bug; 2 bad input; 3 the arm refused or faulted and is safe; 130 interrupted by
+Ctrl-C, 143 by SIGTERM; 141 the reader of the output is closed.
 """
 
 import json
@@ -27,6 +27,7 @@ from ground.cli.log import log_app, replay
 from ground.cli.runs import hardstop, place, run, scenarios
 from ground.cli.verb import EXIT_BAD_INPUT, VerbCommand
 from ground.cli.view import view
+from ground.common.interruption import report_interruption
 
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 """Exit status of a program whose reader has closed the pipe, as `head` does."""
@@ -82,12 +83,9 @@ app.command(cls=VerbCommand)(diagnose)
 def main() -> None:
     """Run the command `marsarm`."""
     _drop_gl_settings()
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is not signal.SIG_IGN:  # nohup ignores SIGHUP
-            # An exception unwinds the stack, so that temporary files are deleted.
-            signal.signal(number, lambda received, _: sys.exit(128 + received))
     warnings.simplefilter("ignore", RuntimeWarning)  # warnings of numpy are for developers
-    with buffer_stdout():
+    # An interruption is an exception, which unwinds the stack, so that temporary files are deleted.
+    with report_interruption(), buffer_stdout():
         _run()
 
 
@@ -101,16 +99,33 @@ def _drop_gl_settings() -> None:
 
 
 def _run() -> NoReturn:
-    if "--json" not in sys.argv:
-        app()
     try:
-        status = app(standalone_mode=False)
-    except typer.TyperException as error:  # wrong usage, which typer would print in a box
-        message = error.format_message()
-        print(json.dumps({"error": message}))
-        print(message, file=sys.stderr)
+        status = app(prog_name="marsarm", standalone_mode=False)
+    except typer.TyperException as error:
+        message = _describe_usage_error(error)
+        if message:
+            if "--json" in sys.argv:
+                print(json.dumps({"error": message}))
+            print(message, file=sys.stderr)
         status = error.exit_code
     sys.exit(status)
+
+
+def _describe_usage_error(error: typer.TyperException) -> str:
+    """Return one sentence about wrong usage; nothing if typer has printed the help instead."""
+    from sim.old_names import OPTIONS, renamed_text  # nothing of sim before a verb runs
+
+    message = error.format_message().rstrip(".")
+    option, parameter = getattr(error, "option_name", None), getattr(error, "param", None)
+    if option in OPTIONS:
+        message = f"{option}: {renamed_text(OPTIONS[option])}"
+    elif parameter is not None and "Input should be" in message:  # the words of a library
+        number = "whole number" if "integer" in message else "number"
+        plural = "s" if parameter.nargs > 1 else ""
+        message = f"{parameter.get_error_hint()}: takes {parameter.nargs} {number}{plural}"
+    context = getattr(error, "ctx", None)
+    advice = "" if context is None else f"; `{context.command_path} --help` lists what there is"
+    return f"{message}{advice}" if message else ""
 
 
 @contextmanager

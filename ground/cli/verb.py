@@ -13,9 +13,10 @@ from typing import Annotated, Any, Final, Literal, get_args, get_origin
 import typer
 from typer.core import TyperCommand
 
-from ground.common.errors import UserError
+from ground.cli.failed_effect import describe_failed_effect
+from ground.common.errors import UserError, describe_problems
 from ground.common.options import CLUSTER_HERE, Field, Option, option_fields
-from ground.common.progress import progress_bar
+from ground.common.progress import show_progress
 
 EXIT_BAD_INPUT: Final = 2
 ADDRESS: Final = re.compile(rf"{CLUSTER_HERE}|\S+:[0-9]+")
@@ -81,7 +82,14 @@ def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:
 def _help_text(doc: str) -> str:
     """Return a docstring with each paragraph on one line, so that the screen decides its lines."""
     paragraphs = doc.split("\n\n")
-    return "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+    return _plain("\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs))
+
+
+def _plain(help_text: str) -> str:
+    """Return a help text in which brackets are brackets, not markup."""
+    from rich.markup import escape
+
+    return escape(help_text)
 
 
 def _carry_out(
@@ -92,7 +100,7 @@ def _carry_out(
             values[parameter.name] = _build_request(parameter.annotation, values)
     if all(parameter.name != "progress" for parameter in parameters):
         return work(**values)
-    with progress_bar() as progress:
+    with show_progress() as progress:
         return work(progress=progress, **values)
 
 
@@ -113,7 +121,7 @@ def _request_options(request_type: Any, group: Any) -> Iterator[inspect.Paramete
         kind = Annotated[_typer_type(field), _typer_option(field, field.option)]  # type: ignore[valid-type]
         yield _parameter(field.name, kind, None if default == () else default)
         if field.option.help_without is not None and default is not None:
-            flag = typer.Option(f"--no-{field.label}", help=field.option.help_without)
+            flag = typer.Option(f"--no-{field.label}", help=_plain(field.option.help_without))
             yield _parameter(f"no_{field.name}", Annotated[bool, flag], False)
 
 
@@ -127,8 +135,8 @@ def _typer_type(field: Field) -> Any:
 
 def _typer_option(field: Field, option: Option) -> Any:
     if option.is_argument:
-        return typer.Argument(help=option.help, metavar=option.metavar)
-    return typer.Option(option.name or f"--{field.label}", help=option.help, metavar=option.metavar)
+        return typer.Argument(help=_plain(option.help), metavar=option.metavar)
+    return typer.Option(option.name or f"--{field.label}", help=_plain(option.help), metavar=option.metavar)
 
 
 def _is_list(field: Field) -> bool:
@@ -165,11 +173,21 @@ def print_result(document: dict[str, Any], as_json: bool, print_table: Callable[
 
 @contextmanager
 def report_user_errors(as_json: bool) -> Iterator[None]:
-    """Print an error of the user, and exit with its status."""
+    """Print an error of the user, and exit with its status; an exception in an effect of the user is one."""
     try:
         yield
     except UserError as error:
-        if as_json:
-            print(json.dumps({"error": str(error)}))
-        print(error, file=sys.stderr)
+        _report(describe_problems(error), as_json)
         raise typer.Exit(error.exit_status) from error
+    except Exception as error:
+        sentence = describe_failed_effect(error)
+        if sentence is None:
+            raise  # a bug
+        _report(sentence, as_json)
+        raise typer.Exit(EXIT_BAD_INPUT) from error
+
+
+def _report(sentence: str, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps({"error": sentence}))
+    print(sentence, file=sys.stderr)

@@ -10,6 +10,14 @@ class UserError(Exception):
     """Exit status of the verb."""
 
 
+def describe_problems(error: UserError) -> str:
+    """Return the message of an error; a message with a line for each problem opens with a sentence."""
+    first, *more = str(error).splitlines() or [type(error).__name__]
+    if not more or first.endswith(":"):
+        return str(error)
+    return f"{len(more) + 1} things are wrong, one in each line:\n{error}"
+
+
 class BadRequest(UserError, ValueError):
     """Error for a request that cannot be carried out; nothing moved and nothing was written."""
 

@@ -1,5 +1,6 @@
 """Checks of output paths, and files that are written completely or not at all."""
 
+import fcntl
 import os
 import secrets
 import shutil
@@ -71,6 +72,69 @@ def _same_file(one: Path, other: Path) -> bool:
     if os.path.realpath(one) == os.path.realpath(other):
         return True
     return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
+
+
+@contextmanager
+def reserve(path: Path | None, what: str) -> Iterator[None]:
+    """Reserve a file for this run in a block, so that no other run writes it at the same time.
+
+    The kernel holds the lock and ends it with the run, whatever ends the run. A new file is empty until it is
+    written, and is deleted if it stays empty.
+
+    Args:
+        path: The file; None reserves nothing.
+        what: Name of the option that gave the path, for the error.
+
+    Raises:
+        BadOutput: another run has reserved or is writing the file, or the file cannot be made.
+    """
+    if path is None:
+        yield
+        return
+    try:
+        file, is_new = _open_reserved(path)
+    except OSError as error:
+        raise BadOutput(f"{what} {path}: cannot be written ({error.strerror or error})") from error
+    try:
+        if not lock_file(file):
+            raise BadOutput(f"{what} {path}: another run is writing it; wait for it, or give another file")
+        try:
+            yield
+        finally:
+            if is_new:
+                _delete_placeholder(file, path)
+    finally:
+        os.close(file)
+
+
+def lock_file(file: int) -> bool:
+    """Lock a file until its last descriptor is closed; return False if another process holds the lock.
+
+    A file system without locks locks nothing.
+    """
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _open_reserved(path: Path) -> tuple[int, bool]:
+    """Open the file without a change, or make an empty one; return its descriptor and whether it is new."""
+    try:
+        return os.open(path, os.O_RDONLY | os.O_CREAT | os.O_EXCL, 0o666), True
+    except FileExistsError:
+        return os.open(path, os.O_RDONLY), False
+
+
+def _delete_placeholder(file: int, path: Path) -> None:
+    """Delete the empty file that `reserve` made, unless it was replaced."""
+    with suppress(OSError):
+        there = path.stat()
+        if os.path.samestat(there, os.fstat(file)) and there.st_size == 0:
+            path.unlink()
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from fsw.dictionary.types import Vector3
 from ground.common.errors import BadRequest
 from sim.arm_model.mismatch import find_mismatches
 from sim.arms import BuiltArm, UnknownArm, arm_named
-from sim.effects.effect import Effect
+from sim.effects.effect import Effect, EffectMisfit
 from sim.params import params_over
 from sim.params_table import BadParams
 from sim.scenario.effect_file import read_effect_file
@@ -109,8 +109,12 @@ def load_params(name: str, path: Path, mismatch: bool = False) -> Params:
     return params
 
 
-def parse_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
+def parse_effects(texts: tuple[str, ...], tools: Sequence[str] | None = None) -> tuple[Effect, ...]:
     """Parse effects, each written as text or as the name of a TOML file of effects.
+
+    Args:
+        texts: Texts and names.
+        tools: Tools of the arm; None for those of the default arm.
 
     Raises:
         BadRequest: some are wrong; the message lists all errors.
@@ -119,12 +123,27 @@ def parse_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
     problems: list[str] = []
     for text in texts:
         try:
-            effects += read_effect_file(Path(text)) if text.endswith(".toml") else (parse_effect_text(text),)
+            if text.endswith(".toml"):
+                effects += read_effect_file(Path(text), tools)
+            else:
+                effects.append(parse_effect_text(text, tools))
         except BadEffect as error:
             problems.append(str(error))
     if problems:
         raise BadRequest("\n".join(problems))
     return tuple(effects)
+
+
+def fit_effects(arm: BuiltArm, effects: tuple[Effect, ...]) -> BuiltArm:
+    """Return the arm with those of these effects that it has before a run begins.
+
+    Raises:
+        BadRequest: the arm cannot have one of them.
+    """
+    try:
+        return arm.with_effects(effects)
+    except EffectMisfit as error:
+        raise BadRequest(str(error)) from error
 
 
 def parse_tool(name: str, tools: Sequence[str], *others: str) -> str:

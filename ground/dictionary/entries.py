@@ -13,7 +13,7 @@ from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Limits
+from fsw.dictionary.types import Limits, SwitchMark, ToolMark
 from fsw.dictionary.validity import COMPONENT_LIMITS
 from fsw.protect.responses import RESPONSE_TO
 from ground.common.errors import BadRequest
@@ -22,7 +22,7 @@ from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.schema import arm_names, array_shape
 from ground.telemetry.topics import PACKET_TOPICS, Topic, channel_matches, channel_name, strip_optional
 from sim.params import nominal_params
-from sim.scenario.names import did_you_mean, upper_snake
+from sim.scenario.names import suggest_name, upper_snake
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,10 +163,25 @@ def _limits(kind: type, name: str, hint: Any) -> Limits | None:
 
 def _type_text(kind: type, name: str) -> str:
     """Return the documentation of an enumeration, or of a named type such as Backlash."""
+    if names := _names_of(get_type_hints(kind, include_extras=True)[name]):
+        is_tool = names == nominal_params().tool_names
+        return (
+            "The tools on the turret."
+            if is_tool
+            else "The contact switches, one bit each in the sensor word."
+        )
     hint = get_type_hints(kind)[name]
     if isinstance(hint, type) and issubclass(hint, IntEnum):
         return class_doc(hint)
     return alias_docs(commands.__name__).get(str(_alias(kind, name)), "")
+
+
+def _names_of(hint: Any) -> tuple[str, ...]:
+    """Return the nominal tools or switches if an annotation is of one of them, else nothing."""
+    marks, arm = getattr(hint, "__metadata__", ()), arm_names(nominal_params())
+    if any(isinstance(mark, ToolMark) for mark in marks):
+        return arm.tools
+    return arm.switches if any(isinstance(mark, SwitchMark) for mark in marks) else ()
 
 
 def _alias(kind: type, name: str) -> str | None:
@@ -177,6 +192,8 @@ def _alias(kind: type, name: str) -> str | None:
 
 def is_numeric_type(hint: Any) -> bool:
     """Return whether an annotation is of numbers, which can have a unit."""
+    if _names_of(hint):
+        return False
     kind = strip_optional(hint)
     if get_origin(kind) is np.ndarray:
         return get_args(get_args(kind)[1])[0] is not np.bool_
@@ -187,6 +204,8 @@ def is_numeric_type(hint: Any) -> bool:
 
 def type_name(owner: type, name: str, hint: Any) -> str:
     """Return a type as text with its shape, such as float64[5]."""
+    if names := _names_of(hint):
+        return " | ".join(names)
     kind = strip_optional(hint)
     if get_origin(kind) is np.ndarray:
         shape = ", ".join(map(str, array_shape(owner, name, arm_names(nominal_params()))))
@@ -256,8 +275,7 @@ def _suggest_name(dictionary: Dictionary, pattern: str) -> str:
     entries: list[Definition] = [*dictionary.commands, *dictionary.evrs, *dictionary.packets]
     names = [entry.name for entry in entries] + [one.name for one in dictionary.parameters]
     names += [channel_name(packet.name, one.name) for packet in dictionary.packets for one in packet.fields]
-    meant, _, _ = did_you_mean(pattern, names).rpartition("there are ")
     return (
-        f"{meant}`marsarm dictionary` lists all there is, "
+        f"{suggest_name(pattern, names)}`marsarm dictionary` lists all there is, "
         "and a pattern is written as '*tilt*', where * stands for any letters"
     )

@@ -36,7 +36,7 @@ class IkModel:
     def description(self) -> str:
         """Describe the arm and its load."""
         request = self.request
-        text = f"{request.tool.upper()}, {request.arm} arm"
+        text = f"{self.tool}, {request.arm} arm"
         if request.warming_K:
             text += f" {request.warming_K:+g} K"
         if self.gravity_R_m_s2 is None:
@@ -72,7 +72,8 @@ def build_ik_model(request: ModelRequest) -> IkModel:
         raise BadRequest(
             f"warming: {request.warming_K:g} K is not within {MOST_WARMING_K:g} K of calibration temperature"
         )
-    params = select_arm(request.arm, request.params, request.mismatch).params
-    tool = parse_tool(request.tool, params.tool_names)
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    params = arm.params
+    tool = parse_tool(request.tool or arm.model.description.instrument, params.tool_names)
     gravity = world.gravity_N_m_s2 if request.compensate == "absolute" else None
     return IkModel(request, heat_arm(build_arm(params), request.warming_K), tool, gravity, digest(params))

@@ -25,7 +25,7 @@ BatchWorkersOption = Annotated[
 class ModelRequest:
     """Request for an arm model; angles in degrees, temperatures in kelvin."""
 
-    tool: Annotated[str, Option("drill, drt, mahli, apxs or portion.", "TOOL")] = "apxs"
+    tool: Annotated[str | None, Option("A tool of the arm; its instrument if not given.", "TOOL")] = None
     compensate: Annotated[
         Literal["absolute", "off"],
         Option(

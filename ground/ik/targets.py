@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.kinematics.transforms import Array
+from ground.common.bad_tables import describe_bad_table
 from ground.common.errors import BadRequest
 from ground.common.requests import MAX_TARGET_DISTANCE_M, MIN_COMPONENT, WORKSPACE_HINT, format_numbers
 from ground.ik.request import BATCH_SUFFIXES
@@ -143,14 +144,10 @@ def _read_errors(path: Path) -> Iterator[None]:
         raise BadRequest(f"batch {path}: is too large for the memory; give it in parts") from error
     except OSError as error:
         if error.strerror is None:  # raised by a reader of the format, not by the system
-            raise BadRequest(f"batch {path}: cannot be read as {kind}: {_one_line(error)}") from error
+            raise BadRequest(f"batch {path}: {describe_bad_table(error, kind)}") from error
         raise BadRequest(f"batch {path}: cannot be read ({error.strerror})") from error
     except Exception as error:  # damaged headers raise errors of any kind
-        raise BadRequest(f"batch {path}: cannot be read as {kind}: {_one_line(error)}") from error
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+        raise BadRequest(f"batch {path}: {describe_bad_table(error, kind)}") from error
 
 
 def _from_npz(path: Path) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from fsw.dictionary.params import Params
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose
 from ground.render.picture import PictureResult, save_picture
+from sim.arm_model.load import ArmModel
 from sim.frames import FLIP, P_NR_M
 from sim.plant import Plant
 from sim.world import World, build
@@ -75,6 +76,7 @@ def save_collision_picture(
     path: Path,
     camera: str = "workspace",
     size: tuple[int, int] = (1280, 720),
+    arm: ArmModel | None = None,
 ) -> PictureResult:
     """Save a picture of the arm, deflected by gravity on Mars, with the collision shapes of arm and rover.
 
@@ -84,13 +86,14 @@ def save_collision_picture(
         path: The PNG file.
         camera: Name of a camera of the scene.
         size: Width and height in pixels.
+        arm: Drawing of the arm; None for the default one.
 
     Raises:
         PictureError: the path cannot be written or there is no such camera.
     """
     config, world = configure(params), World()
     equilibrium = settle_output(config.arm, output_rad[:, None], world.gravity_N_m_s2)
-    spec = build(world, for_pictures=True)
+    spec = build(world, arm, for_pictures=True)
     shapes = config.collision_geometry
     _add_shapes(spec, shapes.arm, place_shapes(shapes, equilibrium.frames)[:, 0], ARM_RGBA)
     _add_shapes(spec, shapes.rover, shapes.rover.X_CS, ROVER_RGBA)

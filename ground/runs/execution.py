@@ -7,7 +7,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from types import TracebackType
+from typing import TYPE_CHECKING, Final, Generic, Protocol, Self, TypeVar
 
 import mujoco
 import numpy as np
@@ -17,12 +18,14 @@ from fsw.config import CYCLE_HZ, Config, digest
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
 from ground.common.errors import BadRequest
-from ground.common.progress import Progress
+from ground.common.interruption import describe_interruption
+from ground.common.progress import Progress, part_of
 from ground.render.picture import PictureResult, check_movie_path, save_movie, save_picture
 from ground.render.rover_scene import tilt_rover
 from ground.runs.request import RunFiles, WhenDiskFull
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.recorder import Recorder
+from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.initialisation import InitialisationResult, initialise_joints
@@ -35,6 +38,8 @@ if TYPE_CHECKING:
     from ground.view.live import LiveView
 
 FRAME_PERIOD_S = 3.0
+INITIALISATION_SHARE: Final = 0.3
+"""Share of the initialisation in the wall time of a placement or scenario, for the progress: 13 s of 45 s."""
 PICTURE_SIZE = (1280, 720)
 MOVIE_SHADOWS = 1024
 """Side of a shadow map in pixels: coarser than for a picture, and several times faster."""
@@ -124,12 +129,22 @@ class RunLog:
         except OSError as error:
             self._note_failure(self._recorder, error)
 
-    def close(self) -> None:
-        """Complete and close the file."""
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close("" if error is None else describe_interruption(error))
+        if error is not None and self._recorder is not None:
+            error.add_note(f"log {self._path} ends at {self._last_s:.2f} s and says so")
+
+    def close(self, interrupted_by: str = "") -> None:
+        """Complete and close the file; it says what interrupted the run, unless this is empty."""
         if self._recorder is None:
             return
         try:
-            self._recorder.close()
+            self._recorder.close(interrupted_by)
         except OSError as error:
             if not self.events:
                 self._note_failure(self._recorder, error)
@@ -211,7 +226,13 @@ def describe_activity(record: CycleRecord) -> str:
 
 
 def save_artifacts(
-    files: RunFiles, world: World, frames: Frames, last: Qpos, log: RunLog, progress: Progress
+    files: RunFiles,
+    world: World,
+    frames: Frames,
+    last: Qpos,
+    log: RunLog,
+    progress: Progress,
+    arm: ArmModel | None = None,
 ) -> Artifacts:
     """Draw the picture and the movie of a run, and collect its artifacts.
 
@@ -222,11 +243,12 @@ def save_artifacts(
         last: Last pose, drawn if no pose was chosen, shape (nq,), in metres and radians.
         log: Log of the run, closed.
         progress: Receiver of the progress.
+        arm: Drawing of the arm; None for the default one.
     """
     problem = next((event.message for _, event in log.events), None)
     if files.picture is None and files.movie is None:
         return Artifacts(None, None, problem, log.events)
-    spec = build(world, for_pictures=True)
+    spec = build(world, arm, for_pictures=True)
     tilt_rover(spec)
     model = spec.compile()
     picture = movie = None
@@ -309,6 +331,7 @@ def execute(
     progress: Progress,
     progress_at: Callable[[CycleRecord], tuple[float, float]],
     is_for_picture: Callable[[CycleRecord], bool],
+    arm: ArmModel,
     view: "LiveView | None" = None,
 ) -> Execution[Result]:
     """Carry out a run: record every cycle, then draw the picture and the movie.
@@ -322,27 +345,27 @@ def execute(
         progress: Receiver of the progress.
         progress_at: Function that returns the amount done at a cycle, and the total amount.
         is_for_picture: Function that returns whether the picture may show a cycle; it shows the last one.
+        arm: Drawing of the arm, for picture and movie.
         view: Viewer that shows the run; None for none.
 
     Raises:
         BadRequest: the log cannot be opened; nothing moved.
     """
-    log = open_log(files.log, header, loop.config)
+    share = 1.0 if files.movie is None else 0.5
+    running, drawing = part_of(progress, 0.0, share), part_of(progress, share, 1.0)
     frames = Frames()
     started = time.perf_counter()
-    try:
+    with open_log(files.log, header, loop.config) as log:
         for record in record_cycles(run, log, files.when_disk_full):
             if frames.note(loop.plant, record):
-                progress(*progress_at(record), describe_activity(record))
+                running(*progress_at(record), describe_activity(record))
             if view is not None:
                 view.watch(record)
             if is_for_picture(record):
                 frames.choose(loop.plant)
-    finally:
-        log.close()
     wall_s = time.perf_counter() - started
     if loop.failure is not None:
         raise loop.failure
     result = run.result()
-    artifacts = save_artifacts(files, world, frames, loop.plant.data.qpos, log, progress)
+    artifacts = save_artifacts(files, world, frames, loop.plant.data.qpos, log, drawing, arm)
     return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts, view)

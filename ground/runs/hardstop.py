@@ -16,7 +16,7 @@ from fsw.executive.homing_poses import homing_start_poses
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress
-from ground.common.requests import make_world, parse_effects, select_arm
+from ground.common.requests import fit_effects, make_world, parse_effects, select_arm
 from ground.runs.execution import open_view
 from ground.runs.request import HardstopRequest
 from sim.arms import BuiltArm, effects_of_run
@@ -97,8 +97,9 @@ def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
     if request.start_deg is not None and (request.joint is None or request.repeat > 1):
         raise BadRequest("start: is for one joint, once; give --joint and no --repeat")
     world = make_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
-    effects = parse_effects(request.effects)
-    arm = select_arm(request.arm, request.params, request.mismatch).with_effects(effects)
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    effects = parse_effects(request.effects, arm.params.tool_names)
+    arm = fit_effects(arm, effects)
     return HardstopJob(
         joints=HARDSTOP_ORDER if request.joint is None else (_parse_joint(request.joint),),
         arm=arm if request.turret else _remove_turret(arm, request),
@@ -205,17 +206,27 @@ def plan_stops(request: HardstopRequest) -> tuple[StopPlan, ...]:
     Raises:
         BadRequest: the request is wrong, has options of a motion, or there is no such plan.
     """
-    has_motion_options = (request.joint, request.start_deg, request.picture) != (None, None, None)
-    if has_motion_options or request.repeat > 1 or not request.turret:
-        raise BadRequest("plan: moves nothing, and is of both places; give nothing but --arm and --params")
+    of_motion = {
+        "--joint": request.joint is not None,
+        "--start": request.start_deg is not None,
+        "--picture": request.picture is not None,
+        "--repeat": request.repeat > 1,
+        "--no-turret": not request.turret,
+    }
+    given = [name for name, is_given in of_motion.items() if is_given]
+    if given:
+        raise BadRequest(
+            f"plan: moves nothing and is of both Mars and Earth; leave out {' and '.join(given)}, or --plan"
+        )
     whole = prepare_hardstop(request).arm
     bare = prepare_hardstop(replace(request, scene="earth", turret=False)).arm
     return (
-        _plan("mars, with turret", whole.params, World()),
-        _plan("earth, without turret", bare.params, World("earth")),
+        _plan("mars, with turret", whole, World()),
+        _plan("earth, without turret", bare, World("earth")),
     )
 
 
-def _plan(place: str, params: Params, world: World) -> StopPlan:
-    loads = compute_hardstop_loads(params, world.gravity_N_m_s2)
-    return StopPlan(place, params, loads, sweep_clearance(params, ClearanceModel(params, world)))
+def _plan(place: str, arm: BuiltArm, world: World) -> StopPlan:
+    loads = compute_hardstop_loads(arm.params, world.gravity_N_m_s2)
+    space = ClearanceModel(arm.params, world, arm.model)
+    return StopPlan(place, arm.params, loads, sweep_clearance(arm.params, space))

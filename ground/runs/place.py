@@ -6,19 +6,29 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import Params
 from ground.common.errors import BadRequest
+from ground.common.files import reserve
 from ground.common.options import check_options
-from ground.common.progress import Progress, no_progress
+from ground.common.progress import Progress, no_progress, part_of
 from ground.common.requests import (
     WORKSPACE_HINT,
     check_finite,
     check_target_distance,
+    fit_effects,
     format_numbers,
     make_world,
     parse_effects,
     scale_direction,
     select_arm,
 )
-from ground.runs.execution import Execution, check_files, execute, execution_not_begun, initialise, open_view
+from ground.runs.execution import (
+    INITIALISATION_SHARE,
+    Execution,
+    check_files,
+    execute,
+    execution_not_begun,
+    initialise,
+    open_view,
+)
 from ground.runs.request import PlaceRequest
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm, effects_of_run
@@ -57,9 +67,10 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
     normal = scale_direction(
         "normal", request.normal, "the direction out of the surface, such as 0 0 -1 for up"
     )
-    effects = parse_effects(request.effects)
-    arm = select_arm(request.arm, request.params, request.mismatch).with_effects(effects)
-    tool = _parse_tool(request.tool, arm.params)
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    effects = parse_effects(request.effects, arm.params.tool_names)
+    arm = fit_effects(arm, effects)
+    tool = _parse_tool(request.tool or arm.model.description.instrument, arm.params)
     level = make_world("mars", request.tilt_roll_deg, request.tilt_pitch_deg)
     world = replace(level, surface=Surface(request.target_m, normal))
     if inside_rover(request.target_m):
@@ -88,6 +99,8 @@ class PlaceReport:
     """Placement that was carried out."""
 
     request: PlaceRequest
+    tool: str
+    """Tool that was placed."""
     execution: Execution[PlacementResult]
 
 
@@ -98,12 +111,17 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
         BadRequest: the request is wrong; nothing moved and nothing was written.
     """
     job = prepare_placement(request)
-    title = f"{request.tool.upper()} on {job.arm.name} arm"
+    with reserve(request.files.log, "log"):
+        return _carry_out(request, job, progress)
+
+
+def _carry_out(request: PlaceRequest, job: PlaceJob, progress: Progress) -> PlaceReport:
+    title = f"{job.placement.tool} on {job.arm.name} arm"
     view = open_view(request.files.view, title, job.world, job.arm, effects_of_run(job.effects))
-    last = initialise(job.arm, request.seed, progress)[-1]
+    last = initialise(job.arm, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
     if last.outcome is not Outcome.DONE:
         result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
-        return PlaceReport(request, execution_not_begun(result, job.arm, request.files))
+        return PlaceReport(request, job.placement.tool, execution_not_begun(result, job.arm, request.files))
     stowed_rad = job.arm.params.poses.stowed_rad
     setup = Setup(job.arm, job.world, stowed_rad, request.seed, last.reference, effects_of_run(job.effects))
     loop = ClosedLoop(setup, with_truth=request.files.log is not None or view is not None)
@@ -117,9 +135,10 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
         header,
         request.files,
         job.world,
-        progress,
+        part_of(progress, INITIALISATION_SHARE, 1.0),
         progress_at=lambda record: (record.tick / CYCLE_HZ, job.expected_s),
         is_for_picture=lambda record: CommandCompleted("GuardedMove") in record.outputs.evrs,
+        arm=job.arm.model,
         view=view,
     )
-    return PlaceReport(request, execution)
+    return PlaceReport(request, job.placement.tool, execution)

@@ -58,7 +58,9 @@ NO_FILES: Final = RunFiles()
 class PlaceRequest:
     """Options of `marsarm place`."""
 
-    tool: Annotated[str, Option("apxs, mahli, drt or drill.", "TOOL")] = "apxs"
+    tool: Annotated[
+        str | None, Option("A tool with contact switches; the instrument of the arm if not given.", "TOOL")
+    ] = None
     target_m: Annotated[Vector, Option("Point on the surface, RNAV, in metres.", "X Y Z", "--target")] = (
         2.05,
         0.1,

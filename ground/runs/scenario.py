@@ -2,14 +2,25 @@
 
 from dataclasses import asdict, dataclass, replace
 
+from fsw.config import CYCLE_HZ
 from ground.common.errors import BadRequest
+from ground.common.files import reserve
 from ground.common.options import check_options
-from ground.common.progress import Progress, no_progress
+from ground.common.progress import Progress, no_progress, part_of
 from ground.common.requests import make_world, parse_effects, select_arm
-from ground.runs.execution import Execution, check_files, execute, execution_not_begun, initialise, open_view
+from ground.runs.execution import (
+    INITIALISATION_SHARE,
+    Execution,
+    check_files,
+    execute,
+    execution_not_begun,
+    initialise,
+    open_view,
+)
 from ground.runs.request import RunRequest
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm
+from sim.effects.effect import EffectMisfit
 from sim.loop import ClosedLoop
 from sim.scenario.data import Scenario
 from sim.scenario.file import BadScenario, load_scenario
@@ -41,13 +52,18 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
         BadRequest: the request or the scenario is wrong; nothing moved and nothing was written.
     """
     scenario, arm = _prepare(request)
+    with reserve(request.files.log, "log"):
+        return _carry_out(request, scenario, arm, progress)
+
+
+def _carry_out(request: RunRequest, scenario: Scenario, arm: BuiltArm, progress: Progress) -> RunReport:
     title = f"{scenario.title} on {arm.name} arm"
     view = open_view(request.files.view, title, scenario.world, arm, scenario.effects)
-    last = initialise(arm, request.seed, progress)[-1]
+    last = initialise(arm, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
     if last.outcome is not Outcome.DONE:
         result = ScenarioResult(last.outcome, 0, last.duration_s, (), last.evrs)
         return RunReport(request, scenario, arm.name, execution_not_begun(result, arm, request.files))
-    progress(0, 1, "teaching")
+    progress(INITIALISATION_SHARE, 1.0, "teaching")
     try:
         arm = teach(arm, last.reference, scenario.taught, scenario.world, request.seed)
     except NotTaught as error:
@@ -55,7 +71,7 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
     setup = scenario_setup(scenario, arm, last.reference, request.seed)
     loop = ClosedLoop(setup, with_truth=request.files.log is not None or view is not None)
     scenario_run = ScenarioRun(loop, scenario)
-    picture_command, total = _picture_command(scenario), len(scenario.commands)
+    picture_command = _picture_command(scenario)
     execution = execute(
         scenario_run,
         loop,
@@ -70,9 +86,10 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
         ),
         request.files,
         scenario.world,
-        progress,
-        progress_at=lambda _: (scenario_run.command - 1, total),
+        part_of(progress, INITIALISATION_SHARE, 1.0),
+        progress_at=lambda record: scenario_run.progress_at(record.tick / CYCLE_HZ),
         is_for_picture=lambda _: scenario_run.command == picture_command,
+        arm=arm.model,
         view=view,
     )
     return RunReport(request, scenario, arm.name, execution)
@@ -83,15 +100,19 @@ def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     check_options(request)
     check_files(request.files)
     try:
-        scenario = load_scenario(request.scenario)
+        scenario = load_scenario(request.scenario, request.arm)
     except BadScenario as error:
         raise BadRequest(str(error)) from error
     arm = select_arm(scenario.arm if request.arm is None else request.arm, None)
     if request.tilt_deg is not None:
         tilted = make_world(scenario.world.scene, *request.tilt_deg)
         scenario = scenario.tilted(tilted.tilt_roll_rad, tilted.tilt_pitch_rad)
-    scenario = replace(scenario, effects=(*scenario.effects, *parse_effects(request.effects)))
-    return scenario, scenario.fit_arm(arm)
+    added = parse_effects(request.effects, arm.params.tool_names)
+    scenario = replace(scenario, effects=(*scenario.effects, *added))
+    try:
+        return scenario, scenario.fit_arm(arm)
+    except EffectMisfit as error:
+        raise BadRequest(f"{request.scenario}: {error}") from error
 
 
 def _picture_command(scenario: Scenario) -> int:

@@ -32,7 +32,7 @@ def place_json(report: PlaceReport) -> dict[str, Any]:
     contact, standoff = result.contact, result.standoff
     return {
         "outcome": result.outcome.value,
-        "tool": request.tool.lower(),
+        "tool": report.tool.lower(),
         "arm": request.arm,
         "branch": result.branch,
         "duration_s": result.duration_s,
@@ -53,9 +53,7 @@ def place_table(report: PlaceReport) -> None:
     """Print a placement: a table of errors, the warnings, and the files."""
     request, result = report.request, report.execution.result
     console = plain_console()
-    table = Table(
-        title=f"{request.tool.upper()} on {request.arm} arm: {result.outcome.value}", title_justify="left"
-    )
+    table = Table(title=f"{report.tool} on {request.arm} arm: {result.outcome.value}", title_justify="left")
     table.add_column("")
     for name in ("total mm", "lateral mm", "normal mm", "axis deg", "backlash mm"):
         table.add_column(name, justify="right")

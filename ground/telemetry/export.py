@@ -102,6 +102,8 @@ def export(
         BadOutput: a file cannot be written, or one file is given for several topics.
         BadRequest: a file is the log itself.
     """
+    if not log.time_ns:
+        raise NoSuchChannel(f"log {log.path} holds no message; there is nothing to export")
     chosen = _select_topics(log, topics)
     files = _output_files(out, chosen, kind)
     for topic, path in files.items():

@@ -5,6 +5,8 @@ import zlib
 from collections.abc import Mapping
 from typing import Final
 
+from mcap.records import Metadata
+
 TICK_NS: Final = 15_625_000
 """Length of a cycle at 64 Hz, exact."""
 
@@ -16,6 +18,10 @@ FORMAT: Final = "2"
 
 FORMAT_RECORD: Final = "marsarm.format"
 HEADER_RECORD: Final = "marsarm.header"
+END_RECORD: Final = "marsarm.end"
+"""Metadata at the end of the log of an interrupted run; other logs have none."""
+INTERRUPTED_KEY: Final = "interrupted_by"
+CRC_KEY: Final = "crc32"
 CHANNELS_KEY: Final = "channels"
 """Key of the header: every channel by topic, so that a reader needs no schema or channel record."""
 
@@ -27,6 +33,26 @@ DERIVED_KEY: Final = "derived"
 EVR_TOPIC: Final = "/evr"
 COMMAND_TOPIC: Final = "/command"
 SENSOR_TOPIC: Final = "/sensors"
+
+
+def end_metadata(interrupted_by: str) -> list[Metadata]:
+    """Return the metadata for the end of a log, with a CRC; none if `interrupted_by` is empty."""
+    record = {INTERRUPTED_KEY: interrupted_by}
+    return [Metadata(END_RECORD, record | {CRC_KEY: header_crc32(record)})] if interrupted_by else []
+
+
+def interruption_in(record: Mapping[str, str]) -> str:
+    """Read the metadata that `end_metadata` made: the cause; empty if the record is empty.
+
+    Raises:
+        ValueError: the record is damaged.
+    """
+    if not record:
+        return ""
+    cause = record.get(INTERRUPTED_KEY, "")
+    if record.get(CRC_KEY) != header_crc32({INTERRUPTED_KEY: cause}):
+        raise ValueError("what the log says of its end does not match its CRC")
+    return cause
 
 
 def header_crc32(header: Mapping[str, str]) -> str:

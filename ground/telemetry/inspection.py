@@ -15,7 +15,7 @@ from ground.common.fields import unit_of
 from ground.telemetry.format import TICK_NS
 from ground.telemetry.read import Log
 from ground.telemetry.topics import channel_matches
-from sim.scenario.names import did_you_mean
+from sim.scenario.names import suggest_name
 
 MAX_LOG_S: Final = 9e9
 """Limit of log times; its nanoseconds fit in eight bytes."""
@@ -153,7 +153,7 @@ def select_channels(log: Log, globs: Sequence[str] = ()) -> tuple[ChannelSeries,
     for glob in globs or ("*",):
         matching = _matching(every, glob)
         if not matching and globs:
-            hint, _, _ = did_you_mean(glob, [one.name for one in every]).rpartition("there are ")
+            hint = suggest_name(glob.partition("[")[0], [one.name for one in every])
             raise NoSuchChannel(
                 f"log {log.path} has no channel {glob}; {hint}`marsarm log channels {log.path}` lists them, "
                 "and a pattern is written as '/joint.motor_rad*' or '/joint.motor_rad[2]'"

@@ -58,6 +58,11 @@ def trailing_bytes_text(size: int) -> str:
     return f"{size} bytes after the end of the log are left out; a file holds one log"
 
 
+def interruption_text(interrupted_by: str) -> str:
+    """Format the note about the log of an interrupted run."""
+    return f"the run was interrupted by {interrupted_by}; the log ends there"
+
+
 def summarize_losses(lost: Sequence[LostMessages]) -> str:
     """Summarize all losses in one clause: how many messages of which topics, and when."""
     if not lost:

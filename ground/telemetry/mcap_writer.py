@@ -98,13 +98,8 @@ class McapWriter:
     ) -> None:
         """Write metadata, schemas and channels; the last two go into a chunk, so that they have a CRC."""
         self.written.schemas, self.written.channels = schemas, channels
-        out, at = [MCAP0_MAGIC, encode_record(Header("", "marsarm"))], len(MCAP0_MAGIC)
-        at += len(out[-1])
-        for one in metadata:
-            out.append(encode_record(one))
-            self.written.metadata.append(MetadataIndex(length=len(out[-1]), name=one.name, offset=at))
-            at += len(out[-1])
-        self._write(b"".join(out))
+        self._write(MCAP0_MAGIC + encode_record(Header("", "marsarm")))
+        self._write(b"".join(self._encode_metadata(metadata)))
         self._write_chunk(b"".join(encode_record(one) for one in (*schemas, *channels)), 0, 0, {})
 
     def add_chunk(self, rows: Sequence[LogRow]) -> None:
@@ -120,8 +115,9 @@ class McapWriter:
         self._write_chunk(b"".join([row.data for row in rows]), first_ns, last_ns, entries)
         self.written.count(first_ns, last_ns, entries)
 
-    def finish(self) -> None:
-        """Write the summary, which completes the file."""
+    def finish(self, metadata: Sequence[Metadata] = ()) -> None:
+        """Write metadata and the summary, which completes the file."""
+        self._write(b"".join(self._encode_metadata(metadata)))
         end = encode_record(DataEnd(self.written.crc))
         groups: dict[Opcode, Sequence[McapRecord]] = {
             Opcode.SCHEMA: self.written.schemas,
@@ -144,6 +140,15 @@ class McapWriter:
     def close(self) -> None:
         """Close the file without a summary."""
         self._file.close()
+
+    def _encode_metadata(self, metadata: Sequence[Metadata]) -> Iterator[bytes]:
+        """Encode metadata for the present end of the file, and index it."""
+        at = self.written.size
+        for one in metadata:
+            data = encode_record(one)
+            self.written.metadata.append(MetadataIndex(length=len(data), name=one.name, offset=at))
+            at += len(data)
+            yield data
 
     def _statistics(self) -> Statistics:
         written = self.written

@@ -1,6 +1,8 @@
-"""Names in logs of version 0.1 and their names today; such logs stay readable until version 1.0.
+"""Names and parameters in logs of versions 0.1 and 0.2, and how they stand today; readable until version 1.0.
 
 No name is both an old and a new one, so a log needs no version: an old name is replaced wherever it stands.
+The tables of names are in `sim/old_names.py`. Parameters of 0.1 and 0.2 have a record of tools and one of
+rover parts; today both are lists, and the parameters name their drawing.
 """
 
 import json
@@ -10,43 +12,17 @@ from dataclasses import replace
 from typing import Any, Final
 
 from ground.telemetry.events import CommandEntry, EvrEntry
-
-CHANNELS: Final = {
-    "/joint.gap_rad": "/joint.backlash_rad",
-    "/joint.gap_side": "/joint.backlash_side",
-    "/joint.gap_uncertainty_rad": "/joint.backlash_uncertainty_rad",
-    "/joint.planned_gap_rad": "/joint.planned_backlash_rad",
-}
-EVRS: Final = {
-    "ForceFelt": "ForceEstimated",
-    "NoHardstop": "HardstopImplausible",
-    "SpotTaken": "SpotSet",
-}
-EVR_FIELDS: Final = {
-    "MotorStalled.asked_rad_s": "MotorStalled.commanded_rad_s",
-    "NoHardstop.drawn_urad_Nm": "HardstopImplausible.nominal_urad_Nm",
-    "TiltSet.off_rad": "TiltSet.difference_rad",
-}
-COMMAND_FIELDS: Final = {
-    "Calibrate.anew": "Calibrate.accept_moved",
-    "CalibrateAll.anew": "CalibrateAll.accept_moved",
-    "MoveTeachPoint.away_m": "MoveTeachPoint.standoff_m",
-}
-PARAMETERS: Final = {
-    "hardstop.again_rad": "hardstop.second_start_rad",
-    "motion.approach_rad": "motion.takeup_rad",
-    "motion.load_period": "motion.load_period_cycles",
-    "motion.stowed_rad": "motion.stow_tolerance_rad",
-    "preload.guard_share": "preload.current_margin_share",
-    "preload.most_N": "preload.max_force_N",
-}
-REFERENCE_FIELDS: Final = {"reference.half_gap_rad": "reference.half_backlash_rad"}
-EFFECT_PARAMETERS: Final = {
-    "flex-cable.give_rad": "flex-cable.transition_rad",
-    "flex-cable.laid_rad": "flex-cable.neutral_rad",
-    "numerics.finer": "numerics.substeps",
-    "numerics.gears": "numerics.scheme",
-}
+from ground.telemetry.json_codec import record_to_json
+from sim.old_names import (
+    CHANNELS,
+    COMMAND_FIELDS,
+    EFFECT_PARAMETERS,
+    EVR_FIELDS,
+    EVRS,
+    PARAMETERS,
+    REFERENCE_FIELDS,
+)
+from sim.params import nominal_params
 
 IN_TEXT: Final = {**PARAMETERS, "away_m": "standoff_m"}
 """Names in the texts of events, such as the reason of a refusal."""
@@ -81,15 +57,17 @@ def rename_command(entry: CommandEntry) -> CommandEntry:
 
 
 def rename_header(header: Mapping[str, str]) -> dict[str, str]:
-    """Return a header with today's names in its parameters, stored reference, commands and effects.
+    """Return a header with today's names and structure of parameters, reference, commands and effects.
 
     A part that is not JSON of the known form stays as it is; its reader says so.
     """
     parts: dict[str, Callable[[Any], Any]] = {
-        "params": lambda part: {
-            group: _rename_fields(group, values, PARAMETERS) if isinstance(values, dict) else values
-            for group, values in part.items()
-        },
+        "params": lambda part: _list_tools(
+            {
+                group: _rename_fields(group, values, PARAMETERS) if isinstance(values, dict) else values
+                for group, values in part.items()
+            }
+        ),
         "boot": lambda part: (
             {**part, "reference": _rename_fields("reference", part["reference"], REFERENCE_FIELDS)}
             if part.get("reference")
@@ -101,6 +79,30 @@ def rename_header(header: Mapping[str, str]) -> dict[str, str]:
         "effects": lambda part: [_rename_effect(text) for text in part],
     }
     return {key: _rename_json(text, parts[key]) if key in parts else text for key, text in header.items()}
+
+
+def _list_tools(params: dict[str, Any]) -> dict[str, Any]:
+    """Return parameters of 0.1 or 0.2 with lists of tools and rover parts; those of today stay as they are.
+
+    Switches and titles of tools were not parameters; they are those of the nominal arm.
+    """
+    if not isinstance(params.get("tools"), dict):
+        return params
+    nominal, collision = nominal_params(), params["collision"]
+    titles = {tool.name: tool.title for tool in nominal.tools}
+    tools = [
+        {"name": name.upper(), "title": titles[name.upper()], **tool, "geometry": collision["arm"][name]}
+        for name, tool in params["tools"].items()
+    ]
+    links = {name: part for name, part in collision["arm"].items() if name not in params["tools"]}
+    rover = [{"name": name, **part} for name, part in collision["rover"].items()]
+    return {
+        **params,
+        "model": record_to_json(nominal.model),
+        "tools": tools,
+        "switches": record_to_json(nominal.switches),
+        "collision": {**collision, "arm": links, "rover": rover},
+    }
 
 
 def _rename_json(text: str, rename: Callable[[Any], Any]) -> str:

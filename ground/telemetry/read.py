@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from stat import S_ISREG
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 from mcap.records import Channel
@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from ground.telemetry.chunks import MessageBatch, read_batches
 from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.events import CommandEntry, EvrEntry
-from ground.telemetry.format import CHANNELS_KEY, COMMAND_TOPIC, EVR_TOPIC, HEADER_RECORD, TICK_NS
+from ground.telemetry.format import (
+    CHANNELS_KEY,
+    COMMAND_TOPIC,
+    END_RECORD,
+    EVR_TOPIC,
+    HEADER_RECORD,
+    TICK_NS,
+    interruption_in,
+)
 from ground.telemetry.lost_messages import RECOVERED_RECORD, LogDamaged, LostMessages, losses_in
 from ground.telemetry.mcap_reader import (
     MAX_UNPACKED_BYTES,
@@ -68,10 +76,19 @@ class Log:
     """Topics of the plant's own state, which flight software never saw."""
     lost: tuple[LostMessages, ...] = ()
     """Losses of a log that was recovered from a damaged one."""
+    interrupted_by: str = ""
+    """Cause if the run was interrupted; empty if it was not, or if its writer died."""
     trailing_bytes: int = 0
     """Bytes in the file after the end of the log; they are not read."""
     has_old_parameters: bool = False
     """True if its parameters had names of version 0.1, which their digest depends on."""
+
+    @property
+    def end(self) -> Literal["closed", "interrupted", "cut short"]:
+        """Return how the log ends; "interrupted" if the run was not completed."""
+        if self.truncated:
+            return "cut short"
+        return "interrupted" if self.interrupted_by else "closed"
 
     def __getitem__(self, topic: str) -> NDArray[np.void]:
         if topic not in self.packets:
@@ -150,7 +167,8 @@ def read_log_bytes(path: Path) -> bytes:
             raise LogNotReadable(path, f"has {about.st_size} bytes; a log has at most {MAX_LOG_BYTES}")
         return path.read_bytes()
     except (OSError, ValueError) as error:
-        raise LogNotReadable(path, f"cannot be read ({error}); give the path of a log") from error
+        why = getattr(error, "strerror", None) or error
+        raise LogNotReadable(path, f"cannot be read ({why}); give the path of a log") from error
     except MemoryError as error:
         raise LogNotReadable(path, f"its {about.st_size} bytes do not fit into memory") from error
 
@@ -237,6 +255,7 @@ def _build_log(
         commands=tuple(rename_command(CommandEntry.decode(body)) for body in bodies.get(COMMAND_TOPIC, [])),
         truth=frozenset(channel.topic for channel in channels.values() if channel.is_truth),
         lost=losses_in(found.metadata.get(RECOVERED_RECORD, {})),
+        interrupted_by=interruption_in(found.metadata.get(END_RECORD, {})),
         trailing_bytes=found.trailing_bytes if found.closed else 0,
         has_old_parameters=header.get("params") != written.get("params"),
     )

@@ -10,13 +10,14 @@ from itertools import compress
 from operator import add, attrgetter
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 from weakref import finalize
 
 from mcap.records import Metadata
 
 from fsw.config import Config
-from ground.common.files import atomic_path
+from ground.common.files import atomic_path, lock_file
+from ground.common.interruption import describe_interruption
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.events import command_entry, evr_entry, rosout_message
 from ground.telemetry.format import (
@@ -40,6 +41,9 @@ from ground.telemetry.writer_pipe import WriterPipe
 from sim.params import nominal_params
 from sim.record import CycleRecord
 
+NOT_CLOSED: Final = "a recorder that nobody closed"
+"""Cause of an interruption if the program ended without an exception that it could report."""
+
 
 @contextmanager
 def create_log(
@@ -55,6 +59,7 @@ def create_log(
     target = _resolve_path(path)
     try:
         with atomic_path(target) as part, FileIO(part, "xb", opener=_open_above_stdio) as file:
+            lock_file(file.fileno())  # it is new; the lock lasts until the log is complete
             yield file, _write_header(file, header, channels)
     except OSError as error:
         why = f"cannot be written ({error.strerror}); give a path with room that you may write"
@@ -145,11 +150,8 @@ class Recorder:
             except OSError as error:
                 why = f"has no process to write it ({error.strerror}); see that {sys.executable} starts"
                 raise LogNotWritable(self.path, why) from error
-            self.close = finalize(self, self._pipe.close)
-            """Write the waiting cycles and the summary, and close the file; a second call does nothing.
-
-            It raises OSError if the disk is full or gone. A recorder without references closes itself.
-            """
+            # A recorder without references closes itself, for nobody can say any more that the run is done.
+            self._finalizer = finalize(self, self._pipe.close, NOT_CLOSED)
 
     @property
     def writer_process(self) -> int:
@@ -183,13 +185,25 @@ class Recorder:
         self._last_tick = record.tick
         self._counts = [*map(add, self._counts, present)]
 
+    def close(self, interrupted_by: str = "") -> None:
+        """Write the waiting cycles and the summary, and close the file; a second call does nothing.
+
+        Args:
+            interrupted_by: Cause if the run was interrupted, which the log then says; empty if it was not.
+
+        Raises:
+            OSError: the disk is full or gone.
+        """
+        if self._finalizer.detach() is not None:
+            self._pipe.close(interrupted_by)
+
     def __enter__(self) -> Self:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        self.close("" if error is None else describe_interruption(error))
 
     def _packer(self, present: tuple[bool, ...]) -> Packer:
         """Return the packer of cycles in which these packets are present."""

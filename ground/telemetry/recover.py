@@ -11,7 +11,14 @@ from mcap.writer import IndexType, Writer
 from ground.common.files import atomic_write, check_distinct_files, check_output
 from ground.common.progress import Progress
 from ground.telemetry.errors import LogNotReadable
-from ground.telemetry.format import CHANNELS_KEY, FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
+from ground.telemetry.format import (
+    CHANNELS_KEY,
+    FORMAT,
+    FORMAT_RECORD,
+    HEADER_RECORD,
+    end_metadata,
+    header_crc32,
+)
 from ground.telemetry.lost_messages import RECOVERED_RECORD, LostMessages, loss_metadata
 from ground.telemetry.read import parse_log, read_log_bytes
 from ground.telemetry.salvage import SalvagedLog, salvage
@@ -54,6 +61,8 @@ def recover(bad: Path, good: Path, progress: Progress) -> RecoveryReport:
     progress(0, 1, "searching")
     found = salvage(data)
     _check_ours(bad, found)
+    if not any(len(chunk.heads) for chunk in found.chunks):
+        raise LogNotReadable(bad, "holds no undamaged message, only a header at most; nothing can be saved")
     lost = (*found.lost_before, *found.lost)
     with atomic_write(good, "GOOD") as file:
         saved, duplicates = _write(file, found, lost, progress)
@@ -101,6 +110,8 @@ def _write(
                 counts[number], seen[number] = counts.get(number, 0) + 1, sequence
         writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates only part of itself
         progress(k, len(found.chunks), "writing")
+    for record in end_metadata(found.interrupted_by):
+        writer.add_metadata(record.name, record.metadata)
     writer.finish()  # type: ignore[no-untyped-call]
     return {found.channels[number].topic: count for number, count in counts.items()}, duplicates
 

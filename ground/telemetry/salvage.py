@@ -18,6 +18,7 @@ from ground.telemetry.chunks import MESSAGE_DTYPE, MESSAGE_OVERHEAD, heads_at, w
 from ground.telemetry.events import CommandEntry, EvrEntry, LogEntry
 from ground.telemetry.format import (
     COMMAND_TOPIC,
+    END_RECORD,
     EVR_TOPIC,
     FORMAT_RECORD,
     HEADER_RECORD,
@@ -25,6 +26,7 @@ from ground.telemetry.format import (
     TRUTH_KEY,
     TRUTH_TEXT,
     header_crc32,
+    interruption_in,
 )
 from ground.telemetry.lost_messages import RECOVERED_RECORD, LostMessages, losses_in, trailing_bytes_text
 from ground.telemetry.mcap_reader import (
@@ -170,6 +172,8 @@ class SalvagedLog:
     """Losses that earlier recoveries reported."""
     notes: tuple[str, ...]
     """Sentences about parts of the file that belong to another log, or are out of order."""
+    interrupted_by: str = ""
+    """Cause if the run was interrupted."""
 
 
 def intact_chunks(data: bytes, at: int) -> Iterator[bytes]:
@@ -226,10 +230,17 @@ def salvage(data: bytes) -> SalvagedLog:
         lost_before = losses_in(metadata.pop(RECOVERED_RECORD, {}))
     except PARSE_ERRORS:
         lost_before = (LostMessages(None, None, None, None),)
+    try:
+        interrupted_by = interruption_in(metadata.pop(END_RECORD, {}))
+    except ValueError:
+        interrupted_by = ""
+        notes.append("what it says of its end is damaged and left out")
     names = {number: topic["topic"] for number, topic in _declared_topics(header).items()}
     names |= {number: channel.topic for number, channel in channels.items()}
     lost = find_losses(chunks, names, set(channels), totals, totals is not None or _is_complete(data))
-    return SalvagedLog(metadata, tuple(chunks), channels, schemas, lost, lost_before, tuple(notes))
+    return SalvagedLog(
+        metadata, tuple(chunks), channels, schemas, lost, lost_before, tuple(notes), interrupted_by
+    )
 
 
 def first_log(data: bytes) -> tuple[bytes, list[str]]:
@@ -318,9 +329,9 @@ def _parse_schemas(plain: bytes) -> Iterator[Schema]:
 
 
 def _find_metadata(data: bytes) -> dict[str, dict[str, str]]:
-    """Find the format, header and recovery records anywhere in a file; a header only if its CRC matches."""
+    """Find format, header, recovery and end records anywhere in a file; a header only if its CRC matches."""
     found = {}
-    for name in (FORMAT_RECORD, HEADER_RECORD, RECOVERED_RECORD):
+    for name in (FORMAT_RECORD, HEADER_RECORD, RECOVERED_RECORD, END_RECORD):
         encoded_name = len(name).to_bytes(4, "little") + name.encode()
         at = data.find(encoded_name)
         if at < RECORD_HEAD.size:

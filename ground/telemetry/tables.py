@@ -11,7 +11,12 @@ from rich.table import Table
 from ground.render.console import plain_console, pluralize
 from ground.telemetry.format import FORMAT
 from ground.telemetry.inspection import ChannelSeries, LogInfo, Range, range_of, summarize_log
-from ground.telemetry.lost_messages import LostMessages, span_text, trailing_bytes_text
+from ground.telemetry.lost_messages import (
+    LostMessages,
+    interruption_text,
+    span_text,
+    trailing_bytes_text,
+)
 from ground.telemetry.read import Log
 from ground.telemetry.recover import RecoveryReport
 
@@ -29,7 +34,9 @@ def info_json(log: Log) -> dict[str, Any]:
     return {
         "log": str(log.path),
         "format": FORMAT,
-        "closed": not log.truncated,
+        "closed": log.end == "closed",
+        "end": log.end,
+        "interrupted_by": log.interrupted_by or None,
         "trailing_bytes": log.trailing_bytes,
         "header": {
             name: _parse_header_value(name, text)
@@ -77,7 +84,12 @@ def info_table(log: Log) -> None:
             console.print(f"{name:<16}  {text}", markup=False, soft_wrap=True)
     console.print(f"{'format':<16}  {FORMAT}")
     console.print(f"{'duration':<16}  {_duration(info)}")
-    state = "cut short: its writer did not close it" if log.truncated else "closed"
+    states = {
+        "closed": "closed",
+        "cut short": "cut short: its writer did not close it",
+        "interrupted": f"interrupted: {interruption_text(log.interrupted_by)}",
+    }
+    state = states[log.end]
     if log.trailing_bytes:
         state += f"; {trailing_bytes_text(log.trailing_bytes)}"
     console.print(f"{'end':<16}  {state}", soft_wrap=True)

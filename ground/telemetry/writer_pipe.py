@@ -8,24 +8,29 @@ import fcntl
 import json
 import os
 import pickle
-import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import ExitStack, suppress
 from io import FileIO
 from typing import Final
 
 from fsw.config import Config
+from ground.common.interruption import block_signals, defer_interrupts
 from ground.telemetry.mcap_writer import McapState
 from ground.telemetry.ros_messages import JointSample
-from ground.telemetry.writer_process import END, PIPE_BYTES, READY, ROW_HEAD, WriterJob, WriterStatus
+from ground.telemetry.writer_process import (
+    PIPE_BYTES,
+    READY,
+    ROW_HEAD,
+    WriterJob,
+    WriterStatus,
+    encode_end,
+)
 
 WRITER_CODE: Final = "import sys; sys.path[:] = {}; from ground.telemetry.writer_process import main; main()"
 CODE_PATH: Final = [os.path.abspath(folder) for folder in sys.path]
 """Absolute import path of this process, which may change its working folder later."""
-RUN_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals to a process group that the run must handle; it then closes its log."""
 
 
 class WriterPipe:
@@ -44,7 +49,7 @@ class WriterPipe:
         self._ended: WriterStatus | None = None
         self._is_torn = False
         with ExitStack() as on_failure:
-            with _block_signals(RUN_SIGNALS):
+            with block_signals():  # the run handles them; it then closes its log
                 self._writer = subprocess.Popen(
                     [sys.executable, "-c", WRITER_CODE.format(CODE_PATH)],
                     stdin=subprocess.PIPE,
@@ -89,8 +94,11 @@ class WriterPipe:
             raise ValueError("a cycle was interrupted on its way into the log, and none can follow; close it")
         self._send(encode_row(time_ns, data, sample))
 
-    def close(self) -> None:
+    def close(self, interrupted_by: str = "") -> None:
         """Complete the log and wait for the writer.
+
+        Args:
+            interrupted_by: Cause if the run was interrupted; empty if it was not.
 
         Raises:
             OSError: the log could not be completed.
@@ -102,7 +110,7 @@ class WriterPipe:
             return
         if self._ended is None and not self._is_torn:
             with suppress(OSError):  # the writer has ended; _raise reports why
-                self._send(END)
+                self._send(encode_end(interrupted_by))
         self._end()
         self._raise()
 
@@ -115,13 +123,14 @@ class WriterPipe:
         self._is_torn = True  # until all is sent: the writer could not read a row after half a row
         rest = memoryview(data)
         try:
-            while rest:
-                rest = rest[self._inlet.write(rest) :]
+            with defer_interrupts:
+                while rest:
+                    rest = rest[self._inlet.write(rest) :]
+                self._is_torn = False
         except BrokenPipeError:
             self._end()
             self._raise()
             raise
-        self._is_torn = False
 
     def _end(self) -> None:
         """Close the pipe, wait for the writer and read its status."""
@@ -140,16 +149,6 @@ class WriterPipe:
     def _raise(self) -> None:
         if self._ended is not None and self._ended.error_number:
             raise OSError(self._ended.error_number, self._ended.why)
-
-
-@contextmanager
-def _block_signals(signals: tuple[signal.Signals, ...]) -> Iterator[None]:
-    """Block signals; processes that start in the block inherit this."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def encode_row(time_ns: int, data: bytes, sample: JointSample | None) -> bytes:

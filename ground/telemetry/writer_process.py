@@ -18,7 +18,7 @@ from io import BufferedReader, FileIO
 from typing import Final, Protocol
 
 from fsw.config import Config
-from ground.telemetry.format import CHUNK_S
+from ground.telemetry.format import CHUNK_S, end_metadata
 from ground.telemetry.mcap_writer import LogRow, McapState, McapWriter
 from ground.telemetry.pack import number_messages
 from ground.telemetry.ros_messages import JointSample, RosEncoder
@@ -55,8 +55,6 @@ ROW_HEAD: Final = struct.Struct("<QII")
 """Head of a row: log time [ns], length of its records, length of its sample or 0."""
 READY: Final = b"ready for rows\n"
 """Line that the process prints when it can read rows."""
-END: Final = ROW_HEAD.pack(0, 0, 0)
-"""Empty row: the log is complete."""
 PIPE_BYTES: Final = 1 << 20
 """Size of the pipe: seconds of a run in real time."""
 MAX_ROWS: Final = 1024
@@ -102,6 +100,8 @@ class RowStream:
         self._bytes = b""
         self.is_complete = False
         """True after the row that ends the log."""
+        self.interrupted_by = ""
+        """Cause if the run was interrupted; known when the log is complete."""
 
     def take(self) -> tuple[list[tuple[LogRow, JointSample | None]], bool]:
         """Wait for bytes, then return all complete rows, and whether more may follow."""
@@ -114,7 +114,9 @@ class RowStream:
             if middle + extra > len(self._bytes):
                 break
             self.is_complete = length == 0
-            if length:
+            if self.is_complete:
+                self.interrupted_by = self._bytes[middle : middle + extra].decode()
+            else:
                 row = LogRow(time_ns, self._bytes[at + ROW_HEAD.size : middle])
                 rows.append(
                     (row, JointSample.from_bytes(self._bytes[middle : middle + extra]) if extra else None)
@@ -122,6 +124,12 @@ class RowStream:
             at = middle + extra
         self._bytes = self._bytes[at:]
         return rows, bool(piece) and not self.is_complete
+
+
+def encode_end(interrupted_by: str) -> bytes:
+    """Encode the row that completes a log: it has no records, and the cause if the run was interrupted."""
+    cause = interrupted_by.encode()
+    return ROW_HEAD.pack(0, 0, len(cause)) + cause
 
 
 def write_rows(
@@ -158,7 +166,7 @@ def write_rows(
         ):  # the pipe has room for the pause
             time.sleep(max(began_s + pause_s - time.monotonic(), 0.0))
     if stream.is_complete:
-        log.finish()
+        log.finish(end_metadata(stream.interrupted_by))
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from fsw.dictionary.params import TeachPoint, Transform6
 from fsw.dictionary.types import Joints5, Vector3
+from sim.params_table import describe_error
 
 Pair = tuple[float, float]
 Six = tuple[float, float, float, float, float, float]
@@ -178,6 +179,10 @@ class PoseDescriptions:
     hardstop_start_rad: Joints5
     hardstop_park_rad: Joints5
     hardstop_second_start_rad: Joints5
+    bare_hardstop_start_rad: Joints5
+    """This and the next two: about the same poses without a turret on Earth, where the search begins."""
+    bare_hardstop_park_rad: Joints5
+    bare_hardstop_second_start_rad: Joints5
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,17 +263,12 @@ def read_description(text: str, path: str) -> ArmDescription:
     try:
         description = _ADAPTER.validate_json(json.dumps(table, default=str), strict=True, extra="forbid")
     except ValidationError as error:
-        lines = [f"{path}: {'.'.join(map(str, e['loc']))}: {_error_text(e)}" for e in error.errors()]
+        lines = [f"{path}: {'.'.join(map(str, e['loc']))}: {describe_error(e, ())}" for e in error.errors()]
         raise BadArm("\n".join(lines)) from error
     problems = list(_find_problems(description))
     if problems:
         raise BadArm("\n".join(f"{path}: {problem}" for problem in problems))
     return description
-
-
-def _error_text(error: Any) -> str:
-    unknown = error["type"] in ("unexpected_keyword_argument", "extra_forbidden")
-    return "is not known" if unknown else str(error["msg"])
 
 
 def _find_problems(arm: ArmDescription) -> list[str]:

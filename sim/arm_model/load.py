@@ -13,6 +13,7 @@ from fsw.dictionary.params import Params
 from sim.arm_model.description import ArmDescription, BadArm, read_description
 from sim.arm_model.flight import flight_params
 from sim.arm_model.mjcf import arm_mjcf
+from sim.text_file import UnreadableText, read_text
 
 MODELS: Final = Path(str(files("sim") / "models"))
 ARMS: Final = MODELS / "arms"
@@ -70,8 +71,11 @@ def load_arm(name: str) -> ArmModel:
         known = ", ".join(arm_names())
         raise BadArm(f"arm {name!r} is not known; there are {known}, or give a folder with an {FILE_NAME}")
     looks = folder / LOOKS_NAME
-    visual = looks.read_text(encoding="utf-8") if looks.is_file() else None
-    return _make_arm(str(path), path.read_text(encoding="utf-8"), visual)
+    try:
+        visual = read_text(looks) if looks.is_file() else None
+        return _make_arm(str(path), read_text(path), visual)
+    except UnreadableText as error:
+        raise BadArm(f"{path}: {error}") from error
 
 
 @cache

@@ -4,7 +4,7 @@ The effects are found in the modules of this folder.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from enum import IntEnum
 from functools import cache
@@ -72,14 +72,19 @@ def has_flight_parameter(kind: type[Effect]) -> bool:
     return kind.on_params is not Effect.on_params
 
 
-def place_fields_of(kind: type[Effect]) -> tuple[PlaceField, ...]:
-    """List the fields of an effect whose type is a joint, a frame, a tool or a literal."""
+def place_fields_of(kind: type[Effect], tools: Sequence[str] | None = None) -> tuple[PlaceField, ...]:
+    """List the fields of an effect whose type is a joint, a frame, a tool or a literal.
+
+    Args:
+        kind: Class of the effect.
+        tools: Tools of the arm; None for those of the default arm.
+    """
     hints = get_type_hints(kind, include_extras=True)
     found = []
     for field in fields(kind):
         hint = hints[field.name]
         optional = get_origin(hint) in (UnionType, Union)
-        members = _choices_of(get_args(hint)[0] if optional else hint)
+        members = _choices_of(get_args(hint)[0] if optional else hint, tools)
         if members:
             found.append(PlaceField(field.name, members, optional))
     return tuple(found)
@@ -127,8 +132,13 @@ def effect_place_text(kind: type[Effect], place: Mapping[str, Any]) -> str:
     for field in place_fields_of(kind):
         value = place[field.field]
         if value is not None:
-            words.append(next(name for name, member in field.members.items() if member == value))
+            words.append(place_word(field, value))
     return ".".join(words)
+
+
+def place_word(field: PlaceField, value: Any) -> str:
+    """Return the word for a value of a place: the name of a member, or that of a tool of any arm."""
+    return next((name for name, member in field.members.items() if member == value), str(value).lower())
 
 
 def _neutral_value(parameter: ParameterField) -> Any:
@@ -139,9 +149,9 @@ def _neutral_value(parameter: ParameterField) -> Any:
     return neutral if parameter.count == 1 else (neutral,) * parameter.count
 
 
-def _choices_of(hint: Any) -> dict[str, Any]:
+def _choices_of(hint: Any, tools: Sequence[str] | None) -> dict[str, Any]:
     if any(isinstance(mark, ToolMark) for mark in getattr(hint, "__metadata__", ())):
-        return {tool.lower(): tool for tool in nominal_params().tool_names}
+        return {tool.lower(): tool for tool in tools or nominal_params().tool_names}
     if isinstance(hint, type) and issubclass(hint, IntEnum):
         return {member.name.lower(): member for member in hint}
     return {word: word for word in get_args(hint)} if get_origin(hint) is Literal else {}

@@ -1,15 +1,15 @@
 """Base classes of effects, each of which is one difference between a built arm and its drawing."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Protocol
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, Any, ClassVar, Protocol, get_type_hints
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Limits
+from fsw.dictionary.types import Limits, names_tool
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from sim.arm_model.description import ArmDescription
@@ -178,6 +178,16 @@ class Effect:
         """Return the flight parameters of a perfect calibration of this effect."""
         return params
 
+    def find_misfit(self, params: Params) -> str | None:
+        """Return why the arm of these parameters cannot have this effect, None if it can."""
+        hints = get_type_hints(type(self), include_extras=True)
+        for field in fields(self):
+            tool = getattr(self, field.name)
+            if names_tool(hints[field.name]) and tool not in (None, *params.tool_names):
+                known = ", ".join(params.tool_names).lower()
+                return f"{field.name}: {str(tool).lower()} is not a tool of this arm; there are {known}"
+        return None
+
 
 @dataclass(frozen=True, slots=True)
 class Timed(Effect):
@@ -229,6 +239,22 @@ class EachCycle(Effect):
         An override that changes the plant itself sets the change again in every cycle.
         """
         raise NotImplementedError
+
+
+class EffectMisfit(ValueError):
+    """Effect that an arm cannot have; the message names it and says what would be right."""
+
+
+def check_effects(effects: Iterable[Effect], params: Params) -> None:
+    """Check that the arm of these parameters can have these effects.
+
+    Raises:
+        EffectMisfit: an effect is at a tool or a contact switch that the arm does not have.
+    """
+    for effect in effects:
+        problem = effect.find_misfit(params)
+        if problem is not None:
+            raise EffectMisfit(f"effect {type(effect).__name__}: {problem}")
 
 
 def apply_effects(effects: Iterable[Effect], spec: mujoco.MjSpec, hardware: Hardware) -> Hardware:

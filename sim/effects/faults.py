@@ -6,6 +6,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 
 from fsw.dictionary.enums import Joint
+from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from sim.effects.effect import Hardware, ParameterSpec, Timed, with_element
@@ -56,6 +57,15 @@ class SensorFault(Timed):
             )
         if not sized and self.size != 0:
             raise ValueError(f"size: a sensor that is {self.kind} has none; leave it out")
+
+    def find_misfit(self, params: Params) -> str | None:
+        """Return why the arm of these parameters cannot have this fault, None if it can."""
+        count = len(params.switches)
+        if self.sensor != "switch_closed" or self.index is None or self.index < count:
+            return None
+        if not count:
+            return "index: this arm has no contact switch"
+        return f"index: {self.index} is outside 0 .. {count - 1}, the range of {self.sensor} of this arm"
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """Add the error to the active ones."""

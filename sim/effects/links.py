@@ -21,8 +21,8 @@ Axis = Literal["x", "y", "z"]
 AXIS_NAMES: Final = ("x", "y", "z")
 WIDTH_M: Final = 0.1
 """Assumed width of a link between its warm and its cold side."""
-LIES_ALONG: Final = {Frame.ARM2: "x", Frame.ARM3: "x", Frame.ARM4: "x", Frame.ARM6: "z"}
-"""Axis of the end frame along which a link lies; the other links lie askew."""
+LIES_ALONG: Final = {Frame.ARM1: "x", Frame.ARM2: "x", Frame.ARM3: "x", Frame.ARM4: "x", Frame.ARM6: "z"}
+"""Axis of the end frame along which a link lies, within 26 degrees; link 5 lies askew."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal
 from fsw.dictionary.commands import Command
 from fsw.dictionary.types import Limits, ToolName, Vector3
 from sim.arms import BuiltArm
-from sim.effects.effect import Effect
+from sim.effects.effect import Effect, check_effects
 from sim.effects.environment import WARM_C
 from sim.effects.faults import InjectedFault
 from sim.world import World
@@ -208,5 +208,10 @@ class Scenario:
         return replace(self, world=replace(self.world, tilt_roll_rad=roll_rad, tilt_pitch_rad=pitch_rad))
 
     def fit_arm(self, arm: BuiltArm) -> BuiltArm:
-        """Return the arm with those effects of the scenario that it has before the run."""
+        """Return the arm with those effects of the scenario that it has before the run.
+
+        Raises:
+            EffectMisfit: an effect or a fault is at a tool or a switch that the arm does not have.
+        """
+        check_effects((injection.fault for injection in self.faults), arm.params)
         return arm.with_effects(self.effects)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from sim.effects.catalogue import catalogue, effect_name, parameters_of, place_fields_of
+from sim.effects.catalogue import catalogue, effect_name, parameters_of, place_fields_of, place_word
 from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.scenario.effects import BadEffect, parameter_key
@@ -13,27 +13,24 @@ from sim.scenario.names import shorten
 from sim.scenario.toml_lines import NotToml, parse_toml
 from sim.scenario.toml_record import TYPE_KEY, Findings
 from sim.scenario.toml_tables import list_tables, read_effect
+from sim.text_file import UnreadableText, read_text
 
 TABLE_NAME: Final = "effect"
 
 
-def read_effect_file(path: Path) -> tuple[Effect, ...]:
-    """Read the effects of a file.
+def read_effect_file(path: Path, tools: Sequence[str] | None = None) -> tuple[Effect, ...]:
+    """Read the effects of a file; `tools` of None are those of the default arm.
 
     Raises:
         BadEffect: the file cannot be read or is wrong; the message has a line for each problem.
     """
-    if path.exists() and not path.is_file():
-        raise BadEffect(f"{path}: is not a regular file; give the path of a .toml file")
     try:
-        data, lines = parse_toml(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise BadEffect(f"{path}: cannot be read ({error.strerror})") from error
+        data, lines = parse_toml(read_text(path))
+    except UnreadableText as error:
+        raise BadEffect(f"{path}: {error}") from error
     except NotToml as error:
         raise BadEffect(f"{path}:{error.line}: {error}") from error
-    except ValueError as error:
-        raise BadEffect(f"{path}: cannot be read as text ({error})") from error
-    findings = Findings(lines, nominal_params().tool_names)
+    findings = Findings(lines, tuple(tools or nominal_params().tool_names))
     for key in data:
         if key != TABLE_NAME:
             findings.report(
@@ -78,8 +75,7 @@ def effect_table(effect: Effect) -> dict[str, Any]:
 
 
 def _place_name(kind: type[Effect], field: str, value: Any) -> str:
-    members = next(place.members for place in place_fields_of(kind) if place.field == field)
-    return next(name for name, member in members.items() if member == value)
+    return place_word(next(place for place in place_fields_of(kind) if place.field == field), value)
 
 
 def _format_toml(value: Any) -> str:

@@ -4,7 +4,8 @@ import hashlib
 import re
 import sys
 import tomllib
-from collections.abc import Mapping
+import traceback
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -12,6 +13,7 @@ from types import ModuleType
 from typing import Any, Final, get_type_hints
 
 from sim.effects.catalogue import (
+    PlaceField,
     catalogue,
     effect_classes_in,
     effect_name,
@@ -29,6 +31,10 @@ COMMA_PATTERN: Final = re.compile(r",(?![^\[]*\])")
 """Comma outside of brackets."""
 
 
+MODULE_PREFIX: Final = "outside_"
+"""Start of the names of modules that are made of the files of users."""
+
+
 class BadEffect(ValueError):
     """Effect that cannot be made; the message names it and says what would be right."""
 
@@ -37,8 +43,12 @@ class NotAnEffect(ValueError):
     """File or class that is no effect; the message says what would be right."""
 
 
-def parse_effect_text(text: str) -> Effect:
+def parse_effect_text(text: str, tools: Sequence[str] | None = None) -> Effect:
     """Make the effect of a text, from the catalogue or from FILE.py:CLASS:PLACE:PARAMETER=VALUE,...
+
+    Args:
+        text: The text.
+        tools: Tools of the arm; None for those of the default arm.
 
     Raises:
         BadEffect: the name is not known, or its place or its parameters are wrong.
@@ -49,13 +59,14 @@ def parse_effect_text(text: str) -> Effect:
         name = f"{file['file']}:{name}"
     kind = find_effect_class(name)
     place, said = _split(name, parts)
-    table = {**_parse_place(kind, name, place), **_parse_parameters(name, said)}
-    missing = [where for where in place_fields_of(kind) if not where.optional and where.field not in table]
+    known = place_fields_of(kind, tools)
+    table = {**_parse_place(known, name, place), **_parse_parameters(name, said)}
+    missing = [where for where in known if not where.optional and where.field not in table]
     if missing:
         raise BadEffect(
             f"effect {name}: place: {missing[0].field} is missing; there are {', '.join(missing[0].members)}"
         )
-    return effect_from_fields(kind, f"{name}:{place}" if place else name, table)
+    return effect_from_fields(kind, f"{name}:{place}" if place else name, table, tools)
 
 
 def effect_text(effect: Effect) -> str:
@@ -98,13 +109,15 @@ def find_effect_class(name: str) -> type[Effect]:
         raise BadEffect(str(error)) from error
 
 
-def effect_from_fields(kind: type[Effect], name: str, table: Mapping[str, Any]) -> Effect:
-    """Make the effect of a table of its fields.
+def effect_from_fields(
+    kind: type[Effect], name: str, table: Mapping[str, Any], tools: Sequence[str] | None = None
+) -> Effect:
+    """Make the effect of a table of its fields; `tools` of None are those of the default arm.
 
     Raises:
         BadEffect: a field is missing, not known, or has a wrong value.
     """
-    findings = Findings({(): 0}, nominal_params().tool_names)
+    findings = Findings({(): 0}, tuple(tools or nominal_params().tool_names))
     effect = read_record(kind, dict(table), (), findings)
     if effect is None:
         raise BadEffect("\n".join(f"effect {name}: {problem.text}" for problem in findings.problems))
@@ -154,15 +167,21 @@ def parameter_key(kind: type[Effect], field: str) -> str:
     return next(key for key, factor in field_keys(field, hint).factors.items() if factor == 1.0)
 
 
+def user_files() -> set[str]:
+    """Return the files of users that were run as modules."""
+    return {str(module.__file__) for name, module in [*sys.modules.items()] if name.startswith(MODULE_PREFIX)}
+
+
 def _load_module(path: Path) -> ModuleType:
     """Run a file as a module, once for each of its contents."""
+    if path.exists() and not path.is_file():  # reading a pipe blocks
+        raise NotAnEffect(f"effect {path}: is not a regular file; give the path of a Python file")
     try:
         content = path.read_bytes()
-    except OSError as error:
-        raise NotAnEffect(
-            f"effect {path}: cannot be read ({error.strerror}); give the path of a Python file"
-        ) from error
-    name = f"outside_{hashlib.sha256(bytes(path.resolve()) + content).hexdigest()}"
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise NotAnEffect(f"effect {path}: cannot be read ({why}); give the path of a Python file") from error
+    name = f"{MODULE_PREFIX}{hashlib.sha256(bytes(path.resolve()) + content).hexdigest()}"
     if name in sys.modules:
         return sys.modules[name]
     spec = spec_from_file_location(name, path)
@@ -172,11 +191,21 @@ def _load_module(path: Path) -> ModuleType:
     sys.modules[name] = module  # dataclasses look up the module of their class
     try:
         # Not by its loader, which takes compiled code for up to a second after a change of the file.
-        exec(compile(content, path, "exec"), module.__dict__)
-    except Exception as error:
+        exec(compile(content, str(module.__file__), "exec"), module.__dict__)
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
-        raise NotAnEffect(f"effect {path}: cannot be run: {type(error).__name__}: {error}") from error
+        what = " ".join(f"{type(error).__name__}: {error}".split())
+        raise NotAnEffect(f"effect {path}{_line_of(error, path)}: cannot be run: {what}") from error
     return module
+
+
+def _line_of(error: BaseException, path: Path) -> str:
+    """Return the last line of a file that an exception passed through, as `:12`; empty if it has none."""
+    if isinstance(error, SyntaxError):
+        return f":{error.lineno}"
+    frames = traceback.extract_tb(error.__traceback__)
+    passed = [frame.lineno for frame in frames if Path(frame.filename) == path.absolute()]
+    return f":{passed[-1]}" if passed else ""
 
 
 def _split(name: str, parts: list[str]) -> tuple[str, str]:
@@ -190,9 +219,9 @@ def _split(name: str, parts: list[str]) -> tuple[str, str]:
     return (parts[0], parts[1]) if parts else ("", "")
 
 
-def _parse_place(kind: type[Effect], name: str, text: str) -> dict[str, str]:
+def _parse_place(known: Sequence[PlaceField], name: str, text: str) -> dict[str, str]:
     """Return the fields of a place, such as arm3.z."""
-    words, known = text.split(".") if text else [], place_fields_of(kind)
+    words = text.split(".") if text else []
     if len(words) > len(known):
         what = " and ".join(where.field for where in known)
         sits = f"it sits at a {what}" if known else "it has no place"

@@ -16,6 +16,7 @@ from fsw.dictionary.types import Limits
 from fsw.executive.checks import check_bounds
 from fsw.executive.settings import replace_param
 from sim.arms import UnknownArm, arm_named
+from sim.effects.effect import Effect
 from sim.effects.environment import WARM_C
 from sim.params import nominal_params
 from sim.scenario.data import Check, Done, Faulted, Injection, Recovered, Scenario, StartPose, TaughtPoint
@@ -34,6 +35,7 @@ from sim.scenario.toml_tables import (
     read_fault,
     read_taught_point,
 )
+from sim.text_file import UnreadableText, read_text
 from sim.world import MAX_TILT_RAD, Scene, Surface, World
 
 T = TypeVar("T")
@@ -89,37 +91,38 @@ def built_in_scenarios() -> dict[str, str]:
     return {file.name.removesuffix(".toml"): file.read_text(encoding="utf-8") for file in files}
 
 
-def load_scenario(name: str) -> Scenario:
+def load_scenario(name: str, arm: str | None = None) -> Scenario:
     """Load a built-in scenario by name, or a TOML file by path.
+
+    Args:
+        name: Name or path.
+        arm: Arm in place of that of the scenario; tools are those of its drawing.
 
     Raises:
         BadScenario: there is none, it cannot be read, or something in it is wrong.
     """
     texts = built_in_scenarios()
     if name in texts:
-        return parse_scenario(texts[name], name, f"{name}.toml")
+        return parse_scenario(texts[name], name, f"{name}.toml", arm)
     path = Path(name)
     if path.suffix.lower() != ".toml":
         hint = f"{did_you_mean(name, texts)}, or give the path of a .toml file"
         raise BadScenario(name, [Problem(0, f"there is no such scenario; {hint}")])
-    if path.exists() and not path.is_file():
-        raise BadScenario(name, [Problem(0, "is no regular file; give the path of a .toml file")])
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise BadScenario(name, [Problem(0, f"cannot be read ({error.strerror})")]) from error
-    except ValueError as error:
-        raise BadScenario(name, [Problem(0, f"cannot be read as text ({error})")]) from error
-    return parse_scenario(text, path.stem, name)
+        text = read_text(path)
+    except UnreadableText as error:
+        raise BadScenario(name, [Problem(0, str(error))]) from error
+    return parse_scenario(text, path.stem, name, arm)
 
 
-def parse_scenario(text: str, name: str, file: str) -> Scenario:
+def parse_scenario(text: str, name: str, file: str, arm: str | None = None) -> Scenario:
     """Parse the text of a scenario.
 
     Args:
         text: TOML text.
         name: Name of the scenario.
         file: Name of the file in messages.
+        arm: Arm in place of that of the scenario.
 
     Raises:
         BadScenario: something is wrong; the message has every problem, by line.
@@ -128,12 +131,20 @@ def parse_scenario(text: str, name: str, file: str) -> Scenario:
         data, lines = parse_toml(text)
     except NotToml as error:
         raise BadScenario(file, [Problem(error.line, str(error))]) from error
-    params = nominal_params()
+    params = _drawing_params(arm or data.get("arm"))
     findings = Findings(lines, params.tool_names)
     scenario = _read_scenario(data, name, params, findings)
     if scenario is None or findings.problems:
         raise BadScenario(file, findings.problems)
     return scenario
+
+
+def _drawing_params(arm: Any) -> Params:
+    """Return the parameters of the drawing of an arm; those of the default one if there is no such arm."""
+    try:
+        return arm_named(str(arm or "nominal")).model.params
+    except UnknownArm:
+        return nominal_params()
 
 
 def _read_scenario(data: dict[str, Any], name: str, params: Params, findings: Findings) -> Scenario | None:
@@ -156,6 +167,7 @@ def _read_scenario(data: dict[str, Any], name: str, params: Params, findings: Fi
         read_check(table, place, findings, tuple(points), len(command_tables), touchable)
         for place, table in list_tables(data, "check", findings)
     ]
+    _check_misfits(params, faults, effects, findings)
     _check_ending(checks, findings)
     if head is not None:
         _check_sequence(params, head.start, commands, faults, findings)
@@ -228,6 +240,18 @@ def _check_taught(taught: list[TaughtPoint | None], findings: Findings) -> None:
                 ("teach", k, "name"), f"name: {point.name!r} is empty or taken; give each its own"
             )
         names.append(point.name)
+
+
+def _check_misfits(
+    params: Params, faults: list[Injection | None], effects: list[Effect | None], findings: Findings
+) -> None:
+    """Report faults and effects at a tool or a contact switch that the arm does not have."""
+    of_faults = [None if one is None else one.fault for one in faults]
+    for what, found in (("fault", of_faults), ("effect", effects)):
+        for k, effect in enumerate(found):
+            problem = None if effect is None else effect.find_misfit(params)
+            if problem is not None:
+                findings.report((what, k), problem)
 
 
 def _check_ending(checks: list[Check | None], findings: Findings) -> None:

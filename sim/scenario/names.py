@@ -7,6 +7,8 @@ from difflib import get_close_matches
 from math import pi
 from typing import Any, Final
 
+from sim.old_names import find_new_name, renamed_text
+
 UNIT_FACTORS: Final[dict[str, dict[str, float]]] = {
     "rad": {"rad": 1.0, "deg": pi / 180},
     "m": {"m": 1.0, "mm": 1e-3},
@@ -74,9 +76,18 @@ def list_choices(known: Iterable[str]) -> str:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Suggest the closest name, or part of `one or other`, and list all names."""
+    """Suggest the closest name, or part of `one or other`, and list all names; or say its name of today."""
     names = list(known)
-    near = {part.lower(): whole for whole in names for part in whole.split(" or ")}
-    close = get_close_matches(name.lower(), near, n=1)
-    meant = f"did you mean {near[close[0]]}? " if close else ""
-    return meant + list_choices(names)
+    advice = suggest_name(name, names)
+    return advice.removesuffix("; ") if advice.endswith("; ") else advice + list_choices(names)
+
+
+def suggest_name(name: str, known: Iterable[str]) -> str:
+    """Return the name of today or the closest name, to put before more advice; else nothing."""
+    near = {part: whole for whole in known for part in whole.split(" or ")}
+    new = find_new_name(name, near)
+    if new is not None:
+        return f"{renamed_text(new)}; "
+    lower = {part.lower(): whole for part, whole in near.items()}
+    close = get_close_matches(name.lower(), lower, n=1)
+    return f"did you mean {lower[close[0]]}? " if close else ""

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from sim.scenario.judge import CheckResult, evaluate_checks
 from sim.scenario.trace import Ending, Snapshot, Trace, take_snapshot
 from sim.sequence import Outcome, observe_cycles, run_sequence, stop_sequence
 
+TYPICAL_COMMAND_S: Final = 200.0
+"""Duration of a typical command, for the progress: an arm unstows in 300 s, and docks in 60 s."""
 NO_MOTION: Joints5 = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -74,6 +77,7 @@ class ScenarioRun:
         self._due_s = [fault.fault.at_s for fault in scenario.faults if fault.during is None]
         self.command = 0
         """Number of the present command, from 1."""
+        self._begun_s = 0.0
 
     def __iter__(self) -> Iterator[CycleRecord]:
         """Run the scenario; after a fault, run one cycle more with a command to move.
@@ -97,9 +101,21 @@ class ScenarioRun:
         """
         self._outcome = yield from observe_cycles(stop_sequence(self._loop), self._watch)
 
+    def progress_at(self, time_s: float) -> tuple[float, int]:
+        """Estimate how many commands are done, with a fraction for the present one, and return their number.
+
+        Nobody knows how long a command will last. The fraction is 1/2 after the mean duration of the commands
+        before it, and approaches 1.
+        """
+        done = max(self.command - 1, 0)
+        mean_s = self._begun_s / done if done else TYPICAL_COMMAND_S
+        within_s = time_s - self._begun_s
+        return done + within_s / (within_s + max(mean_s, CYCLE_S)), len(self._scenario.commands)
+
     def _note(self, record: CycleRecord) -> None:
         if record.commands:
             self.command += 1
+            self._begun_s = record.tick / CYCLE_HZ
             self._inject()
         self._watch(record)
 

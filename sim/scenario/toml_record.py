@@ -7,7 +7,7 @@ from enum import IntEnum
 from types import UnionType
 from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from fsw.dictionary.types import Limits, ToolMark
+from fsw.dictionary.types import Limits, names_tool
 from sim.scenario.names import FieldKeys, did_you_mean, field_keys, list_choices, shorten
 from sim.scenario.toml_lines import TomlPath
 
@@ -83,12 +83,6 @@ def read_record(
     except ValueError as error:  # fields that contradict each other
         findings.report(place, str(error))
         return None
-
-
-def names_tool(hint: Any) -> bool:
-    """Return whether an annotation, or one of its alternatives, is a ToolName."""
-    marks = getattr(hint, "__metadata__", ())
-    return any(isinstance(mark, ToolMark) for mark in marks) or any(map(names_tool, get_args(hint)))
 
 
 def tool_words(tools: Iterable[str]) -> dict[str, str]:

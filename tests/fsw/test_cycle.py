@@ -14,7 +14,7 @@ from fsw.dictionary.evrs import Booted, CommandRefused
 from fsw.state import boot, outputs_at_rest
 from sim.params import nominal_params
 from tests.fsw.rig import Rig, alive, config_of, facing, floats, quiet_sensors, with_params
-from tests.tools import TOOL_SWITCHES, TOOLS
+from tests.tools import TOOL_SWITCHES, TOOLS, tool_index
 
 CONFIG = config_of()
 START = facing(CONFIG, "APXS")
@@ -139,7 +139,7 @@ def test_the_tool_channels_come_at_their_period_and_are_where_the_settled_arm_is
     X = rig.tool_pose("APXS")
     np.testing.assert_allclose(channels[-1].p_RoTo_R_m, X.p, atol=1e-7)
     np.testing.assert_allclose(channels[-1].R_RT, X.R, atol=1e-7)
-    assert channels[-1].tool == "APXS"
+    assert channels[-1].tool == tool_index("APXS")
 
 
 @pytest.mark.parametrize("joint", Joint)

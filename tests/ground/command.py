@@ -13,6 +13,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 from ground.cli.app import main
+from ground.common.interruption import END_SIGNALS
 
 ROOT = Path(__file__).resolve().parents[2]
 Ran = subprocess.CompletedProcess[str]
@@ -43,7 +44,7 @@ def call(program: Callable[[], object], folder: Path, *words: str) -> Ran:
         *words: Arguments of the program.
     """
     stdout, stderr = (TextIOWrapper(BytesIO(), "utf-8", write_through=True) for _ in range(2))
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    handlers = {number: signal.getsignal(number) for number in END_SIGNALS}
     status: str | int | None = None
     with (
         chdir(folder),

@@ -44,7 +44,7 @@ def drawn() -> dict[str, lab.Array]:
     """Return every number of 200 arms, by kind."""
     values: dict[str, list[float]] = defaultdict(list)
     for seed in SEEDS:
-        for effect in draw_tolerances(seed):
+        for effect in draw_tolerances(TOOLS, seed):
             match effect:
                 case FrameError(screw=screw):
                     values["frame_rad"] += screw[:3]
@@ -98,7 +98,7 @@ def test_two_hundred_arms_have_the_stated_spread(
 
 
 def test_every_place_of_the_arm_is_drawn_once() -> None:
-    effects = draw_tolerances(0)
+    effects = draw_tolerances(TOOLS, 0)
     frames = [(e.frame, e.tool) for e in effects if isinstance(e, FrameError)]
     assert frames == [(f, None) for f in Frame if f is not Frame.TOOL] + [(Frame.TOOL, t) for t in TOOLS]
     for kind in (
@@ -116,14 +116,14 @@ def test_every_place_of_the_arm_is_drawn_once() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, 199, 999_999_999])
 def test_the_same_seed_is_the_same_arm_and_another_another(seed: int) -> None:
-    assert draw_tolerances(seed) == draw_tolerances(seed)
-    assert draw_calibration_errors(seed) == draw_calibration_errors(seed)
-    assert draw_tolerances(seed) != draw_tolerances(seed + 1)
+    assert draw_tolerances(TOOLS, seed) == draw_tolerances(TOOLS, seed)
+    assert draw_calibration_errors(TOOLS, seed) == draw_calibration_errors(TOOLS, seed)
+    assert draw_tolerances(TOOLS, seed) != draw_tolerances(TOOLS, seed + 1)
 
 
 def test_an_as_built_arm_flies_with_the_parameters_of_the_drawing() -> None:
     nominal, built = arm_named("nominal"), arm_named("as-built:7")
-    assert built.effects == draw_tolerances(7)
+    assert built.effects == draw_tolerances(TOOLS, 7)
     assert built.params.arm_name == "as-built:7"
     for group in ("links", "tools", "joints", "hardstop", "poses", "motion", "monitors"):
         assert getattr(built.params, group) == getattr(nominal.params, group)
@@ -144,7 +144,7 @@ def test_a_calibration_leaves_a_tenth_of_what_it_found() -> None:
     """Compare tool poses of perfect and calibrated parameters over 40 arms, at equal joint angles."""
     miss: dict[str, list[float]] = defaultdict(list)
     for seed in range(40):
-        perfect = params_with_effects(draw_tolerances(seed), nominal_params())
+        perfect = params_with_effects(draw_tolerances(TOOLS, seed), nominal_params())
         for kind in ("as-built", "calibrated"):
             believed = build_arm(arm_named(f"{kind}:{seed}").params)
             p = [

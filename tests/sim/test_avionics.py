@@ -17,7 +17,7 @@ from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import World
 from tests.sim import lab
-from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS, tool_index
+from tests.tools import SWITCHES, TOOL_SWITCHES, TOOLS, switch_index, tool_index
 
 PARAMS = nominal_params()
 CONFIG = configure(PARAMS)
@@ -224,7 +224,7 @@ def test_a_switch_closes_above_its_force_and_no_other_with_it(ready: Plant, swit
     ready.data.sensordata[address] = 1.99
     assert not sensors.sense().switch_closed.any()
     ready.data.sensordata[address] = 2.01
-    np.testing.assert_array_equal(np.flatnonzero(sensors.sense().switch_closed), [switch])
+    np.testing.assert_array_equal(np.flatnonzero(sensors.sense().switch_closed), [switch_index(switch)])
 
 
 @pytest.mark.parametrize("tool", [tool for tool in TOOLS if TOOL_SWITCHES[tool]])
@@ -254,7 +254,7 @@ def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready: Pl
     force_N = pad_forces_N(pressed)
     assert force_N.sum() > 20.0
     assert force_N.sum() == pytest.approx(pressed.truth().contact_force_N)
-    assert set(np.flatnonzero(force_N)) <= set(TOOL_SWITCHES[tool])
+    assert set(np.flatnonzero(force_N)) <= {switch_index(switch) for switch in TOOL_SWITCHES[tool]}
     np.testing.assert_array_equal(avionics_of(pressed).sense().switch_closed, force_N > 2.0)
 
 

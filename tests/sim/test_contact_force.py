@@ -27,7 +27,7 @@ from tests.fsw.rig import MARS_R_m_s2, config_of, facing, floats
 from tests.marks import slow_but
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest
-from tests.tools import TOOL_SWITCHES, TOOLS
+from tests.tools import TOOL_SWITCHES, TOOLS, switch_index
 
 CONFIG = config_of()
 NOW_S = 0.0
@@ -64,7 +64,9 @@ TOUCHING = [tool for tool in TOOLS if TOOL_SWITCHES[tool]]
 
 def run_without_switches(tool, switches) -> tuple[float, list]:
     """Run a guarded move to a rock with switches that never close; return peak force and events."""
-    effects = tuple(SensorFault(NOW_S, "switch_closed", "biased", switch, -1.0) for switch in switches)
+    effects = tuple(
+        SensorFault(NOW_S, "switch_closed", "biased", switch_index(switch), -1.0) for switch in switches
+    )
     loop, X_RT = facing_rock(tool, facing(CONFIG, tool), effects, ahead_m=0.04)
     axis = X_RT.R[:, 0]
     return peak_force_N(loop, GuardedMove(tool, floats(X_RT.p + 0.07 * axis), floats(axis)))

@@ -126,9 +126,9 @@ def test_a_small_frame_error_moves_the_tools_of_the_plant_as_the_frame_jacobian_
     for seen in TOOLS if tool is None else [tool]:
         X_RT = tool_pose(NOMINAL, frames, seen)
         u = frame_jacobian(frames, X_RT)[:, :, frame] @ small
-        turn = truth.R_RT[seen] @ X_RT.R.T
+        turn = truth.R_RT[tool_index(seen)] @ X_RT.R.T
         np.testing.assert_allclose([turn[2, 1], turn[0, 2], turn[1, 0]], u[:3], rtol=0, atol=1e-10)
-        np.testing.assert_allclose(truth.p_RoTo_R_m[seen] - X_RT.p, u[3:], rtol=0, atol=1e-10)
+        np.testing.assert_allclose(truth.p_RoTo_R_m[tool_index(seen)] - X_RT.p, u[3:], rtol=0, atol=1e-10)
 
 
 def test_a_frame_error_at_a_tool_moves_that_tool_only() -> None:
@@ -136,7 +136,7 @@ def test_a_frame_error_at_a_tool_moves_that_tool_only() -> None:
     mujoco.mj_resetData(plant.model, plant.data)
     truth, frames = plant.truth(), forward(NOMINAL, np.zeros(5))
     apart = [truth.p_RoTo_R_m[tool_index(tool)] - tool_pose(NOMINAL, frames, tool).p for tool in TOOLS]
-    assert [tool for tool in TOOLS if np.linalg.norm(apart[tool]) > 1e-9] == ["DRT"]
+    assert [tool for tool in TOOLS if np.linalg.norm(apart[tool_index(tool)]) > 1e-9] == ["DRT"]
 
 
 def test_a_frame_error_at_a_tool_names_its_tool() -> None:

@@ -12,17 +12,18 @@ from fsw.dictionary.types import joints5
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from sim.arms import arm_named
-from sim.disturbance import FRAME_BODIES, body_index, no_move_disturbance
+from sim.disturbance import LINK_BODIES, frame_body, no_move_disturbance
 from sim.effects.move_disturbances import FramePlay, ServoError, Windup
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementRun
 from sim.world import Surface, World
 from tests.sim import lab
-from tests.tools import tool_index
+from tests.tools import TOOLS, tool_index
 
 NOMINAL = arm_named("nominal")
 PLAY = (1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)
+BODIES = (*LINK_BODIES, *(frame_body(Frame.TOOL, tool) for tool in TOOLS))
 BY_CHANCE = (
     FramePlay(Frame.ARM3, PLAY),
     FramePlay(Frame.TOOL, PLAY, "DRILL"),
@@ -43,7 +44,8 @@ def move(loop: ClosedLoop, by_rad: float) -> list:
 
 def drawn(loop: ClosedLoop) -> np.ndarray:
     scatter = loop.plant.move_disturbance
-    return np.concatenate([scatter.screw.ravel(), scatter.gear_rad, scatter.motor_rad])
+    screws = [scatter.screw(body) for body in BODIES]
+    return np.concatenate([*screws, scatter.gear_rad, scatter.motor_rad])
 
 
 def test_before_the_first_move_everything_stands_as_it_was_built():
@@ -114,8 +116,8 @@ def test_a_displaced_frame_moves_what_it_carries_and_the_next_draw_begins_where_
     plant = lab.plant()
     plant.show(lab.READY_RAD, np.zeros((6, 6)))
     before = plant.truth().p_RoTo_R_m[tool_index("APXS")]
-    scatter = no_move_disturbance()
-    scatter.screw[:, body_index(Frame.ARM4, None)] = (1e-4, -2e-4, 3e-4, 1e-4, 2e-4, -1e-4)
+    screw = np.array((1e-4, -2e-4, 3e-4, 1e-4, 2e-4, -1e-4))
+    scatter = replace(no_move_disturbance(), screws={frame_body(Frame.ARM4, None): screw})
     for _ in range(2):
         plant.set_move_disturbance(scatter)
     plant.show(lab.READY_RAD, np.zeros((6, 6)))
@@ -123,7 +125,7 @@ def test_a_displaced_frame_moves_what_it_carries_and_the_next_draw_begins_where_
     arm = build_arm(NOMINAL.params)
     frames = forward(arm, lab.READY_RAD)
     J = frame_jacobian(frames, tool_pose(arm, frames, "APXS"))
-    assert np.allclose(moved, (J[:, :, Frame.ARM4] @ scatter.screw[:, Frame.ARM4])[3:], atol=3e-7)
+    assert np.allclose(moved, (J[:, :, Frame.ARM4] @ screw)[3:], atol=3e-7)
     plant.set_move_disturbance(no_move_disturbance())
     plant.show(lab.READY_RAD, np.zeros((6, 6)))
     assert np.allclose(plant.truth().p_RoTo_R_m[tool_index("APXS")], before, atol=1e-12)
@@ -138,7 +140,8 @@ def test_a_shifted_gear_is_not_taken_for_a_gap():
 
 
 def test_bodies_are_those_of_the_frames():
-    assert len(FRAME_BODIES) == 11
-    assert [body_index(frame, None) for frame in list(Frame)[:6]] == list(range(6))
+    assert len(set(BODIES)) == 11
+    assert all(lab.plant().model.body(body).name == body for body in BODIES)
+    assert [frame_body(frame, None) for frame in list(Frame)[:6]] == list(LINK_BODIES)
     with pytest.raises(ValueError, match="names its tool"):
-        body_index(Frame.TOOL, None)
+        frame_body(Frame.TOOL, None)

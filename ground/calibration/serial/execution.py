@@ -24,6 +24,7 @@ from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress
 from ground.telemetry.imports.files import MAX_TABLE_BYTES, read_file
 from ground.telemetry.imports.mapping_file import MAX_MAPPING_BYTES
+from sim.text_file import UnreadableText, decode_text
 
 ALL: Final = "all"
 NONE: Final = "none"
@@ -115,9 +116,9 @@ def _read(request: SerialRequest) -> tuple[SerialArm, PoseSeries, dict[str, str]
 
 def _text(data: bytes, file: Path) -> str:
     try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadRequest(f"{file}: is no text in UTF-8 ({error.reason}, byte {error.start})") from error
+        return decode_text(data)
+    except UnreadableText as error:
+        raise BadRequest(f"{file}: {error}") from error
 
 
 def _parse_terms(text: str) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import ground.diagnosis
 from ground.common.errors import BadRequest
 from ground.common.files import atomic_write
 from ground.common.pool import Runner
-from ground.common.progress import Progress
+from ground.common.progress import Progress, part_of
 from ground.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from ground.diagnosis.confidence import ConfidenceFeatures
 from ground.diagnosis.model import DiagnosisModel, build_model
@@ -23,6 +23,8 @@ from ground.diagnosis.thresholds import Thresholds
 
 CALIBRATION_SEED: Final = 0
 """Seed of the simulated cases that calibrate the thresholds."""
+SENSITIVITY_SHARE: Final = 0.9
+"""Share of the sensitivities in the time of a campaign model, for the progress; the rest finds thresholds."""
 _THRESHOLDS_ADAPTER: Final = TypeAdapter(Thresholds)
 
 
@@ -61,21 +63,24 @@ def load_campaign_model(
         BadRequest: A cached file cannot be read.
         BadOutput: A file cannot be written.
     """
-    fitted = compute_sensitivities(logs, kept_in, run, progress, kinds)
+    share = SENSITIVITY_SHARE * len(logs) / (len(logs) + len(held_out))
+    fitted = compute_sensitivities(logs, kept_in, run, part_of(progress, 0.0, share), kinds)
+    of_thresholds = part_of(progress, share, share + 1.0 - SENSITIVITY_SHARE)
     thresholds = fitted.path.with_suffix(".thresholds.json")
     known = load_thresholds(thresholds) if thresholds.exists() else None
     made = build_model(
         fitted.sensitivities,
         CALIBRATION_SEED,
         thresholds=known,
-        step=lambda k, n: progress(k, n, "thresholds"),
+        step=lambda k, n: of_thresholds(k, n, "thresholds"),
     )
     if known is None:
         save_thresholds(made.thresholds, thresholds)
     keys = fitted.keys()
     if not held_out:
         return CampaignModel(made, keys, None, ())
-    held_out_sensitivities = compute_sensitivities(held_out, kept_in, run, progress, kinds)
+    rest = part_of(progress, share + 1.0 - SENSITIVITY_SHARE, 1.0)
+    held_out_sensitivities = compute_sensitivities(held_out, kept_in, run, rest, kinds)
     return CampaignModel(made, keys, held_out_sensitivities.sensitivities, held_out_sensitivities.keys())
 
 

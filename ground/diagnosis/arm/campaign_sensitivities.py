@@ -26,7 +26,7 @@ from fsw.kinematics.transforms import Array
 from ground.common.errors import BadRequest
 from ground.common.files import atomic_write
 from ground.common.pool import Runner
-from ground.common.progress import Progress
+from ground.common.progress import Progress, part_of
 from ground.diagnosis.arm.audit import load_checked_recordings
 from ground.diagnosis.arm.case_simulator import feature_keys
 from ground.diagnosis.arm.feature_set import build_feature_set
@@ -150,16 +150,19 @@ def _difference_all(paths: Logs, names: Names, run: Runner, progress: Progress) 
     same, given = find_equal_columns(simulator, columns), find_shared_slopes(simulator, columns)
     nominal = _nominal_features(paths, names)
 
-    def simulated(shares: Mapping[int, float], side: int, what: str) -> dict[int, OneSidedStep]:
+    def simulated(
+        shares: Mapping[int, float], side: int, what: str, begin: float, end: float
+    ) -> dict[int, OneSidedStep]:
+        update = part_of(progress, begin, end)
         at_once = group_columns(simulator, columns, sorted(shares))
         jobs = [_Job(paths, names, of, side, tuple(shares[k] for k in of), nominal) for of in at_once]
         found: dict[int, OneSidedStep] = {}
         for done, some in enumerate(run(_run_job, jobs), 1):
             found |= some
-            progress(done, len(jobs), what)
+            update(done, len(jobs), what)
         return found
 
-    up = simulated({k: 1.0 for k in range(len(columns)) if k not in same}, 0, "sensitivities")
+    up = simulated({k: 1.0 for k in range(len(columns)) if k not in same}, 0, "sensitivities", 0.0, 0.4)
     last, best = up, dict.fromkeys(up, math.inf)
     for attempt in range(MAX_ROUNDS + 1):
         scale = form_normal_equations(_assemble(paths, names, last, {})).scale
@@ -170,9 +173,14 @@ def _difference_all(paths: Logs, names: Names, run: Runner, progress: Progress) 
         better = _adapt_steps(simulator, columns, last, seen) if attempt < MAX_ROUNDS else {}
         if not better:
             break
-        last = {**last, **simulated(better, 0, "better steps")}
+        last = {**last, **simulated(better, 0, "better steps", *_round_shares(attempt))}
     down = {k: side.share for k, side in up.items() if count_sides(simulator, columns[k]) > 1}
-    return _assemble(paths, names, up, simulated(down, 1, "other sides"))
+    return _assemble(paths, names, up, simulated(down, 1, "other sides", 0.6, 1.0))
+
+
+def _round_shares(attempt: int) -> tuple[float, float]:
+    """Return the shares of all work before and after a round of better steps; each has half of the rest."""
+    return 0.6 - 0.2 * 0.5**attempt, 0.6 - 0.2 * 0.5 ** (attempt + 1)
 
 
 def _adapt_steps(

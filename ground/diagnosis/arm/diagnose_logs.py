@@ -12,7 +12,7 @@ from fsw.dictionary.params import Params
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
 from ground.common.pool import Runner, select_runner
-from ground.common.progress import Progress, no_progress
+from ground.common.progress import Progress, no_progress, part_of
 from ground.common.requests import parse_effects
 from ground.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
 from ground.diagnosis.arm.campaign_model import load_campaign_model
@@ -29,6 +29,8 @@ from sim.params import nominal_params, params_over_nominal
 from sim.params_table import BadParams
 from sim.scenario.names import shorten
 
+CAMPAIGN_SHARE: Final = 0.9
+"""Share of the campaign model in the time of a diagnosis, for the progress, if none is cached."""
 MAX_SUGGESTIONS: Final = 3
 """Largest number of suggested names in an error."""
 
@@ -171,9 +173,10 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> DiagnosisResult:
         held_out,
         job.campaign or _cache_folder(),
         job.run,
-        progress,
+        part_of(progress, 0.0, CAMPAIGN_SHARE),
         job.kinds,
     )
+    progress(CAMPAIGN_SHARE, 1.0, "diagnosing")
     return diagnose_case(fitted, held_out_recordings, campaign, job.seed, job.patch)
 
 

@@ -16,7 +16,7 @@ from ground.common.errors import BadRequest
 from ground.common.files import atomic_path, check_new_path
 from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress
-from ground.common.requests import parse_effects, select_arm
+from ground.common.requests import fit_effects, parse_effects, select_arm
 from ground.diagnosis.arm.request import RecordRequest
 from ground.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, write_tracker_poses
 from ground.telemetry.header import SESSION, flight_header
@@ -125,10 +125,11 @@ def check_record_request(request: RecordRequest) -> None:
         BadOutput: The folder cannot be written.
     """
     check_options(request)
-    parse_effects(request.effects)
-    _choose_sessions(request, select_arm(request.arm, request.params, request.mismatch))
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    fit_effects(arm, parse_effects(request.effects, arm.params.tool_names))
+    _choose_sessions(request, arm)
     if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
-        raise BadRequest(f"out {request.out}: is there already; name a new folder")
+        raise BadRequest(f"out {request.out}: is there and is no empty folder; name a new or empty one")
     check_new_path(request.out, "out")
 
 
@@ -156,8 +157,9 @@ def record_logs(request: RecordRequest, progress: Progress = no_progress) -> lis
         BadOutput: The folder cannot be written.
     """
     check_record_request(request)
-    effects = parse_effects(request.effects)
-    arm = select_arm(request.arm, request.params, request.mismatch).with_effects(effects)
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    effects = parse_effects(request.effects, arm.params.tool_names)
+    arm = fit_effects(arm, effects)
     begun = effects_of_run(effects)
     wanted, reference, paths = _choose_sessions(request, arm), true_reference(arm), []
     try:

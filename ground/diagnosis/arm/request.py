@@ -66,7 +66,7 @@ class DiagnoseRequest:
 class RecordRequest:
     """Request to record a campaign."""
 
-    out: Annotated[Path, Option("A new folder for the logs.", "DIR")]
+    out: Annotated[Path, Option("A new or empty folder for the logs.", "DIR")]
     arm: ArmOption = "nominal"
     effects: EffectsOption = ()
     params: ParamsOption = None

@@ -2,6 +2,7 @@
 
 import csv
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fsw.kinematics.transforms import Array, Pose
+from sim.text_file import UnreadableText, decode_text
 
 POSE_COLUMNS: Final = ("tick", "rx_rad", "ry_rad", "rz_rad", "x_m", "y_m", "z_m")
 SIGMA_COLUMNS: Final = ("rx_sigma_rad", "ry_sigma_rad", "rz_sigma_rad", "x_sigma_m", "y_sigma_m", "z_sigma_m")
@@ -52,11 +54,14 @@ def read_tracker_poses(path: Path) -> TrackerPoses:
         BadTracker: It cannot be read, a column is missing, or a value is wrong or repeated.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            table = csv.DictReader(file)
-            rows, missing = list(table), {*POSE_COLUMNS, *SIGMA_COLUMNS} - set(table.fieldnames or ())
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise BadTracker(f"{path}: cannot be read ({error})") from error
+        table = csv.DictReader(StringIO(decode_text(path.read_bytes()), newline=""))
+        rows, missing = list(table), {*POSE_COLUMNS, *SIGMA_COLUMNS} - set(table.fieldnames or ())
+    except OSError as error:
+        raise BadTracker(f"{path}: cannot be read ({error.strerror or error})") from error
+    except UnreadableText as error:
+        raise BadTracker(f"{path}: {error}") from error
+    except csv.Error as error:
+        raise BadTracker(f"{path}: is not a table in CSV; it is damaged or of another format") from error
     if missing:
         raise BadTracker(f"{path}: has no column {', '.join(sorted(missing))}")
     if not rows:
@@ -64,7 +69,7 @@ def read_tracker_poses(path: Path) -> TrackerPoses:
     try:
         numbers = np.array([[float(row[name]) for name in (*POSE_COLUMNS, *SIGMA_COLUMNS)] for row in rows]).T
     except (TypeError, ValueError) as error:
-        raise BadTracker(f"{path}: something in it is no number ({error})") from error
+        raise BadTracker(f"{path}: something in it is no number") from error
     if not np.isfinite(numbers).all() or (numbers[7:] <= 0).any():
         raise BadTracker(f"{path}: every number must be finite, and every sigma above 0")
     tick = numbers[0].astype(np.int64)

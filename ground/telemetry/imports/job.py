@@ -24,6 +24,7 @@ from ground.telemetry.imports.mapping_file import MAX_MAPPING_BYTES, parse_mappi
 from ground.telemetry.imports.packets import IncompleteTopic, build_topics, incomplete_topics
 from ground.telemetry.imports.table import MAX_CELLS, read_table
 from ground.telemetry.imports.times import sort_by_time
+from sim.text_file import UnreadableText, decode_text
 
 UNKNOWN_CPU: Final = "[]"
 """Value of `cpu` in the header: the processor that computed the table is unknown."""
@@ -87,9 +88,9 @@ def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
     Raises:
         BadRequest: the table, the mapping or the path of the log is wrong; nothing was written.
     """
-    check_distinct_files({"table": request.table, "mapping": request.mapping, "log": request.log})
+    check_distinct_files({"table": request.table, "mapping": request.mapping, "OUT": request.log})
     try:
-        check_output(request.log, (".mcap",), "log")
+        check_output(request.log, (".mcap",), "OUT")
         progress(0, 3, "reading the mapping")
         text = read_file(request.mapping, MAX_MAPPING_BYTES)
         progress(1, 3, "reading the table")
@@ -97,7 +98,7 @@ def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
             read_file(request.table, MAX_TABLE_BYTES), str(request.table), text, str(request.mapping)
         )
         progress(2, 3, "writing the log")
-        with atomic_write(request.log, "log") as file:
+        with atomic_write(request.log, "OUT") as file:
             write_table_log(file, converted.header, converted.series, converted.commands)
     except MemoryError as error:
         raise BadRequest(f"{request.table}: is too large for the memory; give it in parts") from error
@@ -120,11 +121,9 @@ def convert_table(
         BadImport: the table or the mapping is wrong; all problems of a mapping are reported together.
     """
     try:
-        text = mapping.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise BadImport(
-            [f"{mapping_file}: is no text in UTF-8 ({error.reason}, byte {error.start})"]
-        ) from error
+        text = decode_text(mapping)
+    except UnreadableText as error:
+        raise BadImport([f"{mapping_file}: {error}"]) from error
     parsed = parse_mapping(text, mapping_file, Path(mapping_file).parent)
     times = () if parsed.time.column is None else (parsed.time.column,)
     names = dict.fromkeys((*times, *(name for channel in parsed.channels for name in channel.columns)))

@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow import csv, parquet, types
 
+from ground.common.bad_tables import describe_bad_table
 from ground.telemetry.imports.files import BadImport
 from ground.telemetry.imports.mapping import CsvFormat
 from sim.scenario.names import did_you_mean
@@ -138,7 +139,7 @@ class InputTable:
                 name, _fill_nulls(pc.cast(pc.cast(array, pa.timestamp("ns")), pa.int64())), given
             )
         except pa.ArrowException as error:
-            raise self.error_at(f"is no time ({_short(error)})", column=name) from error
+            raise self.error_at("is no time", column=name) from error
 
     def _check_finite(self, name: str, values: NDArray[Any], text: Any) -> None:
         """Refuse a number whose digits are too large for a float."""
@@ -160,7 +161,7 @@ class InputTable:
         try:
             return _fill_nulls(pc.cast(array, pa.int64() if types.is_integer(kind) else pa.float64()))
         except pa.ArrowInvalid as error:
-            raise self.error_at(f"holds a number that is too large ({_short(error)})", column=name) from error
+            raise self.error_at("holds a number that is too large", column=name) from error
 
     def _flags(self, name: str, text: Any) -> NDArray[Any]:
         """Parse flags; the error names the first value that is neither a flag nor a number."""
@@ -209,7 +210,7 @@ def read_table(
         raise BadImport([f"{file}: is too large for the memory; give it in parts"]) from error
     except Exception as error:  # a truncated file may fail in any decoder
         kind = "text in columns" if is_text else "Parquet"
-        raise BadImport([f"{file}: cannot be read as {kind}: {_short(error)}"]) from error
+        raise BadImport([f"{file}: {describe_bad_table(error, kind)}"]) from error
     rows = len(next(iter(arrays.values()))) if arrays else 0
     if rows == 0:
         raise BadImport([f"{file}: has no row; give a table with at least one"])
@@ -317,8 +318,3 @@ def _number_hint(word: str, decimal: str) -> str:
     if decimal == "." and re.fullmatch(r"[-+]?\d*,\d+", word):
         return '; write decimal = "," under [csv]'
     return "; write a number, true or false, or nothing"
-
-
-def _short(error: Exception) -> str:
-    text = " ".join(str(error).split()) or type(error).__name__
-    return text if len(text) <= 160 else f"{text[:157]}..."

@@ -5,9 +5,10 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 
-from fsw.collision.geometry import OBSTACLES, PARTS
 from sim.plant import Plant
 from sim.world import World, build
+from tests.fsw.rig import beside_the_rover
+from tests.tools import TOOLS
 
 NAMES = {
     "shoulder": "shoulder_bracket",
@@ -16,6 +17,8 @@ NAMES = {
     "wheels_starboard": "starboard_wheels",
 }
 FAR_M = 10.0
+GEOMETRY = beside_the_rover().collision_geometry
+PARTS, OBSTACLES = GEOMETRY.parts, GEOMETRY.obstacles
 
 
 @lru_cache
@@ -25,7 +28,8 @@ def plant() -> Plant:
 
 
 def part_of(model: mujoco.MjModel, geom: int) -> str:
-    return model.body(model.geom_bodyid[geom]).name
+    name: str = model.body(model.geom_bodyid[geom]).name
+    return name.upper() if name.upper() in TOOLS else name
 
 
 def obstacle_of(model: mujoco.MjModel, geom: int) -> str:

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.collision.distance import DISPLAY_NAMES, compute_clearances, find_violation
-from fsw.collision.geometry import GROUND, OBSTACLES, PARTS
+from fsw.collision.distance import compute_clearances, find_violation
+from fsw.collision.geometry import GROUND
 from fsw.config import configure
 from fsw.kinematics.chain import forward
 from fsw.kinematics.statics import settle_output
@@ -16,6 +16,7 @@ from tests.tools import TOOLS
 
 CONFIG = beside_the_rover()
 GEOMETRY = CONFIG.collision_geometry
+PARTS, OBSTACLES, TITLES = GEOMETRY.parts, GEOMETRY.obstacles, GEOMETRY.titles
 SHAPES = CONFIG.params.collision
 PADDING_M = SHAPES.padding_m
 LINKS = ("link2", "link3", "link4")
@@ -26,12 +27,17 @@ READY = np.array(CONFIG.params.poses.ready_rad)
 STOWED = np.array(CONFIG.params.poses.stowed_rad)
 
 
-def collides_only(shapes):
+def collides_only(params):
     """Remove the shapes of parts that only have visual geoms in MuJoCo: sieves, percussion, dust cover."""
-    turret = replace(shapes.arm.turret, boxes=shapes.arm.turret.boxes[:-1])
-    drill = replace(shapes.arm.drill, capsules=shapes.arm.drill.capsules[:-1])
-    mahli = replace(shapes.arm.mahli, capsules=shapes.arm.mahli.capsules[:-1])
-    return replace(shapes, arm=replace(shapes.arm, turret=turret, drill=drill, mahli=mahli))
+    arm = params.collision.arm
+    turret = replace(arm.turret, boxes=arm.turret.boxes[:-1])
+    tools = tuple(
+        replace(tool, geometry=replace(tool.geometry, capsules=tool.geometry.capsules[:-1]))
+        if tool.name in ("DRILL", "MAHLI")
+        else tool
+        for tool in params.tools
+    )
+    return with_params(collision={"arm": replace(arm, turret=turret)}, tools=tools)
 
 
 def settle_poses(poses_rad):
@@ -43,7 +49,7 @@ def compared():
     """Compute clearances of random poses: ours, ours with the colliding shapes only, and MuJoCo's."""
     poses = in_limits(CONFIG, np.random.default_rng(31), 60)
     at_rest = settle_poses(poses)
-    same = with_params(collision={"arm": collides_only(SHAPES).arm})
+    same = collides_only(CONFIG.params)
     ours, alike = (
         compute_clearances(geometry, at_rest.frames, FAR_M)
         for geometry in (GEOMETRY, same.collision_geometry)
@@ -76,16 +82,18 @@ def test_every_geom_that_collides_belongs_to_a_part_or_an_obstacle():
     model = plant().model
     of_arm = {part_of(model, geom) for geom in range(model.ngeom) if model.geom_contype[geom] == 1}
     others = {obstacle_of(model, geom) for geom in range(model.ngeom) if model.geom_contype[geom] == 2}
-    assert of_arm == set(PARTS) - {"link5", "portion"}
+    assert of_arm == set(PARTS) - {"link5", "PORTION"}
     assert others == set(OBSTACLES)
 
 
 def test_parts_in_the_turret_frame_move_with_the_tools_of_the_parameters():
     """A drill that is calibrated as 3 cm longer is 3 cm closer to the obstacle ahead of it."""
-    longer = replace(CONFIG.params.tools.drill.transform, a_m=0.39)
-    other = with_params(tools={"drill": replace(CONFIG.params.tools.drill, transform=longer)})
+    drill, *others = CONFIG.params.tools
+    assert drill.name == "DRILL"
+    longer = replace(drill, transform=replace(drill.transform, a_m=0.39))
+    other = with_params(tools=(longer, *others))
     X_FT, X_FT_longer = CONFIG.arm.X_FT["DRILL"], other.arm.X_FT["DRILL"]
-    of_drill = GEOMETRY.arm.part == PARTS.index("drill")
+    of_drill = GEOMETRY.arm.part == PARTS.index("DRILL")
     shift = (other.collision_geometry.arm.X_CS.p - GEOMETRY.arm.X_CS.p)[:, of_drill]
     np.testing.assert_allclose(shift, np.tile((X_FT_longer.p - X_FT.p)[:, None], shift.shape[1]), atol=1e-15)
 
@@ -121,7 +129,7 @@ def test_a_way_into_the_ground_is_refused_with_part_obstacle_and_distance():
     assert apart[..., : close.first].min() >= PADDING_M
     assert apart[..., close.first].min() < PADDING_M
     assert close.distance_m == apart[PARTS.index(close.part), GROUND].min()
-    assert close.reason == f"the {DISPLAY_NAMES.get(close.part, close.part)} meets the ground"
+    assert close.reason == f"the {TITLES[close.part]} meets the ground"
 
 
 def test_what_does_not_meet_is_refused_by_how_close_it_comes():
@@ -132,7 +140,7 @@ def test_what_does_not_meet_is_refused_by_how_close_it_comes():
     close = find_violation(GEOMETRY, until, PADDING_M)
     assert 0 < close.distance_m < PADDING_M
     assert close.reason == (
-        f"the {DISPLAY_NAMES.get(close.part, close.part)} comes within {1e3 * close.distance_m:.1f} mm "
+        f"the {TITLES[close.part]} comes within {1e3 * close.distance_m:.1f} mm "
         "of the ground, at least 15.0 mm are to be kept"
     )
 
@@ -142,7 +150,7 @@ def test_a_tool_that_is_to_touch_may_come_as_close_as_it_likes_and_nothing_else_
     everything = compute_clearances(GEOMETRY, frames, FAR_M)
     for tool in TOOLS:
         apart = compute_clearances(GEOMETRY, frames, FAR_M, touching=tool)
-        exempt = PARTS.index(tool.lower())
+        exempt = PARTS.index(tool)
         assert np.isinf(apart[exempt]).all()
         others = np.arange(len(PARTS)) != exempt
         np.testing.assert_array_equal(apart[others], everything[others])

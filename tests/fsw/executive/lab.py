@@ -31,6 +31,7 @@ from fsw.dictionary.evrs import CommandRefused
 from fsw.dictionary.params import TeachPoint
 from fsw.motion.move import MIN_CORRECTION_N
 from tests.fsw.rig import Rig, config_of, facing, floats, with_params
+from tests.tools import SWITCHES
 
 START = facing(config_of(), "APXS")
 STRONGER = replace(config_of().params.joints.elevation, hardstop_press_Nm=300.0)
@@ -46,7 +47,7 @@ CONFIG = with_params(
 """Configuration in which any joint may be homed from the pose in which these tests start."""
 NAN = float("nan")
 INF = float("inf")
-TOUCHED = {"switch_closed": np.arange(10) == "APXS_1"}
+TOUCHED = {"switch_closed": np.isin(SWITCHES, ["APXS_1"])}
 
 
 def stowed():

@@ -54,6 +54,7 @@ from tests.fsw.executive.lab import (
     stowed,
 )
 from tests.fsw.rig import Rig, floats, with_params
+from tests.tools import SWITCHES
 
 NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its hardstop"
 IN_STOWED, IN_GUARDED = (f"not allowed in mode {name}" for name in ("STOWED", "GUARDED"))
@@ -100,7 +101,7 @@ def test_a_joint_that_does_not_exist_is_refused_and_the_joints_there_are_are_tol
 def test_what_is_no_tool_is_refused_and_the_tools_there_are_are_told(kind, tool):
     rig = deployed()
     command = replace(COMMANDS[kind](rig), tool=tool)
-    assert refusal(rig, command) == f"tool {tool!r} is not known; there are drill, drt, mahli, apxs, portion"
+    assert refusal(rig, command) == f"tool {tool!r} is not known; there are DRILL, DRT, MAHLI, APXS, PORTION"
 
 
 def test_a_joint_may_be_given_by_its_number():
@@ -629,5 +630,5 @@ def test_another_tool_s_contact_is_a_fault_while_one_is_retracted():
     rig.cycle(Retract("APXS", 0.02), **TOUCHED)
     for _ in range(30):
         rig.cycle(**TOUCHED)
-    rig.cycle(switch_closed=np.arange(10) == "MAHLI_1A")
+    rig.cycle(switch_closed=np.isin(SWITCHES, ["MAHLI_1A"]))
     assert rig.state.mode is Mode.FAULTED

@@ -24,8 +24,9 @@ from fsw.kinematics.statics import settle_output
 from fsw.state import Hold
 from tests.fsw.executive.lab import CONFIG, HERE, TOUCHED, deployed, guarded_in_contact, refusal
 from tests.fsw.rig import Rig, floats
+from tests.tools import SWITCHES
 
-MAHLI_TOUCHED = {"switch_closed": np.arange(10) == "MAHLI_1A"}
+MAHLI_TOUCHED = {"switch_closed": np.isin(SWITCHES, ["MAHLI_1A"])}
 
 
 def test_a_placement_is_a_standoff_and_a_guarded_line_through_the_place():

@@ -12,6 +12,7 @@ from fsw.kinematics.near_singular import SAME_RAD as TWICE_RAD
 from fsw.kinematics.soft_limits import limit_excess
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
+from tests.tools import tool_index
 from validation.kinematics_samples import Near, vectors
 from validation.kinematics_trials import (
     CLEAR_SIGMA,
@@ -61,14 +62,14 @@ def solve_poses(trial: Trial, q: np.ndarray) -> SolvedTargets:
 @lru_cache
 def random_poses(name: str, gravity: str, tool: str, n: int) -> SolvedTargets:
     """Solve targets of joint vectors anywhere inside the limits."""
-    rng = np.random.default_rng(100 + tool)
+    rng = np.random.default_rng(100 + tool_index(tool))
     return solve_poses(trial_of(name, gravity, tool), in_limits(config_of(), rng, n))
 
 
 @lru_cache
 def near_double_roots(name: str, gravity: str, tool: str, n: int) -> SolvedTargets:
     """Solve targets of joint vectors that are a microradian to a third of a radian from a double root."""
-    trial, rng = trial_of(name, gravity, tool), np.random.default_rng([2264, tool])
+    trial, rng = trial_of(name, gravity, tool), np.random.default_rng([2264, tool_index(tool)])
     q, near = vectors(trial, rng, 9 * n)
     return solve_poses(trial, q[:, np.flatnonzero(near & DOUBLE_ROOT)[:n]])
 

@@ -13,6 +13,7 @@ from fsw.kinematics.arm import heat_arm, pose_to_transform6, transform6_to_pose
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Pose, rotation_x, rotation_y, rotation_z
 from tests.fsw.rig import config_of, in_limits, matrix
+from tests.tools import tool_index
 
 # standard DH of the drawing: a [m], d [m], alpha [deg]; MSL-476-1303
 DH = {
@@ -214,7 +215,7 @@ def test_a_warm_tool_turns_as_its_screw_says():
     """The expansion has a rotation, which the drawing has not: a finite turn about the tool's z axis."""
     arm = config_of().arm
     expansion = np.zeros((6, 5))
-    expansion[2, "APXS"] = 1e-3
+    expansion[2, tool_index("APXS")] = 1e-3
     warm = heat_arm(replace(arm, expansion_T=expansion), 100.0)
     X, Y = arm.X_FT["APXS"], warm.X_FT["APXS"]
     np.testing.assert_allclose(X.R.T @ Y.R, rotation_z(np.array(0.1)), atol=1e-15)

@@ -113,9 +113,7 @@ def displaced(arm, frame, tool, screw):
     """Move one frame, and all that it carries, by a screw in the frame's own axes."""
     X = screw_exp(screw)
     if frame is Frame.TOOL:
-        X_FT = list(arm.X_FT)
-        X_FT[tool] = X_FT[tool] @ X
-        return replace(arm, X_FT=tuple(X_FT))
+        return replace(arm, X_FT={**arm.X_FT, tool: arm.X_FT[tool] @ X})
     RP_CF, X_CF = arm.RP_CF.copy(), arm.X_CF[int(frame)] @ X
     RP_CF[:, :3, frame], RP_CF[:, 3, frame] = X_CF.R, X_CF.p
     return replace(arm, RP_CF=RP_CF)

@@ -13,7 +13,7 @@ from fsw.kinematics.ik import FREE_SINE
 from fsw.kinematics.task import task_error, task_jacobian
 from fsw.kinematics.transforms import Pose, rotation_y, wrap_angle
 from tests.fsw.rig import config_of, in_limits
-from tests.tools import TOOLS
+from tests.tools import TOOLS, tool_index
 from validation.kinematics_samples import vectors
 from validation.kinematics_trials import Trial, skew_tool
 
@@ -30,7 +30,7 @@ def with_tool(R, p_m):
     """Build the arm of the drawing with this tool frame instead of its tools."""
     X_FT, X_LF = Pose(np.array(R), np.array(p_m)), Pose(ARM.X_CF.R, ARM.X_CF.p + ARM.p_LC_m)
     shape = build_orthogonal_arm(ARM.theta_rad, X_LF, X_FT)
-    return replace(ARM, X_FT=(X_FT,) * len(TOOLS), orthogonal=(shape,) * len(TOOLS))
+    return replace(ARM, X_FT=dict.fromkeys(TOOLS, X_FT), orthogonal=dict.fromkeys(TOOLS, shape))
 
 
 def targets_of(arm, q, tool=TOOL):
@@ -67,7 +67,7 @@ def test_a_tool_alone_does_not_make_the_arm_less_orthogonal():
 
 @pytest.mark.parametrize("tool", TOOLS)
 def test_every_root_of_the_drawing_meets_its_target_to_the_last_digits(tool):
-    q = in_limits(config_of(), np.random.default_rng(100 + tool), N)
+    q = in_limits(config_of(), np.random.default_rng(100 + tool_index(tool)), N)
     p, a, clear = targets_of(ARM, q, tool)
     roots = closed_form(ARM, tool, p, a)
     there = roots.missing_m == 0

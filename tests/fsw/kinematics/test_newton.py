@@ -11,7 +11,7 @@ from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error
 from fsw.kinematics.transforms import dot, wrap_angle
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
-from tests.tools import TOOLS
+from tests.tools import TOOLS, tool_index
 
 ARMS = ["nominal", "as-built:3", "calibrated:3", "calibrated:11"]
 TILTED_R_m_s2 = np.array([0.9, -1.2, 3.4])
@@ -20,7 +20,7 @@ RIGID = np.zeros(3)
 
 def deflected_targets(config, tool, n, gravity):
     """Compute targets that the deflected arm reaches well inside its limits: outputs, positions, axes."""
-    q = in_limits(config, np.random.default_rng(200 + tool), n, shrink=0.1)
+    q = in_limits(config, np.random.default_rng(200 + tool_index(tool)), n, shrink=0.1)
     q[2, np.abs(q[2]) < 0.3] = 0.5
     here = settle(config.arm, q, np.zeros_like(q), gravity)
     X = tool_pose(config.arm, here.frames, tool)

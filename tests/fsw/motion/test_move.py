@@ -12,7 +12,7 @@ from fsw.motion.move import Move, Phase, advance_move, command_actuators, find_c
 from fsw.motion.paths import Setpoint, StopPath, joint_path
 from fsw.state import boot
 from tests.fsw.rig import Rig, config_of, quiet_sensors
-from tests.tools import TOOL_SWITCHES
+from tests.tools import SWITCHES, TOOL_SWITCHES
 
 CONFIG = config_of()
 READY = np.array(CONFIG.params.poses.ready_rad)
@@ -88,10 +88,10 @@ def test_a_stop_in_any_phase_ends_early_and_forgets_the_contact(phase):
 
 
 def test_a_tool_without_switches_never_touches():
-    assert find_closed_switch("PORTION", np.ones(10, bool)) is None
+    assert find_closed_switch(CONFIG, "PORTION", np.ones(10, bool)) is None
     for tool, switches in TOOL_SWITCHES.items():
         for switch in switches:
-            assert find_closed_switch(tool, np.arange(10) == switch) is switch
+            assert find_closed_switch(CONFIG, tool, np.isin(SWITCHES, [switch])) == switch
 
 
 def test_without_a_move_brakes_are_on_and_power_is_off():

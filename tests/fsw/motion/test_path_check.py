@@ -43,7 +43,7 @@ poses = st.integers(0, 2**32 - 1).map(lambda seed: in_limits(CONFIG, np.random.d
 
 def points_of_arm(frames):
     """Return tool tips, far corners of the turret, elbow and wrist in RMECH, (3, k, n)."""
-    tips = np.array([X.p for X in CONFIG.arm.X_FT])
+    tips = np.array([X.p for X in CONFIG.arm.X_FT.values()])
     corners = np.array([[0.3, 0.3, -0.15], [-0.3, 0.3, -0.15], [0.0, -0.35, -0.15], [0.25, -0.25, 0.0]])
     p_F = np.concatenate([tips, corners]).T
     on_turret = np.einsum("ijn,jk->ikn", frames.X_RF.R[:, :, 5], p_F) + frames.X_RF.p[:, 5][:, None]

@@ -19,7 +19,7 @@ from fsw.motion.plan_tool import AUTO, plan_guarded, plan_retract, plan_tool
 from tests.fsw.motion.lab import gear_at_end, tool_at
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits
 from tests.marks import slow_but
-from tests.tools import TOOLS
+from tests.tools import TOOLS, tool_index
 
 CONFIG = config_of()
 RNG_TARGETS = 12
@@ -32,7 +32,7 @@ def joints_at(pose=None):
 
 def targets(tool, n=RNG_TARGETS):
     """Return tool moves to targets that the arm can reach."""
-    q = in_limits(CONFIG, np.random.default_rng(300 + tool), n, shrink=0.2)
+    q = in_limits(CONFIG, np.random.default_rng(300 + tool_index(tool)), n, shrink=0.2)
     q[2] = np.where(np.abs(q[2]) < 0.4, 0.8, q[2])
     here = settle(CONFIG.arm, q, np.zeros_like(q), MARS_R_m_s2)
     X = tool_pose(CONFIG.arm, here.frames, tool)

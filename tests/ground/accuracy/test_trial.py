@@ -14,7 +14,7 @@ from ground.accuracy.sources import load_error_model
 from ground.accuracy.trial import Z_TURN, sample_effects, sample_source
 from sim.arms import BuiltArm, arm_named
 from sim.avionics import move_rng
-from sim.disturbance import body_index
+from sim.disturbance import frame_body
 from sim.effects.effect import EachMove, Effect, draw_move_disturbance
 from sim.effects.geometry import FrameError, LinkWarming
 from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle
@@ -52,7 +52,7 @@ def predicted(found: Iterable[Effect], gap: Array) -> Array:
     by_chance = draw_move_disturbance(
         [effect for effect in found if isinstance(effect, EachMove)], move_rng(hardware_rng(PLACE.seed))
     )
-    theta += by_chance.screw[:, [body_index(frame, TOOL) for frame in Frame]]
+    theta += np.array([by_chance.screw(frame_body(frame, TOOL)) for frame in Frame]).T
     theta[Z_TURN, : len(Joint)] += by_chance.gear_rad + by_chance.motor_rad
     for effect in found:
         match effect:
@@ -140,9 +140,8 @@ def test_statics_end_where_the_closed_loop_does(case, seed):
 def test_what_is_drawn_keeps_within_its_magnitude():
     source = MODEL.source["isolator_hysteresis"]
     (play,) = sample_source(source, 1.0, TOOL, np.random.default_rng(0))
-    scatters = [
-        play.draw(np.random.default_rng(k)).screw[:, body_index(Frame.TOOL, TOOL)] for k in range(300)
-    ]
+    body = frame_body(Frame.TOOL, TOOL)
+    scatters = [play.draw(np.random.default_rng(k)).screw(body) for k in range(300)]
     most = np.abs(scatters).max(axis=0) / source.theta[:, Frame.TOOL]
     assert np.all((most > 0.95) & (most <= 1.0))
 

@@ -22,7 +22,7 @@ def test_a_pattern_chooses_the_sessions_that_are_recorded(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("record", "--out", "other"), "out other: is there already; name a new folder"),
+        (("record", "--out", "other"), "out other: is there and is no empty folder; name a new or empty one"),
         (("record", "--out", "no/logs"), "there is no folder no"),
         (("record", "--out", "o" * 300), "cannot be written (File name too long)"),
         (("record", "--out", "nothing"), "a link to nowhere/x, which is not there"),

@@ -28,7 +28,8 @@ def test_an_effect_that_is_wrong_is_refused_before_anything_moves(tmp_path: Path
     for verb in (("run", "contact-science"), ("place",), ("hardstop", "--joint", "elbow")):
         done = marsarm(tmp_path, *verb, *words)
         assert done.returncode == 2
-        said = json.loads(done.stdout)["error"].splitlines()
+        opening, *said = json.loads(done.stdout)["error"].splitlines()
+        assert opening == "2 things are wrong, one in each line:"
         assert said[0].startswith(
             "effect coulomb-friction: place: joint 'elbo' is not known; did you mean elbow?"
         )

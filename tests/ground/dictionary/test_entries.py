@@ -11,7 +11,7 @@ from fsw.dictionary.faults import Fault
 from fsw.protect.responses import RESPONSE_TO
 from ground.common.fields import unit_of
 from ground.dictionary.entries import Definition, Dictionary, FieldDefinition, build_dictionary
-from ground.telemetry.schema import array_shape
+from ground.telemetry.schema import arm_names, array_shape
 from ground.telemetry.topics import PACKET_TOPICS
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
@@ -85,7 +85,9 @@ def test_the_shapes_are_those_of_a_run() -> None:
         for name in topic.field_names:
             value = getattr(packet, name)
             if isinstance(value, np.ndarray):
-                assert value.shape == array_shape(topic.packet, name), f"{topic.name}.{name}"
+                assert value.shape == array_shape(topic.packet, name, arm_names(arm.params)), (
+                    f"{topic.name}.{name}"
+                )
                 seen.add(topic.name)
     assert seen == {topic.name for topic, _ in PACKET_TOPICS}
 

@@ -47,7 +47,7 @@ ARRAYS = {
     "flat": (P_M[0], A[0], "position_m has the shape (3,), not (n, 3)"),
     "not as many": (P_M, A[:2], "there are 4 positions and 2 approaches"),
     "empty": (P_M[:0], A[:0], "there is no target in it"),
-    "objects": (P_M.astype(object), A, "allow_pickle=False"),
+    "objects": (P_M.astype(object), A, "holds Python objects"),
     "text": (P_M.astype(str), A, "not real numbers"),
     "complex": (P_M + 1j, A, "position_m holds complex128, not real numbers"),
 }

@@ -38,7 +38,7 @@ BAD = {
     "a whole turn": (("--tilt-pitch", "-360"), "by 360 deg"),
     "too much of both": (("--tilt-roll", "25", "--tilt-pitch", "25"), "34.8 deg"),
     "no such arm": (("--arm", "as-built"), "as-built:SEED"),
-    "negative seed": (("--seed", "-1"), "negative"),
+    "negative seed": (("--seed", "-1"), "is below 0"),
     "log in no folder": (("--log", "nowhere/run.mcap"), "nowhere"),
     "log is a folder": (("--log", "folder.mcap"), "this is a folder"),
     "log of another kind": (("--log", "run.png"), "must end in .mcap"),
@@ -85,7 +85,7 @@ def test_bad_input_is_a_sentence_and_status_2_and_writes_nothing(tmp_path, case)
     ("words", "said"),
     [
         (("--tool", "spoon"), "spoon"),
-        (("--target", "a", "b", "c"), "'--target': Input should be a valid number"),
+        (("--target", "a", "b", "c"), "'--target': takes 3 numbers"),
         (("--target", "1"), "3 arguments"),
         (("--sped", "1"), "--sped"),
     ],

@@ -38,7 +38,7 @@ BAD = {
     "no arm": (("short.toml", "--arm", ""), "as-built:SEED"),
     "too much tilt": (("short.toml", "--tilt", "25", "25"), "34.8 deg"),
     "NaN tilt": (("short.toml", "--tilt", "nan", "0"), "finite"),
-    "negative seed": (("short.toml", "--seed", "-1"), "negative"),
+    "negative seed": (("short.toml", "--seed", "-1"), "is below 0"),
     "log of another kind": (("short.toml", "--log", "run.png"), "must end in .mcap"),
     "log over the scenario": (("short.toml", "--log", "short.toml"), "the file of scenario"),
     "movie of another kind": (("short.toml", "--movie", "m.png"), "must end in .gif"),
@@ -76,7 +76,7 @@ def test_bad_input_is_a_sentence_and_status_2_and_writes_nothing(folder, case):
 def test_bad_input_with_json_is_still_one_document(folder):
     done = marsarm(folder, "run", "wrong.toml", "--json")
     assert done.returncode == 2
-    assert json.loads(done.stdout)["error"].splitlines()[0].startswith("wrong.toml:7: joint:")
+    assert json.loads(done.stdout)["error"].splitlines()[1].startswith("wrong.toml:7: joint:")
     assert done.stderr.strip() == json.loads(done.stdout)["error"]
 
 

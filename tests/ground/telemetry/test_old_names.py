@@ -1,17 +1,20 @@
-"""Logs of version 0.1 are read under today's names."""
+"""Logs of versions 0.1 and 0.2 are read under today's names."""
 
 import json
 from dataclasses import fields
 
 import pytest
 
+from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
 from ground.dictionary.entries import build_dictionary
 from ground.replay.inputs import inputs_from_log
 from ground.telemetry import old_names
 from ground.telemetry.events import CommandEntry, EvrEntry
+from ground.telemetry.json_codec import record_from_json, record_to_json
 from ground.telemetry.read import read_log
 from sim.effects.catalogue import catalogue
+from sim.params import nominal_params
 from sim.scenario.effects import effect_text, parse_effect_text
 from tests.replay.remake import FOLDER
 
@@ -91,3 +94,32 @@ def test_a_header_has_todays_names_of_reference_commands_and_effects():
     assert effect_text(parse_effect_text(text)) == text
     assert (new["params"], new["arm"]) == ("{", "nominal")
     assert old_names.rename_header(new) == new
+
+
+def in_the_form_of_0_2(params: Params) -> dict:
+    """Return parameters as a header of 0.2 has them."""
+    document = record_to_json(params)
+    tools = {tool.pop("name").lower(): tool for tool in document["tools"]}
+    shapes = {name: tool.pop("geometry") for name, tool in tools.items() if tool.pop("title")}
+    collision = document["collision"]
+    rover = {part.pop("name"): part for part in collision["rover"]}
+    del document["switches"]
+    return {
+        **document,
+        "tools": tools,
+        "collision": {**collision, "arm": {**collision["arm"], **shapes}, "rover": rover},
+    }
+
+
+def test_parameters_of_0_2_are_those_of_today():
+    params = nominal_params()
+    old, today = json.dumps(in_the_form_of_0_2(params)), json.dumps(record_to_json(params))
+    new = old_names.rename_header({"params": old})["params"]
+    assert record_from_json(Params, json.loads(new), "params", notes := []) == params
+    assert notes == []
+    assert old_names.rename_header({"params": today})["params"] == today
+
+
+def test_parameters_of_no_known_form_stay_as_they_are():
+    text = json.dumps({"tools": {"drill": {}}, "collision": 3})
+    assert old_names.rename_header({"params": text})["params"] == text

@@ -14,7 +14,7 @@ from fsw.dictionary.types import Limits
 from ground.telemetry import schema
 from ground.telemetry.errors import SchemaError
 from ground.telemetry.pack import MESSAGE_HEADER, Packer, PacketSource
-from ground.telemetry.schema import Layout, packet_layout
+from ground.telemetry.schema import ArmNames, Layout, packet_layout
 
 
 class Colour(IntEnum):
@@ -40,6 +40,7 @@ class Packet:
     current_A: Annotated[float, Limits(-2.0, 2.5)]
 
 
+ARM = ArmNames(("DRILL",), ("DRILL_1",))
 NAMES = ("valid", "colour", "switch", "count", "R_RT", "level", "current_A")
 PACKET = Packet(
     valid=True,
@@ -70,7 +71,9 @@ class Cycle:
 
 
 def packer_of(*paths: str) -> Packer:
-    return Packer([PacketSource(path, 5 + k, packet_layout(Packet, NAMES)) for k, path in enumerate(paths)])
+    return Packer(
+        [PacketSource(path, 5 + k, packet_layout(Packet, NAMES, ARM)) for k, path in enumerate(paths)]
+    )
 
 
 def packed(packet: Packet) -> bytes:
@@ -92,13 +95,13 @@ def test_the_record_is_headed_by_channel_sequence_and_time() -> None:
 
 
 def test_numpy_views_a_message_without_a_copy() -> None:
-    (view,) = np.frombuffer(packed(PACKET)[MESSAGE_HEADER.size :], packet_layout(Packet, NAMES).dtype)
+    (view,) = np.frombuffer(packed(PACKET)[MESSAGE_HEADER.size :], packet_layout(Packet, NAMES, ARM).dtype)
     for name in NAMES:
         np.testing.assert_array_equal(view[name], getattr(PACKET, name))
 
 
 def test_the_ros_text_is_legal_for_foxglove_and_keeps_names_units_limits_and_docs_in_comments() -> None:
-    assert packet_layout(Packet, NAMES).ros_text.splitlines() == [
+    assert packet_layout(Packet, NAMES, ARM).ros_text.splitlines() == [
         "int64 colour  # Colour: 3 RED, 7 BLUE",
         "float64 current_a  # current_A; [A]; -2 .. 2.5",
         "float64[9] r_rt  # R_RT; row by row, shape (3, 3)",
@@ -111,7 +114,7 @@ def test_the_ros_text_is_legal_for_foxglove_and_keeps_names_units_limits_and_doc
 
 
 def test_a_layout_survives_its_json() -> None:
-    layout = packet_layout(Packet, NAMES)
+    layout = packet_layout(Packet, NAMES, ARM)
     assert Layout.from_json(layout.to_json()).dtype == layout.dtype
 
 
@@ -180,4 +183,4 @@ class Odd:
 )
 def test_a_field_that_has_no_place_in_a_message_is_refused_by_name(names: tuple[str, ...]) -> None:
     with pytest.raises(SchemaError, match=rf"Odd\.{names[-1]}:"):
-        packet_layout(Odd, names)
+        packet_layout(Odd, names, ARM)

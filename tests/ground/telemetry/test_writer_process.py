@@ -29,7 +29,7 @@ from ground.telemetry.read import read_log
 from ground.telemetry.recorder import Recorder
 from ground.telemetry.ros_messages import JointSample
 from ground.telemetry.writer_pipe import encode_row
-from ground.telemetry.writer_process import END, RowStream
+from ground.telemetry.writer_process import RowStream, encode_end
 from validation import killed
 from validation.killed import Kill
 
@@ -278,7 +278,7 @@ def test_rows_are_the_same_in_whatever_pieces_they_come(sizes: list[int], comple
     rows = [LogRow(tick, bytes([tick]) * (tick + 1)) for tick in range(30)]
     sample = JointSample([0.0] * 5, [1.0] * 5, [2.0] * 5)
     sent = b"".join(encode_row(*row, sample if row.time_ns % 8 == 0 else None) for row in rows)
-    sent += END if complete else sent[:10]
+    sent += encode_end("") if complete else sent[:10]
     stream, taken, goes_on = RowStream(Pieces(sent, sizes)), [], True
     while goes_on:
         some, goes_on = stream.take()

@@ -70,8 +70,8 @@ def _reach(model: mujoco.MjModel, site: int) -> np.ndarray:
 
 
 WRONG = {
-    "a missing field": ("gear_ratio = 7520.0\n", "", "actuators.lphta.gear_ratio: Field required"),
-    "an unknown field": ("resistance_Ohm = 2.0", "ohm = 2.0", "actuators.lphta.ohm: is not known"),
+    "a missing field": ("gear_ratio = 7520.0\n", "", "actuators.lphta.gear_ratio: is missing"),
+    "an unknown field": ("resistance_Ohm = 2.0", "ohm = 2.0", "actuators.lphta.ohm: is not a parameter"),
     "an unknown actuator": (
         'actuator = "water"',
         'actuator = "air"',

@@ -45,7 +45,7 @@ WRONG = {
     "link-stiffness:arm6:factor=1.1": "frame: arm6 has no spring; there are arm1, arm2, arm3, arm4, arm5",
     "link-torsion:arm1:compliance_rad_Nm=1e-6": "the spring of arm1 is the rover's; take rover-compliance",
     "link-length:tool.x:length_m=0.001": "tool is no link; take tool-offset",
-    "frame-error:tool:screw=[0,0,0,0,0,0]": "tool: an effect at frame tool names its tool; there are drill",
+    "frame-error:tool:screw=[0,0,0,0,0,0]": "tool: an effect at frame tool names its tool; write tool.NAME",
     "frame-error:arm3:screw=[0,0,0]": "is not 6 numbers in brackets",
     "frame-error:arm3:screw=[0,0,0,0,0,9]": "screw: 9 is outside -0.1 .. 0.1",
     "transmission-error:elbow:cosine_rad=0,sine_rad=0,turns=1.5": "turns: 1.5 is not a whole number",

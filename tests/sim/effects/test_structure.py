@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Frame, Joint
-from fsw.kinematics.arm import build_arm
+from fsw.kinematics.arm import build_arm, transform6_to_pose
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Pose
@@ -16,6 +16,7 @@ from sim.effects.structure import LinkBending, LinkTorsion, RoverCompliance, Tur
 from sim.params import nominal_params
 from tests.sim import lab
 from tests.sim.effects import bench
+from tests.tools import tool_index
 
 PARAMS = nominal_params()
 ARM = build_arm(PARAMS)
@@ -62,7 +63,8 @@ def frame_of(effect) -> Frame:
 def rigid_shift_m(*effects: Effect) -> lab.Array:
     """Return the shift of the drill of the undeflected plant by these effects."""
     places = [
-        bench.set_angles(bench.build_arm(*e)[0], lab.LEFT_RAD).truth().p_RoTo_R_m[TOOL] for e in ((), effects)
+        bench.set_angles(bench.build_arm(*e)[0], lab.LEFT_RAD).truth().p_RoTo_R_m[tool_index(TOOL)]
+        for e in ((), effects)
     ]
     return places[1] - places[0]
 
@@ -94,7 +96,10 @@ def test_a_link_that_is_warm_on_one_side_bends_to_an_arc(axis: str, times: float
     bend = TITANIUM_1_K * gradient_K * length / WIDTH_M
     turns = bend * (np.arange(2000) + 0.5) / 2000
     along, aside = length * np.cos(turns).mean(), length * np.sin(turns).mean()
-    screw = np.array(ThermalGradient(Frame.ARM4, axis, gradient_K).error().screw)
+    link = nominal_params().links.arm4
+    X = transform6_to_pose(link.transform)
+    error = ThermalGradient(Frame.ARM4, axis, gradient_K)._error(X.R.T @ X.p, link.expansion_1_K)
+    screw = np.array(error.screw)
     assert screw["xyz".index(axis)] == pytest.approx(bend)
     across = 3 + (2 if axis == "y" else 1)
     assert abs(screw[across]) == pytest.approx(aside, rel=1e-3)
@@ -111,7 +116,7 @@ def test_an_arm_that_is_warmer_reaches_farther_by_what_flight_software_makes_of_
     warming_K = 40.0 * times
     frames = forward(ARM, lab.LEFT_RAD)
     J = frame_jacobian(frames, tool_pose(ARM, frames, TOOL))
-    growth = np.column_stack([ARM.expansion_F, ARM.expansion_T[:, TOOL]]) * warming_K
+    growth = np.column_stack([ARM.expansion_F, ARM.expansion_T[:, tool_index(TOOL)]]) * warming_K
     expected = np.einsum("ijk,jk->i", J, growth)[3:]
     np.testing.assert_allclose(rigid_shift_m(Warming(warming_K)), expected, rtol=1e-3, atol=1e-9)
     one = rigid_shift_m(LinkWarming(Frame.ARM4, warming_K))
@@ -121,7 +126,7 @@ def test_an_arm_that_is_warmer_reaches_farther_by_what_flight_software_makes_of_
 def rest_position_m(*effects: Effect) -> lab.Array:
     """Return the position of the drill of the plant at rest on its brakes."""
     plant, _ = bench.build_arm(*effects, world=TILTED, calm=True)
-    return lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0).truth().p_RoTo_R_m[TOOL]
+    return lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0).truth().p_RoTo_R_m[tool_index(TOOL)]
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +167,7 @@ def test_twice_the_compliance_moves_the_tool_twice_as_far(times: float, nominal_
 def test_flight_software_that_is_told_of_an_effect_knows_where_the_arm_rests(effect) -> None:
     plant, _ = bench.build_arm(effect, world=TILTED, calm=True)
     lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0)
-    there = plant.truth().p_RoTo_R_m[TOOL]
+    there = plant.truth().p_RoTo_R_m[tool_index(TOOL)]
 
     def missed_m(params) -> float:
         arm = build_arm(params)

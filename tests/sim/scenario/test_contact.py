@@ -44,8 +44,8 @@ def contact(request):
 def test_a_pressed_tool_is_pushed_out_of_the_rock_and_no_other_is(contact):
     plant, tool, normal = contact
     forces = tool_forces(plant)
-    assert forces[tool] @ normal > 10.0
-    assert not np.delete(forces, tool, axis=0).any()
+    assert forces[tool_index(tool)] @ normal > 10.0
+    assert not np.delete(forces, tool_index(tool), axis=0).any()
 
 
 def test_the_normal_force_is_what_the_touch_sensors_feel(contact):

@@ -31,7 +31,7 @@ from sim.scenario.judge import CheckResult, evaluate_checks
 from sim.scenario.trace import Ending, Snapshot, Trace
 from sim.sequence import Outcome
 from sim.world import Surface, World
-from tests.tools import SWITCHES, TOOL_SWITCHES
+from tests.tools import TOOL_SWITCHES, TOOLS
 
 STOWED_RAD = np.array([1.5, -0.3, -2.8, 3.1, 0.6])
 POINT_N = np.array([2.0, 0.1, -0.2])
@@ -42,11 +42,11 @@ BOX = TaughtPoint("box", "DRILL", (0.94, 0.28, -0.86), (-1.0, 0.0, 0.0))
 ENDING = Ending(Outcome.DONE, Mode.DEPLOYED, STOWED_RAD + 1.0, True, False, ())
 REST = Snapshot(
     command=1,
-    p_RoTo_R_m=np.zeros((5, 3)),
-    R_RT=np.tile(np.eye(3), (5, 1, 1)),
-    force_R_N=np.zeros((5, 3)),
-    closed=np.zeros(len(SWITCHES), bool),
-    pads_R_m=np.zeros((len(SWITCHES), 3)),
+    p_RoTo_R_m={tool: np.zeros(3) for tool in TOOLS},
+    R_RT={tool: np.eye(3) for tool in TOOLS},
+    force_R_N={tool: np.zeros(3) for tool in TOOLS},
+    closed={tool: np.zeros(len(TOOL_SWITCHES[tool]), bool) for tool in TOOLS},
+    pads_R_m={tool: np.zeros((len(TOOL_SWITCHES[tool]), 3)) for tool in TOOLS},
     vibrates=False,
 )
 
@@ -73,12 +73,14 @@ def snapshot_at(
     vibrates: bool = False,
 ) -> Snapshot:
     """Make a snapshot with one tool at a pose."""
-    p, force, axes = REST.p_RoTo_R_m.copy(), REST.force_R_N.copy(), REST.R_RT.copy()
-    p[tool], force[tool] = np.asarray(p_N_m) - P_NR_M, force_N
+    p, force, axes = dict(REST.p_RoTo_R_m), dict(REST.force_R_N), dict(REST.R_RT)
+    p[tool], force[tool] = np.asarray(p_N_m) - P_NR_M, np.array(force_N)
     if R is not None:
         axes[tool] = R
-    closed = np.isin(np.arange(len(SWITCHES)), TOOL_SWITCHES[tool][:1]) & touching
-    return Snapshot(command, p, axes, force, closed, np.tile(p[tool], (len(SWITCHES), 1)), vibrates)
+    closed = {name: np.zeros(len(switches), bool) for name, switches in TOOL_SWITCHES.items()}
+    closed[tool][:1] = touching
+    pads = {name: np.tile(p[tool], (len(switches), 1)) for name, switches in TOOL_SWITCHES.items()}
+    return Snapshot(command, p, axes, force, closed, pads, vibrates)
 
 
 def results(

@@ -22,6 +22,7 @@ from fsw.dictionary.commands import (
 from fsw.dictionary.enums import Joint
 from sim.effects.environment import PowerLoss
 from sim.frames import P_NR_M
+from sim.params import nominal_params
 from sim.scenario.data import Check, Docked, GravityHeld, Injection, Placed, Scenario, TaughtPoint
 from sim.scenario.file import built_in_scenarios, load_scenario, parse_scenario
 from sim.scenario.names import UNIT_FACTORS, field_keys, upper_snake
@@ -34,6 +35,7 @@ from sim.scenario.toml_tables import (
     read_command,
 )
 from sim.world import Surface
+from tests.tools import TOOLS
 
 HEAD = 'title = "T"\nsummary = "S."\nstart = "ready"\n'
 NOTHING_FOUND = {(): 1}
@@ -58,8 +60,8 @@ def scenario(text: str) -> Scenario:
 
 
 def command(**table: object) -> Command:
-    findings = Findings(NOTHING_FOUND)
-    found = read_command(table, (), findings, {"inlet": "DRILL"})
+    findings = Findings(NOTHING_FOUND, TOOLS)
+    found = read_command(table, (), findings, {"inlet": "DRILL"}, nominal_params())
     assert not findings.problems
     assert found is not None
     return found
@@ -98,7 +100,7 @@ def test_every_field_of_every_dataclass_can_be_said_and_comes_back(kind, unit):
             wanted[field.name] = tuple(value * factor for value in expected)
         else:
             wanted[field.name] = expected * factor if isinstance(expected, float) else expected
-    findings = Findings(NOTHING_FOUND)
+    findings = Findings(NOTHING_FOUND, TOOLS)
     assert read_record(kind, table, (), findings) == kind(**wanted)
     assert not findings.problems
 

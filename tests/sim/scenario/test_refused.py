@@ -71,7 +71,7 @@ def test_a_file_that_is_not_there_or_no_text_is_told(tmp_path):
     with pytest.raises(BadScenario, match=r"none\.toml: cannot be read .*No such file"):
         load_scenario(str(tmp_path / "none.toml"))
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
-    with pytest.raises(BadScenario, match=r"bytes\.toml: cannot be read as text"):
+    with pytest.raises(BadScenario, match=r"bytes\.toml: is not text in UTF-8"):
         load_scenario(str(tmp_path / "bytes.toml"))
 
 

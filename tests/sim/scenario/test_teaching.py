@@ -14,6 +14,7 @@ from sim.scenario.teaching import NotTaught, teach
 from sim.sequence import run_sequence
 from sim.world import World
 from tests.sim import lab
+from tests.tools import tool_index
 
 AIR = TaughtPoint("air", "APXS", (2.0, 0.2, -0.5), (0.3, 0.0, 1.0))
 """Place in free air."""
@@ -31,9 +32,9 @@ def teaching_errors(name: str, point: TaughtPoint = AIR) -> tuple[float, float, 
     assert CommandCompleted("MoveTeachPoint") in evrs, evrs[-1].message
     truth, place = loop.plant.truth(), p_R_from_N(np.array(point.p_N_m))
     believed = next(p for p in known.params.teach if p.name == "air")
-    axis = truth.R_RT[point.tool][:, 0]
+    axis = truth.R_RT[tool_index(point.tool)][:, 0]
     return (
-        float(np.linalg.norm(truth.p_RoTo_R_m[point.tool] - place)),
+        float(np.linalg.norm(truth.p_RoTo_R_m[tool_index(point.tool)] - place)),
         float(np.arccos(np.clip(axis @ point.approach_N / np.linalg.norm(point.approach_N), -1, 1))),
         float(np.linalg.norm(np.array(believed.p_RoTo_R_m) - place)),
     )

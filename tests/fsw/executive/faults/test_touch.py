@@ -46,10 +46,10 @@ def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
         rig.cycle(**closed(switch))
         assert rate > 0
         (evr,) = found(rig, ContactMade)
-        assert evr.switch is switch
+        assert evr.switch == switch
         assert 0 < evr.travel_m < 0.05
         rig.run(**closed(switch))
-        assert rig.state.preload.tool is tool
+        assert rig.state.preload.tool == tool
         assert rig.state.preload.force_N == pytest.approx(holding_force_N(CONFIG))
         assert rig.outputs.joint.planned_backlash_rad == pytest.approx(
             rig.outputs.joint.backlash_rad, abs=1e-5

@@ -24,7 +24,7 @@ def test_a_shift_moves_every_tool_by_as_much() -> None:
 def test_a_turn_moves_a_tool_by_its_way_from_the_axis() -> None:
     found = compute_tool_error(KEYS, off(rz=1e-3), off(rz=1e-3, tx=1e-3), off(rz=1e-3))
     assert found is not None
-    p = np.array([X.p for X in configure(nominal_params()).arm.X_FT])
+    p = np.array([X.p for X in configure(nominal_params()).arm.X_FT.values()])
     away = np.sqrt(np.mean(p[:, 0] ** 2 + p[:, 1] ** 2))
     with_shift = np.sqrt(np.mean((1.0 - p[:, 1]) ** 2 + p[:, 0] ** 2))
     assert (found.before_mm, found.after_mm, found.noise_floor_mm) == pytest.approx((away, with_shift, away))

@@ -212,7 +212,7 @@ TEXTS = {
     "zeros": (b"t,a\0\0\n0,1\n", "there are bytes of zero in it"),
     "UTF-16": ("t,a\n".encode("utf-16"), "is text in UTF-16"),
     "Parquet": (table(), "is Parquet; name it .parquet"),
-    "Latin": (HEAD.encode() + b",\xe9\n0,1,2,3,4,5,6\n", "cannot be read as text in columns"),
+    "Latin": (HEAD.encode() + b",\xe9\n0,1,2,3,4,5,6\n", "is not text in UTF-8"),
 }
 
 

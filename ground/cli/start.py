@@ -1,0 +1,11 @@
+"""Start of the command `marsarm`: Ctrl-C is answered from here on, also while the rest is imported."""
+
+from ground.common.interruption import report_interruption
+
+
+def start() -> None:
+    """Run the command `marsarm`."""
+    with report_interruption():
+        from ground.cli.app import main
+
+        main()

@@ -1,0 +1,129 @@
+"""Signals that end a command: one exception for all of them, and sections that they do not break apart."""
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType, TracebackType
+from typing import Final
+
+END_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that ask a command to end: Ctrl-C, kill, and a terminal that is closed."""
+GRACE_S: Final = 1.5
+"""Time after which an interrupted command ends without its clean-up, because something does not return."""
+
+
+class Interrupted(BaseException):
+    """A signal asks the command to end; no Exception, so that nobody mistakes it for an error.
+
+    Notes of the exception say what the command leaves behind.
+    """
+
+    def __init__(self, number: int) -> None:
+        self.signal = signal.Signals(number)
+        super().__init__(self.signal.name)
+
+    @property
+    def exit_status(self) -> int:
+        """Exit status of the command, as a shell reports it for this signal."""
+        return 128 + self.signal
+
+    @property
+    def sentence(self) -> str:
+        """Sentence for the user."""
+        notes = getattr(self, "__notes__", ())
+        return "; ".join((f"interrupted by {self.signal.name} before the end", *notes))
+
+
+def describe_interruption(error: BaseException) -> str:
+    """Return a short text for the cause of an interruption: the signal, or the class of the exception."""
+    return error.signal.name if isinstance(error, Interrupted) else type(error).__name__
+
+
+class _Deferral:
+    """Section of the main thread in which no signal raises an exception; a context manager."""
+
+    def __init__(self) -> None:
+        self.depth = 0
+        self.pending: int | None = None
+
+    def __enter__(self) -> None:
+        self.depth += 1
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.depth -= 1
+        if self.depth == 0 and self.pending is not None:
+            number, self.pending = self.pending, None
+            raise Interrupted(number)
+
+
+defer_interrupts: Final = _Deferral()
+"""Context manager: a signal that arrives in its block raises `Interrupted` at the end of the block.
+
+A mask of signals is not enough, because another thread of the process may receive the signal.
+"""
+
+
+@contextmanager
+def report_interruption() -> Iterator[None]:
+    """Let signals interrupt a block; print one sentence about it, and exit with its status."""
+    raise_on_signals()
+    try:
+        yield
+    except Interrupted as interrupted:
+        if "--json" in sys.argv:
+            print(json.dumps({"error": interrupted.sentence}))
+        print(interrupted.sentence, file=sys.stderr)
+        sys.exit(interrupted.exit_status)
+
+
+def raise_on_signals() -> None:
+    """Let the first of END_SIGNALS raise `Interrupted` in the main thread, and ignore all later ones.
+
+    A signal that is ignored already stays ignored, as `nohup` asks for.
+    """
+    for number in END_SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _interrupt)
+
+
+def _interrupt(number: int, _: FrameType | None) -> None:
+    for other in END_SIGNALS:
+        signal.signal(other, signal.SIG_IGN)
+    threading.Thread(target=_end_late, args=(number,), daemon=True).start()
+    if defer_interrupts.depth:
+        defer_interrupts.pending = number
+        return
+    raise Interrupted(number)
+
+
+def _end_late(number: int) -> None:
+    """End the process if it still runs after the grace: the exception was swallowed, or a disk hangs."""
+    time.sleep(GRACE_S)
+    ended = Interrupted(number)
+    with suppress(OSError, ValueError):
+        print(f"{ended.sentence}; it did not end by itself", file=sys.stderr, flush=True)
+    from multiprocessing import active_children  # loaded late: this module is the first that a command loads
+
+    for child in active_children():
+        child.kill()
+    os._exit(ended.exit_status)
+
+
+@contextmanager
+def block_signals() -> Iterator[None]:
+    """Block END_SIGNALS in this thread; processes that start in the block inherit this.
+
+    Ctrl-C goes to all processes of a terminal, and only the command itself must answer it.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, END_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

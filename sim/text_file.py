@@ -1,0 +1,49 @@
+"""Reading of small text files, with one sentence for each reason why one cannot be read."""
+
+import os
+from pathlib import Path
+from typing import Final
+
+MAX_BYTES: Final = 1_000_000
+"""Largest size of a text file, seventy times that of all flight parameters."""
+
+
+NOT_UTF8: Final = "is not text in UTF-8; save it as UTF-8"
+
+
+class UnreadableText(ValueError):
+    """File that is not readable as text; the message says why and what would be right, without its name."""
+
+
+def read_text(path: Path) -> str:
+    """Read a text file in UTF-8, with or without a byte order mark.
+
+    Raises:
+        UnreadableText: it cannot be read, is no regular file, is too large, or is not text in UTF-8.
+    """
+    if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe blocks, a device has no end
+        raise UnreadableText("is not a regular file; give the path of a text file")
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise UnreadableText(f"has {size} bytes, more than {MAX_BYTES}; is it the right file?")
+        data = path.read_bytes()
+    except OSError as error:
+        raise UnreadableText(f"cannot be read ({error.strerror or error})") from error
+    except UnreadableText:
+        raise
+    except ValueError as error:  # a null byte in the name
+        raise UnreadableText(f"cannot be read ({error})") from error
+    return decode_text(data)
+
+
+def decode_text(data: bytes) -> str:
+    """Decode a text in UTF-8.
+
+    Raises:
+        UnreadableText: it is something else.
+    """
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise UnreadableText(NOT_UTF8) from error
