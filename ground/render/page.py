@@ -5,22 +5,18 @@ gives the same bytes, except for the date.
 """
 
 import html
-import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
-from ground.common.errors import BadRequest
+from ground.common.date import current_date
 from ground.common.files import atomic_write
 from ground.common.git import git_revision
 
-DATE_VARIABLE: Final = "SOURCE_DATE_EPOCH"
-"""Environment variable with the date of a page, in seconds since 1970; the present without it."""
 NUMBER: Final = re.compile(r"[-+±]? ?\d.{0,23}|never|-")
 """Cell that is a number with its unit or an interval; a column of these is aligned right and not wrapped."""
 
@@ -116,7 +112,7 @@ def _origin_list(origin: Origin) -> str:
     items = {
         "version": f"marsarm {version('marsarm')}, commit {git_revision()}",
         "command": origin.command,
-        "date": _date(),
+        "date": current_date().strftime("%Y-%m-%d %H:%M:%S UTC"),
         **{f"SHA-256, {name}": digest for name, digest in origin.digests.items()},
     }
     rows = "".join(
@@ -124,17 +120,6 @@ def _origin_list(origin: Origin) -> str:
         for name, text in items.items()
     )
     return f'<dl class="origin">{rows}</dl>'
-
-
-def _date() -> str:
-    text = os.environ.get(DATE_VARIABLE)
-    try:
-        date = datetime.now(UTC) if text is None else datetime.fromtimestamp(int(text), UTC)
-    except (ValueError, OverflowError, OSError):
-        raise BadRequest(
-            f"{DATE_VARIABLE}: {text!r} is not a date; give whole seconds since 1970, or unset it"
-        ) from None
-    return date.strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def paragraph(text: str) -> str:

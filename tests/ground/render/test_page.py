@@ -12,6 +12,7 @@ from ground.common.errors import BadRequest
 from ground.diagnosis.arm.request import DiagnoseRequest
 from ground.render import svg
 from ground.render.page import Origin, Requirement, figures, heading, paragraph, save_page, table
+from tests.ground.command import marsarm_process
 
 MET = Requirement("total position", "± 20 mm", "± 10 mm", True)
 NOT_MET = Requirement("lateral position", "± 15 mm", "± 21.9 mm", False)
@@ -86,6 +87,16 @@ def test_a_wrong_date_is_refused_and_nothing_is_written(page, tmp_path, monkeypa
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
     with pytest.raises(BadRequest, match="SOURCE_DATE_EPOCH: 'yesterday' is not a date"):
         page(MET)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_command_refuses_a_wrong_date_before_it_works(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
+    done = marsarm_process(tmp_path, "budget", "--report", "page.html")
+    assert done.returncode == 2
+    assert done.stderr.strip() == (
+        "SOURCE_DATE_EPOCH: 'yesterday' is not a date; give whole seconds since 1970, or unset it"
+    )
     assert not list(tmp_path.iterdir())
 
 
