@@ -11,8 +11,8 @@ WORKERS ?= 2
 
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: help setup demo test test-all bench brief campaign accuracy calibration ur10 joints jobs blind killed interrupt damage \
-  fuzz mutants references oracle viewers examples package cluster lint lock clean
+.PHONY: help setup demo test test-all bench brief campaign accuracy calibration ur10 joints jobs blind requirements killed interrupt \
+  damage fuzz mutants references oracle viewers examples package cluster lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
@@ -27,6 +27,7 @@ help:
 	@echo "make joints    find hardstops and backlash again and again on many arms, print how well as JSON"
 	@echo "make jobs      run every scenario, tool changes, contacts and faults on many arms, print how well as JSON"
 	@echo "make blind     make, solve and score 200 cases of the diagnosis whose effect is withheld, print the score as JSON"
+	@echo "make requirements  measure every requirement of the paper, write docs/requirements.md"
 	@echo "make killed    kill recorded runs at random moments, print what their logs lost as JSON"
 	@echo "make interrupt  press Ctrl-C at several moments of every long command, print how soon it ends as JSON"
 	@echo "make references  make the reference runs of tests/replay anew, print what differs"
@@ -99,6 +100,11 @@ blind: $(VENV)/ready
 	@$(BIN)/python -m validation.blind solve $(OUT) --jobs $(WORKERS) >&2
 	@$(BIN)/python -m validation.blind score $(OUT) --json $(ARGS)
 
+# What is measured is stored campaign by campaign; commit it with docs/requirements.md.
+requirements: $(VENV)/ready
+	@$(call say,measuring the requirements; this takes half an hour)
+	@$(BIN)/python -m validation.requirements --measure $(ARGS)
+
 killed: $(VENV)/ready
 	@$(call say,killing recorded runs at random moments; this takes ten minutes)
 	@$(BIN)/python -m validation.killed $(ARGS)
@@ -168,13 +174,14 @@ cluster: $(VENV)/ready
 
 # All four speak before any of them stops the target.
 lint: $(VENV)/ready
-	@$(call say,ruff; mypy; import-linter; names and docstrings; files made from arm.toml)
+	@$(call say,ruff; mypy; import-linter; names and docstrings; files made from arm.toml; requirements)
 	@failed=0; \
 	$(BIN)/ruff check --quiet --no-cache . || failed=1; \
 	$(BIN)/mypy || failed=1; \
 	$(BIN)/lint-imports --no-logo --no-cache || failed=1; \
 	$(BIN)/python .ci/style.py || failed=1; \
 	$(BIN)/marsarm arm build --check >/dev/null || failed=1; \
+	$(BIN)/python -m validation.requirements --check || failed=1; \
 	exit $$failed
 
 $(VENV)/ready: $(VENV)/locked pyproject.toml

@@ -39,6 +39,10 @@ os.execv(sys.argv[3], sys.argv[3:])
 """
 """Program that becomes Chromium, with the protocol on descriptors 3 and 4."""
 ANSWER_S = 120.0
+PLAYS = "Boolean(window.player && player.drawn)"
+"""True once the player of a run has drawn a frame."""
+LOADED = "document.readyState === 'complete' && location.protocol !== 'about:'"
+"""True once a page without a player is there."""
 
 
 def find_chromium() -> str | None:
@@ -75,8 +79,10 @@ class Browser:
         for domain in ("Page", "Runtime", "Network", "Log"):
             self._ask(f"{domain}.enable")
 
-    def open(self, address: str, width: int = 1400, height: int = 900, dark: bool = False) -> None:
-        """Open a page in a window of this size, and wait until its player has drawn a frame."""
+    def open(
+        self, address: str, width: int = 1400, height: int = 900, dark: bool = False, ready: str = PLAYS
+    ) -> None:
+        """Open a page in a window of this size, and wait until an expression in it is true."""
         self._ask(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -88,9 +94,9 @@ class Browser:
         self._ask("Emulation.setEmulatedMedia", features=[scheme])
         self._ask("Page.navigate", url=address)
         until_s = time.monotonic() + ANSWER_S
-        while not self.evaluate("Boolean(window.player && player.drawn)"):
+        while not self.evaluate(ready):
             if time.monotonic() > until_s or self.problems:
-                raise TimeoutError(f"the page drew nothing: {self.problems}")
+                raise TimeoutError(f"the page is not ready: {self.problems}")
             time.sleep(0.1)
 
     def evaluate(self, script: str) -> Any:

@@ -96,7 +96,7 @@ def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors |
     target, axis = np.array(place.p_RoTo_R_m), np.array(place.approach_R)
     first = _touch(loop, (place,))
     if isinstance(first, str):
-        return f"{FIRST.name}: {first}"
+        return f"{FIRST}: {first}"
     again = replace(place, tool=SECOND, branch="AUTO")
     relative = _touch(loop.fork(), (ToolChange(SECOND),))
     absolute = _touch(loop.fork(), (Retract(FIRST, place.standoff_m), again))

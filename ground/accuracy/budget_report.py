@@ -10,11 +10,23 @@ from rich.table import Table
 from fsw.dictionary.enums import Frame
 from ground.accuracy.budget import COMPONENTS, Budget, BudgetReport
 from ground.accuracy.reproduce import MagnitudeFit
+from ground.accuracy.sources import sources_sha256
+from ground.common.command_text import command_text
+from ground.common.json_digest import json_sha256
+from ground.render import svg
 from ground.render.console import plain_console
-from ground.render.figures import render_png
-from ground.render.page import heading, image, paragraph, save_page, table
+from ground.render.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 
 RULES: Final = ("paper", "moments", "root sum square", "worst case")
+WHEN: Final = {
+    "accuracy": "before calibration",
+    "repeatability": "before calibration",
+    "mars": "on Mars",
+    "mars-repeatability": "on Mars",
+}
+"""Words for the cases that the paper has requirements for."""
+FRAME_COLOURS: Final = ("#4e79a7", "#f28e2b", "#76b7b2", "#e15759", "#59a14f", "#b07aa1", "#9c755f")
+"""Colours that are distinct in the light and in the dark."""
 CELLS: Final = 14
 """Number of cells along each side of the map."""
 
@@ -158,23 +170,44 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
     Raises:
         BadOutput: The file cannot be written.
     """
+    requirements = [
+        Requirement(
+            f"{row.name} {WHEN[row.case]}",
+            f"± {format_value(row.component, row.required)}",
+            f"± {format_value(row.component, value)}",
+            value <= row.required,
+        )
+        for row, value in report.rows
+    ]
     rows = [
-        (row.name, row.case, *(format_value(row.component, v) for v in (row.required, row.estimated, value)))
+        (
+            row.name,
+            WHEN[row.case],
+            format_value(row.component, row.estimated),
+            format_value(row.component, value),
+        )
         for row, value in report.rows
     ]
     sources = [(s.text, s.label, s.kind, s.basis) for s in report.model.source.values()]
     parts = [
         paragraph(
-            f"{_poses(report)} Bounds, plus or minus, that hold at 99.73 % of the poses; ours are "
-            "our magnitudes by the paper's rule."
+            f"{_poses(report)} Bounds, plus or minus, that hold at 99.73 % of the poses: our magnitudes by "
+            "the paper's rule."
         ),
-        table(("", "case", "required", "paper", "ours"), rows),
+        heading("Beside the paper"),
+        table(("", "", "paper", "ours"), rows),
         *(part for budget in report.budgets.values() for part in _case(budget)),
         heading("Sources"),
         table(("source", "", "kind", "basis"), sources),
         paragraph("S from a public document, I inferred, A assumed."),
     ]
-    save_page("Error budget of the arm", parts, path)
+    digests = {
+        "parameters": report.params_sha256,
+        "sources of error": sources_sha256(),
+        "result": json_sha256(budget_json(report)),
+    }
+    origin = Origin(command_text("budget", report.request), digests)
+    save_page("Error budget of the arm", "", requirements, origin, parts, path)
 
 
 def _poses(report: BudgetReport) -> str:
@@ -185,42 +218,48 @@ def _poses(report: BudgetReport) -> str:
 
 def _case(budget: Budget) -> list[str]:
     rules = [(rule, *(format_value(c, budget.estimate(rule, c)) for c in COMPONENTS)) for rule in RULES]
-    picture = render_png((12, 4.6), 110, lambda figure: _draw(figure, budget))
     return [
         heading(budget.name),
         paragraph(budget.case.text),
-        image(picture, "shares and map"),
+        figures(
+            svg.render_svg(
+                f"{budget.name}: shares of the total", 3.9, lambda figure: _draw_shares(figure, budget)
+            ),
+            svg.render_svg(f"{budget.name}: map of the total", 3.9, lambda figure: _draw_map(figure, budget)),
+        ),
         table(("rule", *(name.rsplit("_", 1)[0] for name in COMPONENTS)), rules),
     ]
 
 
-def _draw(figure: Any, budget: Budget) -> None:
-    bars, area = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
+def _draw_shares(figure: Any, budget: Budget) -> None:
+    bars = figure.subplots()
     share = budget.share_m * 1e3
     order = np.argsort(share.sum(axis=1))
-    names = list(budget.case.sources)
+    names = [name.replace("_", " ") for name in budget.case.sources]
     left = np.zeros(len(names))
-    for frame in Frame:
-        bars.barh([names[k] for k in order], share[order, frame], left=left, label=frame.name.lower())
+    for frame, colour in zip(Frame, FRAME_COLOURS, strict=True):
+        bars.barh(
+            [names[k] for k in order], share[order, frame], left=left, label=frame.name.lower(), color=colour
+        )
         left += share[order, frame]
     bars.set(title="Shares of the total, mean over the poses", xlabel="mm")
-    bars.legend(fontsize=8)
-    _map(figure, area, budget)
+    bars.legend(loc="lower right")
 
 
-def _map(figure: Any, axes: Any, budget: Budget) -> None:
+def _draw_map(figure: Any, budget: Budget) -> None:
+    axes = figure.subplots()
     p = np.concatenate([tool.poses.p_NoTo_N_m for tool in budget.tools.values()], axis=1)
     error = np.concatenate([tool.by_rule["paper"].total_m for tool in budget.tools.values()]) * 1e3
     sums, x, z = np.histogram2d(p[0], p[2], CELLS, weights=error)
     counts, _, _ = np.histogram2d(p[0], p[2], (x, z))
-    mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-    shading = axes.pcolormesh(x, z, mean.T, cmap="viridis")
+    mean = np.ma.masked_where(counts == 0, sums / np.maximum(counts, 1))
+    shading = axes.pcolormesh(x, z, mean.T, cmap="viridis", edgecolor="face", linewidth=0.3)
     axes.invert_yaxis()
     axes.axhline(0.0, color="white", linestyle="--")
     axes.set(
-        title="Total by the paper's rule, mean over y and approaches",
+        title="Total by the paper's rule,\nmean over y and approaches",
         xlabel="x forward [m]",
         ylabel="z down [m]",
         aspect="equal",
     )
-    figure.colorbar(shading, ax=axes, label="mm")
+    svg.colour_bar(figure, shading, axes, "mm")

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from hashlib import sha256
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +17,7 @@ from ground.accuracy.confidence import AccuracyEstimate, estimate_accuracy
 from ground.accuracy.coverage import CoverageReport, check_coverage
 from ground.accuracy.placements import MeasuredPlacement
 from ground.accuracy.request import ArmKind, MonteCarloRequest, MoveModel
-from ground.accuracy.sources import ErrorModel, load_error_model
+from ground.accuracy.sources import ErrorModel, load_error_model, sources_sha256
 from ground.accuracy.trial import run_built_trial, run_sampled_trial
 from ground.common.checkpoint import Checkpoint
 from ground.common.errors import BadRequest
@@ -144,6 +143,8 @@ class MonteCarloReport:
     """Comparison with the budget; None if no arm succeeded."""
     three_sigma: Mapping[str, AccuracyEstimate] | None
     """Accuracy of each of COMPONENTS; None if there are too few arms or placements."""
+    params_sha256: str
+    """Digest of the flight parameters; if every arm has its own, digest of their digests."""
 
 
 def run_monte_carlo(request: MonteCarloRequest, progress: Progress = no_progress) -> MonteCarloReport:
@@ -169,7 +170,8 @@ def run_monte_carlo(request: MonteCarloRequest, progress: Progress = no_progress
     found = (
         check_coverage(model, request.case, configure(jobs[0].params), gravity, trials) if trials else None
     )
-    return MonteCarloReport(request, model, trials, failed, found, _estimate_three_sigma(trials))
+    three_sigma = _estimate_three_sigma(trials)
+    return MonteCarloReport(request, model, trials, failed, found, three_sigma, _params_sha256(jobs))
 
 
 def _check(request: MonteCarloRequest, model: ErrorModel) -> None:
@@ -197,6 +199,11 @@ def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
     ]
 
 
+def _params_sha256(jobs: Sequence[ArmJob]) -> str:
+    every = [digest(job.params) for job in jobs]
+    return every[0] if len(set(every)) == 1 else sha256("".join(every).encode()).hexdigest()
+
+
 def _has_arm_files(params: Path | None) -> bool:
     """Return whether every arm has a parameter file of its own."""
     return params is not None and SEED_FIELD in str(params)
@@ -204,12 +211,11 @@ def _has_arm_files(params: Path | None) -> bool:
 
 def _results_header(request: MonteCarloRequest, jobs: list[ArmJob]) -> dict[str, Any]:
     """Collect all inputs of the results except the number of arms, so that arms can be added later."""
-    sources = resources.files("ground.accuracy").joinpath("sources.toml").read_bytes()
     same = ("case", "built", "places", "move_model", "seed")
     return {
         **{name: value for name, value in asdict(request).items() if name in same},
         "params": str(request.params) if _has_arm_files(request.params) else digest(jobs[0].params),
-        "sources": sha256(sources).hexdigest(),
+        "sources": sources_sha256(),
     }
 
 

@@ -10,22 +10,28 @@ from rich.console import Console
 from rich.table import Table
 
 from fsw.dictionary.enums import Joint
-from ground.accuracy.budget import COMPONENTS
+from ground.accuracy.budget import COMPONENTS, MOMENTS
 from ground.accuracy.budget_report import RULES, format_value
 from ground.accuracy.combine import COVERAGE
 from ground.accuracy.confidence import Interval, min_sample_size
 from ground.accuracy.coverage import AdditivityCheck, CoverageReport
 from ground.accuracy.monte_carlo import MonteCarloReport
+from ground.accuracy.reproduce import TABLE_3, TABLE_4
+from ground.accuracy.sources import sources_sha256
+from ground.common.command_text import command_text
+from ground.common.json_digest import json_sha256
+from ground.render import svg
 from ground.render.console import plain_console
-from ground.render.figures import render_png
-from ground.render.page import heading, image, paragraph, save_page, table
+from ground.render.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 
 JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
 RULE_HEAD: Final = ("rule", "", "estimate", "covers", "95 %", "width", "95 %")
 ADDITIVITY_HEAD: Final = ("source", "added", "all with one sign", "each by itself")
 SIGMA_HEAD: Final = ("three sigma", "of any arm", "at most", "of one arm", "at most")
 BINS: Final = 60
-COLOURS: Final = dict(zip(RULES, ("#c1121f", "#2a9d4b", "#e09f3e", "#6a4c93"), strict=True))
+REPEATABILITY_OF: Final = {"accuracy": "repeatability", "mars": "mars-repeatability"}
+"""Case of the paper's repeatability by that of its accuracy."""
+COLOURS: Final = dict(zip(RULES, (svg.RED, svg.GREEN, svg.AMBER, svg.VIOLET), strict=True))
 
 
 def monte_carlo_json(report: MonteCarloReport) -> dict[str, Any]:
@@ -224,6 +230,36 @@ def one_arm_table(report: MonteCarloReport) -> None:
     _print_rest(console, report)
 
 
+def list_requirements(report: MonteCarloReport) -> list[Requirement]:
+    """List the requirements that this result decides: of the paper, of the budget, and that arms move.
+
+    With several places of each arm, accuracy and repeatability are upper bounds of three sigma with 95 %
+    confidence; else accuracy is the length that 99.73 % of the errors do not exceed.
+    """
+    trials, count = len(report.trials), len(report.trials) + len(report.failed)
+    found = [Requirement("every arm completes its moves", f"{count} arms", f"{trials}", trials == count)]
+    if report.coverage is None:
+        return found
+    for row in (*TABLE_3, *TABLE_4):
+        is_same_day = row.case == REPEATABILITY_OF.get(report.request.case)
+        if report.three_sigma is not None and (row.case == report.request.case or is_same_day):
+            measured = report.three_sigma[row.component]
+            value = (measured.repeatability if is_same_day else measured.accuracy).upper
+        elif row.case == report.request.case:
+            value = report.coverage.percentile[row.component]
+        else:
+            continue
+        bound, shown = (f"± {format_value(row.component, v)}" for v in (row.required, value))
+        found.append(Requirement(row.name, bound, shown, value <= row.required))
+    covered = report.coverage.by_rule[MOMENTS]
+    least = min(covered[name].share for name in COMPONENTS)
+    holds: bool | None = all(covered[name].holds(COVERAGE) for name in COMPONENTS)
+    if holds and trials < min_sample_size(COVERAGE):
+        holds = None  # so few arms refute a rule, but do not confirm it
+    text = "the budget, by moments, covers the errors"
+    return [*found, Requirement(text, f"{100 * COVERAGE:.2f} %", f"{100 * least:.2f} %", holds)]
+
+
 def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
     """Write the page.
 
@@ -238,10 +274,9 @@ def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
         )
     ]
     if found is not None:
-        picture = render_png((11, 7), 110, lambda figure: _draw(figure, found))
         parts += [
             paragraph(percentile_sentence(found)),
-            image(picture, "errors and bounds"),
+            figures(*(_histogram(found, name) for name in COMPONENTS)),
             paragraph(
                 "Width: the bound of a rule, pose by pose, over what 99.73 % of errors stay within there. "
                 "The 95 % intervals count arms."
@@ -254,19 +289,32 @@ def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
         ]
     if report.three_sigma is not None:
         parts += [heading("Accuracy and repeatability"), table(SIGMA_HEAD, sigma_rows(report))]
-    save_page("The error budget against a Monte Carlo", parts, path)
+    digests = {
+        "parameters": report.params_sha256,
+        "sources of error": sources_sha256(),
+        "result": json_sha256(monte_carlo_json(report)),
+    }
+    origin = Origin(command_text("monte-carlo", request), digests)
+    title = "The error budget against a Monte Carlo"
+    save_page(title, "", list_requirements(report), origin, parts, path)
 
 
-def _draw(figure: Any, found: CoverageReport) -> None:
-    for axes, name in zip(figure.subplots(2, 2).ravel(), COMPONENTS, strict=True):
-        scale, unit = (np.degrees(1.0), "deg") if name.endswith("_rad") else (1e3, "mm")
-        estimates = {rule: scale * found.budget.estimate(rule, name) for rule in RULES}
-        error = scale * found.error[name]
-        top = 1.05 * max(*estimates.values(), error.max())
-        axes.hist(error, np.linspace(0.0, top, BINS), color="#8fb3d9", log=True)
-        within = scale * found.percentile[name]
-        axes.axvline(within, color="black", linestyle=":", zorder=5, label="99.73 % of the errors")
-        for rule, value in estimates.items():
-            axes.axvline(value, color=COLOURS[rule], label=rule)
-        axes.set(title=name.rsplit("_", 1)[0], xlabel=unit, xlim=(0, top), ylabel="moves", ylim=(0.7, None))
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=9)
+def _histogram(found: CoverageReport, name: str) -> str:
+    """Draw the errors of a component, with the bounds of all rules."""
+    short = name.rsplit("_", 1)[0]
+    return svg.render_svg(f"{short}: errors and bounds", 3.2, lambda figure: _draw(figure, found, name))
+
+
+def _draw(figure: Any, found: CoverageReport, name: str) -> None:
+    axes = figure.subplots()
+    scale, unit = (np.degrees(1.0), "deg") if name.endswith("_rad") else (1e3, "mm")
+    estimates = {rule: scale * found.budget.estimate(rule, name) for rule in RULES}
+    error = scale * found.error[name]
+    top = 1.05 * max(*estimates.values(), error.max())
+    axes.hist(error, np.linspace(0.0, top, BINS), color=svg.LIGHT, log=True)
+    within = scale * found.percentile[name]
+    axes.axvline(within, color=svg.INK, linestyle=":", zorder=5, label="99.73 % of the errors")
+    for rule, value in estimates.items():
+        axes.axvline(value, color=COLOURS[rule], label=rule)
+    axes.set(title=name.rsplit("_", 1)[0], xlabel=unit, xlim=(0, top), ylabel="moves", ylim=(0.7, None))
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)

@@ -6,7 +6,9 @@ An error stays within plus or minus its magnitude; its distribution describes it
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from hashlib import sha256
 from importlib import resources
+from importlib.resources.abc import Traversable
 from typing import Final, Literal
 
 import numpy as np
@@ -101,6 +103,15 @@ def is_compensated(backlash: float) -> bool:
 
 def load_error_model() -> ErrorModel:
     """Load the error sources and cases of the project."""
-    text = resources.files("ground.accuracy").joinpath("sources.toml").read_text(encoding="utf-8")
+    text = _sources_file().read_text(encoding="utf-8")
     model: ErrorModel = TypeAdapter(ErrorModel).validate_python(tomllib.loads(text))
     return model
+
+
+def sources_sha256() -> str:
+    """Compute the SHA-256 of the file of error sources and cases."""
+    return sha256(_sources_file().read_bytes()).hexdigest()
+
+
+def _sources_file() -> Traversable:
+    return resources.files("ground.accuracy").joinpath("sources.toml")

@@ -2,7 +2,7 @@
 
 from math import degrees
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from rich.table import Table
@@ -12,13 +12,28 @@ from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from ground.calibration.arm_model import arm_model
 from ground.calibration.calibrate import Calibration, rms_m
+from ground.calibration.checks import FRAME_RANK, MAX_HELD_OUT_RATIO, MAX_SIGMA0
 from ground.calibration.execution import CalibrateReport
 from ground.calibration.identifiability import UnidentifiableGroup
 from ground.calibration.parameter_file import data_sha256, provenance
 from ground.calibration.verify import PlaceErrors, Verification
+from ground.common.command_text import command_text
+from ground.common.json_digest import json_sha256
+from ground.render import svg
 from ground.render.console import plain_console, pluralize
-from ground.render.figures import render_png
-from ground.render.page import heading, image, paragraph, save_page, table
+from ground.render.page import Origin, Requirement, figures, heading, paragraph, save_page, table
+
+ROTATION: Final = slice(0, 3)
+POSITION: Final = slice(3, 6)
+"""Parts of an error screw."""
+LEAST_REDUCTION: Final = 5.0
+"""Least ratio of the errors before and after: "a factor of five", paper, Figure 7."""
+MAX_EARTH_ERROR_M: Final = 5e-3
+"""Largest error on Earth: "less than 5mm", paper, verification."""
+MAX_MARS_ERROR_M: Final = 20e-3
+"""Largest total position error on Mars: paper, positioning requirements."""
+SMALL_ERROR_M: Final = MAX_EARTH_ERROR_M / LEAST_REDUCTION
+"""Error before, below which nothing needs to fall."""
 
 
 def calibration_json(report: CalibrateReport) -> dict[str, Any]:
@@ -193,6 +208,49 @@ def _verification_table(found: Verification) -> Table:
     return table
 
 
+def list_requirements(report: CalibrateReport) -> list[Requirement]:
+    """List the requirements of a calibration: those of the paper, and those without which it is refused."""
+    found, best = report.found, report.found.best
+    held = found.held_out_error
+    before_m, after_m = rms_m(found.before[:, found.held_out_poses]), rms_m(held)
+    largest_m = _error_statistics(held)["max"]
+    rank = found.frame_identifiability.rank
+    rows = [
+        Requirement(
+            "held-out position error, rms, before over after: at least",
+            f"{LEAST_REDUCTION:.1f}",
+            f"{before_m / after_m:.1f}",
+            None if before_m < SMALL_ERROR_M else before_m >= LEAST_REDUCTION * after_m,
+        ),
+        Requirement(
+            "largest held-out position error",
+            f"{1e3 * MAX_EARTH_ERROR_M:.0f} mm",
+            f"{1e3 * largest_m:.2f} mm",
+            largest_m < MAX_EARTH_ERROR_M,
+        ),
+        Requirement(
+            "residuals over the noise", f"{MAX_SIGMA0}", f"{best.sigma0:.3f}", best.sigma0 <= MAX_SIGMA0
+        ),
+        Requirement(
+            "held-out residuals over the expected",
+            f"{MAX_HELD_OUT_RATIO}",
+            f"{found.hold_out.ratio:.3f}",
+            found.hold_out.ratio <= MAX_HELD_OUT_RATIO,
+        ),
+        Requirement("rank of the frame parameters: at least", f"{FRAME_RANK}", f"{rank}", rank >= FRAME_RANK),
+    ]
+    if report.verification is None:
+        return [*rows, Requirement("tool error at new targets, which --verify N measures", "-", "-", None)]
+    return [*rows, *(_place_requirement(place) for place in report.verification.places)]
+
+
+def _place_requirement(place: PlaceErrors) -> Requirement:
+    bound_m = MAX_EARTH_ERROR_M if place.name == "earth" else MAX_MARS_ERROR_M
+    largest_m = float(place.total_m.max())
+    text = f"largest tool error at new targets, {place.name}"
+    return Requirement(text, f"{1e3 * bound_m:.0f} mm", f"{1e3 * largest_m:.2f} mm", largest_m < bound_m)
+
+
 def save_calibration_page(report: CalibrateReport, path: Path) -> None:
     """Write the page.
 
@@ -202,21 +260,21 @@ def save_calibration_page(report: CalibrateReport, path: Path) -> None:
     found = report.found
     groups = [describe_group(group) for group in found.frame_identifiability.unidentifiable_groups()]
     parts = [
+        heading("Summary"),
         table(("", ""), summary_rows(found)),
         heading("Pose by pose"),
         paragraph(
-            "Shaded: shoulder-in poses. Grey: calibrated parameters, but every output always on one side of "
-            "its backlash, as if the backlash state were not known."
+            "Shaded: shoulder-in poses. Crosses: calibrated parameters, but every output always on one side "
+            "of its backlash, as if the backlash state were not known."
         ),
-        image(
-            render_png((12, 7), 110, lambda figure: _draw_errors(figure, found)), "errors before and after"
+        figures(
+            svg.render_svg("position errors", 3.6, lambda figure: _draw_errors(figure, found, POSITION)),
+            svg.render_svg("rotation errors", 3.6, lambda figure: _draw_errors(figure, found, ROTATION)),
         ),
         heading("Encoder zeros"),
         table(("joint", "zero (rz of its frame)", "hardstop at"), zero_rows(found)),
         heading("Identifiability of the 42 frame parameters"),
-        image(
-            render_png((12, 3.2), 110, lambda figure: _draw_singular_values(figure, found)), "singular values"
-        ),
+        figures(svg.render_svg("singular values", 2.8, lambda figure: _draw_singular_values(figure, found))),
         paragraph("Not identifiable from this campaign, kept at nominal values:"),
         *(paragraph(one) for one in groups),
     ]
@@ -224,7 +282,15 @@ def save_calibration_page(report: CalibrateReport, path: Path) -> None:
         head = ("", "rms", "largest", "lateral", "axis")
         parts += [heading("Fresh targets, full turret"), table(head, place_rows(report.verification))]
     parts += [heading("Provenance"), *(paragraph(line) for line in provenance(found))]
-    save_page(f"Calibration of {found.campaign.arm_name}", parts, path)
+    digests = {
+        "poses": data_sha256(found.campaign),
+        "parameters before": digest(found.nominal),
+        "parameters after": digest(report.params),
+        "result": json_sha256(calibration_json(report)),
+    }
+    origin = Origin(command_text("calibrate", report.request), digests)
+    title = f"Calibration of {found.campaign.arm_name}"
+    save_page(title, "", list_requirements(report), origin, parts, path)
 
 
 def errors_without_backlash(found: Calibration) -> Array:
@@ -240,50 +306,49 @@ def errors_without_backlash(found: Calibration) -> Array:
     return model.errors(found.best.values)
 
 
-def _draw_errors(figure: Any, found: Calibration) -> None:
-    position_axes, rotation_axes = figure.subplots(2, 1, sharex=True)
+def _draw_errors(figure: Any, found: Calibration, part: slice) -> None:
+    axes = figure.subplots()
     series = (
-        ("uncalibrated", found.before, "tab:red", "o"),
-        ("calibrated, backlash state left out", errors_without_backlash(found), "0.55", "x"),
-        ("calibrated", found.after, "tab:blue", "."),
+        ("uncalibrated", found.before, svg.RED, "o"),
+        ("calibrated, backlash state left out", errors_without_backlash(found), svg.MUTED, "x"),
+        ("calibrated", found.after, svg.BLUE, "."),
     )
-    for axes, part, label in (
-        (position_axes, slice(3, 6), "position [mm]"),
-        (rotation_axes, slice(0, 3), "rotation [mrad]"),
-    ):
-        for name, error, colour, marker in series:
-            size = 1e3 * np.linalg.norm(error[part], axis=0)
-            axes.plot(size, marker, color=colour, label=name, markersize=4)
-        _shade(axes, found)
-        axes.set(ylabel=label, ylim=(0, None))
-        unknown = np.flatnonzero(found.unknown.any(axis=0))
-        off = 1e3 * np.linalg.norm(found.after[part][:, unknown], axis=0)
-        name = "calibrated, side of a backlash unknown"
-        axes.plot(unknown, off, "o", color="tab:blue", fillstyle="none", label=name, markersize=6)
+    for name, error, colour, marker in series:
+        axes.plot(_lengths(error, part), marker, color=colour, label=name, markersize=3)
+    _shade(axes, found)
+    unknown = np.flatnonzero(found.unknown.any(axis=0))
+    name = "calibrated, side of a backlash unknown"
+    after = _lengths(found.after, part)
+    axes.plot(unknown, after[unknown], "o", color=svg.BLUE, fillstyle="none", label=name, markersize=5)
     out = np.flatnonzero(~found.best.used)
     if out.size:
-        left_out = 1e3 * np.linalg.norm(found.after[3:, out], axis=0)
-        position_axes.plot(out, left_out, "ko", fillstyle="none", label="outlier")
-    position_axes.legend(fontsize=8, ncols=3, loc="upper left")
-    rotation_axes.set(xlabel="pose, in the order in which they were taken")
+        axes.plot(out, after[out], "o", color=svg.INK, fillstyle="none", label="outlier")
+    label = "position [mm]" if part == POSITION else "rotation [mrad]"
+    axes.set(xlabel="pose, in the order in which they were taken", ylabel=label, ylim=(0, None))
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2, fontsize=8)
+
+
+def _lengths(error: Array, part: slice) -> Array:
+    """Compute the length of a part of each error, in mm or mrad."""
+    return np.asarray(1e3 * np.linalg.norm(error[part], axis=0))
 
 
 def _shade(axes: Any, found: Calibration) -> None:
     for k, branch in enumerate(found.campaign.branch):
         if branch.startswith("shoulder-in"):
-            axes.axvspan(k - 0.5, k + 0.5, color="0.92", linewidth=0)
+            axes.axvspan(k - 0.5, k + 0.5, color=svg.SHADE, linewidth=0, zorder=0)
     for last in np.flatnonzero(np.diff(found.campaign.group)):
-        axes.axvline(last + 0.5, color="0.7", linewidth=0.8)
+        axes.axvline(last + 0.5, color=svg.FAINT, linewidth=0.8, zorder=0)
 
 
 def _draw_singular_values(figure: Any, found: Calibration) -> None:
     axes, values = figure.subplots(), found.frame_identifiability.singular_values
     rank = found.frame_identifiability.rank
     shown = np.maximum(values, 1e-3)
-    axes.semilogy(np.arange(1, rank + 1), shown[:rank], "o", color="tab:blue", label="identified")
+    axes.semilogy(np.arange(1, rank + 1), shown[:rank], "o", color=svg.BLUE, label="identified")
     axes.semilogy(
-        np.arange(rank + 1, values.size + 1), shown[rank:], "o", color="tab:red", label="not identified"
+        np.arange(rank + 1, values.size + 1), shown[rank:], "o", color=svg.RED, label="not identified"
     )
-    axes.axvline(rank + 0.5, color="0.7", linewidth=0.8)
+    axes.axvline(rank + 0.5, color=svg.FAINT, linewidth=0.8)
     axes.set(xlabel=f"combination; {rank} of {values.size} are identified", ylabel="sigmas per scale")
-    axes.legend(fontsize=8)
+    axes.legend()

@@ -58,7 +58,7 @@ def diagnose(request: DiagnoseRequest, progress: Progress) -> VerbResult:
         raise BadRequest(str(error)) from error
 
     def save() -> None:
-        for sentence in save_diagnosis_files(result, request, job.base):
+        for sentence in save_diagnosis_files(result, request, job):
             print(sentence, file=sys.stderr)
 
     return VerbResult(to_json(result), lambda: print_diagnosis(result), save=save)

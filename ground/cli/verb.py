@@ -14,6 +14,7 @@ import typer
 from typer.core import TyperCommand
 
 from ground.cli.failed_effect import describe_failed_effect
+from ground.common.date import current_date
 from ground.common.errors import UserError, describe_problems
 from ground.common.options import CLUSTER_HERE, Field, Option, option_fields
 from ground.common.progress import show_progress
@@ -98,6 +99,7 @@ def _carry_out(
     for parameter in parameters:
         if is_dataclass(parameter.annotation):
             values[parameter.name] = _build_request(parameter.annotation, values)
+    current_date()  # a wrong one is refused before the work; numpy would raise an exception
     if all(parameter.name != "progress" for parameter in parameters):
         return work(**values)
     with show_progress() as progress:

@@ -10,11 +10,9 @@ from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.residual_analysis import ResidualCell
 from ground.diagnosis.result import DiagnosisResult, list_alternatives, probability_of
 from ground.diagnosis.sentences import channel_words, format_number
-from ground.render.figures import render_png
+from ground.render import svg
 
-DPI: Final = 110
-WIDTH_INCH: Final = 11.0
-ROW_INCH: Final = 0.28
+ROW_INCH: Final = 0.26
 MARGIN_INCH: Final = 1.3
 MIN_ROWS: Final = 3
 """Least number of rows of a figure."""
@@ -26,7 +24,7 @@ LEAST_DRAWN: Final = 1e-3
 """Smallest ratio to the noise floor that is drawn."""
 
 
-def residual_map_picture(cells: tuple[ResidualCell, ...]) -> bytes:
+def residual_map_figure(cells: tuple[ResidualCell, ...]) -> str:
     """Draw the residual map, channels by regimes, largest ratio on top."""
     rows = list(dict.fromkeys(channel_words(cell.channel, cell.place) for cell in cells))
     columns = sorted({cell.regime for cell in cells})
@@ -34,22 +32,44 @@ def residual_map_picture(cells: tuple[ResidualCell, ...]) -> bytes:
     for cell in cells:
         at = rows.index(channel_words(cell.channel, cell.place)), columns.index(cell.regime)
         ratio[at] = cell.ratio
-    return render_png(_size(len(rows)), DPI, lambda figure: _draw_map(figure, rows, columns, ratio))
+    return svg.render_svg(
+        "map of the gap: channels by regimes",
+        _height(len(rows)),
+        lambda figure: _draw_map(figure, rows, columns, ratio),
+    )
 
 
-def effects_picture(result: DiagnosisResult) -> bytes:
-    """Draw the probabilities of findings and alternatives, and amplitudes with intervals."""
+def probability_figure(result: DiagnosisResult) -> str:
+    """Draw the probabilities of findings and alternatives."""
     count = sum(1 + len(list_alternatives(finding)) for finding in result.diagnosis.findings)
-    return render_png(_size(max(count, MIN_ROWS)), DPI, lambda figure: _draw_effects(figure, result))
+    return svg.render_svg(
+        "probabilities of effects",
+        _height(max(count, MIN_ROWS)),
+        lambda figure: _draw_probabilities(figure, result),
+    )
 
 
-def closure_picture(closure: Closure) -> bytes:
+def amplitude_figure(result: DiagnosisResult) -> str:
+    """Draw the amplitudes of the findings with their intervals."""
+    count = max(len(result.diagnosis.findings), MIN_ROWS)
+    return svg.render_svg(
+        "sizes of effects",
+        _height(count),
+        lambda figure: _draw_amplitudes(figure.subplots(), result.model, result.diagnosis.findings),
+    )
+
+
+def closure_figure(closure: Closure) -> str:
     """Draw every channel on held-out motion before and after, in units of its noise floor."""
-    return render_png(_size(len(closure.channels)), DPI, lambda figure: _draw_closure(figure, closure))
+    return svg.render_svg(
+        "before and after, channel by channel",
+        _height(len(closure.channels)),
+        lambda figure: _draw_closure(figure, closure),
+    )
 
 
-def _size(rows: int) -> tuple[float, float]:
-    return WIDTH_INCH, MARGIN_INCH + ROW_INCH * rows
+def _height(rows: int) -> float:
+    return MARGIN_INCH + ROW_INCH * rows
 
 
 def _draw_map(figure: Any, rows: list[str], columns: list[str], ratio: Any) -> None:
@@ -57,43 +77,41 @@ def _draw_map(figure: Any, rows: list[str], columns: list[str], ratio: Any) -> N
 
     axes = figure.subplots()
     norm = LogNorm(1.0, max(DARKEST_RATIO, float(np.nanmax(ratio))), clip=True)
-    axes.set_facecolor("0.9")
-    image = axes.pcolormesh(np.ma.masked_invalid(ratio), cmap="Reds", norm=norm, edgecolor="white")
+    image = axes.pcolormesh(np.ma.masked_invalid(ratio), cmap="Reds", norm=norm, edgecolor=svg.PAPER)
     for (row, column), value in np.ndenumerate(ratio):
         if np.isfinite(value):
             dark = norm(value) > 0.6
             axes.text(
                 column + 0.5, row + 0.5, f"{value:.1f}" if value < 99.95 else f"{value:.0f}",
-                ha="center", va="center", fontsize=8, color="white" if dark else "black",
+                ha="center", va="center", fontsize=8, color="#ffffff" if dark else "#1f2328",
             )  # fmt: skip
     axes.set_xticks(np.arange(len(columns)) + 0.5, columns)
     axes.set_yticks(np.arange(len(rows)) + 0.5, rows, fontsize=8)
     axes.invert_yaxis()
     axes.tick_params(length=0)
-    bar = figure.colorbar(image, ax=axes, label="rms over the floor")
+    axes.spines[:].set_visible(False)
+    bar = svg.colour_bar(figure, image, axes, "rms over the floor")
     _decimal_ticks(bar.ax.yaxis)
 
 
-def _draw_effects(figure: Any, result: DiagnosisResult) -> None:
-    bars, sizes = figure.subplots(1, 2, width_ratios=(1.0, 1.0))
-    model, row = result.model, 0
+def _draw_probabilities(figure: Any, result: DiagnosisResult) -> None:
+    bars, model, row = figure.subplots(), result.model, 0
     names: list[tuple[int, str]] = []
-    colour = "tab:orange" if result.diagnosis.verdict == "unknown" else "tab:blue"
+    colour = svg.AMBER if result.diagnosis.verdict == "unknown" else svg.BLUE
     for finding in result.diagnosis.findings:
         every = [(finding.hypothesis, probability_of(finding.hypothesis, finding.alternatives))]
         for one, share in (*every, *list_alternatives(finding)):
             chosen = one == finding.hypothesis
-            bars.barh(row, share, color=colour if chosen else "0.7")
+            bars.barh(row, share, color=colour if chosen else svg.FAINT)
             names.append((row, model.sensitivities.hypotheses[one].name))
             row += 1
     bars.set_yticks(*zip(*names, strict=True), fontsize=8)
     role = "Nearest (not named)" if result.diagnosis.verdict == "unknown" else "Chosen (blue)"
     title = f"{role} and alternatives"
     bars.set(title=title, xlabel="probability", xlim=(0.0, 1.0), ylim=_rows(row))
-    _draw_sizes(sizes, model, result.diagnosis.findings)
 
 
-def _draw_sizes(axes: Any, model: DiagnosisModel, findings: tuple[Finding, ...]) -> None:
+def _draw_amplitudes(axes: Any, model: DiagnosisModel, findings: tuple[Finding, ...]) -> None:
     """Draw departures from neutral in typical sizes, with the undetectable range in grey."""
     names: list[str] = []
     for finding in findings:
@@ -108,13 +126,13 @@ def _draw_sizes(axes: Any, model: DiagnosisModel, findings: tuple[Finding, ...])
                     (end - parameter.absent) / parameter.typical for end in (value, least, most)
                 )
                 if len(hypothesis.amplitudes) == 1 and np.isfinite(limit):
-                    axes.barh(row, 2.0 * limit, left=-limit, color="0.9", height=0.9)
-                axes.plot([one, other], [row, row], color="tab:blue", linewidth=3, solid_capstyle="butt")
-                axes.plot(size, row, "o", color="tab:blue")
-                names.append(f"{parameter.name}, {hypothesis.name}")
+                    axes.barh(row, 2.0 * limit, left=-limit, color=svg.SHADE, height=0.9)
+                axes.plot([one, other], [row, row], color=svg.BLUE, linewidth=3, solid_capstyle="butt")
+                axes.plot(size, row, "o", color=svg.BLUE)
+                names.append(f"{parameter.name},\n{hypothesis.name}")
     axes.set_yticks(range(len(names)), names, fontsize=8)
     axes.set_ylim(*_rows(len(names)))
-    axes.axvline(0.0, color="0.6", linewidth=0.8)
+    axes.axvline(0.0, color=svg.MUTED, linewidth=0.8)
     axes.set(title="Sizes with 90 % intervals; grey: not seen", xlabel="typical sizes from neutral")
 
 
@@ -129,11 +147,11 @@ def _draw_closure(figure: Any, closure: Closure) -> None:
     channels = sorted(closure.channels, key=lambda one: -one.before / one.noise_floor)
     for row, one in enumerate(channels):
         before, after = (max(value / one.noise_floor, LEAST_DRAWN) for value in (one.before, one.after))
-        axes.plot([before, after], [row, row], color="0.7", zorder=1)
+        axes.plot([before, after], [row, row], color=svg.FAINT, zorder=1)
         labels = ("before", "after") if row == 0 else (None, None)
-        axes.plot(before, row, "o", color="tab:red", label=labels[0], fillstyle="none", markersize=8)
-        axes.plot(after, row, "o", color="tab:blue", label=labels[1])
-    axes.axvline(1.0, color="black", linestyle=":", label="floor")
+        axes.plot(before, row, "o", color=svg.RED, label=labels[0], fillstyle="none", markersize=8)
+        axes.plot(after, row, "o", color=svg.BLUE, label=labels[1])
+    axes.axvline(1.0, color=svg.INK, linestyle=":", label="floor")
     axes.set_yticks(range(len(channels)), [one.channel for one in channels], fontsize=8)
     axes.invert_yaxis()
     axes.set_xscale("log")
@@ -141,7 +159,7 @@ def _draw_closure(figure: Any, closure: Closure) -> None:
     axes.set_xlim(min(least, MIN_AXIS_SPAN[0]), max(most, MIN_AXIS_SPAN[1]))
     _decimal_ticks(axes.xaxis)
     axes.set(xlabel="rms on held-out motion, over the floor")
-    axes.legend(fontsize=8, loc="lower right")
+    figure.legend(loc="outside lower center", ncols=3)
 
 
 def _decimal_ticks(axis: Any) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ground.diagnosis.closure import Closure
 from ground.diagnosis.diagnose import Finding
-from ground.diagnosis.figures import closure_picture, effects_picture, residual_map_picture
+from ground.diagnosis.figures import amplitude_figure, closure_figure, probability_figure, residual_map_figure
 from ground.diagnosis.result import (
     MAX_LISTED,
     DiagnosisResult,
@@ -25,11 +25,12 @@ from ground.diagnosis.sentences import (
     format_quantity,
     format_value_interval,
     is_doubtful,
+    lack_of_fit_limit,
     next_sentence,
     unexplained_sentence,
     verdict_sentences,
 )
-from ground.render.page import heading, image, paragraph, save_page, table
+from ground.render.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 
 TITLES: Final = {
     "named": "The gap has a name",
@@ -41,14 +42,18 @@ DOUBTFUL_TITLE: Final = "The gap has no sure name"
 Rows = list[tuple[str, ...]]
 
 
-def save_diagnosis_page(result: DiagnosisResult, path: Path) -> None:
+def save_diagnosis_page(result: DiagnosisResult, origin: Origin, path: Path) -> None:
     """Write the page.
+
+    Args:
+        result: Diagnosis.
+        origin: Command and digests.
+        path: The HTML file.
 
     Raises:
         BadOutput: The file cannot be written.
     """
     parts = [
-        paragraph(" ".join(verdict_sentences(result))),
         *_residual_section(result),
         *_effect_section(result),
         *_closure_section(result),
@@ -57,7 +62,39 @@ def save_diagnosis_page(result: DiagnosisResult, path: Path) -> None:
         *_threshold_section(result),
     ]
     title = DOUBTFUL_TITLE if is_doubtful(result) else TITLES[result.diagnosis.verdict]
-    save_page(title, parts, path)
+    save_page(title, " ".join(verdict_sentences(result)), list_requirements(result), origin, parts, path)
+
+
+def list_requirements(result: DiagnosisResult) -> list[Requirement]:
+    """List the conditions of a verdict that names a cause, or says that there is none."""
+    diagnosis, limits = result.diagnosis, result.model.thresholds
+    rows = [
+        Requirement(
+            "one cause is named, or no effect is seen",
+            "named or none",
+            diagnosis.verdict,
+            {"named": True, "none": True, "set": None, "unknown": False}[diagnosis.verdict],
+        ),
+        Requirement(
+            "the residual has no structure, -log10 p",
+            f"below {format_number(lack_of_fit_limit(result))}",
+            format_number(diagnosis.unexplained_neg_log10_p),
+            not has_lack_of_fit(result),
+        ),
+    ]
+    if diagnosis.findings and np.isfinite(diagnosis.log_odds):
+        least = limits.confidence.least
+        rows.append(
+            Requirement(
+                "log-odds that the effects are the cause",
+                f"{format_number(least)} or more",
+                format_number(diagnosis.log_odds),
+                bool(diagnosis.log_odds >= least),
+            )
+        )
+    if result.closure is None:
+        rows.append(Requirement("the gap shrinks on held-out motion", "", "nothing was held out", None))
+    return rows
 
 
 def _residual_section(result: DiagnosisResult) -> Iterator[str]:
@@ -67,7 +104,7 @@ def _residual_section(result: DiagnosisResult) -> Iterator[str]:
         "Root mean square of measured less simulated, over the noise floor between repeats: 1 means only "
         "noise. The nuisance parameters are fitted, and no effect is on."
     )
-    yield image(residual_map_picture(cells), "map of the gap: channels by regimes")
+    yield figures(residual_map_figure(cells))
     rows = [
         (channel_words(one.channel, one.place), one.regime, str(one.features), f"{one.ratio:.2f}",
          format_cell_interval(one))
@@ -85,7 +122,7 @@ def _effect_section(result: DiagnosisResult) -> Iterator[str]:
             "The effects here are the nearest. They do not explain the gap, so no cause is named."
         )
     if findings:
-        yield image(effects_picture(result), "probabilities and sizes")
+        yield figures(probability_figure(result), amplitude_figure(result))
         head = ("effect", "parameter", "value", "90 %", "bounds", "probability", "own share")
         yield table(head, [row for finding in findings for row in _finding_rows(result, finding)])
         yield from _remarks(result)
@@ -145,7 +182,7 @@ def _closure_section(result: DiagnosisResult) -> Iterator[str]:
         yield paragraph(closure_sentence(result))
     else:
         yield paragraph(closure_sentence(result))
-        yield image(closure_picture(found), "before and after, channel by channel")
+        yield figures(closure_figure(found))
         yield table(("on held-out motion", "before", "after", "floor"), _closure_rows(found))
     if tool is not None and result.diagnosis.findings:
         rows = [("tool", *(f"{mm:.3g} mm" for mm in (tool.before_mm, tool.after_mm, tool.noise_floor_mm)))]

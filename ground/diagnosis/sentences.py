@@ -107,7 +107,7 @@ def unexplained_sentence(result: DiagnosisResult) -> str:
     """Return the result of the lack-of-fit test."""
     diagnosis = result.diagnosis
     found = format_number(diagnosis.unexplained_neg_log10_p)
-    odds = f"-log10 p {found}, threshold {format_number(_lack_of_fit_limit(result))}"
+    odds = f"-log10 p {found}, threshold {format_number(lack_of_fit_limit(result))}"
     if not has_lack_of_fit(result):
         return f"The residual shows no structure ({odds})."
     if diagnosis.unexplained[0].neg_log10_p < diagnosis.unexplained_neg_log10_p:
@@ -183,7 +183,8 @@ def _format_percent_interval(least: float, most: float) -> str:
     return f"({100.0 * least:.0f} to {100.0 * most:.0f})"
 
 
-def _lack_of_fit_limit(result: DiagnosisResult) -> float:
+def lack_of_fit_limit(result: DiagnosisResult) -> float:
+    """Return the -log10 p from which on remaining structure counts."""
     limits = result.model.thresholds
     return limits.unexplained if result.diagnosis.findings else limits.structure
 

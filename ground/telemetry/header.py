@@ -4,7 +4,6 @@ import ctypes
 import hashlib
 import json
 import platform
-import subprocess
 from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import version
@@ -20,6 +19,7 @@ from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
+from ground.common.git import git_revision
 from ground.telemetry.json_codec import record_to_json
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
@@ -47,8 +47,6 @@ def _blas_kernels() -> str:
     return "unknown"
 
 
-REPOSITORY: Final = Path(__file__).resolve().parents[2]
-GIT_TIMEOUT_S: Final = 5.0
 WORLD: Final = "world"
 """Key of the header: scene, tilt of the rover and surface as JSON, for viewers."""
 SESSION: Final = "session"
@@ -143,16 +141,3 @@ def model_digest(model: mujoco.MjModel) -> str:
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)
     return hashlib.sha256(content.data).hexdigest()
-
-
-@cache
-def git_revision() -> str:
-    """Return the commit of this tree, with "-dirty" if files are changed; "unknown" outside of git."""
-    if not (REPOSITORY / ".git").exists():
-        return "unknown"
-    command = ["git", "-C", str(REPOSITORY), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_TIMEOUT_S, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return "unknown"
-    return done.stdout.strip()

@@ -14,8 +14,9 @@ WHOLE = {
     "blind": ("blind.brief",),
     "joints": ("hardstops", "backlash", "shoulder_in"),
 }
-OTHERWISE = {"brief", "fuzz", "benchmarks"}
-"""The list of brief campaigns itself, the fuzzer, which takes a minute, and benchmarks of speed."""
+OTHERWISE = {"brief", "fuzz", "benchmarks", "cluster", "requirements"}
+"""The list of brief campaigns itself, the fuzzer, which takes a minute, benchmarks of speed, the cluster,
+which needs Ray, and requirements, which are measured by other campaigns."""
 
 
 def test_every_campaign_that_make_runs_has_a_brief_version() -> None:

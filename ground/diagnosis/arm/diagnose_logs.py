@@ -105,7 +105,7 @@ def _check_different(fitted: tuple[Path, ...], held_out: tuple[Path, ...]) -> No
     known: dict[str, Path] = {}
     for path in (*fitted, *held_out):
         try:
-            same = known.setdefault(_file_digest(path), path)
+            same = known.setdefault(file_sha256(path), path)
         except OSError as error:
             raise BadRequest(f"log {path}: cannot be read ({error.strerror})") from error
         if same is path:
@@ -117,7 +117,8 @@ def _check_different(fitted: tuple[Path, ...], held_out: tuple[Path, ...]) -> No
         raise BadRequest(f"log {path}: is the same as {same}; give each once")
 
 
-def _file_digest(path: Path) -> str:
+def file_sha256(path: Path) -> str:
+    """Compute the SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

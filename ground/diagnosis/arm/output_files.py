@@ -1,15 +1,21 @@
 """Output files of a diagnosis: report page, patch of effects, and new flight parameters."""
 
-from collections.abc import Callable, Mapping
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from fsw.config import digest
 from fsw.dictionary.params import Params
+from ground.common.command_text import command_text
 from ground.common.files import atomic_write
+from ground.common.json_digest import json_sha256
 from ground.common.params_toml import params_toml
+from ground.diagnosis.arm.diagnose_logs import DiagnoseJob, file_sha256
 from ground.diagnosis.arm.request import DiagnoseRequest
 from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
 from ground.diagnosis.page import save_diagnosis_page
-from ground.diagnosis.result import DiagnosisResult, list_alternatives
+from ground.diagnosis.result import DiagnosisResult, list_alternatives, to_json
+from ground.render.page import Origin
 from sim.effects.catalogue import effect_name, has_flight_parameter
 from sim.effects.effect import Effect
 from sim.params import nominal_params
@@ -109,21 +115,27 @@ def _patch_comments(result: DiagnosisResult) -> list[str]:
     return lines
 
 
-def save_diagnosis_files(result: DiagnosisResult, request: DiagnoseRequest, base: Params) -> tuple[str, ...]:
+def save_diagnosis_files(
+    result: DiagnosisResult, request: DiagnoseRequest, job: DiagnoseJob
+) -> tuple[str, ...]:
     """Write the files of a request; return sentences about those without content.
 
     Args:
         result: Diagnosis.
         request: Request with the paths of the files.
-        base: Flight parameters of the arm.
+        job: Checked request, with the logs and the flight parameters of the arm.
 
     Raises:
         BadOutput: A file cannot be written.
     """
+
+    def save_page(path: Path) -> None:
+        save_diagnosis_page(result, _origin(result, request, job), path)
+
     savers: tuple[tuple[str, Path | None, Callable[[Path], None]], ...] = (
-        ("report", request.report, lambda path: save_diagnosis_page(result, path)),
+        ("report", request.report, save_page),
         ("patch", request.patch, lambda path: save_patch(result, path)),
-        ("new-params", request.new_params, lambda path: save_new_params(result, base, path)),
+        ("new-params", request.new_params, lambda path: save_new_params(result, job.base, path)),
     )
     not_written = []
     for what, path, save in savers:
@@ -134,3 +146,18 @@ def save_diagnosis_files(result: DiagnosisResult, request: DiagnoseRequest, base
         except NothingToWrite as why:
             not_written.append(f"{what} {path}: not written: {why}")
     return tuple(not_written)
+
+
+def _origin(result: DiagnosisResult, request: DiagnoseRequest, job: DiagnoseJob) -> Origin:
+    digests = {
+        "logs": _files_sha256(job.logs),
+        **({"held-out logs": _files_sha256(job.held_out)} if job.held_out else {}),
+        "parameters": digest(job.base),
+        "result": json_sha256(to_json(result)),
+    }
+    return Origin(command_text("diagnose", request), digests)
+
+
+def _files_sha256(paths: Sequence[Path]) -> str:
+    """Compute the SHA-256 of the digests of files, whatever their names and order."""
+    return hashlib.sha256("".join(sorted(map(file_sha256, paths))).encode()).hexdigest()

@@ -1,0 +1,1 @@
+"""Requirements of the arm, and the tests and campaigns that show them."""

@@ -1,0 +1,187 @@
+"""Requirements as data: reading, measuring, checking, and the page that states them."""
+
+import ast
+import json
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import floor
+from pathlib import Path
+from typing import Any, Final
+
+ROOT: Final = Path(__file__).parents[2]
+SOURCE: Final = Path(__file__).with_name("requirements.toml")
+MEASURED: Final = Path(__file__).with_name("measured.json")
+PAGE: Final = ROOT / "docs" / "requirements.md"
+ALL: Final = "*"
+HEAD: Final = """# Requirements
+Each requirement of the paper, with the tests and the campaign that show it. The margin is the share of the
+bound that is left. `validation/requirements/` is the source of this page. `make lint` checks it: every named
+test exists, every bound is that of the code, and every number was measured by the command below.
+`make requirements` measures all of them anew. `make test-all` repeats the four shortest campaigns.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """Command that measures some requirements."""
+
+    name: str
+    command: str
+    """Command line of Python, which prints a JSON document."""
+    about: str
+
+
+@dataclass(frozen=True, slots=True)
+class RequirementRow:
+    """Requirement, its bound, and how it is measured."""
+
+    name: str
+    source: str
+    unit: str
+    campaign: str
+    value: tuple[str | int, ...]
+    """Keys in the document of the campaign; ALL for every part, of which the worst counts."""
+    tests: tuple[str, ...]
+    most: float | None = None
+    least: float | None = None
+    factor: float = 1.0
+    constant: str = ""
+    """File and name of the constant that is the same bound."""
+
+    @property
+    def bound(self) -> float:
+        """Greatest or least value that is allowed."""
+        bound = self.most if self.least is None else self.least
+        assert bound is not None, f"{self.name}: most or least is missing"
+        return bound
+
+    def measure(self, document: Any) -> float:
+        """Take the worst value out of the document of the campaign."""
+        found = [self.factor * value for value in select(document, self.value)]
+        return max(found) if self.least is None else min(found)
+
+    def margin(self, value: float) -> float:
+        """Return the share of the bound that is left; negative if the requirement is not met."""
+        left = self.bound - value if self.least is None else value - self.bound
+        return left / self.bound
+
+
+@dataclass(frozen=True, slots=True)
+class RequirementTable:
+    """All requirements with their campaigns."""
+
+    campaigns: tuple[Campaign, ...]
+    rows: tuple[RequirementRow, ...]
+
+
+def load_table(path: Path = SOURCE) -> RequirementTable:
+    """Read the file of requirements."""
+    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    campaigns = tuple(Campaign(name, **fields) for name, fields in content["campaign"].items())
+    rows = tuple(
+        RequirementRow(**{**fields, "value": tuple(fields["value"]), "tests": tuple(fields["tests"])})
+        for fields in content["requirement"]
+    )
+    return RequirementTable(campaigns, rows)
+
+
+def select(document: Any, keys: Sequence[str | int]) -> Iterator[float]:
+    """Yield the numbers at these keys of a document."""
+    if not keys:
+        yield float(document)
+    elif keys[0] == ALL:
+        for part in document.values() if isinstance(document, dict) else document:
+            yield from select(part, keys[1:])
+    else:
+        yield from select(document[keys[0]], keys[1:])
+
+
+def measure(table: RequirementTable, campaign: Campaign) -> dict[str, float]:
+    """Run a campaign, and return the values of its requirements by name.
+
+    Raises:
+        RuntimeError: It printed no JSON document.
+    """
+    words = shlex.split(campaign.command)
+    command = [sys.executable, *words[1:]]
+    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=False)
+    try:
+        document = json.loads(done.stdout)
+    except ValueError as error:
+        raise RuntimeError(f"{campaign.command}: printed no JSON, status {done.returncode}") from error
+    return {row.name: row.measure(document) for row in table.rows if row.campaign == campaign.name}
+
+
+def find_problems(table: RequirementTable, measured: dict[str, Any]) -> Iterator[str]:
+    """Yield a sentence for each test, constant, campaign or number that does not fit."""
+    names = {campaign.name for campaign in table.campaigns}
+    for row in table.rows:
+        if row.campaign not in names:
+            yield f"{row.name}: no campaign is called {row.campaign}"
+        elif row.name not in measured.get(row.campaign, {}).get("values", {}):
+            yield f"{row.name}: was not measured; run `make requirements`"
+        if not row.tests:
+            yield f"{row.name}: no test shows it"
+        for test in row.tests:
+            if not has_test(test):
+                yield f"{row.name}: there is no test {test}"
+        if row.constant and (found := read_constant(row.constant)) != row.bound:
+            yield f"{row.name}: the bound is {row.bound}, but {row.constant} is {found}"
+    for name, kept in measured.items():
+        wanted = next((one.command for one in table.campaigns if one.name == name), None)
+        if kept["command"] != wanted:
+            yield f"campaign {name}: was measured by another command; run `make requirements`"
+
+
+def has_test(test: str) -> bool:
+    """Check whether a test exists: FILE, or FILE::FUNCTION."""
+    path, _, name = test.partition("::")
+    file = ROOT / path
+    if not file.is_file():
+        return False
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    return not name or any(isinstance(one, ast.FunctionDef) and one.name == name for one in tree.body)
+
+
+def read_constant(place: str) -> float | None:
+    """Read a number that a module assigns, without importing it; None if it has none."""
+    path, _, name = place.partition(":")
+    for node in ast.parse((ROOT / path).read_text(encoding="utf-8")).body:
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        if any(isinstance(one, ast.Name) and one.id == name for one in targets):
+            return float(ast.literal_eval(node.value))  # type: ignore[attr-defined]
+    return None
+
+
+def make_page(table: RequirementTable, measured: dict[str, Any]) -> str:
+    """Make the page."""
+    lines = [
+        HEAD,
+        "| requirement | paper | bound | measured | margin | shown by |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in table.rows:
+        value = measured[row.campaign]["values"][row.name]
+        margin = row.margin(value)
+        sign = "≤" if row.least is None else "≥"
+        left = f"{floor(100 * margin)} %" if margin >= 0 else f"**not met**, {floor(100 * margin)} %"
+        tests = ", ".join(f"[{_short(test)}](../{test.partition('::')[0]})" for test in row.tests)
+        shown = f"campaign [{row.campaign}](#campaigns); {tests}"
+        bound, found = f"{sign} {row.bound:g} {row.unit}", f"{value:.3g} {row.unit}"
+        lines.append(f"| {row.name} | {row.source} | {bound} | {found} | {left} | {shown} |")
+    lines += ["", "## Campaigns", "| name | what is measured | command | commit |", "|---|---|---|---|"]
+    for campaign in table.campaigns:
+        commit = measured[campaign.name]["commit"][:7]
+        lines.append(f"| {campaign.name} | {campaign.about} | `{campaign.command}` | `{commit}` |")
+    met = sum(row.margin(measured[row.campaign]["values"][row.name]) >= 0 for row in table.rows)
+    lines += ["", f"{met} of {len(table.rows)} requirements are met.", ""]
+    return "\n".join(lines).replace("  |", " |")
+
+
+def _short(test: str) -> str:
+    path, _, name = test.partition("::")
+    return (name or Path(path).stem).removeprefix("test_").replace("_", " ")
