@@ -38,7 +38,7 @@ class RayCamera:
         self._size = size
         self._half_height = float(np.tan(np.radians(model.cam_fovy[camera_id]) / 2))
         self._sky = _sky(model)
-        self._rgb = np.array([_colour(model, geom) for geom in range(model.ngeom)]).reshape(-1, 3)
+        self._rgb = np.array([geom_rgb(model, geom) for geom in range(model.ngeom)]).reshape(-1, 3)
 
     def take(self, data: mujoco.MjData) -> Image:
         """Draw the scene in its current state; shape (height, width, 3), 0 to 255.
@@ -183,7 +183,7 @@ def _edge_pixels(face: Floats) -> NDArray[np.bool_]:
     return edge
 
 
-def _colour(model: mujoco.MjModel, geom: int) -> Floats:
+def geom_rgb(model: mujoco.MjModel, geom: int) -> Floats:
     """Return the colour (3,) of a geom: its own, or its material's if that is the default.
 
     It is multiplied by the mean colour of the texture.

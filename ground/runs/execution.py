@@ -21,8 +21,10 @@ from ground.common.progress import Progress
 from ground.render.picture import PictureResult, save_movie, save_picture
 from ground.render.rover_scene import tilt_rover
 from ground.runs.request import RunFiles, WhenDiskFull
+from ground.telemetry.drawn_scene import draw_scene
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.recorder import Recorder
+from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm
 from sim.initialisation import InitialisationResult, initialise_joints
 from sim.loop import ClosedLoop
@@ -136,13 +138,17 @@ class RunLog:
         self.events = ((self._last_s, event),)
 
 
-def open_log(path: Path | None, header: Mapping[str, str], config: Config) -> RunLog:
+def open_log(
+    path: Path | None, header: Mapping[str, str], config: Config, world: World, arm: ArmModel | None
+) -> RunLog:
     """Open the log of a run.
 
     Args:
         path: The log; None for a log that records nothing.
         header: Header of the log, which describes the run.
         config: Configuration of flight software.
+        world: World of the run, which the log shows.
+        arm: Drawing of the arm; None for the default one.
 
     Raises:
         BadRequest: the file cannot be opened.
@@ -150,7 +156,7 @@ def open_log(path: Path | None, header: Mapping[str, str], config: Config) -> Ru
     if path is None:
         return RunLog(None, None)
     try:
-        return RunLog(path, Recorder(path, header, config))
+        return RunLog(path, Recorder(path, header, config, scene=draw_scene(world, arm)))
     except LogNotWritable as error:
         raise BadRequest(str(error)) from error
 
@@ -207,7 +213,13 @@ def describe_activity(record: CycleRecord) -> str:
 
 
 def save_artifacts(
-    files: RunFiles, world: World, frames: Frames, last: Qpos, log: RunLog, progress: Progress
+    files: RunFiles,
+    world: World,
+    frames: Frames,
+    last: Qpos,
+    log: RunLog,
+    progress: Progress,
+    arm: ArmModel | None = None,
 ) -> Artifacts:
     """Draw the picture and the movie of a run, and collect its artifacts.
 
@@ -218,11 +230,12 @@ def save_artifacts(
         last: Last pose, drawn if no pose was chosen, shape (nq,), in metres and radians.
         log: Log of the run, closed.
         progress: Receiver of the progress.
+        arm: Drawing of the arm; None for the default one.
     """
     problem = next((event.message for _, event in log.events), None)
     if files.picture is None and files.movie is None:
         return Artifacts(None, None, problem, log.events)
-    spec = build(world, for_pictures=True)
+    spec = build(world, arm, for_pictures=True)
     tilt_rover(spec)
     model = spec.compile()
     picture = movie = None
@@ -271,6 +284,7 @@ def execute(
     progress: Progress,
     progress_at: Callable[[CycleRecord], tuple[float, float]],
     is_for_picture: Callable[[CycleRecord], bool],
+    arm: ArmModel | None = None,
 ) -> Execution[Result]:
     """Carry out a run: record every cycle, then draw the picture and the movie.
 
@@ -283,11 +297,12 @@ def execute(
         progress: Receiver of the progress.
         progress_at: Function that returns the amount done at a cycle, and the total amount.
         is_for_picture: Function that returns whether the picture may show a cycle; it shows the last one.
+        arm: Drawing of the arm, for log, picture and movie; None for the default one.
 
     Raises:
         BadRequest: the log cannot be opened; nothing moved.
     """
-    log = open_log(files.log, header, loop.config)
+    log = open_log(files.log, header, loop.config, world, arm)
     frames = Frames()
     started = time.perf_counter()
     try:
@@ -302,5 +317,5 @@ def execute(
     if loop.failure is not None:
         raise loop.failure
     result = run.result()
-    artifacts = save_artifacts(files, world, frames, loop.plant.data.qpos, log, progress)
+    artifacts = save_artifacts(files, world, frames, loop.plant.data.qpos, log, progress, arm)
     return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts)

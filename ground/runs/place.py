@@ -115,5 +115,6 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
         progress,
         progress_at=lambda record: (record.tick / CYCLE_HZ, job.expected_s),
         is_for_picture=lambda record: CommandCompleted("GuardedMove") in record.outputs.evrs,
+        arm=job.arm.model,
     )
     return PlaceReport(request, execution)

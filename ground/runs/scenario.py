@@ -63,6 +63,7 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
         progress,
         progress_at=lambda _: (scenario_run.command - 1, total),
         is_for_picture=lambda _: scenario_run.command == picture_command,
+        arm=arm.model,
     )
     return RunReport(request, scenario, arm.name, execution)
 

@@ -16,9 +16,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from io import FileIO
 from typing import Final
 
-from fsw.config import Config
 from ground.telemetry.mcap_writer import McapState
-from ground.telemetry.ros_messages import JointSample
+from ground.telemetry.ros_messages import JointSample, RosEncoder
 from ground.telemetry.writer_process import END, PIPE_BYTES, READY, ROW_HEAD, WriterJob, WriterStatus
 
 WRITER_CODE: Final = "import sys; sys.path[:] = {}; from ground.telemetry.writer_process import main; main()"
@@ -32,14 +31,19 @@ class WriterPipe:
     """Connection to the process that writes a log; no row is lost without an error."""
 
     def __init__(
-        self, file: FileIO, written: McapState, ids: Mapping[str, int], config: Config | None, chunk_s: float
+        self,
+        file: FileIO,
+        written: McapState,
+        ids: Mapping[str, int],
+        encoder: RosEncoder | None,
+        chunk_s: float,
     ) -> None:
         """Start the process that continues the log in `file`.
 
         Raises:
             OSError: the process cannot start.
         """
-        job = pickle.dumps(WriterJob(file.fileno(), written, ids, config, chunk_s))
+        job = pickle.dumps(WriterJob(file.fileno(), written, ids, encoder, chunk_s))
         self._process = os.getpid()
         self._ended: WriterStatus | None = None
         self._is_torn = False
