@@ -52,7 +52,7 @@ def draw_scene(world: World, arm: ArmModel | None) -> DrawnScene:
         X_BG = inverse(_pose(data.xpos[body], data.xmat[body])) @ _pose(
             data.geom_xpos[geom], data.geom_xmat[geom]
         )
-        visuals[FRAME_OF_BODY.get(name, name)] += _visuals_of(model, geom, X_BG)
+        visuals[FRAME_OF_BODY.get(name, name)] += visuals_of(model, geom, X_BG)
     # the root frame has the axes of MuJoCo's world, and the origin of RMECH
     frames = {
         FRAME_OF_BODY.get(name, name): Pose(
@@ -80,7 +80,7 @@ def _pose(p_m: Array, R: Array) -> Pose:
     return Pose(R.reshape(3, 3).copy(), p_m.copy())
 
 
-def _visuals_of(model: mujoco.MjModel, geom: int, X: Pose) -> Iterator[Visual]:
+def visuals_of(model: mujoco.MjModel, geom: int, X: Pose) -> Iterator[Visual]:
     """Yield the shapes that draw a geom; other shapes than these are drawn as the box around them."""
     a, b, c = model.geom_size[geom].tolist()
     rgba = tuple(round(x, 3) for x in (*geom_rgb(model, geom).tolist(), _opacity(model, geom)))

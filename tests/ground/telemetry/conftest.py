@@ -15,10 +15,12 @@ import pytest
 from fsw.dictionary.commands import GuardedMove, Stop
 from fsw.dictionary.evrs import Booted, ContactMade
 from ground.telemetry.recorder import Recorder
-from ground.telemetry.schema import ARRAY_SHAPES, PER_JOINT
+from ground.telemetry.schema import arm_names, array_shape, is_tool_index
 from ground.telemetry.topics import strip_optional
+from sim.params import nominal_params
 from sim.record import CycleRecord
 
+ARM = arm_names(nominal_params())
 EVENTS = {
     "commands": (Stop(), GuardedMove("APXS", (1.0, 0.25, -0.5), (0.0, 0.0, float("nan")))),
     "evrs": (Booted("é" * 3), ContactMade("APXS_1", 0.1)),
@@ -32,13 +34,15 @@ def value_of(owner: type, name: str, hint: Any, some: Bytes) -> Any:
     kind = strip_optional(hint)
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
-        shape = ARRAY_SHAPES.get(f"{owner.__name__}.{name}", PER_JOINT)
+        shape = array_shape(owner, name, ARM)
         raw = np.frombuffer(some(scalar.itemsize * int(np.prod(shape))), np.uint8)
         return (raw & 1 if scalar.kind == "b" else raw).view(scalar).reshape(shape)
     if is_dataclass(kind):
         return packet_of(kind, some)
     if name in EVENTS:
         return EVENTS[name]
+    if is_tool_index(hint):
+        return some(1)[0] % len(ARM.tools)
     if issubclass(kind, IntEnum):
         return list(kind)[some(1)[0] % len(kind)]
     return struct.unpack({bool: "<?", int: "<q", float: "<d"}[kind], some(1 if kind is bool else 8))[0]
