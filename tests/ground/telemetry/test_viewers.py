@@ -114,7 +114,7 @@ def test_rerun_opens_it_without_an_error(folder: Path, kind: str) -> None:
 def test_the_reader_of_foxglove_finds_rock_ground_and_arm_in_frames_of_the_transforms(
     folder: Path, kind: str
 ) -> None:
-    from mcap_ros2.decoder import DecoderFactory  # type: ignore[import-not-found, unused-ignore]
+    from mcap_ros2.decoder import DecoderFactory
 
     topics = ["/robot_description", "/tf_static", "/tf"]
     with (folder / f"{kind}.mcap").open("rb") as file:
@@ -134,7 +134,7 @@ def test_the_reader_of_foxglove_finds_rock_ground_and_arm_in_frames_of_the_trans
 @needs_rerun
 @pytest.mark.parametrize("kind", KINDS)
 def test_rerun_draws_rock_ground_and_arm_as_shapes_in_frames(folder: Path, kind: str) -> None:
-    from rerun.chunk import RrdReader  # type: ignore[import-not-found, unused-ignore]
+    from rerun.chunk import RrdReader
 
     rrd = folder / f"{kind}-drawn.rrd"
     converted = tool("rerun", "mcap", "convert", folder / f"{kind}.mcap", "-o", rrd)
