@@ -184,9 +184,12 @@ class RosEncoder:
             config: Configuration of the arm.
             scene: Visible shapes of the run; None for a log without a robot description.
         """
-        self._config, self._scene = config, scene
+        self._config = config
         self._fixed = fixed_frames(config.arm, {} if scene is None else scene.frames)
         self._turning = turning_frames(config)
+        self._description = (
+            None if scene is None else robot_description(self._fixed, self._turning, scene.visuals)
+        )
         self._constant_Nm_A = config.torque_constant_Nm_A.tolist()
         self._joints, self._joint_places = joint_state_template()
         self._frames, self._frame_places = transforms_template(
@@ -202,9 +205,8 @@ class RosEncoder:
         poses = [(*vector3(one.X.p), *quaternion(one.X.R)) for one in self._fixed]
         fill_transforms(message, places, time_ns, poses)
         yield TF_STATIC_TOPIC, bytes(message)
-        if self._scene is not None:
-            urdf = robot_description(self._fixed, self._turning, self._scene.visuals)
-            yield ROBOT_DESCRIPTION_TOPIC, bytes(CdrWriter().text(urdf).data)
+        if self._description is not None:
+            yield ROBOT_DESCRIPTION_TOPIC, bytes(CdrWriter().text(self._description).data)
         yield MARKERS_TOPIC, self._markers(time_ns)
 
     def cycle_messages(self, time_ns: int, sample: JointSample) -> Iterator[tuple[str, bytes]]:
