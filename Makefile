@@ -35,7 +35,7 @@ help:
 	@echo "make fuzz      feed the readers of files with broken ones for a minute, print what came of it as JSON"
 	@echo "make mutants   change fsw/protect in a thousand places, print which changes its own tests do not notice"
 	@echo "make oracle    compare the inverse kinematics with EAIK, if it can be installed"
-	@echo "make viewers   open a log in pymcap-cli and Rerun, if they can be installed"
+	@echo "make viewers   open a log in Rerun and other tools, if they can be installed"
 	@echo "make examples  run the scripts of examples/, write their pictures to docs/examples"
 	@echo "make package   build the source distribution and the wheel in dist/"
 	@echo "make cluster   compare two Ray nodes on this machine with local processes, if Ray can be installed"
@@ -149,8 +149,8 @@ oracle: $(VENV)/ready
 
 # Optional, and not in the lock. Where no wheel fits or no index answers, the tests are skipped and say so.
 viewers: $(VENV)/ready
-	@$(call say,installing pymcap-cli and rerun-sdk from the package index; without them their tests are skipped)
-	@$(INSTALL) --only-binary :all: "pymcap-cli>=0.34" "rerun-sdk>=0.41" || \
+	@$(call say,installing Rerun and other tools from the package index; without them their tests are skipped)
+	@$(INSTALL) --only-binary :all: "pymcap-cli>=0.34" "rerun-sdk>=0.41" "mcap-ros2-support>=0.6" || \
 	  $(call say,they were not installed; pip says why above)
 	@$(BIN)/python -m pytest -q tests/ground/telemetry/test_viewers.py $(ARGS)
 

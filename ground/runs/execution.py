@@ -23,6 +23,7 @@ from ground.common.progress import Progress, part_of
 from ground.render.picture import PictureResult, check_movie_path, save_movie, save_picture
 from ground.render.rover_scene import tilt_rover
 from ground.runs.request import RunFiles, WhenDiskFull
+from ground.telemetry.drawn_scene import draw_scene
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.recorder import Recorder
 from sim.arm_model.load import ArmModel
@@ -155,13 +156,17 @@ class RunLog:
         self.events = ((self._last_s, event),)
 
 
-def open_log(path: Path | None, header: Mapping[str, str], config: Config) -> RunLog:
+def open_log(
+    path: Path | None, header: Mapping[str, str], config: Config, world: World, arm: ArmModel | None
+) -> RunLog:
     """Open the log of a run.
 
     Args:
         path: The log; None for a log that records nothing.
         header: Header of the log, which describes the run.
         config: Configuration of flight software.
+        world: World of the run, which the log shows.
+        arm: Drawing of the arm; None for the default one.
 
     Raises:
         BadRequest: the file cannot be opened.
@@ -169,7 +174,7 @@ def open_log(path: Path | None, header: Mapping[str, str], config: Config) -> Ru
     if path is None:
         return RunLog(None, None)
     try:
-        return RunLog(path, Recorder(path, header, config))
+        return RunLog(path, Recorder(path, header, config, scene=draw_scene(world, arm)))
     except LogNotWritable as error:
         raise BadRequest(str(error)) from error
 
@@ -345,7 +350,7 @@ def execute(
         progress: Receiver of the progress.
         progress_at: Function that returns the amount done at a cycle, and the total amount.
         is_for_picture: Function that returns whether the picture may show a cycle; it shows the last one.
-        arm: Drawing of the arm, for picture and movie.
+        arm: Drawing of the arm, for log, picture and movie.
         view: Viewer that shows the run; None for none.
 
     Raises:
@@ -355,7 +360,7 @@ def execute(
     running, drawing = part_of(progress, 0.0, share), part_of(progress, share, 1.0)
     frames = Frames()
     started = time.perf_counter()
-    with open_log(files.log, header, loop.config) as log:
+    with open_log(files.log, header, loop.config, world, arm) as log:
         for record in record_cycles(run, log, files.when_disk_full):
             if frames.note(loop.plant, record):
                 running(*progress_at(record), describe_activity(record))

@@ -33,7 +33,8 @@ from ground.telemetry.format import (
 )
 from ground.telemetry.mcap_writer import McapState, McapWriter
 from ground.telemetry.pack import Packer, PacketSource, number_messages
-from ground.telemetry.ros_messages import SAMPLE_CYCLES, joint_sample
+from ground.telemetry.robot_description import DrawnScene
+from ground.telemetry.ros_messages import SAMPLE_CYCLES, RosEncoder, joint_sample
 from ground.telemetry.schema import arm_names
 from ground.telemetry.topic_specs import ROSOUT_TOPIC, TopicSpec, encode_topics, mcap_records, topic_specs
 from ground.telemetry.topics import PACKET_TOPICS
@@ -117,6 +118,7 @@ class Recorder:
         header: Mapping[str, str],
         config: Config | None = None,
         chunk_s: float = CHUNK_S,
+        scene: DrawnScene | None = None,
     ) -> None:
         """Replace the file at `path` by a log with header and channels.
 
@@ -125,6 +127,7 @@ class Recorder:
             header: Versions, digests, seed and more, as `run_header` returns them.
             config: Configuration of the arm, to record messages for other tools too; None for none.
             chunk_s: Wall time of a chunk; 0 for one chunk each cycle.
+            scene: Visible shapes of the run, which viewers draw; None for none. It needs `config`.
 
         Raises:
             LogNotWritable: no log can be written at this path; a previous file is unchanged.
@@ -144,9 +147,10 @@ class Recorder:
         self._event_counts = dict.fromkeys(self._event_ids, 0)
         self._has_ros_messages = config is not None
         self._last_tick = -1
+        encoder = None if config is None else RosEncoder(config, scene)
         with create_log(self.path, header, channels) as (file, written):
             try:
-                self._pipe = WriterPipe(file, written, ids, config, chunk_s)
+                self._pipe = WriterPipe(file, written, ids, encoder, chunk_s)
             except OSError as error:
                 why = f"has no process to write it ({error.strerror}); see that {sys.executable} starts"
                 raise LogNotWritable(self.path, why) from error

@@ -1,22 +1,31 @@
-"""ROS 2 messages for other tools: their definitions, and the encoder of joint states, transforms and markers.
+"""ROS 2 messages for other tools: their definitions, and the encoder of joints, transforms and shapes.
 
 They are computed from flight channels. With them, a viewer shows the arm of a log without configuration.
 """
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from fsw.collision.geometry import TURRET_FRAME, RoundedBoxes
+from fsw.collision.geometry import TURRET_FRAME as TURRET_CARRIER
+from fsw.collision.geometry import RoundedBoxes
 from fsw.config import Config
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.types import vector3
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.transforms import IDENTITY, Array, Pose, inverse, rotation_x, rotation_z
+from fsw.kinematics.transforms import IDENTITY, Array, Pose, rotation_x, rotation_z
+from ground.telemetry.robot_description import (
+    ROOT_FRAME,
+    ROVER_FRAME,
+    TURRET_FRAME,
+    DrawnScene,
+    FixedFrame,
+    TurningFrame,
+    robot_description,
+)
 from ground.telemetry.schema import ROS_TIME, CdrWriter, ros_time
 from sim.record import CycleRecord
 
@@ -82,6 +91,7 @@ ROS_MESSAGES: Final = {
     "sensor_msgs/msg/JointState": (
         "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
     ),
+    "std_msgs/msg/String": "string data\n",
     "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
     "visualization_msgs/msg/MarkerArray": "visualization_msgs/Marker[] markers\n",
     "rcl_interfaces/msg/Log": """\
@@ -126,10 +136,8 @@ JOINT_STATES_TOPIC: Final = "/joint_states"
 TF_TOPIC: Final = "/tf"
 TF_STATIC_TOPIC: Final = "/tf_static"
 MARKERS_TOPIC: Final = "/arm_markers"
-ROOT_FRAME: Final = "map"
-"""Root frame: RMECH turned so that z is up, as 3D panels expect."""
-ROVER_FRAME: Final = "rover"
-"""Frame of the rover, RMECH."""
+ROBOT_DESCRIPTION_TOPIC: Final = "/robot_description"
+"""Topic where Foxglove, Lichtblick and Rerun look for a URDF."""
 
 POSE_STRUCT: Final = struct.Struct("<7d")
 SAMPLE_STRUCT: Final = struct.Struct(f"<{3 * len(Joint)}d")
@@ -162,56 +170,43 @@ def joint_sample(record: CycleRecord) -> JointSample:
     return JointSample(joint.output_rad.tolist(), joint.motor_rate_rad_s.tolist(), sensors.current_A.tolist())
 
 
-@dataclass(frozen=True, slots=True)
-class JointFrame:
-    """Frame that one joint turns: quaternion (x, y, z, w) and position at zero angle."""
-
-    zero_rad: float
-    q: tuple[float, float, float, float]
-    p_m: tuple[float, float, float]
-
-    def at(self, angle_rad: float) -> tuple[float, ...]:
-        """Return position and quaternion in the previous frame at an angle of the joint."""
-        angle = self.zero_rad + angle_rad
-        c, s = math.cos(angle), math.sin(angle)
-        half_c, half_s = math.cos(0.5 * angle), math.sin(0.5 * angle)
-        (x, y, z, w), (px, py, pz) = self.q, self.p_m
-        return (
-            *(c * px - s * py, s * px + c * py, pz),
-            *(half_c * x - half_s * y, half_c * y + half_s * x, half_c * z + half_s * w),
-            half_c * w - half_s * z,
-        )
-
-
 class RosEncoder:
-    """Encoder of the ROS 2 messages of one arm; the same sample gives the same bytes."""
+    """Encoder of the ROS 2 messages of one arm; the same sample gives the same bytes.
 
-    def __init__(self, config: Config) -> None:
-        self._arm, self._config = config.arm, config
-        X_LF = link_poses(config.arm)
-        self._turning = [
-            JointFrame(float(config.arm.theta_rad[k]), quaternion(X_LF[k].R), vector3(X_LF[k].p))
-            for k in range(1, 6)
-        ]
+    A joint turns a frame `linkK` about z of `armK`; the link carries `arm(K+1)`. The frames of transforms
+    and robot description are the same.
+    """
+
+    def __init__(self, config: Config, scene: DrawnScene | None = None) -> None:
+        """Prepare the messages.
+
+        Args:
+            config: Configuration of the arm.
+            scene: Visible shapes of the run; None for a log without a robot description.
+        """
+        self._config = config
+        self._fixed = fixed_frames(config.arm, {} if scene is None else scene.frames)
+        self._turning = turning_frames(config)
+        self._description = (
+            None if scene is None else robot_description(self._fixed, self._turning, scene.visuals)
+        )
         self._constant_Nm_A = config.torque_constant_Nm_A.tolist()
         self._joints, self._joint_places = joint_state_template()
         self._frames, self._frame_places = transforms_template(
-            [(f"arm{k}", f"arm{k + 1}") for k in range(1, 6)]
+            [(one.parent, one.child) for one in self._turning]
         )
 
     def static_messages(self, time_ns: int) -> Iterator[tuple[str, bytes]]:
-        """Yield topic and message of constant data: fixed frames, and collision shapes of flight software."""
-        arm = self._arm
-        X_RL = rotation_z(arm.theta_rad[0])
-        X_LF = link_poses(arm)[0]
-        fixed = [
-            (ROOT_FRAME, ROVER_FRAME, Pose(rotation_x(np.array(np.pi)), np.zeros(3))),
-            (ROVER_FRAME, "arm1", Pose(X_RL, np.zeros(3)) @ X_LF),
-            *(("arm6", tool.lower(), X_FT) for tool, X_FT in arm.X_FT.items()),
-        ]
-        message, places = transforms_template([(parent, child) for parent, child, _ in fixed])
-        fill_transforms(message, places, time_ns, [(*vector3(X.p), *quaternion(X.R)) for _, _, X in fixed])
+        """Yield topic and message of constant data.
+
+        These are fixed frames, the robot description, and collision shapes of flight software.
+        """
+        message, places = transforms_template([(one.parent, one.child) for one in self._fixed])
+        poses = [(*vector3(one.X.p), *quaternion(one.X.R)) for one in self._fixed]
+        fill_transforms(message, places, time_ns, poses)
         yield TF_STATIC_TOPIC, bytes(message)
+        if self._description is not None:
+            yield ROBOT_DESCRIPTION_TOPIC, bytes(CdrWriter().text(self._description).data)
         yield MARKERS_TOPIC, self._markers(time_ns)
 
     def cycle_messages(self, time_ns: int, sample: JointSample) -> Iterator[tuple[str, bytes]]:
@@ -224,21 +219,16 @@ class RosEncoder:
             struct.pack_into("<5d", self._joints, place, *values)
         yield JOINT_STATES_TOPIC, bytes(self._joints)
         if all(map(math.isfinite, sample.output_rad)):
-            poses = [
-                turning.at(angle) for turning, angle in zip(self._turning, sample.output_rad, strict=True)
-            ]
+            poses = [one.at(angle) for one, angle in zip(self._turning, sample.output_rad, strict=True)]
             fill_transforms(self._frames, self._frame_places, time_ns, poses)
             yield TF_TOPIC, bytes(self._frames)
 
     def _markers(self, time_ns: int) -> bytes:
-        arm, shapes = self._arm, self._config.collision_geometry
-        X_FL = inverse(link_poses(arm))
-        placed = []
+        shapes, placed = self._config.collision_geometry, []
         for k, carrier in enumerate(shapes.arm.carrier):
+            frame = TURRET_FRAME if carrier == TURRET_CARRIER else f"link{carrier}"
             name, X_CS = shapes.parts[shapes.arm.part[k]].lower(), shapes.arm.X_CS[k]
-            on_turret = carrier == TURRET_FRAME
-            X = X_CS if on_turret else X_FL[carrier] @ X_CS
-            placed.append((name, "arm6" if on_turret else f"arm{carrier + 1}", X, shapes.arm, k, ARM_COLOUR))
+            placed.append((name, frame, X_CS, shapes.arm, k, ARM_COLOUR))
         placed += [
             ("rover", ROVER_FRAME, shapes.rover.X_CS[k], shapes.rover, k, ROVER_COLOUR)
             for k in range(len(shapes.rover.part))
@@ -253,9 +243,29 @@ class RosEncoder:
         return bytes(out.data)
 
 
-def link_poses(arm: Arm) -> Pose:
-    """Return the pose of the frame at the end of each unloaded link in the frame of the link, shape (6,)."""
-    return Pose(arm.X_CF.R, arm.X_CF.p + arm.p_LC_m)
+def fixed_frames(arm: Arm, scene: Mapping[str, Pose]) -> tuple[FixedFrame, ...]:
+    """Return the fixed frames: rover, ends of the unloaded links, tools, and the scene in the root frame."""
+    X_LF = Pose(arm.X_CF.R, arm.X_CF.p + arm.p_LC_m)
+    return (
+        FixedFrame(ROOT_FRAME, ROVER_FRAME, Pose(rotation_x(np.array(np.pi)), np.zeros(3))),
+        *(FixedFrame(ROOT_FRAME, name, X) for name, X in scene.items()),
+        FixedFrame(ROVER_FRAME, "arm1", Pose(rotation_z(arm.theta_rad[0]), np.zeros(3)) @ X_LF[0]),
+        *(FixedFrame(f"link{k}", f"arm{k + 1}", X_LF[k]) for k in range(1, 6)),
+        *(FixedFrame(TURRET_FRAME, tool.lower(), X_FT) for tool, X_FT in arm.X_FT.items()),
+    )
+
+
+def turning_frames(config: Config) -> tuple[TurningFrame, ...]:
+    """Return the frames that the joints turn."""
+    torque_Nm = (config.torque_constant_Nm_A * config.current_limit_A).tolist()
+    return tuple(
+        TurningFrame(
+            joint.name.lower(),
+            *(f"arm{k + 1}", f"link{k + 1}", float(config.arm.theta_rad[k + 1])),
+            *(params.soft_min_rad, params.soft_max_rad, params.speed_rad_s, torque_Nm[k]),
+        )
+        for k, (joint, params) in enumerate(zip(Joint, config.params.joints.in_order(), strict=True))
+    )
 
 
 def joint_state_template() -> tuple[bytearray, tuple[int, ...]]:

@@ -12,6 +12,7 @@ from ground.telemetry.format import COMMAND_TOPIC, DERIVED_KEY, EVR_TOPIC, LAYOU
 from ground.telemetry.ros_messages import (
     JOINT_STATES_TOPIC,
     MARKERS_TOPIC,
+    ROBOT_DESCRIPTION_TOPIC,
     TF_STATIC_TOPIC,
     TF_TOPIC,
     ros_schema,
@@ -29,6 +30,10 @@ DERIVED_TOPICS: Final = {
     TF_STATIC_TOPIC: ("tf2_msgs/msg/TFMessage", "the parameters"),
     MARKERS_TOPIC: ("visualization_msgs/msg/MarkerArray", "the parameters: shapes of the collision check"),
     ROSOUT_TOPIC: ("rcl_interfaces/msg/Log", "/evr"),
+    ROBOT_DESCRIPTION_TOPIC: (
+        "std_msgs/msg/String",
+        "the parameters, and the scene of the run as it is drawn",
+    ),
 }
 """Schema and source of each derived channel."""
 

@@ -15,10 +15,9 @@ from contextlib import ExitStack, suppress
 from io import FileIO
 from typing import Final
 
-from fsw.config import Config
 from ground.common.interruption import block_signals, defer_interrupts
 from ground.telemetry.mcap_writer import McapState
-from ground.telemetry.ros_messages import JointSample
+from ground.telemetry.ros_messages import JointSample, RosEncoder
 from ground.telemetry.writer_process import (
     PIPE_BYTES,
     READY,
@@ -37,14 +36,19 @@ class WriterPipe:
     """Connection to the process that writes a log; no row is lost without an error."""
 
     def __init__(
-        self, file: FileIO, written: McapState, ids: Mapping[str, int], config: Config | None, chunk_s: float
+        self,
+        file: FileIO,
+        written: McapState,
+        ids: Mapping[str, int],
+        encoder: RosEncoder | None,
+        chunk_s: float,
     ) -> None:
         """Start the process that continues the log in `file`.
 
         Raises:
             OSError: the process cannot start.
         """
-        job = pickle.dumps(WriterJob(file.fileno(), written, ids, config, chunk_s))
+        job = pickle.dumps(WriterJob(file.fileno(), written, ids, encoder, chunk_s))
         self._process = os.getpid()
         self._ended: WriterStatus | None = None
         self._is_torn = False

@@ -17,7 +17,6 @@ from dataclasses import asdict, dataclass
 from io import BufferedReader, FileIO
 from typing import Final, Protocol
 
-from fsw.config import Config
 from ground.telemetry.format import CHUNK_S, end_metadata
 from ground.telemetry.mcap_writer import LogRow, McapState, McapWriter
 from ground.telemetry.pack import number_messages
@@ -25,10 +24,10 @@ from ground.telemetry.ros_messages import JointSample, RosEncoder
 
 
 class Expander:
-    """Adds the ROS 2 messages of one arm to its rows; without a configuration it adds none."""
+    """Adds the ROS 2 messages of one arm to its rows; without an encoder it adds none."""
 
-    def __init__(self, config: Config | None, ids: Mapping[str, int]) -> None:
-        self._encoder = None if config is None else RosEncoder(config)
+    def __init__(self, encoder: RosEncoder | None, ids: Mapping[str, int]) -> None:
+        self._encoder = encoder
         self._ids = ids
         self._counts = dict.fromkeys(ids.values(), 0)
         self._has_begun = False
@@ -70,7 +69,7 @@ class WriterJob:
     written: McapState
     ids: Mapping[str, int]
     """Number of each channel, by topic."""
-    config: Config | None
+    encoder: RosEncoder | None
     chunk_s: float
 
 
@@ -176,7 +175,7 @@ def main() -> None:
     with FileIO(sys.stdin.fileno(), closefd=False) as raw, BufferedReader(raw) as inlet:
         job: WriterJob = pickle.load(inlet)
         with FileIO(job.file_descriptor, "wb") as file:
-            log, expand = McapWriter(file, job.written), Expander(job.config, job.ids)
+            log, expand = McapWriter(file, job.written), Expander(job.encoder, job.ids)
             _send_status(b"\n" + READY)
             try:
                 write_rows(RowStream(inlet), log, expand, job.chunk_s, ended)

@@ -13,15 +13,19 @@ from mcap.reader import make_reader
 from fsw.config import configure
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Pose
+from ground.telemetry.drawn_scene import draw_scene
 from ground.telemetry.read import read_log
 from ground.telemetry.ros_messages import quaternion
 from sim.arms import arm_named
 from sim.record import CycleRecord
+from sim.world import Surface, World
 from tests.ground.telemetry.ros2 import Decoder
 from tests.tools import TOOLS
 
 ROOT = Path(__file__).parents[3]
-CONFIG = configure(arm_named("as-built:3").params)
+ARM = arm_named("as-built:3")
+CONFIG = configure(ARM.params)
+SCENE = draw_scene(World(surface=Surface((2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))), ARM.model)
 ANGLES_RAD = np.random.default_rng(4).uniform(-3.0, 3.0, (24, 5))
 LAYOUT = ROOT / "docs" / "marsarm.lichtblick.json"
 
@@ -46,7 +50,7 @@ def decoded(path: Path) -> dict[str, list[tuple[int, dict[str, Any]]]]:
 @pytest.fixture(scope="module")
 def path(make: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     cycles = [cycle(make, tick, angles) for tick, angles in enumerate(ANGLES_RAD)]
-    return make.record(tmp_path_factory.mktemp("standard") / "run.mcap", cycles, config=CONFIG)
+    return make.record(tmp_path_factory.mktemp("standard") / "run.mcap", cycles, config=CONFIG, scene=SCENE)
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +103,16 @@ def test_the_frames_are_those_of_forward_kinematics(messages: Any) -> None:
             np.testing.assert_allclose(np.c_[X.R, X.p], np.c_[X_RT.R, X_RT.p], atol=1e-12)
 
 
+def test_links_turn_in_their_own_frames_and_nothing_else_moves(messages: Any) -> None:
+    links = {f"link{k}": f"arm{k}" for k in range(1, 6)}
+    for _, moving in messages["/tf"]:
+        frames = frames_in(moving)
+        assert {child: parent for child, (parent, _) in frames.items()} == links
+        assert all((X.p == 0).all() for _, X in frames.values())
+    ((_, fixed),) = messages["/tf_static"]
+    assert not links.keys() & frames_in(fixed).keys()
+
+
 def test_the_root_is_the_rover_with_z_up(messages: Any) -> None:
     ((_, fixed),) = messages["/tf_static"]
     parent, X = frames_in(fixed)["rover"]
@@ -131,7 +145,8 @@ def test_markers_lie_where_the_collision_check_has_its_shapes(messages: Any) -> 
     assert all(marker["frame_locked"] for marker in markers)
     assert {marker["header"]["frame_id"] for marker in markers} == {
         "rover",
-        *(f"arm{k}" for k in range(2, 7)),
+        "arm6",
+        *(f"link{k}" for k in range(1, 5)),
     }
     middles = [
         pose_in_rover(poses, frame)
@@ -169,6 +184,7 @@ def test_angles_that_are_not_finite_have_no_frames(make: Any, tmp_path: Path) ->
         cycle(make, 16, 5 * [0.1]),
     ]
     found = decoded(make.record(tmp_path / "run.mcap", cycles, config=CONFIG))
+    assert "/robot_description" not in found
     assert [time_ns for time_ns, _ in found["/tf"]] == [250_000_000]
     assert len(found["/joint_states"]) == 3
 
@@ -188,7 +204,7 @@ def test_derived_channels_are_marked_and_a_reader_of_ours_has_no_array_of_them(p
         summary = make_reader(file).get_summary()
     assert summary is not None
     derived = {c.topic for c in summary.channels.values() if "derived" in c.metadata}
-    assert derived == {"/joint_states", "/tf", "/tf_static", "/arm_markers", "/rosout"}
+    assert derived == {"/joint_states", "/tf", "/tf_static", "/arm_markers", "/rosout", "/robot_description"}
     log = read_log(path)
     assert not derived & log.packets.keys()
     channels = json.loads(log.header["channels"])
