@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -12,7 +11,7 @@ from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Row6, row6
 from sim.arm_model.description import BadArm
-from sim.arm_model.load import ArmModel, arm_names, default_arm, load_arm
+from sim.arm_model.load import ArmModel, arm_names, default_arm, has_description, load_arm
 from sim.effects.effect import Effect, check_effects, params_with_effects
 from sim.effects.geometry import FrameError
 from sim.effects.joints import (
@@ -94,22 +93,19 @@ def arm_named(name: str, params: Params | None = None) -> BuiltArm:
 
 def _parse_name(name: str) -> tuple[ArmModel, str, int]:
     """Return drawing, kind and seed of an arm."""
-    model, _, last = name.rpartition("/")
-    match = ARM_PATTERN.fullmatch(last)
-    if match is None:
-        model, match = name, ARM_PATTERN.fullmatch("nominal")
-    assert match is not None
-    try:
-        drawing = load_arm(model) if model else default_arm()
-    except (BadArm, BadParams) as error:
-        if "/" in name or name in arm_names() or Path(name).exists():
-            raise UnknownArm(str(error)) from error
-        others = ", ".join(arm_names())
-        text = (
-            f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED, or put a drawing "
+    folder, slash, last = name.rpartition("/")
+    is_kind = ARM_PATTERN.fullmatch(last) is not None
+    model = name if not is_kind else folder if slash else None
+    if model is not None and not has_description(model):
+        raise UnknownArm(
+            f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED, or put a drawing and / "
+            f"before it: {', '.join(arm_names())}, or a folder with an arm.toml"
         )
-        raise UnknownArm(f"{text}and a / before it: {others} or a folder with an arm.toml") from error
-    kind, _, seed = match[0].partition(":")
+    try:
+        drawing = default_arm() if model is None else load_arm(model)
+    except (BadArm, BadParams) as error:
+        raise UnknownArm(str(error)) from error
+    kind, _, seed = (last if is_kind else "nominal").partition(":")
     if len(seed) > MAX_SEED_DIGITS:
         raise UnknownArm(
             f"arm {kind}: its seed has {len(seed)} digits; give one with {MAX_SEED_DIGITS} at most"

@@ -55,6 +55,11 @@ def arm_folder(name: str) -> Path:
     return ARMS / name if name in arm_names() else Path(name)
 
 
+def has_description(name: str) -> bool:
+    """Return whether there is an arm of the project of this name, or a folder with an `arm.toml`."""
+    return bool(name) and (arm_folder(name) / FILE_NAME).is_file()
+
+
 def load_arm(name: str) -> ArmModel:
     """Make an arm from its files.
 
@@ -67,7 +72,7 @@ def load_arm(name: str) -> ArmModel:
     """
     folder = arm_folder(name)
     path = folder / FILE_NAME
-    if not path.is_file():
+    if not has_description(name):
         known = ", ".join(arm_names())
         raise BadArm(f"arm {name!r} is not known; there are {known}, or give a folder with an {FILE_NAME}")
     looks = folder / LOOKS_NAME

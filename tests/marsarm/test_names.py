@@ -36,4 +36,4 @@ def test_the_module_runs_the_command_line():
     done = subprocess.run(
         [sys.executable, "-m", "marsarm", "--help"], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    assert "Usage: python -m marsarm" in done.stdout
+    assert "Usage: marsarm" in done.stdout

@@ -10,6 +10,7 @@ from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import adjoint, inverse
+from sim.arm_model.load import default_arm
 from sim.arms import (
     IDENTIFIABLE_AXES,
     SPRING_FRAMES,
@@ -44,7 +45,7 @@ def drawn() -> dict[str, lab.Array]:
     """Return every number of 200 arms, by kind."""
     values: dict[str, list[float]] = defaultdict(list)
     for seed in SEEDS:
-        for effect in draw_tolerances(TOOLS, seed):
+        for effect in draw_tolerances(default_arm(), seed):
             match effect:
                 case FrameError(screw=screw):
                     values["frame_rad"] += screw[:3]
@@ -98,7 +99,7 @@ def test_two_hundred_arms_have_the_stated_spread(
 
 
 def test_every_place_of_the_arm_is_drawn_once() -> None:
-    effects = draw_tolerances(TOOLS, 0)
+    effects = draw_tolerances(default_arm(), 0)
     frames = [(e.frame, e.tool) for e in effects if isinstance(e, FrameError)]
     assert frames == [(f, None) for f in Frame if f is not Frame.TOOL] + [(Frame.TOOL, t) for t in TOOLS]
     for kind in (
@@ -116,14 +117,14 @@ def test_every_place_of_the_arm_is_drawn_once() -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, 199, 999_999_999])
 def test_the_same_seed_is_the_same_arm_and_another_another(seed: int) -> None:
-    assert draw_tolerances(TOOLS, seed) == draw_tolerances(TOOLS, seed)
-    assert draw_calibration_errors(TOOLS, seed) == draw_calibration_errors(TOOLS, seed)
-    assert draw_tolerances(TOOLS, seed) != draw_tolerances(TOOLS, seed + 1)
+    assert draw_tolerances(default_arm(), seed) == draw_tolerances(default_arm(), seed)
+    assert draw_calibration_errors(default_arm(), seed) == draw_calibration_errors(default_arm(), seed)
+    assert draw_tolerances(default_arm(), seed) != draw_tolerances(default_arm(), seed + 1)
 
 
 def test_an_as_built_arm_flies_with_the_parameters_of_the_drawing() -> None:
     nominal, built = arm_named("nominal"), arm_named("as-built:7")
-    assert built.effects == draw_tolerances(TOOLS, 7)
+    assert built.effects == draw_tolerances(default_arm(), 7)
     assert built.params.arm_name == "as-built:7"
     for group in ("links", "tools", "joints", "hardstop", "poses", "motion", "monitors"):
         assert getattr(built.params, group) == getattr(nominal.params, group)
@@ -144,7 +145,7 @@ def test_a_calibration_leaves_a_tenth_of_what_it_found() -> None:
     """Compare tool poses of perfect and calibrated parameters over 40 arms, at equal joint angles."""
     miss: dict[str, list[float]] = defaultdict(list)
     for seed in range(40):
-        perfect = params_with_effects(draw_tolerances(TOOLS, seed), nominal_params())
+        perfect = params_with_effects(draw_tolerances(default_arm(), seed), nominal_params())
         for kind in ("as-built", "calibrated"):
             believed = build_arm(arm_named(f"{kind}:{seed}").params)
             p = [
@@ -167,13 +168,17 @@ def test_a_calibration_leaves_a_tenth_of_what_it_found() -> None:
         "as-built:-1",
         "as-built:x",
         "calibrated:1.5",
-        "as-built:1234567890",
     ],
 )
 def test_an_arm_that_is_not_known_is_named_with_those_that_are(name: str) -> None:
     with pytest.raises(UnknownArm, match=r"not known; write nominal, as-built:SEED or calibrated:SEED") as no:
         arm_named(name)
     assert repr(name) in str(no.value)
+
+
+def test_a_seed_with_too_many_digits_is_refused_with_their_largest_number() -> None:
+    with pytest.raises(UnknownArm, match="as-built: its seed has 10 digits; give one with 9 at most"):
+        arm_named("as-built:1234567890")
 
 
 def test_there_are_26_identifiable_axes_of_42() -> None:

@@ -145,7 +145,7 @@ BAD = {
     ),
     "a tool that there is not": (
         "[tools.scoop.transform]\na_m = 0.3\n",
-        ["tools.scoop.geometry: Field required"],
+        ["tools.scoop.geometry: is missing"],
     ),
     "a link that there is not": ("[links.arm7.transform]\na_m = 0.3\n", ["links.arm7: is not a parameter"]),
     "a number for a tool": ("[tools]\ndrill = 3\n", ["tools.drill: "]),

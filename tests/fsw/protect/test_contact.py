@@ -65,21 +65,23 @@ def test_every_mode_is_one_in_which_nothing_a_tool_or_anything_may_touch():
 def test_in_free_space_no_switch_may_close_and_after_a_fault_any_may(switch):
     for tool in TOOLS:
         for mode in FREE:
-            assert check_unexpected_contact(mode, tool, closed(switch)) == (ContactInFreeSpace(switch),)
-        assert check_unexpected_contact(Mode.FAULTED, tool, closed(switch)) == ()
+            assert check_unexpected_contact(BOUNDS, mode, tool, closed(switch)) == (
+                ContactInFreeSpace(switch),
+            )
+        assert check_unexpected_contact(BOUNDS, Mode.FAULTED, tool, closed(switch)) == ()
 
 
 @pytest.mark.parametrize("mode", TOUCHING)
 @pytest.mark.parametrize("tool", TOOLS)
 def test_where_a_tool_may_touch_its_own_switches_may_close_and_no_other(mode, tool):
-    assert check_unexpected_contact(mode, tool, closed(*TOOL_SWITCHES[tool])) == ()
+    assert check_unexpected_contact(BOUNDS, mode, tool, closed(*TOOL_SWITCHES[tool])) == ()
     for switch in SWITCHES:
-        found = check_unexpected_contact(mode, tool, closed(*TOOL_SWITCHES[tool], switch))
+        found = check_unexpected_contact(BOUNDS, mode, tool, closed(*TOOL_SWITCHES[tool], switch))
         assert found == (() if switch in TOOL_SWITCHES[tool] else (ContactInFreeSpace(switch),))
 
 
 def test_of_several_closed_switches_the_first_is_named():
-    found = check_unexpected_contact(Mode.DEPLOYED, "APXS", closed("DRT_2", "DRT_1"))
+    found = check_unexpected_contact(BOUNDS, Mode.DEPLOYED, "APXS", closed("DRT_2", "DRT_1"))
     assert found == (ContactInFreeSpace(min("DRT_1", "DRT_2")),)
 
 
