@@ -98,8 +98,8 @@ def _parse_name(name: str) -> tuple[ArmModel, str, int]:
     model = name if not is_kind else folder if slash else None
     if model is not None and not has_description(model):
         raise UnknownArm(
-            f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED, or put a drawing and / "
-            f"before it: {', '.join(arm_names())}, or a folder with an arm.toml"
+            f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED, or put a drawing "
+            f"and / before it: {', '.join(arm_names())}, or a folder with an arm.toml"
         )
     try:
         drawing = default_arm() if model is None else load_arm(model)
