@@ -18,7 +18,7 @@ def same(scenario: str, arm: str) -> replays.ReplayOutcome:
 
 
 def test_a_run_that_is_refused_is_counted_as_not_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replays, "run", refused)
+    monkeypatch.setattr(replays, "run_scenario", refused)
     one = replays.replay_one("contact", "nominal")
     assert (one.outcome, one.verdict, one.identical) == (replays.NOT_REPLAYED, "no such arm", False)
     found = replays.summarize([same("press", "nominal"), one])

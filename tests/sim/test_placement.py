@@ -85,7 +85,7 @@ def test_along_the_guarded_line_the_pads_may_meet_the_rock_and_nothing_else(
     tool: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert preview(OPEN, tool).problem is None
-    monkeypatch.setattr("sim.preview._is_intended", lambda names, touching: False)
+    monkeypatch.setattr("sim.preview._is_intended", lambda _, names, touching: False)
     problem = preview(OPEN, tool).problem
     assert problem is not None
     assert re.search(rf"rock_face.* {tool.lower()}_\w+_pad|{tool.lower()}_\w+_pad.* rock_face", problem)

@@ -18,7 +18,8 @@ from ground.diagnosis.arm.logs import NotForDiagnosis, load_recording
 from ground.diagnosis.arm.record import record_campaign
 from ground.diagnosis.result import DiagnosisResult
 from ground.diagnosis.sensitivity import Sensitivities
-from sim.arms import CALIBRATED_FRAME_SIGMA_M, arm_named
+from sim.arm_model.load import default_arm
+from sim.arms import arm_named
 from sim.diagnosis_campaign import campaign_sessions
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError
@@ -33,6 +34,8 @@ FITTED = ("poses-level-1", "poses-level-1-again", "poses-level-2", "poses-rolled
 APART = ("poses-level-3", "poses-rolled-2")
 KINDS = ("resolver-bias", "link-length")
 Logs = tuple[list[Path], list[Path]]
+
+CALIBRATED_FRAME_SIGMA_M = default_arm().description.tolerances.calibrated.frame_m
 
 
 def silent(*_: object) -> None:
