@@ -192,12 +192,6 @@ def make_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: str 
     return world
 
 
-def check_seed(seed: int) -> None:
-    """Refuse a negative seed, which numpy does not accept."""
-    if seed < 0:
-        raise BadRequest(f"seed: {seed} is below 0")
-
-
 def format_numbers(values: tuple[float, ...]) -> str:
     """Format numbers as a user types them."""
     return " ".join(f"{value:g}" for value in values)

@@ -11,7 +11,6 @@ from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 
 from ground.common.errors import BadOutput, BadRequest
 from ground.common.files import atomic_write, check_new_path
-from ground.common.requests import check_seed
 from ground.diagnosis.blind_case import DIGEST, read_digest
 from ground.diagnosis.diagnose import Verdict
 
@@ -145,7 +144,8 @@ def check_make(cases: int, seed: int, out: Path, jobs: int | None) -> None:
     """
     if not 1 <= cases <= MAX_CASES:
         raise BadRequest(f"cases: {cases} is not within 1 .. {MAX_CASES}")
-    check_seed(seed)
+    if seed < 0:
+        raise BadRequest(f"seed: {seed} is below 0")
     check_jobs(jobs)
     check_new_path(out, "out")
     if not os.path.exists(out):

@@ -13,7 +13,9 @@ from ground.calibration.campaign import (
 from ground.calibration.parameter_file import data_sha256
 from ground.calibration.screws import error_screw
 from ground.calibration.simulation import simulate_campaign, true_poses, zero_errors_rad
+from ground.common.errors import BadRequest
 from sim.arms import arm_named
+from sim.hardstop_loads import NoPlan
 from tests.ground.calibration.lab import campaign, quiet
 
 ZERO_RAD = 3e-4
@@ -30,6 +32,15 @@ def test_the_papers_campaign_is_planned():
     ]
     inside = sum(branch.startswith("shoulder-in") for branch in campaign().branch)
     assert inside == pytest.approx(0.3 * 160, abs=2)
+
+
+def test_an_arm_whose_loads_on_earth_cannot_be_those_on_mars_is_refused(monkeypatch):
+    def find_no_plan(arm, on_earth):
+        raise NoPlan("the best torques differ from the wanted ones by [9.0] N m")
+
+    monkeypatch.setattr("ground.calibration.campaign.without_turret", find_no_plan)
+    with pytest.raises(BadRequest, match="arm: no poses for Earth without a turret: the best torques differ"):
+        earth_reference(arm_named("nominal"), lambda done, total, what: None)
 
 
 def test_the_same_seed_gives_the_same_campaign():
