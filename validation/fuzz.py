@@ -16,7 +16,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,7 +27,7 @@ import numpy as np
 from ground.telemetry.errors import LogError
 from ground.telemetry.inspection import range_of, select_channels, summarize_log
 from ground.telemetry.read import parse_log
-from ground.telemetry.salvage import salvage
+from ground.telemetry.recover import recover
 from validation.fuzz_inputs import (
     Random,
     import_once,
@@ -66,9 +66,12 @@ class FuzzTarget:
 
 
 def fuzz_reader(data: bytes) -> bool:
-    """Salvage a log, read it, and inspect all that it holds."""
-    path = Path("fuzz.mcap")
-    salvage(data)
+    """Recover a log, read it, and inspect all that it holds."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "fuzz.mcap"
+        path.write_bytes(data)
+        with suppress(LogError):
+            recover(path, path.with_name("good.mcap"), lambda *_: None)
     try:
         log = parse_log(path, data)
     except LogError:

@@ -20,6 +20,7 @@ from ground.telemetry.format import (
     header_crc32,
 )
 from ground.telemetry.lost_messages import RECOVERED_RECORD, LostMessages, loss_metadata
+from ground.telemetry.mcap_reader import PARSE_ERRORS
 from ground.telemetry.read import parse_log, read_log_bytes
 from ground.telemetry.salvage import SalvagedLog, salvage
 from ground.telemetry.topic_arrays import decode_topics, known_topics
@@ -78,7 +79,11 @@ def _check_ours(bad: Path, found: SalvagedLog) -> None:
         raise LogNotReadable(bad, f"log format {version}; this marsarm reads format {FORMAT}")
     if not found.chunks and HEADER_RECORD not in found.metadata:
         raise LogNotReadable(bad, "holds no undamaged part of a marsarm log; nothing can be saved")
-    if found.chunks and not known_topics(found.metadata.get(HEADER_RECORD, {}), found.channels):
+    try:
+        known = known_topics(found.metadata.get(HEADER_RECORD, {}), found.channels)
+    except PARSE_ERRORS:
+        known = {}
+    if found.chunks and not known:
         raise LogNotReadable(bad, "nothing in it says what its messages mean; nothing can be saved")
 
 

@@ -4,7 +4,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import zstandard
@@ -42,7 +42,7 @@ from ground.telemetry.mcap_reader import (
     read_summary,
 )
 from ground.telemetry.schema import ros_definition
-from ground.telemetry.topic_arrays import decode_topics, known_topics
+from ground.telemetry.topic_arrays import KnownTopic, decode_topics, known_topics
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,8 +224,13 @@ def salvage(data: bytes) -> SalvagedLog:
         heads = heads_at(np.frombuffer(plain, np.uint8), np.array(starts, np.int64))
         chunks.append(IntactChunk(plain, starts, heads))
     chunks = sort_chunks(chunks, notes)
-    header = metadata.get(HEADER_RECORD, {})
-    _add_declared(header, channels, schemas)
+    try:
+        names, declared = _declared_topics(metadata.get(HEADER_RECORD, {}))
+    except PARSE_ERRORS:
+        names, declared = {}, {}
+        del metadata[HEADER_RECORD]
+        notes.append("its header does not describe its topics and was left out")
+    _add_declared(declared, channels, schemas)
     try:
         lost_before = losses_in(metadata.pop(RECOVERED_RECORD, {}))
     except PARSE_ERRORS:
@@ -235,7 +240,6 @@ def salvage(data: bytes) -> SalvagedLog:
     except ValueError:
         interrupted_by = ""
         notes.append("what it says of its end is damaged and left out")
-    names = {number: topic["topic"] for number, topic in _declared_topics(header).items()}
     names |= {number: channel.topic for number, channel in channels.items()}
     lost = find_losses(chunks, names, set(channels), totals, totals is not None or _is_complete(data))
     return SalvagedLog(
@@ -274,30 +278,32 @@ def _chunk_sort_key(chunk: IntactChunk) -> tuple[int, ...]:
     return int(chunk.heads["time_ns"].min()), int(first["channel"]), int(first["sequence"])
 
 
-def _declared_topics(header: Mapping[str, str]) -> dict[int, dict[str, Any]]:
-    """Return the description of channels in a header; empty if the header is damaged or of another kind."""
-    try:
-        return decode_topics(header)
-    except PARSE_ERRORS:
-        return {}
+def _declared_topics(
+    header: Mapping[str, str],
+) -> tuple[dict[int, str], dict[int, tuple[KnownTopic, str]]]:
+    """Return the topics of a header, and its flight channels with the names of their schemas, by number.
+
+    Raises:
+        KeyError, TypeError, AttributeError, ValueError: the header is damaged or of another kind.
+    """
+    documents = decode_topics(header)
+    found = {number: (one, documents[number]["schema"]) for number, one in known_topics(header, {}).items()}
+    if not all(isinstance(name, str) for _, name in found.values()):
+        raise TypeError("a schema's name is not a text")
+    return {number: document["topic"] for number, document in documents.items()}, found
 
 
 def _add_declared(
-    header: Mapping[str, str], channels: dict[int, Channel], schemas: dict[int, Schema]
+    declared: Mapping[int, tuple[KnownTopic, str]], channels: dict[int, Channel], schemas: dict[int, Schema]
 ) -> None:
     """Add the flight channels whose records are lost, from their description in the header."""
-    topics = _declared_topics(header)
-    try:
-        known = known_topics(header, {})
-    except PARSE_ERRORS:
-        return
     entries: dict[str, type[LogEntry]] = {EVR_TOPIC: EvrEntry, COMMAND_TOPIC: CommandEntry}
-    for number in sorted(set(known) - set(channels)):
-        one = known[number]
+    for number in sorted(set(declared) - set(channels)):
+        one, schema_name = declared[number]
         text = one.layout.ros_text if one.layout is not None else entries[one.topic].ros_text()
         schema_id = max(schemas, default=0) + 1
         schemas[schema_id] = Schema(
-            id=schema_id, name=topics[number]["schema"], encoding="ros2msg", data=ros_definition(None, text)
+            id=schema_id, name=schema_name, encoding="ros2msg", data=ros_definition(None, text)
         )
         metadata = {} if one.layout is None else {LAYOUT_KEY: one.layout.to_json()}
         if one.is_truth:

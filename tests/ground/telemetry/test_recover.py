@@ -4,14 +4,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.data_stream import RecordBuilder
+from mcap.records import Metadata
 
 from ground.common.errors import BadRequest
 from ground.telemetry.errors import LogNotReadable
-from ground.telemetry.format import TICK_NS
+from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, TICK_NS, header_crc32
 from ground.telemetry.lost_messages import LogDamaged, LostMessages
 from ground.telemetry.read import read_log
 from ground.telemetry.recover import RecoveryReport, recover
 from validation.damage import CUT_EVERY, flip_bits, is_part, original, truncate_file
+from validation.fuzz_inputs import parts
 
 N_CYCLES = 12
 PACKETS = ["/sensors", "/drive", "/joint", "/tool", "/truth"]
@@ -135,6 +138,25 @@ def test_a_lost_header_is_reported_and_the_values_are_saved(tmp_path: Path, data
     assert recovered.header_lost
     log = read_log(tmp_path / "good.mcap")
     assert (len(log["/joint"]), dict(log.header)) == (N_CYCLES, {})
+
+
+@pytest.mark.parametrize(("old", "new"), [("schema", "scheme"), ("layout", "layer_"), ("truth", "trust")])
+def test_a_header_that_does_not_describe_its_topics_is_left_out(
+    tmp_path: Path, data: bytes, old: str, new: str
+) -> None:
+    intact = original(data).log.header
+    header = {name: value.replace(f'"{old}"', f'"{new}"') for name, value in intact.items()}
+    records = RecordBuilder()
+    about = {"version": FORMAT, "header_crc32": header_crc32(header)}
+    Metadata(name=FORMAT_RECORD, metadata=about).write(records)
+    Metadata(name=HEADER_RECORD, metadata=header).write(records)
+    found = parts(data)[1]
+    changed = data[: found[FORMAT_RECORD][0]] + records.end() + data[found[HEADER_RECORD][1] :]
+    place = chunk_of(data, 5) + 200 + len(changed) - len(data)
+    recovered = saved(tmp_path, broken(changed, place))
+    assert recovered.header_lost
+    assert "its header does not describe its topics and was left out" in recovered.notes
+    assert len(read_log(tmp_path / "good.mcap")["/joint"]) == N_CYCLES - 1
 
 
 def test_a_recovered_log_that_is_damaged_keeps_earlier_losses(tmp_path: Path, data: bytes) -> None:
