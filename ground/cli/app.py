@@ -36,7 +36,7 @@ GL_OFF: Final = ("disable", "disabled", "off", "false", "0")
 
 app = typer.Typer(
     name="marsarm",
-    help="Control of the Curiosity rover's arm, a MuJoCo plant for it, and ground tools.",
+    help="Control of the arms of Curiosity and like rovers, a MuJoCo plant for them, and ground tools.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},

@@ -10,6 +10,7 @@ import numpy as np
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Vector3
 from ground.common.errors import BadRequest
+from sim.arm_model.load import ArmModel
 from sim.arm_model.mismatch import find_mismatches
 from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.effects.effect import Effect, EffectMisfit
@@ -91,8 +92,31 @@ def load_params(name: str, path: Path, mismatch: bool = False) -> Params:
     """
     try:
         model = arm_named(name).model
+    except UnknownArm as error:
+        raise BadRequest(str(error)) from error
+    params = load_fitting_params(model, path, mismatch)
+    if params.arm_name not in (NOMINAL_ARM, name):
+        raise BadRequest(
+            f"params {path}: these are of the arm {params.arm_name}, not of {name}; give its own, or leave "
+            "arm_name out"
+        )
+    return params
+
+
+def load_fitting_params(model: ArmModel, path: Path, mismatch: bool = False) -> Params:
+    """Read a TOML file of flight parameters over those of a drawing.
+
+    Args:
+        model: Drawing of the arm.
+        path: The TOML file.
+        mismatch: True to take parameters that do not fit the drawing.
+
+    Raises:
+        BadRequest: the file is wrong, or no arm of this drawing can have its parameters.
+    """
+    try:
         params = params_over(model.params, path)
-    except (BadParams, UnknownArm) as error:
+    except BadParams as error:
         raise BadRequest(str(error)) from error
     problems = () if mismatch else tuple(find_mismatches(params, model))
     if problems:
@@ -100,11 +124,6 @@ def load_params(name: str, path: Path, mismatch: bool = False) -> Params:
         raise BadRequest(
             f"params {path}: {problems[0]}{more}; no built arm is so far from its drawing: give parameters "
             "of this arm, or --mismatch if it is meant"
-        )
-    if params.arm_name not in (NOMINAL_ARM, name):
-        raise BadRequest(
-            f"params {path}: these are of the arm {params.arm_name}, not of {name}; give its own, or leave "
-            "arm_name out"
         )
     return params
 

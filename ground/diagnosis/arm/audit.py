@@ -41,6 +41,10 @@ MIN_SEGMENTS: Final = 2
 
 def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
     """Return the reasons why recordings cannot be compared with a simulator of these parameters."""
+    foreign = {one.params.model.name for one in recordings} - {base.model.name}
+    if foreign:
+        names = ", ".join(sorted(foreign))
+        return (f"logs of the arm {names}: the diagnosis knows the arm {base.model.name} only",)
     wrong = [
         f"{one.name}: {reason}"
         for one in recordings

@@ -13,7 +13,7 @@ from ground.common.errors import BadRequest
 from ground.common.options import check_options
 from ground.common.pool import Runner, select_runner
 from ground.common.progress import Progress, no_progress, part_of
-from ground.common.requests import parse_effects
+from ground.common.requests import load_fitting_params, parse_effects
 from ground.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
 from ground.diagnosis.arm.campaign_model import load_campaign_model
 from ground.diagnosis.arm.campaign_sensitivities import Logs
@@ -23,10 +23,10 @@ from ground.diagnosis.arm.record import HELD_OUT_FOLDER
 from ground.diagnosis.arm.request import DiagnoseRequest
 from ground.diagnosis.arm.simulator import list_candidates
 from ground.diagnosis.result import DiagnosisResult
+from sim.arm_model.load import default_arm
 from sim.effects.catalogue import catalogue, effect_name
 from sim.effects.effect import Effect
 from sim.params import nominal_params, params_over_nominal
-from sim.params_table import BadParams
 from sim.scenario.names import shorten
 
 CAMPAIGN_SHARE: Final = 0.9
@@ -72,10 +72,7 @@ def prepare_diagnosis(request: DiagnoseRequest) -> DiagnoseJob:
     held_out = tuple(_expand_logs(request.held_out, "held-out log"))
     _check_different(fitted, held_out)
     if request.params is not None:
-        try:
-            params_over_nominal(request.params)
-        except BadParams as error:
-            raise BadRequest(str(error)) from error
+        load_fitting_params(default_arm(), request.params, request.mismatch)
     if request.campaign is not None and not os.path.isdir(request.campaign):
         raise BadRequest(f"campaign {request.campaign}: there is no such folder of logs")
     kinds = None if request.catalogue is None else _parse_effects(request.catalogue)

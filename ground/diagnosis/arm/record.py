@@ -22,6 +22,7 @@ from ground.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, w
 from ground.telemetry.header import SESSION, flight_header
 from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.recorder import Recorder
+from sim.arm_model.load import default_arm
 from sim.arms import BuiltArm, effects_of_run
 from sim.diagnosis_campaign import (
     HELD_OUT_SESSIONS,
@@ -126,6 +127,11 @@ def check_record_request(request: RecordRequest) -> None:
     """
     check_options(request)
     arm = select_arm(request.arm, request.params, request.mismatch)
+    if arm.model.name != default_arm().name:
+        raise BadRequest(
+            f"arm {request.arm}: the diagnosis knows the drawing {default_arm().name} only; give nominal, "
+            "as-built:SEED or calibrated:SEED"
+        )
     fit_effects(arm, parse_effects(request.effects, arm.params.tool_names))
     _choose_sessions(request, arm)
     if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):

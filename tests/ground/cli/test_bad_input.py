@@ -47,6 +47,7 @@ TEXTS = {
     "date.toml": "[motion]\ntakeup_rad = 2026-11-22\n",
     "huge.toml": f"[motion]\ntakeup_rad = 1{'0' * 400}\n",
     "old.toml": "[motion]\nload_period = 4\n",
+    "foreign.toml": "[links.arm2.transform]\na_m = 0.3\n",
     "unknown.toml": "[motion]\nspeed = 4\n",
     "old_effect.toml": "[[effect]]\ntype = 'flex-cable'\njoint = 'elbow'\ngive_rad = 0.1\n",
     "no_effect.toml": "[[effect]]\nname = 3\n",
@@ -172,7 +173,10 @@ CASES = {
     "budget --params utf16.toml": "is not text in UTF-8; save it as UTF-8",
     "monte-carlo --params bytes.toml": "is not text in UTF-8; save it as UTF-8",
     "hardstop --params sparse.toml": "has 1073741824 bytes",
+    "place --params foreign.toml": "no built arm is so far from its drawing",
+    "diagnose run.mcap --params foreign.toml": "no built arm is so far from its drawing",
     "gap record --out new --params half.toml": "is not TOML",
+    "gap record --out new --arm m2020": "the diagnosis knows the drawing msl only",
     "diagnose run.mcap --params list.toml": "motion: must be a table",
     # scenarios and effects
     "run empty.toml": "command: is missing",

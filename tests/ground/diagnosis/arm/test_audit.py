@@ -107,6 +107,14 @@ def test_recordings_of_another_parameter_set_are_refused(recordings: list[Record
     assert any("other flight parameters" in sentence for sentence in refusals(recordings[:1], other))
 
 
+def test_recordings_of_another_drawing_are_refused_once(recordings: list[Recording]) -> None:
+    other = arm_named("m2020").params
+    foreign = [replace(one, params=other) for one in recordings]
+    assert refusals(foreign, nominal_params()) == (
+        "logs of the arm m2020: the diagnosis knows the arm msl only",
+    )
+
+
 @pytest.mark.parametrize("scene", ["mars", "earth"])
 def test_the_imu_tells_scene_and_tilt_of_a_log_that_does_not(scene: Literal["mars", "earth"]) -> None:
     tilted = World(scene, 0.3, -0.2)
