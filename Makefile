@@ -12,7 +12,7 @@ WORKERS ?= 2
 say = echo "marsarm: $(1)" >&2
 
 .PHONY: help setup demo test test-all bench brief campaign accuracy calibration ur10 joints jobs blind requirements killed interrupt \
-  damage fuzz mutants references oracle viewers examples package cluster lint lock clean
+  damage fuzz mutants references oracle view viewers examples package cluster lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
@@ -35,6 +35,7 @@ help:
 	@echo "make fuzz      feed the readers of files with broken ones for a minute, print what came of it as JSON"
 	@echo "make mutants   change fsw/protect in a thousand places, print which changes its own tests do not notice"
 	@echo "make oracle    compare the inverse kinematics with EAIK, if it can be installed"
+	@echo "make view      play a placement in headless Chromium, print frames a second as JSON"
 	@echo "make viewers   open a log in Rerun and other tools, if they can be installed"
 	@echo "make examples  run the scripts of examples/, write their pictures to docs/examples"
 	@echo "make package   build the source distribution and the wheel in dist/"
@@ -164,6 +165,12 @@ examples: $(VENV)/ready
 package: $(VENV)/ready
 	@$(call say,building the source distribution, and the wheel from it, in dist/)
 	@$(BIN)/python .ci/package.py dist >/dev/null
+
+# Chromium is optional; without it the benchmark says so.
+view: $(VENV)/ready
+	@$(call say,playing a placement in headless Chromium; leave the machine alone for three minutes)
+	@$(BIN)/python -m validation.view $(ARGS)
+
 # Optional, and not in the lock. Without Ray the tests are skipped and say so, and the benchmark says what is missing.
 cluster: $(VENV)/ready
 	@$(call say,installing Ray from the package index; without it nothing is tried)
