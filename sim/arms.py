@@ -11,7 +11,7 @@ from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Row6, row6
 from sim.arm_model.description import BadArm
-from sim.arm_model.load import ArmModel, arm_names, default_arm, has_description, load_arm
+from sim.arm_model.load import ArmModel, arm_names, default_arm, default_name, has_description, load_arm
 from sim.effects.effect import Effect, check_effects, params_with_effects
 from sim.effects.geometry import FrameError
 from sim.effects.joints import (
@@ -24,6 +24,7 @@ from sim.effects.joints import (
 )
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.params_table import BadParams
+from sim.world import check_plant
 
 MAX_SEED_DIGITS: Final = 9
 SPRING_FRAMES: Final = (Frame.ARM1, Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5)
@@ -51,6 +52,7 @@ class BuiltArm:
     """Arm: its differences from the drawing, and its flight parameters."""
 
     name: str
+    """Name that leads back to it; see `own_name`."""
     effects: tuple[Effect, ...]
     params: Params
     model: ArmModel = field(default_factory=default_arm)
@@ -80,37 +82,68 @@ def arm_named(name: str, params: Params | None = None) -> BuiltArm:
     Raises:
         UnknownArm: the name has none of these forms, or the drawing is wrong.
     """
-    model, kind, seed = _parse_name(name)
-    flight_params = params or model.params
-    if kind == "nominal":
-        return BuiltArm(name, (), flight_params, model)
-    effects = draw_tolerances(model, seed)
-    if kind == "calibrated":
-        errors = draw_calibration_errors(model, seed)
+    known = _parse_name(name)
+    model, flight_params = known.model, params or known.model.params
+    named = known.own_name if known.folder is None else name  # a folder is found by its name only
+    if known.kind == "nominal":
+        return BuiltArm(named, (), flight_params, model)
+    effects = draw_tolerances(model, known.seed)
+    if known.kind == "calibrated":
+        errors = draw_calibration_errors(model, known.seed)
         flight_params = params_with_effects((*effects, *errors), flight_params)
-    return BuiltArm(name, effects, replace(flight_params, arm_name=name), model)
+    return BuiltArm(named, effects, replace(flight_params, arm_name=known.own_name), model)
 
 
-def _parse_name(name: str) -> tuple[ArmModel, str, int]:
-    """Return drawing, kind and seed of an arm."""
+def own_name(name: str) -> str:
+    """Return the name of an arm in its parameters: the same for all names and folders that lead to it.
+
+    It is the name of the drawing, unless that is the default one, and kind and seed: `m2020/as-built:7`.
+
+    Raises:
+        UnknownArm: there is no such arm.
+    """
+    return _parse_name(name).own_name
+
+
+@dataclass(frozen=True, slots=True)
+class _ArmName:
+    """Parts of the name of an arm."""
+
+    model: ArmModel
+    folder: str | None
+    """Folder of the drawing; None if it comes with the project."""
+    kind: str
+    seed: int
+
+    @property
+    def own_name(self) -> str:
+        """Return the name in parameters."""
+        drawing = "" if self.model.name == default_name() else f"{self.model.name}/"
+        return f"{drawing}{self.kind}" + ("" if self.kind == "nominal" else f":{self.seed}")
+
+
+def _parse_name(name: str) -> _ArmName:
     folder, slash, last = name.rpartition("/")
     is_kind = ARM_PATTERN.fullmatch(last) is not None
-    model = name if not is_kind else folder if slash else None
-    if model is not None and not has_description(model):
+    model = name if not is_kind else folder if slash else default_name()
+    if not has_description(model):
         raise UnknownArm(
             f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED, or put a drawing "
             f"and / before it: {', '.join(arm_names())}, or a folder with an arm.toml"
         )
-    try:
-        drawing = default_arm() if model is None else load_arm(model)
-    except (BadArm, BadParams) as error:
-        raise UnknownArm(str(error)) from error
     kind, _, seed = (last if is_kind else "nominal").partition(":")
     if len(seed) > MAX_SEED_DIGITS:
         raise UnknownArm(
             f"arm {kind}: its seed has {len(seed)} digits; give one with {MAX_SEED_DIGITS} at most"
         )
-    return drawing, kind, int(seed or 0)
+    is_ours = model in arm_names()
+    try:
+        drawing = default_arm() if model == default_name() else load_arm(model)
+        if not is_ours:
+            check_plant(drawing)
+    except (BadArm, BadParams) as error:
+        raise UnknownArm(str(error)) from error
+    return _ArmName(drawing, None if is_ours else model, kind, int(seed or 0))
 
 
 def effects_of_run(effects: Iterable[Effect]) -> tuple[Effect, ...]:

@@ -28,7 +28,8 @@ def start_loop(
     """Start a run of an arm that has found its hardstops.
 
     Args:
-        arm: Arm or its name: nominal, as-built:SEED or calibrated:SEED.
+        arm: Arm or its name: nominal, as-built:SEED or calibrated:SEED; MODEL/ before it for another drawing,
+            or a folder with an arm.toml.
         world: World around the arm.
         effects: Effects, or their texts as on the command line.
         start_rad: Output angles at the start; None for the stowed pose.

@@ -11,6 +11,7 @@ import numpy as np
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Vector3
 from fsw.kinematics.transforms import Array
+from sim.arm_model.description import BadArm
 from sim.arm_model.load import SCENES, ArmModel, default_arm
 from sim.drawing import attach_drawing
 from sim.frames import FLIP, P_NR_M, gravity_in_rover
@@ -85,6 +86,26 @@ def build(world: World, arm: ArmModel | None = None, for_pictures: bool = False)
         if not for_pictures:
             _remove_visuals(spec)
     return spec
+
+
+def check_plant(arm: ArmModel) -> None:
+    """Check that MuJoCo accepts the plant and the looks of an arm. Those of the project are checked in lint.
+
+    Raises:
+        BadArm: it does not.
+    """
+    problem = _find_plant_problem(arm.mjcf)
+    if problem is not None:
+        raise BadArm(f"arm {arm.name}: MuJoCo does not accept its plant: {problem}")
+
+
+@cache
+def _find_plant_problem(arm_mjcf: str) -> str | None:
+    try:
+        _load_scene("mars", arm_mjcf, for_pictures=True).copy().compile()
+    except ValueError as error:
+        return " ".join(str(error).split())
+    return None
 
 
 @cache

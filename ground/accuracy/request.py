@@ -29,7 +29,7 @@ class BudgetRequest:
             "CASE|all",
         ),
     ] = "all"
-    tool: Annotated[str, Option("drill, drt, mahli, apxs or portion.", "TOOL|all")] = "all"
+    tool: Annotated[str, Option("A tool of the arm, or all.", "TOOL|all")] = "all"
     poses: Annotated[
         int,
         Option("Number of random poses in the workspace, over all branches.", within=(100, 200_000)),

@@ -15,6 +15,7 @@ from ground.render.console import plain_console
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel, arm_folder, arm_names, default_arm, load_arm
 from sim.params_table import BadParams
+from sim.world import check_plant
 
 MADE_FROM: Final = "Made from arm.toml by `marsarm arm build`; change that file, not this one."
 
@@ -33,7 +34,7 @@ class ArmFiles:
         return tuple(
             path
             for path, text in self.texts.items()
-            if not path.is_file() or path.read_text(encoding="utf-8") != text
+            if not path.is_file() or path.read_bytes() != text.encode()
         )
 
 
@@ -47,18 +48,18 @@ def build_arms(request: ArmBuildRequest) -> tuple[ArmFiles, ...]:
         found = tuple(_make_files(name) for name in ([request.arm] if request.arm else arm_names()))
     except (BadArm, BadParams) as error:
         raise BadRequest(str(error)) from error
-    stale = [path for one in found for path in one.stale]
+    stale = {path: one.texts[path] for one in found for path in one.stale}
     if request.check and stale:
-        raise BadRequest(f"{stale[0]}: is not what arm.toml says; run `marsarm arm build`")
-    for one in found:
-        for path in one.stale:
-            with atomic_write(path, "file") as file:
-                file.write(one.texts[path].encode())
+        raise BadRequest(f"{next(iter(stale))}: is not what arm.toml says; run `marsarm arm build`")
+    for path, text in stale.items():
+        with atomic_write(path, "file") as file:
+            file.write(text.encode())
     return found
 
 
 def _make_files(name: str) -> ArmFiles:
     model, folder = load_arm(name), arm_folder(name)
+    check_plant(model)
     comments = [f"Flight parameters of the drawing of {model.description.title}.", MADE_FROM, "SI units."]
     return ArmFiles(
         model,

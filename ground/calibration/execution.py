@@ -28,10 +28,9 @@ from ground.calibration.verify import (
 from ground.common.errors import BadRequest
 from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress, part_of
-from ground.common.requests import select_arm
-from sim.arm_model.load import ArmModel, default_arm
+from ground.common.requests import load_params, select_arm
+from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm, UnknownArm, arm_named
-from sim.params import params_over
 from sim.params_table import BadParams, check_params
 from sim.tracker import Tracker
 
@@ -55,13 +54,14 @@ def run_calibration(request: CalibrateRequest, progress: Progress = no_progress)
     Raises:
         BadRequest: The request or the data are wrong, or the fit is not acceptable; nothing was written.
     """
-    arm = _check_request(request)
+    arm, base = _check_request(request)
     measured = _measuring_share(request)
     try:
         campaign = _take_campaign(request, arm, part_of(progress, 0.0, measured))
-        drawing = _drawing_of(campaign.arm_name) if arm is None else arm.model
-        base = drawing.params if request.params is None else params_over(drawing.params, request.params)
-        _check_same_arm(base, campaign)
+        drawing = _drawing_of(campaign) if arm is None else arm.model
+        if base is None and request.params is not None:
+            base = load_params(campaign.arm_name, request.params, request.mismatch)
+        base = base or drawing.params
         check_data(base, campaign)
         progress(measured, 1.0, "fitting")
         found = calibrate(base, campaign, built=drawing.description.tolerances.built)
@@ -83,8 +83,12 @@ def run_calibration(request: CalibrateRequest, progress: Progress = no_progress)
     return CalibrateReport(request, found, params, verification)
 
 
-def _check_request(request: CalibrateRequest) -> BuiltArm | None:
-    """Check all that can be checked before any motion or output; return the arm to measure, if any."""
+def _check_request(request: CalibrateRequest) -> tuple[BuiltArm | None, Params | None]:
+    """Check all that can be checked before any motion or output.
+
+    Returns:
+        The arm to measure and the parameters over those of its drawing, if there are any.
+    """
     check_options(request)
     if (request.arm is None) == (request.data is None):
         raise BadRequest(
@@ -94,29 +98,28 @@ def _check_request(request: CalibrateRequest) -> BuiltArm | None:
         raise BadRequest("calibrate: --verify and --save-data are for an arm in simulation; give no --data")
     if not all(0 <= um < 1e4 for um in request.tracker_um) or request.tracker_um[0] == 0:
         raise BadRequest("tracker: its noise is not within 0 .. 10000 micrometres, the first above 0")
-    return None if request.arm is None else select_arm(request.arm, request.params, request.mismatch)
+    if request.arm is None:
+        return None, None
+    if request.params is None:
+        return select_arm(request.arm, None), None
+    base = load_params(request.arm, request.params, request.mismatch)
+    return arm_named(request.arm, base), base
 
 
-def _drawing_of(arm_name: str) -> ArmModel:
-    """Return the drawing that the name of a measured arm begins with, or the default one."""
+def _drawing_of(campaign: Campaign) -> ArmModel:
+    """Return the drawing of a measured arm."""
+    if not campaign.count:
+        raise BadData("data: holds no pose")
     try:
-        return arm_named(arm_name).model
-    except UnknownArm:
-        return default_arm()
+        return arm_named(campaign.arm_name).model
+    except UnknownArm as error:
+        raise BadData(f"column arm: {error}") from error
 
 
 def _require_table(path: Path | None) -> Path:
     if path is None:
         raise BadRequest("data: give a table")
     return path
-
-
-def _check_same_arm(base: Params, campaign: Campaign) -> None:
-    if base.arm_name not in ("nominal", campaign.arm_name):
-        raise BadData(
-            f"params: these are of the arm {base.arm_name}, the data of {campaign.arm_name}; give the "
-            "nominal ones or its own"
-        )
 
 
 def _take_campaign(request: CalibrateRequest, arm: BuiltArm | None, progress: Progress) -> Campaign:

@@ -16,6 +16,7 @@ from ground.calibration.calibrate import Calibration, rms_m
 from ground.calibration.campaign_data import Campaign
 from ground.common.files import atomic_write
 from ground.common.params_toml import params_toml
+from sim.arms import own_name
 
 
 def calibrated_params(found: Calibration, tools: dict[str, Pose] | None = None) -> Params:
@@ -33,7 +34,7 @@ def calibrated_params(found: Calibration, tools: dict[str, Pose] | None = None) 
     changed = tuple(
         replace(tool, transform=registered.get(tool.name, tool.transform)) for tool in params.tools
     )
-    return replace(params, tools=changed, arm_name=found.campaign.arm_name)
+    return replace(params, tools=changed, arm_name=own_name(found.campaign.arm_name))
 
 
 def data_sha256(campaign: Campaign) -> str:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
 
-from ground.common.options import MismatchOption, Option, ParamsOption, ReportOption, SeedOption
+from ground.common.options import ARM_HELP, MismatchOption, Option, ParamsOption, ReportOption, SeedOption
 
 LEAST_POSES: Final = 24
 """Smallest number of poses: three times what the worst-conditioned combination needs. The paper took 160."""
@@ -15,9 +15,7 @@ MOST_POSES: Final = 1000
 class CalibrateRequest:
     """Request for a calibration: of `arm` in simulation, or of the real arm of `data`."""
 
-    arm: Annotated[str | None, Option("Measure this arm in simulation: as-built:SEED or nominal.", "ARM")] = (
-        None
-    )
+    arm: Annotated[str | None, Option(f"Measure this arm in simulation: {ARM_HELP}", "ARM")] = None
     data: Annotated[
         Path | None,
         Option(

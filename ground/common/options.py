@@ -115,7 +115,11 @@ def _format(value: float) -> str:
     return str(value) if isinstance(value, int) else f"{value:g}"
 
 
-ArmOption = Annotated[str, Option("nominal, as-built:SEED or calibrated:SEED.", "ARM")]
+ARM_HELP: Final = (
+    "nominal, as-built:SEED or calibrated:SEED; MODEL/ before it for another drawing, or a folder with an "
+    "arm.toml."
+)
+ArmOption = Annotated[str, Option(ARM_HELP, "ARM")]
 RollOption = Annotated[float, Option("Rover roll, right side down, in degrees.", "DEG", "--tilt-roll")]
 PitchOption = Annotated[float, Option("Rover pitch, nose up, in degrees.", "DEG", "--tilt-pitch")]
 SeedOption = Annotated[int, Option("Seed of everything random except the arm.", within=(0, None))]

@@ -12,7 +12,7 @@ from fsw.dictionary.types import Vector3
 from ground.common.errors import BadRequest
 from sim.arm_model.load import ArmModel
 from sim.arm_model.mismatch import find_mismatches
-from sim.arms import BuiltArm, UnknownArm, arm_named
+from sim.arms import BuiltArm, UnknownArm, arm_named, own_name
 from sim.effects.effect import Effect, EffectMisfit
 from sim.params import params_over
 from sim.params_table import BadParams
@@ -91,13 +91,13 @@ def load_params(name: str, path: Path, mismatch: bool = False) -> Params:
         BadRequest: the file is wrong, or its parameters belong to another arm.
     """
     try:
-        model = arm_named(name).model
+        model, own = arm_named(name).model, own_name(name)
     except UnknownArm as error:
         raise BadRequest(str(error)) from error
     params = load_fitting_params(model, path, mismatch)
-    if params.arm_name not in (NOMINAL_ARM, name):
+    if params.arm_name not in (NOMINAL_ARM, own):
         raise BadRequest(
-            f"params {path}: these are of the arm {params.arm_name}, not of {name}; give its own, or leave "
+            f"params {path}: these are of the arm {params.arm_name}, not of {own}; give its own, or leave "
             "arm_name out"
         )
     return params

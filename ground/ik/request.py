@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 from ground.common.options import (
+    ARM_HELP,
     ClusterOption,
     MismatchOption,
     Option,
@@ -43,8 +44,8 @@ class ModelRequest:
     arm: Annotated[
         str,
         Option(
-            "nominal, as-built:SEED or calibrated:SEED: the arm that flight software assumes, by its flight "
-            "parameters; those of as-built are nominal.",
+            f"{ARM_HELP} Its flight parameters are the arm that flight software assumes; those of as-built "
+            "are nominal.",
             "ARM",
         ),
     ] = "nominal"

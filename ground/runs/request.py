@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 from ground.common.options import (
+    ARM_HELP,
     ArmOption,
     EffectsOption,
     MismatchOption,
@@ -93,7 +94,7 @@ class RunRequest:
     ]
     arm: Annotated[
         str | None,
-        Option("nominal, as-built:SEED or calibrated:SEED; that of the scenario if not given.", "ARM"),
+        Option(f"{ARM_HELP} That of the scenario if not given.", "ARM"),
     ] = None
     tilt_deg: Annotated[
         tuple[float, float] | None,

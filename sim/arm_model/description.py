@@ -6,14 +6,20 @@ The arrangement is fixed: azimuth, elevation, elbow, wrist, turret. Everything e
 import json
 import tomllib
 from dataclasses import dataclass, field
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import TeachPoint, Transform6
-from fsw.dictionary.types import Joints5, Vector3
+from fsw.dictionary.types import Angle, Joints5, Limits, Vector3
 from sim.params_table import describe_error
 
+Expansion = Annotated[float, Limits(-1e-4, 1e-4)]
+Gain = Annotated[float, Limits(0.0, 1e9)]
+Share = Annotated[float, Limits(1e-6, 0.5)]
+SmallAngle = Annotated[float, Limits(1e-9, 0.05)]
+SmallLength = Annotated[float, Limits(1e-9, 0.05)]
 Pair = tuple[float, float]
 Six = tuple[float, float, float, float, float, float]
 NO_SPRING: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -25,25 +31,28 @@ class BadArm(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Actuator:
-    """Motor with gear and servo; torques, angles and gains are those of the output."""
+    """Motor with gear and servo; torques, angles and gains are those of the output.
+
+    Numbers without limits here are flight parameters, which have them.
+    """
 
     gear_ratio: float
     encoder_counts_per_turn: int
     torque_constant_Nm_A: float
     current_limit_A: float
-    resistance_Ohm: float
-    armature_kg_m2: float
-    friction_Nm: float
-    damping_Nms_rad: float
-    position_gain_Nm_rad: float
-    integral_gain_Nm_rads: float
-    rate_gain_Nms_rad: float
-    integral_limit_rads: float
+    resistance_Ohm: Annotated[float, Limits(1e-3, 1e3)]
+    armature_kg_m2: Annotated[float, Limits(1e-3, 1e5)]
+    friction_Nm: Annotated[float, Limits(0.0, 1e4)]
+    damping_Nms_rad: Annotated[float, Limits(0.0, 1e6)]
+    position_gain_Nm_rad: Gain
+    integral_gain_Nm_rads: Gain
+    rate_gain_Nms_rad: Gain
+    integral_limit_rads: Annotated[float, Limits(0.0, 1.0)]
     backlash_rad: float
     gear_stiffness_Nm_rad: float
     output_friction_Nm: float
-    winding_K_W: float
-    winding_s: float
+    winding_K_W: Annotated[float, Limits(0.0, 1e3)]
+    winding_s: Annotated[float, Limits(1.0, 1e6)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +69,7 @@ class JointDescription:
     speed_rad_s: float
     acceleration_rad_s2: float
     jerk_rad_s3: float
-    counter_zero_rad: float = 0.0
+    counter_zero_rad: Angle = 0.0
     """Motor angle at which the counter of the encoder reads 0; flight software does not know it."""
 
 
@@ -76,14 +85,14 @@ class JointDescriptions:
 
     def by_name(self) -> dict[str, JointDescription]:
         """Return the joints by name, from the rover outward."""
-        return {name: getattr(self, name) for name in ("azimuth", "elevation", "elbow", "wrist", "turret")}
+        return {joint.name.lower(): getattr(self, joint.name.lower()) for joint in Joint}
 
 
 @dataclass(frozen=True, slots=True)
 class Lump:
     """Mass on one side of the spring of a link, in the link frame."""
 
-    mass_kg: float
+    mass_kg: Annotated[float, Limits(1e-4, 200.0)]
     com_m: Vector3
     inertia_kg_m2: Vector3
     """Moments about the centre of mass and the axes of the link frame."""
@@ -94,7 +103,7 @@ class LinkDescription:
     """Link: transform to the frame at its end, spring, masses, thermal expansion."""
 
     transform: Transform6
-    expansion_1_K: float
+    expansion_1_K: Expansion
     far: Lump
     near: Lump | None = None
     elastic_centre_m: Vector3 = (0.0, 0.0, 0.0)
@@ -123,7 +132,7 @@ class ToolDescription:
     """Tool on the turret; the x axis of its frame points outward."""
 
     transform: Transform6
-    expansion_1_K: float
+    expansion_1_K: Expansion
     title: str | None = None
     """Name in sentences; None for that of the table."""
     pad_solref: Pair = (-6600.0, -66.0)
@@ -189,25 +198,25 @@ class PoseDescriptions:
 class BuiltTolerances:
     """One sigma of what a built arm differs from the drawing; shares are log-normal."""
 
-    frame_rad: float
-    frame_m: float
-    hardstop_rad: float
-    resolver_rad: float
-    stiffness_share: float
-    backlash_share: float
-    mass_share: float
-    friction_share: float
-    com_m: float
+    frame_rad: SmallAngle
+    frame_m: SmallLength
+    hardstop_rad: SmallAngle
+    resolver_rad: SmallAngle
+    stiffness_share: Share
+    backlash_share: Share
+    mass_share: Share
+    friction_share: Share
+    com_m: SmallLength
 
 
 @dataclass(frozen=True, slots=True)
 class CalibratedTolerances:
     """One sigma of what the parameters of a calibrated arm differ from the arm."""
 
-    frame_rad: float
-    frame_m: float
-    hardstop_rad: float
-    stiffness_share: float
+    frame_rad: SmallAngle
+    frame_m: SmallLength
+    hardstop_rad: SmallAngle
+    stiffness_share: Share
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,53 +263,14 @@ def read_description(text: str, path: str) -> ArmDescription:
     """Read the text of an `arm.toml`.
 
     Raises:
-        BadArm: fields in it are missing, not known or wrong; the message names each.
+        BadArm: fields in it are missing, not known or of a wrong type; the message names each.
     """
     try:
         table = tomllib.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise BadArm(f"{path}: is not TOML: {error}") from error
     try:
-        description = _ADAPTER.validate_json(json.dumps(table, default=str), strict=True, extra="forbid")
+        return _ADAPTER.validate_json(json.dumps(table, default=str), strict=True, extra="forbid")
     except ValidationError as error:
         lines = [f"{path}: {'.'.join(map(str, e['loc']))}: {describe_error(e, ())}" for e in error.errors()]
         raise BadArm("\n".join(lines)) from error
-    problems = list(_find_problems(description))
-    if problems:
-        raise BadArm("\n".join(f"{path}: {problem}" for problem in problems))
-    return description
-
-
-def _find_problems(arm: ArmDescription) -> list[str]:
-    """List references that lead nowhere, and shapes that are none."""
-    problems = []
-    for name, joint in arm.joints.by_name().items():
-        if joint.actuator not in arm.actuators:
-            known = ", ".join(arm.actuators)
-            problems.append(f"joints.{name}.actuator: {joint.actuator!r} is not known; there are {known}")
-    tools = ", ".join(arm.tools)
-    if not arm.tools:
-        problems.append("tools: is empty; an arm has at least one tool")
-    uses = [("instrument", arm.instrument)]
-    uses += [(f"switches.{name}.tool", switch.tool) for name, switch in arm.switches.items()]
-    problems += [
-        f"{place}: {tool!r} is not known; there are {tools}" for place, tool in uses if tool not in arm.tools
-    ]
-    if arm.instrument in arm.tools and all(switch.tool != arm.instrument for switch in arm.switches.values()):
-        problems.append(f"instrument: {arm.instrument} has no contact switch, so it cannot be placed")
-    parts = (*LINK_PARTS, *arm.tools)
-    for part, shapes in arm.shapes.items():
-        if part not in parts:
-            problems.append(f"shapes.{part}: is not known; there are {', '.join(parts)}")
-        problems += [
-            f"shapes.{part}.{k}: is no shape; write a capsule (from_m, to_m, radius_m), "
-            "a box (centre_m, half_m) or a cylinder (centre_m, radius_m, half_length_m)"
-            for k, shape in enumerate(shapes)
-            if shape.kind is None or (shape.kind == "cylinder" and shape.of != "plant")
-        ]
-    problems += [
-        f"shapes.{part}: is missing; flight software needs at least one shape for each part"
-        for part in parts
-        if not any(shape.of != "plant" for shape in arm.shapes.get(part, ()))
-    ]
-    return problems

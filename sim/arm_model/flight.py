@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from fsw.dictionary.params import Params, Transform6
-from sim.arm_model.description import LINK_PARTS, ArmDescription, LinkDescription, Lump, Shape
+from sim.arm_model.description import LINK_PARTS, ArmDescription, BadArm, LinkDescription, Lump, Shape
+from sim.arm_model.validity import reserved_of_flight
 from sim.params_table import merge_tables, params_from_table
 
 ROUNDING: Final = 1e-18
@@ -24,6 +25,7 @@ def flight_params(arm: ArmDescription, digest: str, defaults: Path, rover: Path)
         rover: TOML file of the shapes of the rover.
 
     Raises:
+        BadArm: the table `[flight]` sets what another table sets.
         BadParams: flight software does not accept them; the message names every wrong value.
     """
     shared = tomllib.loads(defaults.read_text(encoding="utf-8"))
@@ -44,7 +46,12 @@ def flight_params(arm: ArmDescription, digest: str, defaults: Path, rover: Path)
         "collision": {"arm": {part: _shape_tables(arm.shapes[part]) for part in LINK_PARTS}},
         "teach": [asdict(point) for point in arm.teach],
     }
-    return params_from_table(merge_tables(merge_tables(shared, own), arm.flight), f"arm {arm.name}")
+    reserved = [f"flight.{place}" for place in reserved_of_flight(own, shared, arm.flight)]
+    if reserved:
+        raise BadArm(
+            f"arm {arm.name}: {', '.join(reserved)}: other tables set this; leave it out of [flight]"
+        )
+    return params_from_table(merge_tables(merge_tables(shared, arm.flight), own), f"arm {arm.name}")
 
 
 def _link_table(link: LinkDescription) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import tomllib
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -12,7 +13,8 @@ from typing import Final
 from fsw.dictionary.params import Params
 from sim.arm_model.description import ArmDescription, BadArm, read_description
 from sim.arm_model.flight import flight_params
-from sim.arm_model.mjcf import arm_mjcf
+from sim.arm_model.mjcf import BadLooks, arm_mjcf
+from sim.arm_model.validity import check_description
 from sim.text_file import UnreadableText, read_text
 
 MODELS: Final = Path(str(files("sim") / "models"))
@@ -47,7 +49,7 @@ def arm_names() -> tuple[str, ...]:
 @cache
 def default_arm() -> ArmModel:
     """Return the arm that is meant if none is named."""
-    return load_arm(_default_name())
+    return load_arm(default_name())
 
 
 def arm_folder(name: str) -> Path:
@@ -57,7 +59,7 @@ def arm_folder(name: str) -> Path:
 
 def has_description(name: str) -> bool:
     """Return whether there is an arm of the project of this name, or a folder with an `arm.toml`."""
-    return bool(name) and (arm_folder(name) / FILE_NAME).is_file()
+    return bool(name) and os.path.isfile(arm_folder(name) / FILE_NAME)  # Path.is_file may raise
 
 
 def load_arm(name: str) -> ArmModel:
@@ -76,23 +78,36 @@ def load_arm(name: str) -> ArmModel:
         known = ", ".join(arm_names())
         raise BadArm(f"arm {name!r} is not known; there are {known}, or give a folder with an {FILE_NAME}")
     looks = folder / LOOKS_NAME
+    visual = _read(looks) if os.path.lexists(looks) else None
+    model = _make_arm(str(path), _read(path), str(looks), visual)
+    if name in arm_names() and model.name != name:
+        raise BadArm(f"{path}: name: {model.name!r} is not that of its folder, {name!r}")
+    return model
+
+
+@cache
+def default_name() -> str:
+    """Return the name of the arm that is meant if none is named."""
+    name: str = tomllib.loads(DEFAULTS.read_text(encoding="utf-8"))["default_arm"]
+    return name
+
+
+def _read(path: Path) -> str:
     try:
-        visual = read_text(looks) if looks.is_file() else None
-        return _make_arm(str(path), read_text(path), visual)
+        return read_text(path)
     except UnreadableText as error:
         raise BadArm(f"{path}: {error}") from error
 
 
 @cache
-def _default_name() -> str:
-    name: str = tomllib.loads(DEFAULTS.read_text(encoding="utf-8"))["default_arm"]
-    return name
-
-
-@cache
-def _make_arm(path: str, text: str, visual: str | None) -> ArmModel:
+def _make_arm(path: str, text: str, looks: str, visual: str | None) -> ArmModel:
     """Make an arm once in a process; a changed file is another text."""
     description = read_description(text, path)
+    check_description(description, path)
     digest = hashlib.sha256(json.dumps(asdict(description), sort_keys=True).encode()).hexdigest()
     params = flight_params(description, digest, DEFAULTS, SCENES / "rover.toml")
-    return ArmModel(description, params, arm_mjcf(description, visual))
+    try:
+        mjcf = arm_mjcf(description, visual)
+    except BadLooks as error:
+        raise BadArm(f"{looks}: {error}") from error
+    return ArmModel(description, params, mjcf)

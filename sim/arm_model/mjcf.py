@@ -32,6 +32,8 @@ SCREW_AXES: Final = (
     ("ty", "0 1 0"),
     ("tz", "0 0 1"),
 )
+MATERIAL: Final = "arm_titanium"
+"""Material of what looks and names no other; in DEFAULTS."""
 SLIDES_FIRST: Final = (3, 4, 5, 0, 1, 2)
 PAD_SITE_M: Final = 0.01
 """Radius of the touch site around a pad; it encloses its own pad and no other."""
@@ -71,6 +73,9 @@ def arm_mjcf(arm: ArmDescription, visual: str | None) -> str:
 
     Returns:
         The MJCF; it opens by itself, and scenes include it.
+
+    Raises:
+        BadLooks: the looks are no XML, or of bodies that the arm does not have.
     """
     root = Element("mujoco", model=f"{arm.name}_arm")
     SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -87,6 +92,7 @@ def arm_mjcf(arm: ArmDescription, visual: str | None) -> str:
         childclass="arm",
     )
     _add_bodies(arm, looks, rmech)
+    looks.check_all_used(element.get("name", "") for element in rmech.iter("body"))
     _add_tendons(arm, SubElement(root, "tendon"))
     _add_actuators(arm, SubElement(root, "actuator"))
     brakes = SubElement(root, "equality")
@@ -106,21 +112,30 @@ def arm_mjcf(arm: ArmDescription, visual: str | None) -> str:
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
+class BadLooks(ValueError):
+    """Looks that are refused."""
+
+
 class _Looks:
     """Geoms of each body that only look."""
 
     def __init__(self, visual: str | None):
-        root = Element("visual") if visual is None else ElementTree.fromstring(visual)
+        try:
+            root = Element("visual") if visual is None else ElementTree.fromstring(visual)
+        except ElementTree.ParseError as error:
+            raise BadLooks(f"is not XML: {error}") from error
         materials = root.find("asset")
         self.materials = Element("asset") if materials is None else materials
         if visual is None:
-            SubElement(self.materials, "material", name="arm_titanium", rgba="0.72 0.73 0.75 1")
-        self._bodies = {body.get("name"): body for body in root.findall("body")}
+            SubElement(self.materials, "material", name=MATERIAL, rgba="0.72 0.73 0.75 1")
+        if all(material.get("name") != MATERIAL for material in self.materials):
+            raise BadLooks(f"asset: has no material {MATERIAL}, that of geoms without one")
+        self._bodies = {body.get("name", ""): body for body in root.findall("body")}
         self.shows_shapes = visual is None
 
     def add_to(self, body: Element, shapes: Iterable[Shape]) -> None:
         """Add the looks of a body; without looks, its shapes."""
-        for part in self._bodies.get(body.get("name"), ()):
+        for part in self._bodies.get(body.get("name", ""), ()):
             for geom in part.iter("geom"):
                 geom.set("class", "visual")
             body.append(part)
@@ -128,6 +143,13 @@ class _Looks:
             for shape in shapes:
                 if shape.of != "plant":
                     _add_shape(body, shape, "visual")
+
+    def check_all_used(self, bodies: Iterable[str]) -> None:
+        """Refuse looks of bodies that the arm does not have."""
+        there = list(bodies)
+        unknown = sorted(set(self._bodies) - set(there))
+        if unknown:
+            raise BadLooks(f"body {unknown[0]!r} is not one of the arm; there are {', '.join(there)}")
 
 
 def _add_bodies(arm: ArmDescription, looks: _Looks, rmech: Element) -> None:

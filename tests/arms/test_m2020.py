@@ -16,6 +16,7 @@ from ground.calibration.calibrate import calibrate, rms_m
 from ground.calibration.campaign import PAPER_GROUPS, CampaignPlan, resize_groups
 from ground.calibration.checks import check_data, check_fit
 from ground.calibration.simulation import simulate_campaign
+from ground.common.errors import BadRequest
 from ground.runs.place import place, prepare_placement
 from ground.runs.request import PlaceRequest, RunFiles
 from sim.arm_model.load import load_arm
@@ -183,5 +184,5 @@ def test_equal_runs_have_equal_bits() -> None:
 
 def test_a_stranger_to_its_tools_is_refused() -> None:
     request = replace(PlaceRequest(arm=NAME, files=RunFiles()), tool="mast")
-    with pytest.raises(Exception, match="fcs"):
+    with pytest.raises(BadRequest, match="fcs"):
         prepare_placement(request)

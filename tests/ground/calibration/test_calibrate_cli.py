@@ -59,7 +59,7 @@ def test_the_page_is_one_file_with_its_pictures_in_it(table, tmp_path):
 def test_parameters_of_another_arm_are_refused(table, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text('arm_name = "as-built:9"\n')
-    with pytest.raises(BadRequest, match="of the arm as-built:9, the data of as-built:1"):
+    with pytest.raises(BadRequest, match="of the arm as-built:9, not of as-built:1"):
         run_calibration(CalibrateRequest(data=table, params=other), quiet)
     with pytest.raises(BadRequest, match="of the arm as-built:9, not of as-built:3"):
         select_arm("as-built:3", other)

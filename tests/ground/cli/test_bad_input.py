@@ -130,6 +130,8 @@ CASES = {
     "calibrate --arm nominal --tracker 0 0": "tracker: its noise",
     "place --arm as-built:99999999999": "its seed has 11 digits",
     "place --arm as-built:-1": "is not known",
+    f"place --arm {300 * 'a'}": "is not known; write nominal",
+    f"arm build {300 * 'a'}": "is not known; there are m2020, msl",
     "log channels run.mcap --from 3 --to 2": "from: 3.0 s is not before --to 2.0 s",
     "log channels run.mcap --from nan": "is no log time",
     "log channels run.mcap --from 100": "has nothing in the time",

@@ -1,5 +1,6 @@
 """An arm is its arm.toml: plant and flight parameters agree with it, and what is wrong in it is named."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,12 +10,14 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
+from fsw.dictionary.types import row6
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ARMS, arm_names, default_arm, load_arm
 from sim.arm_model.mismatch import find_mismatches
-from sim.arms import UnknownArm, arm_named
+from sim.arms import UnknownArm, arm_named, own_name
 from sim.effects.effect import params_with_effects
-from sim.params import nominal_params, params_over_nominal
+from sim.params import nominal_params, params_over
+from sim.params_table import read_params_toml
 from sim.plant import Plant
 from sim.world import World, build
 
@@ -40,8 +43,9 @@ def test_an_arm_opens_by_itself_in_mujoco(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_written_flight_parameters_read_back_exactly(name: str) -> None:
-    if load_arm(name) is default_arm():
-        assert params_over_nominal(ARMS / name / "flight.toml") == load_arm(name).params
+    drawing = load_arm(name).params
+    assert params_over(drawing, ARMS / name / "flight.toml") == drawing
+    assert read_params_toml(ARMS / name / "flight.toml")["model"]["name"] == name
 
 
 def test_an_arm_without_looks_shows_its_shapes(tmp_path: Path) -> None:
@@ -69,6 +73,7 @@ def _reach(model: mujoco.MjModel, site: int) -> np.ndarray:
     return np.asarray(data.site_xpos[site] - data.body("link1").xpos)
 
 
+TITANIUM = "<asset><material name='arm_titanium'/></asset>"
 WRONG = {
     "a missing field": ("gear_ratio = 7520.0\n", "", "actuators.lphta.gear_ratio: is missing"),
     "an unknown field": ("resistance_Ohm = 2.0", "ohm = 2.0", "actuators.lphta.ohm: is not a parameter"),
@@ -94,6 +99,75 @@ WRONG = {
         "poses.ready_rad: joint azimuth: 3.0 is outside",
     ),
     "a short link": ("a_m = 0.785", "a_m = 0.1", "links.arm4.transform.a_m: 0.1 is below"),
+    "a number that is none": (
+        "resistance_Ohm = 2.0",
+        "resistance_Ohm = nan",
+        "actuators.lphta.resistance_Ohm: must be finite",
+    ),
+    "a motor without inertia": (
+        "armature_kg_m2 = 84.82",
+        "armature_kg_m2 = 0.0",
+        "actuators.lphta.armature_kg_m2: 0.0 is outside",
+    ),
+    "a body that no mass has": (
+        "inertia_kg_m2 = [0.075, 0.085, 0.09]",
+        "inertia_kg_m2 = [0.01, 0.01, 0.09]",
+        "links.arm5.near.inertia_kg_m2: (0.01, 0.01, 0.09) has a moment above the sum",
+    ),
+    "a soft link": (
+        "stiffness = [33.3e3, 125e3, 38.6e3",
+        "stiffness = [33.3e3, 125e3, 0.0",
+        "677000.0, 2190000.0) has a number outside 10000 .. 1e12; only arm6 is rigid",
+    ),
+    "a link without near mass": (
+        "near = { mass_kg = 1.5, com_m = [0.02, 0.0, -0.245], inertia_kg_m2 = [0.0317, 0.0317, 0.0465] }",
+        "",
+        "links.arm6.near: is missing",
+    ),
+    "a hardstop inside the limits": (
+        "hardstops_rad = [-2.90074, 2.90074]",
+        "hardstops_rad = [-2.90074, 2.8]",
+        "joints.elbow.hardstops_rad: 2.8 is not above the upper soft limit",
+    ),
+    "a pad that repels": (
+        "pad_solref = [-90000.0, -900.0]",
+        "pad_solref = [0.02, 1.0]",
+        "tools.drill.pad_solref: (0.02, 1.0) has a number that is not negative",
+    ),
+    "a tolerance of none": (
+        "frame_rad = 2e-3",
+        "frame_rad = 0.0",
+        "tolerances.built.frame_rad: 0.0 is outside",
+    ),
+    "a tool called as a part": (
+        "[tools.portion]",
+        "[tools.link2]",
+        "tools.link2: is the name of another part",
+    ),
+    "a tool in capitals": ("[tools.portion]", "[tools.Portion]", "tools.Portion: is no name"),
+    "a switch called as a tool": (
+        "drt_1 = {",
+        "drt = {",
+        "switches.drt: is the name of a tool",
+    ),
+    "a switch called as a frame": ("drt_1 = {", "arm6 = {", "switches.arm6: is the name of another part"),
+    "a capsule that turns": (
+        "radius_m = 0.056 }",
+        "radius_m = 0.056, turn_rad = 0.1 }",
+        "shapes.link3.0: turn_rad: turns a box only",
+    ),
+    "a flat shape": ("radius_m = 0.056 }", "radius_m = 0.0 }", "shapes.link3.0: radius_m: 0.0 is outside"),
+    "a bare pose beyond a limit": (
+        "bare_hardstop_park_rad = [-3.139847324337799",
+        "bare_hardstop_park_rad = [-3.2",
+        "poses.bare_hardstop_park_rad: joint azimuth: -3.2 is outside",
+    ),
+    "geometry among flight parameters": (
+        "[poses]",
+        "[flight.links.arm3]\nstiffness = 1.0\n[flight.hardstop]\nstart_rad = [0.0]\n[poses]",
+        "arm msl: flight.links, flight.hardstop.start_rad: other tables set this",
+    ),
+    "a name of no arm": ('name = "msl"', 'name = "my/arm"', "name: 'my/arm' is no name of an arm"),
     "no TOML": ("[actuators.lphta]", "[actuators.lphta", "is not TOML"),
 }
 
@@ -103,8 +177,40 @@ def test_what_is_wrong_in_a_description_is_named(tmp_path: Path, old: str, new: 
     right = (ARMS / default_arm().name / "arm.toml").read_text()
     assert old in right
     (tmp_path / "arm.toml").write_text(right.replace(old, new))
-    with pytest.raises(UnknownArm, match=text.replace("(", r"\(")):
+    with pytest.raises(UnknownArm, match=re.escape(text)):
         arm_named(str(tmp_path))
+
+
+WRONG_LOOKS = {
+    "no XML": ("<visual>", "is not XML: no element found"),
+    "no material": ("<visual/>", "asset: has no material arm_titanium"),
+    "an unknown body": (
+        f"<visual>{TITANIUM}<body name='link9'/></visual>",
+        "body 'link9' is not one of the arm",
+    ),
+    "an unknown geom": (
+        f"<visual>{TITANIUM}<body name='link2'><geom type='ring' size='1'/></body></visual>",
+        "arm msl: MuJoCo does not accept its plant",
+    ),
+    "a geom of the scene": (
+        f"<visual>{TITANIUM}<body name='link2'><geom name='ground' size='1 1'/></body></visual>",
+        "arm msl: MuJoCo does not accept its plant",
+    ),
+}
+
+
+@pytest.mark.parametrize(("looks", "text"), WRONG_LOOKS.values(), ids=WRONG_LOOKS)
+def test_what_is_wrong_in_the_looks_is_named(tmp_path: Path, looks: str, text: str) -> None:
+    (tmp_path / "arm.toml").write_text((ARMS / default_arm().name / "arm.toml").read_text())
+    (tmp_path / "visual.xml").write_text(looks)
+    with pytest.raises(UnknownArm, match=re.escape(text)):
+        arm_named(str(tmp_path))
+
+
+def test_flight_parameters_of_an_arm_replace_those_of_all_arms(tmp_path: Path) -> None:
+    text = (ARMS / default_arm().name / "arm.toml").read_text()
+    (tmp_path / "arm.toml").write_text(f"{text}\n[flight.motion]\ntool_speed_m_s = 0.04\n")
+    assert load_arm(str(tmp_path)).params.motion.tool_speed_m_s == 0.04
 
 
 def test_an_arm_that_is_not_there_is_named_with_those_that_are(tmp_path: Path) -> None:
@@ -112,12 +218,13 @@ def test_an_arm_that_is_not_there_is_named_with_those_that_are(tmp_path: Path) -
         load_arm(str(tmp_path))
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(1, 21))
 @pytest.mark.parametrize("kind", ["as-built", "calibrated"])
-def test_the_parameters_of_a_built_arm_fit_its_drawing(kind: str, seed: int) -> None:
-    arm = arm_named(f"{kind}:{seed}")
+@pytest.mark.parametrize("name", NAMES)
+def test_the_parameters_of_a_built_arm_fit_its_drawing(name: str, kind: str, seed: int) -> None:
+    arm = arm_named(f"{name}/{kind}:{seed}")
     assert not list(find_mismatches(arm.params, arm.model))
-    assert not list(find_mismatches(params_with_effects(arm.effects, nominal_params()), arm.model))
+    assert not list(find_mismatches(params_with_effects(arm.effects, arm.model.params), arm.model))
 
 
 def _with_link(params: Params, a_m: float) -> Params:
@@ -138,3 +245,61 @@ def test_parameters_of_another_arm_are_a_mismatch_whatever_their_values() -> Non
     params = nominal_params()
     foreign = replace(params, model=replace(params.model, name="other"))
     assert list(find_mismatches(foreign, default_arm())) == ["model: these are of the arm other, not of msl"]
+
+
+FOREIGN = {
+    "output_friction_Nm": "[joints.elbow]\noutput_friction_Nm = 30.0",
+    "hardstop_stiffness_Nm_rad": "[joints.elbow]\nhardstop_stiffness_Nm_rad = 6e5",
+    "torque_constant_Nm_A": "[joints.elbow]\ntorque_constant_Nm_A = 229.0",
+    "elastic_centre_m": "[links.arm3]\nelastic_centre_m = [0.45, 0.0, 0.0]",
+    "expansion_1_K": "[links.arm3]\nexpansion_1_K = [0.0, 0.0, 0.0, 1e-5, 0.0, 0.0]",
+    "geometry": "[tools.apxs.geometry]\nboxes = [{ centre_m = [0.0, 0.0, 0.0], half_m = [0.1, 0.1, 0.1] }]",
+    "gear_ratio": "[joints.elbow]\ngear_ratio = 7000.0",
+}
+
+
+@pytest.mark.parametrize("what", FOREIGN)
+def test_parameters_of_the_mechanism_beyond_its_tolerances_are_a_mismatch(tmp_path: Path, what: str) -> None:
+    (tmp_path / "own.toml").write_text(FOREIGN[what])
+    (found,) = find_mismatches(params_over(nominal_params(), tmp_path / "own.toml"), default_arm())
+    assert what in found
+
+
+def test_a_link_whose_springs_are_coupled_is_a_mismatch() -> None:
+    params = nominal_params()
+    rows = [list(row) for row in params.links.arm3.compliance]
+    rows[1][5] = rows[5][1] = 0.5 * (rows[1][1] * rows[5][5]) ** 0.5
+    a, b, c, d, e, f = (row6(row) for row in rows)
+    link = replace(params.links.arm3, compliance=(a, b, c, d, e, f))
+    coupled = replace(params, links=replace(params.links, arm3=link))
+    (found,) = find_mismatches(coupled, default_arm())
+    assert found.startswith("links.arm3.compliance.1.5: 9.556e-07 is not 0")
+
+
+@pytest.mark.parametrize(
+    ("names", "own"),
+    [
+        (["nominal", "msl", "msl/nominal"], "nominal"),
+        (["as-built:7", "as-built:07", "msl/as-built:7"], "as-built:7"),
+        (["m2020", "m2020/nominal"], "m2020/nominal"),
+        (["m2020/calibrated:3", "m2020/calibrated:003"], "m2020/calibrated:3"),
+    ],
+)
+def test_all_names_of_an_arm_are_one_arm(names: list[str], own: str) -> None:
+    arms = [arm_named(name) for name in names]
+    assert {arm.name for arm in arms} == {own_name(name) for name in names} == {own}
+    assert all(arm == arms[0] for arm in arms)
+
+
+def test_an_arm_in_a_folder_keeps_the_name_that_leads_there_but_its_parameters_do_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (ARMS / default_arm().name / "arm.toml").read_text()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "arm.toml").write_text(text.replace('name = "msl"', 'name = "third"'))
+    monkeypatch.chdir(tmp_path)
+    arms = [
+        arm_named(name) for name in ("mine/as-built:7", "./mine/as-built:07", f"{tmp_path}/mine/as-built:7")
+    ]
+    assert [arm.name for arm in arms][:2] == ["mine/as-built:7", "./mine/as-built:07"]
+    assert {arm.params.arm_name for arm in arms} == {"third/as-built:7"}

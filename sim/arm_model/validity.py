@@ -1,0 +1,184 @@
+"""Checks of the description of an arm that the checks of its flight parameters do not make."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import Any, Final
+
+from fsw.dictionary.validity import check_limits
+from sim.arm_model.description import LINK_PARTS, ArmDescription, BadArm, LinkDescription, Lump, Shape
+
+LEAST_STIFFNESS: Final = 1e4
+"""Least stiffness of a link, in N m/rad or N/m; flight software accepts no softer one."""
+NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
+ARM_NAME: Final = re.compile(r"[a-z0-9][a-z0-9_-]*")
+OTHER_BODIES: Final = re.compile(
+    r"world|rmech|arm[1-6]|link[1-5](_far)?|turret|rover(_hull)?|rock|mars_scenery"
+)
+"""Bodies and sites of arm and scene: no tool, and no switch, may have their names."""
+
+
+def check_description(arm: ArmDescription, path: str) -> None:
+    """Check the description of an arm.
+
+    Raises:
+        BadArm: numbers are outside their limits, or names lead nowhere; the message names each.
+    """
+    problems = [
+        *_check_numbers(arm),
+        *_check_joints(arm),
+        *_check_links(arm),
+        *_check_names(arm),
+        *_check_tools(arm),
+        *_check_shapes(arm),
+    ]
+    if problems:
+        raise BadArm("\n".join(f"{path}: {problem}" for problem in problems))
+
+
+def _check_numbers(arm: ArmDescription) -> Iterator[str]:
+    """Yield a sentence for each number that is not finite or outside its limits."""
+    for field in fields(arm):
+        value = getattr(arm, field.name)
+        if field.name in ("joints", "links", "poses", "tolerances"):
+            yield from check_limits(value, f"{field.name}.")
+        elif field.name in ("actuators", "tools", "switches"):
+            for name, record in value.items():
+                yield from check_limits(record, f"{field.name}.{name}.")
+    for place, record in [*_places("shapes", arm.shapes), *_places("teach", {"": arm.teach})]:
+        yield from check_limits(record, f"{place}.")
+
+
+def _places(table: str, lists: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    for name, records in lists.items():
+        for k, record in enumerate(records):
+            yield ".".join(filter(None, (table, name, str(k)))), record
+
+
+def _check_joints(arm: ArmDescription) -> Iterator[str]:
+    known = ", ".join(arm.actuators)
+    joints = arm.joints.by_name()
+    for name, joint in joints.items():
+        if joint.actuator not in arm.actuators:
+            yield f"joints.{name}.actuator: {joint.actuator!r} is not known; there are {known}"
+        for end in joint.hardstops_rad:
+            if not -7.0 <= end <= 7.0:
+                yield f"joints.{name}.hardstops_rad: {end} is outside -7.0 .. 7.0"
+        if not joint.hardstops_rad[1] > joint.soft_limits_rad[1]:
+            yield (
+                f"joints.{name}.hardstops_rad: {joint.hardstops_rad[1]} is not above the upper soft limit, "
+                f"{joint.soft_limits_rad[1]}"
+            )
+    for pose in ("bare_hardstop_start_rad", "bare_hardstop_park_rad", "bare_hardstop_second_start_rad"):
+        for (name, joint), angle in zip(joints.items(), getattr(arm.poses, pose), strict=True):
+            low, high = joint.soft_limits_rad
+            if not low <= angle <= high:
+                limits = f"{low:.6g} .. {high:.6g}"
+                yield f"poses.{pose}: joint {name}: {angle} is outside its soft limits {limits}"
+
+
+def _check_links(arm: ArmDescription) -> Iterator[str]:
+    for k, link in enumerate(arm.links.in_order(), start=1):
+        where = f"links.arm{k}"
+        if k == 1 and link.near is not None:
+            yield f"{where}.near: is not used; the rover has its mass in far"
+        if k > 1 and link.near is None:
+            yield f"{where}.near: is missing; a link has mass on both sides of its spring"
+        for side in ("near", "far"):
+            lump = getattr(link, side)
+            if lump is not None:
+                yield from _check_inertia(f"{where}.{side}.inertia_kg_m2", lump)
+        yield from _check_stiffness(f"{where}.stiffness", link, is_rigid=k == 6)
+
+
+def _check_inertia(where: str, lump: Lump) -> Iterator[str]:
+    small, middle, large = sorted(lump.inertia_kg_m2)
+    if not 1e-6 <= small <= large <= 1e3:
+        yield f"{where}: {lump.inertia_kg_m2} has a moment outside 1e-06 .. 1000.0"
+    elif small + middle < large:
+        yield f"{where}: {lump.inertia_kg_m2} has a moment above the sum of the others; no body has"
+
+
+def _check_stiffness(where: str, link: LinkDescription, is_rigid: bool) -> Iterator[str]:
+    if is_rigid and any(link.stiffness):
+        yield f"{where}: is of a spring; arm6 is rigid, leave it out"
+    elif not is_rigid and not all(LEAST_STIFFNESS <= k <= 1e12 for k in link.stiffness):
+        limits = f"{LEAST_STIFFNESS:g} .. 1e12"
+        yield f"{where}: {link.stiffness} has a number outside {limits}; only arm6 is rigid"
+
+
+def _check_names(arm: ArmDescription) -> Iterator[str]:
+    if not ARM_NAME.fullmatch(arm.name) or arm.name == "nominal":
+        yield f"name: {arm.name!r} is no name of an arm; write small letters, digits, - and _, not nominal"
+    for table, names in (("tools", arm.tools), ("switches", arm.switches)):
+        for name in names:
+            if not NAME.fullmatch(name):
+                yield f"{table}.{name}: is no name; write small letters, digits and _, first a letter"
+            elif OTHER_BODIES.fullmatch(name):
+                yield f"{table}.{name}: is the name of another part; give it a name of its own"
+    yield from (
+        f"switches.{name}: is the name of a tool; give it a name of its own"
+        for name in arm.switches
+        if name in arm.tools
+    )
+
+
+def _check_tools(arm: ArmDescription) -> Iterator[str]:
+    known = ", ".join(arm.tools)
+    if not arm.tools:
+        yield "tools: is empty; an arm has at least one tool"
+    uses = [("instrument", arm.instrument)]
+    uses += [(f"switches.{name}.tool", switch.tool) for name, switch in arm.switches.items()]
+    for place, tool in uses:
+        if tool not in arm.tools:
+            yield f"{place}: {tool!r} is not known; there are {known}"
+    if arm.instrument in arm.tools and all(switch.tool != arm.instrument for switch in arm.switches.values()):
+        yield f"instrument: {arm.instrument} has no contact switch, so it cannot be placed"
+    for name, tool_ in arm.tools.items():
+        if not all(-1e9 <= value < 0 for value in tool_.pad_solref):
+            yield f"tools.{name}.pad_solref: {tool_.pad_solref} has a number that is not negative"
+
+
+def _check_shapes(arm: ArmDescription) -> Iterator[str]:
+    parts = (*LINK_PARTS, *arm.tools)
+    for part, shapes in arm.shapes.items():
+        if part not in parts:
+            yield f"shapes.{part}: is not known; there are {', '.join(parts)}"
+        for k, shape in enumerate(shapes):
+            yield from (f"shapes.{part}.{k}: {problem}" for problem in _check_shape(shape))
+    for part in parts:
+        if not any(shape.of != "plant" for shape in arm.shapes.get(part, ())):
+            yield f"shapes.{part}: is missing; flight software needs at least one shape for each part"
+
+
+def _check_shape(shape: Shape) -> Iterator[str]:
+    if shape.kind is None or (shape.kind == "cylinder" and shape.of != "plant"):
+        yield (
+            "is no shape; write a capsule (from_m, to_m, radius_m), a box (centre_m, half_m) or a cylinder "
+            '(centre_m, radius_m, half_length_m), which needs of = "plant"'
+        )
+        return
+    lengths = [("radius_m", shape.radius_m), ("half_length_m", shape.half_length_m)]
+    lengths += [("half_m", length) for length in shape.half_m or ()]
+    for name, length in lengths:
+        if length is not None and not 1e-3 <= length <= 1.0:
+            yield f"{name}: {length} is outside 0.001 .. 1.0"
+    if shape.turn_rad and shape.kind != "box":
+        yield f"turn_rad: turns a box only; leave it out of a {shape.kind}"
+
+
+def reserved_of_flight(own: dict[str, Any], shared: dict[str, Any], flight: dict[str, Any]) -> Iterator[str]:
+    """Yield each place of `[flight]` that another table of the description sets.
+
+    Args:
+        own: Flight parameters that the other tables make.
+        shared: Flight parameters that do not depend on the arm.
+        flight: Table `[flight]`.
+    """
+    for key, value in flight.items():
+        if key not in own:
+            continue
+        if isinstance(value, dict) and isinstance(own[key], dict) and isinstance(shared.get(key), dict):
+            yield from (f"{key}.{place}" for place in reserved_of_flight(own[key], shared[key], value))
+        else:
+            yield key
