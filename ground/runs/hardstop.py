@@ -218,12 +218,14 @@ def plan_stops(request: HardstopRequest) -> tuple[StopPlan, ...]:
         raise BadRequest(
             f"plan: moves nothing and is of both Mars and Earth; leave out {' and '.join(given)}, or --plan"
         )
-    whole = prepare_hardstop(request).arm
-    bare = prepare_hardstop(replace(request, scene="earth", turret=False)).arm
-    return (
-        _plan("mars, with turret", whole, World()),
-        _plan("earth, without turret", bare, World("earth")),
-    )
+    on_mars = _plan("mars, with turret", prepare_hardstop(request).arm, World())
+    try:
+        bare = prepare_hardstop(replace(request, scene="earth", turret=False)).arm
+    except BadRequest as error:
+        torques = " ".join(f"{torque:.1f}" for torque in on_mars.loads.torque_Nm)
+        least_mm = 1e3 * min(on_mars.clearance.outside_m, on_mars.clearance.self_m)
+        raise BadRequest(f"{error}; on Mars they are {torques} N m, clearance {least_mm:.0f} mm") from error
+    return on_mars, _plan("earth, without turret", bare, World("earth"))
 
 
 def _plan(place: str, arm: BuiltArm, world: World) -> StopPlan:

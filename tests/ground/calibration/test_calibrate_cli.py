@@ -65,6 +65,26 @@ def test_parameters_of_another_arm_are_refused(table, tmp_path):
         select_arm("as-built:3", other)
 
 
+@pytest.mark.parametrize("name", ["as-built:1", "as-built:01", "msl/as-built:1"])
+def test_the_parameters_of_a_calibration_are_those_of_its_arm_by_any_name(name, tmp_path):
+    found = tmp_path / "found.toml"
+    found.write_text(parameter_text(calibration(), calibrated_params(calibration())))
+    assert select_arm(name, found).params == calibrated_params(calibration())
+
+
+def test_parameters_that_no_built_arm_has_are_refused_before_the_fit(table, tmp_path):
+    far = tmp_path / "far.toml"
+    far.write_text("[links.arm3.transform]\na_m = 0.9\n")
+    with pytest.raises(BadRequest, match="no built arm is so far from its drawing"):
+        run_calibration(CalibrateRequest(data=table, params=far), quiet)
+
+
+def test_data_of_an_arm_that_is_not_known_are_refused(tmp_path):
+    save_campaign(replace(campaign(), arm_name="flight-unit"), tmp_path / "poses.csv")
+    with pytest.raises(BadRequest, match="column arm: arm 'flight-unit' is not known"):
+        run_calibration(CalibrateRequest(data=tmp_path / "poses.csv"), quiet)
+
+
 WRONG = [
     (CalibrateRequest(), "give --arm ARM"),
     (CalibrateRequest(arm="as-built:1", poses=3), "poses: 3 is not within 24"),
