@@ -39,6 +39,12 @@ QUEUED: Final = 2
 Description = dict[str, str]
 
 
+class ClusterFailed(UserError):
+    """Error of Ray that a repetition of the task would not mend."""
+
+    exit_status = 1
+
+
 def connect(address: str) -> Callable[[], Executor]:
     """Connect to a cluster; return a function that makes an executor on it.
 
@@ -136,18 +142,28 @@ class ClusterWorkers:
     def _fetch(self, one: Future[Any]) -> TaskOutcome | None:
         """Fetch an outcome.
 
+        Returns:
+            The outcome, with an error if Ray cannot carry out the task; None if its worker or node died.
+
         Raises:
             BadRequest: A node cannot load the software, or differs from this machine.
         """
+        errors = self._ray.exceptions
+        died = (
+            errors.WorkerCrashedError, errors.NodeDiedError, errors.OutOfMemoryError, errors.ObjectLostError,
+        )  # fmt: skip
         try:
             host, found = one.result()
-        except self._ray.exceptions.RayTaskError as error:
+        except errors.RayTaskError as error:
             raise BadRequest(
                 f"cluster: a node cannot load a task ({_first_line(error.cause or error)}); install the "
                 "software of this machine on it"
             ) from error
-        except self._ray.exceptions.RayError:
+        except died:
             return None
+        except errors.RayError as error:
+            sentence = f"cluster: Ray cannot carry out a task ({_first_line(error)}); see `ray status`"
+            return TaskOutcome([], 0.0, ClusterFailed(sentence))
         if isinstance(found, str):
             raise BadRequest(f"cluster: node {host} {found}; make it equal to this machine")
         assert isinstance(found, TaskOutcome)

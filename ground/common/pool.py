@@ -197,16 +197,19 @@ def _schedule(executor: Executor, work: Callable[[Job], Result], jobs: Sequence[
             raise error
         if not running:
             return
-        ready = []
+        ready, lost = [], 0
         for number, outcome in executor.wait():
             task = running.pop(number)
             if outcome is None:
+                lost += 1
                 queue.put_back(task)
-                print("a worker died; its jobs are repeated", file=sys.stderr, flush=True)
                 continue
             queue.note(outcome)
             ready += outcome.results
             error = error or outcome.error
+        if lost:
+            workers = "a worker died; its" if lost == 1 else f"{lost} workers died; their"
+            print(f"{workers} jobs are repeated", file=sys.stderr, flush=True)
 
 
 class _Queue:
