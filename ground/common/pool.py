@@ -209,7 +209,7 @@ def _schedule(executor: Executor, work: Callable[[Job], Result], jobs: Sequence[
             error = error or outcome.error
         if lost:
             workers = "a worker died; its" if lost == 1 else f"{lost} workers died; their"
-            print(f"{workers} jobs are repeated", file=sys.stderr, flush=True)
+            print(f"{workers} work items are repeated", file=sys.stderr, flush=True)
 
 
 class _Queue:
@@ -251,7 +251,7 @@ class _Queue:
         for attempt in task:
             if attempt.deaths + 1 >= MOST_DEATHS:
                 raise WorkersDied(
-                    f"workers: {MOST_DEATHS} of them died one after the other at the same job, as when the "
-                    "memory is full; use fewer workers, or machines with more memory"
+                    f"workers: {MOST_DEATHS} of them died one after the other at the same work item, as "
+                    "when the memory is full; use fewer workers, or machines with more memory"
                 )
             self._again.append(replace(attempt, deaths=attempt.deaths + 1))

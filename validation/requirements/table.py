@@ -21,11 +21,11 @@ ALL: Final = "*"
 SI_TO: Final = {("m", "mm"): 1e3, ("rad", "deg"): degrees(1.0)}
 """Factor from the unit at the end of the name of a constant to that of a requirement."""
 HEAD: Final = """# Requirements
-Each requirement of Collins and Robinson (2013; see [README](../README.md#where-the-numbers-come-from)). The
-campaign measures the number. The tests check the method, or a smaller case. The margin is the distance from
-the bound as a share of it. `validation/requirements/` is the source of this page. `make lint` checks it: every
-named test exists, the {constants} bounds that the code has too are the same there, and every number was measured
-by the command below. The other bounds are only here. `make requirements` measures all numbers anew. `make test-all`
+Each requirement of Collins and Robinson (2013; see [README](../README.md#where-the-numbers-come-from)).
+The campaign measures the number. The tests check the method, or a smaller case. The margin is the distance
+from the bound as a share of it. `validation/requirements/` is the source of this page. `make lint` checks it:
+every named test exists, {constants} bounds equal those of the code, and the command below measured every
+number. The other bounds stand only here. `make requirements` measures all numbers anew. `make test-all`
 repeats the four shortest campaigns.
 """
 

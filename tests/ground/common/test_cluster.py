@@ -148,7 +148,7 @@ def test_only_the_death_of_a_worker_repeats_its_jobs(run, monkeypatch, again):
     if again:
         assert list(run(square, [3])) == [9]
     else:
-        with pytest.raises(cluster.ClusterFailed, match=r"cannot carry out a task \(.*the disk is full\); see `ray status`$"):
+        with pytest.raises(cluster.ClusterFailed, match=r"carry out a task \(.*the disk is full\); see `ray"):
             list(run(square, [3]))
 
 

@@ -97,7 +97,7 @@ def test_workers_that_die_together_are_reported_in_one_line(tmp_path, capfd, mon
 
     monkeypatch.setattr(LocalWorkers, "wait", wait_for_both)
     assert list(local_runner(2)(die_together, [tmp_path] * 2)) == [1, 1]
-    assert capfd.readouterr().err == "2 workers died; their jobs are repeated\n"
+    assert capfd.readouterr().err == "2 workers died; their work items are repeated\n"
 
 
 SLOW_TO_START = """
@@ -135,7 +135,7 @@ def die(_: int) -> None:
 
 
 def test_a_job_at_which_every_worker_dies_ends_the_run():
-    with pytest.raises(WorkersDied, match="3 of them died one after the other at the same job"):
+    with pytest.raises(WorkersDied, match="3 of them died one after the other at the same work item"):
         list(local_runner(2)(die, [1]))
 
 
