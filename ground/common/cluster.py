@@ -4,6 +4,7 @@ Each node must have the software of this machine, and compute the same bits; eac
 first task. Ray is optional, and imported only here.
 """
 
+import atexit
 import hashlib
 import logging
 import math
@@ -65,6 +66,7 @@ def connect(address: str) -> Callable[[], Executor]:
             # Ray writes the logs of a node that died to standard output, where JSON documents go.
             ray._private.worker.listen_error_messages = lambda *_: None
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+            atexit.register(ray.shutdown)  # that of ray itself first sleeps for half a second
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise BadRequest(
                 f"cluster {address}: cannot be used ({_first_line(error)}); give HOST:PORT of a head that "
