@@ -204,7 +204,7 @@ def _schedule(executor: Executor, work: Callable[[Job], Result], jobs: Sequence[
                 lost += 1
                 queue.put_back(task)
                 continue
-            queue.note(outcome)
+            queue.update_time(outcome)
             ready += outcome.results
             error = error or outcome.error
         if lost:
@@ -236,8 +236,8 @@ class _Queue:
         self._left -= len(task)
         return task
 
-    def note(self, outcome: TaskOutcome) -> None:
-        """Learn how long a job takes; the first one of a worker takes longer, so old values are forgotten."""
+    def update_time(self, outcome: TaskOutcome) -> None:
+        """Estimate the time of a job; the first one of a worker takes longer, so old values lose weight."""
         if outcome.results:
             job_s = outcome.busy_s / len(outcome.results)
             self._job_s = job_s if self._job_s is None else (self._job_s + job_s) / 2
