@@ -179,7 +179,7 @@ cluster: $(VENV)/ready
 	@$(call say,200 arms on two nodes; this takes five minutes)
 	@$(BIN)/python -m validation.cluster $(ARGS)
 
-# All four speak before any of them stops the target.
+# All six speak before any of them stops the target.
 lint: $(VENV)/ready
 	@$(call say,ruff; mypy; import-linter; names and docstrings; files made from arm.toml; requirements)
 	@failed=0; \
@@ -214,5 +214,5 @@ lock:
 	  --extra test --group build $(ARGS) -o requirements.lock pyproject.toml
 
 clean:
-	@rm -rf $(VENV) *.egg-info build dist mutants .hypothesis .mypy_cache .ruff_cache .pytest_cache place.png
+	@rm -rf $(VENV) *.egg-info build dist mutants .hypothesis .mypy_cache .ruff_cache .pytest_cache place.png reach.png
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

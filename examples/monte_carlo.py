@@ -5,6 +5,8 @@ import numpy as np
 
 from marsarm import MonteCarloRequest, run_monte_carlo
 
+SIGMA = "three sigma, upper bound with 95 % confidence"
+
 
 def main() -> None:
     """Run on all cores; the processes import this file, so the work is in a function."""
@@ -18,7 +20,7 @@ def main() -> None:
     axes.set(title="Placements of a hundred arms", xlabel="error of the tool [mm]", ylabel="placements")
     if report.three_sigma is not None:
         bound_mm = 1e3 * report.three_sigma["total_m"].accuracy.upper
-        axes.axvline(bound_mm, color="tab:red", label=f"three sigma, 95 % sure: {bound_mm:.1f} mm")
+        axes.axvline(bound_mm, color="tab:red", label=f"{SIGMA}: {bound_mm:.1f} mm")
         axes.legend()
     figure.savefig("monte_carlo.png", dpi=100)
 

@@ -26,7 +26,7 @@ DENT_RAD = READY_RAD[Joint.ELBOW] + 0.1
 
 @dataclass(frozen=True, slots=True)
 class Dent(EachCycle):
-    """Dent in the bearing of an output, which this torque leaves."""
+    """Dent in the bearing of an output; a torque up to this one leaves it."""
 
     joint: Joint
     torque_Nm: Annotated[float, ParameterSpec(0.0, 100.0, unit="N m", typical=10.0, neutral=0.0)]

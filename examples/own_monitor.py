@@ -30,7 +30,7 @@ for name, lowest_m in (("without the monitor", -10.0), ("with the monitor", FLOO
     time_s, p_RoTo_R_m = result.series("outputs.tool.p_RoTo_R_m")
     axes.plot(time_s, -p_RoTo_R_m[:, 2], label=f"{name}: {result.outcome}")
     print(f"{name}: {result.outcome} after {time_s[-1]:.2f} s, lowest {-p_RoTo_R_m[:, 2].max():.3f} m")
-axes.axhline(FLOOR_M, color="gray", linestyle=":", label="lowest height")
+axes.axhline(FLOOR_M, color="gray", linestyle=":", label="lowest allowed height")
 axes.set(
     title="The arm goes down until its monitor stops it", xlabel="time [s]", ylabel="height of the drill [m]"
 )

@@ -59,26 +59,36 @@ class Installed:
     """Environment outside of the repository in which the wheel is installed."""
 
     def __init__(self, folder: Path, wheel: Path, installer: str) -> None:
-        """Install without an index: the packages of the lock file are those of this interpreter."""
+        """Install without an index, then the extra `view` from one if there is an index.
+
+        The packages of the lock file are those of this interpreter.
+        """
         self.home = folder / "home"
         self.work = folder / "elsewhere"
         for path in (self.home, self.work):
             path.mkdir(parents=True)
         venv.create(folder / "venv", symlinks=True)
         self.bin = folder / "venv" / "bin"
-        pip = [installer, "-m", "pip", "--python", str(self.bin / "python")]
-        install = [
-            "--isolated",
-            "--disable-pip-version-check",
-            "install",
-            "--no-index",
-            "--no-deps",
-            str(wheel),
-        ]
-        subprocess.run([*pip, *install], cwd=self.work, check=True, capture_output=True)
+        pip = [installer, "-m", "pip", "--python", str(self.bin / "python"), "--disable-pip-version-check"]
+        install = [*pip, "--isolated", "install", "--no-index", "--no-deps", str(wheel)]
+        subprocess.run(install, cwd=self.work, check=True, capture_output=True)
         (packages,) = (folder / "venv").glob("lib/*/site-packages")
         # The path of a .pth file: .pth files there, such as that of the repository itself, are not read.
         (packages / "lock.pth").write_text(str(Path(np.__file__).parents[1]) + "\n")
+        extra = [
+            *pip,
+            "install",
+            "--retries",
+            "0",
+            "--timeout",
+            "15",
+            "--only-binary",
+            ":all:",
+            f"{wheel}[view]",
+        ]
+        done = subprocess.run(extra, cwd=self.work, capture_output=True, text=True, check=False)
+        self.view_problem = "" if done.returncode == 0 else done.stderr.strip().rpartition("\n")[2]
+        """Reason why the extra `view` could not be installed; empty if it was."""
 
     def run(self, *words: str) -> subprocess.CompletedProcess[str]:
         """Run a program of the environment in a folder outside of the repository."""
@@ -137,7 +147,16 @@ def test_the_installed_command_places_an_instrument(installed):
     assert document["error_mm"]["total"] < 1.0
     assert (installed.work / "place.png").read_bytes().startswith(b"\x89PNG")
     assert installed.run_json("replay", "run.mcap")["identical"] is True
-    # The extra `view`: `marsarm view run.mcap --html view.html` belongs here.
+    page = installed.run_json("view", "run.mcap", "--html", "view.html")
+    assert page["html_bytes"] == (installed.work / "view.html").stat().st_size < 5_000_000
+
+
+@pytest.mark.slow
+def test_the_extra_for_the_viewer_is_installed_with_the_wheel(installed):
+    if installed.view_problem:
+        pytest.skip(f"marsarm[view] cannot be installed here: {installed.view_problem}")
+    found = installed.run("python", "-c", "import viser; print(viser.__file__)").stdout
+    assert Path(found).is_relative_to(installed.bin.parent)
 
 
 @pytest.mark.slow

@@ -31,7 +31,7 @@ PROGRAM: Final = "from ground.cli.start import start; start()"
 SENTENCE: Final = re.compile(r"interrupted by SIG[A-Z]+ before the end[^\n]*\n")
 PROGRESS: Final = re.compile(r"[^\n]*: \d+% after [^\n]*\n")
 """Line of progress, which a command prints each minute."""
-GIVE_UP_S: Final = 60.0
+LONGEST_S: Final = 60.0
 
 COMMANDS: Final = {
     "place": "place --log run.mcap --no-picture",
@@ -106,11 +106,11 @@ def interrupt(name: str, words: str, number: signal.Signals, after_s: float, inp
         began_s = time.monotonic()
         os.killpg(process.pid, number)
         try:
-            _, errors = process.communicate(timeout=GIVE_UP_S)
+            _, errors = process.communicate(timeout=LONGEST_S)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
-            return Interruption(name, number.name, after_s, f"runs on after {GIVE_UP_S:g} s")
+            return Interruption(name, number.name, after_s, f"runs on after {LONGEST_S:g} s")
         ended_in_s = time.monotonic() - began_s
         problem = find_problem(Path(folder), process.returncode, errors, number, ended_in_s)
         return Interruption(name, number.name, after_s, problem or "in bounds", ended_in_s)
@@ -154,15 +154,15 @@ def write_targets(path: Path, count: int) -> Path:
 def summarize(found: Sequence[Interruption]) -> dict[str, Any]:
     """Return all interruptions, the longest time, and those out of bounds, as a JSON document."""
     wrong = [asdict(one) for one in found if one.outcome not in ("in bounds", "too late")]
-    hit = [one for one in found if one.outcome == "in bounds"]
+    in_time = [one for one in found if one.outcome == "in bounds"]
     return {
         "interruptions": len(found),
-        "in_bounds": len(hit),
+        "in_bounds": len(in_time),
         "too_late": sum(one.outcome == "too late" for one in found),
         "wrong": wrong,
-        "longest_s": max((one.ended_in_s for one in hit), default=None),
+        "longest_s": max((one.ended_in_s for one in in_time), default=None),
         "longest_by_command": {
-            name: max((one.ended_in_s for one in hit if one.name == name), default=None)
+            name: max((one.ended_in_s for one in in_time if one.name == name), default=None)
             for name in dict.fromkeys(one.name for one in found)
         },
         "bound_s": BOUND_S,
@@ -171,7 +171,7 @@ def summarize(found: Sequence[Interruption]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print the result as JSON; exit with 1 if an interruption is out of bounds, or none hit a command."""
+    """Print the result as JSON; exit with 1 if an interruption is out of bounds, or none came before the end of a command."""
     parser = argparse.ArgumentParser(prog="python -m validation.interrupt", description=__doc__)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument(

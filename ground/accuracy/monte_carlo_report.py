@@ -245,12 +245,14 @@ def list_requirements(report: MonteCarloReport) -> list[Requirement]:
         if report.three_sigma is not None and (row.case == report.request.case or is_same_day):
             measured = report.three_sigma[row.component]
             value = (measured.repeatability if is_same_day else measured.accuracy).upper
+            what = "three sigma, upper bound with 95 % confidence"
         elif row.case == report.request.case:
             value = report.coverage.percentile[row.component]
+            what = f"not exceeded by {100 * COVERAGE:.2f} % of errors"
         else:
             continue
         bound, shown = (f"± {format_value(row.component, v)}" for v in (row.required, value))
-        found.append(Requirement(row.name, bound, shown, value <= row.required))
+        found.append(Requirement(f"{row.name}, {what}", bound, shown, value <= row.required))
     covered = report.coverage.by_rule[MOMENTS]
     least = min(covered[name].share for name in COMPONENTS)
     holds: bool | None = all(covered[name].holds(COVERAGE) for name in COMPONENTS)

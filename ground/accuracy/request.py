@@ -61,7 +61,7 @@ class MonteCarloRequest:
         MoveModel,
         Option(
             "closed-loop: plant and flight software. statics: the equilibrium of motors, gears and springs "
-            "after a move, thirty times faster.",
+            "after a move, more than ten times faster.",
             "closed-loop|statics",
         ),
     ] = "closed-loop"

@@ -27,7 +27,6 @@ from ground.cli.log import log_app, replay
 from ground.cli.runs import hardstop, place, run, scenarios
 from ground.cli.verb import EXIT_BAD_INPUT, VerbCommand
 from ground.cli.view import view
-from ground.common.interruption import report_interruption
 
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
 """Exit status of a program whose reader has closed the pipe, as `head` does."""
@@ -81,11 +80,10 @@ app.command(cls=VerbCommand)(diagnose)
 
 
 def main() -> None:
-    """Run the command `marsarm`."""
+    """Run the command `marsarm`; `ground.cli.start` calls this and reports an interruption."""
     _drop_gl_settings()
     warnings.simplefilter("ignore", RuntimeWarning)  # warnings of numpy are for developers
-    # An interruption is an exception, which unwinds the stack, so that temporary files are deleted.
-    with report_interruption(), buffer_stdout():
+    with buffer_stdout():
         _run()
 
 

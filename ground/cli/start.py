@@ -5,6 +5,7 @@ from ground.common.interruption import report_interruption
 
 def start() -> None:
     """Run the command `marsarm`."""
+    # An interruption is an exception, which unwinds the stack, so that temporary files are deleted.
     with report_interruption():
         from ground.cli.app import main
 

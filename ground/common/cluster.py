@@ -4,6 +4,7 @@ Each node must have the software of this machine, and compute the same bits; eac
 first task. Ray is optional, and imported only here.
 """
 
+import atexit
 import hashlib
 import logging
 import math
@@ -39,6 +40,12 @@ QUEUED: Final = 2
 Description = dict[str, str]
 
 
+class ClusterFailed(UserError):
+    """Error of Ray that a repetition of the task would not mend."""
+
+    exit_status = 1
+
+
 def connect(address: str) -> Callable[[], Executor]:
     """Connect to a cluster; return a function that makes an executor on it.
 
@@ -59,6 +66,7 @@ def connect(address: str) -> Callable[[], Executor]:
             # Ray writes the logs of a node that died to standard output, where JSON documents go.
             ray._private.worker.listen_error_messages = lambda *_: None
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+            atexit.register(ray.shutdown)  # that of ray itself first sleeps for half a second
         except (ConnectionError, ValueError, RuntimeError) as error:
             raise BadRequest(
                 f"cluster {address}: cannot be used ({_first_line(error)}); give HOST:PORT of a head that "
@@ -136,18 +144,28 @@ class ClusterWorkers:
     def _fetch(self, one: Future[Any]) -> TaskOutcome | None:
         """Fetch an outcome.
 
+        Returns:
+            The outcome, with an error if Ray cannot carry out the task; None if its worker or node died.
+
         Raises:
             BadRequest: A node cannot load the software, or differs from this machine.
         """
+        errors = self._ray.exceptions
+        died = (
+            errors.WorkerCrashedError, errors.NodeDiedError, errors.OutOfMemoryError, errors.ObjectLostError,
+        )  # fmt: skip
         try:
             host, found = one.result()
-        except self._ray.exceptions.RayTaskError as error:
+        except errors.RayTaskError as error:
             raise BadRequest(
                 f"cluster: a node cannot load a task ({_first_line(error.cause or error)}); install the "
                 "software of this machine on it"
             ) from error
-        except self._ray.exceptions.RayError:
+        except died:
             return None
+        except errors.RayError as error:
+            sentence = f"cluster: Ray cannot carry out a task ({_first_line(error)}); see `ray status`"
+            return TaskOutcome([], 0.0, ClusterFailed(sentence))
         if isinstance(found, str):
             raise BadRequest(f"cluster: node {host} {found}; make it equal to this machine")
         assert isinstance(found, TaskOutcome)

@@ -92,11 +92,11 @@ def reserve(path: Path | None, what: str) -> Iterator[None]:
         yield
         return
     try:
-        file, is_new = _open_reserved(path)
+        file, is_new, locked = _open_reserved(path)
     except OSError as error:
         raise BadOutput(f"{what} {path}: cannot be written ({error.strerror or error})") from error
     try:
-        if not lock_file(file):
+        if not locked:
             raise BadOutput(f"{what} {path}: another run is writing it; wait for it, or give another file")
         try:
             yield
@@ -121,12 +121,30 @@ def lock_file(file: int) -> bool:
     return True
 
 
-def _open_reserved(path: Path) -> tuple[int, bool]:
-    """Open the file without a change, or make an empty one; return its descriptor and whether it is new."""
-    try:
-        return os.open(path, os.O_RDONLY | os.O_CREAT | os.O_EXCL, 0o666), True
-    except FileExistsError:
-        return os.open(path, os.O_RDONLY), False
+def _open_reserved(path: Path) -> tuple[int, bool, bool]:
+    """Open the file without a change, or make an empty one, and lock it.
+
+    Another run may delete its empty file between the steps; then all of them are repeated.
+
+    Returns:
+        The descriptor, whether the file is new, and whether it is locked.
+    """
+    while True:
+        try:
+            file, is_new = os.open(path, os.O_RDONLY | os.O_CREAT | os.O_EXCL, 0o666), True
+        except FileExistsError:
+            try:
+                file, is_new = os.open(path, os.O_RDONLY), False
+            except FileNotFoundError:
+                if path.is_symlink():
+                    raise
+                continue
+        if not lock_file(file):
+            return file, is_new, False
+        with suppress(FileNotFoundError):
+            if os.path.samestat(path.stat(), os.fstat(file)):
+                return file, is_new, True
+        os.close(file)
 
 
 def _delete_placeholder(file: int, path: Path) -> None:

@@ -9,12 +9,17 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType, TracebackType
-from typing import Final
+from typing import Final, TextIO
 
 END_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a command to end: Ctrl-C, kill, and a terminal that is closed."""
 GRACE_S: Final = 1.5
-"""Time after which an interrupted command ends without its clean-up, because something does not return."""
+"""Time after which an interrupted command ends without its clean-up, because something does not return.
+
+A command has to end within 2 s of a signal; 0.5 s remain to kill its workers and to end the process.
+"""
+_REPORTED: Final = threading.Event()
+"""Set when the sentence about an interruption is printed, because a command prints one."""
 
 
 class Interrupted(BaseException):
@@ -77,10 +82,18 @@ def report_interruption() -> Iterator[None]:
     try:
         yield
     except Interrupted as interrupted:
-        if "--json" in sys.argv:
-            print(json.dumps({"error": interrupted.sentence}))
-        print(interrupted.sentence, file=sys.stderr)
+        _report(interrupted.sentence, sys.stdout)
         sys.exit(interrupted.exit_status)
+
+
+def _report(sentence: str, stdout: TextIO | None) -> None:
+    """Print the sentence, and its document if JSON is wanted, unless one was printed already."""
+    if _REPORTED.is_set():
+        return
+    _REPORTED.set()
+    if "--json" in sys.argv:
+        print(json.dumps({"error": sentence}), file=stdout, flush=True)
+    print(sentence, file=sys.stderr, flush=True)
 
 
 def raise_on_signals() -> None:
@@ -88,6 +101,7 @@ def raise_on_signals() -> None:
 
     A signal that is ignored already stays ignored, as `nohup` asks for.
     """
+    _REPORTED.clear()
     for number in END_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
@@ -107,8 +121,8 @@ def _end_late(number: int) -> None:
     """End the process if it still runs after the grace: the exception was swallowed, or a disk hangs."""
     time.sleep(GRACE_S)
     ended = Interrupted(number)
-    with suppress(OSError, ValueError):
-        print(f"{ended.sentence}; it did not end by itself", file=sys.stderr, flush=True)
+    with suppress(OSError, ValueError):  # what is in sys.stdout may be half a result, and is left out
+        _report(f"{ended.sentence}; it did not end by itself", sys.__stdout__)
     from multiprocessing import active_children  # loaded late: this module is the first that a command loads
 
     for child in active_children():

@@ -1,13 +1,13 @@
 """Worker processes of this machine."""
 
-import signal
 import weakref
 from collections.abc import Callable, Sequence
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
 
+from ground.common.interruption import block_signals
 from ground.common.pool import TaskOutcome, carry_out
 
 
@@ -36,7 +36,7 @@ class LocalWorkers:
             try:
                 pipe.send((work, jobs))
             except BrokenPipeError:  # it died while it was idle
-                self._bury(pipe)
+                self._remove(pipe)
                 continue
             self._running[pipe] = number
             return
@@ -51,7 +51,7 @@ class LocalWorkers:
                 ended.append((number, pipe.recv()))
                 self._idle.append(pipe)
             except (EOFError, ConnectionError):
-                self._bury(pipe)
+                self._remove(pipe)
                 ended.append((number, None))
         return ended
 
@@ -65,12 +65,14 @@ class LocalWorkers:
         context = get_context("spawn")
         pipe, end = context.Pipe()
         process = context.Process(target=_serve, args=(end,), daemon=True)
-        process.start()
+        resource_tracker.ensure_running()  # which unblocks signals when it starts
+        with block_signals():  # the command answers Ctrl-C, also while a worker starts
+            process.start()
         end.close()
         self._process[pipe] = process
         return pipe
 
-    def _bury(self, pipe: Connection) -> None:
+    def _remove(self, pipe: Connection) -> None:
         pipe.close()
         process = self._process.pop(pipe)
         process.kill()
@@ -88,8 +90,7 @@ def _kill(processes: dict[Connection, BaseProcess]) -> None:
 
 
 def _serve(pipe: Connection) -> None:
-    """Carry out tasks until the pipe is closed; Ctrl-C is answered by the process at its other end."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Carry out tasks until the pipe is closed, with END_SIGNALS blocked."""
     while True:
         try:
             work, jobs = pipe.recv()

@@ -197,16 +197,19 @@ def _schedule(executor: Executor, work: Callable[[Job], Result], jobs: Sequence[
             raise error
         if not running:
             return
-        ready = []
+        ready, lost = [], 0
         for number, outcome in executor.wait():
             task = running.pop(number)
             if outcome is None:
+                lost += 1
                 queue.put_back(task)
-                print("a worker died; its jobs are repeated", file=sys.stderr, flush=True)
                 continue
-            queue.note(outcome)
+            queue.update_time(outcome)
             ready += outcome.results
             error = error or outcome.error
+        if lost:
+            workers = "a worker died; its" if lost == 1 else f"{lost} workers died; their"
+            print(f"{workers} work items are repeated", file=sys.stderr, flush=True)
 
 
 class _Queue:
@@ -233,8 +236,8 @@ class _Queue:
         self._left -= len(task)
         return task
 
-    def note(self, outcome: TaskOutcome) -> None:
-        """Learn how long a job takes; the first one of a worker takes longer, so old values are forgotten."""
+    def update_time(self, outcome: TaskOutcome) -> None:
+        """Estimate the time of a job; the first one of a worker takes longer, so old values lose weight."""
         if outcome.results:
             job_s = outcome.busy_s / len(outcome.results)
             self._job_s = job_s if self._job_s is None else (self._job_s + job_s) / 2
@@ -248,7 +251,7 @@ class _Queue:
         for attempt in task:
             if attempt.deaths + 1 >= MOST_DEATHS:
                 raise WorkersDied(
-                    f"workers: {MOST_DEATHS} of them died one after the other at the same job, as when the "
-                    "memory is full; use fewer workers, or machines with more memory"
+                    f"workers: {MOST_DEATHS} of them died one after the other at the same work item, as "
+                    "when the memory is full; use fewer workers, or machines with more memory"
                 )
             self._again.append(replace(attempt, deaths=attempt.deaths + 1))

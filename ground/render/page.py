@@ -86,13 +86,13 @@ def count_met(requirements: Sequence[Requirement]) -> str:
     """Make a sentence of the number of requirements that are met."""
     decided = [one for one in requirements if one.passed is not None]
     met = sum(one.passed is True for one in decided)
-    open_count = len(requirements) - len(decided)
-    rest = f" {open_count} cannot be decided." if open_count else ""
+    count, failed, undecided = len(requirements), len(decided) - met, len(requirements) - len(decided)
+    rest = f", {undecided} {'is' if undecided == 1 else 'are'} not decided" if undecided else ""
     if not decided:
-        return f"No requirement is decided.{rest}"
-    if met == len(decided):
-        return f"Pass: {met} of {met} requirements are met.{rest}"
-    return f"Fail: {len(decided) - met} of {len(decided)} requirements are not met.{rest}"
+        return "No requirement is decided."
+    if not failed:
+        return f"Pass: {met} of {count} requirements are met{rest}."
+    return f"Fail: {failed} of {count} requirements are not met{rest}."
 
 
 def _kind(requirements: Sequence[Requirement]) -> str:

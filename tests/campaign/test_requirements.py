@@ -65,8 +65,10 @@ def test_a_short_campaign_measures_the_numbers_of_the_page(name):
         ({"name": "new"}, "new: was not measured"),
         (
             {"most": 9.0, "constant": "validation/tool_change.py:FROM_SPOT_MM"},
-            "the bound is 9.0, but validation/tool_change.py:FROM_SPOT_MM is 10.0",
+            "the bound is 9.0 mm, but validation/tool_change.py:FROM_SPOT_MM is 10.0",
         ),
+        ({"constant": "sim/scenario/data.py:Placed.lateral_m"}, "is 20.0 mm, but .*lateral_m is 0.015"),
+        ({"constant": "sim/scenario/data.py:Placed.nothing"}, "is 20.0 mm, but .*nothing is None"),
     ],
 )
 def test_a_wrong_row_is_named(change, sentence):
@@ -95,9 +97,14 @@ def test_the_worst_value_counts_and_the_margin_is_what_is_left_of_the_bound():
     assert least.margin(0.25) == -0.5
 
 
-def test_tests_and_constants_are_found_without_importing_them():
+def test_tests_and_constants_are_found():
     assert has_test("tests/campaign/test_requirements.py::test_a_wrong_row_is_named")
     assert has_test("tests/campaign/test_requirements.py")
     assert not has_test("tests/campaign/test_requirements.py::TABLE")
     assert read_constant("ground/calibration/checks.py:FRAME_RANK") == 26
     assert read_constant("ground/calibration/checks.py:NOTHING") is None
+
+
+def test_the_number_of_a_changed_tree_is_marked():
+    kept = {name: {**campaign, "commit": 40 * "a" + "-dirty"} for name, campaign in KEPT.items()}
+    assert make_page(TABLE, kept).count("`aaaaaaa-dirty`") == len(TABLE.campaigns)

@@ -12,7 +12,7 @@ from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from unittest.mock import patch
 
-from ground.cli.app import main
+from ground.cli.start import start
 from ground.common.interruption import END_SIGNALS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,7 +21,7 @@ Ran = subprocess.CompletedProcess[str]
 
 def marsarm(folder: Path, *words: str) -> Ran:
     """Run the command line in this process, without the second that a new one takes to import."""
-    return call(main, folder, *words)
+    return call(start, folder, *words)
 
 
 @contextmanager
@@ -73,7 +73,7 @@ def marsarm_process(folder: Path, *words: str, **variables: str) -> Ran:
         *words: Arguments of `marsarm`.
         **variables: Environment variables.
     """
-    command = [sys.executable, "-c", "from ground.cli.app import main; main()", *words]
+    command = [sys.executable, "-c", "from ground.cli.start import start; start()", *words]
     env = os.environ | {"PYTHONPATH": str(ROOT)} | variables
     return subprocess.run(
         command, cwd=folder, env=env, capture_output=True, text=True, timeout=3000, check=False

@@ -1,7 +1,7 @@
 """Write docs/requirements.md from the requirements and the numbers that campaigns measured.
 
 `--check` changes nothing: it fails if the page is not up to date, a named test does not exist, or a bound is
-not that of the code. `--measure` first runs the campaigns, for half an hour, and stores their numbers.
+not that of its constant. `--measure` first runs the campaigns, for half an hour, and stores their numbers.
 """
 
 import json

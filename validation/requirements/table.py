@@ -7,8 +7,9 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from math import floor
+from dataclasses import dataclass, fields
+from importlib import import_module
+from math import degrees, isclose
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,11 +18,15 @@ SOURCE: Final = Path(__file__).with_name("requirements.toml")
 MEASURED: Final = Path(__file__).with_name("measured.json")
 PAGE: Final = ROOT / "docs" / "requirements.md"
 ALL: Final = "*"
+SI_TO: Final = {("m", "mm"): 1e3, ("rad", "deg"): degrees(1.0)}
+"""Factor from the unit at the end of the name of a constant to that of a requirement."""
 HEAD: Final = """# Requirements
-Each requirement of the paper, with the tests and the campaign that show it. The margin is the share of the
-bound that is left. `validation/requirements/` is the source of this page. `make lint` checks it: every named
-test exists, every bound is that of the code, and every number was measured by the command below.
-`make requirements` measures all of them anew. `make test-all` repeats the four shortest campaigns.
+Each requirement of Collins and Robinson (2013; see [README](../README.md#where-the-numbers-come-from)).
+The campaign measures the number. The tests check the method, or a smaller case. The margin is the distance
+from the bound as a share of it. `validation/requirements/` is the source of this page. `make lint` checks it:
+every named test exists, {constants} bounds equal those of the code, and the command below measured every
+number. The other bounds stand only here. `make requirements` measures all numbers anew. `make test-all`
+repeats the four shortest campaigns.
 """
 
 
@@ -50,7 +55,7 @@ class RequirementRow:
     least: float | None = None
     factor: float = 1.0
     constant: str = ""
-    """File and name of the constant that is the same bound."""
+    """Constant that is the same bound, in SI units or those of its name: FILE:NAME or FILE:CLASS.FIELD."""
 
     @property
     def bound(self) -> float:
@@ -65,7 +70,7 @@ class RequirementRow:
         return max(found) if self.least is None else min(found)
 
     def margin(self, value: float) -> float:
-        """Return the share of the bound that is left; negative if the requirement is not met."""
+        """Return the distance from the bound as a share of it; negative if the requirement is not met."""
         left = self.bound - value if self.least is None else value - self.bound
         return left / self.bound
 
@@ -129,8 +134,11 @@ def find_problems(table: RequirementTable, measured: dict[str, Any]) -> Iterator
         for test in row.tests:
             if not has_test(test):
                 yield f"{row.name}: there is no test {test}"
-        if row.constant and (found := read_constant(row.constant)) != row.bound:
-            yield f"{row.name}: the bound is {row.bound}, but {row.constant} is {found}"
+        if row.constant:
+            found = read_constant(row.constant)
+            suffix = row.constant.rpartition("_")[2].lower()
+            if found is None or not isclose(found * SI_TO.get((suffix, row.unit), 1.0), row.bound):
+                yield f"{row.name}: the bound is {row.bound} {row.unit}, but {row.constant} is {found}"
     for name, kept in measured.items():
         wanted = next((one.command for one in table.campaigns if one.name == name), None)
         if kept["command"] != wanted:
@@ -148,19 +156,19 @@ def has_test(test: str) -> bool:
 
 
 def read_constant(place: str) -> float | None:
-    """Read a number that a module assigns, without importing it; None if it has none."""
-    path, _, name = place.partition(":")
-    for node in ast.parse((ROOT / path).read_text(encoding="utf-8")).body:
-        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
-        if any(isinstance(one, ast.Name) and one.id == name for one in targets):
-            return float(ast.literal_eval(node.value))  # type: ignore[attr-defined]
-    return None
+    """Read a number: FILE:NAME, or FILE:CLASS.FIELD for the default of a field; None if there is none."""
+    file, _, names = place.partition(":")
+    name, _, field = names.partition(".")
+    found = getattr(import_module(file.removesuffix(".py").replace("/", ".")), name, None)
+    if found is not None and field:
+        found = next((one.default for one in fields(found) if one.name == field), None)
+    return None if found is None else float(found)
 
 
 def make_page(table: RequirementTable, measured: dict[str, Any]) -> str:
     """Make the page."""
     lines = [
-        HEAD,
+        HEAD.format(constants=sum(bool(row.constant) for row in table.rows)),
         "| requirement | paper | bound | measured | margin | shown by |",
         "|---|---|---|---|---|---|",
     ]
@@ -168,18 +176,23 @@ def make_page(table: RequirementTable, measured: dict[str, Any]) -> str:
         value = measured[row.campaign]["values"][row.name]
         margin = row.margin(value)
         sign = "≤" if row.least is None else "≥"
-        left = f"{floor(100 * margin)} %" if margin >= 0 else f"**not met**, {floor(100 * margin)} %"
+        left = f"{'' if margin >= 0 else '**not met**, '}{int(100 * margin)} %"
         tests = ", ".join(f"[{_short(test)}](../{test.partition('::')[0]})" for test in row.tests)
         shown = f"campaign [{row.campaign}](#campaigns); {tests}"
         bound, found = f"{sign} {row.bound:g} {row.unit}", f"{value:.3g} {row.unit}"
         lines.append(f"| {row.name} | {row.source} | {bound} | {found} | {left} | {shown} |")
     lines += ["", "## Campaigns", "| name | what is measured | command | commit |", "|---|---|---|---|"]
     for campaign in table.campaigns:
-        commit = measured[campaign.name]["commit"][:7]
+        commit = shorten_commit(measured[campaign.name]["commit"])
         lines.append(f"| {campaign.name} | {campaign.about} | `{campaign.command}` | `{commit}` |")
     met = sum(row.margin(measured[row.campaign]["values"][row.name]) >= 0 for row in table.rows)
     lines += ["", f"{met} of {len(table.rows)} requirements are met.", ""]
     return "\n".join(lines).replace("  |", " |")
+
+
+def shorten_commit(commit: str) -> str:
+    """Shorten a commit to seven digits; "-dirty" stays, because nobody can repeat such a number."""
+    return commit[:7] + commit[40:]
 
 
 def _short(test: str) -> str:

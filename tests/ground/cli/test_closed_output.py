@@ -7,7 +7,7 @@ import pytest
 
 from tests.ground.command import ROOT
 
-MAIN = "from ground.cli.app import main; main()"
+MAIN = "from ground.cli.start import start; start()"
 
 
 def to(target, *words):

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ground.common import files
 from ground.common.errors import BadOutput
 from ground.common.files import reserve
 from ground.common.interruption import END_SIGNALS, Interrupted, defer_interrupts, raise_on_signals
@@ -154,6 +155,56 @@ def test_a_reserved_file_that_was_not_written_is_gone(tmp_path: Path) -> None:
     with pytest.raises(KeyError), reserve(tmp_path / "run.mcap", "log"):
         raise KeyError
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_another_run_deletes_before_it_is_locked_is_made_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, lock, opened = tmp_path / "run.mcap", files.lock_file, []
+
+    def delete_and_lock(file: int) -> bool:
+        opened.append(file)
+        if len(opened) == 1:
+            path.unlink()
+        return lock(file)
+
+    path.touch()
+    monkeypatch.setattr(files, "lock_file", delete_and_lock)
+    with reserve(path, "log"), pytest.raises(BadOutput, match="another run is writing"), reserve(path, "log"):
+        pass
+    assert not path.exists()
+
+
+LATE = """
+import sys, time
+from ground.common.interruption import report_interruption
+with report_interruption():
+    import signal
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except BaseException:
+        if sys.argv[1] == "swallow":
+            time.sleep(60)
+        __import__("atexit").register(time.sleep, 60)
+        raise
+"""
+
+
+@pytest.mark.parametrize(("what", "rest"), [("swallow", "; it did not end by itself"), ("end slowly", "")])
+def test_an_interruption_that_takes_long_is_ended_with_one_sentence(
+    tmp_path: Path, what: str, rest: str
+) -> None:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", LATE, what, "--json"], cwd=tmp_path, timeout=50, check=False,
+            env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+        )  # fmt: skip
+    finally:
+        signal.signal(signal.SIGINT, before)
+    sentence = f"interrupted by SIGINT before the end{rest}"
+    assert (done.returncode, done.stderr) == (130, f"{sentence}\n")
+    assert json.loads(done.stdout) == {"error": sentence}
 
 
 @pytest.mark.slow

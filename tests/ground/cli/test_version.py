@@ -7,7 +7,7 @@ from importlib.metadata import version
 
 from tests.ground.command import ROOT, marsarm
 
-AS_INSTALLED = "import sys; sys.argv[0] = 'marsarm'; from ground.cli.app import main; main()"
+AS_INSTALLED = "import sys; sys.argv[0] = 'marsarm'; from ground.cli.start import start; start()"
 
 
 def test_the_version_is_that_of_the_package(tmp_path):

@@ -1,11 +1,13 @@
 """The pool on a real Ray cluster of two nodes on the loopback; skipped where Ray is not installed."""
 
+import inspect
 import json
 import os
 import platform
 import signal
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -127,6 +129,34 @@ def test_a_node_with_other_software_is_refused(run, monkeypatch):
 
 def rest(_: int) -> None:
     time.sleep(60)
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_only_the_death_of_a_worker_repeats_its_jobs(run, monkeypatch, again):
+    from ray.exceptions import NodeDiedError, OutOfDiskError
+
+    fetched, result = [], Future.result
+    error = NodeDiedError("gone") if again else OutOfDiskError("the disk is full.\nMore.")
+
+    def fail_once(future: Future, timeout: float | None = None) -> object:
+        fetched.append(future)
+        if len(fetched) == 1:
+            raise error
+        return result(future, timeout)
+
+    monkeypatch.setattr(Future, "result", fail_once)
+    if again:
+        assert list(run(square, [3])) == [9]
+    else:
+        with pytest.raises(cluster.ClusterFailed, match=r"carry out a task \(.*the disk is full\); see `ray"):
+            list(run(square, [3]))
+
+
+def test_names_of_ray_that_it_does_not_promise_are_there():
+    from ray._private import services, worker
+
+    assert callable(services.canonicalize_bootstrap_address)
+    assert "listen_error_messages" in inspect.unwrap(worker.connect).__code__.co_names  # looked up there
 
 
 class Stop(BaseException):

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 import time
 from multiprocessing import active_children
@@ -10,7 +11,9 @@ from pathlib import Path
 import pytest
 
 from ground.common.errors import BadRequest
+from ground.common.local_workers import LocalWorkers
 from ground.common.pool import WorkersDied, cluster_runner, in_order, local_runner
+from tests.ground.command import ROOT
 
 
 def square(x: int) -> int:
@@ -75,12 +78,64 @@ def test_a_worker_that_dies_costs_its_jobs_only(tmp_path):
     assert len(list(local_runner(2)(die_once, [tmp_path] * 20))) == 20
 
 
+def die_together(folder: Path) -> int:
+    """Kill the workers that do this first, when there are two."""
+    mark = folder / str(os.getpid())
+    mark.touch()
+    while len(marks := list(folder.iterdir())) < 2:
+        time.sleep(0.01)
+    if len(marks) == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 1
+
+
+def test_workers_that_die_together_are_reported_in_one_line(tmp_path, capfd, monkeypatch):
+    wait = LocalWorkers.wait
+
+    def wait_for_both(workers: LocalWorkers) -> list:
+        return [one for _ in list(workers._running) for one in wait(workers)]
+
+    monkeypatch.setattr(LocalWorkers, "wait", wait_for_both)
+    assert list(local_runner(2)(die_together, [tmp_path] * 2)) == [1, 1]
+    assert capfd.readouterr().err == "2 workers died; their work items are repeated\n"
+
+
+SLOW_TO_START = """
+import os, pathlib, time
+from ground.common.interruption import report_interruption
+from ground.common.pool import local_runner
+if __name__ == "__main__":
+    with report_interruption():
+        list(local_runner(2)(abs, [1] * 4))
+else:
+    pathlib.Path("starts").touch()
+    time.sleep(30)
+"""
+
+
+def test_ctrl_c_while_workers_start_gives_one_sentence(tmp_path):
+    (tmp_path / "main.py").write_text(SLOW_TO_START)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # which the process inherits
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "main.py"], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)},
+            stderr=subprocess.PIPE, text=True, process_group=0,
+        )  # fmt: skip
+    finally:
+        signal.signal(signal.SIGINT, before)
+    while not (tmp_path / "starts").exists():
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (130, "interrupted by SIGINT before the end\n")
+
+
 def die(_: int) -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_job_at_which_every_worker_dies_ends_the_run():
-    with pytest.raises(WorkersDied, match="3 of them died one after the other at the same job"):
+    with pytest.raises(WorkersDied, match="3 of them died one after the other at the same work item"):
         list(local_runner(2)(die, [1]))
 
 

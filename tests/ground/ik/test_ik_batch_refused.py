@@ -192,7 +192,7 @@ def test_a_disk_that_fills_up_leaves_what_was_there_before(tmp_path, name, monke
 def test_a_kill_leaves_nothing_behind(tmp_path):
     count = 200_000
     save(tmp_path / "in.npz", np.tile(P_M[0], (count, 1)), np.tile(A[0], (count, 1)))
-    command = "from ground.cli.app import main; main()"
+    command = "from ground.cli.start import start; start()"
     run = subprocess.Popen(
         [sys.executable, "-c", command, "ik", "--batch", "in.npz", "--out", "out.npz"],
         cwd=tmp_path,
