@@ -139,9 +139,9 @@ def logged(tmp_path):
 
 def test_effects_of_a_log_are_those_of_the_tools_of_its_arm(logged):
     arm = arm_named("m2020")
-    moved = ToolOffset(arm.params.tool_names[0], "x", 0.05)
-    run = logged(arm, (moved,))
-    assert moved.tool not in TOOLS
+    own = next(tool for tool in arm.params.tool_names if tool not in TOOLS)
+    shown = arm.params.tool_names[0]
+    run = logged(arm, (ToolOffset(own, "x", 0.05), ToolOffset(shown, "x", 0.05)))
     assert run.notes == ()
     without = logged(arm)
     offset_m = run.frames.true[:, -1, :3] - without.frames.true[:, -1, :3]
