@@ -43,7 +43,8 @@ def start_loop(
         BadEffect: the text of an effect is wrong.
     """
     built = arm_named(arm) if isinstance(arm, str) else arm
-    added = tuple(parse_effect_text(one) if isinstance(one, str) else one for one in effects)
+    tools = built.params.tool_names
+    added = tuple(parse_effect_text(one, tools) if isinstance(one, str) else one for one in effects)
     built = built.with_effects(added)
     start = built.params.poses.stowed_rad if start_rad is None else start_rad
     known = true_reference(built) if reference is None else reference

@@ -1,4 +1,4 @@
-"""Headless Chromium, driven by its own protocol over a pipe: pages are opened, asked and photographed.
+"""Headless Chromium, driven by its own protocol over a pipe: open a page, evaluate in it, save a screenshot.
 
 It needs no package. `apt-get install chromium` installs the browser; what needs it is skipped without it.
 """

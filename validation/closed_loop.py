@@ -97,12 +97,12 @@ def _part_times_us() -> dict[str, list[float]]:
     loop.avionics.sense = time_calls(loop.avionics.sense, parts["sense"])  # type: ignore[method-assign]
     loop.avionics.apply = time_calls(loop.avionics.apply, parts["apply"])  # type: ignore[method-assign]
     loop.plant.step = time_calls(loop.plant.step, parts["plant_step"])  # type: ignore[method-assign]
-    sim.loop.step = time_calls(step, parts["fsw_step"])
+    sim.loop.step = time_calls(step, parts["fsw_step"])  # type: ignore[attr-defined]
     try:
         for _ in PlacementRun(loop, TARGET):
             pass
     finally:
-        sim.loop.step = step
+        sim.loop.step = step  # type: ignore[attr-defined]
     return {name: [1e6 * t for t in times_s] for name, times_s in parts.items()}
 
 

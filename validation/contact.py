@@ -14,6 +14,7 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command, ToolChange
+from fsw.dictionary.evrs import Evr
 from fsw.dictionary.types import joints5
 from ground.common.pool import Runner, in_order
 from sim.arms import arm_named
@@ -63,7 +64,8 @@ def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: str, arm: st
     Returns:
         The measured contact, or the warning that ended the commands early.
     """
-    force_N, closed, setpoint_count, braked, evrs = [], [], [], [], []
+    evrs: list[Evr] = []
+    force_N, closed, setpoint_count, braked = [], [], [], []
     commanded = run_sequence(loop, commands)
     for record in chain(commanded, (loop.cycle() for _ in range(round(HELD_S * CYCLE_HZ)))):
         evrs += record.outputs.evrs

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from ground.telemetry.chunks import MESSAGE_DTYPE
 from ground.telemetry.errors import LogError, LogNotReadable
+from ground.telemetry.format import CHANNELS_KEY
 from ground.telemetry.lost_messages import LogDamaged, LostMessages
 from ground.telemetry.mcap_reader import ChunkLocation, read_records
 from ground.telemetry.read import Log, parse_log
 from ground.telemetry.recover import recover
 from ground.telemetry.salvage import salvage
-from ground.telemetry.topic_arrays import CHANNELS_KEY
 from validation.sample_logs import record_log
 
 CUT_EVERY: Final = 4096

@@ -42,7 +42,7 @@ LONGEST: Final = 1 << 20
 """Inputs of this length are not extended."""
 
 
-def place(random: Random, data: bytes) -> int:
+def place(random: Random, data: bytes | bytearray) -> int:
     """Return a random offset in the data, most often near its beginning or end."""
     near = int(random.integers(64))
     return int(random.choice((int(random.integers(len(data) + 1)), near, len(data) - near)))
@@ -143,7 +143,8 @@ def mutate_header(random: Random, data: bytes, metadata: dict[str, tuple[int, in
         builder
     )
     Metadata(name=HEADER_RECORD, metadata=header).write(builder)
-    return data[:begin] + builder.end() + data[end:]
+    changed: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data[:begin] + changed + data[end:]
 
 
 BETWEEN: Final = b"\n#---\n"

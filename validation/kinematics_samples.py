@@ -69,7 +69,8 @@ def near_name(kind: int) -> str:
 def log_distances(rng: np.random.Generator, n: int) -> Array:
     """Draw distances of either sign with a uniform logarithm, shape (n,)."""
     sizes: Array = 10.0 ** rng.uniform(np.log10(NEAREST), np.log10(FARTHEST), n)
-    return sizes * rng.choice([-1.0, 1.0], n)
+    signs: Array = rng.choice([-1.0, 1.0], n)
+    return sizes * signs
 
 
 def vectors(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Kinds]:
@@ -150,7 +151,7 @@ def _refine_singular_angle(trial: Trial, joint: Joint, q: Array) -> Array:
         before, at_before, now = now, at_now, now + step
     good = (np.abs(step) < NEAREST) & (np.abs(now - first) < SECANT_REACH_RAD)
     start[usable] = np.where(good, now, first)
-    return start
+    return np.asarray(start)
 
 
 def _determinant(trial: Trial, q: Array) -> Array:

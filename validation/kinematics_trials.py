@@ -125,8 +125,9 @@ def skew_tool(seed: int, offset_m: float = 0.06, tilt_rad: float = 0.8) -> Arm:
     """
     rng = np.random.default_rng(seed)
     arm = arm_of("nominal")
-    clock = rotation_z(rng.uniform(-np.pi, np.pi))
-    lean = rotation_y(rng.uniform(-tilt_rad, tilt_rad)) @ rotation_x(rng.uniform(-3, 3))
+    clock = rotation_z(np.asarray(rng.uniform(-np.pi, np.pi)))
+    lean_y, lean_x = (np.asarray(rng.uniform(-most, most)) for most in (tilt_rad, 3))
+    lean = rotation_y(lean_y) @ rotation_x(lean_x)
     p_m = clock @ [rng.uniform(0.2, 0.4), rng.uniform(-offset_m, offset_m), rng.uniform(-0.15, 0.0)]
     X_FT = Pose(clock @ lean, p_m)
     shape = build_orthogonal_arm(arm.theta_rad, Pose(arm.X_CF.R, arm.X_CF.p + arm.p_LC_m), X_FT)
@@ -147,7 +148,8 @@ def claimed_roots(answers: IkResult) -> Flags:
     If an arm is deflected or not orthogonal, a root far outside the limits has no angles and no error.
     """
     has_angles = (answers.verdict == BranchVerdict.VALID) | (answers.verdict == BranchVerdict.OUTSIDE_LIMITS)
-    return has_angles & ((answers.verdict == BranchVerdict.VALID) | np.isfinite(answers.error))
+    claimed: Flags = has_angles & ((answers.verdict == BranchVerdict.VALID) | np.isfinite(answers.error))
+    return claimed
 
 
 def root_errors(trial: Trial, answers: IkResult, p_m: Array, approach: Array) -> Array:

@@ -66,8 +66,9 @@ def run_scenario_on(name: str, scenario_name: str, reference: Reference) -> Scen
 
 def _set_bounds(arm: str, scenario: Scenario) -> Scenario:
     def bound(check: Check) -> Check:
-        wider = isinstance(check, Preloaded) and arm.startswith("as-built")
-        return replace(check, share=AS_BUILT_SHARE) if wider else check  # type: ignore[call-arg]
+        if isinstance(check, Preloaded) and arm.startswith("as-built"):
+            return replace(check, share=AS_BUILT_SHARE)
+        return check
 
     return replace(scenario, checks=tuple(bound(check) for check in scenario.checks))
 

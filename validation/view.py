@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from ground.common.progress import progress_bar
+from ground.common.progress import show_progress
 from ground.runs.place import place
 from ground.runs.request import PlaceRequest, RunFiles
 from ground.view.html import save_page
@@ -36,7 +36,7 @@ new Promise((done) => {
 })
 """
 SHOTS = {
-    "view.png": (1400, 900, False, 470.0, 1.0),
+    "view.png": (1400, 900, False, 541.0, 1.0),
     "view-magnified.png": (1400, 900, False, 541.0, 20.0),
     "view-phone.png": (400, 860, True, 541.0, 1.0),
 }
@@ -53,7 +53,7 @@ def main(words: list[str]) -> int:
         print(f"view: {MISSING}", file=sys.stderr)
         return 0
     with tempfile.TemporaryDirectory() as folder, Browser() as browser:
-        log = given.log or record_placement(Path(folder) / "place.mcap")
+        log = given.log or record_placement(Path(folder) / "run.mcap")
         page = Path(folder) / "run.html"
         size = save_page(watch_log(log), page)
         browser.open(page.as_uri())
@@ -78,7 +78,7 @@ def main(words: list[str]) -> int:
 def record_placement(log: Path) -> Path:
     """Record a placement of an as-built arm on a tilted rover."""
     request = PlaceRequest(arm="as-built:7", tilt_pitch_deg=10.0, files=RunFiles(log=log))
-    with progress_bar() as progress:
+    with show_progress() as progress:
         place(request, progress)
     return log
 

@@ -6,13 +6,9 @@ Ctrl-C, 143 by SIGTERM; 141 the reader of the output is closed.
 
 import json
 import os
-import signal
 import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib.metadata import version
-from io import BytesIO, TextIOWrapper
 from typing import Annotated, Final, NoReturn
 
 import typer
@@ -25,11 +21,10 @@ from ground.cli.dictionary import dictionary, effects
 from ground.cli.ik import ik, reach
 from ground.cli.log import log_app, replay
 from ground.cli.runs import hardstop, place, run, scenarios
-from ground.cli.verb import EXIT_BAD_INPUT, VerbCommand
+from ground.cli.stdout import buffer_stdout
+from ground.cli.verb import VerbCommand
 from ground.cli.view import view
 
-EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
-"""Exit status of a program whose reader has closed the pipe, as `head` does."""
 GL_OFF: Final = ("disable", "disabled", "off", "false", "0")
 """Values of MUJOCO_GL that turn OpenGL off in mujoco."""
 
@@ -124,41 +119,3 @@ def _describe_usage_error(error: typer.TyperException) -> str:
     context = getattr(error, "ctx", None)
     advice = "" if context is None else f"; `{context.command_path} --help` lists what there is"
     return f"{message}{advice}" if message else ""
-
-
-@contextmanager
-def buffer_stdout() -> Iterator[None]:
-    """Buffer the standard output and write it when the block ends, unless it is a terminal.
-
-    A full disk then gives one error message, and a closed pipe gives none.
-    """
-    stdout = sys.stdout
-    if stdout is None or stdout.isatty():
-        yield
-        return
-    buffer = BytesIO()
-    sys.stdout = TextIOWrapper(buffer, stdout.encoding, stdout.errors, write_through=True)
-    try:
-        yield
-    finally:
-        printed = buffer.getvalue()
-        sys.stdout = stdout
-        _write(printed)
-
-
-def _write(printed: bytes) -> None:
-    try:
-        sys.stdout.buffer.write(printed)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        _discard_stdout()
-        sys.exit(EXIT_PIPE_CLOSED)
-    except OSError as error:
-        _discard_stdout()
-        print(f"standard output: cannot be written ({error.strerror}); give it room", file=sys.stderr)
-        sys.exit(EXIT_BAD_INPUT)
-
-
-def _discard_stdout() -> None:
-    """Redirect the standard output to the null device: the interpreter flushes it once more on exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

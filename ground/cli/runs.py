@@ -40,7 +40,7 @@ def place(request: PlaceRequest, progress: Progress) -> VerbResult:
     report = place(request, progress)
     is_done = report.execution.result.outcome == "done"
     play = _player(report.execution.view)
-    return VerbResult(place_json(report), lambda: place_table(report), is_done, play)
+    return VerbResult(place_json(report), lambda: place_table(report), is_done, play=play)
 
 
 @verb
@@ -73,7 +73,7 @@ def hardstop(
     problem = None if request.picture is None else save_hardstop_figure(report.runs, request.picture)
     document = hardstop_json(report, problem)
     is_done = report.outcome == "done"
-    return VerbResult(document, lambda: hardstop_table(report, problem), is_done, _player(report.view))
+    return VerbResult(document, lambda: hardstop_table(report, problem), is_done, play=_player(report.view))
 
 
 @verb
@@ -87,7 +87,7 @@ def run(request: RunRequest, progress: Progress) -> VerbResult:
 
     report = run_scenario(request, progress)
     play = _player(report.execution.view)
-    return VerbResult(run_json(report), lambda: run_table(report), report.passed, play)
+    return VerbResult(run_json(report), lambda: run_table(report), report.passed, play=play)
 
 
 @verb

@@ -14,12 +14,12 @@ import typer
 from typer.core import TyperCommand
 
 from ground.cli.failed_effect import describe_failed_effect
+from ground.cli.stdout import EXIT_BAD_INPUT, release_stdout
 from ground.common.date import current_date
 from ground.common.errors import UserError, describe_problems
 from ground.common.options import CLUSTER_HERE, Field, Option, option_fields
 from ground.common.progress import show_progress
 
-EXIT_BAD_INPUT: Final = 2
 ADDRESS: Final = re.compile(rf"{CLUSTER_HERE}|\S+:[0-9]+")
 """Value of the option `--cluster`."""
 EXIT_ARM_SAFE: Final = 3
@@ -36,6 +36,8 @@ class VerbResult:
     """False if the arm refused or faulted and is safe."""
     save: Callable[[], None] | None = None
     """Function that writes files; a result that took minutes is printed first."""
+    play: Callable[[], None] | None = None
+    """Function that shows the result until Ctrl-C; a program can read the result before."""
 
 
 class VerbCommand(TyperCommand):
@@ -70,6 +72,10 @@ def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:
         if result.save is not None:
             with report_user_errors(as_json=False):  # the JSON document is complete
                 result.save()
+        if result.play is not None:
+            release_stdout()
+            with report_user_errors(as_json=False):
+                result.play()
         if not result.is_done:
             raise typer.Exit(EXIT_ARM_SAFE)
 

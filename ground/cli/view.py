@@ -19,4 +19,4 @@ def view(request: ViewRequest, progress: Progress) -> VerbResult:
 
     report = view(request, progress)
     play = None if report.viewer is None else report.play
-    return VerbResult(view_json(report), lambda: view_table(report), save=play)
+    return VerbResult(view_json(report), lambda: view_table(report), play=play)

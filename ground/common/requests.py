@@ -128,12 +128,12 @@ def load_fitting_params(model: ArmModel, path: Path, mismatch: bool = False) -> 
     return params
 
 
-def parse_effects(texts: tuple[str, ...], tools: Sequence[str] | None = None) -> tuple[Effect, ...]:
+def parse_effects(texts: tuple[str, ...], tools: Sequence[str]) -> tuple[Effect, ...]:
     """Parse effects, each written as text or as the name of a TOML file of effects.
 
     Args:
         texts: Texts and names.
-        tools: Tools of the arm; None for those of the default arm.
+        tools: Tools of the arm.
 
     Raises:
         BadRequest: some are wrong; the message lists all errors.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.common.errors import BadOutput, BadRequest
-from ground.common.files import check_output
+from ground.common.files import atomic_path, check_output
 from ground.render import gl
 from ground.render.rays import RayCamera
 
@@ -82,7 +82,8 @@ def save_picture(
     import PIL.Image
 
     try:
-        PIL.Image.fromarray(image).save(file)
+        with atomic_path(_target(file)) as part:
+            PIL.Image.fromarray(image).save(part, "PNG")
     except OSError as error:
         return _not_saved("picture", file, error)
     return result
@@ -157,7 +158,8 @@ def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_
     if not images:
         raise PictureError(f"movie {file}: there is no frame to write")
     duration_ms = round(1000 / frames_per_s)
-    images[0].save(file, save_all=True, append_images=images[1:], duration=duration_ms, loop=0)
+    with atomic_path(_target(file)) as part:
+        images[0].save(part, "GIF", save_all=True, append_images=images[1:], duration=duration_ms, loop=0)
 
 
 def write_mp4(frames: Sequence[Image], path: Path, frames_per_s: float = 16.0) -> None:
@@ -176,13 +178,21 @@ def write_mp4(frames: Sequence[Image], path: Path, frames_per_s: float = 16.0) -
 
     if not frames:
         raise PictureError(f"movie {path}: there is no frame to write")
-    with av.open(str(path), "w", options={"movflags": "faststart"}) as container:
+    with (
+        atomic_path(_target(path)) as part,
+        av.open(str(part), "w", format="mp4", options={"movflags": "faststart"}) as container,
+    ):
         stream = container.add_stream("libx264", rate=Fraction(frames_per_s), options={"crf": "20"})
         stream.height, stream.width = frames[0].shape[:2]
         stream.pix_fmt = "yuv420p"
         for image in frames:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
         container.mux(stream.encode())
+
+
+def _target(path: Path) -> Path:
+    """Return the file that a path names, so that a link stays a link when the file is replaced."""
+    return Path(os.path.realpath(path))
 
 
 def check_movie_path(path: str | os.PathLike[str]) -> Path:

@@ -25,7 +25,9 @@ HAZE_M = 150.0
 RAY_LENGTH_M = 1e5
 DEFAULT_SKY = (0.80, 0.74, 0.66)
 DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
-VISIBLE = np.array([1, 1, 1, 0, 0, 0], dtype=np.uint8)
+VISIBLE_GROUPS = 3
+"""Geoms of groups below this are drawn: MuJoCo's renderer shows these by default."""
+VISIBLE = (np.arange(mujoco.mjNGROUP) < VISIBLE_GROUPS).astype(np.uint8)
 HIDDEN = 5
 
 

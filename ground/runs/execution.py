@@ -5,6 +5,7 @@ A run continues if its log, picture or movie cannot be written.
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -300,8 +301,8 @@ def check_files(files: RunFiles) -> None:
 
 def open_view(
     is_wanted: bool, title: str, world: World, arm: BuiltArm, effects: Sequence[Effect]
-) -> "LiveView | None":
-    """Open a viewer for a run that has not begun, or return None if none is wanted.
+) -> "AbstractContextManager[LiveView | None]":
+    """Open a viewer for a run that has not begun; the context that stops it gives None if none is wanted.
 
     Args:
         is_wanted: True for a viewer.
@@ -314,7 +315,7 @@ def open_view(
         BadRequest: the viewer cannot be opened.
     """
     if not is_wanted:
-        return None
+        return nullcontext()
     from ground.view.live import LiveView  # a run without a viewer does not wait for it
 
     return LiveView(title, world, arm, effects)

@@ -1,6 +1,8 @@
 """Placement of an instrument on a surface: check the request, carry it out, report."""
 
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.evrs import CommandCompleted
@@ -38,6 +40,9 @@ from sim.placement import Placement, PlacementResult, PlacementRun
 from sim.preview import preview_placement, unstow_duration_s
 from sim.sequence import Outcome
 from sim.world import Surface, World, inside_rover
+
+if TYPE_CHECKING:
+    from ground.view.live import LiveView
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,13 +116,20 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
         BadRequest: the request is wrong; nothing moved and nothing was written.
     """
     job = prepare_placement(request)
-    with reserve(request.files.log, "log"):
-        return _carry_out(request, job, progress)
-
-
-def _carry_out(request: PlaceRequest, job: PlaceJob, progress: Progress) -> PlaceReport:
     title = f"{job.placement.tool} on {job.arm.name} arm"
-    view = open_view(request.files.view, title, job.world, job.arm, effects_of_run(job.effects))
+    with reserve(request.files.log, "log"), ExitStack() as stack:
+        view = stack.enter_context(
+            open_view(request.files.view, title, job.world, job.arm, effects_of_run(job.effects))
+        )
+        report = _carry_out(request, job, progress, view)
+        if report.execution.view is not None:
+            stack.pop_all()  # the viewer plays the run again
+    return report
+
+
+def _carry_out(
+    request: PlaceRequest, job: PlaceJob, progress: Progress, view: "LiveView | None"
+) -> PlaceReport:
     last = initialise(job.arm, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
     if last.outcome is not Outcome.DONE:
         result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)

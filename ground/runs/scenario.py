@@ -1,6 +1,8 @@
 """Execution of a scenario: check the request, run it, apply its checks, report."""
 
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
 
 from fsw.config import CYCLE_HZ
 from ground.common.errors import BadRequest
@@ -28,6 +30,9 @@ from sim.scenario.run import ScenarioResult, ScenarioRun, scenario_setup
 from sim.scenario.teaching import NotTaught, teach
 from sim.sequence import Outcome
 
+if TYPE_CHECKING:
+    from ground.view.live import LiveView
+
 
 @dataclass(frozen=True, slots=True)
 class RunReport:
@@ -52,13 +57,20 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
         BadRequest: the request or the scenario is wrong; nothing moved and nothing was written.
     """
     scenario, arm = _prepare(request)
-    with reserve(request.files.log, "log"):
-        return _carry_out(request, scenario, arm, progress)
-
-
-def _carry_out(request: RunRequest, scenario: Scenario, arm: BuiltArm, progress: Progress) -> RunReport:
     title = f"{scenario.title} on {arm.name} arm"
-    view = open_view(request.files.view, title, scenario.world, arm, scenario.effects)
+    with reserve(request.files.log, "log"), ExitStack() as stack:
+        view = stack.enter_context(
+            open_view(request.files.view, title, scenario.world, arm, scenario.effects)
+        )
+        report = _carry_out(request, scenario, arm, progress, view)
+        if report.execution.view is not None:
+            stack.pop_all()  # the viewer plays the run again
+    return report
+
+
+def _carry_out(
+    request: RunRequest, scenario: Scenario, arm: BuiltArm, progress: Progress, view: "LiveView | None"
+) -> RunReport:
     last = initialise(arm, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
     if last.outcome is not Outcome.DONE:
         result = ScenarioResult(last.outcome, 0, last.duration_s, (), last.evrs)

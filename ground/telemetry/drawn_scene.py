@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from fsw.kinematics.transforms import IDENTITY, Array, Pose, inverse
-from ground.render.rays import geom_rgb
+from ground.render.rays import VISIBLE_GROUPS, geom_rgb
 from ground.telemetry.robot_description import ROVER_FRAME, TURRET_FRAME, DrawnScene, Visual
 from sim.arm_model.load import ArmModel
 from sim.drawing import TURRET
@@ -22,14 +22,14 @@ GROUND_FRAME: Final = "ground"
 """Frame of ground and terrace: MuJoCo's world, on the ground below the rover."""
 ROCK_FRAME: Final = "rock"
 """Frame of the rock: origin in its face, z out of it."""
+ROVER_BODY: Final = "rover"
+"""Body of the rover, with frame RNAV; the rover frame of a log is RMECH, that of the body `rmech`."""
 FRAME_OF_BODY: Final = {"world": GROUND_FRAME, "rmech": ROVER_FRAME, TURRET: TURRET_FRAME}
 """Frames that have another name than the body at the same place."""
 SCENERY_BODY: Final = "mars_scenery"
 """Decoration far from the arm, which is left out."""
 FAR_SIDE: Final = "_far"
 """End of the name of a body beyond the spring of a link; in the log, links are rigid."""
-VISIBLE_GROUPS: Final = 3
-"""Geoms of these first groups are visible in MuJoCo by default."""
 GROUND_HALF_M: Final = 5.0
 """Half side of the drawn part of the ground, larger than rover and reach of the arm."""
 GROUND_DEPTH_M: Final = 0.01
@@ -69,10 +69,10 @@ def _carrier(model: mujoco.MjModel, body: int) -> int | None:
     name = model.body(body).name
     if name == SCENERY_BODY:
         return None
-    if name == ROVER_FRAME:  # the body has the frame RNAV, the frame of the log is RMECH
+    if name == ROVER_BODY:
         return int(model.body("rmech").id)
     parent = int(model.body_parentid[body])
-    is_part = name.endswith(FAR_SIDE) or model.body(parent).name == ROVER_FRAME
+    is_part = name.endswith(FAR_SIDE) or model.body(parent).name == ROVER_BODY
     return _carrier(model, parent) if is_part else body
 
 

@@ -126,7 +126,7 @@ def _add_ends(joint: Element, parent: str, child: str) -> None:
 
 def _numbers(values: Iterable[float]) -> str:
     """Write numbers without noise in the last bits, which would differ between machines."""
-    return " ".join(f"{round(float(value), DIGITS) + 0.0:.{DIGITS}g}" for value in values)
+    return " ".join(repr(round(float(value), DIGITS) + 0.0) for value in values)
 
 
 def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:

@@ -4,7 +4,6 @@ This is the one way from a run to what is drawn: the viewer, the page and the te
 """
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +18,6 @@ from fsw.kinematics.transforms import Array, Pose, stack_poses
 from ground.common.errors import BadRequest
 from ground.view.samples import Samples
 from ground.view.scene import Scene
-
-MOST_MAGNIFICATION: Final = 50.0
-"""At 50 the deflections of the arm still look like bends, and a backlash of a milliradian is visible."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +39,15 @@ class Trail:
     def points_m(self, factor: float) -> NDArray[np.float32]:
         """Compute the points with offsets times a factor, shape (k, 3)."""
         return self.rigid_m + np.float32(factor) * self.offset_m
+
+    def extended_by(self, other: "Trail") -> "Trail":
+        """Return the trail that continues with another one."""
+        return Trail(np.vstack([self.rigid_m, other.rigid_m]), np.vstack([self.offset_m, other.offset_m]))
+
+    @property
+    def last_step_m(self) -> float:
+        """Distance between the last two points of the rigid arm."""
+        return float(np.linalg.norm(self.rigid_m[-1] - self.rigid_m[-2]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,11 +139,16 @@ def compute_frames(
         surface_normal_R: Unit vector out of the surface in the rover frame, shape (3,); None for no surface.
 
     Raises:
-        BadRequest: no sample has angles of all joints and gravity.
+        BadRequest: no sample has angles of all joints and gravity, or one has a tool that the arm lacks.
     """
     samples = samples.select_known()
     if not len(samples.time_s):
         raise BadRequest("log: has no finite angles of the joints with gravity; there is no arm to show")
+    if samples.tool.max() >= len(believed_arm.X_FT):
+        raise BadRequest(
+            f"log: has tool {samples.tool.max()}, and its parameters have the tools 0 to "
+            f"{len(believed_arm.X_FT) - 1}; it cannot be drawn"
+        )
     rigid = _poses(scene, believed_arm, forward(believed_arm, samples.motor_rad), samples)
     gravity = samples.gravity_R_m_s2
     settled = settle_output(believed_arm, samples.believed_rad, gravity).frames

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.common.files import atomic_write
-from ground.view.frames import MOST_MAGNIFICATION
+from ground.view.looks import looks_json
 from ground.view.plots import Plot, make_plots
 from ground.view.watched_run import WatchedRun
 
@@ -39,13 +39,13 @@ def make_page(run: WatchedRun) -> bytes:
     plots = make_plots(run.frames)
     packed, about = _pack(_arrays(run, plots))
     read = {
-        name: files("ground.view").joinpath("page", name).read_text()
-        for name in ("page.html", "style.css", "player.js")
+        name: files("ground.view").joinpath("page", name).read_text(encoding="utf-8")
+        for name in ("page.html", "style.css", "scene.js", "player.js")
     }
     text = Template(read["page.html"]).substitute(
         title=html.escape(run.title),
         style=read["style.css"],
-        player=read["player.js"],
+        player=read["scene.js"] + read["player.js"],
         run=json.dumps({**_document(run, plots), "arrays": about}, allow_nan=False).replace("<", "\\u003c"),
         data=base64.b64encode(packed).decode(),
     )
@@ -63,7 +63,7 @@ def _document(run: WatchedRun, plots: tuple[Plot, ...]) -> dict[str, Any]:
         "frames": len(frames.samples.time_s),
         "bodies": frames.p_m.shape[1],
         "carriers": run.scene.carriers,
-        "magnification": MOST_MAGNIFICATION,
+        "looks": looks_json(),
         "target": (low_m + LOOK_AT * (high_m - low_m)).astype(float).tolist(),
         "modes": frames.samples.mode_names,
         "facts": run.facts,

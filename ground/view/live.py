@@ -2,13 +2,12 @@
 
 import time
 from collections.abc import Sequence
-from typing import Final
-
-import numpy as np
+from typing import Final, Self
 
 from fsw.config import CYCLE_HZ
 from ground.common.errors import BadRequest
 from ground.view.frames import Event, Frames, Trail
+from ground.view.looks import TRAIL_STEP_M
 from ground.view.request import DEFAULT_PORT
 from ground.view.samples import SAMPLE_CYCLES, Samples
 from ground.view.server import Viewer
@@ -23,7 +22,7 @@ DRAW_PERIOD_S: Final = 0.1
 
 
 class LiveView:
-    """Viewer that is fed with the cycles of a run."""
+    """Viewer that is fed with the cycles of a run; a context manager that stops it."""
 
     def __init__(self, title: str, world: World, arm: BuiltArm, effects: Sequence[Effect]) -> None:
         """Open the viewer.
@@ -39,12 +38,12 @@ class LiveView:
         """
         self._title = title
         self._surroundings = build_surroundings(world, arm.params, (*arm.effects, *effects), arm.model)
-        self._viewer = Viewer(self._surroundings.scene, DEFAULT_PORT, title)
+        self._viewer = Viewer(self._surroundings.scene, DEFAULT_PORT, title, "leave out --view")
         self._records: list[CycleRecord] = []
         self._times_s: list[float] = []
         self._tools: list[int] = []
-        self._trail: list[Trail] = []
-        self._tool = self._last_tick = 0
+        self._trail: Trail | None = None
+        self._tool = self._drawn_tool = self._last_tick = 0
         self._begun_s = 0.0
         self._events: list[Event] = []
         self._drawn_s = -DRAW_PERIOD_S
@@ -53,7 +52,7 @@ class LiveView:
         """Keep a sample of a cycle with its events, and draw it if a drawing is due."""
         if record.tick < self._last_tick:  # another run, which follows the last one
             self._begun_s += (self._last_tick + 1) / CYCLE_HZ
-            self._trail = []
+            self._trail, self._tool = None, 0
         self._last_tick = record.tick
         time_s = self._begun_s + record.tick / CYCLE_HZ
         if record.outputs.tool is not None:
@@ -74,21 +73,35 @@ class LiveView:
             frames = self._frames(slice(-1, None))
         except BadRequest:  # no finite angles: the last drawing stays
             return
-        self._trail.append(frames.trail(self._times_s[-1]))
-        whole = Trail(
-            *(np.vstack([getattr(one, name) for one in self._trail]) for name in ("rigid_m", "offset_m"))
-        )
-        self._viewer.draw(frames, self._times_s[-1], self._events, whole)
+        self._viewer.draw(frames, self._times_s[-1], self._events, self._extend_trail(frames))
+
+    def _extend_trail(self, frames: Frames) -> Trail:
+        """Return the trail of the present tool to the last sample, and keep it if the tool has moved on."""
+        point = frames.trail(self._times_s[-1])
+        if self._trail is None or self._drawn_tool != self._tool:
+            self._trail, self._drawn_tool = point, self._tool
+            return point
+        whole = self._trail.extended_by(point)
+        if whole.last_step_m > TRAIL_STEP_M:
+            self._trail = whole
+        return whole
 
     def _frames(self, part: slice) -> Frames:
         samples = Samples.of_records(self._times_s[part], self._tools[part], self._records[part])
         return self._surroundings.frames(samples)
 
     def play(self) -> None:
-        """Play the whole run until the user presses Ctrl-C."""
-        scene, frames = self._surroundings.scene, self._frames(slice(None))
-        self._viewer.play(WatchedRun(self._title, (), (), scene, frames, tuple(self._events)))
+        """Play the whole run until the user presses Ctrl-C.
 
-    def stop(self) -> None:
-        """Stop the viewer."""
+        Raises:
+            BadRequest: no sample of the run can be drawn.
+        """
+        with self:
+            scene, frames = self._surroundings.scene, self._frames(slice(None))
+            self._viewer.play(WatchedRun(self._title, (), (), scene, frames, tuple(self._events)))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         self._viewer.stop()

@@ -104,6 +104,10 @@ class Samples:
         known: dict[str, Any] = {n: v if v is None else v[..., is_known] for n, v in values.items()}
         return replace(self, **known)
 
+    def without_truth(self) -> Self:
+        """Return the samples without what only a simulator knows."""
+        return replace(self, true_rad=None, force_N=None)
+
     @property
     def mode_names(self) -> list[str]:
         """Names of the modes in words."""

@@ -15,15 +15,14 @@ from numpy.typing import NDArray
 from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.chain import Frames, forward
 from fsw.kinematics.transforms import Array, Pose, inverse, stack_poses
-from ground.render.rays import geom_rgb
+from ground.render.rays import VISIBLE_GROUPS, geom_rgb
 from ground.render.rover_scene import tilt_rover
 from ground.render.triangles import Triangles, join_triangles, triangulate
 from sim.arm_model.load import ArmModel
+from sim.drawing import TURRET
 from sim.plant import rotation_matrices
 from sim.world import World, build
 
-VISIBLE_GROUPS: Final = 3
-"""Geoms of groups below this are drawn, as in pictures."""
 ARM_ROOT: Final = "rmech"
 """Body of the rover frame, which carries the arm."""
 STATIC: Final = -1
@@ -81,9 +80,18 @@ def _fixed(X: Pose) -> Pose:
     return Pose(X.R[:, :, None, None], X.p[:, None, None])
 
 
-def build_scene(world: World, drawing: ArmModel) -> Scene:
-    """Build the scene of a world with the drawing of an arm; gravity points down."""
+def build_scene(world: World, drawing: ArmModel, has_turret: bool = True) -> Scene:
+    """Build the scene of a world with the drawing of an arm; gravity points down.
+
+    Args:
+        world: World of the run.
+        drawing: Drawing of the arm.
+        has_turret: False for an arm on which a mass stands in for the turret.
+    """
     spec = build(world, drawing, for_pictures=True)
+    if not has_turret:
+        for geom in spec.body(TURRET).find_all(mujoco.mjtObj.mjOBJ_GEOM):
+            geom.group = VISIBLE_GROUPS
     tilt_rover(spec)
     model = spec.compile()
     data = mujoco.MjData(model)

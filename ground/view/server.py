@@ -1,11 +1,12 @@
 """Viewer in the browser: scene, controls and plots of a run, served by viser on this machine only."""
 
+import signal
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import redirect_stdout
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
 from io import StringIO
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,30 +14,37 @@ from numpy.typing import NDArray
 from fsw.dictionary.evrs import Severity
 from ground.common.errors import BadRequest
 from ground.render.triangles import Triangles, join_triangles
-from ground.view.frames import MOST_MAGNIFICATION, Event, Frames, Trail
+from ground.view.frames import Event, Frames, Trail
+from ground.view.looks import (
+    ARROW_HEAD_M,
+    ARROW_M_PER_N,
+    ARROW_RADIUS_M,
+    CURVE_COLOURS,
+    FIRST_SPEED,
+    FORCE_RGB,
+    GHOST_RGB,
+    LEAST_FORCE_N,
+    LONGEST_ARROW_M,
+    MOST_MAGNIFICATION,
+    SHORTEST_ARROW_M,
+    SPEEDS,
+    TRAIL_RGB,
+)
 from ground.view.plots import Plot, make_plots
 from ground.view.scene import STATIC, Scene
 from ground.view.watched_run import WatchedRun
 
 HOST: Final = "127.0.0.1"
-SPEEDS: Final = (1, 2, 5, 10, 20, 50)
 PERIOD_S: Final = 1 / 30
 """Wall time between two frames."""
-GHOST_RGB: Final = (40, 115, 240)
 GHOST_OPACITY: Final = 0.25
-FORCE_RGB: Final = (230, 30, 25)
-TRAIL_RGB: Final = (255, 217, 25)
-CURVE_COLOURS: Final = ("#1f77b4", "#d95f02", "#2b8a3e", "#8e44ad", "#7a5c3e")
-ARROW_M_PER_N: Final = 0.006
-SHORTEST_ARROW_M, LONGEST_ARROW_M = 0.1, 0.8
-LEAST_FORCE_N: Final = 0.05
 MOST_POINTS: Final = 600
-"""Largest number of points of a curve; a panel is 300 pixels wide."""
+"""Largest number of points of a curve: two for each of the 300 pixels of a panel."""
 LATEST_EVENTS: Final = 6
 
 
 class Stage:
-    """Scene in the browser: world, true arm, believed arm, trail of the tool and contact force."""
+    """Scene in the browser: world, shown arm, believed arm, trail of the tool and contact force."""
 
     def __init__(self, server: Any, scene: Scene) -> None:
         self._scene = server.scene
@@ -45,10 +53,10 @@ class Stage:
                 self._scene.add_frame(f"/{arm}/{body}", show_axes=False, visible=False)
                 for body in range(len(scene.carriers))
             ]
-            for arm in ("true", "believed")
+            for arm in ("shown", "believed")
         }
         for number, part in enumerate(scene.parts):
-            place = "/world" if part.carrier == STATIC else f"/true/{part.carrier}"
+            place = "/world" if part.carrier == STATIC else f"/shown/{part.carrier}"
             self._add_mesh(
                 f"{place}/part{number}", part.triangles, tuple(round(255 * value) for value in part.rgb)
             )
@@ -60,7 +68,7 @@ class Stage:
             "/trail", nowhere, colors=TRAIL_RGB, thickness=3.0, thickness_units="screen"
         )
         self._force = self._scene.add_arrows(
-            "/force", nowhere, colors=FORCE_RGB, shaft_radius=0.012, head_radius=0.03
+            "/force", nowhere, colors=FORCE_RGB, shaft_radius=ARROW_RADIUS_M, head_radius=ARROW_HEAD_M
         )
 
     def _add_mesh(
@@ -73,7 +81,7 @@ class Stage:
     def draw(self, frames: Frames, time_s: float, factor: float, with_ghost: bool) -> None:
         """Draw arms and force at a time, with offsets of the arms times a factor."""
         p_m, q = frames.arm_at(frames.shown, time_s, factor)
-        self._move("true", p_m, q)
+        self._move("shown", p_m, q)
         has_ghost = with_ghost and frames.true is not None
         if has_ghost:
             self._move("believed", *frames.arm_at(frames.believed, time_s, factor))
@@ -100,15 +108,21 @@ class Stage:
 
 
 class Viewer:
-    """Viewer of one run, live or recorded."""
+    """Viewer of one run, live or recorded; a context manager that stops its server."""
 
-    def __init__(self, scene: Scene, port: int, title: str) -> None:
+    def __init__(self, scene: Scene, port: int, title: str, otherwise: str) -> None:
         """Start the server, which prints its address.
+
+        Args:
+            scene: Scene of the run.
+            port: First port to try.
+            title: Title of the page.
+            otherwise: Advice for an error: how the command works without a viewer.
 
         Raises:
             BadRequest: viser is missing, or no port is free.
         """
-        self._server = open_server(port, title)
+        self._server = open_server(port, title, otherwise)
         self._stage = Stage(self._server, scene)
         gui = self._server.gui
         self._readout = gui.add_markdown("The run has not begun.")
@@ -125,18 +139,24 @@ class Viewer:
 
     def draw(self, frames: Frames, time_s: float, events: Sequence[Event], trail: Trail) -> None:
         """Draw a run at a time."""
-        factor = float(self._factor.value)
+        factor, _, _ = self._settings()
         with self._server.atomic():
             self._stage.draw(frames, time_s, factor, self._ghost.value)
             self._stage.draw_trail(trail.points_m(factor), self._trail.value)
             self._readout.content = describe(frames, time_s, events)
+
+    def _settings(self) -> tuple[float, bool, bool]:
+        """Return what the user has set: magnification, and whether ghost and trail are drawn."""
+        return float(self._factor.value), self._ghost.value, self._trail.value
 
     def play(self, run: WatchedRun) -> None:
         """Play a run until the user presses Ctrl-C."""
         gui, times_s = self._server.gui, run.frames.samples.time_s
         start_s, end_s = float(times_s[0]), float(times_s[-1])
         playing = gui.add_checkbox("Play", initial_value=True)
-        speed = gui.add_dropdown("Speed", [f"{factor}x" for factor in SPEEDS], initial_value="10x")
+        speed = gui.add_dropdown(
+            "Speed", [f"{factor}x" for factor in SPEEDS], initial_value=f"{FIRST_SPEED}x"
+        )
         marks = tuple(
             sorted({round(event.time_s, 1) for event in run.events if start_s <= event.time_s <= end_s})
         )
@@ -153,18 +173,18 @@ class Viewer:
             add_plot(gui, plot, times_s)
         for note in run.notes:
             gui.add_markdown(note)
+        drawn: tuple[object, ...] = ()
         last_s = time.monotonic()
-        try:
+        with end_by_ctrl_c():
             while True:
                 now_s = time.monotonic()
                 if playing.value and clock.value < end_s:
                     clock.value = min(clock.value + (now_s - last_s) * int(speed.value[:-1]), end_s)
                 last_s = now_s
-                self.draw(run.frames, clock.value, run.events, run.frames.trail(clock.value))
+                if (wanted := (clock.value, *self._settings())) != drawn:
+                    self.draw(run.frames, clock.value, run.events, run.frames.trail(clock.value))
+                    drawn = wanted
                 time.sleep(max(PERIOD_S - (time.monotonic() - now_s), 0.0))
-        except KeyboardInterrupt:  # this is how a user ends a viewer
-            print("viewer    closed", file=sys.stderr)
-        self.stop()
 
     def _add_event_menu(self, events: Sequence[Event], clock: Any) -> None:
         """Add a menu of the events; choosing one moves the clock to it."""
@@ -178,13 +198,36 @@ class Viewer:
 
         menu.on_update(move_clock)
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
     def stop(self) -> None:
         """Stop the server."""
-        with redirect_stdout(StringIO()):  # it takes its leave
+        with redirect_stdout(StringIO()):  # viser prints that it stops
             self._server.stop()
 
 
-def open_server(port: int, title: str) -> Any:
+@contextmanager
+def end_by_ctrl_c() -> Iterator[None]:
+    """Let Ctrl-C end a block as a normal end, not as an interruption: this is how a user closes a viewer.
+
+    A signal that is ignored stays ignored.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    except KeyboardInterrupt:
+        print("viewer    closed", file=sys.stderr)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def open_server(port: int, title: str, otherwise: str) -> Any:
     """Start viser on the loopback interface, and print its address on standard error.
 
     Raises:
@@ -194,13 +237,13 @@ def open_server(port: int, title: str) -> Any:
         import viser
     except ImportError as error:
         raise BadRequest(
-            f"view: viser is missing ({error}); pip install 'marsarm[view]', or use --html"
+            f"view: viser is missing ({error}); pip install 'marsarm[view]', or {otherwise}"
         ) from error
     try:
-        with redirect_stdout(StringIO()):  # it greets, also where a program reads
+        with redirect_stdout(StringIO()):  # viser prints its address, also where a program reads
             server = viser.ViserServer(host=HOST, port=port, label=title, verbose=False)
     except OSError as error:
-        raise BadRequest(f"port: {port} cannot be opened ({error}); give another --port") from error
+        raise BadRequest(f"view: no port from {port} on can be opened ({error}); {otherwise}") from error
     server.scene.set_up_direction("+z")
     server.scene.configure_environment_map(None)  # the others are fetched from the network
     server.scene.add_light_ambient("/light", intensity=0.7)

@@ -26,7 +26,8 @@ class ViewReport:
     def play(self) -> None:
         """Serve the log until Ctrl-C."""
         if self.viewer is not None:
-            self.viewer.play(self.run)
+            with self.viewer:
+                self.viewer.play(self.run)
 
 
 def view(request: ViewRequest, progress: Progress) -> ViewReport:
@@ -41,7 +42,7 @@ def view(request: ViewRequest, progress: Progress) -> ViewReport:
     progress(1, 2, "drawing")
     if request.html is not None:
         return ViewReport(request, run, save_page(run, request.html), None)
-    return ViewReport(request, run, None, Viewer(run.scene, request.port, run.title))
+    return ViewReport(request, run, None, Viewer(run.scene, request.port, run.title, "use --html"))
 
 
 def view_json(report: ViewReport) -> dict[str, Any]:
@@ -69,6 +70,6 @@ def view_table(report: ViewReport) -> None:
             f"page      {report.request.html}, {report.page_bytes / 1e6:.1f} MB, {what}", soft_wrap=True
         )
     if report.viewer is not None:
-        console.print(f"viewer    {report.viewer.address}, {what}; Ctrl-C ends it", soft_wrap=True)
+        console.print(f"playing   {what}; Ctrl-C ends it", soft_wrap=True)
     for note in report.run.notes:
         console.print(f"note      {note}", soft_wrap=True)

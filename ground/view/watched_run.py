@@ -21,6 +21,7 @@ from ground.view.scene import Scene, build_scene
 from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.effects.effect import Effect, params_with_effects
+from sim.effects.structure import StandInTurret
 from sim.scenario.effects import BadEffect, parse_effect_text
 from sim.world import World
 
@@ -71,27 +72,42 @@ def build_surroundings(
     """
     normal = None if world.surface is None else normalize(world.surface.normal_N)
     true_params = params_with_effects(effects, drawing.params)
-    return Surroundings(build_scene(world, drawing), build_arm(params), build_arm(true_params), normal)
+    has_turret = not any(isinstance(effect, StandInTurret) for effect in effects)
+    scene = build_scene(world, drawing, has_turret)
+    return Surroundings(scene, build_arm(params), build_arm(true_params), normal)
 
 
 def watch_log(path: Path) -> WatchedRun:
     """Prepare a log for a view.
 
     Raises:
-        BadRequest: the log cannot be read, or has no joints.
+        BadRequest: the log cannot be read, has no joints, or is of a drawing that this machine does not have.
     """
     log = read_log(path, ("/joint", "/sensors", "/truth", "/tool", EVR_TOPIC))
     notes: list[str] = []
     try:
         world = _world(log, notes)
-        arm = _arm(log.header, notes)
+        arm, is_known = _arm(log.header)
         params = _params(log, arm.model, notes)
     except BadJson as error:
         raise BadRequest(f"log {path}: {error}") from error
-    effects = (*arm.effects, *_effects(log.header, notes))
+    named = log.header.get("arm", "")
+    if params.model.name != arm.model.name:
+        raise BadRequest(
+            f"log {path}: is of the drawing {params.model.name!r}, which {named!r} does not name here; view "
+            "it where the folder of that drawing is"
+        )
+    samples = Samples.of_log(log)
+    if samples.true_rad is not None and not is_known:
+        notes.append(f"This machine does not know the arm of the log, {named!r}: the true arm is not drawn.")
+        samples = samples.without_truth()
+    elif params.model.sha256 != arm.model.params.model.sha256:
+        notes.append("The drawing has changed since the run: shapes are of today, the true arm is not drawn.")
+        samples = samples.without_truth()
+    effects = (*arm.effects, *_effects(log.header, arm.params.tool_names, notes))
     surroundings = build_surroundings(world, params, effects, arm.model)
-    frames = surroundings.frames(Samples.of_log(log))
-    if frames.true is None:
+    frames = surroundings.frames(samples)
+    if "/truth" not in log.packets:
         notes.append("The log has no truth: only the arm that flight software believes is drawn.")
     events = tuple(Event(one.tick * TICK_NS / 1e9, Severity(one.severity), one.message) for one in log.evrs)
     return WatchedRun(path.name, _facts(log.header), tuple(notes), surroundings.scene, frames, events)
@@ -134,19 +150,18 @@ def _parse(text: str) -> Any:
         raise BadJson(f"header: no JSON ({error})") from error
 
 
-def _arm(header: Mapping[str, str], notes: list[str]) -> BuiltArm:
-    """Return the arm of a log; the default drawing if this machine does not know it."""
+def _arm(header: Mapping[str, str]) -> tuple[BuiltArm, bool]:
+    """Return the arm of a log and True, or the default drawing and False if this machine does not know it."""
     try:
-        return arm_named(header.get("arm", "nominal"))
-    except UnknownArm as error:
-        notes.append(f"The true arm is drawn as the default drawing: {error}.")
-        return arm_named("nominal")
+        return arm_named(header["arm"]), True
+    except (KeyError, UnknownArm):
+        return arm_named("nominal"), False
 
 
-def _effects(header: Mapping[str, str], notes: list[str]) -> tuple[Effect, ...]:
+def _effects(header: Mapping[str, str], tools: Sequence[str], notes: list[str]) -> tuple[Effect, ...]:
     """Return the effects of a run as far as this machine knows them."""
     try:
-        return tuple(parse_effect_text(text) for text in _parse(header.get("effects", "[]")))
+        return tuple(parse_effect_text(text, tools) for text in _parse(header.get("effects", "[]")))
     except (BadEffect, BadJson) as error:
         notes.append(f"The true arm is drawn without the effects of the run: {error}.")
         return ()

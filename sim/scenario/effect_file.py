@@ -7,7 +7,6 @@ from typing import Any, Final
 
 from sim.effects.catalogue import catalogue, effect_name, parameters_of, place_fields_of, place_word
 from sim.effects.effect import Effect
-from sim.params import nominal_params
 from sim.scenario.effects import BadEffect, parameter_key
 from sim.scenario.names import shorten
 from sim.scenario.toml_lines import NotToml, parse_toml
@@ -18,8 +17,8 @@ from sim.text_file import UnreadableText, read_text
 TABLE_NAME: Final = "effect"
 
 
-def read_effect_file(path: Path, tools: Sequence[str] | None = None) -> tuple[Effect, ...]:
-    """Read the effects of a file; `tools` of None are those of the default arm.
+def read_effect_file(path: Path, tools: Sequence[str]) -> tuple[Effect, ...]:
+    """Read the effects of a file, for an arm with these tools.
 
     Raises:
         BadEffect: the file cannot be read or is wrong; the message has a line for each problem.
@@ -30,7 +29,7 @@ def read_effect_file(path: Path, tools: Sequence[str] | None = None) -> tuple[Ef
         raise BadEffect(f"{path}: {error}") from error
     except NotToml as error:
         raise BadEffect(f"{path}:{error.line}: {error}") from error
-    findings = Findings(lines, tuple(tools or nominal_params().tool_names))
+    findings = Findings(lines, tuple(tools))
     for key in data:
         if key != TABLE_NAME:
             findings.report(

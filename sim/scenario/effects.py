@@ -22,7 +22,6 @@ from sim.effects.catalogue import (
     place_fields_of,
 )
 from sim.effects.effect import Effect
-from sim.params import nominal_params
 from sim.scenario.names import did_you_mean, field_keys, list_choices, shorten
 from sim.scenario.toml_record import Findings, read_record
 
@@ -43,12 +42,12 @@ class NotAnEffect(ValueError):
     """File or class that is no effect; the message says what would be right."""
 
 
-def parse_effect_text(text: str, tools: Sequence[str] | None = None) -> Effect:
+def parse_effect_text(text: str, tools: Sequence[str]) -> Effect:
     """Make the effect of a text, from the catalogue or from FILE.py:CLASS:PLACE:PARAMETER=VALUE,...
 
     Args:
         text: The text.
-        tools: Tools of the arm; None for those of the default arm.
+        tools: Tools of the arm.
 
     Raises:
         BadEffect: the name is not known, or its place or its parameters are wrong.
@@ -110,14 +109,14 @@ def find_effect_class(name: str) -> type[Effect]:
 
 
 def effect_from_fields(
-    kind: type[Effect], name: str, table: Mapping[str, Any], tools: Sequence[str] | None = None
+    kind: type[Effect], name: str, table: Mapping[str, Any], tools: Sequence[str]
 ) -> Effect:
-    """Make the effect of a table of its fields; `tools` of None are those of the default arm.
+    """Make the effect of a table of its fields, for an arm with these tools.
 
     Raises:
         BadEffect: a field is missing, not known, or has a wrong value.
     """
-    findings = Findings({(): 0}, tuple(tools or nominal_params().tool_names))
+    findings = Findings({(): 0}, tuple(tools))
     effect = read_record(kind, dict(table), (), findings)
     if effect is None:
         raise BadEffect("\n".join(f"effect {name}: {problem.text}" for problem in findings.problems))

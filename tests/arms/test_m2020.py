@@ -46,7 +46,7 @@ MOST_HOMING_ERROR_RAD = 0.3e-3
 
 
 def quiet(*_: object) -> None:
-    """Take no notice of progress."""
+    """Ignore progress."""
 
 
 @cache

@@ -8,9 +8,11 @@ from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandCompleted
 from sim.arms import UnknownArm, arm_named
 from sim.effects.gears import CoulombFriction
-from sim.scenario.effects import BadEffect
+from sim.effects.links import ToolOffset
+from sim.scenario.effects import BadEffect, effect_text
 from sim.sequence import Outcome, run_commands
 from sim.start import start_loop
+from tests.tools import TOOLS
 
 READY_RAD = arm_named("nominal").params.poses.ready_rad
 TURN = MoveJoint(Joint.WRIST, READY_RAD[Joint.WRIST] + 0.02)
@@ -71,3 +73,11 @@ def test_a_monitor_stops_the_arm_and_the_remaining_commands():
     assert CommandCompleted("MoveJoint") not in [evr for _, evr in result.evrs]
     assert not result.cycles[-1].outputs.joint.busy
     assert [one.tick for one in result.cycles if one.commands] == [0, 65]
+
+
+def test_the_text_of_an_effect_names_a_tool_of_the_arm_that_is_started():
+    arm = arm_named("m2020")
+    effect = ToolOffset(next(tool for tool in arm.params.tool_names if tool not in TOOLS), "x", 0.01)
+    start_loop(arm, effects=[effect_text(effect)])
+    with pytest.raises(BadEffect, match="is not known"):
+        start_loop("nominal", effects=[effect_text(effect)])

@@ -39,6 +39,7 @@ from ground.diagnosis.sampling import DetectableEffect
 from sim.effects import catalogue
 from sim.effects.effect import Effect
 from sim.open_loop import SimulationOptions
+from sim.params import nominal_params
 from sim.scenario.effects import BadEffect, effect_classes_in_file, effect_text, parse_effect_text
 
 PLACES_PER_EFFECT: Final = 2
@@ -143,7 +144,8 @@ def list_uncatalogued() -> dict[tuple[str, str], UncataloguedEffect]:
 def resolve_effect(spec: str) -> Effect:
     """Return the effect of a text, in the catalogue or in the folder."""
     try:
-        return parse_effect_text(str(EFFECTS_FOLDER / spec) if ".py:" in spec else spec)
+        text = str(EFFECTS_FOLDER / spec) if ".py:" in spec else spec
+        return parse_effect_text(text, nominal_params().tool_names)
     except BadEffect as error:
         raise BadRequest(str(error)) from error
 

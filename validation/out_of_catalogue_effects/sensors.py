@@ -23,6 +23,10 @@ class _Reading(Effect):
         """Add the error to the sensors."""
         return replace(hardware, sensor_errors=(*hardware.sensor_errors, self))
 
+    def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
+        """Return the wrong readings in place of the right ones."""
+        raise NotImplementedError
+
     def update(self, sensors: Sensors) -> "_Reading":
         """Return the next state: unchanged, unless a subclass overrides it."""
         return self

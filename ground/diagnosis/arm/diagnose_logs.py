@@ -76,7 +76,7 @@ def prepare_diagnosis(request: DiagnoseRequest) -> DiagnoseJob:
     if request.campaign is not None and not os.path.isdir(request.campaign):
         raise BadRequest(f"campaign {request.campaign}: there is no such folder of logs")
     kinds = None if request.catalogue is None else _parse_effects(request.catalogue)
-    effects = parse_effects(request.effects)
+    effects = parse_effects(request.effects, default_arm().params.tool_names)
     run = select_runner(request.workers, request.cluster)
     return DiagnoseJob(fitted, held_out, request.params, kinds, request.campaign, request.seed, effects, run)
 

@@ -1,5 +1,6 @@
 import importlib.util
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -9,9 +10,11 @@ import numpy as np
 import PIL.Image
 import pytest
 
+from ground.common.interruption import Interrupted
 from ground.render import gl
 from ground.render.picture import PictureError, save_movie, save_picture, write_gif
 from ground.render.rays import RayCamera, Rays
+from tests.ground.command import largest_file
 
 SCENE = """
 <mujoco>
@@ -214,6 +217,40 @@ def test_a_link_to_a_file_may_be_written(model, data, tmp_path):
     (tmp_path / "link.png").symlink_to("there.png")
     save_picture(model, data, "front", tmp_path / "link.png", (32, 24))
     assert pixels(tmp_path / "there.png").shape == (24, 32, 3)
+
+
+@pytest.mark.usefixtures("without_gl")
+@pytest.mark.parametrize("name", ["scene.png", "lift.gif", "lift.mp4"])
+@pytest.mark.parametrize("is_new", [True, False])
+def test_a_picture_or_movie_is_written_whole_or_not_at_all(model, data, tmp_path, name, is_new):
+    if name.endswith(".mp4"):
+        pytest.importorskip("av", reason="PyAV is not installed; pip install 'marsarm[movie]'")
+    path = tmp_path / name
+    if not is_new:
+        path.write_bytes(b"before")
+    with largest_file(1000):
+        if name.endswith(".png"):
+            result = save_picture(model, data, "front", path, SIZE)
+        else:
+            result = save_movie(model, np.linspace(0.0, 0.5, 6)[:, None], "front", path, SIZE)
+    assert result.path is None
+    assert f"{path} cannot be written (File too large)" in result.hint
+    assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == ({} if is_new else {name: b"before"})
+
+
+@pytest.mark.usefixtures("without_gl")
+def test_an_interrupted_movie_leaves_the_one_before(model, tmp_path, monkeypatch):
+    path = tmp_path / "lift.gif"
+    path.write_bytes(b"before")
+
+    def interrupt(self, file, *_, **__):
+        Path(file).write_bytes(b"half")
+        raise Interrupted(signal.SIGINT)
+
+    monkeypatch.setattr(PIL.Image.Image, "save", interrupt)
+    with pytest.raises(Interrupted):
+        save_movie(model, np.linspace(0.0, 0.5, 3)[:, None], "front", path, SIZE)
+    assert [one.read_bytes() for one in tmp_path.iterdir()] == [b"before"]
 
 
 def test_movie_without_frames_is_refused(tmp_path):

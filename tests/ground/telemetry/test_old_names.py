@@ -17,6 +17,7 @@ from sim.effects.catalogue import catalogue
 from sim.params import nominal_params
 from sim.scenario.effects import effect_text, parse_effect_text
 from tests.replay.remake import FOLDER
+from tests.tools import TOOLS
 
 DICTIONARY = build_dictionary()
 
@@ -91,7 +92,7 @@ def test_a_header_has_todays_names_of_reference_commands_and_effects():
     assert json.loads(new["boot"])["reference"] == {"half_backlash_rad": [0.0] * 5}
     assert json.loads(new["commands"])[0]["fields"] == {"standoff_m": 0.1}
     (text,) = json.loads(new["effects"])
-    assert effect_text(parse_effect_text(text)) == text
+    assert effect_text(parse_effect_text(text, TOOLS)) == text
     assert (new["params"], new["arm"]) == ("{", "nominal")
     assert old_names.rename_header(new) == new
 

@@ -1,6 +1,7 @@
 """Frames: what is drawn is where the plant was, and what flight software estimated."""
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -9,17 +10,23 @@ from scipy.spatial.transform import Rotation
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward
 from ground.common.errors import BadRequest
+from ground.telemetry.header import run_header
 from ground.telemetry.read import read_log
+from ground.telemetry.recorder import Recorder
 from ground.view.frames import compute_frames
 from ground.view.samples import Samples
 from ground.view.scene import build_scene
-from ground.view.watched_run import watch_log
+from ground.view.watched_run import build_surroundings, watch_log
 from sim.arm_model.load import default_arm
+from sim.arms import arm_named
+from sim.effects.links import ToolOffset
+from sim.effects.structure import StandInTurret
 from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import World, build
-from tests.ground.view.lab import ARM, TILTED, records_of, start_loop
+from tests.ground.view.lab import ARM, COMMANDS, TILTED, records_of, start_loop
 from tests.replay.remake import FOLDER
+from tests.tools import TOOLS
 
 AT_REST_M = 0.1e-3
 MOVING_M = 1.5e-3
@@ -113,6 +120,71 @@ def test_a_log_without_truth_or_world_shows_the_believed_arm_and_says_so():
     assert run.frames.shown is run.frames.believed
     assert any("no truth" in note for note in run.notes)
     assert any("where rock and ground were" in note for note in run.notes)
+
+
+@pytest.fixture
+def logged(tmp_path):
+    """Return a function that records some cycles with another header, and prepares them for a view."""
+
+    def prepare(arm, effects=(), changes=()):
+        loop = start_loop(arm, TILTED)
+        header = run_header(loop, arm.name, 0, {}, COMMANDS, effects, TILTED)
+        with Recorder(tmp_path / "run.mcap", header | dict(changes), loop.config) as recorder:
+            for record in islice(records_of(loop), 64):
+                recorder.write(record)
+        return watch_log(tmp_path / "run.mcap")
+
+    return prepare
+
+
+def test_effects_of_a_log_are_those_of_the_tools_of_its_arm(logged):
+    arm = arm_named("m2020")
+    own = next(tool for tool in arm.params.tool_names if tool not in TOOLS)
+    shown = arm.params.tool_names[0]
+    run = logged(arm, (ToolOffset(own, "x", 0.05), ToolOffset(shown, "x", 0.05)))
+    assert run.notes == ()
+    without = logged(arm)
+    offset_m = run.frames.true[:, -1, :3] - without.frames.true[:, -1, :3]
+    assert np.linalg.norm(offset_m, axis=1) == pytest.approx(0.05, abs=1e-4)
+
+
+def test_an_arm_that_this_machine_does_not_know_has_no_truth_and_the_view_says_so(logged):
+    run = logged(ARM, changes={"arm": "spare-arm/as-built:3"})
+    assert run.frames.true is None
+    assert any("does not know the arm of the log, 'spare-arm/as-built:3'" in note for note in run.notes)
+
+
+def test_a_drawing_that_changed_since_the_run_has_no_truth_and_the_view_says_so(logged):
+    model = replace(ARM.params.model, sha256="0" * 64)
+    run = logged(replace(ARM, params=replace(ARM.params, model=model)))
+    assert run.frames.true is None
+    assert any("The drawing has changed since the run" in note for note in run.notes)
+
+
+def test_a_log_of_a_drawing_that_is_not_here_is_refused(logged):
+    with pytest.raises(BadRequest, match="is of the drawing 'm2020', which 'spare-arm' does not name here"):
+        logged(arm_named("m2020"), changes={"arm": "spare-arm"})
+
+
+def test_a_tool_that_the_arm_lacks_is_refused(run):
+    samples, arm = run.frames.samples, build_arm(nominal_params())
+    beyond = replace(samples, tool=np.full_like(samples.tool, len(TOOLS)))
+    with pytest.raises(BadRequest, match=f"has tool {len(TOOLS)}, and its parameters have the tools 0 to"):
+        compute_frames(run.scene, beyond, arm, arm, None)
+
+
+def test_an_arm_without_its_turret_is_drawn_without_it():
+    whole, bare = (
+        build_surroundings(World(), ARM.params, effects, default_arm()).scene
+        for effects in ((), (StandInTurret(0.0),))
+    )
+    assert whole.carriers == bare.carriers
+    faces, kept = (
+        [sum(len(p.triangles.faces) for p in one.parts if p.carrier == k) for k in range(len(one.carriers))]
+        for one in (whole, bare)
+    )
+    assert kept[:-1] == faces[:-1]
+    assert kept[-1] < 0.5 * faces[-1]
 
 
 def test_cycles_without_finite_angles_are_left_out(run):

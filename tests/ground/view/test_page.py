@@ -18,7 +18,7 @@ from validation.browser import MISSING, Browser, find_chromium
 MOST_BYTES = 5_000_000
 TIMES_S = (0.0, 0.4, 1.1, 2.9, 99.0)
 FACTORS = (1.0, 7.0)
-PLAYER = files("ground.view").joinpath("page", "player.js").read_text()
+SCENE = files("ground.view").joinpath("page", "scene.js").read_text(encoding="utf-8")
 
 DRAWN_TWICE_MORE = """
 (() => { document.getElementById("speed").value = 1; player.seek(player.start);
@@ -83,7 +83,7 @@ def test_the_player_computes_the_poses_of_the_frames(run, tmp_path):
     given = {"run": document, "arrays": {name: values.tolist() for name, values in arrays.items()}}
     (tmp_path / "given.json").write_text(json.dumps(given))
     script = (
-        PLAYER.removesuffix("main();\n")
+        SCENE
         + """
     const given = JSON.parse(require("fs").readFileSync(process.argv[2]));
     const motion = new Motion(given.run, given.arrays);

@@ -79,7 +79,7 @@ def test_every_hypothesis_comes_back_from_what_is_written_of_it(times: float) ->
     for hypothesis in HYPOTHESES:
         effect = hypothesis.typical(times)
         if within(effect):
-            assert parse_effect_text(effect_text(effect)) == effect
+            assert parse_effect_text(effect_text(effect), TOOLS) == effect
 
 
 @KINDS
@@ -88,7 +88,7 @@ def test_every_effect_comes_back_from_what_is_written_of_it(kind: type[Effect]) 
     assert places
     for place in (places[0], places[-1]):
         effect = kind(**place, **{p.field: value_of(p) for p in parameters_of(kind)})
-        assert parse_effect_text(effect_text(effect)) == effect
+        assert parse_effect_text(effect_text(effect), TOOLS) == effect
 
 
 def value_of(parameter) -> object:

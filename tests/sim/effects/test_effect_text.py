@@ -15,6 +15,7 @@ from sim.scenario.effects import BadEffect, parse_effect_text
 from sim.scenario.file import BadScenario, parse_scenario
 from sim.scenario.run import scenario_setup
 from tests.sim import lab
+from tests.tools import TOOLS
 
 RIGHT = {
     "coulomb-friction:elbow:torque_Nm=25": CoulombFriction(Joint.ELBOW, 25.0),
@@ -55,13 +56,13 @@ WRONG = {
 
 @pytest.mark.parametrize("text", RIGHT)
 def test_what_is_written_rightly_is_read(text: str) -> None:
-    assert parse_effect_text(text) == RIGHT[text]
+    assert parse_effect_text(text, TOOLS) == RIGHT[text]
 
 
 @pytest.mark.parametrize("text", WRONG)
 def test_what_is_written_wrongly_is_refused_with_what_would_be_right(text: str) -> None:
     with pytest.raises(BadEffect, match=WRONG[text].replace("[", r"\[")):
-        parse_effect_text(text)
+        parse_effect_text(text, TOOLS)
 
 
 SCENARIO = """

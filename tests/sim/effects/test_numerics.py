@@ -9,6 +9,7 @@ from sim.effects.numerics import Numerics
 from sim.scenario.effects import effect_text, parse_effect_text
 from tests.sim import lab
 from tests.sim.effects import bench
+from tests.tools import TOOLS
 
 FINER = 6
 
@@ -19,7 +20,7 @@ def test_it_is_no_hypothesis() -> None:
 
 def test_it_comes_back_from_what_is_written_of_it() -> None:
     for one in (Numerics("implicit", 2), Numerics("explicit", 6)):
-        assert parse_effect_text(effect_text(one)) == one
+        assert parse_effect_text(effect_text(one), TOOLS) == one
 
 
 @pytest.mark.parametrize("scheme", ["implicit", "explicit"])

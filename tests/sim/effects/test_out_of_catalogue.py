@@ -14,6 +14,7 @@ from sim.effects.effect import Effect
 from sim.initialisation import true_reference
 from sim.scenario.effects import effect_classes_in_file, effect_text, parse_effect_text
 from tests.marks import slow_but
+from tests.tools import TOOLS
 
 FOLDER = Path(__file__).parents[3] / "validation" / "out_of_catalogue_effects"
 KINDS = {
@@ -75,7 +76,7 @@ def test_no_catalogue_has_it_and_it_comes_back_from_what_is_written_of_it(name: 
     assert not {str(one).split(":")[0] for one in hypotheses({name: KINDS[name]})} & set(catalogue())
     for one in hypotheses({name: KINDS[name]}):
         assert len(one.amplitudes) == 1
-        assert parse_effect_text(effect_text(one.typical())) == one.typical()
+        assert parse_effect_text(effect_text(one.typical()), TOOLS) == one.typical()
 
 
 @FEW

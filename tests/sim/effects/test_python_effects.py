@@ -12,6 +12,7 @@ from sim.effects.effect import Effect
 from sim.scenario.effects import BadEffect, effect_text, parse_effect_text
 from tests.sim import lab
 from tests.sim.effects import bench
+from tests.tools import TOOLS
 
 PAGE = Path(__file__).parents[3] / "docs" / "effects.md"
 
@@ -26,7 +27,7 @@ def dent(tmp_path: Path) -> Path:
 
 def test_the_example_of_the_documentation_holds_a_joint_as_it_says(dent: Path) -> None:
     option = re.search(r"--effect dent\.py:(Dent\S*)", PAGE.read_text())[1]
-    effect = parse_effect_text(f"{dent}:{option}")
+    effect = parse_effect_text(f"{dent}:{option}", TOOLS)
     assert isinstance(effect, Effect)
     assert (effect.joint, effect.torque_Nm, effect.width_rad) == (Joint.ELBOW, 15.0, 0.02)
     start = np.where(np.arange(5) == Joint.ELBOW, effect.angle_rad - 0.02, lab.READY_RAD)
@@ -39,17 +40,17 @@ def test_the_example_of_the_documentation_holds_a_joint_as_it_says(dent: Path) -
 
 
 def test_it_is_not_in_the_catalogue_and_comes_back_from_what_is_written_of_it(dent: Path) -> None:
-    effect = parse_effect_text(f"{dent}:Dent:elbow:torque_Nm=15")
+    effect = parse_effect_text(f"{dent}:Dent:elbow:torque_Nm=15", TOOLS)
     assert "dent" not in catalogue()
     assert effect_text(effect).startswith(f"{dent}:Dent:elbow:torque_Nm=15.0")
-    assert parse_effect_text(effect_text(effect)) == effect
+    assert parse_effect_text(effect_text(effect), TOOLS) == effect
 
 
 def test_a_file_that_is_written_anew_is_read_anew(dent: Path) -> None:
     text = dent.read_text()
-    assert parse_effect_text(f"{dent}:Dent:elbow:torque_Nm=15").width_rad == 0.02
+    assert parse_effect_text(f"{dent}:Dent:elbow:torque_Nm=15", TOOLS).width_rad == 0.02
     dent.write_text(text.replace("= 0.02", "= 0.03"))
-    assert parse_effect_text(f"{dent}:Dent:elbow:torque_Nm=15").width_rad == 0.03
+    assert parse_effect_text(f"{dent}:Dent:elbow:torque_Nm=15", TOOLS).width_rad == 0.03
 
 
 @pytest.mark.parametrize(
@@ -65,7 +66,7 @@ def test_a_file_that_is_written_anew_is_read_anew(dent: Path) -> None:
 )
 def test_what_is_wrong_with_it_is_said(dent: Path, rest: str, expected: str) -> None:
     with pytest.raises(BadEffect, match=expected):
-        parse_effect_text(f"{dent}:{rest}")
+        parse_effect_text(f"{dent}:{rest}", TOOLS)
 
 
 @pytest.mark.parametrize(
@@ -83,9 +84,9 @@ def test_a_file_that_is_no_effect_is_refused(tmp_path: Path, text: str, expected
     file = tmp_path / "dent.py"
     file.write_text(text)
     with pytest.raises(BadEffect, match=expected):
-        parse_effect_text(f"{file}:Dent:elbow")
+        parse_effect_text(f"{file}:Dent:elbow", TOOLS)
 
 
 def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path: Path) -> None:
     with pytest.raises(BadEffect, match=r"none\.py: cannot be read \(No such file or directory\)"):
-        parse_effect_text(f"{tmp_path / 'none.py'}:Dent:elbow")
+        parse_effect_text(f"{tmp_path / 'none.py'}:Dent:elbow", TOOLS)

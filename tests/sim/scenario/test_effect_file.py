@@ -5,19 +5,20 @@ import pytest
 from sim.effects.catalogue import hypotheses
 from sim.scenario.effect_file import effect_file_text, read_effect_file
 from sim.scenario.effects import BadEffect
+from tests.tools import TOOLS
 
 
 def test_every_effect_comes_back_exactly(tmp_path):
     effects = tuple(hypothesis.typical(1.0 / 3.0) for hypothesis in hypotheses())
     path = tmp_path / "found.toml"
     path.write_text(effect_file_text(effects, ["comment"]))
-    assert read_effect_file(path) == effects
+    assert read_effect_file(path, TOOLS) == effects
 
 
 def test_a_file_of_no_effects_switches_nothing_on(tmp_path):
     path = tmp_path / "found.toml"
     path.write_text(effect_file_text((), ["comment"]))
-    assert read_effect_file(path) == ()
+    assert read_effect_file(path, TOOLS) == ()
 
 
 @pytest.mark.parametrize(
@@ -34,12 +35,12 @@ def test_what_is_wrong_is_told_by_its_line(tmp_path, text, expected):
     path = tmp_path / "found.toml"
     path.write_text(text)
     with pytest.raises(BadEffect) as refused:
-        read_effect_file(path)
+        read_effect_file(path, TOOLS)
     assert expected in str(refused.value)
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(BadEffect, match="cannot be read"):
-        read_effect_file(tmp_path / "none.toml")
+        read_effect_file(tmp_path / "none.toml", TOOLS)
     with pytest.raises(BadEffect, match="not a regular file"):
-        read_effect_file(tmp_path)
+        read_effect_file(tmp_path, TOOLS)

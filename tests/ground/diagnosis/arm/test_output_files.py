@@ -17,6 +17,7 @@ from sim.effects.gears import CoulombFriction
 from sim.effects.joints import GearStiffness
 from sim.params import nominal_params, params_over_nominal
 from tests.ground.diagnosis.results import as_of
+from tests.tools import TOOLS
 
 
 def _hypothesis(name):
@@ -38,7 +39,7 @@ def test_a_finding_is_the_effect_of_the_size_that_was_found(softer):
 
 def test_the_patch_is_what_the_option_effect_takes(softer, tmp_path):
     save_patch(softer, tmp_path / "found.toml")
-    assert parse_effects((str(tmp_path / "found.toml"),)) == effects_of_findings(softer)
+    assert parse_effects((str(tmp_path / "found.toml"),), TOOLS) == effects_of_findings(softer)
     assert (
         "gear-stiffness at elbow cannot be distinguished from effect 7"
         in (tmp_path / "found.toml").read_text()
