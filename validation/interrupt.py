@@ -171,7 +171,7 @@ def summarize(found: Sequence[Interruption]) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print the result as JSON; exit with 1 if an interruption is out of bounds, or none came before the end of a command."""
+    """Print the result as JSON; exit with 1 if an interruption is out of bounds, or all came too late."""
     parser = argparse.ArgumentParser(prog="python -m validation.interrupt", description=__doc__)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument(
