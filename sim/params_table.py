@@ -160,6 +160,8 @@ def describe_error(error: Any, names: Sequence[str]) -> str:
     if kind in ("too_short", "too_long"):
         wanted = context.get("min_length", context.get("max_length"))
         return f"has {context['actual_length']} values; {wanted} are right"
+    if kind == "literal_error":
+        return f"{error['input']!r} is not known; there are {context['expected']}"
     wanted = next((text for start, text in WANTED.items() if kind.startswith(start)), None)
     return f"has a wrong value ({kind})" if wanted is None else wanted
 

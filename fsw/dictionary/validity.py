@@ -48,6 +48,7 @@ def check_limits(record: Any, place: str = "") -> Iterator[str]:
             continue
         if not all(math.isfinite(v) for v in _leaf_numbers(value)):
             yield f"{where}: must be finite, is {value}"
+            continue
         for limits in getattr(hints[field.name], "__metadata__", ()):
             if isinstance(limits, Limits) and not limits.low <= value <= limits.high:
                 yield f"{where}: {value} is outside {limits.low} .. {limits.high}"

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from ground.arms.request import ArmBuildRequest
 from ground.common.errors import BadRequest
-from ground.common.files import atomic_write
+from ground.common.files import atomic_write, check_output
 from ground.common.params_toml import full_params_toml
 from ground.render.console import plain_console
 from sim.arm_model.description import BadArm
@@ -45,12 +45,14 @@ def build_arms(request: ArmBuildRequest) -> tuple[ArmFiles, ...]:
         BadRequest: there is no such arm, its description is wrong, or a file is stale and was to be checked.
     """
     try:
-        found = tuple(_make_files(name) for name in ([request.arm] if request.arm else arm_names()))
+        found = tuple(_make_files(name) for name in (arm_names() if request.arm is None else [request.arm]))
     except (BadArm, BadParams) as error:
         raise BadRequest(str(error)) from error
     stale = {path: one.texts[path] for one in found for path in one.stale}
     if request.check and stale:
         raise BadRequest(f"{next(iter(stale))}: is not what arm.toml says; run `marsarm arm build`")
+    for path in stale:
+        check_output(path, (path.suffix,), "file")
     for path, text in stale.items():
         with atomic_write(path, "file") as file:
             file.write(text.encode())

@@ -174,7 +174,7 @@ def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) 
         NoSuchChannel: the log has no message between these times.
     """
     from ground.telemetry.inspection import NoSuchChannel, bound_ns
-    from ground.telemetry.lost_messages import interruption_text, trailing_bytes_text
+    from ground.telemetry.lost_messages import trailing_bytes_text
     from ground.telemetry.read import read_log
 
     start_ns, stop_ns = bound_ns("from", start_s), bound_ns("to", stop_s)
@@ -182,9 +182,11 @@ def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) 
         raise BadRequest(f"from: {start_s} s is not before --to {stop_s} s; give a span of log time")
     read = read_log(log, None, start_ns, stop_ns)
     if not read.time_ns and (start_s, stop_s) != (None, None):
-        raise NoSuchChannel(f"log {log} has nothing in the time from {start_s} s to {stop_s} s")
-    if read.interrupted_by:
-        print(f"log {log}: {interruption_text(read.interrupted_by)}", file=sys.stderr)
+        ends = {"from": start_s, "to": stop_s}
+        span = " ".join(f"{name} {time_s} s" for name, time_s in ends.items() if time_s is not None)
+        raise NoSuchChannel(f"log {log} has nothing in the time {span}")
+    if read.end_note:
+        print(f"log {log}: {read.end_note}", file=sys.stderr)
     if read.trailing_bytes:
         print(f"log {log}: {trailing_bytes_text(read.trailing_bytes)}", file=sys.stderr)
     return read

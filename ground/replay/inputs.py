@@ -18,7 +18,7 @@ from fsw.messages import Sensors
 from ground.common.errors import BadRequest
 from ground.telemetry.format import COMMAND_TOPIC, SENSOR_TOPIC, TICK_NS
 from ground.telemetry.json_codec import BadJson, command_from_json, record_from_json
-from ground.telemetry.lost_messages import LostMessages, interruption_text, trailing_bytes_text
+from ground.telemetry.lost_messages import LostMessages, trailing_bytes_text
 from ground.telemetry.read import Log
 from ground.telemetry.schema import PER_JOINT, ArmNames, arm_names, packet_layout
 from sim.params import nominal_params
@@ -64,7 +64,7 @@ def inputs_from_log(log: Log) -> Inputs:
     """
     notes: list[str] = [] if not log.trailing_bytes else [trailing_bytes_text(log.trailing_bytes)]
     if log.interrupted_by:
-        notes.append(interruption_text(log.interrupted_by))
+        notes.append(log.end_note)
     try:
         params, mode, reference = _start_conditions(log, notes)
         commands: dict[int, tuple[Command, ...]] = {}

@@ -23,7 +23,13 @@ from ground.telemetry.format import (
     TICK_NS,
     interruption_in,
 )
-from ground.telemetry.lost_messages import RECOVERED_RECORD, LogDamaged, LostMessages, losses_in
+from ground.telemetry.lost_messages import (
+    RECOVERED_RECORD,
+    LogDamaged,
+    LostMessages,
+    interruption_text,
+    losses_in,
+)
 from ground.telemetry.mcap_reader import (
     MAX_UNPACKED_BYTES,
     PARSE_ERRORS,
@@ -89,6 +95,13 @@ class Log:
         if self.truncated:
             return "cut short"
         return "interrupted" if self.interrupted_by else "closed"
+
+    @property
+    def end_note(self) -> str:
+        """Return a sentence about a log that ends before its run; empty for a closed log."""
+        if self.truncated:
+            return "it was cut short: its writer did not close it"
+        return interruption_text(self.interrupted_by) if self.interrupted_by else ""
 
     def __getitem__(self, topic: str) -> NDArray[np.void]:
         if topic not in self.packets:

@@ -13,7 +13,6 @@ from ground.telemetry.format import FORMAT
 from ground.telemetry.inspection import ChannelSeries, LogInfo, Range, range_of, summarize_log
 from ground.telemetry.lost_messages import (
     LostMessages,
-    interruption_text,
     span_text,
     trailing_bytes_text,
 )
@@ -84,12 +83,7 @@ def info_table(log: Log) -> None:
             console.print(f"{name:<16}  {text}", markup=False, soft_wrap=True)
     console.print(f"{'format':<16}  {FORMAT}")
     console.print(f"{'duration':<16}  {_duration(info)}")
-    states = {
-        "closed": "closed",
-        "cut short": "cut short: its writer did not close it",
-        "interrupted": f"interrupted: {interruption_text(log.interrupted_by)}",
-    }
-    state = states[log.end]
+    state = log.end_note or log.end
     if log.trailing_bytes:
         state += f"; {trailing_bytes_text(log.trailing_bytes)}"
     console.print(f"{'end':<16}  {state}", soft_wrap=True)

@@ -107,6 +107,8 @@ def watch_log(path: Path) -> WatchedRun:
     effects = (*arm.effects, *_effects(log.header, arm.params.tool_names, notes))
     surroundings = build_surroundings(world, params, effects, arm.model)
     frames = surroundings.frames(samples)
+    if log.end_note:
+        notes.append(f"Log: {log.end_note}.")
     if "/truth" not in log.packets:
         notes.append("The log has no truth: only the arm that flight software believes is drawn.")
     events = tuple(Event(one.tick * TICK_NS / 1e9, Severity(one.severity), one.message) for one in log.evrs)

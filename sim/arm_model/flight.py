@@ -15,7 +15,9 @@ ROUNDING: Final = 1e-18
 """Expansions below this, in m/K, are rounding errors of a right angle."""
 
 
-def flight_params(arm: ArmDescription, digest: str, defaults: Path, rover: Path) -> Params:
+def flight_params(
+    arm: ArmDescription, digest: str, defaults: Path, rover: Path, source: str
+) -> Params:
     """Make the flight parameters of the drawing.
 
     Args:
@@ -23,6 +25,7 @@ def flight_params(arm: ArmDescription, digest: str, defaults: Path, rover: Path)
         digest: SHA-256 of the description.
         defaults: TOML file of the flight parameters that do not depend on the arm.
         rover: TOML file of the shapes of the rover.
+        source: File of the description, for errors.
 
     Raises:
         BadArm: the table `[flight]` sets what another table sets.
@@ -49,9 +52,9 @@ def flight_params(arm: ArmDescription, digest: str, defaults: Path, rover: Path)
     reserved = [f"flight.{place}" for place in reserved_of_flight(own, shared, arm.flight)]
     if reserved:
         raise BadArm(
-            f"arm {arm.name}: {', '.join(reserved)}: other tables set this; leave it out of [flight]"
+            f"{source}: {', '.join(reserved)}: other tables set this; leave it out of [flight]"
         )
-    return params_from_table(merge_tables(merge_tables(shared, arm.flight), own), f"arm {arm.name}")
+    return params_from_table(merge_tables(merge_tables(shared, arm.flight), own), source)
 
 
 def _link_table(link: LinkDescription) -> dict[str, Any]:

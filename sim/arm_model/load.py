@@ -105,7 +105,7 @@ def _make_arm(path: str, text: str, looks: str, visual: str | None) -> ArmModel:
     description = read_description(text, path)
     check_description(description, path)
     digest = hashlib.sha256(json.dumps(asdict(description), sort_keys=True).encode()).hexdigest()
-    params = flight_params(description, digest, DEFAULTS, SCENES / "rover.toml")
+    params = flight_params(description, digest, DEFAULTS, SCENES / "rover.toml", path)
     try:
         mjcf = arm_mjcf(description, visual)
     except BadLooks as error:

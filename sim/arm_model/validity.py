@@ -6,6 +6,7 @@ from dataclasses import fields
 from typing import Any, Final
 
 from fsw.dictionary.validity import check_limits
+from fsw.kinematics.branches import BRANCHES
 from sim.arm_model.description import LINK_PARTS, ArmDescription, BadArm, LinkDescription, Lump, Shape
 
 LEAST_STIFFNESS: Final = 1e4
@@ -31,6 +32,7 @@ def check_description(arm: ArmDescription, path: str) -> None:
         *_check_names(arm),
         *_check_tools(arm),
         *_check_shapes(arm),
+        *_check_teach(arm),
     ]
     if problems:
         raise BadArm("\n".join(f"{path}: {problem}" for problem in problems))
@@ -121,6 +123,17 @@ def _check_names(arm: ArmDescription) -> Iterator[str]:
         for name in arm.switches
         if name in arm.tools
     )
+
+
+def _check_teach(arm: ArmDescription) -> Iterator[str]:
+    """Yield a sentence for each taught point that no command can go to."""
+    for k, point in enumerate(arm.teach):
+        if point.name in (other.name for other in arm.teach[:k]):
+            yield f"teach.{k}.name: {point.name!r} is given twice; give each point a name of its own"
+        if point.branch not in ("AUTO", *BRANCHES):
+            yield f"teach.{k}.branch: {point.branch!r} is not known; there are AUTO, {', '.join(BRANCHES)}"
+        if not any(point.approach_R):
+            yield f"teach.{k}.approach_R: {point.approach_R} has no direction"
 
 
 def _check_tools(arm: ArmDescription) -> Iterator[str]:

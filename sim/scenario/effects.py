@@ -252,7 +252,7 @@ def _parse_parameters(name: str, text: str) -> dict[str, Any]:
 def _parse_value(text: str) -> Any:
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):  # no TOML, or nested too deeply
         return text
 
 

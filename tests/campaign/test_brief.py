@@ -14,9 +14,9 @@ WHOLE = {
     "blind": ("blind.brief",),
     "joints": ("hardstops", "backlash", "shoulder_in"),
 }
-OTHERWISE = {"brief", "fuzz", "benchmarks", "cluster", "requirements"}
+OTHERWISE = {"brief", "fuzz", "benchmarks", "cluster", "requirements", "view"}
 """The list of brief campaigns itself, the fuzzer, which takes a minute, benchmarks of speed, the cluster,
-which needs Ray, and requirements, which are measured by other campaigns."""
+which needs Ray, requirements, which are measured by other campaigns, and the view, which needs Chromium."""
 
 
 def test_every_campaign_that_make_runs_has_a_brief_version() -> None:

@@ -178,6 +178,8 @@ CASES = {
     "place --params foreign.toml": "no built arm is so far from its drawing",
     "diagnose run.mcap --params foreign.toml": "no built arm is so far from its drawing",
     "gap record --out new --params half.toml": "is not TOML",
+    "arm build ''": "arm '' is not known",
+    "log channels run.mcap --from 100 --to 200": "has nothing in the time from 100.0 s to 200.0 s",
     "gap record --out new --arm m2020": "the diagnosis knows the drawing msl only",
     "diagnose run.mcap --params list.toml": "motion: must be a table",
     # scenarios and effects

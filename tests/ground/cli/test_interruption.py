@@ -104,7 +104,7 @@ def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path: Path) -
     for words in (("info",), ("channels",), ("export", "tables")):
         done = marsarm(tmp_path, "log", words[0], "run.mcap", *words[1:])
         assert (done.returncode, done.stderr) == (0, f"log run.mcap: {sentence}\n")
-    assert f"interrupted: {sentence}" in marsarm(tmp_path, "log", "info", "run.mcap").stdout
+    assert f" {sentence}\n" in marsarm(tmp_path, "log", "info", "run.mcap").stdout
     document = json.loads(marsarm(tmp_path, "log", "info", "run.mcap", "--json").stdout)
     end = {name: document[name] for name in ("closed", "end", "interrupted_by")}
     assert end == {"closed": False, "end": "interrupted", "interrupted_by": "SIGINT"}

@@ -75,6 +75,23 @@ def _reach(model: mujoco.MjModel, site: int) -> np.ndarray:
 
 TITANIUM = "<asset><material name='arm_titanium'/></asset>"
 WRONG = {
+    "an unknown branch": (
+        'branch = "shoulder-in elbow-up wrist-up"',
+        'branch = "elbow-elbow"',
+        "teach.2.branch: 'elbow-elbow' is not known",
+    ),
+    "a point given twice": ('"bit_box_2"', '"bit_box_1"', "teach.1.name: 'bit_box_1' is given twice"),
+    "a point without a direction": (
+        "approach_R = [-1.0, 0.0, 0.0]",
+        "approach_R = [0.0, 0.0, 0.0]",
+        "teach.0.approach_R: (0.0, 0.0, 0.0) has no direction",
+    ),
+    "a shape of nobody": ('of = "plant"', 'of = "moon"', "'moon' is not known; there are "),
+    "a gear that flight software refuses": (
+        "gear_ratio = 7520.0",
+        "gear_ratio = 0.0",
+        "arm.toml: joints.azimuth.gear_ratio: 0.0 is outside",
+    ),
     "a missing field": ("gear_ratio = 7520.0\n", "", "actuators.lphta.gear_ratio: is missing"),
     "an unknown field": ("resistance_Ohm = 2.0", "ohm = 2.0", "actuators.lphta.ohm: is not a parameter"),
     "an unknown actuator": (
@@ -165,7 +182,7 @@ WRONG = {
     "geometry among flight parameters": (
         "[poses]",
         "[flight.links.arm3]\nstiffness = 1.0\n[flight.hardstop]\nstart_rad = [0.0]\n[poses]",
-        "arm msl: flight.links, flight.hardstop.start_rad: other tables set this",
+        "arm.toml: flight.links, flight.hardstop.start_rad: other tables set this",
     ),
     "a name of no arm": ('name = "msl"', 'name = "my/arm"', "name: 'my/arm' is no name of an arm"),
     "no TOML": ("[actuators.lphta]", "[actuators.lphta", "is not TOML"),
