@@ -57,6 +57,7 @@ def main(words: list[str]) -> int:
         page = Path(folder) / "run.html"
         size = save_page(watch_log(log), page)
         browser.open(page.as_uri())
+        browser.evaluate(MEASURE % (1, SECONDS))  # the first frames compile shaders and upload shapes
         measured = {speed: browser.evaluate(MEASURE % (speed, SECONDS)) for speed in SPEEDS}
         if given.shots is not None:
             take_pictures(browser, page, given.shots)
