@@ -164,7 +164,7 @@ def main() -> int:
     """Print the result as JSON; return 1 if it is out of bounds, 2 without Ray."""
     parser = campaign_parser("cluster", __doc__, EXAMPLE, with_pool=False)
     parser.add_argument("--arms", type=int, default=200, help="arms of each run (default %(default)s)")
-    parser.add_argument("--pairs", type=int, default=5, help="pairs of times (default %(default)s)")
+    parser.add_argument("--pairs", type=int, default=25, help="pairs of times (default %(default)s)")
     parser.add_argument("--cost", type=int, default=20, help="arms of each kind, to measure the cost")
     options = parser.parse_args()
     if min(options.arms, options.pairs, options.cost) < 1 or options.seed < 0:
