@@ -1,5 +1,6 @@
 """Flight parameters load strictly: every error at once, each with its place."""
 
+import json
 import os
 import re
 from collections.abc import Iterator
@@ -304,18 +305,25 @@ def test_any_number_that_is_not_one_is_named() -> None:
         for key in place[:-1]:
             group = group[key]
         group[place[-1]] = float("nan")
-        field = ".".join(str(key) for key in place[: 1 + _last_name(place)])
+        field = ".".join(_field_of(table, place))
         with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(field)}\b"):
             params_from_table(table, "nominal.toml")
 
 
 def nominal_table() -> dict[str, Any]:
-    """Return the content of the nominal file, to be changed."""
-    return params_table(nominal_params())
+    """Return the content of the nominal file, with lists in place of tuples, to be changed."""
+    table: dict[str, Any] = json.loads(json.dumps(params_table(nominal_params())))
+    return table
 
 
-def _last_name(place: tuple[str | int, ...]) -> int:
-    return max(k for k, key in enumerate(place) if isinstance(key, str))
+def _field_of(table: Any, place: tuple[str | int, ...]) -> Iterator[str]:
+    """Yield the names on the way to a number; a record of a list goes by its name or number."""
+    for key in place:
+        table = table[key]
+        if isinstance(key, str):
+            yield key
+        elif isinstance(table, dict):
+            yield table.get("name", str(key))
 
 
 def numbers_of(table: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:

@@ -16,6 +16,7 @@ from ground.diagnosis.sampling import DetectableEffect
 from ground.telemetry.header import SESSION, flight_header, run_header
 from ground.telemetry.read import read_log
 from ground.telemetry.recorder import Recorder
+from sim.arm_model.load import default_arm
 from sim.arms import arm_named, draw_calibration_errors
 from sim.diagnosis_campaign import run_session, start_session
 from sim.effects.effect import nominal_hardware
@@ -61,7 +62,7 @@ def test_every_arm_has_errors_of_its_own_and_is_computed_otherwise() -> None:
     assert one == again != other
     assert sum(isinstance(effect, GearFriction) for effect in one) == 5
     assert any(isinstance(effect, Numerics) for effect in one)
-    assert len(one) == len(draw_calibration_errors(0)) + 11
+    assert len(one) == len(draw_calibration_errors(default_arm(), 0)) + 11
 
 
 def test_a_blind_log_gives_nothing_away_and_can_be_compared(recorded: Recorded) -> None:
