@@ -5,7 +5,7 @@ A run continues if its log, picture or movie cannot be written.
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -299,10 +299,13 @@ def check_files(files: RunFiles) -> None:
         check_movie_path(files.movie)
 
 
+@contextmanager
 def open_view(
     is_wanted: bool, title: str, world: World, arm: BuiltArm, effects: Sequence[Effect]
-) -> "AbstractContextManager[LiveView | None]":
-    """Open a viewer for a run that has not begun; the context that stops it gives None if none is wanted.
+) -> Iterator["LiveView | None"]:
+    """Open a viewer for the runs of the block; give None if none is wanted.
+
+    It is stopped if the block fails, or no run begins in it. Else it stays open, to play the runs again.
 
     Args:
         is_wanted: True for a viewer.
@@ -315,10 +318,15 @@ def open_view(
         BadRequest: the viewer cannot be opened.
     """
     if not is_wanted:
-        return nullcontext()
+        yield None
+        return
     from ground.view.live import LiveView  # a run without a viewer does not wait for it
 
-    return LiveView(title, world, arm, effects)
+    with ExitStack() as stack:
+        view = stack.enter_context(LiveView(title, world, arm, effects))
+        yield view
+        if view.has_begun:
+            stack.pop_all()
 
 
 def execution_not_begun(result: Result, arm: BuiltArm, files: RunFiles) -> Execution[Result]:

@@ -1,7 +1,6 @@
 """Hardstop initialisation of one joint or of all, once or repeatedly, and the plan of its poses."""
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from math import degrees
 from typing import TYPE_CHECKING, Final
@@ -76,10 +75,8 @@ def hardstop(request: HardstopRequest, progress: Progress = no_progress) -> Hard
     """
     job = prepare_hardstop(request)
     title = f"hardstops of {job.arm.name} arm"
-    with ExitStack() as stack:
-        view = stack.enter_context(open_view(request.view, title, job.world, job.arm, job.effects))
+    with open_view(request.view, title, job.world, job.arm, job.effects) as view:
         runs = tuple(_iter_runs(request, job, progress, view))
-        stack.pop_all()  # the viewer plays the runs again
     poses = tuple(tuple(homing_start_poses(job.arm.params, joint)[-1]) for joint in Joint)
     return HardstopReport(request, runs, poses, view)
 

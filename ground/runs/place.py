@@ -1,6 +1,5 @@
 """Placement of an instrument on a surface: check the request, carry it out, report."""
 
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -117,14 +116,12 @@ def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceRepor
     """
     job = prepare_placement(request)
     title = f"{job.placement.tool} on {job.arm.name} arm"
-    with reserve(request.files.log, "log"), ExitStack() as stack:
-        view = stack.enter_context(
-            open_view(request.files.view, title, job.world, job.arm, effects_of_run(job.effects))
-        )
-        report = _carry_out(request, job, progress, view)
-        if report.execution.view is not None:
-            stack.pop_all()  # the viewer plays the run again
-    return report
+    effects = effects_of_run(job.effects)
+    with (
+        reserve(request.files.log, "log"),
+        open_view(request.files.view, title, job.world, job.arm, effects) as view,
+    ):
+        return _carry_out(request, job, progress, view)
 
 
 def _carry_out(

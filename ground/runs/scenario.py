@@ -1,6 +1,5 @@
 """Execution of a scenario: check the request, run it, apply its checks, report."""
 
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -58,14 +57,11 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
     """
     scenario, arm = _prepare(request)
     title = f"{scenario.title} on {arm.name} arm"
-    with reserve(request.files.log, "log"), ExitStack() as stack:
-        view = stack.enter_context(
-            open_view(request.files.view, title, scenario.world, arm, scenario.effects)
-        )
-        report = _carry_out(request, scenario, arm, progress, view)
-        if report.execution.view is not None:
-            stack.pop_all()  # the viewer plays the run again
-    return report
+    with (
+        reserve(request.files.log, "log"),
+        open_view(request.files.view, title, scenario.world, arm, scenario.effects) as view,
+    ):
+        return _carry_out(request, scenario, arm, progress, view)
 
 
 def _carry_out(

@@ -48,6 +48,11 @@ class LiveView:
         self._events: list[Event] = []
         self._drawn_s = -DRAW_PERIOD_S
 
+    @property
+    def has_begun(self) -> bool:
+        """Return whether a run has begun."""
+        return bool(self._records)
+
     def watch(self, record: CycleRecord) -> None:
         """Keep a sample of a cycle with its events, and draw it if a drawing is due."""
         if record.tick < self._last_tick:  # another run, which follows the last one
