@@ -12,8 +12,11 @@ from pathlib import Path
 from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-PACKAGES: Final = ("fsw", "sim", "ground", "marsarm", "validation", "examples")
-NUMERIC: Final = ("fsw/kinematics", "fsw/estimate", "ground/calibration", "ground/diagnosis")
+PACKAGES: Final = ("fsw", "sim", "diagnosis", "ground", "marsarm", "validation", "examples")
+NUMERIC: Final = (
+    *("fsw/kinematics", "fsw/estimate", "ground/calibration", "ground/diagnosis"),
+    *("diagnosis/serial_arm", "diagnosis/engine", "diagnosis/fit", "diagnosis/selection", "diagnosis/verdict"),
+)
 """Folders whose public functions say shapes and units."""
 ARRAYS: Final = re.compile(r"\b(Array|Flags|Integers|Indices|NDArray|Pose)\b")
 SHAPE: Final = re.compile(r"\((?:\d+|[a-z]\w*|\.\.\.)(?:, ?(?:\d+|[a-z]\w*|\.\.\.))*,?\)")

@@ -1,0 +1,50 @@
+"""The interface between the selection of effects and the three kinds of residual.
+
+Forward simulation, inverse dynamics and a second encoder each predict what the logs say, for many candidates
+at once. Selection, fit and verdict know no more of them than this.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from diagnosis.arrays import Array, Integers
+from diagnosis.effects.effect import Effect
+
+
+class ResidualModel(Protocol):
+    """Predict measured minus predicted values for candidates: sets of effects with their sizes."""
+
+    kind: str
+    """"simulation", "inverse dynamics", "second encoder" or "tracker"."""
+    unit: str
+    """Unit of the residuals."""
+    joints: tuple[str, ...]
+    motions: tuple[str, ...]
+    """Names of the units of inference: motions, or blocks of a motion."""
+    joint_of: Integers
+    """Index of the joint of each residual, (n,)."""
+    motion_of: Integers
+    """Index of the motion of each residual, (n,)."""
+    time_s: Array
+    """Time of each residual in its motion, (n,)."""
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        """Return the residuals of candidates, (n_candidates, n).
+
+        Args:
+            effects: Union of the effects of all candidates.
+            sizes: Sizes of all effects one after the other, (n_candidates, total sizes); zeros where absent.
+        """
+        ...
+
+    def select(self, motions: Sequence[str]) -> "ResidualModel":
+        """Return the residuals of these motions alone, which cost less."""
+        ...
+
+    def explain(self, name: str) -> Array:
+        """Return a variable on which a residual may depend, (n,), at the measured motion.
+
+        Args:
+            name: "position", "velocity", "load", "time", "temperature" or "command".
+        """
+        ...

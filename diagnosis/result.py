@@ -1,0 +1,102 @@
+"""Records of a diagnosis: what was found, how sure, how far, and what remains."""
+
+from dataclasses import dataclass
+
+from diagnosis.effects.effect import Effect, Family
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One effect that the data need, with the sets that cannot be excluded at 5 %."""
+
+    place: str
+    family: Family
+    effect: str
+    size: tuple[float, ...]
+    size_names: tuple[str, ...]
+    interval: tuple[tuple[float, float], ...]
+    """90 % interval of each size."""
+    text: str
+    """The sizes as `Effect.describe` gives them."""
+    share: float
+    """Share of the held-out error of its joint that comes back without it."""
+    places: tuple[str, ...]
+    """Places that cannot be excluded; at most three, the best first."""
+    families: tuple[Family, ...]
+    effects: tuple[str, ...]
+    """Keys of effects that cannot be excluded."""
+    next_motion: str
+    """Motion that would separate the members of the sets; empty if one is left."""
+
+
+@dataclass(frozen=True, slots=True)
+class Base:
+    """Fitted number of a joint that the model does not know for certain; not a finding."""
+
+    place: str
+    name: str
+    nominal: float
+    value: float
+    interval: tuple[float, float]
+    is_identifiable: bool
+    """False if the data show only its ratio to the gain, or nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointError:
+    """Mean absolute residual of one joint on held-out motions."""
+
+    joint: str
+    unit: str
+    nominal: float
+    """With the model as it is."""
+    base: float
+    """With its base parameters fitted."""
+    explained: float
+    """With base parameters and findings fitted."""
+    noise_floor: float
+    """From repeats; NaN if unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Remainder:
+    """Residual of one joint that no effect of the catalogue explains."""
+
+    joint: str
+    regime: str
+    """"at rest", "slow", "fast", or "all motion"."""
+    mean_abs: float
+    unit: str
+    depends_on: str
+    """Variable on which it depends most: "position", "velocity", ..; empty if on none."""
+    depends_share: float
+    """Share of its variance that this variable explains in motions that took no part."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Samples or motions that took no part, and why."""
+
+    motion: str
+    reason: str
+    n_samples: int
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """Result of `diagnose`."""
+
+    robot: str
+    kind: str
+    seed: int
+    findings: tuple[Finding, ...]
+    base: tuple[Base, ...]
+    errors: tuple[JointError, ...]
+    remaining: tuple[Remainder, ...]
+    refused: tuple[Refusal, ...]
+    fitted_motions: tuple[str, ...]
+    judged_motions: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    """The effects of base and findings as fitted, from which a patch is made."""
+    sizes: tuple[tuple[float, ...], ...]
+    """Their sizes."""
