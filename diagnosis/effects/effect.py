@@ -64,7 +64,7 @@ class State:
 
 @dataclass(slots=True)
 class Fields:
-    """Numbers of the model and of the controllers, one row a simulation; `set_model` changes them in place."""
+    """Numbers of the model and of the controllers, a row a simulation; `set_model` changes them."""
 
     kp_Nm_rad: Array
     """(n_sims, n_joints)."""
@@ -127,11 +127,11 @@ class Effect(ABC):
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Change the model or the controller before the first step."""
-        return None
+        raise NotImplementedError
 
     def act(self, size: Array, tick: Tick) -> None:
         """Act before each control period; the engine itself adds `friction_Nm` and `torque_Nm`."""
-        return None
+        raise NotImplementedError
 
     def friction_Nm(self, size: Array, state: State) -> Array:
         """Return the dry friction that the effect adds at this joint, (n_sims,) [N m]; not negative."""
@@ -158,7 +158,7 @@ class Effect(ABC):
         raise NotImplementedError
 
     def vary(self, spec: mujoco.MjSpec, robot: Robot) -> None:
-        """Add bodies, joints or geoms to the model of all simulations; at size 0 they do not move or touch."""
+        """Add bodies, joints or geoms to the model; at size 0 they do not move or touch."""
         raise NotImplementedError
 
     def overrides(self, hook: str) -> bool:
