@@ -107,6 +107,8 @@ class Effect(ABC):
     name: ClassVar[str]
     """Standard term, such as "Coulomb friction"."""
     family: ClassVar[Family]
+    has_shape: ClassVar[bool] = False
+    """True if all sizes but the first give a form, and mean nothing while the first is 0."""
     place: str
     """Name of the joint, or of the body."""
 
