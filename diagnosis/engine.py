@@ -9,7 +9,7 @@ import mujoco.batch
 import numpy as np
 
 from diagnosis.arrays import Array, Flags
-from diagnosis.compiled import UNLIMITED_Nm, Compiled, compile_for, laws, nominal_gains
+from diagnosis.compiled import Compiled, UNLIMITED_Nm, compile_for, laws, nominal_gains
 from diagnosis.effects.effect import Effect, Fields, State, Tick
 from diagnosis.robot import ControlMode, Robot
 from diagnosis.windows import Window

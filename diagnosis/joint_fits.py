@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -27,6 +28,10 @@ class Context:
     catalogue: tuple[Effect, ...]
     scales: Array
     """(n_joints,)."""
+    noise_loss: Array
+    """Mean loss of the noise of each joint, (n_joints,); 0 where it is unknown."""
+    base_scores: Array
+    """Losses of left-out motions with base parameters alone, (n_joints, n_motions)."""
     share: bool
     """True if hypotheses at different joints share simulations."""
     folds: tuple[frozenset[int], ...]
@@ -45,7 +50,7 @@ class Present:
     fits: tuple[Fit, ...]
     """One a joint."""
     scores: Array
-    """Mean absolute residual when the motion was left out, (n_joints, n_motions); NaN without data."""
+    """Mean loss when the motion was left out, (n_joints, n_motions); NaN without data."""
 
     def at(self, place: str) -> tuple[Effect, ...]:
         """Return the accepted effects at a place."""
@@ -73,7 +78,8 @@ def start_context(
     count = min(FOLDS, len(order))
     folds = tuple(frozenset(int(m) for m in order[k::count]) for k in range(count))
     union = Union((*base, *rivals))
-    return Context(model, union, tuple(base), rivals, np.ones(len(model.joints)), False, folds, seed, report)
+    ones = np.ones(len(model.joints))
+    return Context(model, union, tuple(base), rivals, ones, 0.0 * ones, np.empty((0, 0)), False, folds, seed, report)
 
 
 def fit_base(context: Context) -> tuple[Context, Present]:
@@ -98,8 +104,11 @@ def fit_base(context: Context) -> tuple[Context, Present]:
         together = np.zeros(len(model.joint_of))
         for fit in fits:
             together[fit.rows] = fit.residuals
-        context = replace(context, scales=scale_residuals(model, together))
-    return context, Present((), sizes, fits, cross_validate(context, (), sizes))
+        scales = scale_residuals(model, together)
+        noise = noise_losses(model, together, scales)
+        context = replace(context, scales=scales, noise_loss=noise)
+    scores = cross_validate(context, (), sizes)
+    return replace(context, base_scores=scores), Present((), sizes, fits, scores)
 
 
 def free_columns(context: Context, effects: Sequence[Effect], place: str) -> Integers:
@@ -182,7 +191,7 @@ def cross_validate(context: Context, effects: Sequence[Effect], sizes: Array) ->
         sizes: Sizes from which the fits start, (n_sizes,), in their own units.
 
     Returns:
-        Mean absolute residual of left-out motions, (n_joints, n_motions).
+        Mean loss of left-out motions, (n_joints, n_motions).
     """
     names = context.model.joints
     hypotheses = [
@@ -194,45 +203,92 @@ def cross_validate(context: Context, effects: Sequence[Effect], sizes: Array) ->
     scores = np.full((len(names), len(context.model.motions)), np.nan)
     for hypothesis, fit in zip(hypotheses, fits, strict=True):
         left_out = sorted(hypothesis.left_out)
-        scores[hypothesis.joint, left_out] = motion_errors(context.model, fit)[left_out]
+        scores[hypothesis.joint, left_out] = motion_losses(context, fit)[left_out]
     return scores
 
 
-def motion_errors(model: ResidualModel, fit: Fit) -> Array:
-    """Return the mean absolute residual of each motion.
+def motion_losses(context: Context, fit: Fit) -> Array:
+    """Return the mean pseudo-Huber loss of each motion.
+
+    It is the loss that the fit minimises: square of small residuals, absolute value of large ones.
 
     Args:
-        model: The residual model.
+        context: The context.
         fit: A fit.
 
     Returns:
-        (n_motions,); NaN for motions without residuals.
+        (n_motions,), without a unit: residuals count in the scale of their joint; NaN if it has none.
     """
+    model = context.model
     motion = model.motion_of[fit.rows]
+    z = fit.residuals / context.scales[model.joint_of[fit.rows]]
+    loss = 2.0 * (np.sqrt(1.0 + z * z) - 1.0)
     count = np.bincount(motion, minlength=len(model.motions))
-    total = np.bincount(motion, weights=np.abs(fit.residuals), minlength=len(model.motions))
+    total = np.bincount(motion, weights=loss, minlength=len(model.motions))
     with np.errstate(invalid="ignore"):
         return np.asarray(total / count)
 
 
+def noise_residuals(model: ResidualModel, residuals: Array, joint: int) -> Array:
+    """Return the residuals that noise alone leaves, from motions that repeat one another.
+
+    The model moves alike in both, so that their difference is that of two noises.
+
+    Args:
+        model: The residual model.
+        residuals: (n,), in the unit of the model.
+        joint: Index of the joint.
+
+    Returns:
+        Differences over the square root of 2, (n_noise,); empty without repeats.
+    """
+    labels = model.repeat_of
+    groups = {label: [k for k, one in enumerate(labels) if one == label] for label in labels if label}
+    found = [np.empty(0)]
+    for members in groups.values():
+        rows = [np.flatnonzero((model.motion_of == k) & (model.joint_of == joint)) for k in members]
+        for first, second in pairwise(rows):
+            if len(first) == len(second):
+                found.append((residuals[first] - residuals[second]) / np.sqrt(2.0))
+    return np.concatenate(found)
+
+
+def noise_losses(model: ResidualModel, residuals: Array, scales: Array) -> Array:
+    """Return the mean loss that noise alone leaves at each joint.
+
+    Args:
+        model: The residual model.
+        residuals: (n,), in the unit of the model.
+        scales: (n_joints,), in the unit of the model.
+
+    Returns:
+        (n_joints,), without a unit; 0 where no motion was repeated.
+    """
+    found = np.zeros(len(model.joints))
+    for joint, scale in enumerate(scales):
+        z = noise_residuals(model, residuals, joint) / scale
+        found[joint] = float(np.mean(2.0 * (np.sqrt(1.0 + z * z) - 1.0))) if len(z) else 0.0
+    return found
+
+
 def compare(context: Context, joints: Sequence[int], before: Array, after: Array) -> tuple[float, float]:
-    """Compare the errors of left-out motions, in pairs.
+    """Compare the losses of left-out motions, in pairs.
 
     Args:
         context: The context.
         joints: Joints to which the rows belong.
-        before: Mean absolute residuals, (n_rows, n_motions), in the unit of the model.
-        after: The same of another model, (n_rows, n_motions), in the unit of the model.
+        before: Mean losses, (n_rows, n_motions), without a unit.
+        after: Mean losses of another model, (n_rows, n_motions), without a unit.
 
     Returns:
-        The mean improvement as a share of the errors before, and over its standard error.
+        The mean improvement as a share of what can be explained, and over its standard error.
     """
-    scales = context.scales[list(joints)][:, None]
     seen = ~np.isnan(before).all(axis=0)
-    old, new = np.nanmean(before[:, seen] / scales, axis=0), np.nanmean(after[:, seen] / scales, axis=0)
-    better = old - new
+    better = np.nanmean(before[:, seen], axis=0) - np.nanmean(after[:, seen], axis=0)
+    mean = float(np.mean(better))
     error = float(np.std(better, ddof=1) / np.sqrt(len(better))) if len(better) > 1 else np.inf
-    return float(np.mean(better) / np.mean(old)), float(np.mean(better) / error) if error > 0.0 else 0.0
+    explainable = float(np.nanmean(before) - np.mean(context.noise_loss[list(joints)]))
+    return mean / max(explainable, abs(mean), 1e-12), mean / error if error > 0.0 else 0.0
 
 
 def leave_out(context: Context, present: Present, effect: Effect) -> Present:

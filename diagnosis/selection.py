@@ -22,7 +22,7 @@ from diagnosis.joint_fits import (
     free_columns,
     leave_out,
     merge_sizes,
-    motion_errors,
+    motion_losses,
     run,
     start_context,
 )
@@ -57,10 +57,10 @@ class Candidate:
     fits: tuple[Fit, ...]
     """One for each of the joints."""
     scores: Array
-    """Mean absolute residual of left-out motions, (n_joints judged, n_motions)."""
+    """Mean loss of left-out motions, (n_joints judged, n_motions)."""
     at_bound: bool
     gain: float
-    """Share of the present error of left-out motions that it removes; each joint counts in its scale."""
+    """Share of what can be explained in left-out motions that it removes."""
     z: float
     """Mean improvement of a motion over its standard error."""
 
@@ -204,7 +204,7 @@ def judge(context: Context, present: Present, shortlist: Sequence[Score]) -> lis
         scores = np.full(len(context.model.motions), np.nan)
         for fold in context.folds:
             left_out = sorted(fold)
-            scores[left_out] = motion_errors(context.model, next(parts))[left_out]
+            scores[left_out] = motion_losses(context, next(parts))[left_out]
         candidates.append(_candidate(context, present, score.effect, (start.joint,), (fit,), scores[None]))
     bodies = [score for score in shortlist if score.effect.place not in names]
     return candidates + [_judge_body(context, present, score) for score in bodies]
@@ -218,7 +218,7 @@ def _judge_body(context: Context, present: Present, score: Score) -> Candidate:
     for fold in context.folds:
         left_out = sorted(fold)
         for j, fit in enumerate(fit_body(context, effects, score.effect, sizes, fold)):
-            scores[j, left_out] = motion_errors(context.model, fit)[left_out]
+            scores[j, left_out] = motion_losses(context, fit)[left_out]
     return _candidate(context, present, score.effect, tuple(range(len(fits))), fits, scores)
 
 
@@ -291,14 +291,16 @@ def choose(context: Context, present: Present, candidates: Sequence[Candidate]) 
     local = list(best.values())
     if body is None:
         return local
-    removed = sum(
-        one.gain * float(np.nanmean(present.scores[one.joints[0]])) / context.scales[one.joints[0]]
-        for one in local
-    )
-    by_body = (
-        body.gain * float(np.nanmean(np.nanmean(present.scores, axis=1) / context.scales)) * len(body.joints)
-    )
-    return [body] if by_body > removed else local
+    removed = sum(_improvement(present, one) for one in local)
+    # one effect that does as much as several is the simpler explanation
+    enough = (1.0 - MIN_SHARE) * removed if len(local) > 1 else removed
+    return [body] if _improvement(present, body) > enough else local
+
+
+def _improvement(present: Present, candidate: Candidate) -> float:
+    """Return the decrease of the mean loss, summed over the joints of a candidate."""
+    before = present.scores[list(candidate.joints)]
+    return float(np.sum(np.nanmean(before - candidate.scores, axis=1)))
 
 
 def worsens_another(context: Context, present: Present, candidate: Candidate) -> bool:

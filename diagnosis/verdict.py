@@ -37,7 +37,7 @@ class Doubt:
     effect: Effect
     alternatives: tuple[Alternative, ...]
     share: float
-    """Share of the error of left-out motions that the finding removes."""
+    """Share of what can be explained in left-out motions that the finding removes."""
 
 
 def doubt_findings(selection: Selection) -> list[Doubt]:
@@ -55,7 +55,7 @@ def doubt_findings(selection: Selection) -> list[Doubt]:
 def doubt_finding(context: Context, present: Present, effect: Effect) -> Doubt:
     """Refit alternatives in the place of one finding.
 
-    The test is a paired one-sided t test of the mean absolute residuals of left-out motions.
+    The test is a paired one-sided t test of the losses of left-out motions.
 
     Args:
         context: The context.
@@ -85,10 +85,10 @@ def doubt_finding(context: Context, present: Present, effect: Effect) -> Doubt:
 
 
 def _errors(context: Context, without: Present, candidate: Candidate) -> Array:
-    """Return the error of each motion over all joints, in scales, (n_motions,)."""
+    """Return the loss of each motion, summed over all joints, (n_motions,)."""
     scores = without.scores.copy()
     scores[list(candidate.joints)] = candidate.scores
-    total: Array = np.nansum(scores / context.scales[:, None], axis=0)
+    total: Array = np.nansum(scores, axis=0)
     return np.where(np.isnan(scores).all(axis=0), np.nan, total)
 
 

@@ -131,6 +131,11 @@ class Effect(ABC):
         """Name that is unique in a catalogue."""
         return f"{self.place}: {self.name}"
 
+    @property
+    def nominal(self) -> float:
+        """Value of the model to which the first size is added; 0 unless the effect is a base parameter."""
+        return 0.0
+
     def describe(self, size: Array) -> str:
         """Return the sizes, (n_sizes,), as text with units, in the form that a user expects."""
         return ", ".join(f"{one.name} = {value:.4g}" for one, value in zip(self.sizes, size, strict=True))

@@ -37,9 +37,9 @@ class ToyResiduals:
     kind, unit = "simulation", "rad"
 
     def __init__(self, commands: Array, measured: Array, names: tuple[str, ...]) -> None:
-        n_joints, n_motions, n_samples = commands.shape
         self.commands, self.measured, self.joints = commands, measured, names
-        self.motions = tuple(f"m{k}" for k in range(n_motions))
+        self.motions = tuple(f"m{k}" for k in range(commands.shape[1]))
+        self.repeat_of = ("",) * commands.shape[1]
         grid = np.indices(commands.shape).reshape(3, -1)
         self.joint_of: Integers = grid[0]
         self.motion_of: Integers = grid[1]
