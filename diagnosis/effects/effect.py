@@ -11,6 +11,7 @@ Hooks by kind of residual:
 - second encoder: `deflection_rad`, `sample_delay_s` and `encode`.
 """
 
+import math
 from abc import ABC
 from dataclasses import dataclass
 from enum import StrEnum
@@ -19,7 +20,7 @@ from typing import ClassVar
 import mujoco
 import mujoco.batch
 
-from diagnosis.arrays import Array
+from diagnosis.arrays import Array, Integers
 from diagnosis.robot import Robot
 
 
@@ -46,6 +47,8 @@ class Size:
     high: float
     typical: float
     """Size at which the effect is worth a name: start of a fit, and its scale."""
+    prior_std: float = math.inf
+    """Width of a normal prior around 0: a fit adds the residual size / prior_std. Infinite: none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +76,11 @@ class Fields:
     damping_Nms_rad: Array
     frictionloss_Nm: Array
     armature_kgm2: Array
+    motor_dof: Integers
+    """(n_sims, n_joints), degree of freedom that the motor turns and that has damping, dry friction and armature;
+    that of the joint before the first effect. A gear with backlash or compliance puts a rotor there."""
+    encoder_dof: Integers
+    """(n_sims, n_joints), degree of freedom that the encoder shows to log and controller; as `motor_dof`."""
     batch: mujoco.batch.Batch
     """For all other fields: `batch.expand(name)`; the engine calls `set_const` once after all effects."""
 

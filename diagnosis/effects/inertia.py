@@ -163,7 +163,10 @@ def _add_point_mass(fields: Fields, body: int, rows: Flags, added_kg: Array, at_
     principal, turned = np.linalg.eigh(tensor)
     turned[:, :, 2] *= np.sign(np.linalg.det(turned))[:, None]  # eigenvectors may be left-handed
     mass_kg[rows, body], centre_m[rows, body] = total_kg, new_m
-    inertia_kgm2[rows, body], axes[rows, body] = principal, Rotation.from_matrix(turned).as_quat(scalar_first=True)
+    inertia_kgm2[rows, body], axes[rows, body] = (
+        principal,
+        Rotation.from_matrix(turned).as_quat(scalar_first=True),
+    )
     _drop_shortcuts(fields, body, rows)
 
 

@@ -14,7 +14,9 @@ AXES = "xyz"
 
 def test_a_payload_at_the_tool_equals_a_model_with_that_body():
     payload = Payload("elbow", "tool", 0.1, 1.0)
-    point = '<body pos="0.14 0 0.02"><inertial pos="0 0 0" mass="0.4" diaginertia="1e-12 1e-12 1e-12"/></body>'
+    point = (
+        '<body pos="0.14 0 0.02"><inertial pos="0 0 0" mass="0.4" diaginertia="1e-12 1e-12 1e-12"/></body>'
+    )
     fresh = ARM_XML.replace('<site name="tool"', point + '<site name="tool"')
     expected = inverse_Nm(mujoco.MjModel.from_xml_string(fresh), seed=1)
     model = changed(ARM, (payload,), [[0.4]]).get_model(0)
@@ -66,7 +68,9 @@ def test_link_inertia_adds_to_the_joint_torque_of_an_acceleration():
 
 def test_two_effects_of_mass_on_one_link_add_up():
     both = (LinkMass("elbow", 0.15), Payload("elbow", "tool", 0.1, 1.0))
-    point = '<body pos="0.14 0 0.02"><inertial pos="0 0 0" mass="0.4" diaginertia="1e-12 1e-12 1e-12"/></body>'
+    point = (
+        '<body pos="0.14 0 0.02"><inertial pos="0 0 0" mass="0.4" diaginertia="1e-12 1e-12 1e-12"/></body>'
+    )
     fresh = ARM_XML.replace('<site name="tool"', point + '<site name="tool"')
     fresh = fresh.replace(FOREARM, 'pos="0.06 0 0.01" mass="0.30" diaginertia="2e-4 6e-4 6e-4"')
     expected = inverse_Nm(mujoco.MjModel.from_xml_string(fresh), seed=5)
@@ -76,7 +80,12 @@ def test_two_effects_of_mass_on_one_link_add_up():
 
 @pytest.mark.parametrize(
     "effect",
-    [Payload("elbow", "tool", 0.1, 1.0), LinkMass("lift", 0.3), LinkCentre("lift", 0.1), LinkInertia("pan", -1e-4, 0.1)],
+    [
+        Payload("elbow", "tool", 0.1, 1.0),
+        LinkMass("lift", 0.3),
+        LinkCentre("lift", 0.1),
+        LinkInertia("pan", -1e-4, 0.1),
+    ],
     ids=lambda effect: effect.name,
 )
 def test_a_size_of_zero_changes_no_bit_beside_a_simulation_with_the_effect(effect):
