@@ -7,6 +7,7 @@ import numpy as np
 
 from diagnosis.arrays import Array
 from diagnosis.effects.effect import Effect, Family, Fields, Size
+from diagnosis.effects.joint import mjcf_joint
 from diagnosis.robot import Robot
 
 
@@ -28,7 +29,7 @@ class LinkLength(Effect):
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Move the frame of the next body."""
         model = fields.batch.model
-        body = int(model.jnt_bodyid[model.joint(self.next_joint).id])
+        body = int(model.jnt_bodyid[model.joint(mjcf_joint(robot, self.next_joint)).id])
         rows = size[:, 0] != 0
         along = model.body_pos[body] / np.linalg.norm(model.body_pos[body])
         fields.batch.expand("body_pos")[rows, body] += size[rows] * along

@@ -1,4 +1,4 @@
-"""Effects of mass: payload, and mass, centre and inertia of the link that a joint moves.
+"""Effects of inertia: armature, payload, and mass, centre and inertia of the link that a joint moves.
 
 The place is the joint that moves the link, so that friction and mass of one place stand side by side.
 Joint torques of a chain depend on few combinations of masses and centres: a payload at the tool, the mass of
@@ -13,7 +13,26 @@ from scipy.spatial.transform import Rotation
 
 from diagnosis.arrays import Array, Flags
 from diagnosis.effects.effect import Effect, Family, Fields, Size
+from diagnosis.effects.joint import JointEffect, mjcf_joint
 from diagnosis.robot import Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Armature(JointEffect):
+    """Inertia of the rotor, seen at the joint, beside that of the model."""
+
+    name: ClassVar[str] = "armature"
+    family: ClassVar[Family] = Family.INERTIA
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Inertia: at most what takes the whole torque at the highest acceleration, at least none at all."""
+        scale = self.scales.torque_Nm / self.scales.acceleration_rad_s2
+        return (Size("armature_kgm2", -self.scales.armature_kgm2, scale, 0.05 * scale),)
+
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Add to the armature."""
+        fields.armature_kgm2[:, self.index] += size[:, 0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +54,11 @@ class Payload(Effect):
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add the point mass to mass, centre and inertia of the body."""
-        rows, added_kg = size[:, 0] != 0, size[size[:, 0] != 0, 0]
+        rows = np.asarray(size[:, 0] != 0)
         if not rows.any():
             return
-        model = fields.batch.model
-        body = _body(fields, self.place)
+        model, added_kg = fields.batch.model, size[rows, 0]
+        body = _body(fields, robot, self.place)
         if self.site:
             site = model.site(self.site).id
             body = int(model.site_bodyid[site])
@@ -65,7 +84,7 @@ class LinkMass(Effect):
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Scale mass and inertia."""
-        rows, body = size[:, 0] != 0, _body(fields, self.place)
+        rows, body = size[:, 0] != 0, _body(fields, robot, self.place)
         mass_kg, inertia_kgm2 = fields.batch.expand("body_mass"), fields.batch.expand("body_inertia")
         factor = 1 + size[rows, 0] / mass_kg[rows, body]
         mass_kg[rows, body] *= factor
@@ -96,12 +115,12 @@ class LinkCentre(Effect):
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Displace the centre; the inertia about the centre stays."""
-        rows = size.any(axis=1)
+        rows = np.asarray(size.any(axis=1))
         if not rows.any():
             return
-        body = _body(fields, self.place)
+        body = _body(fields, robot, self.place)
         centre_m = fields.batch.expand("body_ipos")
-        centre_m[rows, body] += size[rows] @ _outward_and_sideward(fields, self.place)
+        centre_m[rows, body] += size[rows] @ _outward_and_sideward(fields, robot, self.place)
         _drop_shortcuts(fields, body, rows)
 
 
@@ -128,18 +147,18 @@ class LinkInertia(Effect):
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add to the principal inertias."""
         rows = size[:, 0] != 0
-        fields.batch.expand("body_inertia")[rows, _body(fields, self.place)] += size[rows]
+        fields.batch.expand("body_inertia")[rows, _body(fields, robot, self.place)] += size[rows]
 
 
-def _body(fields: Fields, joint: str) -> int:
+def _body(fields: Fields, robot: Robot, place: str) -> int:
     model = fields.batch.model
-    return int(model.jnt_bodyid[model.joint(joint).id])
+    return int(model.jnt_bodyid[model.joint(mjcf_joint(robot, place)).id])
 
 
-def _outward_and_sideward(fields: Fields, joint: str) -> Array:
+def _outward_and_sideward(fields: Fields, robot: Robot, place: str) -> Array:
     """Return two unit vectors in the body frame, (2, 3): from the joint axis to the centre, and across."""
     model = fields.batch.model
-    k, body = model.joint(joint).id, _body(fields, joint)
+    k, body = model.joint(mjcf_joint(robot, place)).id, _body(fields, robot, place)
     axis = np.array(model.jnt_axis[k])
     arm_m = model.body_ipos[body] - model.jnt_pos[k]
     arm_m = arm_m - axis * (axis @ arm_m)
@@ -174,7 +193,7 @@ def _about(mass_kg: Array, offset_m: Array) -> Array:
     """Return the inertia of point masses, (n,), at offsets, (n, 3), from the origin: (n, 3, 3)."""
     square = np.einsum("ni,ni->n", offset_m, offset_m)
     outer = np.einsum("ni,nj->nij", offset_m, offset_m)
-    return mass_kg[:, None, None] * (square[:, None, None] * np.eye(3) - outer)
+    return np.asarray(mass_kg[:, None, None] * (square[:, None, None] * np.eye(3) - outer))
 
 
 def _drop_shortcuts(fields: Fields, body: int, rows: Flags) -> None:

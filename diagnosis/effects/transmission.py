@@ -27,6 +27,7 @@ import numpy as np
 
 from diagnosis.arrays import Array, Flags
 from diagnosis.effects.effect import Effect, Family, Fields, Size, State
+from diagnosis.effects.joint import mjcf_joint
 from diagnosis.robot import Robot
 
 FREE_RAD: Final = 1e6
@@ -70,7 +71,7 @@ class Backlash(Effect):
         """Let the motor turn the rotor, and limit the angle between rotor and joint."""
         rows = size[:, 0] != 0
         half_rad = size[rows] / 2 * np.array((-1.0, 1.0))
-        _connect(fields, self.place, self.index, rows, self.encoder_is_at_output)
+        _connect(fields, robot, self.index, rows, self.encoder_is_at_output)
         gear = fields.batch.model.tendon(_gear(self.place)).id
         fields.batch.expand("tendon_lengthspring")[rows, gear] = half_rad
         is_rigid = fields.batch.expand("tendon_stiffness")[rows, gear] == 0
@@ -114,7 +115,7 @@ class JointCompliance(Effect):
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Let the motor turn the rotor, and put the spring between rotor and joint."""
         rows = size[:, 0] != 0
-        _connect(fields, self.place, self.index, rows, self.encoder_is_at_output)
+        _connect(fields, robot, self.index, rows, self.encoder_is_at_output)
         inertia_kgm2 = gear_inertia_kgm2(robot, self.index)
         stiffest = inertia_kgm2 * (LARGEST_PHASE / robot.model.opt.timestep) ** 2
         stiffness = np.minimum(1 / size[rows, 0], stiffest)
@@ -150,6 +151,7 @@ def _add_rotor(spec: mujoco.MjSpec, robot: Robot, joint: str) -> None:
     if spec.joint(_rotor(joint)) is not None:
         return
     inertia_kgm2 = ROTOR_SHARE * float(robot.model.dof_M0[robot.joint(joint).dof_index])
+    turned = spec.joint(mjcf_joint(robot, joint))
     body = spec.worldbody.add_body(
         name=_rotor(joint), mass=1.0, inertia=(inertia_kgm2,) * 3, explicitinertial=True
     )
@@ -161,8 +163,8 @@ def _add_rotor(spec: mujoco.MjSpec, robot: Robot, joint: str) -> None:
         frictionloss=0.0,
         armature=0.0,
         limited=mujoco.mjtLimited.mjLIMITED_FALSE,
-        solref_friction=spec.joint(joint).solref_friction,
-        solimp_friction=spec.joint(joint).solimp_friction,
+        solref_friction=turned.solref_friction,
+        solimp_friction=turned.solimp_friction,
     )
     gear = spec.add_tendon(
         name=_gear(joint),
@@ -172,15 +174,17 @@ def _add_rotor(spec: mujoco.MjSpec, robot: Robot, joint: str) -> None:
         solref_limit=(2 * robot.model.opt.timestep, 1.0),  # the stiffest flank that is stable
         solimp_limit=(0.99, 0.99, 1e-3, 0.5, 2.0),
     )
-    gear.wrap_joint(joint, 1.0)
+    gear.wrap_joint(turned.name, 1.0)
     gear.wrap_joint(_rotor(joint), -1.0)
 
 
-def _connect(fields: Fields, joint: str, index: int, rows: Flags, encoder_is_at_output: bool) -> None:
+def _connect(
+    fields: Fields, robot: Robot, index: int, rows: Flags, encoder_is_at_output: bool
+) -> None:
     """Let the motor turn the rotor."""
     model = fields.batch.model
-    rotor = model.joint(_rotor(joint))
-    output = model.joint(joint)
+    place = robot.joints[index].name
+    rotor, output = model.joint(_rotor(place)), model.joint(mjcf_joint(robot, place))
     drives = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == output.id)
     target = fields.batch.expand("actuator_trnid")
     for actuator in np.flatnonzero(drives):
