@@ -8,7 +8,7 @@ import mujoco
 import mujoco.batch
 import numpy as np
 
-from diagnosis.arrays import Array, Flags
+from diagnosis.arrays import Array, Flags, Integers
 from diagnosis.compiled import UNLIMITED_Nm, Compiled, compile_for, laws, nominal_gains
 from diagnosis.effects.effect import Effect, Fields, State, Tick
 from diagnosis.robot import ControlMode, Robot
@@ -125,15 +125,22 @@ class _Run:
             damping_Nms_rad=rows(model.dof_damping[dof]),
             frictionloss_Nm=rows(model.dof_frictionloss[dof]),
             armature_kgm2=rows(model.dof_armature[dof]),
+            motor_dof=np.tile(dof, (self.n_sims, 1)),
+            encoder_dof=np.tile(dof, (self.n_sims, 1)),
             batch=self.batch,
         )
         for one in self._with("set_model"):
             one.effect.set_model(one.size, fields, self.robot)
         fields.frictionloss_Nm = np.maximum(fields.frictionloss_Nm, 0.0)
-        self.batch.expand("dof_damping")[:, dof] = np.maximum(fields.damping_Nms_rad, 0.0)
-        self.batch.expand("dof_armature")[:, dof] = np.maximum(fields.armature_kgm2, 0.0)
+        self.row = np.arange(self.n_sims)[:, None]
         self.friction = self.batch.expand("dof_frictionloss")
-        self.friction[:, dof] = fields.frictionloss_Nm
+        for field, values in (
+            (self.batch.expand("dof_damping"), np.maximum(fields.damping_Nms_rad, 0.0)),
+            (self.batch.expand("dof_armature"), np.maximum(fields.armature_kgm2, 0.0)),
+            (self.friction, fields.frictionloss_Nm),
+        ):
+            field[:, dof] = 0.0
+            field[self.row, fields.motor_dof] = values
         self.limits = self.batch.expand("actuator_forcerange")
         self.gainprm = self.batch.expand("actuator_gainprm")
         self.biasprm = self.batch.expand("actuator_biasprm")
@@ -178,9 +185,14 @@ class _Run:
         for one in reversed(self._with("decode")):
             q[:, one.joint] = one.effect.decode(one.size, q[:, [one.joint]])[:, 0]
         v = np.repeat([window.v_rad_s for window in self.windows], self.n_candidates, axis=0)
-        self.batch.bind("qpos")[:, self.compiled.qpos] = q
-        self.batch.bind("qvel")[:, self.compiled.dof] = v
+        for dof in (self.fields.motor_dof, self.compiled.dof):
+            self.batch.bind("qpos")[self.row, self._qpos(dof)] = q
+            self.batch.bind("qvel")[self.row, dof] = v
         self.batch.bind("ctrl")[:, self.compiled.actuator] = self.command[0]
+
+    def _qpos(self, dof: Integers) -> Integers:
+        model = self.robot.model
+        return np.asarray(model.jnt_qposadr[model.dof_jntid[dof]], np.int64)
 
     def positions(self) -> Array:
         """Simulate and sample, (n_candidates, n_samples)."""
@@ -207,7 +219,8 @@ class _Run:
         """Step all windows; return the positions, (n_ticks + 1, n_sims, n_joints), and which sims failed."""
         longest = self.windows[0].n_ticks
         path = np.empty((longest + 1, self.n_sims, len(self.robot.joints)))
-        path[0] = self.batch.bind("qpos")[:, self.compiled.qpos]
+        encoder = self._qpos(self.fields.encoder_dof)
+        path[0] = self.batch.bind("qpos")[self.row, encoder]
         failed = np.zeros(self.n_sims, dtype=bool)
         loop = _Loop(self)
         self._call(failed, self.batch.forward)
@@ -218,7 +231,7 @@ class _Run:
             for k in range(first, last):
                 loop.tick(k)
                 self._call(failed, loop.step)
-                path[k + 1, :n_alive] = loop.qpos[:n_alive, self.compiled.qpos]
+                path[k + 1, :n_alive] = loop.qpos[self.row[:n_alive], encoder[:n_alive]]
                 if self.batch.warning.any():
                     failed |= self.batch.warning.reshape(self.n_sims, -1).any(axis=1)
                     self.batch.warning[:] = 0
@@ -244,10 +257,16 @@ class _Loop:
         self.acts, self.frictions, self.torques = (
             run._with(hook) for hook in ("act", "friction_Nm", "torque_Nm")
         )
-        self.has_effects = bool(self.acts or self.frictions or self.torques)
+        self.has_rotors = bool((run.fields.motor_dof != run.compiled.dof).any())
+        self.motor_qpos, self.encoder_qpos = run._qpos(run.fields.motor_dof), run._qpos(run.fields.encoder_dof)
+        self.has_effects = bool(self.acts or self.frictions or self.torques or self.has_rotors)
         if self.has_effects:
             self.forces = [batch.bind(f"qfrc_{name}") for name in ("bias", "smooth", "constraint")]
+            self.armature_kgm2 = run.fields.armature_kgm2 * (run.fields.motor_dof == run.compiled.dof)
             self.qacc, self.motor = batch.bind("qacc"), batch.bind("actuator_force")
+        modes = [joint.mode for joint in run.robot.joints]
+        self.has_position_loop = np.array([mode is ControlMode.POSITION for mode in modes])
+        self.has_velocity_loop = np.array([mode is ControlMode.VELOCITY for mode in modes])
         self.temperature = np.repeat(
             [window.temperature_degC for window in run.windows], run.n_candidates, axis=0
         )
@@ -284,7 +303,7 @@ class _Loop:
             time_s=np.full(n, k * run.robot.control_period_s),
             q_rad=self.qpos[:n, run.compiled.qpos],
             v_rad_s=self.qvel[:n, dof],
-            load_Nm=bias + smooth + constraint - fields.armature_kgm2[:n] * self.qacc[:n, dof],
+            load_Nm=bias + smooth + constraint - self.armature_kgm2[:n] * self.qacc[:n, dof],
             temperature_degC=self.temperature[:n],
         )
         tick = Tick(
@@ -312,11 +331,17 @@ class _Loop:
 
     def _write(self, k: int, tick: Tick) -> None:
         run, n, dof = self.run, self.n, self.run.compiled.dof
+        if self.has_rotors:
+            row, fields = run.row[:n], run.fields
+            turned = self.qpos[row, self.motor_qpos[:n]] - self.qpos[row, self.encoder_qpos[:n]]
+            turning = self.qvel[row, fields.motor_dof[:n]] - self.qvel[row, fields.encoder_dof[:n]]
+            # the loop of an actuator closes at the rotor; shifted, it closes at the encoder
+            tick.command += turned * self.has_position_loop + turning * self.has_velocity_loop
         self.ctrl[:n, run.compiled.actuator] = tick.command
         if self.acts or self.torques:
             self.applied[:n, dof] = tick.applied_Nm
         if self.acts or self.frictions:
-            run.friction[:n, dof] = tick.frictionloss_Nm
+            run.friction[run.row[:n], run.fields.motor_dof[:n]] = tick.frictionloss_Nm
         if self.acts:
             run._write_limit(tick.torque_limit_Nm, n)
         if self.acts or self.is_switched:

@@ -121,7 +121,9 @@ class JointCompliance(Effect):
         stiffness = np.minimum(1 / size[rows, 0], stiffest)
         gear = fields.batch.model.tendon(_gear(self.place)).id
         fields.batch.expand("tendon_stiffness")[rows, gear] = stiffness
-        fields.batch.expand("tendon_damping")[rows, gear] = 2 * DAMPING_RATIO * np.sqrt(stiffness * inertia_kgm2)
+        fields.batch.expand("tendon_damping")[rows, gear] = (
+            2 * DAMPING_RATIO * np.sqrt(stiffness * inertia_kgm2)
+        )
         fields.batch.expand("tendon_range")[rows, gear] = (-FREE_RAD, FREE_RAD)
 
     def deflection_rad(self, size: Array, state: State) -> Array:
@@ -178,9 +180,7 @@ def _add_rotor(spec: mujoco.MjSpec, robot: Robot, joint: str) -> None:
     gear.wrap_joint(_rotor(joint), -1.0)
 
 
-def _connect(
-    fields: Fields, robot: Robot, index: int, rows: Flags, encoder_is_at_output: bool
-) -> None:
+def _connect(fields: Fields, robot: Robot, index: int, rows: Flags, encoder_is_at_output: bool) -> None:
     """Let the motor turn the rotor."""
     model = fields.batch.model
     place = robot.joints[index].name

@@ -9,7 +9,9 @@ import numpy as np
 
 from diagnosis.arrays import Array
 from diagnosis.effects.effect import Effect, Fields
+from diagnosis.engine import Engine
 from diagnosis.robot import ControlMode, Robot, RobotJoint
+from diagnosis.windows import Window
 
 ARM_XML = """
 <mujoco model="arm">
@@ -119,6 +121,8 @@ def fields_of(robot: Robot, batch: mujoco.batch.Batch) -> Fields:
         damping_Nms_rad=rows(robot.model.dof_damping[dofs].ravel()),
         frictionloss_Nm=rows(robot.model.dof_frictionloss[dofs]),
         armature_kgm2=rows(robot.model.dof_armature[dofs]),
+        motor_dof=np.tile(dofs, (batch.nsim, 1)),
+        encoder_dof=np.tile(dofs, (batch.nsim, 1)),
         batch=batch,
     )
 
@@ -135,3 +139,34 @@ def inverse_Nm(model: mujoco.MjModel, seed: int, n: int = 5) -> Array:
         mujoco.mj_inverse(model, data)
         torques.append(data.qfrc_inverse.copy())
     return np.array(torques)
+
+
+def simulate(
+    robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]], command: Array, start_rad: Array
+) -> Array:
+    """Return what the encoders show at each control period, (n_candidates, n_joints, n_ticks).
+
+    Args:
+        robot: Robot.
+        effects: Effects of all candidates.
+        sizes: Sizes of all effects one after the other, a row a candidate.
+        command: Command in each control period, (n_ticks, n_joints); the first one holds before.
+        start_rad: Positions at the start, at rest, (n_joints,).
+    """
+    n_lead, n_ticks, n_joints = 50, *command.shape
+    time_s = robot.control_period_s * np.arange(n_ticks)
+    window = Window(
+        motion="test",
+        start_s=0.0,
+        q_rad=np.asarray(start_rad, float),
+        v_rad_s=np.zeros(n_joints),
+        command=np.vstack((np.tile(command[0], (n_lead, 1)), command)),
+        n_lead=n_lead,
+        enabled=np.ones((n_ticks, n_joints), bool),
+        gain=np.ones(n_joints),
+        temperature_degC=np.full(n_joints, math.nan),
+        sample_time_s=(time_s,) * n_joints,
+        measured_rad=(np.zeros(n_ticks),) * n_joints,
+    )
+    engine = Engine(robot, effects, [window], n_threads=1)
+    return engine.positions(np.asarray(sizes, float)).reshape(len(sizes), n_joints, n_ticks)
