@@ -17,16 +17,46 @@ UNLIMITED_Nm: Final = 1e9
 """Stands for an infinite torque limit, which MuJoCo does not take."""
 
 
+Places = slice | Integers
+"""Places of the joints in an array of the model; a slice where they follow one another, which is faster."""
+
+
 @dataclass(frozen=True, slots=True)
 class Compiled:
     """A model with the bodies that effects have added, and the places of the joints in it."""
 
     robot: Robot
     """The robot with this model and its indices."""
-    qpos: Integers
-    """(n_joints,)."""
-    dof: Integers
-    actuator: Integers
+    qpos: Places
+    dof: Places
+    actuator: Places
+
+
+class Models:
+    """Compiled models of a robot, each kept for the effects that vary it."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Keep the robot.
+
+        Args:
+            robot: Robot.
+        """
+        self.robot = robot
+        self._kept: dict[tuple[str, ...], Compiled] = {}
+
+    def compiled(self, effects: Sequence[Effect]) -> Compiled:
+        """Return the model with what effects add to it.
+
+        Args:
+            effects: Effects, of which those with `vary` change the model.
+
+        Returns:
+            The model, compiled at the first call.
+        """
+        key = tuple(effect.key for effect in effects if effect.overrides("vary"))
+        if key not in self._kept:
+            self._kept[key] = compile_for(self.robot, effects)
+        return self._kept[key]
 
 
 def compile_for(robot: Robot, effects: Sequence[Effect]) -> Compiled:
@@ -73,10 +103,17 @@ def compile_for(robot: Robot, effects: Sequence[Effect]) -> Compiled:
         )
     return Compiled(
         robot=replace(robot, model=model, joints=tuple(found)),
-        qpos=np.array([joint.qpos_index for joint in found]),
-        dof=np.array([joint.dof_index for joint in found]),
-        actuator=np.array([joint.actuator_index for joint in found]),
+        qpos=_places([joint.qpos_index for joint in found]),
+        dof=_places([joint.dof_index for joint in found]),
+        actuator=_places([joint.actuator_index for joint in found]),
     )
+
+
+def _places(indices: list[int]) -> Places:
+    first = indices[0]
+    if indices == list(range(first, first + len(indices))):
+        return slice(first, first + len(indices))
+    return np.array(indices)
 
 
 def _actuator(joint: str) -> str:

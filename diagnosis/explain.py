@@ -21,7 +21,8 @@ def measured_variable(
     Args:
         robot: Robot.
         motions: Its logs.
-        name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC] or "command".
+        name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC],
+            "command".
         motion_of: Index of the motion of each value, (n,).
         joint_of: Index of the joint, (n,).
         time_s: Time in the motion, (n,) [s].

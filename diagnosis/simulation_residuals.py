@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Flags, Integers
+from diagnosis.compiled import Models
 from diagnosis.effects.effect import Effect
 from diagnosis.engine import Engine
 from diagnosis.explain import measured_variable
@@ -47,6 +48,7 @@ class SimulationResiduals:
             n_threads: Threads of the simulation; 0: as many as there are processors.
         """
         self._robot = robot
+        self._models = Models(robot)
         self._options = (window_s, spacing_s, keep)
         self._n_threads = n_threads
         self._fill(motions)
@@ -82,7 +84,7 @@ class SimulationResiduals:
             Measured minus simulated positions, (n_candidates, n) [rad]; `PENALTY_rad` in a window whose
             simulation blew up.
         """
-        engine = Engine(self._robot, effects, self._windows, self._n_threads)
+        engine = Engine(self._models, effects, self._windows, self._n_threads)
         residual = self.measured_rad - engine.positions(np.asarray(sizes, dtype=float))
         return np.where(np.isfinite(residual), residual, PENALTY_rad)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -47,7 +48,7 @@ class Window:
     @property
     def n_ticks(self) -> int:
         """Number of control periods that are simulated."""
-        return self.command.shape[0] - self.n_lead
+        return int(self.command.shape[0]) - self.n_lead
 
 
 def cut_windows(
@@ -85,17 +86,14 @@ def cut_windows(
         _spaced(log.position.time_s, spacing_s, (keep or {}).get((motion.name, joint.name)))
         for log, joint in zip(logs, robot.joints, strict=True)
     ]
-    return [
-        _window(robot, motion, logs, masks, low, high)
-        for low, high in zip(edges_s[:-1], edges_s[1:], strict=True)
-    ]
+    return [_window(robot, motion, logs, masks, low, high) for low, high in pairwise(edges_s)]
 
 
 def _checked(motion: Motion, joint: str) -> JointLog:
     log = motion.joints.get(joint)
     if log is None or log.command is None:
         raise RobotError(
-            f"motion {motion.name}: joint {joint} has no command, which a forward simulation needs for all joints"
+            f"motion {motion.name}: joint {joint} has no command, and a simulation needs one for every joint"
         )
     if log.position.time_s.size < SLOPE_SAMPLES:
         raise RobotError(
@@ -112,7 +110,7 @@ def _window(
     n_lead = round(LEAD_S / period_s)
     n_ticks = max(1, int(np.ceil((high_s - low_s) / period_s - 1e-9)))
     starts = [local_line(log.position, low_s) for log in logs]
-    edges_s = low_s + period_s * np.arange(-n_lead, n_ticks + 1)
+    edges_s: Array = low_s + period_s * np.arange(-n_lead, n_ticks + 1, dtype=float)
     times, values = [], []
     for log, mask in zip(logs, masks, strict=True):
         time_s = log.position.time_s

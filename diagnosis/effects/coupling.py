@@ -13,10 +13,10 @@ from diagnosis.effects.effect import Effect, Family, Size, State, Tick
 class JointCoupling(Effect):
     """The motor of a joint turns by size times the motion of a neighbour while the joint stands still.
 
-    Motor angle m = q + size * q_neighbour, so by virtual work the load of the joint comes back to the neighbour:
-    its motor carries size * load less. A second encoder at the output shows the angle. An encoder at the motor
-    is in the loop, which hides the angle, so that a simulation has the torque alone. The torque acts at the
-    neighbour, for which inverse dynamics has no hook.
+    Motor angle m = q + size * q_neighbour, so by virtual work the load of the joint comes back to the
+    neighbour: its motor carries size * load less. A second encoder at the output shows the angle. An encoder
+    at the motor is in the loop, which hides the angle, so that a simulation has the torque alone. The torque
+    acts at the neighbour, for which inverse dynamics has no hook.
     """
 
     name: ClassVar[str] = "joint coupling"

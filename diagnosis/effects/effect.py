@@ -13,14 +13,14 @@ Hooks by kind of residual:
 
 import math
 from abc import ABC
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import ClassVar
 
 import mujoco
 import mujoco.batch
 
-from diagnosis.arrays import Array, Integers
+from diagnosis.arrays import Array, Flags
 from diagnosis.robot import Robot
 
 
@@ -69,6 +69,23 @@ class State:
     """(n_sims, n_joints); NaN where it is not logged."""
 
 
+@dataclass(frozen=True, slots=True)
+class Rotor:
+    """Degree of freedom that the motor of a joint turns in place of the joint, in some simulations.
+
+    It gets damping, dry friction and armature of the joint, and begins at its position and speed.
+    """
+
+    joint: int
+    """Index of the joint in the robot."""
+    name: str
+    """Hinge of the model."""
+    rows: Flags
+    """(n_sims,), True where the motor turns it."""
+    encoder_is_at_output: bool
+    """True if log and controller see the joint, False if they see the rotor."""
+
+
 @dataclass(slots=True)
 class Fields:
     """Numbers of the model and of the controllers, a row a simulation; `set_model` changes them."""
@@ -80,13 +97,10 @@ class Fields:
     damping_Nms_rad: Array
     frictionloss_Nm: Array
     armature_kgm2: Array
-    motor_dof: Integers
-    """(n_sims, n_joints), degree of freedom that the motor turns and that has damping, dry friction and armature;
-    that of the joint before the first effect. A gear with backlash or compliance puts a rotor there."""
-    encoder_dof: Integers
-    """(n_sims, n_joints), degree of freedom that the encoder shows to log and controller; as `motor_dof`."""
     batch: mujoco.batch.Batch
     """For all other fields: `batch.expand(name)`; the engine calls `set_const` once after all effects."""
+    rotors: list[Rotor] = field(default_factory=list)
+    """Motors that turn something else than their joint; an effect may add one."""
 
 
 @dataclass(slots=True)

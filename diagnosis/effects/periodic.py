@@ -1,5 +1,6 @@
 """Errors of a shown angle that repeat with the turn of a joint: encoder eccentricity, teeth of a gear."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
@@ -45,21 +46,20 @@ class PeriodicError(Effect):
 
     def encode(self, size: Array, q_rad: Array) -> Array:
         """Add the error."""
-        return q_rad + _waves(size, np.array([self.order]), q_rad)[0]
+        return np.asarray(q_rad + _waves(size, (self.order,), q_rad)[0])
 
     def decode(self, size: Array, shown_rad: Array) -> Array:
         """Subtract the error at the true angle."""
-        return _solve(size, np.array([self.order]), shown_rad)
+        return _solve(size, (self.order,), shown_rad)
 
 
 @dataclass(frozen=True, slots=True)
 class SmoothPeriodicError(Effect):
     """Periodic error of all orders up to a highest one, expected to be smooth.
 
-    The prior of order k has the width sigma / k, as the Fourier series of a curve with bends but no jumps. An order
-    that the data do not show therefore stays near 0, and the effective number of sizes is far below twice the
-    highest order. It is for linear residuals, of geometry or a second encoder: a simulation for each size of
-    a forward model would cost more than it tells.
+    The prior of order k has the width sigma / k. An order that the data do not show stays near 0, so the
+    effective number of sizes is far below twice the highest order. It is for linear residuals, of geometry or
+    a second encoder: in a forward model each size costs a simulation.
     """
 
     name: ClassVar[str] = "periodic joint error of many orders"
@@ -95,14 +95,14 @@ class SmoothPeriodicError(Effect):
 
     def encode(self, size: Array, q_rad: Array) -> Array:
         """Add the error."""
-        return q_rad + _waves(size, np.arange(1, self.highest + 1), q_rad)[0]
+        return np.asarray(q_rad + _waves(size, range(1, self.highest + 1), q_rad)[0])
 
     def decode(self, size: Array, shown_rad: Array) -> Array:
         """Subtract the error at the true angle."""
-        return _solve(size, np.arange(1, self.highest + 1), shown_rad)
+        return _solve(size, range(1, self.highest + 1), shown_rad)
 
 
-def _waves(size: Array, orders: Array, q_rad: Array) -> tuple[Array, Array]:
+def _waves(size: Array, orders: Sequence[int], q_rad: Array) -> tuple[Array, Array]:
     """Return error and slope, (n_sims, n) each, of sines and cosines in turn, (n_sims, 2 n_orders)."""
     error, slope = np.zeros_like(q_rad), np.zeros_like(q_rad)
     for k, order in enumerate(orders):
@@ -113,7 +113,7 @@ def _waves(size: Array, orders: Array, q_rad: Array) -> tuple[Array, Array]:
     return error, slope
 
 
-def _solve(size: Array, orders: Array, shown_rad: Array) -> Array:
+def _solve(size: Array, orders: Sequence[int], shown_rad: Array) -> Array:
     """Return the angle that is shown so, by Newton's method; at size 0 the first step is exact."""
     q_rad = shown_rad.copy()
     for _ in range(NEWTON_STEPS):

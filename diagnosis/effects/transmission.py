@@ -2,16 +2,16 @@
 
 Three kinds of residual, three realisations:
 
-- Simulation: a rotor with an angle of its own. The motor with its armature, damping and dry friction turns the
-  rotor; an elastic or a free gear turns the joint. Nothing quasi-static would do. An encoder at the output does
-  not see a deflection at rest: the loop corrects it. What it sees is the time that the rotor needs to cross the
-  backlash after a reversal, and a resonance. Dry friction stays at the motor, as most of it comes from the fast
-  stages of a gear. If it were at the output, it would hold the joint while the rotor crosses, and backlash would
+- Simulation: a rotor with an angle of its own. The motor with its armature, damping and dry friction turns
+  the rotor; an elastic or a free gear turns the joint. Nothing quasi-static would do. An encoder at the output
+  sees no deflection at rest, because the loop corrects it. It sees the time that the rotor needs to cross the
+  backlash after a reversal, and a resonance. Dry friction stays at the motor, as most of it comes from the
+  fast stages of a gear. At the output it would hold the joint while the rotor crosses, and backlash would
   leave hardly a trace.
 - Second encoder: `deflection_rad`, quasi-static. Output and motor are both measured, and their difference is
   the deflection under the load, far below the resonance.
 - Inverse dynamics: no hook, so neither effect is a candidate. Torques are computed at the measured motion. A
-  deflection changes the pose by milliradians, and the acceleration of the rotor relative to the joint would need
+  deflection changes the pose by milliradians. The acceleration of the rotor relative to the joint would need
   the fourth derivative of a measured position.
 
 At size 0 the rotor stands still beside the robot, and the motor turns the joint itself: no bit of the motion
@@ -26,7 +26,7 @@ import mujoco
 import numpy as np
 
 from diagnosis.arrays import Array, Flags
-from diagnosis.effects.effect import Effect, Family, Fields, Size, State
+from diagnosis.effects.effect import Effect, Family, Fields, Rotor, Size, State
 from diagnosis.effects.joint import mjcf_joint
 from diagnosis.robot import Robot
 
@@ -45,8 +45,8 @@ DAMPING_RATIO: Final = 0.05
 class Backlash(Effect):
     """Free angle between rotor and joint, with hard flanks.
 
-    MuJoCo realisation: a limited tendon over rotor and joint. Its damping acts on the flanks only, so that the
-    rotor is free between them.
+    MuJoCo realisation: a limited tendon over rotor and joint. Its damping acts on the flanks only, so that
+    the rotor is free between them.
     """
 
     name: ClassVar[str] = "backlash"
@@ -86,8 +86,8 @@ class Backlash(Effect):
 class JointCompliance(Effect):
     """Elastic gear between rotor and joint.
 
-    MuJoCo realisation: a tendon spring over rotor and joint; with backlash at the same joint, the dead band of
-    the spring. A gear that is stiffer than the time step resolves has the stiffness that it resolves.
+    MuJoCo realisation: a tendon spring over rotor and joint; backlash at the same joint is its dead band. A
+    gear that is stiffer than the time step resolves has the stiffness that it resolves.
     """
 
     name: ClassVar[str] = "joint compliance"
@@ -132,7 +132,7 @@ class JointCompliance(Effect):
 
 
 def gear_inertia_kgm2(robot: Robot, index: int) -> float:
-    """Return the inertia that the spring of a gear moves: rotor and joint in series, at the model's zero pose."""
+    """Return the inertia that the spring of a gear moves: rotor and joint in series, at zero pose."""
     dof = robot.joints[index].dof_index
     whole = float(robot.model.dof_M0[dof])
     rotor = float(robot.model.dof_armature[dof]) + ROTOR_SHARE * whole
@@ -182,12 +182,5 @@ def _add_rotor(spec: mujoco.MjSpec, robot: Robot, joint: str) -> None:
 
 def _connect(fields: Fields, robot: Robot, index: int, rows: Flags, encoder_is_at_output: bool) -> None:
     """Let the motor turn the rotor."""
-    model = fields.batch.model
     place = robot.joints[index].name
-    rotor, output = model.joint(_rotor(place)), model.joint(mjcf_joint(robot, place))
-    drives = (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT) & (model.actuator_trnid[:, 0] == output.id)
-    target = fields.batch.expand("actuator_trnid")
-    for actuator in np.flatnonzero(drives):
-        target[rows, actuator, 0] = rotor.id
-    fields.motor_dof[rows, index] = rotor.dofadr[0]
-    fields.encoder_dof[rows, index] = output.dofadr[0] if encoder_is_at_output else rotor.dofadr[0]
+    fields.rotors.append(Rotor(index, _rotor(place), rows, encoder_is_at_output))

@@ -8,6 +8,7 @@ import mujoco.batch
 import numpy as np
 
 from diagnosis.arrays import Array
+from diagnosis.compiled import Models
 from diagnosis.effects.effect import Effect, Fields
 from diagnosis.engine import Engine
 from diagnosis.robot import ControlMode, Robot, RobotJoint
@@ -121,8 +122,6 @@ def fields_of(robot: Robot, batch: mujoco.batch.Batch) -> Fields:
         damping_Nms_rad=rows(robot.model.dof_damping[dofs].ravel()),
         frictionloss_Nm=rows(robot.model.dof_frictionloss[dofs]),
         armature_kgm2=rows(robot.model.dof_armature[dofs]),
-        motor_dof=np.tile(dofs, (batch.nsim, 1)),
-        encoder_dof=np.tile(dofs, (batch.nsim, 1)),
         batch=batch,
     )
 
@@ -142,7 +141,11 @@ def inverse_Nm(model: mujoco.MjModel, seed: int, n: int = 5) -> Array:
 
 
 def simulate(
-    robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]], command: Array, start_rad: Array
+    robot: Robot,
+    effects: Sequence[Effect],
+    sizes: Sequence[Sequence[float]],
+    command: Array,
+    start_rad: Array,
 ) -> Array:
     """Return what the encoders show at each control period, (n_candidates, n_joints, n_ticks).
 
@@ -168,5 +171,5 @@ def simulate(
         sample_time_s=(time_s,) * n_joints,
         measured_rad=(np.zeros(n_ticks),) * n_joints,
     )
-    engine = Engine(robot, effects, [window], n_threads=1)
+    engine = Engine(Models(robot), effects, [window], n_threads=1)
     return engine.positions(np.asarray(sizes, float)).reshape(len(sizes), n_joints, n_ticks)

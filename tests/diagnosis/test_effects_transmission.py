@@ -41,7 +41,9 @@ def compliance(place="turn", index=0, encoder_is_at_output=True):
 
 def state(load_Nm, q_rad=0.0):
     load = np.atleast_2d(load_Nm)
-    return State(np.zeros(len(load)), np.full_like(load, q_rad), np.zeros_like(load), load, np.full_like(load, np.nan))
+    return State(
+        np.zeros(len(load)), np.full_like(load, q_rad), np.zeros_like(load), load, np.full_like(load, np.nan)
+    )
 
 
 def two_masses(stiffness, command_rad, time_s, encoder_is_at_output):
