@@ -12,6 +12,7 @@ from diagnosis.arrays import Array, Flags, Integers
 from diagnosis.compiled import Models, UNLIMITED_Nm, laws, nominal_gains
 from diagnosis.effects.effect import Effect, Fields, State, Tick
 from diagnosis.robot import ControlMode
+from diagnosis.rotors import Rotors
 from diagnosis.sampling import Sampling
 from diagnosis.windows import Window
 
@@ -114,10 +115,16 @@ class Simulation:
             one.effect.set_model(one.size, fields, self._robot)
         fields.frictionloss_Nm = np.maximum(fields.frictionloss_Nm, 0.0)
         fields.armature_kgm2 = np.maximum(fields.armature_kgm2, 0.0)
-        batch.expand("dof_damping")[:, dof] = np.maximum(fields.damping_Nms_rad, 0.0)
-        batch.expand("dof_armature")[:, dof] = fields.armature_kgm2
+        self._rotors = Rotors(self._robot, fields)
         self._friction = batch.expand("dof_frictionloss")
-        self._friction[:, dof] = fields.frictionloss_Nm
+        for field, value in (
+            (batch.expand("dof_damping"), np.maximum(fields.damping_Nms_rad, 0.0)),
+            (batch.expand("dof_armature"), fields.armature_kgm2),
+            (self._friction, fields.frictionloss_Nm),
+        ):
+            field[:, dof] = value
+            self._rotors.move(field, value)
+        self._rotors.clear(fields.armature_kgm2)
         self._limits = batch.expand("actuator_forcerange")
         self._gainprm, self._biasprm = batch.expand("actuator_gainprm"), batch.expand("actuator_biasprm")
         self._write_limit(fields.torque_limit_Nm)
@@ -162,6 +169,7 @@ class Simulation:
         v = np.repeat([window.v_rad_s for window in self._windows], self._n_candidates, axis=0)
         self._batch.bind("qpos")[:, self._compiled.qpos] = q
         self._batch.bind("qvel")[:, self._compiled.dof] = v
+        self._rotors.start(self._batch)
         self._batch.bind("ctrl")[:, self._compiled.actuator] = self._command[0]
 
     def _bind(self) -> None:
@@ -171,7 +179,7 @@ class Simulation:
         self._applied = batch.bind("qfrc_applied")
         self._acts, self._frictions = self._with("act"), self._with("friction_Nm")
         self._torques = self._with("torque_Nm")
-        self._has_effects = bool(self._acts or self._frictions or self._torques)
+        self._has_effects = bool(self._acts or self._frictions or self._torques or self._rotors.exist)
         if self._has_effects:
             names = ("qfrc_bias", "qfrc_smooth", "qfrc_constraint", "qacc", "actuator_force")
             self._forces = [batch.bind(name) for name in names]
@@ -197,11 +205,13 @@ class Simulation:
         for first in range(0, n_ticks, CHUNK):
             last = min(first + CHUNK, n_ticks)
             path[0] = self._qpos[:, self._compiled.qpos]
+            self._rotors.show(self._qpos, path[0])
             for k in range(first, last):
                 self._cut(k, failed)
                 self._tick(k)
                 self._call(failed, self._step)
                 path[k + 1 - first] = self._qpos[:, self._compiled.qpos]
+                self._rotors.show(self._qpos, path[k + 1 - first])
             sampling.take(path, first, last)
         return self._encoded(sampling.values, failed)
 
@@ -294,11 +304,13 @@ class Simulation:
     def _write(self, k: int, tick: Tick) -> None:
         """Write what effects may have changed."""
         n, dof = self._n, self._compiled.dof
+        self._rotors.close_loops(self._qpos, self._qvel, tick.command)
         self._ctrl[:n, self._compiled.actuator] = tick.command
         if self._acts or self._torques:
             self._applied[:n, dof] = tick.applied_Nm
         if self._acts or self._frictions:
             self._friction[:n, dof] = tick.frictionloss_Nm
+            self._rotors.move(self._friction, tick.frictionloss_Nm)
         if self._acts:
             self._write_limit(tick.torque_limit_Nm)
         if self._acts or self._is_switched:
