@@ -152,10 +152,11 @@ def _last_sign(step: Array) -> Array:
 
 def _fit_absolute(columns: Array, target: Array) -> Array:
     """Return weights (k,) of columns (n, k) with the least sum of absolute errors of a target (n,)."""
-    weight, share = np.zeros(columns.shape[1]), np.ones(target.size)
+    weight: Array = np.zeros(columns.shape[1])
+    share: Array = np.ones(target.size)
     for _ in range(ITERATIONS):
         root = np.sqrt(share)
-        weight = np.linalg.lstsq(columns * root[:, None], target * root, rcond=None)[0]
+        weight = np.asarray(np.linalg.lstsq(columns * root[:, None], target * root, rcond=None)[0], float)
         error = np.abs(target - columns @ weight)
-        share = 1.0 / np.maximum(error, 1e-3 * float(np.mean(error)) + 1e-12)
+        share = np.asarray(1.0 / np.maximum(error, 1e-3 * float(np.mean(error)) + 1e-12))
     return weight

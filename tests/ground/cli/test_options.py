@@ -14,12 +14,13 @@ import typer
 from diagnosis.errors import RobotError
 from ground.accuracy.request import BudgetRequest, MonteCarloRequest
 from ground.calibration.request import CalibrateRequest, SerialRequest
-from ground.cli import accuracy, calibrate, diagnosis, ik, runs, view
+from ground.cli import accuracy, calibrate, diagnosis, ik, robot, runs, view
 from ground.cli.verb import VerbResult, give_address, verb
 from ground.common.errors import BadRequest
 from ground.common.options import Option, check_options, option_fields
 from ground.diagnosis.arm.request import DiagnoseRequest, RecordRequest
 from ground.ik.request import IkRequest, ReachRequest
+from ground.robot.request import CheckRequest
 from ground.runs.request import HardstopRequest, PlaceRequest, RunRequest
 from ground.view.request import ViewRequest
 from tests.ground.command import ROOT
@@ -37,6 +38,7 @@ VERBS = {
     ViewRequest: view.view,
     DiagnoseRequest: diagnosis.diagnose,
     RecordRequest: diagnosis.record,
+    CheckRequest: robot.check,
 }
 HEAVY = ("numpy", "pydantic", "mujoco", "scipy", "pyarrow", "matplotlib", "sim", "fsw")
 
