@@ -1,6 +1,7 @@
 """Options of verbs and of their requests are the same, and checks follow their declaration."""
 
 import inspect
+import json
 import subprocess
 import sys
 from dataclasses import MISSING, dataclass
@@ -8,7 +9,9 @@ from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import pytest
+import typer
 
+from diagnosis.errors import RobotError
 from ground.accuracy.request import BudgetRequest, MonteCarloRequest
 from ground.calibration.request import CalibrateRequest, SerialRequest
 from ground.cli import accuracy, calibrate, diagnosis, ik, runs, view
@@ -117,6 +120,19 @@ def test_a_request_is_built_from_the_options(capsys):
     work(**given | {"table": ["x"], "size": 2.0, "no_out": True, "as_json": True})
     assert requests == [Request(), Request(("x",), 2.0, files=Files(None))]
     assert capsys.readouterr().out == 'a table\n{\n  "size": 2.0\n}\n'
+
+
+def test_an_error_of_the_diagnosis_of_a_robot_is_reported_in_one_sentence(capsys):
+    @verb
+    def work() -> VerbResult:
+        raise RobotError("time: column 'time' is missing")
+
+    with pytest.raises(typer.Exit) as ended:
+        work(as_json=True)
+    assert ended.value.exit_code == 2
+    out, err = capsys.readouterr()
+    assert json.loads(out) == {"error": "time: column 'time' is missing"}
+    assert err == "time: column 'time' is missing\n"
 
 
 @pytest.mark.parametrize(
