@@ -12,7 +12,11 @@ from ground.telemetry.imports.files import BadImport
 from tests.diagnosis.serial_arm.synthetic import built_arm, drawn_arm
 from tests.ground.calibration.serial.files import MAPPING, rows, text
 
+<<<<<<< HEAD:tests/diagnosis/serial_arm/test_files.py
 MODELS = Path(__file__).parents[3] / "models" / "ur10"
+=======
+MODELS = Path(__file__).parents[4] / "models" / "robots" / "ur10"
+>>>>>>> files:tests/ground/calibration/serial/test_files.py
 
 
 @pytest.mark.parametrize("seed", range(3))
