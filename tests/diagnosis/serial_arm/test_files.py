@@ -6,13 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ground.calibration.serial.arm_file import BadArmFile, arm_from_toml, arm_to_toml
-from ground.calibration.serial.tracker_table import mapping_from_toml, series_from_table
+from diagnosis.serial_arm.arm_file import BadArmFile, arm_from_toml, arm_to_toml
+from diagnosis.serial_arm.tracker_table import mapping_from_toml, series_from_table
 from ground.telemetry.imports.files import BadImport
+from tests.diagnosis.serial_arm.synthetic import built_arm, drawn_arm
 from tests.ground.calibration.serial.files import MAPPING, rows, text
-from tests.ground.calibration.serial.synthetic import built_arm, drawn_arm
 
+<<<<<<< HEAD:tests/diagnosis/serial_arm/test_files.py
+MODELS = Path(__file__).parents[3] / "models" / "ur10"
+=======
 MODELS = Path(__file__).parents[4] / "models" / "robots" / "ur10"
+>>>>>>> files:tests/ground/calibration/serial/test_files.py
 
 
 @pytest.mark.parametrize("seed", range(3))

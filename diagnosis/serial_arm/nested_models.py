@@ -1,26 +1,27 @@
 """Nested models with more and more terms, each fitted, cross-validated and compared with held-out poses."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from fsw.kinematics.transforms import Array, Flags, Integers
-from ground.calibration.fit import MIN_SENSITIVITY, Fit
-from ground.calibration.serial.arm import SerialArm
-from ground.calibration.serial.calibrate import (
+from diagnosis.arrays import Array, Flags, Integers
+from diagnosis.serial_arm.arm import SerialArm
+from diagnosis.serial_arm.calibrate import (
     PoseErrors,
     SerialCalibration,
     calibrate_series,
     fit_poses,
     pose_errors,
 )
-from ground.calibration.serial.model import TrackerSetup
-from ground.calibration.serial.series import PoseSeries
-from ground.common.progress import Progress
+from diagnosis.serial_arm.fit import MIN_SENSITIVITY, Fit
+from diagnosis.serial_arm.model import TrackerSetup
+from diagnosis.serial_arm.series import PoseSeries
 
+Progress = Callable[[float, float, str], None]
+"""Function of the amount done, the total amount, and the name of the current activity."""
 BLOCKS: Final = 5
 """Number of blocks of time in the cross-validation."""
 
@@ -161,7 +162,7 @@ def fit_nested_models(
         One model for each set of terms.
 
     Raises:
-        TooManyOutliers: Too many poses do not agree.
+        RobotError: Too many poses do not agree.
     """
     progress(0, len(steps), "fitting")
     whole = calibrate_series(arm, setup, part, steps[-1])

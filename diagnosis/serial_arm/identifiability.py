@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array, Flags, Integers
-from ground.calibration.fit import FitParameter, Linearisation
+from diagnosis.arrays import Array, Flags, Integers
+from diagnosis.serial_arm.fit import FitParameter, Linearisation
 
 MIN_SIGMAS: Final = 10.0
 """A combination is identified if a change by its scale shows this many sigmas in all poses together."""

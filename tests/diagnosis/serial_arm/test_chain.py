@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from fsw.kinematics.transforms import IDENTITY, Pose
-from ground.calibration.serial.chain import forward_kinematics, load_torque_Nm, repeat_pose
-from tests.ground.calibration.serial.synthetic import built_arm, drawn_arm
+from diagnosis.serial_arm.chain import forward_kinematics, load_torque_Nm
+from diagnosis.serial_arm.poses import IDENTITY, Pose, repeat_pose
+from tests.diagnosis.serial_arm.synthetic import built_arm, drawn_arm
 
 
 def matrix(six, q):

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
-from fsw.kinematics.transforms import Array, Flags
+from diagnosis.arrays import Array, Flags
 
 NO_PRIOR: Final = np.inf
 """Prior sigma of a parameter without prior knowledge."""

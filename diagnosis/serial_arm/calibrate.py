@@ -7,16 +7,11 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
-from fsw.kinematics.transforms import Array, Flags, norm
-from ground.calibration.fit import Fit, fit, validate_hold_out
-from ground.calibration.outliers import (
-    FALSE_ALARM,
-    MAX_OUTLIER_SHARE,
-    TooManyOutliers,
-    leave_one_out_distance,
-)
-from ground.calibration.serial.arm import SerialArm
-from ground.calibration.serial.model import (
+from diagnosis.arrays import Array, Flags
+from diagnosis.errors import RobotError
+from diagnosis.serial_arm.arm import SerialArm
+from diagnosis.serial_arm.fit import Fit, fit, validate_hold_out
+from diagnosis.serial_arm.model import (
     GEOMETRY,
     NON_PERIODIC,
     PERIODIC,
@@ -24,7 +19,9 @@ from ground.calibration.serial.model import (
     TrackerSetup,
     serial_model,
 )
-from ground.calibration.serial.series import PoseSeries
+from diagnosis.serial_arm.outliers import FALSE_ALARM, MAX_OUTLIER_SHARE, leave_one_out_distance
+from diagnosis.serial_arm.poses import norm
+from diagnosis.serial_arm.series import PoseSeries
 
 COMPONENTS: Final = 6
 """Number of components of a pose."""
@@ -95,7 +92,7 @@ def calibrate_series(
         The calibration.
 
     Raises:
-        TooManyOutliers: Too many poses do not agree.
+        RobotError: Too many poses do not agree.
     """
     used = np.ones(series.count, bool)
     found = fit_poses(arm, setup, series, terms, used)
@@ -107,7 +104,7 @@ def calibrate_series(
         if np.array_equal(agree, used):
             break
         if np.count_nonzero(~agree) > MAX_OUTLIER_SHARE * series.count:
-            raise TooManyOutliers(
+            raise RobotError(
                 f"more than {MAX_OUTLIER_SHARE:.0%} of {series.count} poses do not agree with the rest: "
                 "see that this is "
                 "the arm of the file, and that the tracker kept its target"

@@ -5,12 +5,13 @@ from typing import Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fsw.kinematics.transforms import IDENTITY, Array, Pose, compose, norm
-from ground.calibration.serial.arm import SerialArm
-from ground.calibration.serial.chain import forward_kinematics, repeat_pose
-from ground.calibration.serial.model import TrackerSetup
-from ground.calibration.serial.series import PoseSeries
-from ground.common.errors import BadRequest
+from diagnosis.arrays import Array
+from diagnosis.errors import RobotError
+from diagnosis.serial_arm.arm import SerialArm
+from diagnosis.serial_arm.chain import forward_kinematics
+from diagnosis.serial_arm.model import TrackerSetup
+from diagnosis.serial_arm.poses import IDENTITY, Pose, compose, norm, repeat_pose
+from diagnosis.serial_arm.series import PoseSeries
 
 LEAST_POSES: Final = 20
 LEAST_TURN_RAD: Final = 0.2
@@ -18,10 +19,6 @@ LEAST_TURN_RAD: Final = 0.2
 MAX_ROTATION_ERROR_RAD: Final = 0.1
 """Largest median rotation error; a larger one is not an error of an arm."""
 MAX_POSITION_ERROR_M: Final = 0.05
-
-
-class SetupNotFound(BadRequest):
-    """Error: poses do not fit the arm, or do not determine the setup."""
 
 
 def estimate_setup(arm: SerialArm, series: PoseSeries) -> TrackerSetup:
@@ -32,17 +29,17 @@ def estimate_setup(arm: SerialArm, series: PoseSeries) -> TrackerSetup:
     then linear.
 
     Raises:
-        SetupNotFound: Too few poses, too similar poses, or poses of another arm, unit or frame.
+        RobotError: Too few poses, too similar poses, or poses of another arm, unit or frame.
     """
     if series.count < LEAST_POSES:
-        raise SetupNotFound(f"{series.count} poses are too few; {LEAST_POSES} or more are wanted")
+        raise RobotError(f"{series.count} poses are too few; {LEAST_POSES} or more are wanted")
     ends, _ = forward_kinematics(repeat_pose(IDENTITY, series.count), arm.link_geometry, series.joint_rad)
     X_BF = ends[-1]
     _check_rotations(X_BF)
     R_TB, R_FM = _solve_rotations(series.X_TM.R, X_BF.R)
     rotation_error_rad = _angle(compose(np.swapaxes(series.X_TM.R, 0, 1), _product(R_TB, X_BF.R, R_FM)))
     if np.median(rotation_error_rad) > MAX_ROTATION_ERROR_RAD:
-        raise SetupNotFound(
+        raise RobotError(
             f"the target does not turn as the arm's flange does: half of the poses are off by "
             f"{np.degrees(np.median(rotation_error_rad)):.1f} deg or more; "
             "see that angles have their units, rotations the order "
@@ -51,7 +48,7 @@ def estimate_setup(arm: SerialArm, series: PoseSeries) -> TrackerSetup:
     setup = _solve_translations(series, X_BF, R_TB, R_FM)
     position_error_m = norm(series.X_TM.p - _target_poses(setup, X_BF).p)
     if np.median(position_error_m) > MAX_POSITION_ERROR_M:
-        raise SetupNotFound(
+        raise RobotError(
             f"the target does not move as the arm's flange does: half of the poses are off by "
             f"{np.median(position_error_m) * 1e3:.0f} mm or more; {_scale_words(series, X_BF)}"
         )
@@ -62,7 +59,7 @@ def _check_rotations(X_BF: Pose) -> None:
     turns = _log(compose(np.swapaxes(X_BF.R, 0, 1), X_BF.R[:, :, :1]))
     spread = np.linalg.svd(turns - turns.mean(axis=1, keepdims=True), compute_uv=False)
     if spread[1] / np.sqrt(turns.shape[1]) < LEAST_TURN_RAD / 2:
-        raise SetupNotFound(
+        raise RobotError(
             "the poses are too much alike: the flange hardly turns about a second axis, so base and target "
             "cannot be told apart; give poses that turn by half a radian or more about two axes"
         )

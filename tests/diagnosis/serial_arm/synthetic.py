@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fsw.kinematics.transforms import Pose
-from ground.calibration.serial.arm import Link, Repeatability, SerialArm, Uncertainty
-from ground.calibration.serial.model import TrackerSetup, serial_model
-from ground.calibration.serial.series import PoseSeries, move_directions
+from diagnosis.serial_arm.arm import Link, Repeatability, SerialArm, Uncertainty
+from diagnosis.serial_arm.model import TrackerSetup, serial_model
+from diagnosis.serial_arm.poses import Pose
+from diagnosis.serial_arm.series import PoseSeries, move_directions
 
 POSITION_M, ROTATION_RAD = 5e-5, 2e-4
 ORDERS = 6

@@ -5,8 +5,8 @@ from typing import Annotated, Final
 
 import numpy as np
 
+from diagnosis.arrays import Array
 from fsw.dictionary.types import Limits
-from fsw.kinematics.transforms import Array
 
 GEOMETRY_NAMES: Final = ("theta", "d", "beta", "b", "alpha", "a")
 """Geometric parameters of a link in the order of paper equation 1."""

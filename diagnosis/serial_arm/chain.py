@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array, Pose, compose, cross, rotate, rotate_back, rotation_x, rotation_y
+from diagnosis.arrays import Array
+from diagnosis.serial_arm.poses import Pose, rotate, rotate_back
 
 LinkGeometry = Array
 """Parameters theta, d, beta, b, alpha, a of one link, shape (6,)."""
@@ -36,7 +37,7 @@ class LinkAxes:
         columns = []
         for axis, point in ((self.z, self.p_z_m), (self.y, self.p_y_m), (self.x, self.p_x_m)):
             v = rotate_back(X_M.R, axis)
-            moment = rotate_back(X_M.R, cross(axis, X_M.p - point))
+            moment = rotate_back(X_M.R, np.cross(axis, X_M.p - point, axis=0))
             columns += [np.concatenate([v, moment]), np.concatenate([np.zeros_like(v), v])]
         return np.stack(columns, axis=-1)
 
@@ -53,14 +54,20 @@ def link_transform(X: Pose, turn_rad: Array, geometry: LinkGeometry) -> tuple[Po
         The frame at the end, batch (n,), and the axes of the parameters.
     """
     theta, d, beta, b, alpha, a = geometry
-    c, s = np.cos(turn_rad + theta), np.sin(turn_rad + theta)
     x, y, z = X.R[:, 0], X.R[:, 1], X.R[:, 2]
-    R = np.stack([c * x + s * y, c * y - s * x, z], axis=1)
+    x_theta, y_theta = _turn(x, y, turn_rad + theta)
     p_y = X.p + d * z
-    R_beta = compose(R, rotation_y(np.array(beta))[..., None])
-    p_x = p_y + b * R[:, 1]
-    X_E = Pose(compose(R_beta, rotation_x(np.array(alpha))[..., None]), p_x + a * R_beta[:, 0])
-    return X_E, LinkAxes(z, X.p, R[:, 1], p_y, R_beta[:, 0], p_x)
+    z_beta, x_beta = _turn(z, x_theta, beta)
+    p_x = p_y + b * y_theta
+    y_alpha, z_alpha = _turn(y_theta, z_beta, alpha)
+    X_E = Pose(np.stack([x_beta, y_alpha, z_alpha], axis=1), p_x + a * x_beta)
+    return X_E, LinkAxes(z, X.p, y_theta, p_y, x_beta, p_x)
+
+
+def _turn(u: Array, v: Array, angle_rad: Array) -> tuple[Array, Array]:
+    """Rotate two perpendicular axes in their plane, from the first towards the second."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return c * u + s * v, c * v - s * u
 
 
 def forward_kinematics(X: Pose, link_geometry: Array, turn_rad: Array) -> tuple[list[Pose], list[LinkAxes]]:
@@ -82,19 +89,6 @@ def forward_kinematics(X: Pose, link_geometry: Array, turn_rad: Array) -> tuple[
     return ends, axes
 
 
-def repeat_pose(X: Pose, n: int) -> Pose:
-    """Repeat a pose.
-
-    Args:
-        X: A single pose.
-        n: Number of copies.
-
-    Returns:
-        The pose as a batch (n,).
-    """
-    return Pose(np.repeat(X.R[:, :, None], n, axis=2), np.repeat(X.p[:, None], n, axis=1))
-
-
 def load_torque_Nm(
     ends: list[Pose], axes: list[LinkAxes], masses_kg: Array, p_EoCo_E_m: Array, gravity_m_s2: Array
 ) -> Array:
@@ -114,6 +108,7 @@ def load_torque_Nm(
     mass_centres = [X.p + rotate(X.R, p[:, None]) for X, p in zip(ends, p_EoCo_E_m, strict=True)]
     torques = []
     for j, about in enumerate(axes):
-        moment = sum(cross(mass_centres[k] - about.p_z_m, weight[k][:, None]) for k in range(j, len(ends)))
+        outer = ((mass_centres[k] - about.p_z_m, weight[k][:, None]) for k in range(j, len(ends)))
+        moment = sum(np.cross(lever, force, axis=0) for lever, force in outer)
         torques.append(np.sum(about.z * moment, axis=0))
     return np.array(torques)

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
-from ground.calibration.serial.arm import Link, Repeatability, SerialArm, Uncertainty
+from diagnosis.serial_arm.arm import Link, Repeatability, SerialArm, Uncertainty
 from ground.common.errors import BadRequest
 from sim.scenario.names import did_you_mean
 from sim.scenario.toml_lines import NotToml, parse_toml

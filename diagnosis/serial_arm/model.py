@@ -6,18 +6,13 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import IDENTITY, Array, Pose
-from ground.calibration.fit import FitParameter, Linearisation
-from ground.calibration.screws import MeasuredPoses, linearise
-from ground.calibration.serial.arm import GEOMETRY_NAMES, Link, SerialArm
-from ground.calibration.serial.chain import (
-    LinkAxes,
-    forward_kinematics,
-    link_transform,
-    load_torque_Nm,
-    repeat_pose,
-)
-from ground.calibration.serial.series import PoseSeries
+from diagnosis.arrays import Array
+from diagnosis.serial_arm.arm import GEOMETRY_NAMES, Link, SerialArm
+from diagnosis.serial_arm.chain import LinkAxes, forward_kinematics, link_transform, load_torque_Nm
+from diagnosis.serial_arm.fit import FitParameter, Linearisation
+from diagnosis.serial_arm.poses import IDENTITY, Pose, repeat_pose
+from diagnosis.serial_arm.screws import linearise
+from diagnosis.serial_arm.series import PoseSeries
 
 NON_PERIODIC: Final = ("compliance", "hysteresis")
 """Coefficients of a joint before those of its periodic error, which are all cosines, then all sines."""
@@ -200,12 +195,14 @@ class SerialModel:
             screw[:, :, :1] * phi[None, :, chosen]
             for screw, phi in zip(screws[2:], self.features, strict=True)
         ]
-        return linearise(X_M, np.concatenate([*columns, *joint_columns], axis=2), self._measured())
+        jacobian = np.concatenate([*columns, *joint_columns], axis=2)
+        return linearise(X_M, jacobian, self.series.X_TM, self._whitener())
 
-    def _measured(self) -> MeasuredPoses:
+    def _whitener(self) -> Array:
+        """Compute the matrices that scale rotation and position by their noise, shape (n, 6, 6)."""
         noise = self.arm.repeatability
-        variance = np.repeat([noise.rotation_rad**2, noise.position_m**2], 3)
-        return MeasuredPoses(self.series.X_TM, np.broadcast_to(np.diag(variance), (self.series.count, 6, 6)))
+        inverse = np.diag(1.0 / np.repeat([noise.rotation_rad, noise.position_m], 3))
+        return np.broadcast_to(inverse, (self.series.count, 6, 6))
 
 
 def serial_model(

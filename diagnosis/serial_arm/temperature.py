@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array
-from ground.calibration.serial.arm import GEOMETRY_NAMES
-from ground.calibration.serial.calibrate import SerialCalibration
-from ground.calibration.serial.model import GEOMETRY, serial_model
-from ground.calibration.serial.nested_models import CrossValidation, gain_m
+from diagnosis.arrays import Array
+from diagnosis.serial_arm.arm import GEOMETRY_NAMES
+from diagnosis.serial_arm.calibrate import SerialCalibration
+from diagnosis.serial_arm.model import GEOMETRY, serial_model
+from diagnosis.serial_arm.nested_models import CrossValidation, gain_m
 
 SHIFTS: Final = 19
 """Number of placebos that are the temperature of another time.

@@ -7,8 +7,9 @@ from typing import Final, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fsw.kinematics.transforms import Array, Pose
-from ground.calibration.serial.series import PoseSeries, move_directions
+from diagnosis.arrays import Array
+from diagnosis.serial_arm.poses import Pose
+from diagnosis.serial_arm.series import PoseSeries, move_directions
 from ground.telemetry.imports.files import BadImport
 from ground.telemetry.imports.mapping import CsvFormat, TimeMapping
 from ground.telemetry.imports.table import InputTable, read_table

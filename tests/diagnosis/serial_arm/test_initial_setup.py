@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fsw.kinematics.transforms import Pose
-from ground.calibration.serial.initial_setup import SetupNotFound, estimate_setup
-from tests.ground.calibration.serial.synthetic import built_arm, drawn_arm, series, setup
+from diagnosis.errors import RobotError
+from diagnosis.serial_arm.initial_setup import estimate_setup
+from diagnosis.serial_arm.poses import Pose
+from tests.diagnosis.serial_arm.synthetic import built_arm, drawn_arm, series, setup
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -27,7 +28,7 @@ def measured():
 
 
 def refused(arm, poses):
-    with pytest.raises(SetupNotFound) as error:
+    with pytest.raises(RobotError) as error:
         estimate_setup(arm, poses)
     return str(error.value)
 

@@ -1,30 +1,14 @@
-"""Error screws of modelled poses and the noise of measured poses: paper equations 14 to 17."""
-
-from dataclasses import dataclass
+"""Error screws of modelled poses, whitened, with their derivatives: paper equation 14."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fsw.kinematics.transforms import Array, Pose, compose, dot, inverse, rotate, skew
-from ground.calibration.fit import Linearisation
+from diagnosis.arrays import Array
+from diagnosis.serial_arm.fit import Linearisation
+from diagnosis.serial_arm.poses import AnyPose, compose, relative_pose, rotate, skew
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredPoses:
-    """Measured poses with their covariances."""
-
-    X_RT: Pose
-    """Turret frame in the rover frame, batch (n,)."""
-    covariance: Array
-    """Covariance of the screw from true to measured pose, in its axes, rotation first, shape (n, 6, 6)."""
-
-    @property
-    def whitener(self) -> Array:
-        """Compute the matrices that make this screw independent with unit variance, shape (n, 6, 6)."""
-        return np.linalg.inv(np.linalg.cholesky(self.covariance))
-
-
-def screw_log(X: Pose) -> Array:
+def screw_log(X: AnyPose) -> Array:
     """Compute the logarithm of poses, for rotations below half a turn.
 
     Args:
@@ -34,7 +18,7 @@ def screw_log(X: Pose) -> Array:
         Screws, rotation [rad] above translation [m], shape (6, n).
     """
     w = Rotation.from_matrix(np.moveaxis(X.R, -1, 0)).as_rotvec().T
-    angle2 = dot(w, w)
+    angle2 = np.einsum("in,in->n", w, w)
     small = angle2 < 1e-4
     t2 = np.where(small, 1.0, angle2)
     t = np.sqrt(t2)
@@ -44,39 +28,35 @@ def screw_log(X: Pose) -> Array:
     return np.concatenate([w, rotate(inverse_V, X.p)])
 
 
-def error_screw(X_RM: Pose, measured: MeasuredPoses) -> Array:
+def error_screw(X_RM: AnyPose, X_RT: AnyPose) -> Array:
     """Compute the error screws, the logarithm of D_error (paper equation 14).
 
     Args:
         X_RM: Modelled poses, batch (n,).
-        measured: Measured poses.
+        X_RT: Measured poses, batch (n,).
 
     Returns:
         Screws from modelled to measured poses in axes of the modelled ones, rotation [rad] above
         translation [m], shape (6, n).
     """
-    return screw_log(inverse(X_RM) @ measured.X_RT)
+    return screw_log(relative_pose(X_RM, X_RT))
 
 
-def linearise(
-    X_RM: Pose, jacobian: Array, measured: MeasuredPoses, whitener: Array | None = None
-) -> Linearisation:
+def linearise(X_RM: AnyPose, jacobian: Array, X_RT: AnyPose, whitener: Array) -> Linearisation:
     """Compute whitened error screws of modelled poses with their derivatives.
 
     Args:
         X_RM: Modelled poses, batch (n,).
         jacobian: Screws of the modelled poses in their own axes, per unit of each parameter, shape (6, n, p).
-        measured: Measured poses.
-        whitener: Matrices that make the errors whitened, shape (n, 6, 6); rows may be 0. By default those
-            of the measurement.
+        X_RT: Measured poses, batch (n,).
+        whitener: Matrices that make the errors whitened, shape (n, 6, 6); rows may be 0.
 
     Returns:
         The linearisation of the residuals.
     """
-    T = error_screw(X_RM, measured)
-    W = measured.whitener if whitener is None else whitener
+    T = error_screw(X_RM, X_RT)
     derivatives = -np.einsum("ijn,jnp->nip", _inverse_left_jacobian(T), jacobian)
-    return Linearisation(np.einsum("nij,jn->ni", W, T), W @ derivatives)
+    return Linearisation(np.einsum("nij,jn->ni", whitener, T), whitener @ derivatives)
 
 
 def _inverse_left_jacobian(T: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Calibration engine on a planar arm with any number of joints."""
+"""Least squares with priors on a planar arm with any number of joints."""
 
 from dataclasses import replace
 
@@ -7,44 +7,10 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import binom, kstest
 
-from ground.calibration.fit import FitParameter, Linearisation, fit, validate_hold_out
-from ground.calibration.identifiability import assess_identifiability
-from ground.calibration.outliers import TooManyOutliers, leave_one_out_distance, reject_outliers
-
-NOISE_M = 1e-4
-
-
-class Planar:
-    """Planar chain with unknown lengths and joint zeros; the tip is measured in the plane."""
-
-    def __init__(self, rng, joints=3, poses=60, lengths=None, angles=None):
-        self.angles = rng.uniform(-2, 2, (joints, poses)) if angles is None else angles
-        self.lengths = np.full(joints, 0.5)
-        truth = np.zeros(2 * joints) if lengths is None else lengths
-        self.tip = self.position(truth) + NOISE_M * rng.standard_normal((2, poses))
-
-    def position(self, x):
-        return self._sum(x)[0]
-
-    def _sum(self, x):
-        n = len(self.lengths)
-        heading = np.cumsum(self.angles + x[n:, None], axis=0)
-        along = np.array([np.cos(heading), np.sin(heading)])
-        return np.sum((self.lengths + x[:n])[:, None] * along, axis=1), along
-
-    def __call__(self, x):
-        n = len(self.lengths)
-        p, along = self._sum(x)
-        links = (self.lengths + x[:n])[:, None] * along
-        beyond = np.cumsum(links[:, ::-1], axis=1)[:, ::-1]
-        turned = np.array([-beyond[1], beyond[0]])
-        J = np.concatenate([along, turned], axis=1)
-        return Linearisation(((p - self.tip) / NOISE_M).T, np.moveaxis(J, 2, 0) / NOISE_M)
-
-
-def parameters(joints, prior=np.inf):
-    lengths = [FitParameter(f"length{k}", "m", 1e-3, prior) for k in range(joints)]
-    return lengths + [FitParameter(f"zero{k}", "rad", 1e-3, prior) for k in range(joints)]
+from diagnosis.serial_arm.fit import Linearisation, fit, validate_hold_out
+from diagnosis.serial_arm.identifiability import assess_identifiability
+from diagnosis.serial_arm.outliers import leave_one_out_distance
+from tests.diagnosis.serial_arm.planar import Planar, parameters
 
 
 def test_the_jacobian_of_the_planar_chain_is_right():
@@ -125,34 +91,6 @@ def test_what_neither_data_nor_prior_tell_stays_and_has_no_sigma():
     assert np.isinf(found.sigma[[0, 1, 3]]).all()
     assert np.isfinite(found.sigma[2]) or found.unconstrained[2] > 0
     assert found.values[0] + found.values[1] == pytest.approx(2e-3, abs=1e-4)
-
-
-def test_outliers_are_found_named_and_left_out():
-    rng = np.random.default_rng(9)
-    truth = 2e-3 * rng.standard_normal(6)
-    model = Planar(rng, lengths=truth)
-    clean = reject_outliers(parameters(3), model)
-    assert clean.outliers == ()
-    for pose, off_m in ((7, 2e-3), (8, -2e-3), (30, 1.0), (44, 8e-4)):
-        model.tip[:, pose] += off_m
-    found = reject_outliers(parameters(3), model)
-    assert found.outliers == (7, 8, 30, 44)
-    assert np.all(np.abs(found.fit.values - truth) < 4 * found.fit.sigma)
-
-
-def test_a_campaign_without_outliers_is_seldom_said_to_have_one():
-    rng = np.random.default_rng(10)
-    alarms = sum(
-        bool(reject_outliers(parameters(3), Planar(rng), false_alarm=0.1).outliers) for _ in range(100)
-    )
-    assert alarms <= binom.ppf(0.999, 100, 0.1)
-
-
-def test_too_many_outliers_are_none():
-    model = Planar(np.random.default_rng(11))
-    model.tip[:, ::3] += 0.05 * np.random.default_rng(12).standard_normal((2, 20))
-    with pytest.raises(TooManyOutliers, match="60 poses do not agree"):
-        reject_outliers(parameters(3), model)
 
 
 def test_the_distance_of_a_pose_is_that_from_a_fit_without_it():

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.kinematics.transforms import Pose
-from ground.calibration.serial.calibrate import calibrate_series, fit_poses, pose_errors
-from ground.calibration.serial.initial_setup import estimate_setup
-from ground.calibration.serial.model import GEOMETRY, TERMS
-from ground.calibration.serial.nested_models import BLOCKS, CrossValidation
-from ground.calibration.serial.temperature import temperature_test
-from tests.ground.calibration.serial.synthetic import POSITION_M, built_arm, drawn_arm, series, setup
+from diagnosis.serial_arm.calibrate import calibrate_series, fit_poses, pose_errors
+from diagnosis.serial_arm.initial_setup import estimate_setup
+from diagnosis.serial_arm.model import GEOMETRY, TERMS
+from diagnosis.serial_arm.nested_models import BLOCKS, CrossValidation
+from diagnosis.serial_arm.poses import Pose
+from diagnosis.serial_arm.temperature import temperature_test
+from tests.diagnosis.serial_arm.synthetic import POSITION_M, built_arm, drawn_arm, series, setup
 
 COUNT = 300
 

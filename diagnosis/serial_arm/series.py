@@ -5,7 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array, Flags, Integers, Pose
+from diagnosis.arrays import Array, Flags, Integers
+from diagnosis.serial_arm.poses import Pose
 
 STILL_RAD: Final = 1e-3
 """Largest motion of a joint since the last pose after which its direction counts as unknown."""

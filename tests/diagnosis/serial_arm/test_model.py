@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.kinematics.transforms import Pose
-from ground.calibration.identifiability import assess_identifiability
-from ground.calibration.serial.calibrate import calibrate_series, held_out_ratio, pose_errors
-from ground.calibration.serial.initial_setup import estimate_setup
-from ground.calibration.serial.model import TERMS, serial_model
-from tests.ground.calibration.serial.synthetic import POSITION_M, built_arm, drawn_arm, series, setup
+from diagnosis.serial_arm.calibrate import calibrate_series, held_out_ratio, pose_errors
+from diagnosis.serial_arm.identifiability import assess_identifiability
+from diagnosis.serial_arm.initial_setup import estimate_setup
+from diagnosis.serial_arm.model import TERMS, serial_model
+from diagnosis.serial_arm.poses import Pose
+from tests.diagnosis.serial_arm.synthetic import POSITION_M, built_arm, drawn_arm, series, setup
 
 NOISE_RMS_M = POSITION_M * np.sqrt(3)
 
