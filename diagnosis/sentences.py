@@ -36,9 +36,7 @@ def verdict_lines(diagnosis: Diagnosis) -> tuple[str, str, str, str]:
 
 def detail_lines(diagnosis: Diagnosis) -> list[str]:
     """Return a sentence for each finding, for what remains, cannot be known, and took no part."""
-    lines = [finding_sentence(finding) for finding in diagnosis.findings]
-    lines += [remainder_sentence(one) for one in diagnosis.remaining]
-    lines += ratio_sentences(diagnosis.base)
+    lines = finding_lines(diagnosis)
     lines += [
         f"{one.motion}: {count(one.n_samples, 'sample')} took no part: {one.reason}."
         for one in diagnosis.refused[:MAX_MEMBERS]
@@ -46,6 +44,13 @@ def detail_lines(diagnosis: Diagnosis) -> list[str]:
     if (rest := len(diagnosis.refused) - MAX_MEMBERS) > 0:
         lines.append(f"{count(rest, 'more refusal')} {'is' if rest == 1 else 'are'} in the JSON document.")
     return lines
+
+
+def finding_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return a sentence for each finding, for what remains, and for what cannot be known."""
+    found = [finding_sentence(finding) for finding in diagnosis.findings]
+    rest = [remainder_sentence(one) for one in diagnosis.remaining]
+    return [*found, *rest, *ratio_sentences(diagnosis.base)]
 
 
 def verdict_word(diagnosis: Diagnosis) -> str:
@@ -75,7 +80,7 @@ def finding_words(finding: Finding) -> str:
     if found == "effect":
         if len(finding.effects) == 1:
             return f"{finding.effect} at {finding.place} ({finding.text})"
-        return join_words([_effect_words(key) for key in finding.effects], "or")
+        return _effects_words(finding.effects)
     if found == "family":
         kinds = join_words([FAMILY_WORDS[family] for family in finding.families], "or")
         return f"{kinds} at {place}"
@@ -199,10 +204,13 @@ def _certainty(finding: Finding) -> str:
     return "95 % sure of the place; its kinds of effects cannot be told apart"
 
 
-def _effect_words(key: str) -> str:
-    """Return a key "place: name" as text."""
-    place, _, name = key.partition(": ")
-    return f"{name} at {place}" if name else key
+def _effects_words(keys: Sequence[str]) -> str:
+    """Return keys "place: name" as text, the place once if it is the same."""
+    pairs = [key.split(": ", 1) for key in keys]
+    places = {place for place, *_ in pairs}
+    if len(places) == 1:
+        return f"{join_words([pair[-1] for pair in pairs], 'or')} at {places.pop()}"
+    return join_words([f"{name} at {place}" for place, name in pairs], "or")
 
 
 def _how_far(diagnosis: Diagnosis) -> str:

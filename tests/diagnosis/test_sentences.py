@@ -43,7 +43,7 @@ def test_four_lines_say_where_what_how_far_and_next():
 def test_two_effects_that_these_motions_cannot_tell_apart_are_both_named_with_the_next_motion():
     where, what, _, following = lines(findings=(TWO,))
     assert where == "Where: lift."
-    assert "Coulomb friction at lift or gain error at lift" in what
+    assert "Coulomb friction or gain error at lift, 95 % sure" in what
     assert "cannot be told apart" in what
     assert following == "Next: record slow sweeps of lift."
     assert verdict_word(diagnosis(findings=(TWO,))) == "set"

@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 from math import nan
 from typing import ClassVar
 
+import numpy as np
+
 from diagnosis.effects.effect import Effect, Family, Size
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Refusal, Remainder
 
@@ -74,3 +76,27 @@ def without_floor(one):
 
 
 REFUSED = tuple(Refusal(name, "the command is cut off at -1.034 rad", 40) for name in "pqrst")
+
+
+class Drawn:
+    """Residual model of two joints in four motions, drawn from a seed; findings remove most of it."""
+
+    kind, unit = "simulation", "rad"
+    joints, motions = ("pan", "lift"), ("d", "e", "f", "g")
+
+    def __init__(self, n=500):
+        self.rng = np.random.default_rng(3)
+        self.joint_of = np.repeat([0, 1], 4 * n)
+        self.motion_of = np.tile(np.repeat(range(4), n), 2)
+        self.time_s = np.tile(0.01 * np.arange(n), 8)
+
+    def residuals(self, effects, sizes):
+        gone = np.where(sizes.any(axis=1), 0.1, 1.0)[:, None]
+        size_rad = 0.02 * (1 + self.motion_of) * np.sin(self.time_s)
+        return gone * size_rad + 1e-3 * self.rng.standard_normal(len(size_rad))
+
+    def select(self, motions):
+        return self
+
+    def explain(self, name):
+        return np.sin(2 * self.time_s) + 0.3 * self.joint_of
