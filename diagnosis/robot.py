@@ -2,8 +2,13 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import mujoco
+
+if TYPE_CHECKING:
+    from diagnosis.robot_file import RobotFile
 
 
 class ControlMode(StrEnum):
@@ -59,6 +64,21 @@ class Robot:
     """Period of the inner control loop, a whole number of time steps: effects act once in it."""
     tool_site: str
     """Site that may touch a plane; empty if none."""
+    file: "RobotFile | None" = None
+    """Content of the robot file, by which logs are read; None for a robot that was made in memory."""
+    folder: Path = Path()
+    """Folder of the robot file."""
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> "Robot":
+        """Read a robot file and compile its model.
+
+        Raises:
+            RobotError: the file, the model, or what the one says of the other is wrong.
+        """
+        from diagnosis.robot_model import build_robot
+
+        return build_robot(Path(path))
 
     def joint(self, name: str) -> RobotJoint:
         """Return the joint with this name."""

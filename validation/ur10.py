@@ -18,7 +18,7 @@ from ground.calibration.serial.report import serial_json
 from validation.options import campaign_parser
 
 EXAMPLE = "example: MARSARM_DATA=~/data python -m validation.ur10 > ur10.json"
-FILES = Path(__file__).parents[1] / "models" / "ur10"
+FILES = Path(__file__).parents[1] / "models" / "robots" / "ur10"
 TABLES = {"a": "series_a_grid.csv", "c": "series_c_random_poses.csv"}
 BOUNDS_MM = {"a": 0.50, "c": 0.52, "a_to_c": 0.60}
 """Bounds of the root mean square position error of held-out poses."""

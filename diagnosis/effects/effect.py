@@ -60,7 +60,11 @@ class State:
     q_rad: Array
     v_rad_s: Array
     load_Nm: Array
-    """Torque that the gear carries, without friction: gravity and inertia."""
+    """Torque that the gear carries, without friction: bias (gravity, Coriolis) + (M - armature) acceleration.
+
+    It is `mj_rne` with accelerations. The simulation takes it from the last step: qfrc_bias + qfrc_smooth +
+    qfrc_constraint - armature qacc, because qfrc_smooth + qfrc_constraint = M qacc.
+    """
     temperature_degC: Array
     """(n_sims, n_joints); NaN where it is not logged."""
 
@@ -70,7 +74,7 @@ class Fields:
     """Numbers of the model and of the controllers, a row a simulation; `set_model` changes them."""
 
     kp_Nm_rad: Array
-    """(n_sims, n_joints)."""
+    """(n_sims, n_joints). In the modes torque and current: torque per unit of the command."""
     kd_Nms_rad: Array
     torque_limit_Nm: Array
     damping_Nms_rad: Array
@@ -93,9 +97,14 @@ class Tick:
     """(n_sims, n_joints), dry friction; the value of `Fields` before the first effect."""
     torque_limit_Nm: Array
     """(n_sims, n_joints); the value of `Fields` before the first effect."""
+    gain: Array
+    """(n_sims, n_joints), factor on kp and kd in this tick; 1 before the first effect."""
+    motor_Nm: Array
+    """(n_sims, n_joints), torque of the motors in the last step; only to read."""
     period_s: float
     memory: dict[str, Array]
-    """State of the effect of its own, kept from tick to tick."""
+    """State of the effect of its own, kept from tick to tick; its first axis is n_sims, which falls when
+    simulations end: the engine cuts the last ones off."""
 
 
 class Effect(ABC):

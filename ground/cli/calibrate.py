@@ -12,7 +12,7 @@ def calibrate_serial(request: SerialRequest, progress: Progress) -> VerbResult:
     docs/ur10.md describes the files and the results of a real arm. Held-out poses validate the fit. A fitted
     arm is a file like the first, and can be validated on another table.
 
-    Example: marsarm calibrate-serial models/ur10/arm.toml poses.csv models/ur10/series_a.toml
+    Example: marsarm calibrate-serial models/robots/ur10/arm.toml poses.csv models/robots/ur10/series_a.toml
     """
     from ground.calibration.serial.execution import calibrate_serial
     from ground.calibration.serial.report import save_serial_figure, serial_json, serial_table

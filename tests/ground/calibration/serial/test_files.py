@@ -12,7 +12,7 @@ from ground.telemetry.imports.files import BadImport
 from tests.ground.calibration.serial.files import MAPPING, rows, text
 from tests.ground.calibration.serial.synthetic import built_arm, drawn_arm
 
-MODELS = Path(__file__).parents[4] / "models" / "ur10"
+MODELS = Path(__file__).parents[4] / "models" / "robots" / "ur10"
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -1,0 +1,133 @@
+"""Friction of a joint."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from diagnosis.arrays import Array
+from diagnosis.effects.effect import Family, Fields, Size, State
+from diagnosis.effects.joint import JointEffect
+from diagnosis.robot import Robot
+
+
+@dataclass(frozen=True, slots=True)
+class ViscousFriction(JointEffect):
+    """Damping beside that of the model."""
+
+    name: ClassVar[str] = "viscous friction"
+    family: ClassVar[Family] = Family.FRICTION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Damping: at most what takes the whole torque at the highest speed, at least none at all."""
+        scale = self.scales.torque_Nm / self.scales.speed_rad_s
+        return (Size("damping_Nms_rad", -self.scales.damping_Nms_rad, scale, 0.05 * scale),)
+
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Add to the damping."""
+        fields.damping_Nms_rad[:, self.index] += size[:, 0]
+
+
+@dataclass(frozen=True, slots=True)
+class CoulombFriction(JointEffect):
+    """Dry friction beside that of the model."""
+
+    name: ClassVar[str] = "Coulomb friction"
+    family: ClassVar[Family] = Family.FRICTION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Friction: at most half of the torque, at least none at all."""
+        scale = self.scales.torque_Nm
+        return (Size("coulomb_Nm", -self.scales.frictionloss_Nm, 0.5 * scale, 0.05 * scale),)
+
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Add to the dry friction."""
+        fields.frictionloss_Nm[:, self.index] += size[:, 0]
+
+
+@dataclass(frozen=True, slots=True)
+class StribeckFriction(JointEffect):
+    """Dry friction that falls from a value at rest as the joint moves."""
+
+    name: ClassVar[str] = "Stribeck friction"
+    family: ClassVar[Family] = Family.FRICTION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Extra dry friction at rest, and the speed at which it has fallen to 1/e."""
+        torque, speed = self.scales.torque_Nm, self.scales.speed_rad_s
+        return (
+            Size("stribeck_Nm", 0.0, 0.5 * torque, 0.05 * torque),
+            Size("stribeck_rad_s", 0.0, speed, 0.1 * speed),
+        )
+
+    def friction_Nm(self, size: Array, state: State) -> Array:
+        """Return the extra friction at the speed of the joint."""
+        speed = np.abs(state.v_rad_s[:, self.index])
+        ratio = speed / np.maximum(size[:, 1], np.finfo(float).tiny)
+        # beyond 6 the exponential is below 1e-15; the bound keeps the square finite
+        return np.asarray(size[:, 0] * np.exp(-np.square(np.minimum(ratio, 6.0))))
+
+
+@dataclass(frozen=True, slots=True)
+class LoadFriction(JointEffect):
+    """Dry friction in proportion to the torque that the gear carries."""
+
+    name: ClassVar[str] = "load-dependent friction"
+    family: ClassVar[Family] = Family.FRICTION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Friction per torque of the load; from 1 on no gear could be driven backwards."""
+        return (Size("friction_per_load", 0.0, 1.0, 0.1),)
+
+    def friction_Nm(self, size: Array, state: State) -> Array:
+        """Return the friction under the load."""
+        return np.asarray(size[:, 0] * np.abs(state.load_Nm[:, self.index]))
+
+
+@dataclass(frozen=True, slots=True)
+class AsymmetricFriction(JointEffect):
+    """Dry friction in one direction only.
+
+    It is dry friction of half its size and a constant torque of half its size against that direction.
+    """
+
+    name: ClassVar[str] = "asymmetric friction"
+    family: ClassVar[Family] = Family.FRICTION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Friction that acts on positive speeds alone; if it is negative, on negative speeds alone."""
+        scale = self.scales.torque_Nm
+        return (Size("asymmetric_Nm", -0.5 * scale, 0.5 * scale, 0.05 * scale),)
+
+    def friction_Nm(self, size: Array, state: State) -> Array:
+        """Return the symmetric half."""
+        return np.asarray(0.5 * np.abs(size[:, 0]) * np.ones_like(state.time_s))
+
+    def torque_Nm(self, size: Array, state: State) -> Array:
+        """Return the constant half."""
+        return np.asarray(-0.5 * size[:, 0] * np.ones_like(state.time_s))
+
+
+@dataclass(frozen=True, slots=True)
+class TemperatureFriction(JointEffect):
+    """Dry friction that is larger when the joint is cold."""
+
+    name: ClassVar[str] = "temperature-dependent friction"
+    family: ClassVar[Family] = Family.FRICTION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Friction per kelvin below the hottest logged temperature."""
+        span_K = np.nan_to_num(self.scales.hottest_degC - self.scales.coldest_degC)
+        scale = self.scales.torque_Nm / max(span_K, 1.0)
+        return (Size("friction_Nm_K", 0.0, 0.5 * scale, 0.05 * scale),)
+
+    def friction_Nm(self, size: Array, state: State) -> Array:
+        """Return the extra friction at the temperature of the joint; none where it is not logged."""
+        cold_K = np.nan_to_num(self.scales.hottest_degC - state.temperature_degC[:, self.index])
+        return np.asarray(size[:, 0] * np.maximum(cold_K, 0.0))

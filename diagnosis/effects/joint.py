@@ -1,0 +1,139 @@
+"""Effects at one joint, and the numbers of the logs from which they take their bounds."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Self
+
+import mujoco
+import numpy as np
+
+from diagnosis.arrays import Array
+from diagnosis.effects.effect import Effect
+from diagnosis.logs import Motion, Signal
+from diagnosis.robot import Robot, RobotJoint
+
+QUANTILE: Final = 0.995
+"""Quantile that stands for the maximum of a noisy quantity."""
+SPAN: Final = 5
+"""Samples over which a difference gives a speed: fewer show the steps of the encoder."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointScales:
+    """Nominal numbers of one joint, and its ranges over all motions that are fitted."""
+
+    damping_Nms_rad: float
+    """Of the model, as are friction and armature."""
+    frictionloss_Nm: float
+    armature_kgm2: float
+    low_rad: float
+    high_rad: float
+    speed_rad_s: float
+    acceleration_rad_s2: float
+    command_low: float
+    """In the unit of the control mode; NaN without a command."""
+    command_high: float
+    command_speed: float
+    torque_Nm: float
+    """Torque limit, or the largest torque of gravity and inertia where it is unlimited."""
+    hottest_degC: float
+    """NaN where the temperature is not logged."""
+    coldest_degC: float
+
+
+@dataclass(frozen=True, slots=True)
+class JointEffect(Effect):
+    """An effect at a joint."""
+
+    place: str
+    index: int
+    """Index of the joint in the robot."""
+    joint: RobotJoint
+    scales: JointScales
+
+    @classmethod
+    def at(cls, robot: Robot, place: str, scales: Mapping[str, JointScales]) -> Self:
+        """Return the effect at a joint.
+
+        Args:
+            robot: Robot.
+            place: Name of the joint.
+            scales: Numbers of all joints, as `joint_scales` returns them.
+        """
+        index = [joint.name for joint in robot.joints].index(place)
+        return cls(place, index, robot.joints[index], scales[place])
+
+
+def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScales]:
+    """Collect ranges of all joints over motions.
+
+    Args:
+        robot: Robot.
+        motions: Motions that are fitted; joints without a log in any of them are left out.
+
+    Returns:
+        The numbers by the name of the joint.
+    """
+    found = {}
+    for j, joint in enumerate(robot.joints):
+        logs = [motion.joints[joint.name] for motion in motions if joint.name in motion.joints]
+        if not logs:
+            continue
+        q = np.concatenate([log.position.value for log in logs])
+        commands = [log.command for log in logs if log.command is not None]
+        heats = [log.temperature.value for log in logs if log.temperature is not None]
+        command = np.concatenate([one.value for one in commands]) if commands else np.array([np.nan])
+        heat = np.concatenate(heats) if heats else np.array([np.nan])
+        speeds = [_slope(log.position) for log in logs]
+        speed = _high([one.value for one in speeds])
+        acceleration = _high([_slope(one).value for one in speeds])
+        found[joint.name] = JointScales(
+            damping_Nms_rad=float(robot.model.dof_damping[joint.dof_index]),
+            frictionloss_Nm=float(robot.model.dof_frictionloss[joint.dof_index]),
+            armature_kgm2=float(robot.model.dof_armature[joint.dof_index]),
+            low_rad=float(q.min()),
+            high_rad=float(q.max()),
+            speed_rad_s=speed,
+            acceleration_rad_s2=acceleration,
+            command_low=float(command.min()),
+            command_high=float(command.max()),
+            command_speed=_high([_slope(one).value for one in commands]),
+            torque_Nm=_torque_Nm(robot, j, q, acceleration),
+            hottest_degC=float(heat.max()),
+            coldest_degC=float(heat.min()),
+        )
+    return found
+
+
+def _slope(signal: Signal) -> Signal:
+    """Differentiate a signal over a few samples."""
+    time_s, value = signal.time_s, signal.value
+    if time_s.size <= SPAN:
+        return Signal(time_s[:1], np.zeros(1))
+    return Signal(
+        (time_s[SPAN:] + time_s[:-SPAN]) / 2,
+        (value[SPAN:] - value[:-SPAN]) / (time_s[SPAN:] - time_s[:-SPAN]),
+    )
+
+
+def _high(values: Sequence[Array]) -> float:
+    """Return the largest usual magnitude; not 0, so that it can be a divisor."""
+    if not values:
+        return float("nan")
+    return max(float(np.quantile(np.abs(np.concatenate(values)), QUANTILE)), 1e-6)
+
+
+def _torque_Nm(robot: Robot, j: int, q: Array, acceleration: float) -> float:
+    joint = robot.joints[j]
+    if np.isfinite(joint.torque_limit_Nm):
+        return joint.torque_limit_Nm
+    data = mujoco.MjData(robot.model)
+    largest = 0.0
+    for angle in np.linspace(q.min(), q.max(), 9):
+        data.qpos[joint.qpos_index] = angle
+        mujoco.mj_forward(robot.model, data)
+        inertia = np.zeros((robot.model.nv, robot.model.nv))
+        mujoco.mj_fullM(robot.model, data, inertia)
+        d = joint.dof_index
+        largest = max(largest, float(abs(data.qfrc_bias[d]) + inertia[d, d] * acceleration))
+    return max(largest, 1e-6)

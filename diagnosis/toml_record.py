@@ -1,0 +1,85 @@
+"""Records that are read from TOML files, and their errors as one sentence."""
+
+import tomllib
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from diagnosis.errors import RobotError
+
+MAX_BYTES = 1 << 20
+"""Largest size of a file of settings; a larger one is not one."""
+
+
+class Record(BaseModel):
+    """Table of a TOML file: no unknown keys, no conversion of types, only finite numbers."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+R = TypeVar("R", bound=Record)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises:
+        RobotError: it is absent, too large, or no TOML.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise RobotError(f"{path}: is larger than 1 MB; name a TOML file")
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read ({error.strerror}); name a file that exists") from error
+    except UnicodeDecodeError as error:
+        raise RobotError(f"{path}: is not UTF-8 text; name a TOML file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise RobotError(f"{path}: is not TOML: {error}") from error
+
+
+def parse_record(kind: type[R], content: dict[str, Any], path: Path) -> R:
+    """Check the content of a file.
+
+    Raises:
+        RobotError: a key is unknown or missing, or a value is wrong; the text gives the path of the key.
+    """
+    try:
+        return kind.model_validate(content)
+    except ValidationError as error:
+        # The first unknown key explains a missing one better than the reverse: it is often its misspelling.
+        faults = sorted(error.errors(), key=lambda one: one["type"] == "missing")
+        raise RobotError(_sentence(kind, faults[0], path)) from error
+
+
+def _sentence(kind: type[Record], fault: Any, path: Path) -> str:
+    loc: tuple[str | int, ...] = fault["loc"]
+    key = ".".join(map(str, loc))
+    match fault["type"]:
+        case "missing":
+            return f"{path}: {key}: is missing; add it"
+        case "extra_forbidden":
+            near = get_close_matches(str(loc[-1]), _fields(kind, loc[:-1]), 1)
+            return f"{path}: {key}: is not known" + (f"; did you mean {near[0]}?" if near else "; remove it")
+        case "value_error":
+            text = str(fault["ctx"]["error"])
+            return f"{path}: {key}: {text}" if key else f"{path}: {text}"
+        case _:
+            said = fault["msg"][0].lower() + fault["msg"][1:]
+            shown = "" if isinstance(fault["input"], dict | list) else f", not {fault['input']!r}"
+            return f"{path}: {key}: {said.removeprefix('input ')}{shown}"
+
+
+def _fields(kind: type[Record], loc: tuple[str | int, ...]) -> list[str]:
+    """Return the keys that the table at this place may have."""
+    found: Any = kind
+    for name in loc:
+        if isinstance(found, type) and issubclass(found, BaseModel):
+            found = found.model_fields[str(name)].annotation if name in found.model_fields else None
+        elif getattr(found, "__origin__", None) is dict:
+            found = found.__args__[1]
+        if getattr(found, "__args__", None) and type(None) in found.__args__:
+            found = next(one for one in found.__args__ if one is not type(None))
+    return list(found.model_fields) if isinstance(found, type) and issubclass(found, BaseModel) else []

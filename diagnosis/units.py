@@ -1,0 +1,78 @@
+"""Units of logged values, and their conversion to SI units."""
+
+import math
+from dataclasses import dataclass
+from difflib import get_close_matches
+from enum import StrEnum
+from typing import Final
+
+
+class Quantity(StrEnum):
+    """Kinds of logged values."""
+
+    ANGLE = "angle"
+    SPEED = "angular speed"
+    TORQUE = "torque"
+    CURRENT = "current"
+    VOLTAGE = "voltage"
+    TEMPERATURE = "temperature"
+    TIME = "time"
+    FLAG = "flag"
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """Value in SI units = factor times logged value, plus offset."""
+
+    quantity: Quantity
+    factor: float
+    offset: float = 0.0
+
+
+COUNTS: Final = frozenset({"count", "count/s"})
+"""Units whose factor is divided by the counts of a turn."""
+FRACTION: Final = "fraction"
+"""Unit of an angle that is logged as 0 at one end of a range and as 1 at the other."""
+UNITS: Final = {
+    "rad": Unit(Quantity.ANGLE, 1.0),
+    "mrad": Unit(Quantity.ANGLE, 1e-3),
+    "deg": Unit(Quantity.ANGLE, math.pi / 180),
+    "turn": Unit(Quantity.ANGLE, 2 * math.pi),
+    "count": Unit(Quantity.ANGLE, 2 * math.pi),
+    FRACTION: Unit(Quantity.ANGLE, 1.0),
+    "rad/s": Unit(Quantity.SPEED, 1.0),
+    "deg/s": Unit(Quantity.SPEED, math.pi / 180),
+    "rpm": Unit(Quantity.SPEED, 2 * math.pi / 60),
+    "turn/s": Unit(Quantity.SPEED, 2 * math.pi),
+    "count/s": Unit(Quantity.SPEED, 2 * math.pi),
+    "N m": Unit(Quantity.TORQUE, 1.0),
+    "mN m": Unit(Quantity.TORQUE, 1e-3),
+    "kN m": Unit(Quantity.TORQUE, 1e3),
+    "A": Unit(Quantity.CURRENT, 1.0),
+    "mA": Unit(Quantity.CURRENT, 1e-3),
+    "V": Unit(Quantity.VOLTAGE, 1.0),
+    "mV": Unit(Quantity.VOLTAGE, 1e-3),
+    "degC": Unit(Quantity.TEMPERATURE, 1.0),
+    "K": Unit(Quantity.TEMPERATURE, 1.0, -273.15),
+    "s": Unit(Quantity.TIME, 1.0),
+    "ms": Unit(Quantity.TIME, 1e-3),
+    "us": Unit(Quantity.TIME, 1e-6),
+    "ns": Unit(Quantity.TIME, 1e-9),
+    "flag": Unit(Quantity.FLAG, 1.0),
+}
+"""Every unit that a robot file may name. Temperatures are in degC; all other quantities are in SI units."""
+
+
+def find_unit(name: str, quantity: Quantity) -> Unit:
+    """Return the unit with this name.
+
+    Raises:
+        ValueError: there is no such unit of this quantity; the text names those that there are.
+    """
+    unit = UNITS.get(name)
+    if unit is not None and unit.quantity is quantity:
+        return unit
+    fitting = [key for key, one in UNITS.items() if one.quantity is quantity]
+    near = get_close_matches(name, fitting, 1)
+    hint = f"did you mean {near[0]!r}?" if near else f"write one of {', '.join(fitting)}"
+    raise ValueError(f"{name!r} is no unit of {quantity.value}; {hint}")
