@@ -100,3 +100,16 @@ class Diagnosis:
     """The effects of base and findings as fitted, from which a patch is made."""
     sizes: tuple[tuple[float, ...], ...]
     """Their sizes."""
+
+    @property
+    def closure(self) -> float | None:
+        """Share of the explainable energy of held-out motions that is gone with base and findings.
+
+        Energies are squared mean errors less that of noise, each joint in units of its noise floor. None if
+        the floor of a joint is unknown, or if no error is above the floor.
+        """
+        if not self.errors or not all(one.noise_floor > 0 for one in self.errors):
+            return None
+        before = sum((one.nominal / one.noise_floor) ** 2 - 1.0 for one in self.errors)
+        after = sum((one.explained / one.noise_floor) ** 2 - 1.0 for one in self.errors)
+        return 1.0 - after / before if before > 0.0 else None
