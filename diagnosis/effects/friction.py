@@ -53,6 +53,7 @@ class StribeckFriction(JointEffect):
 
     name: ClassVar[str] = "Stribeck friction"
     family: ClassVar[Family] = Family.FRICTION
+    has_shape: ClassVar[bool] = True
 
     @property
     def sizes(self) -> tuple[Size, ...]:

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from diagnosis.assemble import describe_finding, list_remainders, simulate_models
 from diagnosis.fit import Hypothesis, Union, fit_hypotheses
 from diagnosis.selection import select_effects
-from diagnosis.verdict import doubt_finding, size_intervals, unexplained_dependence
+from diagnosis.verdict import doubt_finding, doubt_findings, size_intervals, unexplained_dependence
 from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 
 TRUTH = {"near: square": 0.1, "far: sine": 0.05, "far: step": -0.03}
@@ -25,10 +26,16 @@ def test_three_effects_at_two_joints_are_named_and_no_other(seed: int) -> None:
     assert named(draw_toy(seed, TRUTH)) == sorted(TRUTH)
 
 
-def test_an_effect_that_is_not_in_the_catalogue_gets_no_name() -> None:
+def test_what_explains_little_of_a_residual_is_not_called_its_cause() -> None:
     model = draw_toy(1, {"far: double": 0.05})
     rest = tuple(effect for effect in CATALOGUE if effect.label != "double")
-    assert select_effects(model, BASE, rest, seed=1).chosen.effects == ()
+    selection = select_effects(model, BASE, rest, seed=1)
+    for doubt in doubt_findings(selection):
+        finding = describe_finding(selection.context, selection.chosen, doubt)
+        assert finding.places == ("far",)
+        assert finding.families == finding.effects == ()
+    (remainder,) = list_remainders(selection, model, simulate_models(selection, model)[2])
+    assert (remainder.joint, remainder.depends_on) == ("far", "position")
 
 
 def test_an_effect_of_all_joints_is_named_at_its_body() -> None:

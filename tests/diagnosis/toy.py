@@ -39,7 +39,7 @@ class ToyResiduals:
     def __init__(self, commands: Array, measured: Array, names: tuple[str, ...]) -> None:
         self.commands, self.measured, self.joints = commands, measured, names
         self.motions = tuple(f"m{k}" for k in range(commands.shape[1]))
-        self.repeat_of = ("",) * commands.shape[1]
+        self.repeat_of = (*("",) * (commands.shape[1] - 2), "repeat", "repeat")
         grid = np.indices(commands.shape).reshape(3, -1)
         self.joint_of: Integers = grid[0]
         self.motion_of: Integers = grid[1]
@@ -81,6 +81,7 @@ def draw_toy(seed: int, truth: dict[str, float], n_motions: int = 10, n_samples:
     """Draw commands and measurements of a robot with these effects, with autocorrelated noise."""
     rng = np.random.default_rng(seed)
     commands = rng.uniform(-1.0, 1.0, (len(NAMES), n_motions, n_samples))
+    commands[:, -1] = commands[:, -2]
     noise = rng.normal(0.0, 0.02, commands.shape)
     for k in range(1, n_samples):
         noise[..., k] += 0.6 * noise[..., k - 1]
