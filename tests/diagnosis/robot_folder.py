@@ -42,6 +42,7 @@ condition_column = "gain"
 [joints.shoulder]
 mode = "position"
 gain_column = "gain"
+kp_Nm_rad = 15.0
 position = { column = "q1", unit = "deg", factor = -1.0, zero_rad = 0.5 }
 command = { column = "c1", unit = "deg" }
 

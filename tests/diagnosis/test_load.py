@@ -60,7 +60,11 @@ def test_a_signal_keeps_its_own_rate_where_cells_are_empty(tmp_path, robot):
 def test_an_array_may_have_times_of_its_own(tmp_path):
     change = ('{ column = "m2", unit', '{ column = "m2", time_column = "tm", unit')
     no_motion = ('columns = ["motion"]\ncondition_column = "gain"', "")
-    robot = Robot.from_toml(write_robot(tmp_path, change, no_motion, ('gain_column = "gain"\n', "")))
+    robot = Robot.from_toml(
+        write_robot(
+            tmp_path, change, no_motion, ('gain_column = "gain"\nkp_Nm_rad = 15.0\n', "kp_Nm_rad = 15.0\n")
+        )
+    )
     path = write_npz(tmp_path, t=np.arange(7.0), m2=np.ones(3), tm=np.array([2.0, 4.0, 6.0]))
     (motion,) = load(robot, path).motions
     assert motion.name == "log"

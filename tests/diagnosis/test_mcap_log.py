@@ -28,7 +28,7 @@ NO_MOTION = ('columns = ["motion"]\ncondition_column = "gain"', "")
 FIELDS = (
     NO_MOTION,
     ('[time]\ncolumn = "t"\nunit = "ms"', ""),
-    ('gain_column = "gain"\n', ""),
+    ('gain_column = "gain"\nkp_Nm_rad = 15.0\n', "kp_Nm_rad = 15.0\n"),
     ('"q1"', '"/joints.position[0]"'),
     ('"q2"', '"/joints.position[1]"'),
     ('"c1"', '"/command.deg"'),

@@ -11,9 +11,11 @@ from diagnosis.robot import ControlMode, Robot
 from diagnosis.robot_file import SerialFile, read_robot_file
 from tests.diagnosis.robot_folder import MODEL, write_robot
 
+GAIN = 'gain_column = "gain"\nkp_Nm_rad = 15.0\n'
+
 
 def test_numbers_that_the_file_leaves_out_are_those_of_the_model(tmp_path):
-    shoulder = Robot.from_toml(write_robot(tmp_path)).joint("shoulder")
+    shoulder = Robot.from_toml(write_robot(tmp_path, (GAIN, ""))).joint("shoulder")
     assert (shoulder.kp_Nm_rad, shoulder.kd_Nms_rad, shoulder.torque_limit_Nm) == (30.0, 2.0, 5.0)
     assert shoulder.mode is ControlMode.POSITION
     assert not shoulder.is_known
@@ -21,9 +23,9 @@ def test_numbers_that_the_file_leaves_out_are_those_of_the_model(tmp_path):
 
 
 def test_numbers_of_the_file_count_more_than_those_of_the_model(tmp_path):
-    said = 'mode = "position"\nkp_Nm_rad = 7.0\nkd_Nms_rad = 0.0\ntorque_limit_Nm = 3.0\nis_known = true'
+    said = 'mode = "position"\nkd_Nms_rad = 0.0\ntorque_limit_Nm = 3.0\nis_known = true'
     shoulder = Robot.from_toml(write_robot(tmp_path, ('mode = "position"', said))).joint("shoulder")
-    assert (shoulder.kp_Nm_rad, shoulder.kd_Nms_rad, shoulder.torque_limit_Nm) == (7.0, 0.0, 3.0)
+    assert (shoulder.kp_Nm_rad, shoulder.kd_Nms_rad, shoulder.torque_limit_Nm) == (15.0, 0.0, 3.0)
     assert shoulder.is_known
 
 
@@ -138,6 +140,11 @@ def test_the_file_of_a_tracked_arm_points_to_its_serial_arm(tmp_path):
             'mode = "torque"',
             'actuator = "x"\nmode = "torque"',
             "joints.elbow.actuator: the model has no actuator 'x'",
+        ),
+        (
+            "kp_Nm_rad = 15.0",
+            "",
+            "joints.shoulder: kp_Nm_rad: is missing; with a gain column it is the stiffness",
         ),
         ('name = "two links"', "name = ", "is not TOML: "),
     ],

@@ -58,9 +58,16 @@ def test_a_motion_in_no_part_of_a_split_takes_no_part(tmp_path):
     assert names(found.motions) == ["slow", "fast"]
 
 
-def test_without_a_split_file_all_motions_are_fitted(tmp_path):
+def test_without_a_split_all_motions_are_fitted(tmp_path):
     found = load(Robot.from_toml(write_robot(tmp_path)), write_parquet(tmp_path))
     assert (names(found.fit), found.held_out) == (["slow", "fast"], frozenset())
+    with_split = logs(tmp_path, split=None)
+    assert (names(with_split.fit), with_split.held_out) == (["slow", "fast"], frozenset())
+
+
+def test_a_split_without_a_split_file_is_an_error(tmp_path):
+    write_robot(tmp_path)
+    write_parquet(tmp_path)
     with pytest.raises(RobotError, match="split 'first': the robot file names no split file"):
         load(tmp_path / "robot.toml", tmp_path / "log.parquet", split="first")
 
