@@ -9,6 +9,7 @@ import numpy as np
 from diagnosis.arrays import Array
 from diagnosis.compiled import Compiled, Places, UNLIMITED_Nm, laws
 from diagnosis.effects.effect import Effect, Fields, State, Tick
+from diagnosis.rotors import Rotors
 
 
 @dataclass(slots=True)
@@ -79,6 +80,7 @@ class Periods:
         compiled: Compiled,
         batch: mujoco.batch.Batch,
         fields: Fields,
+        rotors: Rotors,
         effects: Sequence[Acting],
         temperature_degC: Array,
     ) -> None:
@@ -88,18 +90,21 @@ class Periods:
             compiled: Model.
             batch: Batch, with the numbers of `fields` set.
             fields: Numbers of model and controllers.
+            rotors: Rotors that motors turn in place of joints.
             effects: Effects.
             temperature_degC: Temperatures, (n_sims, n_joints).
         """
         self._compiled, self._batch, self._fields = compiled, batch, fields
         self._actuators = Actuators(compiled, batch, fields)
+        self._rotors, self._qpos, self._qvel = rotors, batch.bind("qpos"), batch.bind("qvel")
+        self._dry = batch.expand("dof_frictionloss")
         self._temperature = temperature_degC
         self._effects = effects
         self._acts, self._frictions, self._torques = (
             [one for one in effects if one.effect.overrides(hook)]
             for hook in ("act", "friction_Nm", "torque_Nm")
         )
-        self._has_effects = bool(self._acts or self._frictions or self._torques)
+        self._has_effects = bool(self._acts or self._frictions or self._torques or rotors.exist)
         self._period_s = compiled.robot.control_period_s
         self.n_steps = round(self._period_s / compiled.robot.model.opt.timestep)
         """Steps of a control period."""
@@ -112,7 +117,7 @@ class Periods:
             one.size = one.size[:n]
             one.memory = {name: kept[:n] for name, kept in one.memory.items()}
         at, batch = self._compiled, self._batch
-        self.q = Columns(batch.bind("qpos"), at.qpos, n)
+        self._q = Columns(batch.bind("qpos"), at.qpos, n)
         self._ctrl = Columns(batch.bind("ctrl"), at.actuator, n)
         if not self._has_effects:
             return
@@ -123,10 +128,15 @@ class Periods:
         ]
         self._motor = Columns(batch.bind("actuator_force"), at.actuator, n)
         self._applied = Columns(batch.bind("qfrc_applied"), at.dof, n)
-        self._friction = Columns(batch.expand("dof_frictionloss"), at.dof, n)
+        self._friction = Columns(self._dry, at.dof, n)
         # one set of arrays for all periods: new ones would take a fifth of the time of a step
         self._time_s, self._load = np.empty(n), np.empty((n, len(at.robot.joints)))
         self._inputs = [np.empty_like(self._load) for _ in range(4)]
+
+    def shown_rad(self, shown_rad: Array) -> None:
+        """Write the angles that encoders see to the first rows of an array, (n_sims, n_joints)."""
+        shown_rad[: self.n] = self._q.read()
+        self._rotors.show(self._qpos, shown_rad)
 
     def set_inputs(self, k: int, command: Array, enabled: Array | None) -> None:
         """Set the inputs of a control period.
@@ -149,9 +159,11 @@ class Periods:
             tick.frictionloss_Nm[:, one.joint] += one.effect.friction_Nm(one.size, tick.state)
         for one in self._torques:
             tick.applied_Nm[:, one.joint] += one.effect.torque_Nm(one.size, tick.state)
+        self._rotors.close_loops(self._qpos, self._qvel, tick.command)
         self._ctrl.write(tick.command)
         self._applied.write(tick.applied_Nm)
         self._friction.write(tick.frictionloss_Nm)
+        self._rotors.move(self._dry, tick.frictionloss_Nm)
         if self._acts:
             self._actuators.limit(tick.torque_limit_Nm)
         if enabled is not None:
@@ -175,7 +187,7 @@ class Periods:
         limit[...] = fields.torque_limit_Nm[:n]
         gain.fill(1.0)
         return Tick(
-            state=State(self._time_s, self.q.read(), self._v.read(), load, self._temperature[:n]),
+            state=State(self._time_s, self._q.read(), self._v.read(), load, self._temperature[:n]),
             command=command,
             applied_Nm=applied,
             frictionloss_Nm=friction,

@@ -13,6 +13,7 @@ from diagnosis.compiled import Models, nominal_gains
 from diagnosis.effects.effect import Effect, Fields
 from diagnosis.periods import Acting, Periods
 from diagnosis.robot import ControlMode
+from diagnosis.rotors import Rotors
 from diagnosis.sampling import Sampling
 from diagnosis.windows import Window
 
@@ -75,7 +76,7 @@ class Simulation:
         # `keep` cuts the sizes of ended simulations off, but samples need them
         acting = [Acting(one.effect, one.size, one.joint, {}) for one in self._effects]
         heat = self._each(np.array([window.temperature_degC for window in self._windows]))
-        self._periods = Periods(self._compiled, self._batch, fields, acting, heat)
+        self._periods = Periods(self._compiled, self._batch, fields, self._rotors, acting, heat)
 
     def _with(self, hook: str) -> list[Acting]:
         return [one for one in self._effects if one.effect.overrides(hook)]
@@ -113,9 +114,15 @@ class Simulation:
         fields.damping_Nms_rad = np.maximum(fields.damping_Nms_rad, 0.0)
         fields.frictionloss_Nm = np.maximum(fields.frictionloss_Nm, 0.0)
         fields.armature_kgm2 = np.maximum(fields.armature_kgm2, 0.0)
-        batch.expand("dof_damping")[:, dof] = fields.damping_Nms_rad
-        batch.expand("dof_armature")[:, dof] = fields.armature_kgm2
-        batch.expand("dof_frictionloss")[:, dof] = fields.frictionloss_Nm
+        self._rotors = Rotors(self._robot, fields)
+        for name, value in (
+            ("dof_damping", fields.damping_Nms_rad),
+            ("dof_armature", fields.armature_kgm2),
+            ("dof_frictionloss", fields.frictionloss_Nm),
+        ):
+            batch.expand(name)[:, dof] = value
+            self._rotors.move(batch.expand(name), value)
+        self._rotors.clear(fields.armature_kgm2)
         batch.set_const()
         return fields
 
@@ -146,6 +153,7 @@ class Simulation:
         self._batch.bind("qpos")[:, self._compiled.qpos] = q
         v = self._each(np.array([window.v_rad_s for window in self._windows]))
         self._batch.bind("qvel")[:, self._compiled.dof] = v
+        self._rotors.start(self._batch)
 
     def positions(self) -> Array:
         """Simulate and sample.
@@ -162,12 +170,12 @@ class Simulation:
         path = np.empty((CHUNK + 1, self._n_sims, len(self._robot.joints)))
         for first in range(0, n_ticks, CHUNK):
             last = min(first + CHUNK, n_ticks)
-            path[0, : periods.n] = periods.q.read()
+            periods.shown_rad(path[0])
             for k in range(first, last):
                 if alive[k] != periods.n:
                     periods.keep(int(alive[k]))
                 self._step(k, failed)
-                path[k + 1 - first, : periods.n] = periods.q.read()
+                periods.shown_rad(path[k + 1 - first])
                 if k % CHECK == 0 or k == n_ticks - 1:
                     failed |= self._batch.warning.reshape(self._n_sims, -1).any(axis=1)
             sampling.take(path, first, last)

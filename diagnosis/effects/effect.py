@@ -11,15 +11,16 @@ Hooks by kind of residual:
 - second encoder: `deflection_rad`, `sample_delay_s` and `encode`.
 """
 
+import math
 from abc import ABC
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import ClassVar
 
 import mujoco
 import mujoco.batch
 
-from diagnosis.arrays import Array
+from diagnosis.arrays import Array, Flags
 from diagnosis.robot import Robot
 
 
@@ -46,6 +47,8 @@ class Size:
     high: float
     typical: float
     """Size at which the effect is worth a name: start of a fit, and its scale."""
+    prior_std: float = math.inf
+    """Width of a normal prior around 0: a fit adds the residual size / prior_std. Infinite: none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +69,23 @@ class State:
     """(n_sims, n_joints); NaN where it is not logged."""
 
 
+@dataclass(frozen=True, slots=True)
+class Rotor:
+    """Degree of freedom that the motor of a joint turns in place of the joint, in some simulations.
+
+    It gets damping, dry friction and armature of the joint, and begins at its position and speed.
+    """
+
+    joint: int
+    """Index of the joint in the robot."""
+    name: str
+    """Hinge of the model."""
+    rows: Flags
+    """(n_sims,), True where the motor turns it."""
+    encoder_is_at_output: bool
+    """True if log and controller see the joint, False if they see the rotor."""
+
+
 @dataclass(slots=True)
 class Fields:
     """Numbers of the model and of the controllers, a row a simulation; `set_model` changes them."""
@@ -79,6 +99,8 @@ class Fields:
     armature_kgm2: Array
     batch: mujoco.batch.Batch
     """For all other fields: `batch.expand(name)`; the engine calls `set_const` once after all effects."""
+    rotors: list[Rotor] = field(default_factory=list)
+    """Motors that turn something else than their joint; an effect may add one."""
 
 
 @dataclass(slots=True)
