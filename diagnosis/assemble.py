@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Flags
-from diagnosis.joint_fits import Context, Present, noise_residuals
+from diagnosis.joint_fits import Context, Present
+from diagnosis.noise import noise_residuals
 from diagnosis.residuals import ResidualModel
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
 from diagnosis.robot import Robot
@@ -25,12 +26,13 @@ SLOW: Final = 0.1
 
 
 def assemble(
-    robot: Robot, selection: Selection, doubts: Sequence[Doubt], held_out: ResidualModel
+    robot: Robot, raw: ResidualModel, selection: Selection, doubts: Sequence[Doubt], held_out: ResidualModel
 ) -> Diagnosis:
     """Put the parts of a diagnosis together.
 
     Args:
         robot: The robot.
+        raw: Residuals of the motions that were fitted.
         selection: Models before and after.
         doubts: Findings with their alternatives.
         held_out: Residuals of motions that took no part; those of the fit where there are none.
@@ -43,15 +45,15 @@ def assemble(
         one for one in context.union.effects if np.any(chosen.sizes[context.union.columns([one])])
     )
     sizes = tuple(tuple(chosen.sizes[context.union.columns([one])].tolist()) for one in effects)
-    judged_rows = simulate_models(selection, held_out)
+    rows, fitted = simulate_models(selection, held_out), simulate_models(selection, raw)[2]
     return Diagnosis(
         robot=robot.name,
         kind=context.model.kind,
         seed=0,
         findings=tuple(describe_finding(context, chosen, doubt) for doubt in doubts),
         base=tuple(list_base(robot, context, chosen)),
-        errors=tuple(list_errors(selection, held_out, judged_rows)),
-        remaining=tuple(list_remainders(selection, held_out, judged_rows[2])),
+        errors=tuple(list_errors(raw, fitted, held_out, rows)),
+        remaining=tuple(list_remainders(raw, fitted, held_out, rows[2])),
         refused=(),
         fitted_motions=context.model.motions,
         judged_motions=(),
@@ -182,51 +184,48 @@ def list_base(robot: Robot, context: Context, chosen: Present) -> list[Base]:
     return found
 
 
-def list_errors(selection: Selection, held_out: ResidualModel, rows: Array) -> list[JointError]:
+def list_errors(raw: ResidualModel, fitted: Array, held_out: ResidualModel, rows: Array) -> list[JointError]:
     """List the mean absolute residual of each joint.
 
     Args:
-        selection: Models before and after.
+        raw: Motions of the fit.
+        fitted: Their residuals with the chosen model, (n,), in the unit of the model.
         held_out: Motions that judge.
-        rows: Residuals of the nominal, the base and the chosen model, (3, n), in the unit of the model.
+        rows: Their residuals with the nominal, the base and the chosen model, (3, n), in the unit of the model.
 
     Returns:
         One record a joint.
     """
-    model = selection.context.model
-    base = np.zeros(len(model.joint_of))
-    for fit in selection.base.fits:
-        base[fit.rows] = fit.residuals
     found = []
     for j, name in enumerate(held_out.joints):
-        nominal, start, best = np.mean(np.abs(rows[:, held_out.joint_of == j]), axis=1).tolist()
-        noise = noise_residuals(model, base, j)
+        here = np.abs(rows[:, held_out.joint_of == j])
+        nominal, base, chosen = np.mean(here, axis=1).tolist()
+        noise = noise_residuals(raw, fitted, j)
         level = float(np.mean(np.abs(noise))) if len(noise) else float("nan")
-        found.append(JointError(name, held_out.unit, nominal, start, best, level))
+        found.append(JointError(name, held_out.unit, nominal, base, chosen, level))
     return found
 
 
-def list_remainders(selection: Selection, held_out: ResidualModel, residuals: Array) -> list[Remainder]:
+def list_remainders(
+    raw: ResidualModel, fitted: Array, held_out: ResidualModel, residuals: Array
+) -> list[Remainder]:
     """Say what no effect explains: joint, regime of speed, variable on which it depends.
 
     Args:
-        selection: Models before and after.
+        raw: Motions of the fit.
+        fitted: Their residuals with the chosen model, (n,), in the unit of the model.
         held_out: Motions that judge.
-        residuals: Residuals of the chosen model, (n,), in the unit of the model.
+        residuals: Their residuals with the chosen model, (n_held,), in the unit of the model.
 
     Returns:
         A record for each joint whose error is above its noise, or follows a variable where noise is unknown.
     """
-    model = selection.context.model
-    fitted = np.zeros(len(model.joint_of))
-    for fit in selection.chosen.fits:
-        fitted[fit.rows] = fit.residuals
     found = []
     for j, name in enumerate(held_out.joints):
-        ours, theirs = model.joint_of == j, held_out.joint_of == j
+        ours, theirs = raw.joint_of == j, held_out.joint_of == j
         error = float(np.mean(np.abs(residuals[theirs])))
-        variable, share = find_dependence(model, fitted, ours, held_out, residuals, theirs)
-        noise = noise_residuals(model, fitted, j)
+        variable, share = find_dependence(raw, fitted, ours, held_out, residuals, theirs)
+        noise = noise_residuals(raw, fitted, j)
         above = len(noise) and error > MIN_REMAINDER * float(np.mean(np.abs(noise)))
         if above or (not len(noise) and variable):
             regime = find_regime(held_out.explain("velocity")[theirs], residuals[theirs])

@@ -60,7 +60,7 @@ def diagnose(
     selection = select_effects(fitted, base_effects(robot, logs), known, seed=seed, report=meter.advance)
     doubts = doubt_findings(selection)
     judge = SimulationResiduals(robot, held_out, keep=usable) if held_out else fitted
-    result = assemble(robot, selection, doubts, judge)
+    result = assemble(robot, fitted, selection, doubts, judge)
     progress(1.0, "done")
     return replace(
         result,

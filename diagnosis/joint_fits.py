@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -11,6 +10,7 @@ from diagnosis.arrays import Array, Integers
 from diagnosis.catalogue import base_prior_std
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Hypothesis, Union, fit_hypotheses, measure_coupling, scale_residuals
+from diagnosis.noise import noise_losses, whiten_noise
 from diagnosis.residuals import ResidualModel
 
 FOLDS: Final = 4
@@ -87,32 +87,44 @@ def start_context(
 
 
 def fit_base(context: Context) -> tuple[Context, Present]:
-    """Fit the base parameters of each joint, twice: the scales follow from the first fit.
+    """Fit the base parameters of each joint twice: scales and noise follow from the first fit.
 
     Args:
         context: The context.
 
     Returns:
-        The context with its scales, and the base model.
+        The context with scales and noise, whose residuals are whitened where the noise is known; the base model.
     """
-    model, union = context.model, context.union
-    zero = np.zeros(len(union.sizes))
-    coupling = measure_coupling(model, union, zero, context.base)
-    context = replace(context, share=coupling <= MAX_COUPLING)
-    (residuals,) = model.residuals([], np.zeros((1, 0)))
-    context = replace(context, scales=scale_residuals(model, residuals))
-    sizes = zero
-    for _ in range(2):
-        fits = fit_joints(context, (), sizes)
-        sizes = merge_sizes(context, sizes, fits)
-        together = np.zeros(len(model.joint_of))
-        for fit in fits:
-            together[fit.rows] = fit.residuals
-        scales = scale_residuals(model, together)
-        noise = noise_losses(model, together, scales)
-        context = replace(context, scales=scales, noise_loss=noise)
+    raw, union = context.model, context.union
+    sizes = np.zeros(len(union.sizes))
+    coupling = measure_coupling(raw, union, sizes, context.base)
+    (residuals,) = raw.residuals([], np.zeros((1, 0)))
+    context = replace(context, share=coupling <= MAX_COUPLING, scales=scale_residuals(raw, residuals))
+    sizes, residuals, _ = fit_all_joints(context, sizes)
+    model = whiten_noise(raw, residuals)
+    (residuals,) = model.residuals(context.base, sizes[None, union.columns(context.base)])
+    context = replace(context, model=model, scales=scale_residuals(model, residuals))
+    sizes, residuals, fits = fit_all_joints(context, sizes)
+    context = replace(context, noise_loss=noise_losses(model, residuals, context.scales))
     scores = cross_validate(context, (), sizes)
     return replace(context, base_scores=scores), Present((), sizes, fits, scores)
+
+
+def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[Fit, ...]]:
+    """Fit the base parameters of all joints.
+
+    Args:
+        context: The context.
+        sizes: Sizes from which the fits start, (n_sizes,), in their own units.
+
+    Returns:
+        Sizes, (n_sizes,), residuals of all joints, (n,), and the fits.
+    """
+    fits = fit_joints(context, (), sizes)
+    together = np.zeros(len(context.model.joint_of))
+    for fit in fits:
+        together[fit.rows] = fit.residuals
+    return merge_sizes(context, sizes, fits), together, fits
 
 
 def free_columns(context: Context, effects: Sequence[Effect], place: str) -> Integers:
@@ -231,48 +243,6 @@ def motion_losses(context: Context, fit: Fit) -> Array:
     total = np.bincount(motion, weights=loss, minlength=len(model.motions))
     with np.errstate(invalid="ignore"):
         return np.asarray(total / count)
-
-
-def noise_residuals(model: ResidualModel, residuals: Array, joint: int) -> Array:
-    """Return the residuals that noise alone leaves, from motions that repeat one another.
-
-    The model moves alike in both, so that their difference is that of two noises.
-
-    Args:
-        model: The residual model.
-        residuals: (n,), in the unit of the model.
-        joint: Index of the joint.
-
-    Returns:
-        Differences over the square root of 2, (n_noise,); empty without repeats.
-    """
-    labels = model.repeat_of
-    groups = {label: [k for k, one in enumerate(labels) if one == label] for label in labels if label}
-    found = [np.empty(0)]
-    for members in groups.values():
-        rows = [np.flatnonzero((model.motion_of == k) & (model.joint_of == joint)) for k in members]
-        for first, second in pairwise(rows):
-            if len(first) == len(second):
-                found.append((residuals[first] - residuals[second]) / np.sqrt(2.0))
-    return np.concatenate(found)
-
-
-def noise_losses(model: ResidualModel, residuals: Array, scales: Array) -> Array:
-    """Return the mean loss that noise alone leaves at each joint.
-
-    Args:
-        model: The residual model.
-        residuals: (n,), in the unit of the model.
-        scales: (n_joints,), in the unit of the model.
-
-    Returns:
-        (n_joints,), without a unit; 0 where no motion was repeated.
-    """
-    found = np.zeros(len(model.joints))
-    for joint, scale in enumerate(scales):
-        z = noise_residuals(model, residuals, joint) / scale
-        found[joint] = float(np.mean(2.0 * (np.sqrt(1.0 + z * z) - 1.0))) if len(z) else 0.0
-    return found
 
 
 def compare(context: Context, joints: Sequence[int], before: Array, after: Array) -> tuple[float, float]:
