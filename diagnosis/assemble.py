@@ -191,7 +191,7 @@ def list_errors(raw: ResidualModel, fitted: Array, held_out: ResidualModel, rows
         raw: Motions of the fit.
         fitted: Their residuals with the chosen model, (n,), in the unit of the model.
         held_out: Motions that judge.
-        rows: Their residuals with the nominal, the base and the chosen model, (3, n), in the unit of the model.
+        rows: Their residuals with nominal, base and chosen model, (3, n), in the unit of the model.
 
     Returns:
         One record a joint.

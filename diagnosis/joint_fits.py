@@ -93,7 +93,7 @@ def fit_base(context: Context) -> tuple[Context, Present]:
         context: The context.
 
     Returns:
-        The context with scales and noise, whose residuals are whitened where the noise is known; the base model.
+        The context with scales and noise, residuals whitened where the noise is known; and the base model.
     """
     raw, union = context.model, context.union
     sizes = np.zeros(len(union.sizes))

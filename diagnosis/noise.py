@@ -1,4 +1,4 @@
-"""Noise of measured positions, from motions that repeat one another: its level and its correlation in time."""
+"""Noise from motions that repeat one another: its level and its correlation in time."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -13,8 +13,8 @@ from diagnosis.residuals import ResidualModel
 class WhitenedResiduals:
     """Residuals from which the part is subtracted that the noise of the sample before predicts.
 
-    The noise is taken for a first-order autoregression. What is left of it is white, so that a slow change does
-    not hide in it, and a sum over samples has the variance that it seems to have.
+    The noise is taken for a first-order autoregression. What is left of it is white: a sum over samples has the
+    variance that it seems to have.
     """
 
     def __init__(self, raw: ResidualModel, correlation: Array) -> None:
@@ -22,7 +22,7 @@ class WhitenedResiduals:
 
         Args:
             raw: The residual model.
-            correlation: Correlation of neighbouring samples of the noise of each joint, (n_joints,), unitless.
+            correlation: Correlation of neighbouring samples of the noise, (n_joints,), as a ratio.
         """
         self.raw, self.correlation = raw, correlation
         self.kind, self.unit, self.joints, self.motions = raw.kind, raw.unit, raw.joints, raw.motions
@@ -43,7 +43,8 @@ class WhitenedResiduals:
     def whiten(self, residuals: Array) -> Array:
         """Return residuals, (.., n), less what noise predicts from the sample before."""
         before = np.concatenate([residuals[..., :1], residuals[..., :-1]], axis=-1)
-        return (residuals - self._decay * before) * self._scale
+        white: Array = (residuals - self._decay * before) * self._scale
+        return white
 
     def select(self, motions: Sequence[str]) -> ResidualModel:
         """Return the whitened residuals of these motions alone."""
