@@ -35,7 +35,7 @@ class JointScales:
     command_high: float
     command_speed: float
     torque_Nm: float
-    """Torque limit, or the largest torque of gravity and inertia where it is unlimited."""
+    """Torque limit. Where it is unlimited: the largest of logged torque and that of gravity and inertia."""
     hottest_degC: float
     """NaN where the temperature is not logged."""
     coldest_degC: float
@@ -80,6 +80,7 @@ def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScal
         if not logs:
             continue
         q = np.concatenate([log.position.value for log in logs])
+        torques = [log.torque.value for log in logs if log.torque is not None]
         commands = [log.command for log in logs if log.command is not None]
         heats = [log.temperature.value for log in logs if log.temperature is not None]
         command = np.concatenate([one.value for one in commands]) if commands else np.array([np.nan])
@@ -98,7 +99,7 @@ def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScal
             command_low=float(command.min()),
             command_high=float(command.max()),
             command_speed=_high([_slope(one).value for one in commands]),
-            torque_Nm=_torque_Nm(robot, j, q, acceleration),
+            torque_Nm=_torque_Nm(robot, j, q, acceleration, torques),
             hottest_degC=float(heat.max()),
             coldest_degC=float(heat.min()),
         )
@@ -123,12 +124,12 @@ def _high(values: Sequence[Array]) -> float:
     return max(float(np.quantile(np.abs(np.concatenate(values)), QUANTILE)), 1e-6)
 
 
-def _torque_Nm(robot: Robot, j: int, q: Array, acceleration: float) -> float:
+def _torque_Nm(robot: Robot, j: int, q: Array, acceleration: float, logged: Sequence[Array]) -> float:
     joint = robot.joints[j]
     if np.isfinite(joint.torque_limit_Nm):
         return joint.torque_limit_Nm
     data = mujoco.MjData(robot.model)
-    largest = 0.0
+    largest = _high(logged) if logged else 0.0
     for angle in np.linspace(q.min(), q.max(), 9):
         data.qpos[joint.qpos_index] = angle
         mujoco.mj_forward(robot.model, data)
