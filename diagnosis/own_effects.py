@@ -50,14 +50,14 @@ def load_effects(path: str | Path, robot: Robot, logs: Logs) -> tuple[Effect, ..
     found = _run(place, "its effects cannot be made", make)
     if not found:
         raise RobotError(
-            f"{place}: no effect; give a subclass of JointEffect, or a function effects(robot, logs)"
+            f"{place}: no effect; give a subclass of JointEffect or a function effects(robot, logs)"
         )
     effects = tuple(_checked(place, one) for one in found)
     keys = [effect.key for effect in effects]
     for key in keys:
         if keys.count(key) > 1:
             raise RobotError(
-                f"{place}: {keys.count(key)} effects have the key {key!r}; give each its own name or place"
+                f"{place}: {keys.count(key)} effects have the key {key!r}; give each its own name"
             )
     return effects
 
