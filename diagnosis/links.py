@@ -160,7 +160,9 @@ def _contact(robot: Robot, motions: Sequence[Motion]) -> list[Effect]:
     lost_m = measured_m - commanded_m
     if lost_m < HEIGHT_ERROR_M:
         return []
-    return [PlaneContact(robot.tool_site, commanded_m, lost_m + HEIGHT_ERROR_M)]
+    # in some poses another point touches than the site, up to half the tool away: the site then goes lower
+    tool_m = float(np.linalg.norm(robot.model.site_pos[robot.model.site(robot.tool_site).id]))
+    return [PlaneContact(robot.tool_site, commanded_m, lost_m + HEIGHT_ERROR_M + 0.5 * tool_m)]
 
 
 def _lowest_m(robot: Robot, motion: Motion, is_commanded: bool) -> float:

@@ -149,7 +149,7 @@ def test_a_plane_is_offered_where_commands_go_below_the_lowest_measured_height()
     ]
     assert len(plane) == 1
     assert plane[0].lowest_m == pytest.approx(-0.3, abs=1e-6)
-    assert plane[0].sizes[0].high == pytest.approx(0.05 + 0.01, abs=1e-3)
+    assert plane[0].sizes[0].high == pytest.approx(0.05 + 0.01 + 0.15, abs=1e-3)
     free = catalogue(robot, logs_of(robot, command, command))
     assert not [one for one in free if one.family is Family.CONTACT]
 
