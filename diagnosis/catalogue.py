@@ -7,16 +7,30 @@ Effects that no log can tell apart stay in the catalogue side by side; the sets 
 together. docs/robot-effects.md lists these pairs.
 """
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
-import numpy as np
-
-from diagnosis.arrays import Array
-from diagnosis.effects.actuation import GainError
-from diagnosis.effects.command import CommandDelay
+from diagnosis.effects.actuation import (
+    BackEmf,
+    DampingGain,
+    DeadZone,
+    GainError,
+    LeakyIntegral,
+    SupplySag,
+    TorqueConstant,
+    TorqueLimit,
+)
+from diagnosis.effects.command import (
+    AccelerationLimit,
+    ClampHigh,
+    ClampLow,
+    CommandDelay,
+    VelocityLimit,
+)
 from diagnosis.effects.effect import Effect
+from diagnosis.effects.external import ConstantTorque, PeriodicTorque, PositionTorque, Spring
 from diagnosis.effects.friction import (
     AsymmetricFriction,
     CoulombFriction,
@@ -28,16 +42,13 @@ from diagnosis.effects.friction import (
 from diagnosis.effects.inertia import Armature
 from diagnosis.effects.joint import JointEffect, JointScales, joint_scales
 from diagnosis.effects.timing import EncoderScale, JointZero, MeasurementDelay
-from diagnosis.links import link_effects
+from diagnosis.links import depends_on_angle, link_effects
 from diagnosis.logs import JointLog, Logs, Motion
 from diagnosis.robot import ControlMode, Robot, RobotJoint
 from diagnosis.transmissions import transmission_effects
 
 WARMING_K: Final = 5.0
 """Least range of temperature with which friction can be seen to vary: servos show whole kelvins."""
-BASE_PRIOR: Final = 10.0
-"""Width of the prior of a base effect in typical sizes. Data that show a typical size outweigh it a
-hundredfold; data that show nothing leave the nominal value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,14 +58,24 @@ class _Facts:
     joint: RobotJoint
     scales: JointScales
     logs: tuple[JointLog, ...]
+    zero_is_seen: bool
 
     @property
     def has_command(self) -> bool:
         return any(log.command is not None for log in self.logs)
 
     @property
-    def has_loop(self) -> bool:
+    def has_position_loop(self) -> bool:
+        return self.has_command and self.joint.mode is ControlMode.POSITION
+
+    @property
+    def has_damping_loop(self) -> bool:
         return self.has_command and self.joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY)
+
+    @property
+    def has_limit(self) -> bool:
+        """Return whether torque constant and gain error differ: they do at a limit of the torque."""
+        return self.has_command and math.isfinite(self.joint.torque_limit_Nm)
 
     @property
     def warms(self) -> bool:
@@ -68,22 +89,43 @@ def _always(facts: _Facts) -> bool:
     return True
 
 
+def _command(facts: _Facts) -> bool:
+    return facts.has_command
+
+
+def _position_loop(facts: _Facts) -> bool:
+    return facts.has_position_loop
+
+
 JOINT_EFFECTS: Final[tuple[tuple[type[JointEffect], _Condition], ...]] = (
     (StribeckFriction, _always),
     (LoadFriction, _always),
     (AsymmetricFriction, _always),
     (TemperatureFriction, lambda facts: facts.warms),
-    (CommandDelay, lambda facts: facts.has_command),
+    (DampingGain, lambda facts: facts.has_damping_loop),
+    (TorqueConstant, lambda facts: facts.has_limit),
+    (TorqueLimit, _command),
+    (BackEmf, _command),
+    (DeadZone, _position_loop),
+    (LeakyIntegral, _position_loop),
+    (VelocityLimit, _position_loop),
+    (AccelerationLimit, _position_loop),
+    (ClampLow, _command),
+    (ClampHigh, _command),
+    (ConstantTorque, _always),
+    (Spring, _always),
+    (PositionTorque, _always),
+    (CommandDelay, _command),
     (MeasurementDelay, _always),
     (EncoderScale, _always),
-    (JointZero, _always),
+    (JointZero, lambda facts: facts.zero_is_seen),
 )
 """Effects at one joint, and where each makes sense. Velocity and load of any log show friction."""
 BASE_EFFECTS: Final[tuple[tuple[type[JointEffect], _Condition], ...]] = (
     (ViscousFriction, _always),
     (CoulombFriction, _always),
     (Armature, _always),
-    (GainError, lambda facts: facts.has_loop),
+    (GainError, _command),
 )
 """Nuisances of a joint that is not known, and candidates at one that is."""
 
@@ -103,7 +145,12 @@ def catalogue(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
     for facts in all_facts:
         tables = (JOINT_EFFECTS, BASE_EFFECTS) if facts.joint.is_known else (JOINT_EFFECTS,)
         found += _at(robot, facts, [row for table in tables for row in table])
+        if facts.joint.gear_ratio > 1:  # a turn of the motor: the only order that a robot file knows
+            scale = {facts.joint.name: facts.scales}
+            found.append(PeriodicTorque.of_order(robot, facts.joint.name, scale, facts.joint.gear_ratio))
     scales = {facts.joint.name: facts.scales for facts in all_facts}
+    if len(all_facts) == len(robot.joints) and all(facts.has_command for facts in all_facts):
+        found.append(SupplySag.of(robot, scales))
     found += transmission_effects(robot, logs.fit, scales)
     found += link_effects(robot, logs.fit, scales)
     return tuple(found)
@@ -117,26 +164,12 @@ def base_effects(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
         logs: Logs, of which the motions that are fitted give bounds and scales.
 
     Returns:
-        Effects; `base_prior_std` has their priors.
+        Effects, whose sizes have priors. These decide only what the data do not: the armature of a joint
+        that never accelerates, or friction at one that never moves.
     """
     unknown = [facts for facts in _facts(robot, logs.fit) if not facts.joint.is_known]
-    return tuple(effect for facts in unknown for effect in _at(robot, facts, BASE_EFFECTS))
-
-
-def base_prior_std(effects: Sequence[Effect]) -> Array:
-    """Return the widths of the normal priors of base effects around their nominal values, which are size 0.
-
-    A fit adds the residuals size / width. They decide only what the data do not: the armature of a joint that
-    never accelerates, or friction at one that never moves.
-
-    Args:
-        effects: Base effects.
-
-    Returns:
-        Widths of all sizes one after the other, (n_sizes,), in the units of the sizes.
-    """
-    sizes = [size for effect in effects for size in effect.sizes]
-    return np.array([min(size.prior_std, BASE_PRIOR * size.typical) for size in sizes])
+    found = [effect for facts in unknown for effect in _at(robot, facts, BASE_EFFECTS)]
+    return tuple(replace(effect, is_base=True) for effect in found)
 
 
 def _facts(robot: Robot, motions: Sequence[Motion]) -> list[_Facts]:
@@ -146,6 +179,7 @@ def _facts(robot: Robot, motions: Sequence[Motion]) -> list[_Facts]:
             joint,
             scales[joint.name],
             tuple(motion.joints[joint.name] for motion in motions if joint.name in motion.joints),
+            depends_on_angle(robot, joint.name, scales),
         )
         for joint in robot.joints
         if joint.name in scales

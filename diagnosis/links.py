@@ -1,6 +1,7 @@
 """Effects of links, base and surroundings that a robot and its logs may show, with their typical sizes."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Final
 
 import mujoco
@@ -103,12 +104,36 @@ def _changes_torques(robot: Robot, effect: Effect, scales: Mapping[str, JointSca
     fields = Fields(none, none, none, none, none, none, batch)  # these effects change the model alone
     effect.set_model(np.array([[size.typical for size in effect.sizes]]), fields, robot)
     batch.set_const()
-    torques = [_torques_Nm(model, robot, scales) for model in (robot.model, batch.get_model(0))]
-    largest_Nm = np.abs(torques[0]).max()
-    return bool(np.abs(torques[1] - torques[0]).max() > SEEN_TORQUE * largest_Nm)
+    nominal, changed = (_torques_Nm(model, robot, scales) for model in (robot.model, batch.get_model(0)))
+    return _differ(nominal, changed)
 
 
-def _torques_Nm(model: mujoco.MjModel, robot: Robot, scales: Mapping[str, JointScales]) -> Array:
+def depends_on_angle(robot: Robot, place: str, scales: Mapping[str, JointScales]) -> bool:
+    """Check whether a torque depends on the angle of a joint; that of a vertical first axis changes none.
+
+    Args:
+        robot: Robot.
+        place: Name of the joint.
+        scales: Numbers of the joints.
+
+    Returns:
+        True if the zero of the joint can be seen.
+    """
+    nominal, turned = (_torques_Nm(robot.model, robot, scales, turn) for turn in ({}, {place: 0.1}))
+    return _differ(nominal, turned)
+
+
+def _differ(nominal_Nm: Array, changed_Nm: Array) -> bool:
+    return bool(np.abs(changed_Nm - nominal_Nm).max() > SEEN_TORQUE * np.abs(nominal_Nm).max())
+
+
+def _torques_Nm(
+    model: mujoco.MjModel,
+    robot: Robot,
+    scales: Mapping[str, JointScales],
+    turn_rad: Mapping[str, float] = MappingProxyType({}),
+) -> Array:
+    """Compute torques of random motions in the range of the logs, with joints turned further."""
     rng = np.random.default_rng(0)  # any poses would do
     data = mujoco.MjData(model)
     torques = []
@@ -116,7 +141,7 @@ def _torques_Nm(model: mujoco.MjModel, robot: Robot, scales: Mapping[str, JointS
         for joint in robot.joints:
             if joint.name in scales:
                 s = scales[joint.name]
-                data.qpos[joint.qpos_index] = rng.uniform(s.low_rad, s.high_rad)
+                data.qpos[joint.qpos_index] = rng.uniform(s.low_rad, s.high_rad) + turn_rad.get(joint.name, 0)
                 data.qvel[joint.dof_index] = s.speed_rad_s * rng.uniform(-1, 1)
                 data.qacc[joint.dof_index] = s.acceleration_rad_s2 * rng.uniform(-1, 1)
         mujoco.mj_inverse(model, data)
@@ -135,7 +160,9 @@ def _contact(robot: Robot, motions: Sequence[Motion]) -> list[Effect]:
     lost_m = measured_m - commanded_m
     if lost_m < HEIGHT_ERROR_M:
         return []
-    return [PlaneContact(robot.tool_site, commanded_m, lost_m + HEIGHT_ERROR_M)]
+    # in some poses another point touches than the site, up to half the tool away: the site then goes lower
+    tool_m = float(np.linalg.norm(robot.model.site_pos[robot.model.site(robot.tool_site).id]))
+    return [PlaneContact(robot.tool_site, commanded_m, lost_m + HEIGHT_ERROR_M + 0.5 * tool_m)]
 
 
 def _lowest_m(robot: Robot, motion: Motion, is_commanded: bool) -> float:

@@ -50,14 +50,14 @@ def load_effects(path: str | Path, robot: Robot, logs: Logs) -> tuple[Effect, ..
     found = _run(place, "its effects cannot be made", make)
     if not found:
         raise RobotError(
-            f"{place}: no effect; give a subclass of JointEffect, or a function effects(robot, logs)"
+            f"{place}: no effect; give a subclass of JointEffect or a function effects(robot, logs)"
         )
     effects = tuple(_checked(place, one) for one in found)
     keys = [effect.key for effect in effects]
     for key in keys:
         if keys.count(key) > 1:
             raise RobotError(
-                f"{place}: {keys.count(key)} effects have the key {key!r}; give each its own name or place"
+                f"{place}: {keys.count(key)} effects have the key {key!r}; give each its own name"
             )
     return effects
 
@@ -112,7 +112,7 @@ def _checked(place: str, effect: object) -> Effect:
         is_finite = math.isfinite(size.low) and math.isfinite(size.high)
         if not (is_finite and size.low <= 0 < size.typical <= size.high):
             raise RobotError(
-                f"{place}: {size.name} of {kind} has the bounds {size.low:g} to {size.high:g} and the typical "
+                f"{place}: {size.name} of {kind} has bounds {size.low:g} to {size.high:g} and the typical "
                 f"size {size.typical:g}; right is low <= 0 < typical <= high, all finite"
             )
     if not any(effect.overrides(hook) for hook in HOOKS):
