@@ -168,7 +168,7 @@ def list_base(robot: Robot, context: Context, chosen: Present) -> list[Base]:
     for effect in context.base:
         for column, size in zip(context.union.columns([effect]), effect.sizes, strict=True):
             low, high = find_interval(context, chosen, int(column))
-            known = high - low < min(2.0 * context.union.prior_std[column], size.high - size.low)
+            known = high - low < min(2.0 * size.prior_std, size.high - size.low)
             loaded = robot.joint(effect.place).is_loaded_by_gravity
             nominal = effect.nominal
             found.append(

@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
-from diagnosis.catalogue import base_prior_std
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Hypothesis, Union, fit_hypotheses, measure_coupling, scale_residuals
 from diagnosis.noise import noise_losses, whiten_noise
@@ -78,8 +77,7 @@ def start_context(
     order = np.random.default_rng(seed).permutation(len(model.motions))
     count = min(FOLDS, len(order))
     folds = tuple(frozenset(int(m) for m in order[k::count]) for k in range(count))
-    free = [size.prior_std for effect in rivals for size in effect.sizes]
-    union = Union((*base, *rivals), (*base_prior_std(base).tolist(), *free))
+    union = Union((*base, *rivals))
     ones = np.ones(len(model.joints))
     return Context(
         model, union, tuple(base), rivals, ones, 0.0 * ones, np.empty((0, 0)), False, folds, seed, report
