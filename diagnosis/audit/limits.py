@@ -71,8 +71,8 @@ def _cut_off(
         )
         return Remark(Kind.SATURATION, joint.name, names, text, value, interval, "rad")
     text = (
-        f"the command is cut off at {value:.3f} rad: the position stops there, {count}, while the command "
-        f"goes on to {furthest:.3f} rad{_effort_words(joint.name, motions, rest, at)}"
+        f"the position stops at {value:.3f} rad ({interval[0]:.3f} to {interval[1]:.3f}), {count}, while the "
+        f"command goes on to {furthest:.3f} rad{_effort_words(joint.name, motions, rest, at)}"
     )
     return Remark(Kind.CUT_OFF, joint.name, names, text, value, interval, "rad")
 

@@ -244,3 +244,19 @@ def test_table_and_clamp_of_the_measured_so101_are_named(real_data):
 def test_logs_of_other_robots_lose_no_sample(real_data, robot, logs):
     loaded = Robot.from_toml(ROOT / f"models/robots/{robot}/robot.toml")
     assert audit(loaded, load(loaded, [real_data / one for one in logs])).refused == ()
+
+
+def test_joints_without_commands_are_audited_for_the_rest(clean):
+    logs = with_joint(clean, "elbow", lambda log: replace(log, command=None))
+    assert audit(planar_arm(), logs).remarks == ()
+
+
+def test_a_motion_of_one_sample_is_audited():
+    logs = slow_logs(planar_arm(), count=1)
+
+    def cut(log):
+        first = Signal(log.position.time_s[:1], log.position.value[:1])
+        return replace(log, position=first, command=first)
+
+    found = audit(planar_arm(), with_joint(with_joint(logs, "elbow", cut), "shoulder", cut))
+    assert found.is_usable("motion 0", "elbow").tolist() == [True]
