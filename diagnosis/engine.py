@@ -45,7 +45,7 @@ class Engine:
         """Simulate candidates and sample what the encoders show.
 
         Args:
-            sizes: Sizes of all effects one after the other, (n_candidates, total sizes).
+            sizes: Sizes of all effects one after the other, (n_candidates, n_sizes), each in its own unit.
 
         Returns:
             Positions, (n_candidates, n_samples) [rad], in the order of windows, joints, times; NaN in

@@ -110,7 +110,10 @@ def _window(
     n_lead = round(LEAD_S / period_s)
     n_ticks = max(1, int(np.ceil((high_s - low_s) / period_s - 1e-9)))
     starts = [local_line(log.position, low_s) for log in logs]
-    edges_s: Array = low_s + period_s * np.arange(-n_lead, n_ticks + 1, dtype=float)
+    # a step of the integrator uses the force at its beginning for the whole of it: half a step earlier, the
+    # command acts at its own time, and the error falls with the square of the step
+    middle_s = low_s - 0.5 * float(robot.model.opt.timestep)
+    edges_s: Array = middle_s + period_s * np.arange(-n_lead, n_ticks + 1, dtype=float)
     times, values = [], []
     for log, mask in zip(logs, masks, strict=True):
         time_s = log.position.time_s

@@ -119,7 +119,7 @@ class ClampLow(_Clamp):
     def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
         """Cut low commands off; at size 0 also those pass that no fitted motion had."""
         cut = np.maximum(command, self.scales.command_low + size[:, :1])
-        return np.where(size[:, :1] > 0.0, cut, command)
+        return np.asarray(np.where(size[:, :1] > 0.0, cut, command))
 
     def describe(self, size: Array) -> str:
         """Return the end."""
@@ -135,7 +135,7 @@ class ClampHigh(_Clamp):
     def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
         """Cut high commands off; at size 0 also those pass that no fitted motion had."""
         cut = np.minimum(command, self.scales.command_high - size[:, :1])
-        return np.where(size[:, :1] > 0.0, cut, command)
+        return np.asarray(np.where(size[:, :1] > 0.0, cut, command))
 
     def describe(self, size: Array) -> str:
         """Return the end."""

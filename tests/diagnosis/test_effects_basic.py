@@ -50,9 +50,9 @@ from tests.diagnosis.pendulum import (
 TIME_s = np.arange(0, 2, 0.01)
 KINDS: list[type[JointEffect]] = [
     AccelerationLimit, Armature, AsymmetricFriction, BackEmf, ClampHigh, ClampLow, CommandDelay,
-    ConstantTorque, CoulombFriction, DampingGain, DeadZone, EncoderScale, GainError, JointZero, LeakyIntegral, LoadFriction,
-    MeasurementDelay, PeriodicTorque, PositionTorque, Spring, StribeckFriction, TemperatureFriction,
-    TorqueConstant, TorqueLimit, VelocityLimit, ViscousFriction,
+    ConstantTorque, CoulombFriction, DampingGain, DeadZone, EncoderScale, GainError, JointZero,
+    LeakyIntegral, LoadFriction, MeasurementDelay, PeriodicTorque, PositionTorque, Spring,
+    StribeckFriction, TemperatureFriction, TorqueConstant, TorqueLimit, VelocityLimit, ViscousFriction,
 ]  # fmt: skip
 LINK_kgm2 = MASS_kg * LENGTH_m**2
 Torque = Callable[[float, float, float], float]
@@ -82,7 +82,7 @@ def exact(torque: Torque, inertia_kgm2: float = INERTIA_kgm2) -> Array:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_size_of_0_changes_no_bit_beside_candidates_that_have_the_effect(kind: type[JointEffect]) -> None:
-    robot = pendulum(limit_Nm=0.4)
+    robot = pendulum(limit_Nm=0.6)
     heat = Signal(TIME_s, np.full(TIME_s.size, 30.0))
     log = motion(TIME_s, 0 * TIME_s, 1.2 * np.sin(6 * TIME_s), temperature=heat)
     model = SimulationResiduals(robot, [log], n_threads=1)
