@@ -8,11 +8,21 @@ import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect
-from diagnosis.fit import Fit, Hypothesis, Union, fit_hypotheses, measure_coupling, scale_residuals
+from diagnosis.fit import (
+    MAX_ITERATIONS,
+    Fit,
+    Hypothesis,
+    Union,
+    fit_hypotheses,
+    measure_coupling,
+    scale_residuals,
+)
 from diagnosis.noise import noise_losses, whiten_noise
 from diagnosis.residuals import ResidualModel
 
 FOLDS: Final = 4
+WARM: Final = 2
+"""Steps of a fit without one fold, which begins at the optimum of all motions and ends near it."""
 MAX_COUPLING: Final = 0.02
 """Largest share of a change that may show at another joint when joints share a simulation."""
 Report = Callable[[str, int], None]
@@ -158,13 +168,16 @@ def fit_joints(
     return tuple(run(context, free, "fit"))
 
 
-def run(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> list[Fit]:
+def run(
+    context: Context, hypotheses: Sequence[Hypothesis], text: str, iterations: int = MAX_ITERATIONS
+) -> list[Fit]:
     """Fit hypotheses in this context.
 
     Args:
         context: The context.
         hypotheses: The hypotheses.
         text: Name of the work, for the progress.
+        iterations: Most steps of each fit.
 
     Returns:
         The fits.
@@ -175,6 +188,7 @@ def run(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> list[F
         hypotheses,
         context.scales,
         share=context.share,
+        iterations=iterations,
         report=lambda count: context.report(text, count),
     )
 
@@ -213,7 +227,7 @@ def cross_validate(context: Context, effects: Sequence[Effect], sizes: Array) ->
         for fold in context.folds
         for j, name in enumerate(names)
     ]
-    fits = run(context, hypotheses, "cross-validation")
+    fits = run(context, hypotheses, "cross-validation", WARM)
     scores = np.full((len(names), len(context.model.motions)), np.nan)
     for hypothesis, fit in zip(hypotheses, fits, strict=True):
         left_out = sorted(hypothesis.left_out)

@@ -13,6 +13,7 @@ from diagnosis.arrays import Array
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import ALL_JOINTS, Fit, Hypothesis, evaluate_points
 from diagnosis.joint_fits import (
+    WARM,
     Context,
     Present,
     Report,
@@ -37,7 +38,7 @@ FALSE_ALARM: Final = 0.05
 """Largest family-wise probability of a screening score without an effect."""
 MAX_EFFECTS: Final = 3
 """Most effects at one joint beside the base parameters: more describe a residual rather than explain it."""
-SHORTLIST: Final = 4
+SHORTLIST: Final = 5
 """Effects of a joint that are refitted in a round."""
 MAX_WORSE: Final = 0.10
 """Largest share by which an effect may worsen another joint."""
@@ -152,7 +153,8 @@ def screen(context: Context, present: Present, open_joints: set[int]) -> list[Sc
     everything = [score for group in best.values() for score in group.values()]
     chance = family_wise_p(everything, context.seed)
     likely = {score.effect.key for score, p in zip(everything, chance, strict=True) if p <= FALSE_ALARM}
-    ranked = [sorted(group.values(), key=lambda one: -one.gain) for group in best.values()]
+    # the order of the F statistic: an effect with many sizes has to explain more
+    ranked = [sorted(group.values(), key=lambda s: -s.gain / len(s.effect.sizes)) for group in best.values()]
     likely_ones = [[one for one in group if one.effect.key in likely] for group in ranked]
     return [score for group in likely_ones for score in group[:SHORTLIST]]
 
@@ -198,7 +200,7 @@ def judge(context: Context, present: Present, shortlist: Sequence[Score]) -> lis
         for start, fit in zip(starts, fits, strict=True)
         for fold in context.folds
     ]
-    parts = iter(run(context, folds, "cross-validation"))
+    parts = iter(run(context, folds, "cross-validation", WARM))
     candidates = []
     for score, start, fit in zip(local, starts, fits, strict=True):
         scores = np.full(len(context.model.motions), np.nan)
@@ -284,9 +286,10 @@ def choose(context: Context, present: Present, candidates: Sequence[Candidate]) 
     """
     good = [one for one in candidates if one.gain >= MIN_SHARE and one.z > MIN_Z and not one.at_bound]
     good = [one for one in good if not worsens_another(context, present, one)]
-    best: dict[tuple[int, ...], Candidate] = {}
-    for one in sorted(good, key=lambda one: -one.gain):
-        best.setdefault(one.joints if len(one.joints) == 1 else (ALL_JOINTS,), one)
+    groups: dict[tuple[int, ...], list[Candidate]] = {}
+    for one in good:
+        groups.setdefault(one.joints if len(one.joints) == 1 else (ALL_JOINTS,), []).append(one)
+    best = {joints: simplest(group) for joints, group in groups.items()}
     body = best.pop((ALL_JOINTS,), None)
     local = list(best.values())
     if body is None:
@@ -295,6 +298,28 @@ def choose(context: Context, present: Present, candidates: Sequence[Candidate]) 
     # one effect that does as much as several is the simpler explanation
     enough = (1.0 - MIN_SHARE) * removed if len(local) > 1 else removed
     return [body] if _improvement(present, body) > enough else local
+
+
+def simplest(candidates: Sequence[Candidate]) -> Candidate:
+    """Choose the effect with the fewest sizes among those that do as well as the best.
+
+    As well means within one standard error of the best, motion by motion (Breiman and others 1984).
+
+    Args:
+        candidates: Effects for the same joints.
+
+    Returns:
+        The effect; of several with as few sizes the best.
+    """
+    best = max(candidates, key=lambda one: one.gain)
+    alike = []
+    for one in candidates:
+        worse = np.nanmean(one.scores - best.scores, axis=0)
+        worse = worse[~np.isnan(worse)]
+        error = float(np.std(worse, ddof=1) / np.sqrt(len(worse))) if len(worse) > 1 else 0.0
+        if one is best or float(np.mean(worse)) <= error:
+            alike.append(one)
+    return min(alike, key=lambda one: (len(one.effect.sizes), -one.gain))
 
 
 def _improvement(present: Present, candidate: Candidate) -> float:
