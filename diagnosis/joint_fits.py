@@ -9,10 +9,10 @@ import numpy as np
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import (
-    MAX_ITERATIONS,
     Fit,
     Hypothesis,
     Union,
+    evaluate_points,
     fit_hypotheses,
     measure_coupling,
     scale_residuals,
@@ -21,8 +21,6 @@ from diagnosis.noise import noise_losses, whiten_noise
 from diagnosis.residuals import ResidualModel
 
 FOLDS: Final = 4
-WARM: Final = 2
-"""Steps of a fit without one fold, which begins at the optimum of all motions and ends near it."""
 MAX_COUPLING: Final = 0.02
 """Largest share of a change that may show at another joint when joints share a simulation."""
 Report = Callable[[str, int], None]
@@ -114,7 +112,7 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     context = replace(context, model=model, scales=scale_residuals(model, residuals))
     sizes, residuals, fits = fit_all_joints(context, sizes)
     context = replace(context, noise_loss=noise_losses(model, residuals, context.scales))
-    scores = cross_validate(context, (), sizes)
+    scores = np.array(cross_validate(context, list(enumerate(fits))))
     return replace(context, base_scores=scores), Present((), sizes, fits, scores)
 
 
@@ -168,16 +166,13 @@ def fit_joints(
     return tuple(run(context, free, "fit"))
 
 
-def run(
-    context: Context, hypotheses: Sequence[Hypothesis], text: str, iterations: int = MAX_ITERATIONS
-) -> list[Fit]:
+def run(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> list[Fit]:
     """Fit hypotheses in this context.
 
     Args:
         context: The context.
         hypotheses: The hypotheses.
         text: Name of the work, for the progress.
-        iterations: Most steps of each fit.
 
     Returns:
         The fits.
@@ -188,7 +183,6 @@ def run(
         hypotheses,
         context.scales,
         share=context.share,
-        iterations=iterations,
         report=lambda count: context.report(text, count),
     )
 
@@ -210,49 +204,76 @@ def merge_sizes(context: Context, sizes: Array, fits: Sequence[Fit]) -> Array:
     return merged
 
 
-def cross_validate(context: Context, effects: Sequence[Effect], sizes: Array) -> Array:
-    """Fit every joint without each fold, and measure the error on the fold.
+def cross_validate(context: Context, fits: Sequence[tuple[int, Fit]]) -> list[Array]:
+    """Leave out each fold of motions, and measure the loss on the fold.
+
+    A fit without a fold begins at the optimum of all motions and takes one Gauss-Newton step, with the
+    Jacobian of that optimum. It is then simulated, so that nothing of its loss is linearised.
 
     Args:
         context: The context.
-        effects: Accepted effects.
-        sizes: Sizes from which the fits start, (n_sizes,), in their own units.
+        fits: Index of the joint, or ALL_JOINTS, and the fit.
 
     Returns:
-        Mean loss of left-out motions, (n_joints, n_motions).
+        Mean losses of left-out motions of each fit, (n_motions,) each, without a unit.
     """
-    names = context.model.joints
-    hypotheses = [
-        Hypothesis(free_columns(context, effects, name), sizes, j, fold)
-        for fold in context.folds
-        for j, name in enumerate(names)
-    ]
-    fits = run(context, hypotheses, "cross-validation", WARM)
-    scores = np.full((len(names), len(context.model.motions)), np.nan)
-    for hypothesis, fit in zip(hypotheses, fits, strict=True):
-        left_out = sorted(hypothesis.left_out)
-        scores[hypothesis.joint, left_out] = motion_losses(context, fit)[left_out]
-    return scores
+    points = [(joint, step_without(context, fit, fold)) for joint, fit in fits for fold in context.folds]
+    rows = iter(evaluate_points(context.model, context.union, points, share=context.share))
+    context.report("cross-validation", len(points))
+    found = []
+    for _, fit in fits:
+        scores = np.full(len(context.model.motions), np.nan)
+        for fold in context.folds:
+            left_out = sorted(fold)
+            scores[left_out] = motion_losses(context, fit.rows, next(rows))[left_out]
+        found.append(scores)
+    return found
 
 
-def motion_losses(context: Context, fit: Fit) -> Array:
-    """Return the mean pseudo-Huber loss of each motion.
-
-    It is the loss that the fit minimises: square of small residuals, absolute value of large ones.
+def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:
+    """Return the sizes of a fit after one step without a fold of motions.
 
     Args:
         context: The context.
-        fit: A fit.
+        fit: Fit of all motions.
+        fold: Indices of motions that take no part.
+
+    Returns:
+        (n_sizes,), in their own units.
+    """
+    model, free = context.model, fit.columns
+    sizes = [context.union.sizes[c] for c in free]
+    prior = np.array([1.0 / size.prior_std**2 for size in sizes])
+    weight = 1.0 / context.scales[model.joint_of[fit.rows]]
+    robust = weight * (1.0 + (fit.residuals * weight) ** 2) ** -0.25
+    robust[np.isin(model.motion_of[fit.rows], sorted(fold))] = 0.0
+    a = fit.jacobian * robust[:, None]
+    gradient = a.T @ (fit.residuals * robust) + prior * fit.sizes[free]
+    step = -np.linalg.pinv(a.T @ a + np.diag(prior), rcond=1e-10, hermitian=True) @ gradient
+    found = fit.sizes.copy()
+    low, high = [size.low for size in sizes], [size.high for size in sizes]
+    found[free] = np.clip(found[free] + step, low, high)
+    return found
+
+
+def motion_losses(context: Context, rows: Integers, residuals: Array) -> Array:
+    """Return the mean pseudo-Huber loss of each motion.
+
+    It is the loss that a fit minimises: square of small residuals, absolute value of large ones.
+
+    Args:
+        context: The context.
+        rows: Rows of the residual model, (n_rows,) indices.
+        residuals: Residuals in these rows, (n_rows,), in the unit of the model.
 
     Returns:
         (n_motions,), without a unit: residuals count in the scale of their joint; NaN if it has none.
     """
     model = context.model
-    motion = model.motion_of[fit.rows]
-    z = fit.residuals / context.scales[model.joint_of[fit.rows]]
+    z = residuals / context.scales[model.joint_of[rows]]
     loss = 2.0 * (np.sqrt(1.0 + z * z) - 1.0)
-    count = np.bincount(motion, minlength=len(model.motions))
-    total = np.bincount(motion, weights=loss, minlength=len(model.motions))
+    count = np.bincount(model.motion_of[rows], minlength=len(model.motions))
+    total = np.bincount(model.motion_of[rows], weights=loss, minlength=len(model.motions))
     with np.errstate(invalid="ignore"):
         return np.asarray(total / count)
 
@@ -277,20 +298,42 @@ def compare(context: Context, joints: Sequence[int], before: Array, after: Array
     return mean / max(explainable, abs(mean), 1e-12), mean / error if error > 0.0 else 0.0
 
 
-def leave_out(context: Context, present: Present, effect: Effect) -> Present:
-    """Refit the model without one of its effects.
+def leave_out(context: Context, present: Present, effects: Sequence[Effect]) -> Present:
+    """Refit the model without some of its effects.
 
     Args:
         context: The context.
         present: The model.
-        effect: Effect to leave out.
+        effects: Effects to leave out.
 
     Returns:
-        The model without it.
+        The model without them.
     """
-    rest = tuple(one for one in present.effects if one.key != effect.key)
+    gone = {effect.key for effect in effects}
+    rest = tuple(one for one in present.effects if one.key not in gone)
     sizes = present.sizes.copy()
-    sizes[context.union.columns([effect])] = 0.0
+    sizes[context.union.columns(effects)] = 0.0
     fits = fit_joints(context, rest, sizes)
-    sizes = merge_sizes(context, sizes, fits)
-    return Present(rest, sizes, fits, cross_validate(context, rest, sizes))
+    scores = np.array(cross_validate(context, list(enumerate(fits))))
+    return Present(rest, merge_sizes(context, sizes, fits), fits, scores)
+
+
+def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:
+    """Divide effects into groups that can be left out together: one effect of each joint, or one at a body.
+
+    Args:
+        context: The context.
+        effects: Effects.
+
+    Returns:
+        Groups in which joints do not repeat.
+    """
+    bodies = [(one,) for one in effects if one.place not in context.model.joints]
+    layers: list[list[Effect]] = []
+    for effect in effects:
+        if effect.place in context.model.joints:
+            free = [layer for layer in layers if all(one.place != effect.place for one in layer)]
+            if not free:
+                layers.append([])
+            (free or layers[-1:])[0].append(effect)
+    return [*(tuple(layer) for layer in layers), *bodies]

@@ -13,8 +13,8 @@ from diagnosis.residuals import ResidualModel
 class WhitenedResiduals:
     """Residuals from which the part is subtracted that the noise of the sample before predicts.
 
-    The noise is taken for a first-order autoregression. What is left of it is white: a sum over samples has the
-    variance that it seems to have.
+    The noise is taken for a first-order autoregression. What is left of it is white: a sum over samples
+    has the variance that it seems to have.
     """
 
     def __init__(self, raw: ResidualModel, correlation: Array) -> None:

@@ -13,19 +13,21 @@ from diagnosis.arrays import Array
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import ALL_JOINTS, Fit, Hypothesis, evaluate_points
 from diagnosis.joint_fits import (
-    WARM,
     Context,
     Present,
     Report,
     compare,
+    cross_validate,
     fit_base,
     fit_joints,
     free_columns,
     leave_out,
+    list_layers,
     merge_sizes,
     motion_losses,
     run,
     start_context,
+    step_without,
 )
 from diagnosis.residuals import ResidualModel
 from diagnosis.screening import Score, Whitened, family_wise_p, list_trials, score_trial, whiten
@@ -137,7 +139,8 @@ def screen(context: Context, present: Present, open_joints: set[int]) -> list[Sc
         for trial in list_trials(context.union, effect, present.sizes)
     ]
     points = [(lane, point) for lane, trial in trials for point in trial.points]
-    moved = iter(evaluate_points(context.model, context.union, points, share=context.share))
+    rows = evaluate_points(context.model, context.union, points, share=context.share)
+    moved = iter(rows)
     context.report("screening", len(points))
     best: dict[int, dict[str, Score]] = {lane: {} for _, lane, _ in groups}
     white = {lane: _whiten(context, present, joints) for joints, lane, _ in groups}
@@ -195,42 +198,37 @@ def judge(context: Context, present: Present, shortlist: Sequence[Score]) -> lis
         for score in local
     ]
     fits = run(context, starts, "refit")
-    folds = [
-        replace(start, start=fit.sizes, left_out=fold)
-        for start, fit in zip(starts, fits, strict=True)
-        for fold in context.folds
+    joints = [start.joint for start in starts]
+    scores = cross_validate(context, list(zip(joints, fits, strict=True)))
+    candidates = [
+        _candidate(context, present, one.effect, (joint,), (fit,), losses[None])
+        for one, joint, fit, losses in zip(local, joints, fits, scores, strict=True)
     ]
-    parts = iter(run(context, folds, "cross-validation", WARM))
-    candidates = []
-    for score, start, fit in zip(local, starts, fits, strict=True):
-        scores = np.full(len(context.model.motions), np.nan)
-        for fold in context.folds:
-            left_out = sorted(fold)
-            scores[left_out] = motion_losses(context, next(parts))[left_out]
-        candidates.append(_candidate(context, present, score.effect, (start.joint,), (fit,), scores[None]))
     bodies = [score for score in shortlist if score.effect.place not in names]
     return candidates + [_judge_body(context, present, score) for score in bodies]
 
 
 def _judge_body(context: Context, present: Present, score: Score) -> Candidate:
     effects = (*present.effects, score.effect)
-    fits = fit_body(context, effects, score.effect, score.start)
-    sizes = merge_sizes(context, score.start, fits)
-    scores = np.full((len(fits), len(context.model.motions)), np.nan)
+    whole, fits = fit_body(context, effects, score.effect, score.start)
+    points = []
     for fold in context.folds:
+        steps = [replace(fit, sizes=step_without(context, fit, fold)) for fit in fits]
+        body = replace(whole, sizes=step_without(context, whole, fold))
+        points.append((ALL_JOINTS, merge_sizes(context, whole.sizes, [*steps, body])))
+    rows = evaluate_points(context.model, context.union, points, share=False)
+    context.report("cross-validation", len(points))
+    scores = np.full((len(fits), len(context.model.motions)), np.nan)
+    for fold, residuals in zip(context.folds, rows, strict=True):
         left_out = sorted(fold)
-        for j, fit in enumerate(fit_body(context, effects, score.effect, sizes, fold)):
-            scores[j, left_out] = motion_losses(context, fit)[left_out]
+        for j, fit in enumerate(fits):
+            scores[j, left_out] = motion_losses(context, fit.rows, residuals[fit.rows])[left_out]
     return _candidate(context, present, score.effect, tuple(range(len(fits))), fits, scores)
 
 
 def fit_body(
-    context: Context,
-    effects: Sequence[Effect],
-    body: Effect,
-    sizes: Array,
-    left_out: frozenset[int] = frozenset(),
-) -> tuple[Fit, ...]:
+    context: Context, effects: Sequence[Effect], body: Effect, sizes: Array
+) -> tuple[Fit, tuple[Fit, ...]]:
     """Fit an effect at a body and the sizes of all joints by turns.
 
     Args:
@@ -238,18 +236,15 @@ def fit_body(
         effects: Accepted effects, with that of the body.
         body: Effect at a body.
         sizes: Sizes at the start, (n_sizes,), in their own units.
-        left_out: Motions that take no part.
 
     Returns:
-        One fit a joint, with the sizes of the body in `sizes`.
+        The fit of the body, and one a joint, which have the sizes of the body too.
     """
     for _ in range(ROUNDS):
-        (whole,) = run(
-            context, [Hypothesis(context.union.columns([body]), sizes, ALL_JOINTS, left_out)], "fit"
-        )
-        fits = fit_joints(context, effects, whole.sizes, left_out)
+        (whole,) = run(context, [Hypothesis(context.union.columns([body]), sizes, ALL_JOINTS)], "refit")
+        fits = fit_joints(context, effects, whole.sizes)
         sizes = merge_sizes(context, whole.sizes, fits)
-    return fits
+    return whole, fits
 
 
 def _candidate(
@@ -383,16 +378,25 @@ def drop_needless(context: Context, present: Present) -> Present:
     Returns:
         The model with those that it needs.
     """
-    for effect in present.effects:
-        without = leave_out(context, present, effect)
-        joints = [
-            j for j, name in enumerate(context.model.joints) if effect.place in (name, *_bodies(context))
-        ]
-        gain, z = compare(context, joints, without.scores[joints], present.scores[joints])
-        if gain < MIN_SHARE or z <= MIN_Z:
-            present = without
+    for layer in list_layers(context, present.effects):
+        without = leave_out(context, present, layer)
+        for effect in layer:
+            joints = list(joints_of(context, effect))
+            gain, z = compare(context, joints, without.scores[joints], present.scores[joints])
+            if gain < MIN_SHARE or z <= MIN_Z:
+                present = leave_out(context, present, (effect,))
     return present
 
 
-def _bodies(context: Context) -> set[str]:
-    return {one.place for one in context.catalogue} - set(context.model.joints)
+def joints_of(context: Context, effect: Effect) -> tuple[int, ...]:
+    """Return the joint of an effect, or all joints for an effect at a body.
+
+    Args:
+        context: The context.
+        effect: The effect.
+
+    Returns:
+        Indices of joints.
+    """
+    names = context.model.joints
+    return (names.index(effect.place),) if effect.place in names else tuple(range(len(names)))

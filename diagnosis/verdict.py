@@ -1,5 +1,6 @@
 """Say how sure each finding is: intervals of its sizes, and what cannot be excluded in its place."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -9,9 +10,9 @@ from scipy.stats import t as student
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect, Family
 from diagnosis.fit import ALL_JOINTS, Fit, evaluate_points
-from diagnosis.joint_fits import Context, Present, leave_out
+from diagnosis.joint_fits import Context, Present, leave_out, list_layers
 from diagnosis.screening import Score
-from diagnosis.selection import Candidate, Selection, judge, screen
+from diagnosis.selection import Candidate, Selection, joints_of, judge, screen
 
 EXCLUDED: Final = 0.05
 """Probability below which an alternative is excluded."""
@@ -43,42 +44,52 @@ class Doubt:
 def doubt_findings(selection: Selection) -> list[Doubt]:
     """Refit alternatives in the place of each finding, and exclude those that predict worse.
 
+    The test is a paired one-sided t test of the losses of left-out motions.
+
     Args:
         selection: The selected effects.
 
     Returns:
-        One doubt a finding.
+        One doubt a finding, in their order.
     """
-    return [doubt_finding(selection.context, selection.chosen, effect) for effect in selection.chosen.effects]
+    context, present = selection.context, selection.chosen
+    found: dict[str, Doubt] = {}
+    for layer in list_layers(context, present.effects):
+        without = leave_out(context, present, layer)
+        open_joints = {j for effect in layer for j in joints_of(context, effect)}
+        scores = screen(context, without, open_joints)
+        seen = {score.effect.key for score in scores}
+        nothing = np.zeros(len(context.model.motions))
+        scores += [Score(one, present.sizes, 0.0, nothing) for one in layer if one.key not in seen]
+        candidates = judge(context, without, scores)
+        for effect in layer:
+            found[effect.key] = doubt_finding(context, without, effect, candidates)
+    return [found[effect.key] for effect in present.effects]
 
 
-def doubt_finding(context: Context, present: Present, effect: Effect) -> Doubt:
-    """Refit alternatives in the place of one finding.
-
-    The test is a paired one-sided t test of the losses of left-out motions.
+def doubt_finding(
+    context: Context, without: Present, effect: Effect, candidates: Sequence[Candidate]
+) -> Doubt:
+    """Compare a finding with the alternatives at its joint and at bodies.
 
     Args:
         context: The context.
-        present: The model with all findings.
+        without: The model without the finding.
         effect: The finding.
+        candidates: Refitted effects, among them the finding.
 
     Returns:
         The finding with the alternatives that cannot be excluded.
     """
-    without = leave_out(context, present, effect)
-    joints = {j for j, name in enumerate(context.model.joints) if effect.place == name}
-    scores = screen(context, without, joints or set(range(len(context.model.joints))))
-    if effect.key not in {score.effect.key for score in scores}:
-        nothing = np.zeros(len(context.model.motions))
-        scores.append(Score(effect, present.sizes, 0.0, nothing))
-    candidates = judge(context, without, scores)
     finding = next(one for one in candidates if one.effect.key == effect.key)
     own = _errors(context, without, finding)
     members = [Alternative(effect, finding.sizes, 1.0)]
     for one in candidates:
+        if one.effect.key == effect.key or not set(one.joints) & set(finding.joints) or one.at_bound:
+            continue
         worse = _errors(context, without, one) - own
         p = _one_sided_p(worse[~np.isnan(worse)])
-        if one.effect.key != effect.key and p > EXCLUDED and not one.at_bound:
+        if p > EXCLUDED:
             members.append(Alternative(one.effect, one.sizes, p))
     ranked = (members[0], *sorted(members[1:], key=lambda one: -one.p))
     return Doubt(effect, ranked, finding.gain)

@@ -6,7 +6,7 @@ import pytest
 from diagnosis.assemble import describe_finding, list_remainders, simulate_models
 from diagnosis.fit import Hypothesis, Union, fit_hypotheses
 from diagnosis.selection import select_effects
-from diagnosis.verdict import doubt_finding, doubt_findings, size_intervals, unexplained_dependence
+from diagnosis.verdict import doubt_findings, size_intervals, unexplained_dependence
 from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 
 TRUTH = {"near: square": 0.1, "far: sine": 0.05, "far: step": -0.03}
@@ -50,8 +50,7 @@ def test_two_effects_that_the_data_cannot_separate_stay_in_the_set() -> None:
     twin = Toy("near", "twin", lambda x: x**2 + 0.01 * x**3)
     model = draw_toy(1, {"near: square": 0.1})
     selection = select_effects(model, BASE, (*CATALOGUE, twin), seed=1)
-    (effect,) = selection.chosen.effects
-    doubt = doubt_finding(selection.context, selection.chosen, effect)
+    (doubt,) = doubt_findings(selection)
     assert {one.effect.key for one in doubt.alternatives} == {"near: square", "near: twin"}
 
 
