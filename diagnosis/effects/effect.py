@@ -48,7 +48,7 @@ class Size:
     typical: float
     """Size at which the effect is worth a name: start of a fit, and its scale."""
     prior_std: float = math.inf
-    """Standard deviation of its prior around 0; infinite for an effect that may be named."""
+    """Width of a normal prior around 0: a fit adds the residual size / prior_std. Infinite: none."""
 
 
 @dataclass(frozen=True, slots=True)

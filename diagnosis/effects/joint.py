@@ -1,19 +1,22 @@
 """Effects at one joint, and the numbers of the logs from which they take their bounds."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import mujoco
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.effects.effect import Effect
+from diagnosis.effects.effect import Effect, Size
 from diagnosis.logs import Motion, Signal
 from diagnosis.robot import Robot, RobotJoint
 
 QUANTILE: Final = 0.995
 """Quantile that stands for the maximum of a noisy quantity."""
+BASE_PRIOR: Final = 10.0
+"""Width of the prior of a base effect in typical sizes; where the nominal value is larger, that is the width.
+Data that show a typical size outweigh it a hundredfold; data that show nothing leave the nominal value."""
 SPAN: Final = 5
 """Samples over which a difference gives a speed: fewer show the steps of the encoder."""
 
@@ -35,7 +38,7 @@ class JointScales:
     command_high: float
     command_speed: float
     torque_Nm: float
-    """Torque limit, or the largest torque of gravity and inertia where it is unlimited."""
+    """Torque limit. Where it is unlimited: the largest of logged torque and that of gravity and inertia."""
     hottest_degC: float
     """NaN where the temperature is not logged."""
     coldest_degC: float
@@ -50,6 +53,8 @@ class JointEffect(Effect):
     """Index of the joint in the robot."""
     joint: RobotJoint
     scales: JointScales
+    is_base: bool = False
+    """True for a nuisance, which is always fitted and never named."""
 
     @classmethod
     def at(cls, robot: Robot, place: str, scales: Mapping[str, JointScales]) -> Self:
@@ -62,6 +67,12 @@ class JointEffect(Effect):
         """
         index = [joint.name for joint in robot.joints].index(place)
         return cls(place, index, robot.joints[index], scales[place])
+
+    def with_prior(self, size: Size) -> Size:
+        """Return a size with its prior around the nominal value, if this is a base effect."""
+        if not self.is_base:
+            return size
+        return replace(size, prior_std=max(BASE_PRIOR * size.typical, -size.low))
 
 
 def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScales]:
@@ -80,6 +91,7 @@ def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScal
         if not logs:
             continue
         q = np.concatenate([log.position.value for log in logs])
+        torques = [log.torque.value for log in logs if log.torque is not None]
         commands = [log.command for log in logs if log.command is not None]
         heats = [log.temperature.value for log in logs if log.temperature is not None]
         command = np.concatenate([one.value for one in commands]) if commands else np.array([np.nan])
@@ -98,7 +110,7 @@ def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScal
             command_low=float(command.min()),
             command_high=float(command.max()),
             command_speed=_high([_slope(one).value for one in commands]),
-            torque_Nm=_torque_Nm(robot, j, q, acceleration),
+            torque_Nm=_torque_Nm(robot, j, q, acceleration, torques),
             hottest_degC=float(heat.max()),
             coldest_degC=float(heat.min()),
         )
@@ -123,12 +135,12 @@ def _high(values: Sequence[Array]) -> float:
     return max(float(np.quantile(np.abs(np.concatenate(values)), QUANTILE)), 1e-6)
 
 
-def _torque_Nm(robot: Robot, j: int, q: Array, acceleration: float) -> float:
+def _torque_Nm(robot: Robot, j: int, q: Array, acceleration: float, logged: Sequence[Array]) -> float:
     joint = robot.joints[j]
     if np.isfinite(joint.torque_limit_Nm):
         return joint.torque_limit_Nm
     data = mujoco.MjData(robot.model)
-    largest = 0.0
+    largest = _high(logged) if logged else 0.0
     for angle in np.linspace(q.min(), q.max(), 9):
         data.qpos[joint.qpos_index] = angle
         mujoco.mj_forward(robot.model, data)

@@ -3,7 +3,7 @@
 Three kinds of residual, three realisations:
 
 - Simulation: a rotor with an angle of its own. The motor with its armature, damping and dry friction turns
-  the rotor; an elastic or a free gear turns the joint. Nothing quasi-static would do. An encoder at the output
+  the rotor; an elastic or a free gear turns the joint. Quasi-statics would not do: an encoder at the output
   sees no deflection at rest, because the loop corrects it. It sees the time that the rotor needs to cross the
   backlash after a reversal, and a resonance. Dry friction stays at the motor, as most of it comes from the
   fast stages of a gear. At the output it would hold the joint while the rotor crosses, and backlash would

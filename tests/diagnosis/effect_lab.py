@@ -143,9 +143,10 @@ def inverse_Nm(model: mujoco.MjModel, seed: int, n: int = 5) -> Array:
 def simulate(
     robot: Robot,
     effects: Sequence[Effect],
-    sizes: Sequence[Sequence[float]],
+    sizes: Sequence[Sequence[float]] | Array,
     command: Array,
     start_rad: Array,
+    temperature_degC: Array | None = None,
 ) -> Array:
     """Return what the encoders show at each control period, (n_candidates, n_joints, n_ticks).
 
@@ -155,6 +156,7 @@ def simulate(
         sizes: Sizes of all effects one after the other, a row a candidate.
         command: Command in each control period, (n_ticks, n_joints); the first one holds before.
         start_rad: Positions at the start, at rest, (n_joints,).
+        temperature_degC: Temperatures, (n_joints,); None where they are not logged.
     """
     n_lead, n_ticks, n_joints = 50, *command.shape
     time_s = robot.control_period_s * np.arange(n_ticks)
@@ -167,7 +169,7 @@ def simulate(
         n_lead=n_lead,
         enabled=np.ones((n_ticks, n_joints), bool),
         gain=np.ones(n_joints),
-        temperature_degC=np.full(n_joints, math.nan),
+        temperature_degC=np.full(n_joints, math.nan) if temperature_degC is None else temperature_degC,
         sample_time_s=(time_s,) * n_joints,
         measured_rad=(np.zeros(n_ticks),) * n_joints,
     )
