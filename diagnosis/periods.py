@@ -132,6 +132,8 @@ class Periods:
         # one set of arrays for all periods: new ones would take a fifth of the time of a step
         self._time_s, self._load = np.empty(n), np.empty((n, len(at.robot.joints)))
         self._inputs = [np.empty_like(self._load) for _ in range(4)]
+        self._torque_columns = [self._inputs[0][:, one.joint] for one in self._torques]
+        self._friction_columns = [self._inputs[1][:, one.joint] for one in self._frictions]
 
     def shown_rad(self, shown_rad: Array) -> None:
         """Write the angles that encoders see to the first rows of an array, (n_sims, n_joints)."""
@@ -151,17 +153,18 @@ class Periods:
             if enabled is not None:
                 self._actuators.scale(enabled)
             return
-        tick = self._tick(k, command)
+        tick = self._tick(k, command, enabled is not None)
         for one in self._acts:
             tick.memory = one.memory
             one.effect.act(one.size, tick)
-        for one in self._frictions:
-            tick.frictionloss_Nm[:, one.joint] += one.effect.friction_Nm(one.size, tick.state)
-        for one in self._torques:
-            tick.applied_Nm[:, one.joint] += one.effect.torque_Nm(one.size, tick.state)
+        for one, column in zip(self._frictions, self._friction_columns, strict=True):
+            column += one.effect.friction_Nm(one.size, tick.state)
+        for one, column in zip(self._torques, self._torque_columns, strict=True):
+            column += one.effect.torque_Nm(one.size, tick.state)
         self._rotors.close_loops(self._qpos, self._qvel, tick.command)
         self._ctrl.write(tick.command)
-        self._applied.write(tick.applied_Nm)
+        if self._acts or self._torques:
+            self._applied.write(tick.applied_Nm)
         self._friction.write(tick.frictionloss_Nm)
         self._rotors.move(self._dry, tick.frictionloss_Nm)
         if self._acts:
@@ -171,7 +174,7 @@ class Periods:
         elif self._acts:
             self._actuators.scale(tick.gain)
 
-    def _tick(self, k: int, command: Array) -> Tick:
+    def _tick(self, k: int, command: Array, is_switched: bool) -> Tick:
         """Collect what effects may read and change."""
         n, fields = self.n, self._fields
         bias, smooth, constraint, qacc = (one.read() for one in self._forces)
@@ -182,10 +185,13 @@ class Periods:
         load += bias
         self._time_s.fill(k * self._period_s)
         applied, friction, limit, gain = self._inputs
-        applied.fill(0.0)
+        if self._acts or self._torques:
+            applied.fill(0.0)
         friction[...] = fields.frictionloss_Nm[:n]
-        limit[...] = fields.torque_limit_Nm[:n]
-        gain.fill(1.0)
+        if self._acts:
+            limit[...] = fields.torque_limit_Nm[:n]
+        if self._acts or is_switched:
+            gain.fill(1.0)
         return Tick(
             state=State(self._time_s, self._q.read(), self._v.read(), load, self._temperature[:n]),
             command=command,

@@ -69,10 +69,8 @@ class StribeckFriction(JointEffect):
 
     def friction_Nm(self, size: Array, state: State) -> Array:
         """Return the extra friction at the speed of the joint."""
-        speed = np.abs(state.v_rad_s[:, self.index])
-        ratio = speed / np.maximum(size[:, 1], TINY_rad_s)
-        # beyond 6 the exponential is below 1e-15; the bound keeps the square finite
-        return np.asarray(size[:, 0] * np.exp(-np.square(np.minimum(ratio, 6.0))))
+        ratio = state.v_rad_s[:, self.index] / np.maximum(size[:, 1], TINY_rad_s)
+        return np.asarray(size[:, 0] * np.exp(-ratio * ratio))
 
 
 @dataclass(frozen=True, slots=True)
