@@ -13,14 +13,14 @@ Hooks by kind of residual:
 
 import math
 from abc import ABC
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import ClassVar
 
 import mujoco
 import mujoco.batch
 
-from diagnosis.arrays import Array
+from diagnosis.arrays import Array, Flags
 from diagnosis.robot import Robot
 
 
@@ -48,7 +48,7 @@ class Size:
     typical: float
     """Size at which the effect is worth a name: start of a fit, and its scale."""
     prior_std: float = math.inf
-    """Standard deviation of its prior around 0; infinite for an effect that may be named."""
+    """Width of a normal prior around 0: a fit adds the residual size / prior_std. Infinite: none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +60,30 @@ class State:
     q_rad: Array
     v_rad_s: Array
     load_Nm: Array
-    """Torque that the gear carries, without friction: gravity and inertia."""
+    """Torque that the gear carries, without friction: bias (gravity, Coriolis) + (M - armature) acceleration.
+
+    It is `mj_rne` with accelerations. The simulation takes it from the last step: qfrc_bias + qfrc_smooth +
+    qfrc_constraint - armature qacc, because qfrc_smooth + qfrc_constraint = M qacc.
+    """
     temperature_degC: Array
     """(n_sims, n_joints); NaN where it is not logged."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rotor:
+    """Degree of freedom that the motor of a joint turns in place of the joint, in some simulations.
+
+    It gets damping, dry friction and armature of the joint, and begins at its position and speed.
+    """
+
+    joint: int
+    """Index of the joint in the robot."""
+    name: str
+    """Hinge of the model."""
+    rows: Flags
+    """(n_sims,), True where the motor turns it."""
+    encoder_is_at_output: bool
+    """True if log and controller see the joint, False if they see the rotor."""
 
 
 @dataclass(slots=True)
@@ -70,7 +91,7 @@ class Fields:
     """Numbers of the model and of the controllers, a row a simulation; `set_model` changes them."""
 
     kp_Nm_rad: Array
-    """(n_sims, n_joints)."""
+    """(n_sims, n_joints). In the modes torque and current: torque per unit of the command."""
     kd_Nms_rad: Array
     torque_limit_Nm: Array
     damping_Nms_rad: Array
@@ -78,6 +99,8 @@ class Fields:
     armature_kgm2: Array
     batch: mujoco.batch.Batch
     """For all other fields: `batch.expand(name)`; the engine calls `set_const` once after all effects."""
+    rotors: list[Rotor] = field(default_factory=list)
+    """Motors that turn something else than their joint; an effect may add one."""
 
 
 @dataclass(slots=True)
@@ -93,9 +116,14 @@ class Tick:
     """(n_sims, n_joints), dry friction; the value of `Fields` before the first effect."""
     torque_limit_Nm: Array
     """(n_sims, n_joints); the value of `Fields` before the first effect."""
+    gain: Array
+    """(n_sims, n_joints), factor on kp and kd in this tick; 1 before the first effect."""
+    motor_Nm: Array
+    """(n_sims, n_joints), torque of the motors in the last step; only to read."""
     period_s: float
     memory: dict[str, Array]
-    """State of the effect of its own, kept from tick to tick."""
+    """State of the effect of its own, kept from tick to tick; its first axis is n_sims, which falls when
+    simulations end: the engine cuts the last ones off."""
 
 
 class Effect(ABC):
