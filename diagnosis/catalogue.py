@@ -9,12 +9,9 @@ together. docs/robot-effects.md lists these pairs.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
-import numpy as np
-
-from diagnosis.arrays import Array
 from diagnosis.effects.actuation import (
     BackEmf,
     DampingGain,
@@ -52,9 +49,6 @@ from diagnosis.transmissions import transmission_effects
 
 WARMING_K: Final = 5.0
 """Least range of temperature with which friction can be seen to vary: servos show whole kelvins."""
-BASE_PRIOR: Final = 10.0
-"""Width of the prior of a base effect in typical sizes; where the nominal value is larger, that is the width.
-Data that show a typical size outweigh it a hundredfold; data that show nothing leave the nominal value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,26 +164,12 @@ def base_effects(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
         logs: Logs, of which the motions that are fitted give bounds and scales.
 
     Returns:
-        Effects; `base_prior_std` has their priors.
+        Effects, whose sizes have priors. These decide only what the data do not: the armature of a joint
+        that never accelerates, or friction at one that never moves.
     """
     unknown = [facts for facts in _facts(robot, logs.fit) if not facts.joint.is_known]
-    return tuple(effect for facts in unknown for effect in _at(robot, facts, BASE_EFFECTS))
-
-
-def base_prior_std(effects: Sequence[Effect]) -> Array:
-    """Return the widths of the normal priors of base effects around their nominal values, which are size 0.
-
-    A fit adds the residuals size / width. They decide only what the data do not: the armature of a joint that
-    never accelerates, or friction at one that never moves.
-
-    Args:
-        effects: Base effects.
-
-    Returns:
-        Widths of all sizes one after the other, (n_sizes,), in the units of the sizes.
-    """
-    sizes = [size for effect in effects for size in effect.sizes]
-    return np.array([max(BASE_PRIOR * size.typical, -size.low) for size in sizes])
+    found = [effect for facts in unknown for effect in _at(robot, facts, BASE_EFFECTS)]
+    return tuple(replace(effect, is_base=True) for effect in found)
 
 
 def _facts(robot: Robot, motions: Sequence[Motion]) -> list[_Facts]:

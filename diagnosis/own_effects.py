@@ -112,7 +112,7 @@ def _checked(place: str, effect: object) -> Effect:
         is_finite = math.isfinite(size.low) and math.isfinite(size.high)
         if not (is_finite and size.low <= 0 < size.typical <= size.high):
             raise RobotError(
-                f"{place}: {size.name} of {kind} has the bounds {size.low:g} to {size.high:g} and the typical "
+                f"{place}: {size.name} of {kind} has bounds {size.low:g} to {size.high:g} and the typical "
                 f"size {size.typical:g}; right is low <= 0 < typical <= high, all finite"
             )
     if not any(effect.overrides(hook) for hook in HOOKS):

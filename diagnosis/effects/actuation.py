@@ -22,7 +22,7 @@ class GainError(JointEffect):
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Relative change; a loop with less than a twentieth of its gain is a loop that is off."""
-        return (Size("gain_ratio", -0.95, 4.0, 0.2),)
+        return (self.with_prior(Size("gain_ratio", -0.95, 4.0, 0.2)),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Scale the gains."""

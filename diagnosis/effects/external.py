@@ -1,7 +1,7 @@
 """Torques at a joint that are not in the model: springs, cables, counterbalances, offsets."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Final, Self
 
 import numpy as np
@@ -105,8 +105,7 @@ class PeriodicTorque(JointEffect):
             scales: Numbers of all joints.
             order: Periods in a turn of the joint.
         """
-        plain = cls.at(robot, place, scales)
-        return cls(plain.place, plain.index, plain.joint, plain.scales, order)
+        return replace(cls.at(robot, place, scales), order=order)
 
     @property
     def key(self) -> str:

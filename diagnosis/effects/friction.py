@@ -25,7 +25,7 @@ class ViscousFriction(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Damping: at most what takes the whole torque at the highest speed, at least none at all."""
         scale = self.scales.torque_Nm / self.scales.speed_rad_s
-        return (Size("damping_Nms_rad", -self.scales.damping_Nms_rad, scale, 0.05 * scale),)
+        return (self.with_prior(Size("damping_Nms_rad", -self.scales.damping_Nms_rad, scale, 0.05 * scale)),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add to the damping."""
@@ -43,7 +43,7 @@ class CoulombFriction(JointEffect):
     def sizes(self) -> tuple[Size, ...]:
         """Friction: at most half of the torque, at least none at all."""
         scale = self.scales.torque_Nm
-        return (Size("coulomb_Nm", -self.scales.frictionloss_Nm, 0.5 * scale, 0.05 * scale),)
+        return (self.with_prior(Size("coulomb_Nm", -self.scales.frictionloss_Nm, 0.5 * scale, 0.05 * scale)),)
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add to the dry friction."""

@@ -1,19 +1,22 @@
 """Effects at one joint, and the numbers of the logs from which they take their bounds."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import mujoco
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.effects.effect import Effect
+from diagnosis.effects.effect import Effect, Size
 from diagnosis.logs import Motion, Signal
 from diagnosis.robot import Robot, RobotJoint
 
 QUANTILE: Final = 0.995
 """Quantile that stands for the maximum of a noisy quantity."""
+BASE_PRIOR: Final = 10.0
+"""Width of the prior of a base effect in typical sizes; where the nominal value is larger, that is the width.
+Data that show a typical size outweigh it a hundredfold; data that show nothing leave the nominal value."""
 SPAN: Final = 5
 """Samples over which a difference gives a speed: fewer show the steps of the encoder."""
 
@@ -50,6 +53,8 @@ class JointEffect(Effect):
     """Index of the joint in the robot."""
     joint: RobotJoint
     scales: JointScales
+    is_base: bool = False
+    """True for a nuisance, which is always fitted and never named."""
 
     @classmethod
     def at(cls, robot: Robot, place: str, scales: Mapping[str, JointScales]) -> Self:
@@ -62,6 +67,12 @@ class JointEffect(Effect):
         """
         index = [joint.name for joint in robot.joints].index(place)
         return cls(place, index, robot.joints[index], scales[place])
+
+    def with_prior(self, size: Size) -> Size:
+        """Return a size with its prior around the nominal value, if this is a base effect."""
+        if not self.is_base:
+            return size
+        return replace(size, prior_std=max(BASE_PRIOR * size.typical, -size.low))
 
 
 def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScales]:

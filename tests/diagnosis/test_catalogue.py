@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.catalogue import base_effects, base_prior_std, catalogue
+from diagnosis.catalogue import base_effects, catalogue
 from diagnosis.effects import effect as interface
 from diagnosis.effects.effect import Effect, Family
 from diagnosis.effects.periodic import SmoothPeriodicError
@@ -94,12 +94,9 @@ def test_base_effects_are_candidates_only_where_the_joint_is_known(arm_logs):
 
 def test_priors_of_base_effects_allow_ten_typical_sizes_and_the_nominal_value(arm_logs):
     base = base_effects(ARM, arm_logs)
-    widths = base_prior_std(base)
-    sizes = [size for effect in base for size in effect.sizes]
-    assert len(widths) == len(sizes)
-    for width, size in zip(widths, sizes, strict=True):
-        assert width >= 10 * size.typical
-        assert width >= -size.low
+    for size in (size for effect in base for size in effect.sizes):
+        assert size.prior_std == max(10 * size.typical, -size.low)
+    assert all(math.isinf(size.prior_std) for one in catalogue(ARM, arm_logs) for size in one.sizes)
 
 
 def test_command_effects_need_commands(arm_logs):
