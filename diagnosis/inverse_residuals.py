@@ -4,7 +4,8 @@
 
 Motion and measured torque pass one filter (`diagnosis.filtered_motion`), and so does the dry friction: its
 step at a reversal is as steep as that of the measured torque. The sign of the speed is smoothed over the
-speed at which it is certain: tanh(v / v_s), with v_s three times the noise of the speed.
+speed at which it is certain: tanh(v / v_s), with v_s three times the noise of the speed. The first and last
+period of the cut-off are left out, because there the filter guesses what was before and after.
 """
 
 from collections.abc import Sequence
@@ -81,7 +82,8 @@ class InverseResiduals:
             raise RobotError(f"robot {robot.name}: no log has torques; inverse dynamics needs them")
         self._robot = robot
         self.low_pass = choose_filter(robot, motions)
-        self._stride = max(1, int(1 / (PER_CUT_OFF * self.low_pass.cut_off_Hz * self.low_pass.period_s)))
+        samples = 1 / (self.low_pass.cut_off_Hz * self.low_pass.period_s)  # in a period of the cut-off
+        self._kept = slice(int(samples), -int(samples), max(1, int(samples / PER_CUT_OFF)))
         self._fill(motions, [filter_motion(robot, motion, self.low_pass) for motion in motions])
 
     @property
@@ -92,7 +94,7 @@ class InverseResiduals:
         return InverseRecord(
             "Butterworth of order 2, forward and backward",
             self.low_pass.cut_off_Hz,
-            self._stride * self.low_pass.period_s,
+            self._kept.step * self.low_pass.period_s,
             dict(zip(names, speeds, strict=True)),
         )
 
@@ -103,7 +105,7 @@ class InverseResiduals:
         self.motions = tuple(motion.name for motion in logs)
         joint_of, motion_of, time_s = [], [], []
         for m, one in enumerate(filtered):
-            times = one.time_s[:: self._stride]
+            times = one.time_s[self._kept]
             for j in self._logged(one):
                 joint_of.append(np.full(times.size, j))
                 motion_of.append(np.full(times.size, m))
@@ -118,7 +120,7 @@ class InverseResiduals:
 
     def _rows(self, one: FilteredMotion, values: Array) -> Array:
         """Order values, (..., n_times, n_joints), as residuals, (..., n)."""
-        thinned = np.moveaxis(values[..., :: self._stride, self._logged(one)], -1, -2)
+        thinned = np.moveaxis(values[..., self._kept, :][..., self._logged(one)], -1, -2)
         return thinned.reshape(*thinned.shape[:-2], -1)
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
