@@ -16,6 +16,7 @@ so that the load of held-out motions is as measured as their angles.
 
 from collections.abc import Sequence
 from copy import copy
+from typing import Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -28,7 +29,7 @@ from diagnosis.filtered_motion import FilteredMotion, LowPass, choose_filter, fi
 from diagnosis.logs import Motion
 from diagnosis.robot import Robot
 
-HOOKS = ("deflection_rad", "sample_delay_s", "encode")
+HOOKS: Final = ("deflection_rad", "sample_delay_s", "encode")
 """Hooks of effects that a second encoder shows."""
 
 
@@ -108,7 +109,9 @@ class EncoderResiduals:
                 if _has_second(motion, name):
                     self._parts.append(_Part(motion, name, m, j))
         self.joint_of: Integers = np.concatenate([np.full(one.time_s.size, one.joint) for one in self._parts])
-        self.motion_of: Integers = np.concatenate([np.full(one.time_s.size, one.motion) for one in self._parts])
+        self.motion_of: Integers = np.concatenate(
+            [np.full(one.time_s.size, one.motion) for one in self._parts]
+        )
         self.time_s: Array = np.concatenate([one.time_s for one in self._parts])
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:

@@ -29,7 +29,7 @@ from diagnosis.logs import Motion, Signal
 from diagnosis.robot import Robot
 
 NOISE_SHARE: Final = 0.01
-"""Share of the scatter of a torque that noise of accelerations may make: it is then invisible in a residual."""
+"""Share of the scatter of a torque that noise of accelerations may make: a residual does not show it then."""
 HIGHEST_PER_RATE: Final = 0.1
 """Highest cut-off over the sample rate."""
 CERTAIN: Final = 3.0
@@ -204,14 +204,16 @@ def inverse_dynamics(
     model.dof_armature[:] = model.dof_damping[:] = model.dof_frictionloss[:] = 0.0
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     data = mujoco.MjData(model)
-    qpos = [joint.qpos_index for joint in robot.joints]
     dof = [joint.dof_index for joint in robot.joints]
-    torque_Nm, passive_Nm = np.empty_like(q_rad), np.empty_like(q_rad)
+    qpos = np.tile(model.qpos0, (len(q_rad), 1))
+    qpos[:, [joint.qpos_index for joint in robot.joints]] = q_rad
+    qvel, qacc, torque_Nm, passive_Nm = (np.zeros((len(q_rad), model.nv)) for _ in range(4))
+    qvel[:, dof], qacc[:, dof] = v_rad_s, a_rad_s2
     for k in range(len(q_rad)):
-        data.qpos[qpos], data.qvel[dof], data.qacc[dof] = q_rad[k], v_rad_s[k], a_rad_s2[k]
+        data.qpos[:], data.qvel[:], data.qacc[:] = qpos[k], qvel[k], qacc[k]
         mujoco.mj_inverse(model, data)
-        torque_Nm[k], passive_Nm[k] = data.qfrc_inverse[dof], data.qfrc_passive[dof]
-    return torque_Nm, torque_Nm + passive_Nm
+        torque_Nm[k], passive_Nm[k] = data.qfrc_inverse, data.qfrc_passive
+    return torque_Nm[:, dof], (torque_Nm + passive_Nm)[:, dof]
 
 
 def motion_time_s(motion: Motion, period_s: float) -> Array:
@@ -229,15 +231,17 @@ def motion_time_s(motion: Motion, period_s: float) -> Array:
     start_s = max(float(signal.time_s[0]) for signal in signals)
     end_s = min(float(signal.time_s[-1]) for signal in signals)
     # a time stamp that is short of a whole period by rounding is one
-    return start_s + period_s * np.arange(int((end_s - start_s) / period_s + 1e-6) + 1)
+    return np.asarray(start_s + period_s * np.arange(int((end_s - start_s) / period_s + 1e-6) + 1))
 
 
 def _period_s(motion: Motion) -> float:
     times = [log.position.time_s for log in motion.joints.values()]
     if min(one.size for one in times) < LEAST_SAMPLES:
-        raise RobotError(f"motion {motion.name!r} has too few samples; a filter needs {LEAST_SAMPLES} or more")
+        raise RobotError(
+            f"motion {motion.name!r} has too few samples; a filter needs {LEAST_SAMPLES} or more"
+        )
     return max(float(np.median(np.diff(one))) for one in times)
 
 
 def _at(signal: Signal, time_s: Array) -> Array:
-    return np.interp(time_s, signal.time_s, signal.value)
+    return np.asarray(np.interp(time_s, signal.time_s, signal.value))

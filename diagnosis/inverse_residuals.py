@@ -21,7 +21,13 @@ from diagnosis.compiled import nominal_gains
 from diagnosis.effects.effect import Effect, Fields, State
 from diagnosis.errors import RobotError
 from diagnosis.explain import measured_variable
-from diagnosis.filtered_motion import FilteredMotion, choose_filter, differentiate, filter_motion, inverse_dynamics
+from diagnosis.filtered_motion import (
+    FilteredMotion,
+    choose_filter,
+    differentiate,
+    filter_motion,
+    inverse_dynamics,
+)
 from diagnosis.logs import Motion
 from diagnosis.robot import Robot
 
@@ -135,9 +141,7 @@ class InverseResiduals:
         """
         acting = self._acting(effects, np.asarray(sizes, float))
         candidates = _Candidates(self._robot, acting, len(sizes))
-        return np.concatenate(
-            [self._of_motion(m, candidates) for m in range(len(self._filtered))], axis=1
-        )
+        return np.concatenate([self._of_motion(m, candidates) for m in range(len(self._filtered))], axis=1)
 
     def _acting(self, effects: Sequence[Effect], sizes: Array) -> list[_Acting]:
         found, first = [], 0
@@ -197,7 +201,7 @@ class InverseResiduals:
             if e.size[c].any():
                 total[:, e.joint] -= e.effect.torque_Nm(_each(e.size[c], one), state)
         sign = np.tanh(one.v_rad_s / self.low_pass.friction_speed_rad_s)
-        return total + self.low_pass(np.maximum(dry, 0.0) * sign)
+        return np.asarray(total + self.low_pass(np.maximum(dry, 0.0) * sign))
 
     def select(self, motions: Sequence[str]) -> "InverseResiduals":
         """Return the residuals of these motions alone.
