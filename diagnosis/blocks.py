@@ -1,0 +1,130 @@
+"""Blocks: parts of a motion that count as motions, where a log has too few motions of its own.
+
+Blocks must be longer than the time over which a residual remembers, or they would not be independent. With
+the autocorrelation rho of the residual of a joint in a motion, n residuals scatter like n T / tau independent
+ones, where
+
+    tau = T (1 + 2 sum of rho(k T)),  k = 1, 2, .. up to the first rho that is not positive.
+
+That is the correlation time. A block is as long as the longest one, of all joints; where it is longer than a
+motion, the motion stays one block. The motion is not cut: blocks share its filter and its simulation, and
+only the residuals are counted by block.
+"""
+
+from collections.abc import Sequence
+from copy import copy
+
+import numpy as np
+
+from diagnosis.arrays import Array, Integers
+from diagnosis.effects.effect import Effect
+from diagnosis.residuals import ResidualModel
+
+
+class Blocks:
+    """A residual model whose units of inference are blocks; see `diagnosis.residuals.ResidualModel`.
+
+    A block is named after its motion and its place: "A:1", "A:2".
+    """
+
+    def __init__(self, model: ResidualModel, counts: Sequence[int]) -> None:
+        """Divide the motions.
+
+        Args:
+            model: Residuals of whole motions.
+            counts: Number of blocks of each motion; blocks of a motion are equally long.
+        """
+        block = np.zeros(model.time_s.size, dtype=np.int64)
+        names: list[str] = []
+        self.parents: tuple[str, ...] = ()
+        """Name of the motion of each block."""
+        for m, (motion, count) in enumerate(zip(model.motions, counts, strict=True)):
+            rows = model.motion_of == m
+            time_s = model.time_s[rows]
+            share = (time_s - time_s.min()) / max(float(np.ptp(time_s)), 1e-12)
+            block[rows] = len(names) + np.minimum((share * count).astype(np.int64), count - 1)
+            names += [f"{motion}:{k + 1}" for k in range(count)] if count > 1 else [motion]
+            self.parents += (motion,) * count
+        self._fill(model, np.arange(model.time_s.size), block, tuple(names))
+
+    def _fill(self, model: ResidualModel, rows: Integers, block: Integers, names: tuple[str, ...]) -> None:
+        self._model, self._rows = model, rows
+        self.kind, self.unit, self.joints = model.kind, model.unit, model.joints
+        self.motions = names
+        self.motion_of: Integers = block
+        self.joint_of: Integers = model.joint_of[rows]
+        self.time_s: Array = model.time_s[rows]
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        """Return the residuals of candidates, (n_candidates, n), as the whole motions have them."""
+        return self._model.residuals(effects, sizes)[:, self._rows]
+
+    def select(self, motions: Sequence[str]) -> "Blocks":
+        """Return the residuals of these blocks alone; only their motions are computed.
+
+        Args:
+            motions: Names of blocks.
+
+        Returns:
+            A model with fewer blocks.
+        """
+        wanted = set(motions)
+        kept = [k for k, name in enumerate(self.motions) if name in wanted]
+        parents = {self.parents[k] for k in kept}
+        part = self._model.select([name for name in self._model.motions if name in parents])
+        # the rows of the motions that stay keep their order
+        stays = np.array([name in parents for name in self._model.motions])[self._model.motion_of]
+        place = np.cumsum(stays) - 1
+        mine = np.isin(self.motion_of, kept)
+        chosen = copy(self)
+        chosen.parents = tuple(self.parents[k] for k in kept)
+        new = np.searchsorted(kept, self.motion_of[mine])
+        chosen._fill(part, place[self._rows[mine]], new, tuple(self.motions[k] for k in kept))
+        return chosen
+
+    def explain(self, name: str) -> Array:
+        """Return a variable on which a residual may depend, (n,)."""
+        return self._model.explain(name)[self._rows]
+
+
+def cut_into_blocks(model: ResidualModel, residuals: Array) -> Blocks:
+    """Cut motions into blocks that are at least as long as the correlation time of the residuals.
+
+    Args:
+        model: Residuals of whole motions.
+        residuals: Residuals with the base effects fitted, (n,).
+
+    Returns:
+        The same residuals, counted by block.
+    """
+    counts = []
+    for m in range(len(model.motions)):
+        rows = model.motion_of == m
+        length_s = float(np.ptp(model.time_s[rows]))
+        longest_s = max(
+            correlation_time_s(model.time_s[here], residuals[here])
+            for here in (rows & (model.joint_of == j) for j in np.unique(model.joint_of[rows]))
+        )
+        counts.append(max(1, int(length_s / longest_s)) if longest_s > 0 else 1)
+    return Blocks(model, counts)
+
+
+def correlation_time_s(time_s: Array, residuals: Array) -> float:
+    """Estimate the time after which residuals are independent.
+
+    Args:
+        time_s: Times, (n,), increasing and about evenly spaced [s].
+        residuals: Residuals, (n,).
+
+    Returns:
+        tau = T (1 + 2 sum rho) [s]; 0 if they do not vary.
+    """
+    if residuals.size < 2 or float(np.ptp(residuals)) == 0.0:
+        return 0.0
+    n = residuals.size
+    spectrum = np.fft.rfft(residuals - residuals.mean(), 2 * n)
+    covariance = np.fft.irfft(np.abs(spectrum) ** 2)[:n]
+    rho = covariance / covariance[0]
+    end = int(np.argmax(rho <= 0)) or n
+    period_s = float(np.median(np.diff(time_s)))
+    return float(period_s * (1 + 2 * np.sum(rho[1:end])))
