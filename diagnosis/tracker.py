@@ -52,9 +52,9 @@ FAMILIES: Final = {
 }
 """Families that poses at rest cannot tell apart, the likelier first."""
 NEXT_MOTION: Final = {
-    PeriodicJointError: "turn the joint with a second encoder at its output: only a gear makes the two differ",
+    PeriodicJointError: "repeat the poses with another payload: it changes an error of the gear only",
     JointCompliance: "",
-    DirectionHysteresis: "come to the same poses from both sides with another payload, which changes friction",
+    DirectionHysteresis: "come to the same poses from both sides, with a payload: it changes friction only",
 }
 """Motion that would separate these families."""
 
@@ -163,13 +163,13 @@ def _text(
     if isinstance(effect, JointCompliance):
         return f"{1e6 * size:.1f} +- {1e6 * half_width:.1f} urad/Nm"
     if isinstance(effect, DirectionHysteresis):
-        told = f"{1e6 * size:.0f} +- {1e6 * half_width:.0f} urad"
-        return f"{told} after a positive move, the opposite after a negative one"
+        text = f"{1e6 * size:.0f} +- {1e6 * half_width:.0f} urad"
+        return f"{text} after a positive move, the opposite after a negative one"
     assert isinstance(effect, PeriodicJointError)
     values = chosen.values[flag_parameters(found.fit, [effect])]
     peak = float(np.max(np.abs(wave_features(found, effect) @ values)))
-    told = f"{1e3 * size:.2f} +- {1e3 * half_width:.2f} mrad root mean square"
-    return f"{told}, {1e3 * peak:.2f} mrad at most"
+    text = f"{1e3 * size:.2f} +- {1e3 * half_width:.2f} mrad root mean square"
+    return f"{text}, {1e3 * peak:.2f} mrad at most"
 
 
 def _base(found: SerialCalibration, chosen: Eliminated) -> tuple[Base, ...]:
@@ -199,11 +199,11 @@ def _errors(models: tuple[NestedModel, ...], explained: PoseErrors) -> tuple[Joi
     frames, links = models[0].fresh, models[1].fresh
     assert frames is not None
     assert links is not None
-    steps = (frames, links, explained)
-    m, rad = [one.rms_m for one in steps], [one.rms_rad for one in steps]
+    position = (frames.rms_m, links.rms_m, explained.rms_m)
+    rotation = (frames.rms_rad, links.rms_rad, explained.rms_rad)
     return (
-        JointError(f"{TARGET} position", "m", *m, math.nan),
-        JointError(f"{TARGET} rotation", "rad", *rad, math.nan),
+        JointError(f"{TARGET} position", "m", *position, math.nan),
+        JointError(f"{TARGET} rotation", "rad", *rotation, math.nan),
     )
 
 
@@ -236,7 +236,7 @@ def _rejected_temperature(test: TemperatureTest | None) -> tuple[Rejected, ...]:
         return ()
     reason = (
         f"it varies by {test.range_K:.2f} K; with it, the error of left-out blocks falls by "
-        f"{1e6 * test.gain_m:.1f} +- {1e6 * test.gain_sigma_m:.1f} um, with a curve that is not the temperature "
-        f"({test.placebo}) by {1e6 * test.placebo_gain_m:.1f} um"
+        f"{1e6 * test.gain_m:.1f} +- {1e6 * test.gain_sigma_m:.1f} um, with a curve that is not the "
+        f"temperature ({test.placebo}) by {1e6 * test.placebo_gain_m:.1f} um"
     )
     return (Rejected(TARGET, "air temperature", reason),)

@@ -159,7 +159,15 @@ def effect_size(
 
 
 def wave_features(found: SerialCalibration, effect: PeriodicJointError) -> Array:
-    """Return cosines and sines of a joint at the fitted poses, unitless, shape (n, k)."""
+    """Select the features of the periodic error of a joint.
+
+    Args:
+        found: Calibration.
+        effect: Periodic error of the joint, with k parameters.
+
+    Returns:
+        Cosines and sines at the fitted poses, unitless, shape (n, k).
+    """
     joint = [one.name for one in found.model.arm.links].index(effect.place)
     waves: Array = found.model.features[joint][found.fit.used, len(NON_PERIODIC) :]
     return waves

@@ -48,7 +48,7 @@ class Elimination:
         """Fit with some parameters at zero.
 
         Args:
-            removed: Flags of these parameters, shape (p,).
+            removed: Boolean flags of these parameters, shape (p,).
 
         Returns:
             Values of all parameters, and errors of blocks that took no part.
