@@ -44,7 +44,7 @@ class Base:
 
 @dataclass(frozen=True, slots=True)
 class JointError:
-    """Mean absolute residual of one joint on held-out motions."""
+    """Mean absolute residual of one joint on held-out motions; the root mean square for a tracker."""
 
     joint: str
     unit: str
@@ -83,6 +83,16 @@ class Refusal:
 
 
 @dataclass(frozen=True, slots=True)
+class Rejected:
+    """Effect that was tested and is not named."""
+
+    place: str
+    effect: str
+    reason: str
+    """Numbers of the test, as a part of a sentence."""
+
+
+@dataclass(frozen=True, slots=True)
 class Diagnosis:
     """Result of `diagnose`."""
 
@@ -100,6 +110,7 @@ class Diagnosis:
     """The effects of base and findings as fitted, from which a patch is made."""
     sizes: tuple[tuple[float, ...], ...]
     """Their sizes."""
+    rejected: tuple[Rejected, ...] = ()
 
     @property
     def closure(self) -> float | None:

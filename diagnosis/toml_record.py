@@ -1,6 +1,7 @@
 """Records that are read from TOML files, and their errors as one sentence."""
 
 import tomllib
+from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
@@ -60,7 +61,7 @@ def _sentence(kind: type[Record], fault: Any, path: Path) -> str:
     match fault["type"]:
         case "missing":
             return f"{path}: {key}: is missing; add it"
-        case "extra_forbidden":
+        case "extra_forbidden" | "unexpected_keyword_argument":
             near = get_close_matches(str(loc[-1]), _fields(kind, loc[:-1]), 1)
             return f"{path}: {key}: is not known" + (f"; did you mean {near[0]}?" if near else "; remove it")
         case "value_error":
@@ -78,8 +79,12 @@ def _fields(kind: type[Record], loc: tuple[str | int, ...]) -> list[str]:
     for name in loc:
         if isinstance(found, type) and issubclass(found, BaseModel):
             found = found.model_fields[str(name)].annotation if name in found.model_fields else None
-        elif getattr(found, "__origin__", None) is dict:
-            found = found.__args__[1]
+        elif getattr(found, "__origin__", None) in (dict, list):
+            found = found.__args__[-1]
+        elif is_dataclass(found):
+            found = next((one.type for one in fields(found) if one.name == name), None)
         if getattr(found, "__args__", None) and type(None) in found.__args__:
             found = next(one for one in found.__args__ if one is not type(None))
+    if is_dataclass(found):
+        return [one.name for one in fields(found)]
     return list(found.model_fields) if isinstance(found, type) and issubclass(found, BaseModel) else []

@@ -11,6 +11,7 @@ class Quantity(StrEnum):
     """Kinds of logged values."""
 
     ANGLE = "angle"
+    LENGTH = "length"
     SPEED = "angular speed"
     TORQUE = "torque"
     CURRENT = "current"
@@ -40,6 +41,9 @@ UNITS: Final = {
     "turn": Unit(Quantity.ANGLE, 2 * math.pi),
     "count": Unit(Quantity.ANGLE, 2 * math.pi),
     FRACTION: Unit(Quantity.ANGLE, 1.0),
+    "m": Unit(Quantity.LENGTH, 1.0),
+    "mm": Unit(Quantity.LENGTH, 1e-3),
+    "um": Unit(Quantity.LENGTH, 1e-6),
     "rad/s": Unit(Quantity.SPEED, 1.0),
     "deg/s": Unit(Quantity.SPEED, math.pi / 180),
     "rpm": Unit(Quantity.SPEED, 2 * math.pi / 60),

@@ -4,21 +4,29 @@ from dataclasses import dataclass
 from typing import Annotated, Final
 
 import numpy as np
+from pydantic import ConfigDict, Field
 
 from diagnosis.arrays import Array
-from fsw.dictionary.types import Limits
 
 GEOMETRY_NAMES: Final = ("theta", "d", "beta", "b", "alpha", "a")
 """Geometric parameters of a link in the order of paper equation 1."""
 
-Length = Annotated[float, Limits(-100.0, 100.0)]
-Angle = Annotated[float, Limits(-100.0, 100.0)]
-Sigma = Annotated[float, Limits(1e-9, 10.0)]
+Length = Annotated[float, Field(strict=True, ge=-100.0, le=100.0)]
+Angle = Annotated[float, Field(strict=True, ge=-100.0, le=100.0)]
+Sigma = Annotated[float, Field(strict=True, ge=1e-9, le=10.0)]
+Number = Annotated[float, Field(strict=True)]
+Vector = tuple[Number, Number, Number]
+UPRIGHT_B_m_s2: Final = (0.0, 0.0, -9.80665)
+"""Gravity on Earth, of an arm that stands upright."""
+TABLE: Final = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""Rules for reading these records from a file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
     """Joint with the link that it rotates: Rz(q + theta) Tz(d) Ry(beta) Ty(b) Rx(alpha) Tx(a)."""
+
+    __pydantic_config__ = TABLE
 
     name: str
     theta_rad: Angle = 0.0
@@ -27,16 +35,16 @@ class Link:
     b_m: Length = 0.0
     alpha_rad: Angle = 0.0
     a_m: Length = 0.0
-    mass_kg: Annotated[float, Limits(0.0, 1e4)] = 0.0
-    mass_centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mass_kg: Annotated[float, Field(strict=True, ge=0.0, le=1e4)] = 0.0
+    mass_centre_m: Vector = (0.0, 0.0, 0.0)
     """Centre of mass in the frame at the end of the link."""
-    compliance_rad_per_Nm: Annotated[float, Limits(-1.0, 1.0)] = 0.0
+    compliance_rad_per_Nm: Annotated[float, Field(strict=True, ge=-1.0, le=1.0)] = 0.0
     """Rotation of the joint for each newton metre of load torque."""
-    hysteresis_rad: Annotated[float, Limits(-1.0, 1.0)] = 0.0
+    hysteresis_rad: Annotated[float, Field(strict=True, ge=-1.0, le=1.0)] = 0.0
     """Direction hysteresis: true less read angle after a positive move; negated after a negative one."""
-    cos_rad: tuple[float, ...] | None = None
+    cos_rad: tuple[Number, ...] | None = None
     """Periodic error, true less read angle: sum of cos[k] cos((k + 1) q) + sin[k] sin((k + 1) q)."""
-    sin_rad: tuple[float, ...] | None = None
+    sin_rad: tuple[Number, ...] | None = None
 
     def __post_init__(self) -> None:
         """Check that cosines and sines are equally many.
@@ -71,19 +79,23 @@ class Link:
 class Uncertainty:
     """Tolerances of a built arm relative to the parameters of its file, one sigma each."""
 
+    __pydantic_config__ = TABLE
+
     length_m: Sigma = 1e-3
     angle_rad: Sigma = 2e-3
     compliance_rad_per_Nm: Sigma = 1e-4
     hysteresis_rad: Sigma = 3e-4
     periodic_rad: Sigma = 3e-5
     """Sigma of each cosine and sine of the periodic error."""
-    orders: Annotated[int, Limits(0, 500)] = 48
+    orders: Annotated[int, Field(strict=True, ge=0, le=500)] = 48
     """Highest order of the periodic error, in periods a turn."""
 
 
 @dataclass(frozen=True, slots=True)
 class Repeatability:
     """Repeatability of a measured pose, one sigma an axis."""
+
+    __pydantic_config__ = TABLE
 
     position_m: Sigma = 1e-4
     rotation_rad: Sigma = 4e-4
@@ -95,7 +107,7 @@ class SerialArm:
 
     name: str
     links: tuple[Link, ...]
-    gravity_B_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
+    gravity_B_m_s2: Vector = UPRIGHT_B_m_s2
     """Gravity in the base frame; the first joint rotates about z of this frame."""
     uncertainty: Uncertainty = Uncertainty()
     repeatability: Repeatability = Repeatability()

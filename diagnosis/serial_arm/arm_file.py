@@ -1,59 +1,78 @@
-"""TOML files of serial arms: strict reading, which reports every problem with its line, and writing."""
+"""TOML files of serial arms: strict reading, of degrees and millimetres too, and writing."""
 
+import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
-from typing import Any, Final
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any, Final
 
-from diagnosis.serial_arm.arm import Link, Repeatability, SerialArm, Uncertainty
-from ground.common.errors import BadRequest
-from sim.scenario.names import did_you_mean
-from sim.scenario.toml_lines import NotToml, parse_toml
-from sim.scenario.toml_record import Findings, read_record
-from sim.scenario.toml_tables import list_tables
+from pydantic import ConfigDict, Field, field_validator
 
-LINKS: Final = "link"
+from diagnosis.serial_arm.arm import Link, Repeatability, SerialArm, Uncertainty, UPRIGHT_B_m_s2, Vector
+from diagnosis.toml_record import Record, parse_record, read_toml
+
 MOST_LINKS: Final = 20
+"""Most links of an arm: the fit of more would take minutes."""
+OTHER_UNITS: Final = {"_deg": ("_rad", math.pi / 180), "_mm": ("_m", 1e-3)}
+"""Suffixes that a file may have in place of those of SI units, with their value in them."""
 
 
-class BadArmFile(BadRequest):
-    """Error: a file does not describe an arm; one line of the message for each problem."""
+class ArmFile(Record):
+    """Content of a file."""
+
+    model_config = ConfigDict(strict=False)  # tables become dataclasses, lists tuples; numbers stay strict
+
+    name: Annotated[str, Field(min_length=1)]
+    gravity_B_m_s2: Vector = UPRIGHT_B_m_s2
+    link: Annotated[list[Link], Field(min_length=1, max_length=MOST_LINKS)]
+    uncertainty: Uncertainty = Uncertainty()
+    repeatability: Repeatability = Repeatability()
+
+    @field_validator("link")
+    @classmethod
+    def _check_names(cls, links: list[Link]) -> list[Link]:
+        names = ["base", "target", *(one.name for one in links)]
+        taken = next((name for k, name in enumerate(names) if name in names[:k]), None)
+        if taken is not None:
+            raise ValueError(f"name {taken!r} is taken already; give each link its own")
+        return links
 
 
-@dataclass(frozen=True, slots=True)
-class _Head:
-    """Content of a file apart from its links."""
-
-    name: str
-    gravity_B_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
-    uncertainty: Uncertainty = field(default_factory=Uncertainty)
-    repeatability: Repeatability = field(default_factory=Repeatability)
-
-
-def arm_from_toml(text: str, file: str) -> SerialArm:
-    """Read an arm from TOML.
-
-    Args:
-        text: Content of the file.
-        file: Name of the file in messages.
-
-    Returns:
-        The arm.
+def read_arm(path: Path) -> SerialArm:
+    """Read an arm from its file.
 
     Raises:
-        BadArmFile: The file is wrong; the message lists every problem with its line.
+        RobotError: The file cannot be read or is wrong; the text gives the path of the key.
     """
-    try:
-        data, lines = parse_toml(text)
-    except NotToml as error:
-        raise BadArmFile(f"{file}:{error.line}: {error}") from error
-    findings = Findings(lines)
-    head = read_record(_Head, {k: v for k, v in data.items() if k != LINKS}, (), findings)
-    links = [read_record(Link, table, place, findings) for place, table in list_tables(data, LINKS, findings)]
-    _check_links([one for one in links if one is not None], bool(data.get(LINKS)), findings)
-    if head is None or findings.problems:
-        raise BadArmFile("\n".join(f"{file}:{p.line}: {p.text}" for p in sorted(findings.problems)))
-    found = tuple(one for one in links if one is not None)
-    return SerialArm(head.name, found, head.gravity_B_m_s2, head.uncertainty, head.repeatability)
+    content = parse_record(ArmFile, _in_si_units(read_toml(path)), path)
+    return SerialArm(
+        content.name, tuple(content.link), content.gravity_B_m_s2, content.uncertainty, content.repeatability
+    )
+
+
+def _in_si_units(value: Any) -> Any:
+    """Convert the keys that end in `_deg` or `_mm`, with their values, in all tables."""
+    if isinstance(value, list):
+        return [_in_si_units(one) for one in value]
+    if not isinstance(value, dict):
+        return value
+    found: dict[str, Any] = {}
+    for key, one in value.items():
+        suffix = next((suffix for suffix in OTHER_UNITS if key.endswith(suffix)), "")
+        si, factor = OTHER_UNITS.get(suffix, ("", 1.0))
+        name = key.removesuffix(suffix) + si
+        # A key that stands twice keeps its second name, which is then refused as unknown.
+        found[key if name in value and suffix else name] = (
+            _scaled(one, factor) if suffix else _in_si_units(one)
+        )
+    return found
+
+
+def _scaled(value: Any, factor: float) -> Any:
+    if isinstance(value, list):
+        return [_scaled(one, factor) for one in value]
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(value) * factor if is_number else value
 
 
 def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
@@ -78,26 +97,6 @@ def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
     for name, record in (("uncertainty", arm.uncertainty), ("repeatability", arm.repeatability)):
         lines += [f"[{name}]", *_fields(record), ""]
     return "\n".join(lines)
-
-
-def _check_links(links: list[Link], is_given: bool, findings: Findings) -> None:
-    if not is_given:
-        findings.report(
-            (), "link: is missing; write [[link]] and its keys below, once for each from the base"
-        )
-    if len(links) > MOST_LINKS:
-        findings.report(("link",), f"link: there are {len(links)}; an arm has at most {MOST_LINKS} here")
-    names = [one.name for one in links]
-    for k, name in enumerate(names):
-        if name in names[:k] or name in ("base", "target"):
-            findings.report(("link", k), f"name: {name!r} is taken already; give each link its own")
-
-
-def unknown_words(words: Iterable[str], known: Iterable[str], what: str) -> str | None:
-    """Describe the first unknown word; None if all are known."""
-    names = tuple(known)
-    wrong = next((word for word in words if word not in names), None)
-    return None if wrong is None else f"{what}: {wrong!r:.60} is not known; {did_you_mean(wrong, names)}"
 
 
 def _fields(record: Any) -> list[str]:

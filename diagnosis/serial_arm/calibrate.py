@@ -173,17 +173,17 @@ def contributions_m(found: SerialCalibration) -> dict[str, float]:
     """Compute the root mean square motion of the target that each term causes."""
     fit, sigma_m = found.fit, found.model.arm.repeatability.position_m
     J = fit.at.jacobian[:, 3:]
-    names = [parameter.name.split(".") for parameter in fit.parameters]
     contributions = {}
     for term in found.model.terms:
-        is_of_term = np.array([_term_of(*name) == term for name in names])
+        is_of_term = np.array([term_of(one.name) == term for one in fit.parameters])
         shift = J[:, :, is_of_term] @ fit.values[is_of_term] * sigma_m
         contributions[term] = float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
     return contributions
 
 
-def _term_of(place: str, number: str) -> str | None:
-    """Return the term of a parameter; None for base and target."""
+def term_of(parameter: str) -> str | None:
+    """Return the term of a parameter by its name; None for base and target."""
+    place, _, number = parameter.rpartition(".")
     if place in NOT_LINKS:
         return None
     if number in NON_PERIODIC:

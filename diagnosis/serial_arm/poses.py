@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from diagnosis.arrays import Array
+from diagnosis.arrays import Array, Flags, Integers
 
 
 class AnyPose(Protocol):
@@ -36,7 +36,7 @@ class Pose:
         """Return X_AC = X_AB @ X_BC; batches broadcast."""
         return Pose(compose(self.R, other.R), rotate(self.R, other.p) + self.p)
 
-    def __getitem__(self, index: object) -> "Pose":
+    def __getitem__(self, index: int | slice | Flags | Integers) -> "Pose":
         """Return the poses at an index of the batch axis."""
         return Pose(self.R[:, :, index], self.p[:, index])
 
@@ -122,7 +122,8 @@ def norm(v: Array) -> Array:
     Returns:
         The norms, shape (n,), unit of v.
     """
-    return np.sqrt(np.einsum("in,in->n", v, v))
+    lengths: Array = np.sqrt(np.einsum("in,in->n", v, v))
+    return lengths
 
 
 def skew(v: Array) -> Array:

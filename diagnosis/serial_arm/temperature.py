@@ -73,6 +73,23 @@ def temperature_test(found: SerialCalibration, validation: CrossValidation) -> T
     return TemperatureTest(float(np.ptp(air)), before.rms_m, after.rms_m, gain, sigma, best, most)
 
 
+def drift_gain(
+    found: SerialCalibration, validation: CrossValidation, curve_K: Array
+) -> tuple[float, float, float]:
+    """Cross-validate a model in which base and link lengths follow a curve in time.
+
+    Args:
+        found: Calibration.
+        validation: Its cross-validation.
+        curve_K: Values at the fitted poses in kelvin, with a mean of 0, shape (n,).
+
+    Returns:
+        Mean reduction of the block errors [m], its standard error [m], and the share of variance explained.
+    """
+    before, after = validation.held_out(), validation.held_out(_columns(found) * curve_K[:, None, None])
+    return *gain_m(before, after), 1.0 - (after.rms_m / before.rms_m) ** 2
+
+
 def _columns(found: SerialCalibration) -> Array:
     """Compute the Jacobian columns of base (six) and arm growth per kelvin, in units of their expected size.
 

@@ -1,164 +1,217 @@
 """Measured poses from a table, with a mapping that assigns the columns."""
 
-import hashlib
-from dataclasses import dataclass, field
-from typing import Final, Literal
+from pathlib import Path
+from typing import Annotated, Final, Literal
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from pydantic import Field, field_validator, model_validator
 from scipy.spatial.transform import Rotation
 
-from diagnosis.arrays import Array
+from diagnosis.arrays import Array, Integers
+from diagnosis.errors import RobotError
+from diagnosis.log_file import LogFile, open_log
+from diagnosis.robot_file import CsvTable, Text
+from diagnosis.serial_arm.arm import SerialArm
 from diagnosis.serial_arm.poses import Pose
 from diagnosis.serial_arm.series import PoseSeries, move_directions
-from ground.telemetry.imports.files import BadImport
-from ground.telemetry.imports.mapping import CsvFormat, TimeMapping
-from ground.telemetry.imports.table import InputTable, read_table
-from ground.telemetry.imports.times import sort_by_time
-from ground.telemetry.imports.units import UNIT_CONVERSIONS
-from sim.scenario.names import did_you_mean
-from sim.scenario.toml_lines import NotToml, parse_toml
-from sim.scenario.toml_record import Findings, read_record
+from diagnosis.toml_record import Record, parse_record, read_toml
+from diagnosis.units import COUNTS, FRACTION, Quantity, Unit, find_unit
 
 MIN_STALE_ROWS: Final = 3
 """Number of identical measurements in a row, with a moving arm, that proves that the target was lost."""
+Order = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
 
 
-@dataclass(frozen=True, slots=True)
-class QuantityColumns:
+class Columns(Record):
     """Columns of one quantity with their unit."""
 
-    columns: tuple[str, ...]
-    unit: str
+    columns: Annotated[list[Text], Field(min_length=1)]
+    unit: Text
+
+    def convert(self, quantity: Quantity) -> Unit:
+        """Return the unit; an error names those that there are."""
+        if self.unit in (*COUNTS, FRACTION):
+            raise ValueError(f"{self.unit!r} needs a range; convert the column to radians or degrees")
+        return find_unit(self.unit, quantity)
 
 
-@dataclass(frozen=True, slots=True)
-class RotationColumns:
+class RotationColumns(Columns):
     """Three Euler angles of the target; capital letters mean intrinsic rotations."""
 
-    columns: tuple[str, str, str]
-    unit: str
-    order: Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
+    order: Order
 
 
-@dataclass(frozen=True, slots=True)
-class TrackerMapping:
+class TimeColumn(Record):
+    """Time by which rows are sorted."""
+
+    column: Text
+    format: str = ""
+    """Format of a column of text, as for strptime; empty: the column has numbers."""
+    sort: bool = False
+    """True to sort the rows; else rows out of order are an error."""
+
+
+class TrackerMapping(Record):
     """Mapping from columns of a table to quantities."""
 
-    joints: QuantityColumns
-    position: QuantityColumns
+    joints: Columns
+    position: Columns
     rotation: RotationColumns
     arm: str = "unknown"
-    csv: CsvFormat = field(default_factory=CsvFormat)
-    time: TimeMapping | None = None
+    csv: CsvTable = CsvTable()
+    time: TimeColumn | None = None
     """Column of time; None if the rows are in the order of time."""
-    air: QuantityColumns | None = None
+    air: Columns | None = None
+
+    @field_validator("position", "rotation")
+    @classmethod
+    def _check_count(cls, given: Columns) -> Columns:
+        if len(given.columns) != 3:
+            raise ValueError(f"columns: there are {len(given.columns)}; give three")
+        return given
+
+    @model_validator(mode="after")
+    def _check_units(self) -> "TrackerMapping":
+        for name, quantity in QUANTITIES.items():
+            one: Columns | None = getattr(self, name)
+            if one is not None:
+                try:
+                    one.convert(quantity)
+                except ValueError as error:
+                    raise ValueError(f"{name}.unit: {error}") from error
+        if self.air is not None and len(self.air.columns) != 1:
+            raise ValueError(f"air.columns: there are {len(self.air.columns)}; give one")
+        return self
 
 
-def mapping_from_toml(text: str, file: str) -> TrackerMapping:
-    """Read a mapping from TOML.
+QUANTITIES: Final = {
+    "joints": Quantity.ANGLE,
+    "position": Quantity.LENGTH,
+    "rotation": Quantity.ANGLE,
+    "air": Quantity.TEMPERATURE,
+}
 
-    Args:
-        text: Content of the file.
-        file: Name of the file in messages.
 
-    Returns:
-        The mapping.
+def read_mapping(path: Path) -> TrackerMapping:
+    """Read a mapping from its file.
 
     Raises:
-        BadImport: The file is wrong; the message lists every problem with its line.
+        RobotError: The file cannot be read or is wrong; the text gives the path of the key.
     """
-    try:
-        data, lines = parse_toml(text)
-    except NotToml as error:
-        raise BadImport([f"{file}:{error.line}: {error}"]) from error
-    findings = Findings(lines)
-    mapping = read_record(TrackerMapping, data, (), findings)
-    if mapping is not None:
-        _check_quantities(mapping, findings)
-    if mapping is None or findings.problems:
-        raise BadImport(f"{file}:{p.line}: {p.text}" for p in sorted(findings.problems))
-    return mapping
+    return parse_record(TrackerMapping, read_toml(path), path)
 
 
-def _check_quantities(mapping: TrackerMapping, findings: Findings) -> None:
-    """Check units and number of columns of each quantity."""
-    quantities = (
-        ("joints", mapping.joints, "rad", None),
-        ("position", mapping.position, "m", 3),
-        ("rotation", mapping.rotation, "rad", 3),
-        ("air", mapping.air, "degC", 1),
-    )
-    for name, one, kind, count in quantities:
-        if one is None:
-            continue
-        if one.unit not in UNIT_CONVERSIONS[kind]:
-            known = did_you_mean(one.unit, UNIT_CONVERSIONS[kind])
-            findings.report((name, "unit"), f"unit: {one.unit!r} does not fit; {known}")
-        if count is not None and len(one.columns) != count:
-            findings.report((name, "columns"), f"columns: {len(one.columns)} given; {name} takes {count}")
-
-
-def series_from_table(data: bytes, file: str, mapping: TrackerMapping) -> PoseSeries:
+def read_series(arm: SerialArm, table: Path, mapping: Path) -> PoseSeries:
     """Read the poses of a table, in order of time.
 
     Args:
-        data: Content of the file.
-        file: Name of the file in messages.
+        arm: Arm whose joints the table has.
+        table: Table with joint angles and measured poses.
+        mapping: File that assigns the columns.
+
+    Returns:
+        The series.
+
+    Raises:
+        RobotError: A file, a column or a value is missing or wrong, the mapping is that of another arm, or
+            the tracker readings stood still while the arm moved.
+    """
+    meant = read_mapping(mapping)
+    columns, joints = len(meant.joints.columns), len(arm.links)
+    if columns != joints:
+        raise RobotError(f"{mapping}: joints: {columns} columns; the arm {arm.name} has {joints} joints")
+    if meant.arm != arm.name:
+        raise RobotError(
+            f"{mapping}: its table is of the arm {meant.arm!r}, the arm file describes {arm.name!r}; give "
+            "the files of one arm"
+        )
+    return series_from_table(table, meant)
+
+
+def series_from_table(path: Path, mapping: TrackerMapping) -> PoseSeries:
+    """Read the poses of a table, in order of time.
+
+    Args:
+        path: Table with joint angles and measured poses.
         mapping: Columns of each quantity.
 
     Returns:
         The series.
 
     Raises:
-        BadImport: A column or a value is missing, or the tracker readings stood still while the arm moved.
+        RobotError: A column or a value is missing, or the tracker readings stood still while the arm moved.
     """
-    air_columns = () if mapping.air is None else mapping.air.columns
-    times = () if mapping.time is None or mapping.time.column is None else (mapping.time.column,)
-    names = (*mapping.joints.columns, *mapping.position.columns, *mapping.rotation.columns, *air_columns)
-    table = read_table(data, file, tuple(dict.fromkeys((*times, *names))), mapping.csv)
-    if mapping.time is not None:
-        table = sort_by_time(table, mapping.time)
-    joints = _values(table, mapping.joints, "rad")
-    position = _values(table, mapping.position, "m")
-    angles = _values(table, mapping.rotation, "rad")
-    _check_stale(table, joints, np.concatenate([position, angles]), mapping.position.columns[0])
+    given = {name: one for name in QUANTITIES if (one := getattr(mapping, name)) is not None}
+    numbers = [name for one in given.values() for name in one.columns]
+    time = mapping.time
+    texts = [time.column] if time is not None and time.format else []
+    if time is not None and not time.format:
+        numbers.append(time.column)
+    log = open_log(path, list(dict.fromkeys(numbers)), texts, mapping.csv)
+    order = _order(log, time)
+    values = {name: _values(log, one, QUANTITIES[name], order) for name, one in given.items()}
+    joints, position, angles = values["joints"], values["position"], values["rotation"]
+    row = np.arange(1, joints.shape[1] + 1) if order is None else order + 1
+    _check_stale(path, row, joints, np.concatenate([position, angles]))
     R = np.moveaxis(Rotation.from_euler(mapping.rotation.order, angles.T).as_matrix(), 0, -1)
-    air = None if mapping.air is None else _values(table, mapping.air, "degC")[0]
-    row = np.array([table.row_number(k) for k in range(table.rows)])
-    return PoseSeries(file, joints, move_directions(joints), Pose(R, position), air, row)
+    air = values["air"][0] if "air" in values else None
+    return PoseSeries(str(path), joints, move_directions(joints), Pose(R, position), air, row)
 
 
-def sha256(data: bytes) -> str:
-    """Compute the SHA-256 digest of a file's content."""
-    return hashlib.sha256(data).hexdigest()
+def _order(log: LogFile, time: TimeColumn | None) -> Integers | None:
+    """Return the rows of the file in order of time, (n,); None for the order of the file."""
+    if time is None:
+        return None
+    if time.format:
+        read = pc.strptime(pa.array(log.texts(time.column)), time.format, "us", error_is_null=True)
+        bad = np.flatnonzero(read.is_null().to_numpy(zero_copy_only=False))
+        at = read.cast(pa.int64()).to_numpy(zero_copy_only=False)
+        wrong = f"no time as {time.format!r} has it"
+    else:
+        at = log.numbers(time.column).value
+        bad, wrong = np.flatnonzero(~np.isfinite(at)), "no time; every row needs one"
+    if bad.size:
+        raise RobotError(f"{log.path}: row {bad[0] + 1}, column {time.column!r}: has {wrong}")
+    late = np.flatnonzero(np.diff(at) < 0)
+    if late.size and not time.sort:
+        raise RobotError(
+            f"{log.path}: row {late[0] + 2}, column {time.column!r}: is before the row above; sort the "
+            "table, or write sort = true in [time]"
+        )
+    return np.argsort(at, kind="stable") if time.sort else None
 
 
-def _values(table: InputTable, quantity: QuantityColumns | RotationColumns, kind: str) -> Array:
+def _values(log: LogFile, columns: Columns, quantity: Quantity, order: Integers | None) -> Array:
     """Read the columns of a quantity in SI units (temperatures in Celsius), shape (columns, n)."""
-    unit = UNIT_CONVERSIONS[kind][quantity.unit]
+    unit = columns.convert(quantity)
     rows = []
-    for name in quantity.columns:
-        column = table.numbers(name)
-        values = column.values.astype(np.float64)
-        missing = np.flatnonzero(~column.given | ~np.isfinite(values))
+    for name in columns.columns:
+        value = log.numbers(name).value
+        missing = np.flatnonzero(~np.isfinite(value))
         if missing.size:
-            what = "has no value; leave poses out of the table whose joints or target were not measured"
-            raise table.error_at(what, int(missing[0]), name)
-        rows.append(values * unit.factor + unit.offset)
+            raise RobotError(
+                f"{log.path}: row {missing[0] + 1}, column {name!r}: has no value; leave poses out of the "
+                "table whose joints or target were not measured"
+            )
+        rows.append((value if order is None else value[order]) * unit.factor + unit.offset)
+    if len({one.size for one in rows}) > 1:
+        raise RobotError(
+            f"{log.path}: columns {', '.join(columns.columns)}: are not equally long; give a table"
+        )
     return np.array(rows)
 
 
-def _check_stale(table: InputTable, joint_rad: Array, measured: Array, column: str) -> None:
+def _check_stale(path: Path, row: Integers, joint_rad: Array, measured: Array) -> None:
     """Check that measurements change when the arm moves."""
     is_stale = np.all(np.diff(measured, axis=1) == 0.0, axis=0) & np.any(
         np.diff(joint_rad, axis=1) != 0.0, axis=0
     )
     run = np.convolve(is_stale, np.ones(MIN_STALE_ROWS - 1, int), "valid") == MIN_STALE_ROWS - 1
     if run.any():
-        row = int(np.flatnonzero(run)[0])
-        what = (
-            f"the target stands still to the last digit in {MIN_STALE_ROWS} rows or more while the joints "
-            "move: "
-            "the tracker had lost it; leave these rows out"
+        raise RobotError(
+            f"{path}: row {row[np.flatnonzero(run)[0]]}: the target stands still to the last digit in "
+            f"{MIN_STALE_ROWS} rows or more while the joints move: the tracker had lost it; "
+            "leave these rows out"
         )
-        raise table.error_at(what, row, column)

@@ -1,5 +1,6 @@
 """Execution of a calibration of a serial arm: read the files, fit, validate, write the fitted arm."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.serial_arm.arm import SerialArm
-from diagnosis.serial_arm.arm_file import arm_from_toml, arm_to_toml, unknown_words
+from diagnosis.serial_arm.arm_file import arm_to_toml, read_arm
 from diagnosis.serial_arm.calibrate import held_out_ratio
 from diagnosis.serial_arm.identifiability import Identifiability, assess_identifiability
 from diagnosis.serial_arm.initial_setup import estimate_setup
@@ -16,15 +17,13 @@ from diagnosis.serial_arm.model import TERMS
 from diagnosis.serial_arm.nested_models import NestedModel, fit_nested_models
 from diagnosis.serial_arm.series import PoseSeries
 from diagnosis.serial_arm.temperature import TemperatureTest, temperature_test
-from diagnosis.serial_arm.tracker_table import mapping_from_toml, series_from_table, sha256
+from diagnosis.serial_arm.tracker_table import read_series
 from ground.calibration.request import SerialRequest
 from ground.common.errors import BadRequest
 from ground.common.files import atomic_write
 from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress
-from ground.telemetry.imports.files import MAX_TABLE_BYTES, read_file
-from ground.telemetry.imports.mapping_file import MAX_MAPPING_BYTES
-from sim.text_file import UnreadableText, decode_text
+from sim.scenario.names import did_you_mean
 
 ALL: Final = "all"
 NONE: Final = "none"
@@ -54,7 +53,8 @@ def calibrate_serial(request: SerialRequest, progress: Progress = no_progress) -
     """Fit the arm of a file to one part of a table of measured poses, and validate it with the other part.
 
     Raises:
-        BadRequest: A file is wrong, or its poses do not determine the parameters; nothing was written.
+        BadRequest: The request is wrong; nothing was written.
+        RobotError: A file is wrong, or its poses do not determine the parameters; nothing was written.
     """
     check_options(request)
     terms = _parse_terms(request.terms)
@@ -93,41 +93,27 @@ def _build_report(
 
 
 def _read(request: SerialRequest) -> tuple[SerialArm, PoseSeries, dict[str, str]]:
-    data = {
-        "arm": read_file(request.arm, MAX_MAPPING_BYTES),
-        "mapping": read_file(request.mapping, MAX_MAPPING_BYTES),
-        "table": read_file(request.table, MAX_TABLE_BYTES),
-    }
-    arm = arm_from_toml(_text(data["arm"], request.arm), str(request.arm))
-    mapping = mapping_from_toml(_text(data["mapping"], request.mapping), str(request.mapping))
-    columns, joints = len(mapping.joints.columns), len(arm.links)
-    if columns != joints:
-        raise BadRequest(
-            f"{request.mapping}: joints: {columns} columns; the arm {arm.name} has {joints} joints"
-        )
-    if mapping.arm != arm.name:
-        raise BadRequest(
-            f"{request.mapping}: its table is of the arm {mapping.arm!r}, {request.arm} describes "
-            f"{arm.name!r}; give the files of one arm"
-        )
-    series = series_from_table(data["table"], str(request.table), mapping)
-    return arm, series, {name: sha256(one) for name, one in data.items()}
+    arm = read_arm(request.arm)
+    series = read_series(arm, request.table, request.mapping)
+    files = {"arm": request.arm, "mapping": request.mapping, "table": request.table}
+    return arm, series, {name: _sha256(path) for name, path in files.items()}
 
 
-def _text(data: bytes, file: Path) -> str:
-    try:
-        return decode_text(data)
-    except UnreadableText as error:
-        raise BadRequest(f"{file}: {error}") from error
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _parse_terms(text: str) -> tuple[str, ...]:
     if text in (ALL, NONE):
         return TERMS if text == ALL else ()
     words = [word.strip() for word in text.split(",")]
-    wrong = unknown_words(words, (*TERMS, ALL, NONE), "terms")
-    if wrong is not None or ALL in words or NONE in words:
-        raise BadRequest(wrong or f"terms: {text!r}: {ALL} and {NONE} stand alone")
+    wrong = next((word for word in words if word not in (*TERMS, ALL, NONE)), None)
+    if wrong is not None:
+        known = did_you_mean(wrong, (*TERMS, ALL, NONE))
+        raise BadRequest(f"terms: {wrong!r:.60} is not known; {known}")
+    if ALL in words or NONE in words:
+        raise BadRequest(f"terms: {text!r}: {ALL} and {NONE} stand alone")
     return tuple(term for term in TERMS if term in words)
 
 

@@ -6,12 +6,12 @@ import PIL.Image
 import pytest
 
 from diagnosis.errors import RobotError
-from diagnosis.serial_arm.arm_file import arm_from_toml
+from diagnosis.serial_arm.arm_file import read_arm
 from ground.calibration.request import SerialRequest
 from ground.calibration.serial.execution import calibrate_serial
 from ground.common.errors import BadRequest
+from tests.diagnosis.serial_arm.files import MAPPING, rows, write
 from tests.diagnosis.serial_arm.synthetic import POSITION_M
-from tests.ground.calibration.serial.files import MAPPING, rows, write
 from tests.ground.command import marsarm, marsarm_process
 
 NAMES = {"arm": "arm.toml", "table": "poses.csv", "mapping": "mapping.toml"}
@@ -60,7 +60,7 @@ def test_the_arm_that_was_found_says_where_it_is_from_and_can_be_judged_again(en
     folder, done = ended
     found = (folder / "found.toml").read_text()
     assert json.loads(done.stdout)["sha256"]["table"] in found
-    assert arm_from_toml(found, "found.toml").name == "made up"
+    assert read_arm(folder / "found.toml").name == "made up"
     again = calibrate_serial(make_request(folder, arm=folder / "found.toml", terms="none"), quiet)
     assert again.models[-1].fresh.rms_m < 1.2 * POSITION_M * 3**0.5
 
@@ -93,7 +93,7 @@ def test_the_same_files_give_the_same_bytes(ended):
         ({"terms": "all,periodic"}, None, "all and none stand alone"),
         ({"out": "found.txt"}, None, "found.txt: its name must end in .toml"),
         ({"out": "arm.toml"}, None, "this is the file of arm too"),
-        ({"table": "none.csv"}, None, "none.csv: cannot be read"),
+        ({"table": "none.csv"}, None, "none.csv: there is no such log"),
         ({}, ('"made up"', '"UR10"'), "its table is of the arm 'UR10'"),
         ({}, ('"joint2"]', '"joint2", "air"]'), "joints: 4 columns; the arm made up has 3 joints"),
         ({}, ('unit = "mm"', 'unit = "m"'), "times as far: see that positions have their unit"),
