@@ -137,6 +137,8 @@ def regime_words(regime: str) -> str:
 
 def quantity(value: float, unit: str) -> str:
     """Return a number with its unit, small angles and lengths in thousandths."""
+    if not isfinite(value):
+        return "not known"
     small, factor = SMALL_UNITS.get(unit, (unit, 1.0))
     return f"{value * factor:.3g} {small}"
 

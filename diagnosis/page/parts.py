@@ -66,7 +66,11 @@ def _error_part(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.errors:
         return [_heading("How far the error shrinks"), _paragraph("No motion was held out to judge it.")]
     legend = "".join(f'<span><i class="swatch {kind}"></i>{words}</span> ' for kind, words in BARS.items())
-    mark = "The line across the bars is the noise floor." if has_floor(diagnosis) else "The noise floor is unknown."
+    mark = (
+        "The line across the bars is the noise floor."
+        if has_floor(diagnosis)
+        else "The noise floor is unknown."
+    )
     return [
         _heading("How far the error shrinks"),
         _paragraph(f"Mean error by joint on motions that took no part. {mark}"),
@@ -87,7 +91,7 @@ def _error_bars(one: JointError) -> str:
     rows = "".join(
         f'<div class="row"><span>{BARS[kind]}</span><div class="track">'
         f'<div class="bar {kind}" style="--share:{value / most if isfinite(value) else 0.0:.4f}"></div>{line}'
-        f"</div><span>{html.escape(quantity(value, one.unit)) if isfinite(value) else 'not known'}</span></div>"
+        f"</div><span>{html.escape(quantity(value, one.unit))}</span></div>"
         for kind, value in values.items()
     )
     return f"<figure><h3>{html.escape(one.joint)}</h3>{rows}</figure>"
@@ -99,7 +103,9 @@ def _trace_part(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
         return []
     return [
         _heading("Before and after"),
-        _paragraph("Of each joint, the held-out motions with the largest, middle and smallest error are shown."),
+        _paragraph(
+            "Of each joint, the held-out motions with the largest, middle and smallest error are shown."
+        ),
         "<noscript><p>The figures here need JavaScript.</p></noscript>",
         *(_trace_figure(joint, own) for joint, own in chosen.items()),
         f"<script>{_read('traces.js')}</script>",

@@ -8,7 +8,17 @@ import pytest
 
 from diagnosis.document import from_document, to_document
 from diagnosis.errors import RobotError
-from tests.diagnosis.verdicts import ARMATURE, GAIN, LIFT, REFUSED, REST, Rub, diagnosis, finding, without_floor
+from tests.diagnosis.verdicts import (
+    ARMATURE,
+    GAIN,
+    LIFT,
+    REFUSED,
+    REST,
+    Rub,
+    diagnosis,
+    finding,
+    without_floor,
+)
 
 FULL = diagnosis(
     findings=(finding(next_motion="slow sweeps"), finding(place="pan", interval=((0.0, inf),))),
