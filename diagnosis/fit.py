@@ -59,7 +59,7 @@ class Hypothesis:
     columns: Integers
     """Free columns of the union, (p,)."""
     start: Array
-    """Sizes of the whole union, (P,)."""
+    """Sizes of the whole union, (n_sizes,)."""
     joint: int = ALL_JOINTS
     """Index of the joint whose residuals count."""
     left_out: frozenset[int] = frozenset()
@@ -71,7 +71,7 @@ class Fit:
     """Hypothesis at its optimum."""
 
     sizes: Array
-    """(P,)."""
+    """(n_sizes,)."""
     columns: Integers
     residuals: Array
     """Residuals of its joint, (n_rows,), also of motions that were left out."""
@@ -142,6 +142,27 @@ def fit_hypotheses(
         for problem, rows in zip(active, evaluate(trials, active), strict=True):
             problem.choose(rows)
     return [one.fit() for one in problems]
+
+
+def evaluate_points(
+    model: ResidualModel, union: Union, points: Sequence[tuple[int, Array]], *, share: bool
+) -> list[Array]:
+    """Simulate single points, those of different joints in one candidate if they may share it.
+
+    Args:
+        model: The residual model.
+        union: Effects, and the columns of their sizes.
+        points: Joint, or ALL_JOINTS, and sizes of the union in their units, (n_sizes,), for each.
+        share: True to put points of different joints into one candidate.
+
+    Returns:
+        Residuals of its joint for each point, (n_rows,).
+    """
+    none = np.empty(0, np.int64)
+    ones = np.ones(len(model.joints))
+    problems = [_Problem(model, union, Hypothesis(none, at, joint), ones) for joint, at in points]
+    found = _Evaluator(model, union, share, None)([[at] for _, at in points], problems)
+    return [rows[0] for rows in found]
 
 
 class _Problem:
@@ -284,7 +305,7 @@ def measure_coupling(model: ResidualModel, union: Union, at: Array, base: Sequen
     Args:
         model: The residual model.
         union: Effects, and the columns of their sizes.
-        at: Sizes around which it is measured, (P,), in their own units.
+        at: Sizes around which it is measured, (n_sizes,), in their own units.
         base: Effects whose typical sizes move their joints.
 
     Returns:

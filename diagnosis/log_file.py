@@ -172,7 +172,7 @@ def _open_csv(path: Path, numbers: Sequence[str], texts: Sequence[str], form: Cs
         there = next(csv.reader(file, delimiter=form.separator), [])
     check_columns(path, [*numbers, *texts], there)
     convert = pacsv.ConvertOptions(
-        column_types=dict.fromkeys(texts, pa.string()),
+        column_types=dict.fromkeys((one for one in texts if one not in numbers), pa.string()),
         include_columns=list(dict.fromkeys([*numbers, *texts])),
         null_values=[""],
         decimal_point=form.decimal,
@@ -189,7 +189,7 @@ def _open_npz(path: Path, wanted: Sequence[str]) -> ArrayLog:
         with np.load(path, allow_pickle=False) as archive:
             check_columns(path, wanted, archive.files)
             return ArrayLog(path, {name: archive[name] for name in dict.fromkeys(wanted)})
-    except ValueError as error:
+    except (ValueError, EOFError) as error:
         raise RobotError(f"{path}: cannot be read: {error}") from error
 
 

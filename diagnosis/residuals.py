@@ -21,6 +21,8 @@ class ResidualModel(Protocol):
     joints: tuple[str, ...]
     motions: tuple[str, ...]
     """Names of the units of inference: motions, or blocks of a motion."""
+    repeat_of: tuple[str, ...]
+    """Motions with the same text repeat one another; empty text: never repeated."""
     joint_of: Integers
     """Index of the joint of each residual, (n,)."""
     motion_of: Integers

@@ -113,6 +113,8 @@ class JointTable(Record):
                 raise ValueError(f"{name}.unit: {error}") from error
             if one.zero_rad and quantity is not Quantity.ANGLE:
                 raise ValueError(f"{name}.zero_rad: a value of {quantity.value} has no zero angle; remove it")
+        if self.gain_column and self.mode == "position" and self.kp_Nm_rad is None:
+            raise ValueError("kp_Nm_rad: is missing; with a gain column it is the stiffness for a gain of 1")
         if self.mode == "current" and self.torque_constant_Nm_A is None:
             raise ValueError("torque_constant_Nm_A: is missing; the mode current needs it")
         return self

@@ -149,5 +149,5 @@ def _nested(name: str, kind: str, known: dict[str, str]) -> str:
 
 
 def _short(name: str) -> str:
-    """Return a type without the folder in its middle: sensor_msgs/msg/JointState is sensor_msgs/JointState."""
+    """Return a type without the folder in its middle: a/msg/B is a/B."""
     return name.strip().replace("/msg/", "/")

@@ -60,6 +60,7 @@ class SimulationResiduals:
             self._windows += cut_windows(self._robot, motion, *self._options)
         self.joints = tuple(joint.name for joint in self._robot.joints)
         self.motions = tuple(motion.name for motion in motions)
+        self.repeat_of = tuple(motion.repeat_of for motion in motions)
         counts = np.array([[one.size for one in window.sample_time_s] for window in self._windows])
         n_joints = len(self.joints)
         which = np.array([self.motions.index(window.motion) for window in self._windows])

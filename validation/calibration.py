@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import least_squares
 
+from diagnosis.serial_arm.fit import fit
 from fsw.kinematics.transforms import Array
 from ground.calibration.arm_model import arm_model
 from ground.calibration.arm_parameters import arm_parameters
@@ -21,7 +22,6 @@ from ground.calibration.calibrate import Calibration, calibrate, rms_m
 from ground.calibration.campaign import CampaignPlan, earth_reference, run_campaign
 from ground.calibration.campaign_data import Campaign
 from ground.calibration.checks import BadData, check_data, check_fit
-from ground.calibration.fit import fit
 from ground.calibration.parameter_file import calibrated_params, save_parameter_file
 from ground.calibration.simulation import (
     compare_with_truth,

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from diagnosis.serial_arm.calibrate import periodic_error_rad
 from fsw.kinematics.transforms import Array, Integers
 from ground.calibration.request import SerialRequest
-from ground.calibration.serial.calibrate import periodic_error_rad
 from ground.calibration.serial.execution import SerialReport, calibrate_serial
 from ground.calibration.serial.report import serial_json
 from validation.options import campaign_parser

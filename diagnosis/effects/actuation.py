@@ -1,14 +1,15 @@
-"""Faults of a servo: of its gains, its torque and its command."""
+"""Faults of a servo: of its gains and its torque."""
 
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Self
 
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.effects.effect import Family, Fields, Size
-from diagnosis.effects.joint import JointEffect
-from diagnosis.robot import Robot
+from diagnosis.effects.effect import Effect, Family, Fields, Size, Tick
+from diagnosis.effects.joint import JointEffect, JointScales
+from diagnosis.robot import ControlMode, Robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,22 +31,171 @@ class GainError(JointEffect):
 
 
 @dataclass(frozen=True, slots=True)
-class CommandDelay(JointEffect):
-    """The command arrives late."""
+class DampingGain(JointEffect):
+    """Damping of the loop is other than nominal.
 
-    name: ClassVar[str] = "command delay"
+    Without a limit of the torque, and with a command at rest, it is viscous friction.
+    """
+
+    name: ClassVar[str] = "damping gain"
     family: ClassVar[Family] = Family.ACTUATION
 
     @property
     def sizes(self) -> tuple[Size, ...]:
-        """Delay, up to the command that a window keeps before its start."""
-        return (Size("delay_s", 0.0, 0.2, 0.01),)
+        """Damping beside the nominal one: at most what takes the whole torque at the highest speed."""
+        scale = self.scales.torque_Nm / self.scales.speed_rad_s
+        return (Size("kd_Nms_rad", -self.joint.kd_Nms_rad, scale, 0.05 * scale),)
 
-    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
-        """Shift the command; a fraction of a period is the mean of a command that changes within it."""
-        position = np.clip(np.arange(command.shape[1]) - size[:, :1] / period_s, 0.0, None)
-        low = np.floor(position).astype(int)
-        share = position - low
-        row = np.arange(command.shape[0])[:, None]
-        high = np.minimum(low + 1, command.shape[1] - 1)
-        return np.asarray((1.0 - share) * command[row, low] + share * command[row, high])
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Add to the damping gain."""
+        fields.kd_Nms_rad[:, self.index] += size[:, 0]
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueConstant(JointEffect):
+    """The motor makes more or less torque than it should, gains and limit alike."""
+
+    name: ClassVar[str] = "torque constant"
+    family: ClassVar[Family] = Family.ACTUATION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Relative change; a motor with less than a tenth of its torque is a motor that is off."""
+        return (Size("torque_ratio", -0.9, 1.0, 0.1),)
+
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Scale gains and limit."""
+        for values in (fields.kp_Nm_rad, fields.kd_Nms_rad, fields.torque_limit_Nm):
+            values[:, self.index] *= 1.0 + size[:, 0]
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueLimit(JointEffect):
+    """The motor makes less than its largest torque."""
+
+    name: ClassVar[str] = "torque limit"
+    family: ClassVar[Family] = Family.ACTUATION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Inverse of the limit, from the nominal one down to a twentieth of the torque in use."""
+        return (Size("inverse_limit_1_Nm", 0.0, 20.0 / self.scales.torque_Nm, 2.0 / self.scales.torque_Nm),)
+
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Lower the limit."""
+        limit = fields.torque_limit_Nm[:, self.index]
+        fields.torque_limit_Nm[:, self.index] = np.minimum(limit, inverse(size[:, 0]))
+
+    def describe(self, size: Array) -> str:
+        """Return the limit."""
+        return f"torque limit {float(inverse(size)[0]):.4g} N m"
+
+
+@dataclass(frozen=True, slots=True)
+class BackEmf(JointEffect):
+    """The torque that the supply can drive falls with the speed, to 0 at the no-load speed."""
+
+    name: ClassVar[str] = "back-EMF"
+    family: ClassVar[Family] = Family.ACTUATION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Inverse of the no-load speed; at most the motor could only just reach half the logged speed."""
+        speed = self.scales.speed_rad_s
+        return (Size("inverse_no_load_s_rad", 0.0, 2.0 / speed, 0.5 / speed),)
+
+    def act(self, size: Array, tick: Tick) -> None:
+        """Lower the limit where the motor drives; where it brakes, the supply does not limit it."""
+        j, state = self.index, tick.state
+        request = tick.command[:, j]
+        if self.joint.mode is ControlMode.POSITION:
+            request = request - state.q_rad[:, j]
+        elif self.joint.mode is ControlMode.VELOCITY:
+            request = request - state.v_rad_s[:, j]
+        driving = np.maximum(np.sign(request) * state.v_rad_s[:, j], 0.0)
+        tick.torque_limit_Nm[:, j] *= np.maximum(1.0 - size[:, 0] * driving, 0.0)
+
+    def describe(self, size: Array) -> str:
+        """Return the no-load speed."""
+        return f"no-load speed {float(inverse(size)[0]):.4g} rad/s"
+
+
+@dataclass(frozen=True, slots=True)
+class DeadZone(JointEffect):
+    """The loop makes no torque for small errors."""
+
+    name: ClassVar[str] = "dead zone"
+    family: ClassVar[Family] = Family.ACTUATION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Error without torque, on each side: at most a tenth of the range."""
+        range_rad = max(self.scales.high_rad - self.scales.low_rad, 1e-3)
+        return (Size("dead_rad", 0.0, 0.1 * range_rad, 0.005 * range_rad),)
+
+    def act(self, size: Array, tick: Tick) -> None:
+        """Take the dead zone off the error, by way of the command."""
+        command = tick.command[:, self.index]
+        error = command - tick.state.q_rad[:, self.index]
+        tick.command[:, self.index] = command - np.clip(error, -size[:, 0], size[:, 0])
+
+
+@dataclass(frozen=True, slots=True)
+class LeakyIntegral(JointEffect):
+    """The loop has an integral term that forgets: d(integral)/dt = error - leak integral."""
+
+    name: ClassVar[str] = "integral leak"
+    family: ClassVar[Family] = Family.ACTUATION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Integral gain over stiffness, and leak; ten a second is the bandwidth of a servo."""
+        return (Size("integral_1_s", 0.0, 10.0, 1.0), Size("leak_1_s", 0.0, 10.0, 1.0))
+
+    def act(self, size: Array, tick: Tick) -> None:
+        """Add the integral to the command, bounded by the range so that it does not wind up."""
+        error = tick.command[:, self.index] - tick.state.q_rad[:, self.index]
+        integral = tick.memory.get("integral", np.zeros_like(error))
+        tick.command[:, self.index] += size[:, 0] * integral
+        bound = self.scales.high_rad - self.scales.low_rad
+        change = tick.period_s * (error - size[:, 1] * integral)
+        tick.memory["integral"] = np.clip(integral + change, -bound, bound)
+
+
+@dataclass(frozen=True, slots=True)
+class SupplySag(Effect):
+    """The supply gives way: limits and gains of all joints fall with the sum of their torques."""
+
+    name: ClassVar[str] = "supply sag"
+    family: ClassVar[Family] = Family.ACTUATION
+    place: str = "supply"
+    torque_Nm_all: tuple[float, ...] = field(default=())
+    """Torque scales of the joints."""
+
+    @classmethod
+    def of(cls, robot: Robot, scales: Mapping[str, JointScales]) -> Self:
+        """Return the effect for a robot.
+
+        Args:
+            robot: Robot.
+            scales: Numbers of its joints.
+        """
+        return cls(torque_Nm_all=tuple(scales[joint.name].torque_Nm for joint in robot.joints))
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Share by which the voltage falls when every joint has its largest torque."""
+        return (Size("sag_ratio", 0.0, 1.0, 0.2),)
+
+    def act(self, size: Array, tick: Tick) -> None:
+        """Scale limits and gains by the voltage under the load of the last step."""
+        load = np.mean(np.abs(tick.motor_Nm) / np.array(self.torque_Nm_all), axis=1)
+        voltage = np.maximum(1.0 - size[:, 0] * load, 0.0)[:, None]
+        tick.torque_limit_Nm *= voltage
+        tick.gain *= voltage
+
+
+def inverse(size: Array) -> Array:
+    """Return 1/size, (n,), with the unit inverse to that of the size; infinite at 0."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 / np.abs(size))

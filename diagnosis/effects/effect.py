@@ -13,14 +13,14 @@ Hooks by kind of residual:
 
 import math
 from abc import ABC
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import ClassVar
 
 import mujoco
 import mujoco.batch
 
-from diagnosis.arrays import Array
+from diagnosis.arrays import Array, Flags
 from diagnosis.robot import Robot
 
 
@@ -48,7 +48,7 @@ class Size:
     typical: float
     """Size at which the effect is worth a name: start of a fit, and its scale."""
     prior_std: float = math.inf
-    """Standard deviation of its prior around 0; infinite for an effect that may be named."""
+    """Width of a normal prior around 0: a fit adds the residual size / prior_std. Infinite: none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +69,23 @@ class State:
     """(n_sims, n_joints); NaN where it is not logged."""
 
 
+@dataclass(frozen=True, slots=True)
+class Rotor:
+    """Degree of freedom that the motor of a joint turns in place of the joint, in some simulations.
+
+    It gets damping, dry friction and armature of the joint, and begins at its position and speed.
+    """
+
+    joint: int
+    """Index of the joint in the robot."""
+    name: str
+    """Hinge of the model."""
+    rows: Flags
+    """(n_sims,), True where the motor turns it."""
+    encoder_is_at_output: bool
+    """True if log and controller see the joint, False if they see the rotor."""
+
+
 @dataclass(slots=True)
 class Fields:
     """Numbers of the model and of the controllers, a row a simulation; `set_model` changes them."""
@@ -82,6 +99,8 @@ class Fields:
     armature_kgm2: Array
     batch: mujoco.batch.Batch
     """For all other fields: `batch.expand(name)`; the engine calls `set_const` once after all effects."""
+    rotors: list[Rotor] = field(default_factory=list)
+    """Motors that turn something else than their joint; an effect may add one."""
 
 
 @dataclass(slots=True)
@@ -116,6 +135,8 @@ class Effect(ABC):
     name: ClassVar[str]
     """Standard term, such as "Coulomb friction"."""
     family: ClassVar[Family]
+    has_shape: ClassVar[bool] = False
+    """True if all sizes but the first give a form, and mean nothing while the first is 0."""
     place: str
     """Name of the joint, or of the body."""
 
@@ -128,6 +149,11 @@ class Effect(ABC):
     def key(self) -> str:
         """Name that is unique in a catalogue."""
         return f"{self.place}: {self.name}"
+
+    @property
+    def nominal(self) -> float:
+        """Value of the model to which the first size is added; 0 unless the effect is a base parameter."""
+        return 0.0
 
     def describe(self, size: Array) -> str:
         """Return the sizes, (n_sizes,), as text with units, in the form that a user expects."""

@@ -1,7 +1,7 @@
 """Friction of a joint."""
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -9,6 +9,9 @@ from diagnosis.arrays import Array
 from diagnosis.effects.effect import Family, Fields, Size, State
 from diagnosis.effects.joint import JointEffect
 from diagnosis.robot import Robot
+
+TINY_rad_s: Final = 1e-9
+"""Stands for a speed of 0 as a divisor: no joint is seen to move that slowly."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +56,7 @@ class StribeckFriction(JointEffect):
 
     name: ClassVar[str] = "Stribeck friction"
     family: ClassVar[Family] = Family.FRICTION
+    has_shape: ClassVar[bool] = True
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -66,7 +70,7 @@ class StribeckFriction(JointEffect):
     def friction_Nm(self, size: Array, state: State) -> Array:
         """Return the extra friction at the speed of the joint."""
         speed = np.abs(state.v_rad_s[:, self.index])
-        ratio = speed / np.maximum(size[:, 1], np.finfo(float).tiny)
+        ratio = speed / np.maximum(size[:, 1], TINY_rad_s)
         # beyond 6 the exponential is below 1e-15; the bound keeps the square finite
         return np.asarray(size[:, 0] * np.exp(-np.square(np.minimum(ratio, 6.0))))
 
@@ -104,13 +108,13 @@ class AsymmetricFriction(JointEffect):
         scale = self.scales.torque_Nm
         return (Size("asymmetric_Nm", -0.5 * scale, 0.5 * scale, 0.05 * scale),)
 
-    def friction_Nm(self, size: Array, state: State) -> Array:
-        """Return the symmetric half."""
-        return np.asarray(0.5 * np.abs(size[:, 0]) * np.ones_like(state.time_s))
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Add the symmetric half."""
+        fields.frictionloss_Nm[:, self.index] += 0.5 * np.abs(size[:, 0])
 
     def torque_Nm(self, size: Array, state: State) -> Array:
         """Return the constant half."""
-        return np.asarray(-0.5 * size[:, 0] * np.ones_like(state.time_s))
+        return np.asarray(-0.5 * size[:, 0] + 0.0 * state.time_s)
 
 
 @dataclass(frozen=True, slots=True)

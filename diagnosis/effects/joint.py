@@ -137,3 +137,8 @@ def _torque_Nm(robot: Robot, j: int, q: Array, acceleration: float) -> float:
         d = joint.dof_index
         largest = max(largest, float(abs(data.qfrc_bias[d]) + inertia[d, d] * acceleration))
     return max(largest, 1e-6)
+
+
+def mjcf_joint(robot: Robot, place: str) -> str:
+    """Return the name that the model has for a joint of the robot; models with added bodies keep it."""
+    return str(robot.model.joint(int(robot.model.dof_jntid[robot.joint(place).dof_index])).name)

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from diagnosis.serial_arm.fit import Fit, Linearisation
+from diagnosis.serial_arm.screws import error_screw, linearise
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, build_arm
@@ -33,8 +35,7 @@ from ground.calibration.deflection_jacobian import (
     differentiate_deflection,
     screw_derivatives,
 )
-from ground.calibration.fit import Fit, Linearisation
-from ground.calibration.screws import MeasuredPoses, error_screw, linearise
+from ground.calibration.measured_poses import MeasuredPoses
 from sim.arms import SPRING_FRAMES
 from sim.effects.structure import params_with_stand_in
 
@@ -65,7 +66,7 @@ class ArmModel:
             Residuals, shape (n, 6), and derivatives, shape (n, 6, p).
         """
         X, jacobian = _parameter_jacobian(settle_poses(self.nominal, x, self.believed), x)
-        return linearise(X, jacobian, self.measured, self.whitener)
+        return linearise(X, jacobian, self.measured.X_RT, self.whitener)
 
     def errors(self, x: Array) -> Array:
         """Compute the error screws from modelled to measured poses.
@@ -76,7 +77,7 @@ class ArmModel:
         Returns:
             Screws in axes of the modelled turret frame, rotation [rad] above translation [m], shape (6, n).
         """
-        return error_screw(predict_poses(self.nominal, x, self.believed), self.measured)
+        return error_screw(predict_poses(self.nominal, x, self.believed), self.measured.X_RT)
 
 
 def arm_model(
@@ -109,7 +110,7 @@ def arm_model(
     output_jacobian = joint_jacobian(parts)
     if preliminary is not None:
         X, jacobian = _parameter_jacobian(parts, x)
-        error = error_screw(X, campaign.measured)
+        error = error_screw(X, campaign.measured.X_RT)
         uncertain = unknown if held_out is None else unknown & ~held_out
         agree = confirm_sides(
             campaign.measured,

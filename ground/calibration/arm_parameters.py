@@ -6,12 +6,12 @@ from typing import Final
 
 import numpy as np
 
+from diagnosis.serial_arm.fit import FitParameter
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import LinkParams, Params
 from fsw.dictionary.types import row6, vector3
 from fsw.kinematics.arm import Arm, pose_to_transform6, transform6_to_pose
 from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
-from ground.calibration.fit import FitParameter
 from sim.arm_model.description import BuiltTolerances
 from sim.arm_model.load import default_arm
 from sim.arms import SPRING_FRAMES

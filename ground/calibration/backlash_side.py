@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array, Flags
-from ground.calibration.screws import MeasuredPoses
+from ground.calibration.measured_poses import MeasuredPoses
 
 REST_SIGMA_RAD: Final = 3e-6
 """Uncertainty of a joint angle at rest, one sigma: encoder and friction. Measured in the closed loop."""

@@ -6,13 +6,20 @@ from typing import Final
 
 import numpy as np
 
+from diagnosis.serial_arm.fit import (
+    Fit,
+    FitParameter,
+    HoldOutValidation,
+    Linearisation,
+    fit,
+    validate_hold_out,
+)
+from diagnosis.serial_arm.identifiability import Identifiability, assess_identifiability
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, Flags, Integers
 from ground.calibration.arm_model import arm_model
 from ground.calibration.arm_parameters import FRAME_SCREWS, arm_parameters
 from ground.calibration.campaign_data import Campaign
-from ground.calibration.fit import Fit, FitParameter, HoldOutValidation, Linearisation, fit, validate_hold_out
-from ground.calibration.identifiability import Identifiability, assess_identifiability
 from ground.calibration.outliers import OutlierRejection, reject_outliers
 from sim.arm_model.description import BuiltTolerances
 

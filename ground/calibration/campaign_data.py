@@ -6,7 +6,7 @@ import numpy as np
 
 from fsw.kinematics.batch import select_targets
 from fsw.kinematics.transforms import Array, Flags, Integers
-from ground.calibration.screws import MeasuredPoses
+from ground.calibration.measured_poses import MeasuredPoses
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.transforms import Array, Pose
 from ground.calibration.campaign_data import BelievedPoses, Campaign
 from ground.calibration.checks import BadData
-from ground.calibration.screws import MeasuredPoses
+from ground.calibration.measured_poses import MeasuredPoses
 from ground.common.bad_tables import describe_bad_table
 from ground.common.files import atomic_write
 from ground.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file

@@ -5,6 +5,9 @@ from typing import Final
 
 import numpy as np
 
+from diagnosis.serial_arm.fit import Fit, HoldOutValidation
+from diagnosis.serial_arm.identifiability import Identifiability
+from diagnosis.serial_arm.screws import error_screw
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, Flags, Integers, Pose, inverse
@@ -12,10 +15,7 @@ from ground.calibration.arm_model import predict_poses
 from ground.calibration.arm_parameters import PARAMETER_COUNT
 from ground.calibration.calibrate import Calibration
 from ground.calibration.campaign_data import Campaign
-from ground.calibration.fit import Fit, HoldOutValidation
-from ground.calibration.identifiability import Identifiability
 from ground.calibration.request import LEAST_POSES
-from ground.calibration.screws import MeasuredPoses, error_screw
 from ground.calibration.survey import MIN_TARGETS
 from ground.common.errors import BadRequest
 from sim.frames import P_NR_M
@@ -226,7 +226,7 @@ def _wrong_conventions(X: Pose) -> dict[str, Pose]:
 
 def _pose_error_m(X: Pose, measured: Pose) -> Array:
     """Compute the error of each pose at one metre from its origin, shape (n,)."""
-    T = error_screw(X, MeasuredPoses(measured, np.zeros((X.p.shape[1], 6, 6))))
+    T = error_screw(X, measured)
     return np.asarray(np.sqrt(np.sum(T**2, axis=0)))
 
 

@@ -2,19 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from scipy.stats import chi2
 
+from diagnosis.serial_arm.fit import Fit, FitParameter, ResidualModel, fit
+from diagnosis.serial_arm.outliers import FALSE_ALARM, MAX_OUTLIER_SHARE, leave_one_out_distance
 from fsw.kinematics.transforms import Array, Flags
-from ground.calibration.fit import Fit, FitParameter, ResidualModel, fit
 from ground.common.errors import BadRequest
-
-FALSE_ALARM: Final = 0.01
-"""Probability of reporting an outlier in a campaign without outliers."""
-MAX_OUTLIER_SHARE: Final = 0.2
-"""Largest share of poses that may be outliers; if there are more, the model is wrong."""
 
 
 class TooManyOutliers(BadRequest):
@@ -81,25 +76,6 @@ def reject_outliers(
     if restored.any():
         found = fit(parameters, model, found.values, found.used | restored)
     return OutlierRejection(found, leave_one_out_distance(found), limit)
-
-
-def leave_one_out_distance(fitted: Fit) -> Array:
-    """Compute the squared distance of each pose from the prediction of a fit to the other poses.
-
-    For poses that were not fitted, the fit itself predicts.
-
-    Args:
-        fitted: Fit with its linearisation.
-
-    Returns:
-        Squared distances over their variances, unitless, shape (n,).
-    """
-    J, r = fitted.at.jacobian, fitted.at.residual
-    hat = np.einsum("nij,jk,nlk->nil", J, fitted.covariance, J, optimize=True)
-    sign = np.where(fitted.used, -1.0, 1.0)[:, None, None]
-    # a fitted pose pulls the fit towards itself, which reduces the variance of its residual
-    variance = np.eye(r.shape[1]) + sign * hat
-    return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(variance, r[..., None])[..., 0]))
 
 
 def _share_of_limit(fitted: Fit, false_alarm: float) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from rich.table import Table
 
+from diagnosis.serial_arm.identifiability import UnidentifiableGroup
 from fsw.config import digest
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
@@ -14,7 +15,6 @@ from ground.calibration.arm_model import arm_model
 from ground.calibration.calibrate import Calibration, rms_m
 from ground.calibration.checks import FRAME_RANK, MAX_HELD_OUT_RATIO, MAX_SIGMA0
 from ground.calibration.execution import CalibrateReport
-from ground.calibration.identifiability import UnidentifiableGroup
 from ground.calibration.parameter_file import data_sha256, provenance
 from ground.calibration.verify import PlaceErrors, Verification
 from ground.common.command_text import command_text

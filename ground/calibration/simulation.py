@@ -18,7 +18,7 @@ from ground.calibration.arm_model import arm_model, group_by_turret, reorder_pos
 from ground.calibration.calibrate import Calibration
 from ground.calibration.campaign import CampaignPlan, PoseGroup, branch_name, group_poses
 from ground.calibration.campaign_data import BelievedPoses, Campaign
-from ground.calibration.screws import MeasuredPoses
+from ground.calibration.measured_poses import MeasuredPoses
 from ground.calibration.survey import CampaignRow, TooFewTargets, measure_pose, stack_rows
 from sim.arms import BuiltArm
 from sim.clearance import ClearanceModel

@@ -8,7 +8,7 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array, Pose, adjoint, inverse, skew, stack_poses
 from ground.calibration.campaign_data import BelievedPoses, Campaign
-from ground.calibration.screws import MeasuredPoses
+from ground.calibration.measured_poses import MeasuredPoses
 from sim.frames import P_NR_M
 from sim.plant import Plant
 from sim.tracker import (

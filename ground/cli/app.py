@@ -20,6 +20,7 @@ from ground.cli.diagnosis import diagnose, gap_app
 from ground.cli.dictionary import dictionary, effects
 from ground.cli.ik import ik, reach
 from ground.cli.log import log_app, replay
+from ground.cli.robot import robot_app
 from ground.cli.runs import hardstop, place, run, scenarios
 from ground.cli.stdout import buffer_stdout
 from ground.cli.verb import VerbCommand
@@ -66,6 +67,7 @@ app.command()(dictionary)
 app.command()(effects)
 app.add_typer(log_app, name="log")
 app.add_typer(gap_app, name="gap")
+app.add_typer(robot_app, name="robot")
 app.add_typer(arm_app, name="arm")
 app.command()(budget)
 app.command("monte-carlo", cls=VerbCommand)(monte_carlo)

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Final, Literal, get_args, get_origin
 import typer
 from typer.core import TyperCommand
 
+from diagnosis.errors import RobotError
 from ground.cli.failed_effect import describe_failed_effect
 from ground.cli.stdout import EXIT_BAD_INPUT, release_stdout
 from ground.common.date import current_date
@@ -187,6 +188,9 @@ def report_user_errors(as_json: bool) -> Iterator[None]:
     except UserError as error:
         _report(describe_problems(error), as_json)
         raise typer.Exit(error.exit_status) from error
+    except RobotError as error:
+        _report(describe_problems(error), as_json)
+        raise typer.Exit(EXIT_BAD_INPUT) from error
     except Exception as error:
         sentence = describe_failed_effect(error)
         if sentence is None:

@@ -23,12 +23,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from diagnosis.errors import RobotError
 from ground.common.errors import BadRequest, UserError
 from ground.common.pool import Executor, TaskOutcome, carry_out
 
 PACKAGES: Final = ("numpy", "scipy", "mujoco-core", "ruckig", "ray")
 """Packages whose version changes results, or how they are sent."""
-SOURCES: Final = ("fsw", "sim", "ground")
+SOURCES: Final = ("fsw", "sim", "diagnosis", "ground")
 SUFFIXES: Final = (".py", ".toml", ".xml")
 COUNT_PERIOD_S: Final = 1.0
 """Time after which the processors of the cluster are counted again."""
@@ -169,7 +170,7 @@ class ClusterWorkers:
         if isinstance(found, str):
             raise BadRequest(f"cluster: node {host} {found}; make it equal to this machine")
         assert isinstance(found, TaskOutcome)
-        if isinstance(found.error, UserError):
+        if isinstance(found.error, UserError | RobotError):
             return TaskOutcome(found.results, found.busy_s, BadRequest(f"node {host}: {found.error}"))
         return found
 

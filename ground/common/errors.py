@@ -10,7 +10,7 @@ class UserError(Exception):
     """Exit status of the verb."""
 
 
-def describe_problems(error: UserError) -> str:
+def describe_problems(error: Exception) -> str:
     """Return the message of an error; a message with a line for each problem opens with a sentence."""
     first, *more = str(error).splitlines() or [type(error).__name__]
     if not more or first.endswith(":"):

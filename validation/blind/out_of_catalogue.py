@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from diagnosis.serial_arm.screws import screw_log
 from fsw.kinematics.transforms import Array, inverse, stack_poses
-from ground.calibration.screws import screw_log
 from ground.common.checkpoint import Checkpoint
 from ground.common.errors import BadRequest
 from ground.common.pool import Runner

@@ -7,17 +7,17 @@ from typing import Final
 
 import numpy as np
 
-from ground.calibration.identifiability import Identifiability, assess_identifiability
+from diagnosis.serial_arm.arm import SerialArm
+from diagnosis.serial_arm.arm_file import arm_from_toml, arm_to_toml, unknown_words
+from diagnosis.serial_arm.calibrate import held_out_ratio
+from diagnosis.serial_arm.identifiability import Identifiability, assess_identifiability
+from diagnosis.serial_arm.initial_setup import estimate_setup
+from diagnosis.serial_arm.model import TERMS
+from diagnosis.serial_arm.nested_models import NestedModel, fit_nested_models
+from diagnosis.serial_arm.series import PoseSeries
+from diagnosis.serial_arm.temperature import TemperatureTest, temperature_test
+from diagnosis.serial_arm.tracker_table import mapping_from_toml, series_from_table, sha256
 from ground.calibration.request import SerialRequest
-from ground.calibration.serial.arm import SerialArm
-from ground.calibration.serial.arm_file import arm_from_toml, arm_to_toml, unknown_words
-from ground.calibration.serial.calibrate import held_out_ratio
-from ground.calibration.serial.initial_setup import estimate_setup
-from ground.calibration.serial.model import TERMS
-from ground.calibration.serial.nested_models import NestedModel, fit_nested_models
-from ground.calibration.serial.series import PoseSeries
-from ground.calibration.serial.temperature import TemperatureTest, temperature_test
-from ground.calibration.serial.tracker_table import mapping_from_toml, series_from_table, sha256
 from ground.common.errors import BadRequest
 from ground.common.files import atomic_write
 from ground.common.options import check_options

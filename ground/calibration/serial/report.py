@@ -6,12 +6,12 @@ from typing import Any, Final
 import numpy as np
 from rich.table import Table
 
-from ground.calibration.serial.arm import GEOMETRY_NAMES
-from ground.calibration.serial.calibrate import contributions_m, joint_errors, periodic_error_rad
+from diagnosis.serial_arm.arm import GEOMETRY_NAMES
+from diagnosis.serial_arm.calibrate import contributions_m, joint_errors, periodic_error_rad
+from diagnosis.serial_arm.model import GEOMETRY, NON_PERIODIC, PERIODIC
+from diagnosis.serial_arm.nested_models import NestedModel
+from diagnosis.serial_arm.temperature import TemperatureTest
 from ground.calibration.serial.execution import SerialReport
-from ground.calibration.serial.model import GEOMETRY, NON_PERIODIC, PERIODIC
-from ground.calibration.serial.nested_models import NestedModel
-from ground.calibration.serial.temperature import TemperatureTest
 from ground.render.console import plain_console
 from ground.render.figures import save_figure
 

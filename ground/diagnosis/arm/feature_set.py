@@ -10,11 +10,11 @@ from typing import Final
 
 import numpy as np
 
+from diagnosis.serial_arm.screws import screw_log
 from fsw.config import configure
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Pose, inverse
 from fsw.messages import Sensors
-from ground.calibration.screws import screw_log
 from ground.diagnosis.arm.features import (
     RESOLVER,
     ROTATION,

@@ -7,13 +7,13 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import binom
 
+from diagnosis.serial_arm.fit import fit
 from fsw.kinematics.transforms import Pose
 from ground.calibration.arm_model import arm_model
 from ground.calibration.arm_parameters import arm_parameters
 from ground.calibration.calibrate import calibrate, rms_m
 from ground.calibration.checks import check_data, check_fit
-from ground.calibration.fit import fit
-from ground.calibration.screws import MeasuredPoses
+from ground.calibration.measured_poses import MeasuredPoses
 from ground.calibration.simulation import compare_with_truth, hardstop_errors_rad
 from sim.arms import arm_named
 from tests.ground.calibration.lab import NOMINAL, calibration, campaign

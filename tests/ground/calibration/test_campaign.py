@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from diagnosis.serial_arm.screws import error_screw
 from ground.calibration.campaign import (
     PAPER_GROUPS,
     CampaignPlan,
@@ -11,7 +12,6 @@ from ground.calibration.campaign import (
     run_campaign,
 )
 from ground.calibration.parameter_file import data_sha256
-from ground.calibration.screws import error_screw
 from ground.calibration.simulation import simulate_campaign, true_poses, zero_errors_rad
 from ground.common.errors import BadRequest
 from sim.arms import arm_named
@@ -58,5 +58,5 @@ def test_in_the_closed_loop_the_true_arm_is_measured():
     assert np.all(found.targets_seen >= 3)
     assert np.all(found.misfit_m < 1.5e-4)
     truth = true_poses(arm, found.believed, zero_errors_rad(arm, reference))
-    off = error_screw(truth, found.measured)[3:]
+    off = error_screw(truth, found.measured.X_RT)[3:]
     assert np.linalg.norm(off, axis=0).max() < 0.3e-3

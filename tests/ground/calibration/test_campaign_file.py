@@ -11,8 +11,8 @@ from pyarrow import parquet
 from fsw.kinematics.transforms import Pose, inverse
 from ground.calibration.campaign_file import read_campaign, save_campaign
 from ground.calibration.checks import BadData, check_data
+from ground.calibration.measured_poses import MeasuredPoses
 from ground.calibration.parameter_file import data_sha256
-from ground.calibration.screws import MeasuredPoses
 from sim.frames import P_NR_M
 from tests.ground.calibration.lab import NOMINAL, campaign
 

@@ -1,6 +1,7 @@
 """Options of verbs and of their requests are the same, and checks follow their declaration."""
 
 import inspect
+import json
 import subprocess
 import sys
 from dataclasses import MISSING, dataclass
@@ -8,15 +9,18 @@ from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import pytest
+import typer
 
+from diagnosis.errors import RobotError
 from ground.accuracy.request import BudgetRequest, MonteCarloRequest
 from ground.calibration.request import CalibrateRequest, SerialRequest
-from ground.cli import accuracy, calibrate, diagnosis, ik, runs, view
+from ground.cli import accuracy, calibrate, diagnosis, ik, robot, runs, view
 from ground.cli.verb import VerbResult, give_address, verb
 from ground.common.errors import BadRequest
 from ground.common.options import Option, check_options, option_fields
 from ground.diagnosis.arm.request import DiagnoseRequest, RecordRequest
 from ground.ik.request import IkRequest, ReachRequest
+from ground.robot.request import CheckRequest
 from ground.runs.request import HardstopRequest, PlaceRequest, RunRequest
 from ground.view.request import ViewRequest
 from tests.ground.command import ROOT
@@ -34,6 +38,7 @@ VERBS = {
     ViewRequest: view.view,
     DiagnoseRequest: diagnosis.diagnose,
     RecordRequest: diagnosis.record,
+    CheckRequest: robot.check,
 }
 HEAVY = ("numpy", "pydantic", "mujoco", "scipy", "pyarrow", "matplotlib", "sim", "fsw")
 
@@ -117,6 +122,19 @@ def test_a_request_is_built_from_the_options(capsys):
     work(**given | {"table": ["x"], "size": 2.0, "no_out": True, "as_json": True})
     assert requests == [Request(), Request(("x",), 2.0, files=Files(None))]
     assert capsys.readouterr().out == 'a table\n{\n  "size": 2.0\n}\n'
+
+
+def test_an_error_of_the_diagnosis_of_a_robot_is_reported_in_one_sentence(capsys):
+    @verb
+    def work() -> VerbResult:
+        raise RobotError("time: column 'time' is missing")
+
+    with pytest.raises(typer.Exit) as ended:
+        work(as_json=True)
+    assert ended.value.exit_code == 2
+    out, err = capsys.readouterr()
+    assert json.loads(out) == {"error": "time: column 'time' is missing"}
+    assert err == "time: column 'time' is missing\n"
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ground.calibration.serial.arm_file import arm_to_toml
-from tests.ground.calibration.serial.synthetic import built_arm, drawn_arm, series, setup
+from diagnosis.serial_arm.arm_file import arm_to_toml
+from tests.diagnosis.serial_arm.synthetic import built_arm, drawn_arm, series, setup
 
 JOINTS = ("joint0", "joint1", "joint2")
 MAPPING = """arm = "made up"

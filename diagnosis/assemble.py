@@ -1,0 +1,277 @@
+"""Assemble a diagnosis from what was selected, and judge it by motions that took no part."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from diagnosis.arrays import Array, Flags
+from diagnosis.joint_fits import Context, Present, noise_residuals
+from diagnosis.residuals import ResidualModel
+from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
+from diagnosis.robot import Robot
+from diagnosis.selection import Selection
+from diagnosis.verdict import Doubt, list_members, separating_motion, size_intervals, unexplained_dependence
+
+MIN_CLOSURE: Final = 0.5
+"""Least share of what can be explained at a joint for which effects are called its causes: half."""
+MIN_DEPENDENCE: Final = 0.1
+"""Least share of the variance of a remainder that a variable explains to be named."""
+MIN_REMAINDER: Final = 1.2
+"""Least error over that of noise that is told to remain: the noise is known from few repeats."""
+VARIABLES: Final = ("position", "velocity", "load", "command", "time", "temperature")
+SLOW: Final = 0.1
+"""Largest share of the highest usual speed that is slow."""
+
+
+def assemble(
+    robot: Robot, selection: Selection, doubts: Sequence[Doubt], held_out: ResidualModel
+) -> Diagnosis:
+    """Put the parts of a diagnosis together.
+
+    Args:
+        robot: The robot.
+        selection: Models before and after.
+        doubts: Findings with their alternatives.
+        held_out: Residuals of motions that took no part; those of the fit where there are none.
+
+    Returns:
+        The diagnosis, without what only the caller knows: seed, refusals, held-out motions.
+    """
+    context, chosen = selection.context, selection.chosen
+    effects = tuple(one for one in context.union.effects if np.any(chosen.sizes[context.union.columns([one])]))
+    sizes = tuple(tuple(chosen.sizes[context.union.columns([one])].tolist()) for one in effects)
+    judged_rows = simulate_models(selection, held_out)
+    return Diagnosis(
+        robot=robot.name,
+        kind=context.model.kind,
+        seed=0,
+        findings=tuple(describe_finding(context, chosen, doubt) for doubt in doubts),
+        base=tuple(list_base(robot, context, chosen)),
+        errors=tuple(list_errors(selection, held_out, judged_rows)),
+        remaining=tuple(list_remainders(selection, held_out, judged_rows[2])),
+        refused=(),
+        fitted_motions=context.model.motions,
+        judged_motions=(),
+        effects=effects,
+        sizes=sizes,
+    )
+
+
+def simulate_models(selection: Selection, model: ResidualModel) -> Array:
+    """Return the residuals of the nominal, the base and the chosen model.
+
+    Args:
+        selection: Models before and after.
+        model: Residuals of any motions.
+
+    Returns:
+        (3, n), in the unit of the model.
+    """
+    union = selection.context.union
+    points = np.array([0.0 * selection.base.sizes, selection.base.sizes, selection.chosen.sizes])
+    part = [one for one in union.effects if np.any(points[:, union.columns([one])])]
+    return model.residuals(part, points[:, union.columns(part)])
+
+
+def describe_finding(context: Context, chosen: Present, doubt: Doubt) -> Finding:
+    """Describe a finding with its sets.
+
+    Where effects explain less than MIN_CLOSURE of a joint, the sets of families and effects are empty: something
+    is at the place, and none of the catalogue is its cause.
+
+    Args:
+        context: The context.
+        chosen: The model with all findings.
+        doubt: The finding with its alternatives.
+
+    Returns:
+        The finding.
+    """
+    effect, own = doubt.effect, context.union.columns([doubt.effect])
+    places, families, effects = list_members(doubt)
+    if closure_at(context, chosen, effect.place) < MIN_CLOSURE:
+        families, effects = (), ()
+    size = chosen.sizes[own]
+    return Finding(
+        place=effect.place,
+        family=effect.family,
+        effect=effect.name,
+        size=tuple(size.tolist()),
+        size_names=tuple(one.name for one in effect.sizes),
+        interval=tuple(find_interval(context, chosen, int(column)) for column in own),
+        text=effect.describe(size),
+        share=doubt.share,
+        places=places,
+        families=families,
+        effects=effects,
+        next_motion=separating_motion(context, doubt),
+    )
+
+
+def closure_at(context: Context, chosen: Present, place: str) -> float:
+    """Return the share of what can be explained at a joint that a model explains, in left-out motions.
+
+    Args:
+        context: The context.
+        chosen: The model.
+        place: Name of the joint; all joints count for another place.
+
+    Returns:
+        Share, at most 1; 1 where the noise is unknown.
+    """
+    joints = [j for j, name in enumerate(context.model.joints) if name == place] or [*range(len(chosen.fits))]
+    noise = float(np.mean(context.noise_loss[joints]))
+    if noise == 0.0:
+        return 1.0
+    before = float(np.nanmean(context.base_scores[joints]))
+    return (before - float(np.nanmean(chosen.scores[joints]))) / max(before - noise, 1e-12)
+
+
+def find_interval(context: Context, chosen: Present, column: int) -> tuple[float, float]:
+    """Return the interval of a size; NaN for a size at a body, which is not fitted with one joint.
+
+    Args:
+        context: The context.
+        chosen: The model.
+        column: Column of the union.
+
+    Returns:
+        Low and high end, in the unit of the size.
+    """
+    for fit in chosen.fits:
+        at = np.flatnonzero(fit.columns == column)
+        if len(at):
+            low, high = size_intervals(context, fit)[at[0]]
+            return float(low), float(high)
+    return float("nan"), float("nan")
+
+
+def list_base(robot: Robot, context: Context, chosen: Present) -> list[Base]:
+    """List the base parameters as fitted.
+
+    A number counts as unidentifiable if its interval is as wide as the prior allows.
+
+    Args:
+        robot: The robot.
+        context: The context.
+        chosen: The model.
+
+    Returns:
+        One record a size.
+    """
+    found = []
+    for effect in context.base:
+        for column, size in zip(context.union.columns([effect]), effect.sizes, strict=True):
+            low, high = find_interval(context, chosen, int(column))
+            known = high - low < 2.0 * size.prior_std and high - low < size.high - size.low
+            loaded = robot.joint(effect.place).is_loaded_by_gravity
+            nominal = effect.nominal
+            found.append(
+                Base(
+                    place=effect.place,
+                    name=size.name,
+                    nominal=nominal,
+                    value=nominal + float(chosen.sizes[column]),
+                    interval=(nominal + low, nominal + high),
+                    is_identifiable=bool(known and loaded),
+                )
+            )
+    return found
+
+
+def list_errors(selection: Selection, held_out: ResidualModel, rows: Array) -> list[JointError]:
+    """List the mean absolute residual of each joint.
+
+    Args:
+        selection: Models before and after.
+        held_out: Motions that judge.
+        rows: Residuals of the nominal, the base and the chosen model, (3, n), in the unit of the model.
+
+    Returns:
+        One record a joint.
+    """
+    model = selection.context.model
+    base = np.zeros(len(model.joint_of))
+    for fit in selection.base.fits:
+        base[fit.rows] = fit.residuals
+    found = []
+    for j, name in enumerate(held_out.joints):
+        errors = np.mean(np.abs(rows[:, held_out.joint_of == j]), axis=1)
+        noise = noise_residuals(model, base, j)
+        level = float(np.mean(np.abs(noise))) if len(noise) else float("nan")
+        found.append(JointError(name, held_out.unit, *(float(one) for one in errors), level))
+    return found
+
+
+def list_remainders(selection: Selection, held_out: ResidualModel, residuals: Array) -> list[Remainder]:
+    """Say what no effect explains: joint, regime of speed, variable on which it depends.
+
+    Args:
+        selection: Models before and after.
+        held_out: Motions that judge.
+        residuals: Residuals of the chosen model, (n,), in the unit of the model.
+
+    Returns:
+        A record for each joint whose error is above its noise, or follows a variable where noise is unknown.
+    """
+    model = selection.context.model
+    fitted = np.zeros(len(model.joint_of))
+    for fit in selection.chosen.fits:
+        fitted[fit.rows] = fit.residuals
+    found = []
+    for j, name in enumerate(held_out.joints):
+        ours, theirs = model.joint_of == j, held_out.joint_of == j
+        error = float(np.mean(np.abs(residuals[theirs])))
+        variable, share = find_dependence(model, fitted, ours, held_out, residuals, theirs)
+        noise = noise_residuals(model, fitted, j)
+        above = len(noise) and error > MIN_REMAINDER * float(np.mean(np.abs(noise)))
+        if above or (not len(noise) and variable):
+            regime = find_regime(held_out.explain("velocity")[theirs], residuals[theirs])
+            found.append(Remainder(name, regime, error, held_out.unit, variable, share))
+    return found
+
+
+def find_dependence(
+    model: ResidualModel, fitted: Array, ours: Flags, held_out: ResidualModel, residuals: Array, theirs: Flags
+) -> tuple[str, float]:
+    """Find the variable that a residual follows most, also in motions that took no part.
+
+    Args:
+        model: Motions of the fit.
+        fitted: Their residuals, (n,), in the unit of the model.
+        ours: Rows of the joint in them, (n,) flags.
+        held_out: Motions that judge.
+        residuals: Their residuals, (n_held,), in the unit of the model.
+        theirs: Rows of the joint in them, (n_held,) flags.
+
+    Returns:
+        The variable, empty if none explains MIN_DEPENDENCE, and the share that it explains.
+    """
+    shares = {}
+    for name in VARIABLES:
+        mine, other = model.explain(name)[ours], held_out.explain(name)[theirs]
+        if np.isfinite(mine).all() and np.isfinite(other).all():
+            pair = (fitted[ours], mine), (residuals[theirs], other)
+            shares[name] = unexplained_dependence(*pair)
+    best = max(shares, key=lambda one: shares[one], default="")
+    if not best or shares[best] < MIN_DEPENDENCE:
+        return "", 0.0
+    return best, shares[best]
+
+
+def find_regime(speed_rad_s: Array, residuals: Array) -> str:
+    """Return the regime of speed that holds most of a residual.
+
+    Args:
+        speed_rad_s: (n,).
+        residuals: (n,), in any unit.
+
+    Returns:
+        "slow" or "fast" if more than two thirds of the sum of squares lie there, else "all motion".
+    """
+    slow = np.abs(speed_rad_s) < SLOW * np.quantile(np.abs(speed_rad_s), 0.99)
+    total, part = float(np.sum(residuals**2)), float(np.sum(residuals[slow] ** 2))
+    if total == 0.0 or 1.0 < 3.0 * part / total < 2.0:
+        return "all motion"
+    return "slow" if part > total / 2.0 else "fast"

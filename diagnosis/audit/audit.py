@@ -1,0 +1,81 @@
+"""Audit of logs: what to know of them before a diagnosis, and which samples it must not use."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnosis.arrays import Array, Flags
+from diagnosis.audit.collision import find_collisions
+from diagnosis.audit.limits import find_cut_offs, find_saturation
+from diagnosis.audit.plane import chain_joints, find_plane
+from diagnosis.audit.rates import audit_rates, encoder_step_rad, stale_flags
+from diagnosis.audit.records import Audit, Kind
+from diagnosis.audit.samples import joint_samples
+from diagnosis.audit.static import Rest, find_rest
+from diagnosis.audit.units import audit_units
+from diagnosis.logs import Logs, Motion
+from diagnosis.result import Refusal
+from diagnosis.robot import Robot
+
+
+def audit(robot: Robot, logs: Logs) -> Audit:
+    """Audit logs against their robot.
+
+    Args:
+        robot: Robot with its nominal model.
+        logs: Logs of all its motions, held out or not.
+
+    Returns:
+        Rates of all signals, remarks with the worst first, and the samples that are refused, with reasons.
+        Stale and invalid samples, cut-off commands and contact with a plane are refused.
+    """
+    motions = logs.motions
+    rates, remarks = audit_rates(motions)
+    remarks += audit_units(robot, motions)
+    rest = find_rest(robot, motions)
+    cut_offs, held = find_cut_offs(robot, motions, rest)
+    is_held = np.any([*held.values(), np.zeros(rest.time_s.size, np.bool_)], axis=0)
+    contact, is_below = find_plane(robot, motions, rest, is_held)
+    remarks += [*cut_offs, *contact, *find_saturation(robot, motions), *find_collisions(robot, motions, rest)]
+    ranked = sorted(remarks, key=lambda one: list(Kind).index(one.kind))
+    reasons: list[tuple[str, dict[str, Flags]]] = [
+        ("command is cut off or the joint is too weak", held),
+        ("contact with a plane", dict.fromkeys(chain_joints(robot), is_below) if contact else {}),
+    ]
+    usable, refused = _refuse(motions, rest, reasons)
+    return Audit(rates, tuple(ranked), refused, usable)
+
+
+def _refuse(
+    motions: Sequence[Motion], rest: Rest, reasons: Sequence[tuple[str, dict[str, Flags]]]
+) -> tuple[dict[tuple[str, str], Flags], tuple[Refusal, ...]]:
+    """Return flags of usable position samples, and for each motion and reason how many rows are refused."""
+    usable: dict[tuple[str, str], Flags] = {}
+    refused: list[Refusal] = []
+    step_rad = {name: encoder_step_rad(motions, name) for name in rest.joints}
+    for number, motion in enumerate(motions):
+        at = np.flatnonzero(rest.motion == number)
+        count = {reason: 0 for reason, _ in reasons} | {"stale": 0, "not finite": 0}
+        for name, log in motion.joints.items():
+            samples, n = joint_samples(log), log.position.value.size
+            good = np.zeros(n, np.bool_)
+            good[samples.index] = True
+            count["not finite"] = max(count["not finite"], int(np.sum(~good)))
+            stale = np.zeros(n, np.bool_)
+            stale[samples.index] = stale_flags(samples, step_rad.get(name, 0.0))
+            count["stale"] = max(count["stale"], int(stale.sum()))
+            good &= ~stale
+            for reason, flags in reasons:
+                if name in flags and at.size:
+                    hit = _at_samples(rest.time_s[at], flags[name][at], log.position.time_s)
+                    count[reason] = max(count[reason], int(np.sum(hit & good)))
+                    good &= ~hit
+            usable[motion.name, name] = good
+        refused += [Refusal(motion.name, reason, n) for reason, n in count.items() if n]
+    return usable, tuple(refused)
+
+
+def _at_samples(rest_time_s: Array, flags: Flags, time_s: Array) -> Flags:
+    """Return for each position sample whether a neighbour at the low rate is flagged, (n,)."""
+    after = np.clip(np.searchsorted(rest_time_s, time_s), 0, flags.size - 1)
+    return flags[after] | flags[np.maximum(after - 1, 0)]

@@ -1,0 +1,140 @@
+"""Changes of a command on its way to the loop: delay, limits, clamp."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from diagnosis.arrays import Array
+from diagnosis.effects.actuation import inverse
+from diagnosis.effects.effect import Family, Size
+from diagnosis.effects.joint import JointEffect
+
+
+@dataclass(frozen=True, slots=True)
+class CommandDelay(JointEffect):
+    """The command arrives late."""
+
+    name: ClassVar[str] = "command delay"
+    family: ClassVar[Family] = Family.TIMING
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Delay, up to the command that a window keeps before its start."""
+        return (Size("delay_s", 0.0, 0.2, 0.01),)
+
+    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
+        """Shift the command; a fraction of a period is the mean of a command that changes within it."""
+        position = np.clip(np.arange(command.shape[1]) - size[:, :1] / period_s, 0.0, None)
+        low = np.floor(position).astype(int)
+        share = position - low
+        row = np.arange(command.shape[0])[:, None]
+        high = np.minimum(low + 1, command.shape[1] - 1)
+        return np.asarray((1.0 - share) * command[row, low] + share * command[row, high])
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityLimit(JointEffect):
+    """The servo follows the command with a limited speed, as a profile does."""
+
+    name: ClassVar[str] = "velocity limit"
+    family: ClassVar[Family] = Family.ACTUATION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Inverse of the limit, down to a tenth of the logged speed."""
+        speed = self.scales.speed_rad_s
+        return (Size("inverse_speed_s_rad", 0.0, 10.0 / speed, 1.0 / speed),)
+
+    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
+        """Follow the command from its first value."""
+        step = period_s * inverse(size[:, 0])
+        followed = command.copy()
+        for k in range(1, command.shape[1]):
+            last = followed[:, k - 1]
+            followed[:, k] = np.clip(command[:, k], last - step, last + step)
+        return followed
+
+    def describe(self, size: Array) -> str:
+        """Return the limit."""
+        return f"velocity limit {float(inverse(size)[0]):.4g} rad/s"
+
+
+@dataclass(frozen=True, slots=True)
+class AccelerationLimit(JointEffect):
+    """The servo follows the command with a limited acceleration, as a trapezoidal profile does."""
+
+    name: ClassVar[str] = "acceleration limit"
+    family: ClassVar[Family] = Family.ACTUATION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Inverse of the limit, down to a tenth of the logged acceleration."""
+        acceleration = self.scales.acceleration_rad_s2
+        return (Size("inverse_acceleration_s2_rad", 0.0, 10.0 / acceleration, 1.0 / acceleration),)
+
+    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
+        """Follow the command: speed up, and brake in time to stop at it.
+
+        From a distance d a profile can still stop from the speed that the quadratic law gives; in steps of
+        a period the law is v (v + a T) / 2a = d, so that it ends without overshoot.
+        """
+        limited = np.flatnonzero(size[:, 0] > 0.0)
+        followed = command.copy()
+        if not limited.size:
+            return followed
+        step = period_s * inverse(size[limited, 0])
+        speed = np.zeros(limited.size)
+        for k in range(1, command.shape[1]):
+            far = command[limited, k] - followed[limited, k - 1]
+            distance = np.abs(far)
+            fastest = (np.sqrt(step**2 + 8.0 * step * distance / period_s) - step) / 2.0
+            wanted = np.sign(far) * np.minimum(fastest, distance / period_s)
+            speed = np.clip(wanted, speed - step, speed + step)
+            followed[limited, k] = followed[limited, k - 1] + period_s * speed
+        return followed
+
+    def describe(self, size: Array) -> str:
+        """Return the limit."""
+        return f"acceleration limit {float(inverse(size)[0]):.4g} rad/s2"
+
+
+@dataclass(frozen=True, slots=True)
+class _Clamp(JointEffect):
+    family: ClassVar[Family] = Family.ACTUATION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Length that is cut off from the commanded range: at most half of it."""
+        span = max(self.scales.command_high - self.scales.command_low, 1e-6)
+        return (Size("cut_rad", 0.0, 0.5 * span, 0.1 * span),)
+
+
+@dataclass(frozen=True, slots=True)
+class ClampLow(_Clamp):
+    """Commands are cut off at a lower end."""
+
+    name: ClassVar[str] = "command clamp, low"
+
+    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
+        """Cut low commands off."""
+        return np.asarray(np.maximum(command, self.scales.command_low + size[:, :1]))
+
+    def describe(self, size: Array) -> str:
+        """Return the end."""
+        return f"commands below {self.scales.command_low + float(size[0]):.4g} are cut off"
+
+
+@dataclass(frozen=True, slots=True)
+class ClampHigh(_Clamp):
+    """Commands are cut off at an upper end."""
+
+    name: ClassVar[str] = "command clamp, high"
+
+    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
+        """Cut high commands off."""
+        return np.asarray(np.minimum(command, self.scales.command_high - size[:, :1]))
+
+    def describe(self, size: Array) -> str:
+        """Return the end."""
+        return f"commands above {self.scales.command_high - float(size[0]):.4g} are cut off"

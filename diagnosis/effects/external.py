@@ -1,0 +1,125 @@
+"""Torques at a joint that are not in the model: springs, cables, counterbalances, offsets."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Final, Self
+
+import numpy as np
+
+from diagnosis.arrays import Array
+from diagnosis.effects.effect import Family, Size, State
+from diagnosis.effects.joint import JointEffect, JointScales
+from diagnosis.robot import Robot
+
+ORDERS: Final = 2
+"""Orders of the position-dependent torque: a counterbalance has the first, a cable loop adds the second."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConstantTorque(JointEffect):
+    """A torque that never changes."""
+
+    name: ClassVar[str] = "constant torque"
+    family: ClassVar[Family] = Family.EXTERNAL
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Torque: at most half of that of the motor."""
+        scale = self.scales.torque_Nm
+        return (Size("offset_Nm", -0.5 * scale, 0.5 * scale, 0.05 * scale),)
+
+    def torque_Nm(self, size: Array, state: State) -> Array:
+        """Return the torque."""
+        return np.asarray(size[:, 0] + 0.0 * state.time_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Spring(JointEffect):
+    """A spring between the links of a joint."""
+
+    name: ClassVar[str] = "spring"
+    family: ClassVar[Family] = Family.EXTERNAL
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Stiffness, negative for a toggle, and torque in the middle of the range."""
+        torque = self.scales.torque_Nm
+        stiffness = torque / max(self.scales.high_rad - self.scales.low_rad, 1e-3)
+        return (
+            Size("stiffness_Nm_rad", -stiffness, stiffness, 0.1 * stiffness),
+            Size("offset_Nm", -0.5 * torque, 0.5 * torque, 0.05 * torque),
+        )
+
+    def torque_Nm(self, size: Array, state: State) -> Array:
+        """Return the torque of the spring."""
+        middle = 0.5 * (self.scales.low_rad + self.scales.high_rad)
+        return np.asarray(size[:, 1] - size[:, 0] * (state.q_rad[:, self.index] - middle))
+
+
+@dataclass(frozen=True, slots=True)
+class PositionTorque(JointEffect):
+    """A torque that depends smoothly on the angle, such as that of a counterbalance or of a cable."""
+
+    name: ClassVar[str] = "position-dependent torque"
+    family: ClassVar[Family] = Family.EXTERNAL
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Coefficients of cosine and sine of the angle and of its multiples."""
+        scale = self.scales.torque_Nm
+        return tuple(
+            Size(f"{wave}{order}_Nm", -scale, scale, 0.1 * scale / order)
+            for order in range(1, ORDERS + 1)
+            for wave in ("cos", "sin")
+        )
+
+    def torque_Nm(self, size: Array, state: State) -> Array:
+        """Return the sum of the waves."""
+        q = state.q_rad[:, self.index]
+        total = np.zeros_like(q)
+        for order in range(1, ORDERS + 1):
+            total = (
+                total
+                + size[:, 2 * order - 2] * np.cos(order * q)
+                + size[:, 2 * order - 1] * np.sin(order * q)
+            )
+        return total
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodicTorque(JointEffect):
+    """A torque with a number of periods in a turn: of teeth, of poles, of balls in a bearing."""
+
+    name: ClassVar[str] = "periodic torque"
+    family: ClassVar[Family] = Family.EXTERNAL
+    order: float = 1.0
+    """Periods in a turn of the joint."""
+
+    @classmethod
+    def of_order(cls, robot: Robot, place: str, scales: Mapping[str, JointScales], order: float) -> Self:
+        """Return the effect of an order at a joint.
+
+        Args:
+            robot: Robot.
+            place: Name of the joint.
+            scales: Numbers of all joints.
+            order: Periods in a turn of the joint.
+        """
+        plain = cls.at(robot, place, scales)
+        return cls(plain.place, plain.index, plain.joint, plain.scales, order)
+
+    @property
+    def key(self) -> str:
+        """Name with the order."""
+        return f"{self.place}: {self.name} of order {self.order:g}"
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Coefficients of cosine and sine."""
+        scale = self.scales.torque_Nm
+        return tuple(Size(f"{wave}_Nm", -0.5 * scale, 0.5 * scale, 0.02 * scale) for wave in ("cos", "sin"))
+
+    def torque_Nm(self, size: Array, state: State) -> Array:
+        """Return the wave."""
+        angle = self.order * state.q_rad[:, self.index]
+        return np.asarray(size[:, 0] * np.cos(angle) + size[:, 1] * np.sin(angle))

@@ -1,0 +1,120 @@
+"""Effects of the user's own, from a Python file."""
+
+import hashlib
+import importlib.util
+import inspect
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Final, TypeVar
+
+from diagnosis.effects.effect import Effect, Family, Size
+from diagnosis.effects.joint import JointEffect, joint_scales
+from diagnosis.errors import RobotError
+from diagnosis.logs import Logs
+from diagnosis.robot import Robot
+
+T = TypeVar("T")
+HOOKS: Final = (
+    *("vary", "set_model", "shape_command", "act", "friction_Nm", "torque_Nm"),
+    *("encode", "sample_delay_s", "deflection_rad"),
+)
+
+
+def load_effects(path: str | Path, robot: Robot, logs: Logs) -> tuple[Effect, ...]:
+    """Load effects from a file, which join the catalogue.
+
+    If the file has a function `effects(robot, logs)`, it returns the effects. Else each subclass of
+    JointEffect in the file is put at each joint that has a log.
+
+    Args:
+        path: Python file; it is executed.
+        robot: Robot.
+        logs: Logs, of which the motions that are fitted give scales.
+
+    Returns:
+        The effects.
+
+    Raises:
+        RobotError: The file does not exist, fails, or holds no effect that is complete.
+    """
+    place = str(path)
+    module = _module(Path(path))
+    function = getattr(module, "effects", None)
+
+    def make() -> tuple[object, ...]:
+        return _everywhere(module, robot, logs) if function is None else tuple(function(robot, logs))
+
+    found = _run(place, "its effects cannot be made", make)
+    if not found:
+        raise RobotError(
+            f"{place}: no effect; give a subclass of JointEffect, or a function effects(robot, logs)"
+        )
+    effects = tuple(_checked(place, one) for one in found)
+    keys = [effect.key for effect in effects]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise RobotError(
+                f"{place}: {keys.count(key)} effects have the key {key!r}; give each its own name or place"
+            )
+    return effects
+
+
+def _module(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise RobotError(f"{path}: no such file; give a Python file with effects")
+    # dataclasses look up their module by its name; the digest keeps files of one name apart
+    name = f"own_effects_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise RobotError(f"{path}: not a Python file; its name has to end in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    loader = spec.loader
+    _run(str(path), "it cannot be loaded", lambda: loader.exec_module(module))
+    return module
+
+
+def _everywhere(module: ModuleType, robot: Robot, logs: Logs) -> tuple[Effect, ...]:
+    kinds = [
+        kind
+        for kind in vars(module).values()
+        if inspect.isclass(kind) and issubclass(kind, JointEffect) and kind.__module__ == module.__name__
+    ]
+    scales = joint_scales(robot, logs.fit)
+    return tuple(kind.at(robot, place, scales) for kind in kinds for place in scales)
+
+
+def _run(place: str, problem: str, job: Callable[[], T]) -> T:
+    """Call code of the user; whatever it raises is the user's to read, in one sentence."""
+    try:
+        return job()
+    except Exception as error:
+        text = " ".join(str(error).split())
+        raise RobotError(f"{place}: {problem}, {type(error).__name__}: {text}") from error
+
+
+def _checked(place: str, effect: object) -> Effect:
+    """Return an effect that has a name, a family, sizes and a hook."""
+    if not isinstance(effect, Effect):
+        raise RobotError(f"{place}: effects(robot, logs) returned {effect!r}, which is not an Effect")
+    kind = type(effect).__name__
+    if not isinstance(getattr(effect, "name", None), str) or not isinstance(
+        getattr(effect, "family", None), Family
+    ):
+        raise RobotError(f"{place}: {kind} lacks its name or its family; give both as class variables")
+    sizes = _run(place, f"the sizes of {kind} fail", lambda: effect.sizes)
+    if not sizes or not all(isinstance(size, Size) for size in sizes):
+        raise RobotError(f"{place}: the sizes of {kind} are {sizes!r}; give a tuple with at least one Size")
+    for size in sizes:
+        is_finite = math.isfinite(size.low) and math.isfinite(size.high)
+        if not (is_finite and size.low <= 0 < size.typical <= size.high):
+            raise RobotError(
+                f"{place}: {size.name} of {kind} has the bounds {size.low:g} to {size.high:g} and the typical "
+                f"size {size.typical:g}; right is low <= 0 < typical <= high, all finite"
+            )
+    if not any(effect.overrides(hook) for hook in HOOKS):
+        raise RobotError(f"{place}: {kind} changes nothing; override one of {', '.join(HOOKS)}")
+    return effect

@@ -1,0 +1,199 @@
+"""Control periods of a batch: effects read the motion, and change the inputs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco.batch
+import numpy as np
+
+from diagnosis.arrays import Array
+from diagnosis.compiled import Compiled, Places, UNLIMITED_Nm, laws
+from diagnosis.effects.effect import Effect, Fields, State, Tick
+from diagnosis.rotors import Rotors
+
+
+@dataclass(slots=True)
+class Acting:
+    """An effect in a batch."""
+
+    effect: Effect
+    size: Array
+    """(n_sims, n_sizes)."""
+    joint: int
+    """-1 if its place is no joint."""
+    memory: dict[str, Array]
+
+
+class Columns:
+    """The columns of the joints in an array of the batch, for its first simulations."""
+
+    def __init__(self, array: Array, places: Places, n: int) -> None:
+        """Make a view, if the columns follow one another."""
+        self._rows, self._places = array[:n], places
+        self._view = array[:n, places] if isinstance(places, slice) else None
+
+    def read(self) -> Array:
+        """Return the values, (n, n_joints), only to read; they may change with the next step."""
+        return self._rows[:, self._places] if self._view is None else self._view
+
+    def write(self, values: Array) -> None:
+        """Set the values, (n, n_joints)."""
+        if self._view is None:
+            self._rows[:, self._places] = values
+        else:
+            self._view[...] = values
+
+
+class Actuators:
+    """The affine actuators of a batch."""
+
+    def __init__(self, compiled: Compiled, batch: mujoco.batch.Batch, fields: Fields) -> None:
+        """Expand their numbers, and set them."""
+        self._robot, self._places, self._fields = compiled.robot, compiled.actuator, fields
+        self._limits = batch.expand("actuator_forcerange")
+        self._gain, self._bias = batch.expand("actuator_gainprm"), batch.expand("actuator_biasprm")
+        self._factor = np.zeros_like(fields.kp_Nm_rad)
+        self.limit(fields.torque_limit_Nm)
+        self.scale(np.ones_like(fields.kp_Nm_rad))
+
+    def limit(self, limit_Nm: Array) -> None:
+        """Set the torque limits of the first simulations, (n, n_joints)."""
+        high = np.minimum(limit_Nm, UNLIMITED_Nm)
+        self._limits[: high.shape[0], self._places, 0] = -high
+        self._limits[: high.shape[0], self._places, 1] = high
+
+    def scale(self, factor: Array) -> None:
+        """Multiply nominal gains of the first simulations by factors, (n, n_joints)."""
+        n = factor.shape[0]
+        if np.array_equal(factor, self._factor[:n]):
+            return
+        self._factor[:n] = factor
+        kp, kd = self._fields.kp_Nm_rad[:n] * factor, self._fields.kd_Nms_rad[:n] * factor
+        self._gain[:n, self._places, 0], self._bias[:n, self._places, :3] = laws(self._robot, kp, kd)
+
+
+class Periods:
+    """The inputs of the control periods of a batch, set by commands and effects."""
+
+    def __init__(
+        self,
+        compiled: Compiled,
+        batch: mujoco.batch.Batch,
+        fields: Fields,
+        rotors: Rotors,
+        effects: Sequence[Acting],
+        temperature_degC: Array,
+    ) -> None:
+        """Sort the effects by their hooks.
+
+        Args:
+            compiled: Model.
+            batch: Batch, with the numbers of `fields` set.
+            fields: Numbers of model and controllers.
+            rotors: Rotors that motors turn in place of joints.
+            effects: Effects.
+            temperature_degC: Temperatures, (n_sims, n_joints).
+        """
+        self._compiled, self._batch, self._fields = compiled, batch, fields
+        self._actuators = Actuators(compiled, batch, fields)
+        self._rotors, self._qpos, self._qvel = rotors, batch.bind("qpos"), batch.bind("qvel")
+        self._dry = batch.expand("dof_frictionloss")
+        self._temperature = temperature_degC
+        self._effects = effects
+        self._acts, self._frictions, self._torques = (
+            [one for one in effects if one.effect.overrides(hook)]
+            for hook in ("act", "friction_Nm", "torque_Nm")
+        )
+        self._has_effects = bool(self._acts or self._frictions or self._torques or rotors.exist)
+        self._period_s = compiled.robot.control_period_s
+        self.n_steps = round(self._period_s / compiled.robot.model.opt.timestep)
+        """Steps of a control period."""
+        self.keep(temperature_degC.shape[0])
+
+    def keep(self, n: int) -> None:
+        """Go on with the first n simulations."""
+        self.n = n
+        for one in self._effects:
+            one.size = one.size[:n]
+            one.memory = {name: kept[:n] for name, kept in one.memory.items()}
+        at, batch = self._compiled, self._batch
+        self._q = Columns(batch.bind("qpos"), at.qpos, n)
+        self._ctrl = Columns(batch.bind("ctrl"), at.actuator, n)
+        if not self._has_effects:
+            return
+        self._v = Columns(batch.bind("qvel"), at.dof, n)
+        self._forces = [
+            Columns(batch.bind(name), at.dof, n)
+            for name in ("qfrc_bias", "qfrc_smooth", "qfrc_constraint", "qacc")
+        ]
+        self._motor = Columns(batch.bind("actuator_force"), at.actuator, n)
+        self._applied = Columns(batch.bind("qfrc_applied"), at.dof, n)
+        self._friction = Columns(self._dry, at.dof, n)
+        # one set of arrays for all periods: new ones would take a fifth of the time of a step
+        self._time_s, self._load = np.empty(n), np.empty((n, len(at.robot.joints)))
+        self._inputs = [np.empty_like(self._load) for _ in range(4)]
+
+    def shown_rad(self, shown_rad: Array) -> None:
+        """Write the angles that encoders see to the first rows of an array, (n_sims, n_joints)."""
+        shown_rad[: self.n] = self._q.read()
+        self._rotors.show(self._qpos, shown_rad)
+
+    def set_inputs(self, k: int, command: Array, enabled: Array | None) -> None:
+        """Set the inputs of a control period.
+
+        Args:
+            k: Number of the period.
+            command: Commands, (n, n_joints); effects may change them.
+            enabled: 1 where the motor has torque, else 0, (n, n_joints); None: all have.
+        """
+        if not self._has_effects:
+            self._ctrl.write(command)
+            if enabled is not None:
+                self._actuators.scale(enabled)
+            return
+        tick = self._tick(k, command)
+        for one in self._acts:
+            tick.memory = one.memory
+            one.effect.act(one.size, tick)
+        for one in self._frictions:
+            tick.frictionloss_Nm[:, one.joint] += one.effect.friction_Nm(one.size, tick.state)
+        for one in self._torques:
+            tick.applied_Nm[:, one.joint] += one.effect.torque_Nm(one.size, tick.state)
+        self._rotors.close_loops(self._qpos, self._qvel, tick.command)
+        self._ctrl.write(tick.command)
+        self._applied.write(tick.applied_Nm)
+        self._friction.write(tick.frictionloss_Nm)
+        self._rotors.move(self._dry, tick.frictionloss_Nm)
+        if self._acts:
+            self._actuators.limit(tick.torque_limit_Nm)
+        if enabled is not None:
+            self._actuators.scale(tick.gain * enabled)
+        elif self._acts:
+            self._actuators.scale(tick.gain)
+
+    def _tick(self, k: int, command: Array) -> Tick:
+        """Collect what effects may read and change."""
+        n, fields = self.n, self._fields
+        bias, smooth, constraint, qacc = (one.read() for one in self._forces)
+        load = self._load
+        np.multiply(fields.armature_kgm2[:n], qacc, out=load)
+        np.subtract(constraint, load, out=load)
+        load += smooth
+        load += bias
+        self._time_s.fill(k * self._period_s)
+        applied, friction, limit, gain = self._inputs
+        applied.fill(0.0)
+        friction[...] = fields.frictionloss_Nm[:n]
+        limit[...] = fields.torque_limit_Nm[:n]
+        gain.fill(1.0)
+        return Tick(
+            state=State(self._time_s, self._q.read(), self._v.read(), load, self._temperature[:n]),
+            command=command,
+            applied_Nm=applied,
+            frictionloss_Nm=friction,
+            torque_limit_Nm=limit,
+            gain=gain,
+            motor_Nm=self._motor.read(),
+            period_s=self._period_s,
+            memory={},
+        )

@@ -1,0 +1,373 @@
+"""Select the effects that the motions need: screen, refit a shortlist, accept by motions that were left out.
+
+Effects at different joints are selected side by side. An effect at a body competes with them for all joints.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from diagnosis.arrays import Array
+from diagnosis.effects.effect import Effect
+from diagnosis.fit import ALL_JOINTS, Fit, Hypothesis, evaluate_points
+from diagnosis.joint_fits import (
+    Context,
+    Present,
+    Report,
+    compare,
+    fit_base,
+    fit_joints,
+    free_columns,
+    leave_out,
+    merge_sizes,
+    motion_losses,
+    run,
+    start_context,
+)
+from diagnosis.residuals import ResidualModel
+from diagnosis.screening import Score, Whitened, family_wise_p, list_trials, score_trial, whiten
+
+MIN_SHARE: Final = 0.05
+"""Least share of the error of left-out motions that an effect has to remove: less is not worth a name."""
+MIN_Z: Final = 2.0
+"""Least improvement of left-out motions over its standard error."""
+FALSE_ALARM: Final = 0.05
+"""Largest family-wise probability of a screening score without an effect."""
+MAX_EFFECTS: Final = 3
+"""Most effects at one joint beside the base parameters: more describe a residual rather than explain it."""
+SHORTLIST: Final = 4
+"""Effects of a joint that are refitted in a round."""
+MAX_WORSE: Final = 0.10
+"""Largest share by which an effect may worsen another joint."""
+ROUNDS: Final = 2
+"""Turns between an effect at a body and the joints that it loads."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """Effect that was refitted and judged by motions that took no part."""
+
+    effect: Effect
+    joints: tuple[int, ...]
+    """Joints at which it was judged."""
+    sizes: Array
+    """(n_sizes,)."""
+    fits: tuple[Fit, ...]
+    """One for each of the joints."""
+    scores: Array
+    """Mean loss of left-out motions, (n_joints judged, n_motions)."""
+    at_bound: bool
+    gain: float
+    """Share of what can be explained in left-out motions that it removes."""
+    z: float
+    """Mean improvement of a motion over its standard error."""
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Models before and after, and every effect that was judged in between."""
+
+    context: Context
+    base: Present
+    chosen: Present
+    refitted: tuple[Effect, ...]
+
+
+def select_effects(
+    model: ResidualModel,
+    base: Sequence[Effect],
+    catalogue: Sequence[Effect],
+    *,
+    seed: int,
+    report: Report = lambda text, count: None,
+) -> Selection:
+    """Find the effects that motions need beyond the base parameters.
+
+    Args:
+        model: Residuals of the motions that are fitted.
+        base: Effects that every model has: nuisance parameters with priors.
+        catalogue: Effects that compete.
+        seed: Seed of random signs and folds.
+        report: Called with a text and the number of simulated candidates.
+
+    Returns:
+        The models before and after.
+    """
+    context, first = fit_base(start_context(model, base, catalogue, seed, report))
+    present = first
+    refitted: dict[str, Effect] = {}
+    open_joints = set(range(len(model.joints)))
+    while open_joints:
+        shortlist = screen(context, present, open_joints)
+        refitted |= {score.effect.key: score.effect for score in shortlist}
+        winners = choose(context, present, judge(context, present, shortlist))
+        open_joints &= {j for winner in winners for j in winner.joints}
+        for winner in winners:
+            present = accept(context, present, winner)
+        open_joints -= {j for j in open_joints if len(present.at(model.joints[j])) >= MAX_EFFECTS}
+    return Selection(context, first, drop_needless(context, present), tuple(refitted.values()))
+
+
+def screen(context: Context, present: Present, open_joints: set[int]) -> list[Score]:
+    """Simulate every effect at a few sizes, and keep the best of each place.
+
+    Args:
+        context: The context.
+        present: The present model.
+        open_joints: Joints at which effects are still looked for.
+
+    Returns:
+        At most SHORTLIST scores of a joint, and as many of all bodies, which beat chance over all effects.
+    """
+    names = context.model.joints
+    taken = {effect.key for effect in present.effects}
+    rivals = [effect for effect in context.catalogue if effect.key not in taken]
+    groups: list[tuple[tuple[int, ...], int, list[Effect]]] = [
+        ((j,), j, [one for one in rivals if one.place == names[j]]) for j in sorted(open_joints)
+    ]
+    bodies = [one for one in rivals if one.place not in names]
+    groups.append((tuple(range(len(names))), ALL_JOINTS, bodies))
+    trials = [
+        (lane, trial)
+        for _, lane, effects in groups
+        for effect in effects
+        for trial in list_trials(context.union, effect, present.sizes)
+    ]
+    points = [(lane, point) for lane, trial in trials for point in trial.points]
+    moved = iter(evaluate_points(context.model, context.union, points, share=context.share))
+    context.report("screening", len(points))
+    best: dict[int, dict[str, Score]] = {lane: {} for _, lane, _ in groups}
+    white = {lane: _whiten(context, present, joints) for joints, lane, _ in groups}
+    for lane, trial in trials:
+        now = _residuals(context, present, lane)
+        change = np.column_stack([next(moved) - now for _ in trial.points])
+        if lane == ALL_JOINTS:
+            change = change[white[lane].rows]
+        score = score_trial(white[lane], len(context.model.motions), trial, change, present.sizes)
+        key = trial.effect.key
+        if key not in best[lane] or score.gain > best[lane][key].gain:
+            best[lane][key] = score
+    everything = [score for group in best.values() for score in group.values()]
+    chance = family_wise_p(everything, context.seed)
+    likely = {score.effect.key for score, p in zip(everything, chance, strict=True) if p <= FALSE_ALARM}
+    ranked = [sorted(group.values(), key=lambda one: -one.gain) for group in best.values()]
+    likely_ones = [[one for one in group if one.effect.key in likely] for group in ranked]
+    return [score for group in likely_ones for score in group[:SHORTLIST]]
+
+
+def _whiten(context: Context, present: Present, joints: Sequence[int]) -> Whitened:
+    fits = [present.fits[j] for j in joints]
+    return whiten(fits, context.model.motion_of, [float(context.scales[j]) for j in joints])
+
+
+def _residuals(context: Context, present: Present, lane: int) -> Array:
+    if lane != ALL_JOINTS:
+        return present.fits[lane].residuals
+    together = np.zeros(len(context.model.joint_of))
+    for fit in present.fits:
+        together[fit.rows] = fit.residuals
+    return together
+
+
+def judge(context: Context, present: Present, shortlist: Sequence[Score]) -> list[Candidate]:
+    """Refit the shortlist with the base parameters, with all motions and without each fold.
+
+    Args:
+        context: The context.
+        present: The present model.
+        shortlist: Effects, and the sizes from which they start.
+
+    Returns:
+        The candidates, in the order of the shortlist.
+    """
+    names = context.model.joints
+    local = [score for score in shortlist if score.effect.place in names]
+    starts = [
+        Hypothesis(
+            free_columns(context, (*present.effects, score.effect), score.effect.place),
+            score.start,
+            names.index(score.effect.place),
+        )
+        for score in local
+    ]
+    fits = run(context, starts, "refit")
+    folds = [
+        replace(start, start=fit.sizes, left_out=fold)
+        for start, fit in zip(starts, fits, strict=True)
+        for fold in context.folds
+    ]
+    parts = iter(run(context, folds, "cross-validation"))
+    candidates = []
+    for score, start, fit in zip(local, starts, fits, strict=True):
+        scores = np.full(len(context.model.motions), np.nan)
+        for fold in context.folds:
+            left_out = sorted(fold)
+            scores[left_out] = motion_losses(context, next(parts))[left_out]
+        candidates.append(_candidate(context, present, score.effect, (start.joint,), (fit,), scores[None]))
+    bodies = [score for score in shortlist if score.effect.place not in names]
+    return candidates + [_judge_body(context, present, score) for score in bodies]
+
+
+def _judge_body(context: Context, present: Present, score: Score) -> Candidate:
+    effects = (*present.effects, score.effect)
+    fits = fit_body(context, effects, score.effect, score.start)
+    sizes = merge_sizes(context, score.start, fits)
+    scores = np.full((len(fits), len(context.model.motions)), np.nan)
+    for fold in context.folds:
+        left_out = sorted(fold)
+        for j, fit in enumerate(fit_body(context, effects, score.effect, sizes, fold)):
+            scores[j, left_out] = motion_losses(context, fit)[left_out]
+    return _candidate(context, present, score.effect, tuple(range(len(fits))), fits, scores)
+
+
+def fit_body(
+    context: Context,
+    effects: Sequence[Effect],
+    body: Effect,
+    sizes: Array,
+    left_out: frozenset[int] = frozenset(),
+) -> tuple[Fit, ...]:
+    """Fit an effect at a body and the sizes of all joints by turns.
+
+    Args:
+        context: The context.
+        effects: Accepted effects, with that of the body.
+        body: Effect at a body.
+        sizes: Sizes at the start, (n_sizes,), in their own units.
+        left_out: Motions that take no part.
+
+    Returns:
+        One fit a joint, with the sizes of the body in `sizes`.
+    """
+    for _ in range(ROUNDS):
+        (whole,) = run(
+            context, [Hypothesis(context.union.columns([body]), sizes, ALL_JOINTS, left_out)], "fit"
+        )
+        fits = fit_joints(context, effects, whole.sizes, left_out)
+        sizes = merge_sizes(context, whole.sizes, fits)
+    return fits
+
+
+def _candidate(
+    context: Context,
+    present: Present,
+    effect: Effect,
+    joints: tuple[int, ...],
+    fits: tuple[Fit, ...],
+    scores: Array,
+) -> Candidate:
+    own = context.union.columns([effect])
+    sizes = present.sizes.copy()
+    sizes[own] = fits[0].sizes[own]
+    sizes = merge_sizes(context, sizes, fits)
+    gain, z = compare(context, joints, present.scores[list(joints)], scores)
+    bounds = [(context.union.sizes[c].low, context.union.sizes[c].high) for c in own]
+    at_bound = any(
+        sizes[c] != 0.0 and min(sizes[c] - low, high - sizes[c]) < 1e-3 * (high - low)
+        for c, (low, high) in zip(own, bounds, strict=True)
+    )
+    return Candidate(effect, joints, sizes, fits, scores, at_bound, gain, z)
+
+
+def choose(context: Context, present: Present, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Choose the best effect of each joint, or one at a body if it does more than they do.
+
+    Args:
+        context: The context.
+        present: The present model.
+        candidates: Effects that were judged.
+
+    Returns:
+        Effects to accept; no two for one joint.
+    """
+    good = [one for one in candidates if one.gain >= MIN_SHARE and one.z > MIN_Z and not one.at_bound]
+    good = [one for one in good if not worsens_another(context, present, one)]
+    best: dict[tuple[int, ...], Candidate] = {}
+    for one in sorted(good, key=lambda one: -one.gain):
+        best.setdefault(one.joints if len(one.joints) == 1 else (ALL_JOINTS,), one)
+    body = best.pop((ALL_JOINTS,), None)
+    local = list(best.values())
+    if body is None:
+        return local
+    removed = sum(_improvement(present, one) for one in local)
+    # one effect that does as much as several is the simpler explanation
+    enough = (1.0 - MIN_SHARE) * removed if len(local) > 1 else removed
+    return [body] if _improvement(present, body) > enough else local
+
+
+def _improvement(present: Present, candidate: Candidate) -> float:
+    """Return the decrease of the mean loss, summed over the joints of a candidate."""
+    before = present.scores[list(candidate.joints)]
+    return float(np.sum(np.nanmean(before - candidate.scores, axis=1)))
+
+
+def worsens_another(context: Context, present: Present, candidate: Candidate) -> bool:
+    """Check whether an effect at one joint worsens another joint.
+
+    Args:
+        context: The context.
+        present: The present model.
+        candidate: The effect.
+
+    Returns:
+        True if the mean absolute residual of another joint grows by more than MAX_WORSE.
+    """
+    if len(candidate.joints) > 1:
+        return False
+    columns = merge_sizes(context, present.sizes, candidate.fits)
+    others = [j for j in range(len(context.model.joints)) if j not in candidate.joints]
+    if not others:
+        return False
+    points = [(ALL_JOINTS, present.sizes), (ALL_JOINTS, columns)]
+    before, after = evaluate_points(context.model, context.union, points, share=False)
+    return any(
+        float(np.mean(np.abs(after[rows]))) > (1.0 + MAX_WORSE) * float(np.mean(np.abs(before[rows])))
+        for rows in (context.model.joint_of == j for j in others)
+    )
+
+
+def accept(context: Context, present: Present, candidate: Candidate) -> Present:
+    """Add an effect to the present model.
+
+    Args:
+        context: The context.
+        present: The present model.
+        candidate: The effect.
+
+    Returns:
+        The model with the effect.
+    """
+    own = [*(int(c) for c in context.union.columns([candidate.effect]))]
+    own += [int(c) for fit in candidate.fits for c in fit.columns]
+    sizes, scores, fits = present.sizes.copy(), present.scores.copy(), list(present.fits)
+    sizes[own] = candidate.sizes[own]
+    for k, j in enumerate(candidate.joints):
+        scores[j], fits[j] = candidate.scores[k], candidate.fits[k]
+    return Present((*present.effects, candidate.effect), sizes, tuple(fits), scores)
+
+
+def drop_needless(context: Context, present: Present) -> Present:
+    """Drop effects without which the others do as well: a later effect may have taken over.
+
+    Args:
+        context: The context.
+        present: The model with all accepted effects.
+
+    Returns:
+        The model with those that it needs.
+    """
+    for effect in present.effects:
+        without = leave_out(context, present, effect)
+        joints = [
+            j for j, name in enumerate(context.model.joints) if effect.place in (name, *_bodies(context))
+        ]
+        gain, z = compare(context, joints, without.scores[joints], present.scores[joints])
+        if gain < MIN_SHARE or z <= MIN_Z:
+            present = without
+    return present
+
+
+def _bodies(context: Context) -> set[str]:
+    return {one.place for one in context.catalogue} - set(context.model.joints)

@@ -1,0 +1,209 @@
+"""Say how sure each finding is: intervals of its sizes, and what cannot be excluded in its place."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.stats import t as student
+
+from diagnosis.arrays import Array, Integers
+from diagnosis.effects.effect import Effect, Family
+from diagnosis.fit import ALL_JOINTS, Fit, evaluate_points
+from diagnosis.joint_fits import Context, Present, leave_out
+from diagnosis.screening import Score
+from diagnosis.selection import Candidate, Selection, judge, screen
+
+EXCLUDED: Final = 0.05
+"""Probability below which an alternative is excluded."""
+COVERED: Final = 0.90
+"""Probability that an interval holds the size, if the model is right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """Effect that does as well as a finding on motions that took no part."""
+
+    effect: Effect
+    sizes: Array
+    """(n_sizes,) of the union."""
+    p: float
+    """Probability of its disadvantage, or a larger one, if it were as good."""
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """A finding with the effects that cannot be excluded in its place, itself first."""
+
+    effect: Effect
+    alternatives: tuple[Alternative, ...]
+    share: float
+    """Share of what can be explained in left-out motions that the finding removes."""
+
+
+def doubt_findings(selection: Selection) -> list[Doubt]:
+    """Refit alternatives in the place of each finding, and exclude those that predict worse.
+
+    Args:
+        selection: The selected effects.
+
+    Returns:
+        One doubt a finding.
+    """
+    return [doubt_finding(selection.context, selection.chosen, effect) for effect in selection.chosen.effects]
+
+
+def doubt_finding(context: Context, present: Present, effect: Effect) -> Doubt:
+    """Refit alternatives in the place of one finding.
+
+    The test is a paired one-sided t test of the losses of left-out motions.
+
+    Args:
+        context: The context.
+        present: The model with all findings.
+        effect: The finding.
+
+    Returns:
+        The finding with the alternatives that cannot be excluded.
+    """
+    without = leave_out(context, present, effect)
+    joints = {j for j, name in enumerate(context.model.joints) if effect.place == name}
+    scores = screen(context, without, joints or set(range(len(context.model.joints))))
+    if effect.key not in {score.effect.key for score in scores}:
+        nothing = np.zeros(len(context.model.motions))
+        scores.append(Score(effect, present.sizes, 0.0, nothing))
+    candidates = judge(context, without, scores)
+    finding = next(one for one in candidates if one.effect.key == effect.key)
+    own = _errors(context, without, finding)
+    members = [Alternative(effect, finding.sizes, 1.0)]
+    for one in candidates:
+        worse = _errors(context, without, one) - own
+        p = _one_sided_p(worse[~np.isnan(worse)])
+        if one.effect.key != effect.key and p > EXCLUDED and not one.at_bound:
+            members.append(Alternative(one.effect, one.sizes, p))
+    ranked = (members[0], *sorted(members[1:], key=lambda one: -one.p))
+    return Doubt(effect, ranked, finding.gain)
+
+
+def _errors(context: Context, without: Present, candidate: Candidate) -> Array:
+    """Return the loss of each motion, summed over all joints, (n_motions,)."""
+    scores = without.scores.copy()
+    scores[list(candidate.joints)] = candidate.scores
+    total: Array = np.nansum(scores, axis=0)
+    return np.where(np.isnan(scores).all(axis=0), np.nan, total)
+
+
+def _one_sided_p(worse: Array) -> float:
+    """Return the probability of so large a mean, or a larger one, if the true mean is 0."""
+    if len(worse) < 2:
+        return 1.0
+    error = float(np.std(worse, ddof=1) / np.sqrt(len(worse)))
+    if error == 0.0:
+        return 1.0 if np.mean(worse) <= 0.0 else 0.0
+    return float(student.sf(np.mean(worse) / error, len(worse) - 1))
+
+
+def size_intervals(context: Context, fit: Fit) -> Array:
+    """Return intervals of the free sizes of a fit that hold for autocorrelated residuals.
+
+    The covariance is the sandwich with motions as clusters: residuals of one motion may depend on one another
+    in any way (Liang and Zeger 1986). The quantile is that of Student's t with one degree less than motions.
+
+    Args:
+        context: The context.
+        fit: A fit of one joint.
+
+    Returns:
+        Low and high ends, (n_free, 2), in the units of the sizes.
+    """
+    weight = 1.0 / context.scales[context.model.joint_of[fit.rows]]
+    z = fit.residuals * weight
+    robust = weight * (1.0 + z * z) ** -0.25
+    a, r = fit.jacobian * robust[:, None], fit.residuals * robust
+    prior = np.array([1.0 / context.union.sizes[c].prior_std ** 2 for c in fit.columns])
+    inverse = np.linalg.pinv(a.T @ a + np.diag(prior), rcond=1e-12, hermitian=True)
+    motion = context.model.motion_of[fit.rows]
+    n = len(np.unique(motion))
+    slopes = np.array([a[motion == k].T @ r[motion == k] for k in np.unique(motion)])
+    middle = slopes.T @ slopes * (n / max(n - 1, 1)) + np.diag(prior)
+    covariance = inverse @ middle @ inverse
+    half = student.ppf(0.5 + 0.5 * COVERED, max(n - 1, 1)) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    at = fit.sizes[fit.columns]
+    return np.column_stack([at - half, at + half])
+
+
+def separating_motion(context: Context, doubt: Doubt) -> str:
+    """Find the recorded motion in which the first two members of a set differ most.
+
+    Args:
+        context: The context.
+        doubt: A finding with its alternatives.
+
+    Returns:
+        A sentence; empty if one member is left.
+    """
+    if len(doubt.alternatives) < 2:
+        return ""
+    first, second = doubt.alternatives[:2]
+    rows = evaluate_points(
+        context.model, context.union, [(ALL_JOINTS, first.sizes), (ALL_JOINTS, second.sizes)], share=False
+    )
+    model = context.model
+    difference = (rows[0] - rows[1]) / context.scales[model.joint_of]
+    motion = _strongest(difference, model.motion_of, len(model.motions))
+    joint = _strongest(difference, model.joint_of, len(model.joints))
+    inside = (model.motion_of == motion) & (model.joint_of == joint)
+    change = np.sqrt(np.mean((rows[0] - rows[1])[inside] ** 2))
+    return (
+        f'record more motions like "{model.motions[motion]}": there "{first.effect.name}" and '
+        f'"{second.effect.name}" differ by {change:.2g} {model.unit} (RMS)'
+    )
+
+
+def _strongest(values: Array, group: Integers, n_groups: int) -> int:
+    """Return the group with the largest mean square."""
+    squares = np.bincount(group, weights=values**2, minlength=n_groups)
+    return int(np.argmax(squares / np.maximum(np.bincount(group, minlength=n_groups), 1)))
+
+
+def unexplained_dependence(
+    fitted: tuple[Array, Array], held_out: tuple[Array, Array], n_bins: int = 10
+) -> float:
+    """Measure the share of the variance of a residual that follows a variable.
+
+    Bin means are taken from motions that were fitted, and predict motions that were not.
+
+    Args:
+        fitted: Residuals and variable, (n,) each, in the unit of the model, of fitted motions.
+        held_out: Residuals and variable, (n,) each, in the unit of the model, of motions that took no part.
+        n_bins: Bins with equal counts.
+
+    Returns:
+        Share, at most 1; not positive if it predicts nothing.
+    """
+    residual, variable = fitted
+    if len(residual) < n_bins or len(held_out[0]) < n_bins or np.ptp(variable) == 0.0:
+        return 0.0
+    edges = np.unique(np.quantile(variable, np.linspace(0.0, 1.0, n_bins + 1)[1:-1]))
+    place, other = np.searchsorted(edges, variable), np.searchsorted(edges, held_out[1])
+    count = np.maximum(np.bincount(place, minlength=len(edges) + 1), 1)
+    means = np.bincount(place, weights=residual, minlength=len(edges) + 1) / count
+    total = float(np.mean(held_out[0] ** 2))
+    left = float(np.mean((held_out[0] - means[other]) ** 2))
+    return 1.0 - left / total if total > 0.0 else 0.0
+
+
+def list_members(doubt: Doubt) -> tuple[tuple[str, ...], tuple[Family, ...], tuple[str, ...]]:
+    """List the places, families and effects that cannot be excluded, the best first.
+
+    Args:
+        doubt: A finding with its alternatives.
+
+    Returns:
+        Names without repetition.
+    """
+    effects = [one.effect for one in doubt.alternatives]
+    places, families = (
+        dict.fromkeys(one.place for one in effects),
+        dict.fromkeys(one.family for one in effects),
+    )
+    return tuple(places), tuple(families), tuple(dict.fromkeys(one.key for one in effects))

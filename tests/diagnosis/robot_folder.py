@@ -1,0 +1,94 @@
+"""A small robot in a folder: model, robot file, and logs in every format."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+MODEL = """<mujoco model="two links">
+  <compiler angle="radian" autolimits="true"/>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder" axis="0 1 0" range="-2 2" frictionloss="0.1"/>
+      <inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/>
+      <body name="lower" pos="0 0 -0.4">
+        <joint name="elbow" axis="0 0 1" range="-2 2" frictionloss="0.1"/>
+        <inertial pos="0 0 -0.1" mass="0.5" diaginertia="0.01 0.01 0.01"/>
+        <site name="tip" pos="0 0 -0.2"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="shoulder" joint="shoulder" kp="30" kv="2" forcerange="-5 5"/>
+    <motor name="elbow" joint="elbow" gear="50" forcerange="-0.1 0.2"/>
+  </actuator>
+</mujoco>
+"""
+ROBOT = """name = "two links"
+model = "model.xml"
+time_step_s = 0.002
+control_rate_Hz = 250.0
+tool_site = "tip"
+
+[time]
+column = "t"
+unit = "ms"
+
+[motion]
+columns = ["motion"]
+condition_column = "gain"
+
+[joints.shoulder]
+mode = "position"
+gain_column = "gain"
+kp_Nm_rad = 15.0
+position = { column = "q1", unit = "deg", factor = -1.0, zero_rad = 0.5 }
+command = { column = "c1", unit = "deg" }
+
+[joints.elbow]
+mode = "torque"
+gear_ratio = 50.0
+position = { column = "q2", unit = "count", counts_per_turn = 4096.0, side = "motor" }
+torque = { column = "m2", unit = "mN m", side = "motor" }
+"""
+COLUMNS = {
+    "t": [0.0, 10.0, 20.0, 0.0, 10.0, 20.0, 30.0],
+    "motion": ["slow", "slow", "slow", "fast", "fast", "fast", "fast"],
+    "gain": [2, 2, 2, 3, 3, 3, 3],
+    "q1": [0.0, 90.0, 180.0, 1.0, 2.0, 3.0, 4.0],
+    "c1": [0.0, 9.0, 18.0, 27.0, 36.0, 45.0, 54.0],
+    "q2": [0.0, 4096.0, 8192.0, 0.0, 0.0, 0.0, 0.0],
+    "m2": [0.0, 100.0, 200.0, 0.0, 0.0, 0.0, 0.0],
+}
+
+
+def write_robot(folder: Path, *changes: tuple[str, str], model: str = MODEL) -> Path:
+    """Write the robot with changes of the text of its file; return the path of the file."""
+    text = ROBOT
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "model.xml").write_text(model)
+    (folder / "robot.toml").write_text(text)
+    return folder / "robot.toml"
+
+
+def write_parquet(folder: Path, name: str = "log", **changes: list) -> Path:
+    """Write the columns, some of them changed, as Parquet."""
+    pq.write_table(pa.table(COLUMNS | changes), folder / f"{name}.parquet")
+    return folder / f"{name}.parquet"
+
+
+def write_csv(folder: Path, separator: str = ",", decimal: str = ".") -> Path:
+    """Write the columns as text."""
+    rows = [list(COLUMNS), *(map(str, row) for row in zip(*COLUMNS.values(), strict=True))]
+    lines = [separator.join(cell.replace(".", decimal) for cell in row) for row in rows]
+    (folder / "log.csv").write_text("\n".join(lines) + "\n")
+    return folder / "log.csv"
+
+
+def write_npz(folder: Path, **changes: np.ndarray) -> Path:
+    """Write the columns as arrays."""
+    np.savez(folder / "log.npz", **({name: np.array(one) for name, one in COLUMNS.items()} | changes))
+    return folder / "log.npz"

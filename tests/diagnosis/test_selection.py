@@ -1,0 +1,87 @@
+"""Selection, fit and verdict on residuals whose causes are known."""
+
+import numpy as np
+import pytest
+
+from diagnosis.assemble import describe_finding, list_remainders, simulate_models
+from diagnosis.fit import Hypothesis, Union, fit_hypotheses
+from diagnosis.selection import select_effects
+from diagnosis.verdict import doubt_finding, doubt_findings, size_intervals, unexplained_dependence
+from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
+
+TRUTH = {"near: square": 0.1, "far: sine": 0.05, "far: step": -0.03}
+
+
+def named(model: ToyResiduals) -> list[str]:
+    return sorted(effect.key for effect in select_effects(model, BASE, CATALOGUE, seed=1).chosen.effects)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_without_an_effect_nothing_is_named(seed: int) -> None:
+    assert named(draw_toy(seed, {})) == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_three_effects_at_two_joints_are_named_and_no_other(seed: int) -> None:
+    assert named(draw_toy(seed, TRUTH)) == sorted(TRUTH)
+
+
+def test_what_explains_little_of_a_residual_is_not_called_its_cause() -> None:
+    model = draw_toy(1, {"far: double": 0.05})
+    rest = tuple(effect for effect in CATALOGUE if effect.label != "double")
+    selection = select_effects(model, BASE, rest, seed=1)
+    for doubt in doubt_findings(selection):
+        finding = describe_finding(selection.context, selection.chosen, doubt)
+        assert finding.places == ("far",)
+        assert finding.families == finding.effects == ()
+    (remainder,) = list_remainders(selection, model, simulate_models(selection, model)[2])
+    assert (remainder.joint, remainder.depends_on) == ("far", "position")
+
+
+def test_an_effect_of_all_joints_is_named_at_its_body() -> None:
+    model = draw_toy(1, {"near: square": 0.1, "far: square": 0.1})
+    body = Toy("base", "square of all", np.square)
+    chosen = select_effects(model, BASE, (*CATALOGUE, body), seed=1).chosen
+    assert [effect.key for effect in chosen.effects] == [body.key]
+
+
+def test_two_effects_that_the_data_cannot_separate_stay_in_the_set() -> None:
+    twin = Toy("near", "twin", lambda x: x**2 + 0.01 * x**3)
+    model = draw_toy(1, {"near: square": 0.1})
+    selection = select_effects(model, BASE, (*CATALOGUE, twin), seed=1)
+    (effect,) = selection.chosen.effects
+    doubt = doubt_finding(selection.context, selection.chosen, effect)
+    assert {one.effect.key for one in doubt.alternatives} == {"near: square", "near: twin"}
+
+
+@pytest.mark.slow
+def test_ninety_percent_intervals_hold_the_size_in_ninety_percent_of_cases() -> None:
+    held = 0
+    for seed in range(200):
+        selection = select_effects(draw_toy(seed, {"near: square": 0.1}), BASE, CATALOGUE[:1], seed=1)
+        fit = selection.chosen.fits[NAMES.index("near")]
+        low, high = size_intervals(selection.context, fit)[-1]
+        held += low <= 0.1 <= high
+    assert 170 <= held <= 190  # 95 % of a binomial around 180
+
+
+def test_problems_that_share_simulations_end_where_they_end_alone() -> None:
+    model = draw_toy(1, TRUTH)
+    union = Union((*BASE, *CATALOGUE))
+    zero = np.zeros(len(union.sizes))
+    problems = [Hypothesis(union.columns([effect]), zero, NAMES.index(effect.place)) for effect in BASE]
+    scales = np.full(2, 0.02)
+    together = fit_hypotheses(model, union, problems, scales, share=True)
+    alone = [fit_hypotheses(model, union, [one], scales, share=False)[0] for one in problems]
+    for shared, single in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(shared.sizes, single.sizes)
+
+
+def test_a_residual_that_follows_a_variable_is_seen_in_other_motions() -> None:
+    rng = np.random.default_rng(1)
+    x = rng.uniform(-1.0, 1.0, (2, 2000))
+    noise = rng.normal(0.0, 1.0, (2, 2000))
+    follows = unexplained_dependence((noise[0] + 2.0 * x[0], x[0]), (noise[1] + 2.0 * x[1], x[1]))
+    alone = unexplained_dependence((noise[0], x[0]), (noise[1], x[1]))
+    assert follows == pytest.approx(4.0 / 3.0 / (1.0 + 4.0 / 3.0), abs=0.05)
+    assert alone < 0.01

@@ -1,0 +1,1 @@
+"""Sealed synthetic cases for the diagnosis of any robot: drawn, made, solved and scored."""

@@ -1,0 +1,259 @@
+"""Draw cases: a robot, its logs, and the truth, in memory.
+
+Seeds below 1000 are for tuning; scores use others.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final, Literal
+
+import numpy as np
+
+from diagnosis.arrays import Array
+from diagnosis.logs import JointLog, Logs, Motion, Signal
+from diagnosis.robot import Robot
+from validation.robot_cases.arms import ARMS, load_robot
+from validation.robot_cases.limits import (
+    CORRELATION,
+    NOISE_RAD,
+    QUANTUM_RAD,
+    Nuisance,
+    information,
+    limit_noncentrality,
+    make_nuisance,
+    whiten,
+)
+from validation.robot_cases.motions import HELD_OUT, PERIOD_S, REPEATED, SAMPLES, Plan, draw_plan
+from validation.robot_cases.outside import Outside
+from validation.robot_cases.table import ENTRIES, OUTSIDE, Entry, Hypothesis, list_hypotheses
+from validation.robot_cases.truth import Nuisances, Plant, TrueEffect
+
+Kind = Literal["none", "single", "pair", "outside"]
+TIMES_LIMIT: Final = (0.5, 4.0)
+"""Range of the strength of an effect, in family-wise limits."""
+SPREADS: Final = {"damping": 0.2, "friction": 0.2, "armature": 0.1, "gain": 0.1}
+"""Standard deviations of the logarithms of the nuisances of joints whose numbers are not known."""
+LIMIT_STEP_S: Final = 0.001
+"""Step of the simulations that only give changes: differences of runs with the same step."""
+SIZE_ROUNDS: Final = 10
+"""Simulations in the search for a size; each divides its error by some five."""
+CLOSE: Final = 0.03
+"""Share by which the strength may miss what was drawn; the strength that is reached is recorded."""
+WARM_UP_K: Final = 15.0
+"""Rise of the temperature of the motors over all motions."""
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnEffect:
+    """True effect of a case."""
+
+    name: str
+    place: str
+    family: str
+    size: float
+    shape: float
+    times_limit: float
+    """Strength in family-wise limits."""
+    families: tuple[str, ...]
+    """Families that a verdict may give."""
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Truth of a case."""
+
+    model: str
+    kind: Kind
+    seed: int
+    effects: tuple[DrawnEffect, ...]
+    nuisances: dict[str, tuple[float, ...]]
+    """Factors on the nominal numbers, an entry a joint."""
+
+
+class NoSize(ValueError):
+    """No size within the bounds of the effect has the wanted strength."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Campaign:
+    """Motions of a case, and what their changes are compared with."""
+
+    robot: Robot
+    plan: Plan
+    fitted: tuple[int, ...]
+    nuisances: Nuisances
+    base: Array
+    """Shown positions of the fitted motions without effects, (n_fitted, n_joints, n) [rad]."""
+    nuisance: Nuisance
+    limit: float
+    """Strength at the family-wise limit."""
+
+
+def draw_case(seed: int, kind: Kind, model: str) -> tuple[Robot, Logs, Truth]:
+    """Draw a case.
+
+    Args:
+        seed: Seed of everything random; the same seed gives the same case.
+        kind: Number and origin of its effects.
+        model: Name of the robot, a key of `ARMS`.
+
+    Returns:
+        The nominal robot, its logs with the held-out motions, and the truth.
+    """
+    campaign = make_campaign(seed, model)
+    rng = np.random.default_rng([seed, 2, sorted(ARMS).index(model)])
+    effects: list[TrueEffect] = []
+    drawn: list[DrawnEffect] = []
+    while len(drawn) < {"none": 0, "single": 1, "pair": 2, "outside": 1}[kind]:
+        try:
+            effect, one = _draw_effect(campaign, OUTSIDE if kind == "outside" else ENTRIES, rng)
+        except (NoSize, FloatingPointError):
+            continue
+        if any((one.place, one.family) == (other.place, other.family) for other in drawn):
+            continue
+        effects.append(effect)
+        drawn.append(one)
+    factors = {name: tuple(np.asarray(getattr(campaign.nuisances, name)).tolist()) for name in SPREADS}
+    truth = Truth(model, kind, seed, tuple(drawn), factors)
+    return campaign.robot, record_logs(campaign, effects, seed), truth
+
+
+@lru_cache(maxsize=4)
+def make_campaign(seed: int, model: str) -> Campaign:
+    """Draw motions and nuisances of a case, and simulate what its effects are compared with."""
+    robot = load_robot(model)
+    rng = np.random.default_rng([seed, 1, sorted(ARMS).index(model)])
+    plan = draw_plan(robot, rng)
+    fitted = tuple(k for k, name in enumerate(plan.names) if name not in HELD_OUT)
+    known = np.array([joint.is_known for joint in robot.joints])
+    factors = {
+        name: np.where(known, 1.0, np.exp(spread * rng.standard_normal(known.size)))
+        for name, spread in SPREADS.items()
+    }
+    nuisances = Nuisances(**factors)
+    base = simulate_fitted(Plant(robot, nuisances, (), LIMIT_STEP_S), plan, fitted)
+    columns = []
+    for name, spread in SPREADS.items():
+        for j in np.flatnonzero(~known):
+            changed = factors[name].copy()
+            changed[j] *= np.exp(0.3 * spread)
+            moved = Nuisances(**{**factors, name: changed})
+            change = simulate_fitted(Plant(robot, moved, (), LIMIT_STEP_S), plan, fitted) - base
+            columns.append(whiten(change).ravel() / 0.3)
+    count = len(list_hypotheses(robot, ENTRIES))
+    stacked = np.array(columns).T if columns else np.zeros((base.size, 0))
+    limit = limit_noncentrality(len(fitted), count)
+    return Campaign(robot, plan, fitted, nuisances, base, make_nuisance(stacked), limit)
+
+
+def simulate_fitted(plant: Plant, plan: Plan, motions: tuple[int, ...]) -> Array:
+    """Return shown positions without noise, (n_motions, n_joints, n) [rad]."""
+    return np.array([plant.simulate(plan.commands[k], PERIOD_S, k, temperature_degC(k)) for k in motions])
+
+
+def temperature_degC(motion: int) -> tuple[float, float]:
+    """Return the temperature of the motors at the first and the last sample of a motion."""
+    first, last = (25.0 + WARM_UP_K * (motion + end) / 12.0 for end in (0, 1))
+    return first, last
+
+
+def change_of(campaign: Campaign, effect: TrueEffect) -> Array:
+    """Return the whitened change of the fitted motions, (n,)."""
+    plant = Plant(campaign.robot, campaign.nuisances, (effect,), LIMIT_STEP_S)
+    moved = simulate_fitted(plant, campaign.plan, campaign.fitted)
+    return np.asarray(whiten(moved - campaign.base).ravel())
+
+
+def _draw_effect(
+    campaign: Campaign, entries: tuple[Entry, ...], rng: np.random.Generator
+) -> tuple[TrueEffect, DrawnEffect]:
+    """Draw an effect, then one of its places, then a strength; NoSize if its bounds do not allow it."""
+    everything = list_hypotheses(campaign.robot, entries)
+    names = sorted({one.entry.kind.name for one in everything})
+    name = names[int(rng.integers(len(names)))]
+    places = [one for one in everything if one.entry.kind.name == name]
+    one = places[int(rng.integers(len(places)))]
+    shape = float(rng.uniform())
+    sign = float(rng.choice((-1.0, 1.0))) if one.entry.is_signed else 1.0
+    times = float(np.exp(rng.uniform(*np.log(TIMES_LIMIT))))
+    effect, reached = find_size(campaign, one, sign, shape, times)
+    kind = one.entry.kind
+    families = kind.families if issubclass(kind, Outside) else frozenset({kind.family})
+    drawn = DrawnEffect(
+        kind.name, one.place, str(kind.family), effect.size, shape, reached, tuple(sorted(map(str, families)))
+    )
+    return effect, drawn
+
+
+def find_size(
+    campaign: Campaign, one: Hypothesis, sign: float, shape: float, times: float
+) -> tuple[TrueEffect, float]:
+    """Search the size of an effect with a strength.
+
+    Args:
+        campaign: The motions.
+        one: Effect and place.
+        sign: Sign of the size.
+        shape: Shape of the effect.
+        times: Wanted strength in family-wise limits.
+
+    Returns:
+        The effect, and its strength in family-wise limits.
+
+    Raises:
+        NoSize: No size within its bounds has the strength.
+        FloatingPointError: The truth diverged.
+    """
+    size, high = one.entry.typical, one.entry.high
+    below, above = 0.0, np.inf
+    for _ in range(SIZE_ROUNDS):
+        effect = one.entry.kind(campaign.plan.scene, one.place, sign * size * one.scale, shape)
+        change = change_of(campaign, effect)
+        reached = np.sqrt(max(information(change, change, campaign.nuisance), 0.0)) / campaign.limit
+        if abs(reached / times - 1.0) < CLOSE:
+            return effect, float(reached)
+        below, above = (max(below, size), above) if reached < times else (below, min(above, size))
+        if below >= high:
+            break
+        guess = size * float(np.clip(times / max(reached, 1e-9), 0.1, 10.0))
+        size = min(guess if below < guess < above else _between(below, above, size), high)
+    raise NoSize(one.key)
+
+
+def _between(below: float, above: float, size: float) -> float:
+    if not np.isfinite(above):
+        return 2.0 * size
+    return float(np.sqrt(below * above)) if below > 0.0 else 0.3 * above
+
+
+def record_logs(campaign: Campaign, effects: list[TrueEffect], seed: int) -> Logs:
+    """Record all motions with noise, quantised."""
+    plant = Plant(campaign.robot, campaign.nuisances, effects)
+    plan, times = campaign.plan, PERIOD_S * np.arange(SAMPLES)
+    motions = []
+    for k, name in enumerate(plan.names):
+        shown = plant.simulate(plan.commands[k], PERIOD_S, seed * 100 + k, temperature_degC(k))
+        rng = np.random.default_rng([seed, 3, k])
+        measured = measure(shown, rng)
+        heat = Signal(times, np.linspace(*temperature_degC(k), SAMPLES))
+        joints = {
+            joint.name: JointLog(
+                position=Signal(times, measured[j]),
+                command=Signal(times, plan.commands[k, j]),
+                temperature=heat,
+            )
+            for j, joint in enumerate(campaign.robot.joints)
+        }
+        repeat = REPEATED[0] if name in REPEATED else ""
+        motions.append(Motion(name, joints, dict.fromkeys(joints, 1.0), repeat))
+    return Logs(tuple(motions), HELD_OUT)
+
+
+def measure(shown_rad: Array, rng: np.random.Generator) -> Array:
+    """Add autocorrelated noise and quantise, (n_joints, n) [rad]."""
+    white = rng.standard_normal(shown_rad.shape)
+    noise = np.empty_like(shown_rad)
+    noise[:, 0] = white[:, 0]
+    for k in range(1, shown_rad.shape[1]):
+        noise[:, k] = CORRELATION * noise[:, k - 1] + np.sqrt(1.0 - CORRELATION**2) * white[:, k]
+    return np.asarray(QUANTUM_RAD * np.round((shown_rad + NOISE_RAD * noise) / QUANTUM_RAD))

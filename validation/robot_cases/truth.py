@@ -1,0 +1,321 @@
+"""Simulator of the truth: plain MuJoCo with small steps, and effects that are written a second time.
+
+It shares no code with the diagnosis. The servo law, all effects and the dry friction are evaluated in every
+physics step. The integrator is `implicit`, the step an eighth of that of the robot's model. Commands are held
+between their samples. An encoder sits on the motor: before backlash and compliance of its joint.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, Final
+
+import mujoco
+import numpy as np
+
+from diagnosis.arrays import Array
+from diagnosis.effects.effect import Family
+from diagnosis.robot import Robot
+
+TRUE_STEP_S: Final = 0.00025
+"""Step of the truth: halving it moves no sample by a tenth of the noise (see the tests)."""
+SETTLE_S: Final = 1.0
+"""Time at the first command before a log begins: some ten time constants of the slowest servo."""
+HARD: Final = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""Impedance of dry friction; the default of MuJoCo creeps under load."""
+
+
+@dataclass(slots=True)
+class Run:
+    """State of one motion, which effects read: plain numbers, a list entry a joint."""
+
+    step_s: float
+    rng: np.random.Generator
+    time_s: float = 0.0
+    q: list[float] = field(default_factory=list)
+    v: list[float] = field(default_factory=list)
+    shown: list[float] = field(default_factory=list)
+    command: list[float] = field(default_factory=list)
+    motor_Nm: list[float] = field(default_factory=list)
+    load_Nm: list[float] = field(default_factory=list)
+    """Torque that the gear carries: of gravity and of the inertia behind the motor."""
+    temperature_degC: float = 25.0
+    """Temperature of all motors at this time."""
+    model: mujoco.MjModel = None
+    data: mujoco.MjData = None
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Nominal robot, and the motions that it is asked for: all that an effect may know."""
+
+    robot: Robot
+    low_rad: tuple[float, ...]
+    """Least command of each joint."""
+    high_rad: tuple[float, ...]
+    lowest_m: float
+    """Least height of the tool when the joints are as commanded."""
+
+
+class TrueEffect:
+    """Effect of the truth at a place. The size is positive or has a sign; 0 is absent."""
+
+    name: ClassVar[str]
+    family: ClassVar[Family]
+    is_body: ClassVar[bool] = False
+    """True if the place is a body."""
+    loads: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, scene: Scene, place: str, size: float, shape: float = 0.5) -> None:
+        """Make it.
+
+        Args:
+            scene: The nominal robot and its motions.
+            place: Name of a joint or of a body.
+            size: Amplitude in the unit of the effect.
+            shape: Number from 0 to 1 from which a shape parameter is computed.
+        """
+        self.scene, self.robot, self.place, self.size, self.shape = scene, scene.robot, place, size, shape
+        names = [joint.name for joint in scene.robot.joints]
+        self.j = names.index(place) if place in names else 0
+
+    def build(self, spec: mujoco.MjSpec) -> None:
+        """Change the model before it is compiled."""
+
+    def begin(self, run: Run) -> None:
+        """Set the state of the effect at the beginning of a motion."""
+
+    @property
+    def command_delay_s(self) -> float:
+        """Time that the command of this joint is late."""
+        return 0.0
+
+    @property
+    def log_delay_s(self) -> float:
+        """Time that the logged position of this joint is old."""
+        return 0.0
+
+    def command(self, run: Run, command: float) -> float:
+        """Return the command of this joint as the servo sees it."""
+        return command
+
+    def error(self, run: Run, error: float) -> float:
+        """Return the position error of this joint as the servo sees it."""
+        return error
+
+    def servo(self, run: Run, torque_Nm: float) -> float:
+        """Return the torque of the motor before its limit."""
+        return torque_Nm
+
+    def limited(self, run: Run, torque_Nm: float, limit_Nm: float) -> float:
+        """Return the torque of the motor after its limit."""
+        return torque_Nm
+
+    def friction_Nm(self, run: Run) -> float:
+        """Return the dry friction to add at this joint."""
+        return 0.0
+
+    def torque_Nm(self, run: Run) -> float:
+        """Return the external torque at this joint."""
+        return 0.0
+
+    def act(self, run: Run) -> None:
+        """Change the model or the data before a physics step."""
+
+    def shows(self, run: Run, q_rad: float) -> float:
+        """Return what the encoder of this joint shows."""
+        return q_rad
+
+
+Hook = Callable[..., float]
+
+
+@dataclass(frozen=True, slots=True)
+class Nuisances:
+    """Factors on the nominal numbers of each joint, (n_joints,)."""
+
+    damping: Array
+    friction: Array
+    armature: Array
+    gain: Array
+
+
+def no_nuisances(robot: Robot) -> Nuisances:
+    """Return factors of 1."""
+    ones = np.ones(len(robot.joints))
+    return Nuisances(ones, ones, ones, ones)
+
+
+class Plant:
+    """A true robot: the nominal one with nuisances and effects."""
+
+    def __init__(
+        self, robot: Robot, nuisances: Nuisances, effects: Sequence[TrueEffect], step_s: float = TRUE_STEP_S
+    ) -> None:
+        self.robot, self.effects, self.step_s = robot, tuple(effects), step_s
+        spec = mujoco.MjSpec.from_string(robot.model_xml)
+        for effect in effects:
+            effect.build(spec)
+        spec.option.timestep = step_s
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICIT
+        self.model = spec.compile()
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+        names = [joint.name for joint in robot.joints]
+        ids = [mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in names]
+        self.dof = [int(self.model.jnt_dofadr[one]) for one in ids]
+        self.qpos = [int(self.model.jnt_qposadr[one]) for one in ids]
+        self.gain = [float(one) for one in nuisances.gain]
+        self.model.dof_damping[self.dof] *= nuisances.damping
+        self.model.dof_frictionloss[self.dof] *= nuisances.friction
+        self.model.dof_armature[self.dof] *= nuisances.armature
+        self.model.dof_solimp[:] = HARD
+        self.model.dof_solref[:] = (4.0 * step_s, 1.0)
+        self.dry_Nm = self.model.dof_frictionloss.copy()
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
+
+    def simulate(
+        self,
+        commands: Array,
+        period_s: float,
+        seed: int,
+        temperature_degC: tuple[float, float] = (25.0, 25.0),
+    ) -> Array:
+        """Return what the encoders show at the times of the commands, without noise.
+
+        Args:
+            commands: Commands, (n_joints, n) [rad], held until the next sample.
+            period_s: Time between samples.
+            seed: Seed of effects that are random.
+            temperature_degC: At the first and at the last sample.
+
+        Returns:
+            Shown positions, (n_joints, n) [rad].
+
+        Raises:
+            FloatingPointError: The simulation diverged.
+        """
+        return _Motion(self, commands, period_s, seed, temperature_degC).simulate()
+
+
+class _Motion:
+    """One motion of a plant."""
+
+    def __init__(
+        self, plant: Plant, commands: Array, period_s: float, seed: int, temperature: tuple[float, float]
+    ) -> None:
+        self.plant, self.period_s = plant, period_s
+        self.data = mujoco.MjData(plant.model)
+        self.n = commands.shape[1]
+        self.temperature = temperature
+        self.run = Run(plant.step_s, np.random.default_rng(seed), model=plant.model, data=self.data)
+        joints = plant.robot.joints
+        self.law = [
+            (joint.kp_Nm_rad * gain, joint.kd_Nms_rad * gain, joint.torque_limit_Nm)
+            for joint, gain in zip(joints, plant.gain, strict=True)
+        ]
+        self.delay = [self._total("command_delay_s", j) for j in range(len(joints))]
+        self.late = [self._total("log_delay_s", j) for j in range(len(joints))]
+        self.commands = [row.tolist() for row in commands]
+        self.hooks = {name: self._collect(name) for name in ("command", "error", "servo", "limited", "shows")}
+        self.frictions = self._list("friction_Nm")
+        self.torques = self._list("torque_Nm")
+        self.acts = self._list("act")
+        self.knows_load = any(effect.loads for effect in plant.effects)
+
+    def _total(self, name: str, j: int) -> float:
+        return math.fsum(getattr(effect, name) for effect in self.plant.effects if effect.j == j)
+
+    def _list(self, name: str) -> list[tuple[int, Hook]]:
+        """Return the hooks that are not those of the base class."""
+        return [
+            (effect.j, getattr(effect, name))
+            for effect in self.plant.effects
+            if getattr(type(effect), name) is not getattr(TrueEffect, name)
+        ]
+
+    def _collect(self, name: str) -> list[list[Hook]]:
+        found: list[list[Hook]] = [[] for _ in self.plant.robot.joints]
+        for j, hook in self._list(name):
+            found[j].append(hook)
+        return found
+
+    def _held(self, j: int, time_s: float) -> float:
+        """Return the mean of the held command over a physics step: a delay need not be a number of steps."""
+        row, last = self.commands[j], self.n - 1
+        end = (time_s + self.run.step_s - self.delay[j]) / self.period_s
+        k = min(max(math.floor(end), 0), last)
+        share = (end - k) * self.period_s / self.run.step_s
+        if share >= 1.0 or k == 0:
+            return row[k]
+        return share * row[k] + (1.0 - share) * row[k - 1]
+
+    def simulate(self) -> Array:
+        run, plant, data = self.run, self.plant, self.data
+        n_joints = len(plant.robot.joints)
+        first = [row[0] for row in self.commands]
+        data.qpos[plant.qpos] = first
+        mujoco.mj_forward(plant.model, data)
+        run.q, run.v, run.shown = list(first), [0.0] * n_joints, list(first)
+        run.command, run.motor_Nm, run.load_Nm = list(first), [0.0] * n_joints, [0.0] * n_joints
+        for effect in plant.effects:
+            effect.begin(run)
+        before = round(SETTLE_S / run.step_s)
+        steps = round((self.n - 1) * self.period_s / run.step_s)
+        seen = np.empty((before + steps + 1, n_joints))
+        for k in range(before + steps + 1):
+            self._step((k - before) * run.step_s)
+            seen[k] = run.shown
+        if not np.isfinite(seen).all() or np.abs(seen).max() > 1e3 or data.warning.number.any():
+            raise FloatingPointError("the truth diverged")
+        times = (np.arange(before + steps + 1) - before) * run.step_s
+        wanted = np.arange(self.n) * self.period_s
+        rows = [np.interp(wanted - late, times, seen[:, j]) for j, late in enumerate(self.late)]
+        return np.asarray(rows)
+
+    def _step(self, time_s: float) -> None:
+        """Read the encoders, compute all torques, and advance by a physics step."""
+        run, plant, data, hooks = self.run, self.plant, self.data, self.hooks
+        run.time_s = time_s
+        share = min(max(time_s / ((self.n - 1) * self.period_s), 0.0), 1.0)
+        run.temperature_degC = self.temperature[0] + share * (self.temperature[1] - self.temperature[0])
+        run.q = data.qpos[plant.qpos].tolist()
+        run.v = data.qvel[plant.dof].tolist()
+        if self.knows_load:
+            self._update_load()
+        for j, (kp, kd, limit) in enumerate(self.law):
+            shown = run.q[j]
+            for hook in hooks["shows"][j]:
+                shown = hook(run, shown)
+            run.shown[j] = shown
+            command = self._held(j, time_s)
+            for hook in hooks["command"][j]:
+                command = hook(run, command)
+            run.command[j] = command
+            error = command - shown
+            for hook in hooks["error"][j]:
+                error = hook(run, error)
+            torque = kp * error - kd * run.v[j]
+            for hook in hooks["servo"][j]:
+                torque = hook(run, torque)
+            torque = min(max(torque, -limit), limit)
+            for hook in hooks["limited"][j]:
+                torque = hook(run, torque, limit)
+            run.motor_Nm[j] = torque
+        applied = list(run.motor_Nm)
+        for j, hook in self.torques:
+            applied[j] += hook(run)
+        data.qfrc_applied[plant.dof] = applied
+        if self.frictions:
+            dry = plant.dry_Nm.copy()
+            for j, hook in self.frictions:
+                dry[plant.dof[j]] += hook(run)
+            plant.model.dof_frictionloss[:] = np.maximum(dry, 0.0)
+        for _, hook in self.acts:
+            hook(run)
+        mujoco.mj_step(plant.model, data)
+
+    def _update_load(self) -> None:
+        data, dof = self.data, self.plant.dof
+        carried = data.qfrc_applied + data.qfrc_constraint + data.qfrc_passive
+        own = self.plant.model.dof_armature * data.qacc
+        self.run.load_Nm = (carried - own)[dof].tolist()
