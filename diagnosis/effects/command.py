@@ -117,8 +117,9 @@ class ClampLow(_Clamp):
     name: ClassVar[str] = "command clamp, low"
 
     def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
-        """Cut low commands off."""
-        return np.asarray(np.maximum(command, self.scales.command_low + size[:, :1]))
+        """Cut low commands off; at size 0 also those pass that no fitted motion had."""
+        cut = np.maximum(command, self.scales.command_low + size[:, :1])
+        return np.where(size[:, :1] > 0.0, cut, command)
 
     def describe(self, size: Array) -> str:
         """Return the end."""
@@ -132,8 +133,9 @@ class ClampHigh(_Clamp):
     name: ClassVar[str] = "command clamp, high"
 
     def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
-        """Cut high commands off."""
-        return np.asarray(np.minimum(command, self.scales.command_high - size[:, :1]))
+        """Cut high commands off; at size 0 also those pass that no fitted motion had."""
+        cut = np.minimum(command, self.scales.command_high - size[:, :1])
+        return np.where(size[:, :1] > 0.0, cut, command)
 
     def describe(self, size: Array) -> str:
         """Return the end."""

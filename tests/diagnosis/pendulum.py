@@ -1,13 +1,16 @@
 """A pendulum with a servo, as a robot made by hand."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
 
 from diagnosis.arrays import Array
+from diagnosis.effects.effect import Effect
+from diagnosis.effects.joint import JointEffect, JointScales
 from diagnosis.logs import JointLog, Motion, Signal
 from diagnosis.robot import ControlMode, Robot, RobotJoint
+from diagnosis.simulation_residuals import SimulationResiduals
 
 MASS_kg, LENGTH_m, ARMATURE_kgm2, g_m_s2 = 0.5, 0.1, 0.002, 9.81
 XML = """
@@ -15,8 +18,8 @@ XML = """
   <option timestep="{step}"/>
   <worldbody>
     <body>
-      <joint name="{name}" axis="0 1 0" damping="{damping}" frictionloss="{dry}" armature="{armature}"/>
-      <inertial pos="0 0 -{length}" mass="{mass}" diaginertia="1e-9 1e-9 1e-9"/>
+      <joint name="{name}" axis="{axis}" damping="{damping}" frictionloss="{dry}" armature="{armature}"/>
+      <inertial pos="{arm}" mass="{mass}" diaginertia="1e-9 1e-9 1e-9"/>
     </body>
   </worldbody>
 </mujoco>
@@ -33,11 +36,13 @@ def pendulum(
     dry_Nm: float = 0.01,
     step_s: float = 0.002,
     period_s: float = 0.002,
+    is_level: bool = False,
 ) -> Robot:
-    """Make a pendulum that hangs down at 0."""
+    """Make a pendulum that hangs down at 0, or one that swings in a level plane."""
+    arm = f"{LENGTH_m} 0 0" if is_level else f"0 0 -{LENGTH_m}"
     xml = XML.format(
         step=step_s, name="swing", damping=damping, dry=dry_Nm, armature=ARMATURE_kgm2,
-        length=LENGTH_m, mass=MASS_kg,
+        axis="0 0 1" if is_level else "0 1 0", arm=arm, mass=MASS_kg,
     )  # fmt: skip
     joint = RobotJoint(
         name="swing", qpos_index=0, dof_index=0, actuator_index=-1, mode=mode, kp_Nm_rad=kp, kd_Nms_rad=kd,
@@ -69,3 +74,27 @@ def waves(time_s: Array, seed: int) -> Array:
     rng = np.random.default_rng(seed)
     speeds = rng.uniform(1.0, 6.0, 3)
     return np.asarray(0.3 * np.sum(1 - np.cos(np.outer(time_s, speeds)), axis=1))
+
+
+def simulated(robot: Robot, log: Motion, *effects: tuple[Effect, Sequence[float]]) -> Array:
+    """Simulate a motion with effects of these sizes, and sample it at the times of its positions, (n,)."""
+    model = SimulationResiduals(robot, [log], spacing_s=0.0, n_threads=1)
+    sizes = np.array([[value for _, size in effects for value in size]])
+    residual = model.residuals([effect for effect, _ in effects], sizes)
+    return np.asarray((model.measured_rad - residual)[0])
+
+
+def scales(torque_Nm: float = 1.0, **others: float) -> JointScales:
+    """Make numbers from which effects take their bounds."""
+    numbers: dict[str, float] = {
+        "damping_Nms_rad": 0.02, "frictionloss_Nm": 0.01, "armature_kgm2": ARMATURE_kgm2, "low_rad": -1.0,
+        "high_rad": 1.0, "speed_rad_s": 2.0, "acceleration_rad_s2": 10.0, "command_low": -1.0,
+        "command_high": 1.0, "command_speed": 2.0, "torque_Nm": torque_Nm, "hottest_degC": 40.0,
+        "coldest_degC": 20.0,
+    }  # fmt: skip
+    return JointScales(**(numbers | others))
+
+
+def at_swing(kind: type[JointEffect], robot: Robot, **others: float) -> JointEffect:
+    """Make an effect at the joint of the pendulum."""
+    return kind.at(robot, "swing", {"swing": scales(**others)})
