@@ -73,7 +73,7 @@ def _remark_section(report: CheckReport) -> Iterator[str]:
 def _joint_section(report: CheckReport) -> Iterator[str]:
     yield heading("Joints")
     yield paragraph(
-        "Rate and jitter of the positions, rows that are missing or stale, range of the position, and the share "
+        "Rate and jitter of the positions, rows that are missing or stale, their range, and the share "
         "that a diagnosis leaves out. The error is the mean absolute difference between the logged position "
         "and one simulation of the model as it is, from the start of each motion, with the logged commands."
     )
