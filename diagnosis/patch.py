@@ -3,11 +3,11 @@
 The same hooks that the engine calls change the model here, so that both simulate the same robot.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import mujoco
 import mujoco.batch
@@ -16,9 +16,9 @@ import numpy as np
 from diagnosis.arrays import Array
 from diagnosis.compiled import HARD_IMPEDANCE, nominal_gains
 from diagnosis.effect_table import effect_table, toml_text
-from diagnosis.effects.effect import Effect, Fields
+from diagnosis.effects.effect import Effect, Fields, Rotor
 from diagnosis.errors import RobotError
-from diagnosis.patch_text import Change, change_text, number_text
+from diagnosis.patch_text import BODY_OF, Change, change_text, number_text
 from diagnosis.result import Diagnosis
 from diagnosis.robot import ControlMode, Robot, RobotJoint
 
@@ -52,8 +52,6 @@ INERTIAL: Final = {
 }
 DERIVED: Final = ("body_sameframe", "body_simple", "dof_simplenum", "geom_sameframe")
 """Fields that the compiler computes from others."""
-TOLERANCE: Final = 1e-5
-"""Of the numbers of the patched model: MuJoCo writes six digits where it has to write a model anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,16 +130,27 @@ def make_patch(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence
     text, varied = robot.model_xml, [effect for effect, _ in active if effect.overrides("vary")]
     if varied:
         spec = mujoco.MjSpec.from_string(text)
+        for joint in robot.joints:  # an effect may copy them to what it adds
+            of_joint = spec.joint(_mjcf_joint(robot, joint))
+            of_joint.solref_friction = (2 * robot.model.opt.timestep, 1.0)
+            of_joint.solimp_friction = HARD_IMPEDANCE
         for effect in varied:
             effect.vary(spec, robot)
+        for body in spec.bodies:
+            if body.explicitinertial and np.isnan(body.ipos[0]):  # MuJoCo would not write its inertia
+                body.ipos = (0.0, 0.0, 0.0)
         spec.compile()
         text = spec.to_xml()
     robot = _on_text(robot, text)
-    changes = [*_option_changes(robot), *_effect_changes(robot, active)]
+    recorder = _Recorder(robot.model)
+    fields = _fields(robot, recorder)
+    changes = [*_option_changes(robot), *_effect_changes(robot, active, fields, recorder)]
+    rotors = {one.joint: one for one in fields.rotors if one.rows[0]}
+    changes += _rotor_changes(robot, rotors.values(), _numbers(fields, recorder))
     text = _changed(robot, text, changes)
     runtime = [(effect, size) for effect, size in active if any(map(effect.overrides, RUNTIME_HOOKS))]
     said = [f"{one.tag} {one.name}: {one.reason}".replace(" :", ":") for one in changes]
-    return Patch(text, tuple(said), _runtime_text(robot, runtime) if runtime else "")
+    return Patch(text, tuple(said), _runtime_text(robot, runtime, rotors) if runtime or rotors else "")
 
 
 def _on_text(robot: Robot, text: str) -> Robot:
@@ -168,10 +177,10 @@ def _option_changes(robot: Robot) -> Iterator[Change]:
         yield Change("joint", _mjcf_joint(robot, joint), hard, "dry friction that does not creep under load")
 
 
-def _effect_changes(robot: Robot, active: Sequence[tuple[Effect, Array]]) -> Iterator[Change]:
+def _effect_changes(
+    robot: Robot, active: Sequence[tuple[Effect, Array]], fields: Fields, recorder: _Recorder
+) -> Iterator[Change]:
     """Yield the changes of each effect in turn; a later one of the same element goes on from the former."""
-    recorder = _Recorder(robot.model)
-    fields = _fields(robot, recorder)
     before = _numbers(fields, recorder)
     yield from _law_changes(robot, None, before, "control law of the robot file")
     for effect, size in active:
@@ -191,8 +200,8 @@ def _fields(robot: Robot, recorder: _Recorder) -> Fields:
     dof = [joint.dof_index for joint in robot.joints]
     limits = [joint.torque_limit_Nm for joint in robot.joints]
     values = (*kp_kd, limits, model.dof_damping[dof], model.dof_frictionloss[dof], model.dof_armature[dof])
-    rows = (np.array([value], dtype=float) for value in values)
-    return Fields(*rows, recorder)  # type: ignore[arg-type]
+    kp, kd, limit, damping, dry, armature = (np.array([value], dtype=float) for value in values)
+    return Fields(kp, kd, limit, damping, dry, armature, cast(Any, recorder))
 
 
 def _numbers(fields: Fields, recorder: _Recorder) -> _Numbers:
@@ -286,6 +295,20 @@ def _joint_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str)
                 )
 
 
+def _rotor_changes(robot: Robot, rotors: Iterable[Rotor], numbers: _Numbers) -> Iterator[Change]:
+    """Yield the changes that let a motor turn a rotor, with what the joint had of the motor."""
+    for rotor in rotors:
+        joint = robot.joints[rotor.joint]
+        names = ("damping", "frictionloss", "armature")
+        own = tuple((name, number_text(numbers.joints[name][rotor.joint])) for name in names)
+        reason = f"the motor of {joint.name} turns {rotor.name}"
+        in_model = _mjcf_joint(robot, joint)
+        motor = "" if joint.actuator_index < 0 else robot.model.actuator(joint.actuator_index).name
+        yield Change("joint", rotor.name, own, reason)
+        yield Change("joint", in_model, tuple((name, "0") for name in names), reason)
+        yield Change("actuator", motor or in_model, (("joint", rotor.name),), reason)
+
+
 def _model_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str) -> Iterator[Change]:
     """Yield the changes of other fields of the model."""
     model = robot.model
@@ -303,8 +326,8 @@ def _model_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str)
         elif name in ATTRIBUTES:
             tag, attribute = ATTRIBUTES[name]
             for row in rows:
-                said = ((attribute, number_text(*np.ravel(values[row]))),)
-                yield Change(tag, _name(model, tag, row), said, reason)
+                new = ((attribute, number_text(*np.ravel(values[row]))),)
+                yield Change(tag, _name(model, tag, row), new, reason)
         else:
             raise RobotError(f"{reason}: the patch cannot write the field {name!r}; leave this effect out")
     for body in sorted(bodies):
@@ -331,14 +354,16 @@ def _changed(robot: Robot, text: str, changes: Sequence[Change]) -> str:
     return made
 
 
-def _runtime_text(robot: Robot, left: Sequence[tuple[Effect, Array]]) -> str:
+def _runtime_text(robot: Robot, left: Sequence[tuple[Effect, Array]], rotors: Mapping[int, Rotor]) -> str:
     """Return the runtime file."""
     joints = []
-    for joint in robot.joints:
-        number = joint.actuator_index
+    for j, joint in enumerate(robot.joints):
+        number, rotor = joint.actuator_index, rotors.get(j)
         own = "" if number < 0 else robot.model.actuator(number).name
         name = _mjcf_joint(robot, joint)
-        joints.append({"name": joint.name, "joint": name, "actuator": own or name, "mode": joint.mode.value})
+        table = {"name": joint.name, "joint": name, "actuator": own or name, "mode": joint.mode.value}
+        turned = {} if rotor is None else {"rotor": rotor.name, "sees_output": rotor.encoder_is_at_output}
+        joints.append({**table, **turned})
     tables: dict[str, Any] = {
         "format": FORMAT,
         "model": MODEL_FILE,
@@ -362,6 +387,8 @@ def _field(model: mujoco.MjModel, name: str) -> Any:
 def _name(model: mujoco.MjModel, kind: str, number: int) -> str:
     """Return the name of an element; MJCF text without it cannot be changed in place."""
     name = str(getattr(model, kind)(number).name)
+    if not name and kind == "body" and model.body_jntnum[number]:
+        return f"{BODY_OF}{model.joint(model.body_jntadr[number]).name}"
     if not name:
         raise RobotError(f"the model's {kind} number {number} has no name; give it one")
     return name

@@ -2,14 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Comment, Element, TreeBuilder, XMLParser
 
 from diagnosis.errors import RobotError
 
-ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis", "fullinertia")
+ORIENTATIONS: Final = ("quat", "axisangle", "euler", "xyaxes", "zaxis", "fullinertia")
 """Attributes of an inertial element that say the same as `quat`, or what `diaginertia` says."""
-SHORTCUTS = ("kp", "kv", "dampratio", "inheritrange", "timeconst")
+BODY_OF: Final = "body of "
+"""Before the name of a joint: the body that it moves, which has no name of its own."""
+SHORTCUTS: Final = ("kp", "kv", "dampratio", "inheritrange", "timeconst")
 """Attributes of position and velocity actuators that a general one does not have."""
 
 
@@ -57,9 +60,11 @@ def _find(root: Element, change: Change) -> tuple[Element, Element]:
         found = root.find("option")
         return root, (_add(root, "option") if found is None else found)
     if change.tag == "inertial":
-        _, body = _named(root, "body", change.name)
+        _, body = _body(root, change.name)
         found = body.find("inertial")
         return body, (_add(body, "inertial") if found is None else found)
+    if change.tag == "body":
+        return _body(root, change.name)
     if change.tag == "new actuator":
         section = root.find("actuator")
         if section is None:
@@ -67,6 +72,14 @@ def _find(root: Element, change: Change) -> tuple[Element, Element]:
             section.text, section.tail = f"{root.text or ''}  ", root.text
         return section, _add(section, "general")
     return _named(root, change.tag, change.name)
+
+
+def _body(root: Element, name: str) -> tuple[Element, Element]:
+    """Return a body and its parent."""
+    if not name.startswith(BODY_OF):
+        return _named(root, "body", name)
+    body, _ = _named(root, "joint", name.removeprefix(BODY_OF))
+    return next(one for one in root.iter() if any(child is body for child in one)), body
 
 
 def _named(root: Element, tag: str, name: str) -> tuple[Element, Element]:

@@ -44,7 +44,7 @@ class Base:
 
 @dataclass(frozen=True, slots=True)
 class JointError:
-    """Mean absolute residual of one joint on held-out motions."""
+    """Mean absolute residual of one joint on held-out motions; on the fitted ones if none is held out."""
 
     joint: str
     unit: str
@@ -106,9 +106,9 @@ class Diagnosis:
         """Share of the explainable energy of held-out motions that is gone with base and findings.
 
         Energies are squared mean errors less that of noise, each joint in units of its noise floor. None if
-        the floor of a joint is unknown, or if no error is above the floor.
+        no motion was held out, if the floor of a joint is unknown, or if no error is above the floor.
         """
-        if not self.errors or not all(one.noise_floor > 0 for one in self.errors):
+        if not (self.judged_motions and self.errors) or not all(one.noise_floor > 0 for one in self.errors):
             return None
         before = sum((one.nominal / one.noise_floor) ** 2 - 1.0 for one in self.errors)
         after = sum((one.explained / one.noise_floor) ** 2 - 1.0 for one in self.errors)

@@ -13,22 +13,33 @@ It calls the same hooks as the engine of the diagnosis, with one simulation.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Self
+from typing import Self
 
 import mujoco
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.effect_table import read_effect
-from diagnosis.effects.effect import Effect, State, Tick
+from diagnosis.effects.effect import HISTORY_S, Effect, State, Tick
 from diagnosis.errors import RobotError
 from diagnosis.patch import FORMAT
 from diagnosis.robot import ControlMode
 from diagnosis.toml_record import read_toml
 
-HISTORY_S: Final = 2.0
-"""Commands and positions that are remembered: ten times the longest delay. A command that is cut off by a
-limit of its speed for longer than this arrives a little earlier than it should."""
+
+@dataclass(frozen=True, slots=True)
+class RuntimeJoint:
+    """A joint of the patched model."""
+
+    name: str
+    in_model: str
+    """Joint of the model."""
+    actuator: str
+    mode: ControlMode
+    rotor: str = ""
+    """Hinge that the motor turns in place of the joint; empty if there is none."""
+    sees_output: bool = False
+    """True if the encoder sees the joint, not the rotor."""
 
 
 @dataclass(slots=True)
@@ -61,7 +72,7 @@ class RuntimeEffects:
         self,
         model: mujoco.MjModel,
         effects: Sequence[tuple[Effect, Array]],
-        joints: Sequence[tuple[str, str, str, ControlMode]],
+        joints: Sequence[RuntimeJoint],
         control_period_s: float,
     ) -> None:
         """Keep the numbers of the patched model.
@@ -69,17 +80,19 @@ class RuntimeEffects:
         Args:
             model: Patched model.
             effects: Effects with their sizes, (n_sizes,) in the units of their names.
-            joints: Of each joint its name, that in the model, that of its actuator, and its control mode.
+            joints: Joints in the order of commands.
             control_period_s: Time between two commands, a whole number of time steps.
         """
-        names = [name for name, *_ in joints]
+        names = [joint.name for joint in joints]
         self._period_s = control_period_s
         self._n_steps = round(control_period_s / model.opt.timestep)
-        self._modes = [mode for *_, mode in joints]
-        found = [model.joint(in_model) for _, in_model, *_ in joints]
-        self._qpos: Integers = np.array([int(one.qposadr[0]) for one in found])
-        self._dof: Integers = np.array([int(one.dofadr[0]) for one in found])
-        self._motor: Integers = np.array([_actuator(model, own) for *_, own, _ in joints])
+        self._joints = tuple(joints)
+        self._qpos, self._dof = _places(model, [joint.in_model for joint in joints])
+        turned = [joint.rotor or joint.in_model for joint in joints]
+        self._motor_qpos, self._motor_dof = _places(model, turned)
+        sees_motor = np.array([bool(joint.rotor) and not joint.sees_output for joint in joints])
+        self._shown = np.where(sees_motor, self._motor_qpos, self._qpos)
+        self._motor: Integers = np.array([_actuator(model, joint.actuator) for joint in joints])
         self._acting = [
             _Acting(effect, size[None, :], names.index(effect.place) if effect.place in names else -1)
             for effect, size in effects
@@ -87,13 +100,14 @@ class RuntimeEffects:
         motor = self._motor
         is_limited = model.actuator_forcelimited[motor].astype(bool)[:, None]
         self._nominal = _Nominal(
-            model.dof_frictionloss[self._dof].copy(),
+            model.dof_frictionloss[self._motor_dof].copy(),
             np.where(is_limited, model.actuator_forcerange[motor], (-np.inf, np.inf)),
             model.actuator_gainprm[motor, 0].copy(),
             model.actuator_biasprm[motor, :3].copy(),
             np.abs(model.actuator_gear[motor, 0]),
         )
-        self._commands = np.zeros((0, len(joints)))
+        of_gear = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in joints]
+        self._ctrl_scale = np.where(of_gear, self._nominal.gear, 1.0)
         self._path_s, self._path_rad = np.zeros(0), np.zeros((0, len(joints)))
 
     @classmethod
@@ -113,10 +127,17 @@ class RuntimeEffects:
             raise RobotError(f"{path}: format: is not {FORMAT!r}; name a runtime file that a patch wrote")
         try:
             joints = [
-                (one["name"], one["joint"], one["actuator"], ControlMode(one["mode"]))
+                RuntimeJoint(
+                    one["name"],
+                    one["joint"],
+                    one["actuator"],
+                    ControlMode(one["mode"]),
+                    one.get("rotor", ""),
+                    one.get("sees_output", False),
+                )
                 for one in content["joints"]
             ]
-            effects = [read_effect(one, path) for one in content["effects"]]
+            effects = [read_effect(one, path) for one in content.get("effects", [])]
             return cls(model, effects, joints, float(content["control_period_s"]))
         except (KeyError, TypeError, ValueError) as error:
             raise RobotError(f"{path}: does not fit the model ({error}); use the patched model") from error
@@ -142,15 +163,10 @@ class RuntimeEffects:
         arrived = self._arrived(np.asarray(command, dtype=float))
         tick = self._tick(model, data, arrived, temperature_degC)
         motor, nominal = self._motor, self._nominal
-        scale = np.array(
-            [
-                gear if mode is ControlMode.POSITION else 1.0
-                for gear, mode in zip(nominal.gear, self._modes, strict=True)
-            ]
-        )
-        data.ctrl[motor] = tick.command[0] * scale
+        self._close_loops(data, tick.command[0])
+        data.ctrl[motor] = tick.command[0] * self._ctrl_scale
         data.qfrc_applied[self._dof] = tick.applied_Nm[0]
-        model.dof_frictionloss[self._dof] = tick.frictionloss_Nm[0]
+        model.dof_frictionloss[self._motor_dof] = tick.frictionloss_Nm[0]
         model.actuator_gainprm[motor, 0] = nominal.gain * tick.gain[0]
         model.actuator_biasprm[motor, :3] = nominal.bias * tick.gain[0][:, None]
         limit = np.maximum(tick.torque_limit_Nm[0], 0.0) / nominal.gear
@@ -189,7 +205,7 @@ class RuntimeEffects:
         q_rad = np.array(shown_rad, dtype=float)
         for one in reversed(self._with("decode")):
             q_rad[one.joint] = one.effect.decode(one.size, q_rad[None, [one.joint]])[0, 0]
-        data.qpos[self._qpos] = q_rad
+        data.qpos[self._qpos] = data.qpos[self._motor_qpos] = q_rad
 
     def _with(self, hook: str) -> list[_Acting]:
         return [one for one in self._acting if one.effect.overrides(hook)]
@@ -197,24 +213,26 @@ class RuntimeEffects:
     def _remember(self, data: mujoco.MjData) -> None:
         most = round(HISTORY_S / self._period_s)
         self._path_s = np.append(self._path_s, data.time)[-most:]
-        self._path_rad = np.concatenate([self._path_rad, data.qpos[None, self._qpos]])[-most:]
+        self._path_rad = np.concatenate([self._path_rad, data.qpos[None, self._shown]])[-most:]
 
     def _arrived(self, command: Array) -> Array:
-        """Return the command as it arrives, (n_joints,): the last of the remembered ones, shaped."""
-        most = round(HISTORY_S / self._period_s)
-        self._commands = np.concatenate([self._commands, command[None, :]])[-most:]
-        arrived = command.copy()
-        for j, mode in enumerate(self._modes):
-            row = self._commands[None, :, j]
-            for one in self._with("shape_command"):
-                if one.joint == j:
-                    row = one.effect.shape_command(one.size, row, self._period_s)
-            row = row[:, -1:]
-            for one in reversed(self._with("decode")) if mode is ControlMode.POSITION else ():
-                if one.joint == j:
-                    row = one.effect.decode(one.size, row)
-            arrived[j] = row[0, 0]
-        return arrived
+        """Return the command as it arrives, (n_joints,)."""
+        arrived = command[None, :].copy()
+        for one in self._with("shape_command"):
+            j = one.joint
+            arrived[:, j] = one.effect.next_command(one.size, arrived[:, j], self._period_s, one.memory)
+        for one in reversed(self._with("decode")):
+            if self._joints[one.joint].mode is ControlMode.POSITION:
+                arrived[:, [one.joint]] = one.effect.decode(one.size, arrived[:, [one.joint]])
+        return np.asarray(arrived[0])
+
+    def _close_loops(self, data: mujoco.MjData, command: Array) -> None:
+        """Shift commands so that the loop closes at the encoder at the output, not at the rotor."""
+        for j, joint in enumerate(self._joints):
+            if joint.rotor and joint.sees_output and joint.mode is ControlMode.POSITION:
+                command[j] += data.qpos[self._motor_qpos[j]] - data.qpos[self._qpos[j]]
+            elif joint.rotor and joint.sees_output and joint.mode is ControlMode.VELOCITY:
+                command[j] += data.qvel[self._motor_dof[j]] - data.qvel[self._dof[j]]
 
     def _tick(
         self, model: mujoco.MjModel, data: mujoco.MjData, command: Array, temperature_degC: Array | None
@@ -249,6 +267,12 @@ class RuntimeEffects:
         for one in self._with("torque_Nm"):
             tick.applied_Nm[:, one.joint] += one.effect.torque_Nm(one.size, state)
         return tick
+
+
+def _places(model: mujoco.MjModel, joints: Sequence[str]) -> tuple[Integers, Integers]:
+    """Return the places of joints in positions and in degrees of freedom."""
+    found = [model.joint(name) for name in joints]
+    return np.array([int(one.qposadr[0]) for one in found]), np.array([int(one.dofadr[0]) for one in found])
 
 
 def _actuator(model: mujoco.MjModel, name: str) -> int:

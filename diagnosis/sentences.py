@@ -216,7 +216,7 @@ def _effects_words(keys: Sequence[str]) -> str:
 
 
 def _how_far(diagnosis: Diagnosis) -> str:
-    if not diagnosis.errors:
+    if not diagnosis.judged_motions or not diagnosis.errors:
         return "not known, because no motion was held out."
     motions = count(len(diagnosis.judged_motions), "motion")
     worst = max(diagnosis.errors, key=_fall)
@@ -242,7 +242,7 @@ def _next(diagnosis: Diagnosis) -> str:
         return f"record {wanted}."
     if not diagnosis.fitted_motions:
         return "correct the logs, and check them with `marsarm robot check`."
-    if not diagnosis.errors:
+    if not diagnosis.judged_motions:
         return "hold out some motions, so that the result can be judged."
     if not has_floor(diagnosis):
         return "repeat some motions without a change, so that the noise floor is known."
