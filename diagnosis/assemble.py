@@ -39,7 +39,9 @@ def assemble(
         The diagnosis, without what only the caller knows: seed, refusals, held-out motions.
     """
     context, chosen = selection.context, selection.chosen
-    effects = tuple(one for one in context.union.effects if np.any(chosen.sizes[context.union.columns([one])]))
+    effects = tuple(
+        one for one in context.union.effects if np.any(chosen.sizes[context.union.columns([one])])
+    )
     sizes = tuple(tuple(chosen.sizes[context.union.columns([one])].tolist()) for one in effects)
     judged_rows = simulate_models(selection, held_out)
     return Diagnosis(
@@ -77,8 +79,8 @@ def simulate_models(selection: Selection, model: ResidualModel) -> Array:
 def describe_finding(context: Context, chosen: Present, doubt: Doubt) -> Finding:
     """Describe a finding with its sets.
 
-    Where effects explain less than MIN_CLOSURE of a joint, the sets of families and effects are empty: something
-    is at the place, and none of the catalogue is its cause.
+    Where effects explain less than MIN_CLOSURE of a joint, the sets of families and effects are empty: none
+    of the catalogue is the cause of what is at the place.
 
     Args:
         context: The context.
@@ -164,7 +166,7 @@ def list_base(robot: Robot, context: Context, chosen: Present) -> list[Base]:
     for effect in context.base:
         for column, size in zip(context.union.columns([effect]), effect.sizes, strict=True):
             low, high = find_interval(context, chosen, int(column))
-            known = high - low < 2.0 * size.prior_std and high - low < size.high - size.low
+            known = high - low < min(2.0 * context.union.prior_std[column], size.high - size.low)
             loaded = robot.joint(effect.place).is_loaded_by_gravity
             nominal = effect.nominal
             found.append(
@@ -197,10 +199,10 @@ def list_errors(selection: Selection, held_out: ResidualModel, rows: Array) -> l
         base[fit.rows] = fit.residuals
     found = []
     for j, name in enumerate(held_out.joints):
-        errors = np.mean(np.abs(rows[:, held_out.joint_of == j]), axis=1)
+        nominal, start, best = np.mean(np.abs(rows[:, held_out.joint_of == j]), axis=1).tolist()
         noise = noise_residuals(model, base, j)
         level = float(np.mean(np.abs(noise))) if len(noise) else float("nan")
-        found.append(JointError(name, held_out.unit, *(float(one) for one in errors), level))
+        found.append(JointError(name, held_out.unit, nominal, start, best, level))
     return found
 
 

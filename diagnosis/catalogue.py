@@ -14,7 +14,8 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.effects.actuation import CommandDelay, GainError
+from diagnosis.effects.actuation import GainError
+from diagnosis.effects.command import CommandDelay
 from diagnosis.effects.effect import Effect
 from diagnosis.effects.friction import (
     AsymmetricFriction,

@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Flags
+from diagnosis.assemble import assemble
 from diagnosis.catalogue import base_effects, catalogue
 from diagnosis.effects.effect import Effect
 from diagnosis.errors import RobotError
-from diagnosis.assemble import assemble
-from diagnosis.logs import Motion, Signal
+from diagnosis.logs import Logs, Motion, Signal
 from diagnosis.result import Diagnosis, Refusal
 from diagnosis.robot import Robot
 from diagnosis.selection import select_effects
@@ -41,7 +41,7 @@ def diagnose(
         motions: Motions that are fitted.
         held_out: Motions that only judge.
         effects: Effects of one's own, which join the catalogue.
-        usable: By names of motion and joint, the position samples that take part, (n,) flags; all where absent.
+        usable: Position samples that take part, (n,) flags, by names of motion and joint; all where absent.
         refused: Samples that an audit refused, to be listed in the result.
         seed: Seed of folds and random signs: the same seed gives the same bits.
         progress: Called with the share that is done, from 0 to 1, and a text.
@@ -54,12 +54,12 @@ def diagnose(
     """
     check_motions(robot, motions, held_out)
     meter = _Meter(progress)
-    keep = {key: flags for key, flags in (usable or {}).items()}
-    fitted = SimulationResiduals(robot, motions, keep=keep)
-    known = [*catalogue(robot, motions), *effects]
-    selection = select_effects(fitted, base_effects(robot, motions), known, seed=seed, report=meter.advance)
+    fitted = SimulationResiduals(robot, motions, keep=usable)
+    logs = Logs(tuple(motions))
+    known = [*catalogue(robot, logs), *effects]
+    selection = select_effects(fitted, base_effects(robot, logs), known, seed=seed, report=meter.advance)
     doubts = doubt_findings(selection)
-    judge = SimulationResiduals(robot, held_out, keep=keep) if held_out else fitted
+    judge = SimulationResiduals(robot, held_out, keep=usable) if held_out else fitted
     result = assemble(robot, selection, doubts, judge)
     progress(1.0, "done")
     return replace(
@@ -105,11 +105,13 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
         )
     for joint in robot.joints:
         logs = [motion.joints[joint.name] for motion in motions if joint.name in motion.joints]
-        wrong = count_foreign_commands([(log.position, log.command) for log in logs if log.command is not None])
+        wrong = count_foreign_commands(
+            [(log.position, log.command) for log in logs if log.command is not None]
+        )
         if 2 * wrong > len(logs):
             raise RobotError(
-                f"joint {joint.name}: {wrong} of {len(logs)} motions follow the command of another motion better "
-                "than their own; the commands must belong to the motions"
+                f"joint {joint.name}: {wrong} of {len(logs)} motions follow the command of another motion "
+                "better than their own; each motion needs its own command"
             )
 
 

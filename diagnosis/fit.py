@@ -30,6 +30,8 @@ class Union:
     """All effects that are fitted in a diagnosis, and the place of their sizes in one vector."""
 
     effects: tuple[Effect, ...]
+    prior_std: tuple[float, ...]
+    """Widths of normal priors of all sizes around 0, in their units; infinite: none."""
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -176,7 +178,7 @@ class _Problem:
         self.low = np.array([sizes[c].low for c in self.free])
         self.high = np.array([sizes[c].high for c in self.free])
         self.typical = np.array([sizes[c].typical for c in self.free])
-        prior = np.array([sizes[c].prior_std for c in self.free])
+        prior = np.array([union.prior_std[c] for c in self.free])
         self.prior_weight = 1.0 / prior  # 0 where the prior is flat
         wanted = np.ones(len(model.joint_of), bool)
         if hypothesis.joint != ALL_JOINTS:

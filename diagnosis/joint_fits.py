@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
+from diagnosis.catalogue import base_prior_std
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Hypothesis, Union, fit_hypotheses, measure_coupling, scale_residuals
 from diagnosis.residuals import ResidualModel
@@ -77,9 +78,12 @@ def start_context(
     order = np.random.default_rng(seed).permutation(len(model.motions))
     count = min(FOLDS, len(order))
     folds = tuple(frozenset(int(m) for m in order[k::count]) for k in range(count))
-    union = Union((*base, *rivals))
+    free = [size.prior_std for effect in rivals for size in effect.sizes]
+    union = Union((*base, *rivals), (*base_prior_std(base).tolist(), *free))
     ones = np.ones(len(model.joints))
-    return Context(model, union, tuple(base), rivals, ones, 0.0 * ones, np.empty((0, 0)), False, folds, seed, report)
+    return Context(
+        model, union, tuple(base), rivals, ones, 0.0 * ones, np.empty((0, 0)), False, folds, seed, report
+    )
 
 
 def fit_base(context: Context) -> tuple[Context, Present]:

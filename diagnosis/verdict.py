@@ -119,7 +119,7 @@ def size_intervals(context: Context, fit: Fit) -> Array:
     z = fit.residuals * weight
     robust = weight * (1.0 + z * z) ** -0.25
     a, r = fit.jacobian * robust[:, None], fit.residuals * robust
-    prior = np.array([1.0 / context.union.sizes[c].prior_std ** 2 for c in fit.columns])
+    prior = np.array([1.0 / context.union.prior_std[c] ** 2 for c in fit.columns])
     inverse = np.linalg.pinv(a.T @ a + np.diag(prior), rcond=1e-12, hermitian=True)
     motion = context.model.motion_of[fit.rows]
     n = len(np.unique(motion))

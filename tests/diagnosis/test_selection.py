@@ -67,7 +67,7 @@ def test_ninety_percent_intervals_hold_the_size_in_ninety_percent_of_cases() -> 
 
 def test_problems_that_share_simulations_end_where_they_end_alone() -> None:
     model = draw_toy(1, TRUTH)
-    union = Union((*BASE, *CATALOGUE))
+    union = Union((*BASE, *CATALOGUE), (np.inf,) * (len(BASE) + len(CATALOGUE)))
     zero = np.zeros(len(union.sizes))
     problems = [Hypothesis(union.columns([effect]), zero, NAMES.index(effect.place)) for effect in BASE]
     scales = np.full(2, 0.02)
