@@ -1,6 +1,7 @@
 """Audit of logs: what to know of them before a diagnosis, and which samples it must not use."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -11,11 +12,14 @@ from diagnosis.audit.plane import chain_joints, find_plane
 from diagnosis.audit.rates import audit_rates, encoder_step_rad, stale_flags
 from diagnosis.audit.records import Audit, Kind
 from diagnosis.audit.samples import joint_samples
-from diagnosis.audit.static import Rest, find_rest
+from diagnosis.audit.static import Rest, find_rest, predict_free
 from diagnosis.audit.units import audit_units
 from diagnosis.logs import Logs, Motion
 from diagnosis.result import Refusal
 from diagnosis.robot import Robot
+
+PASSES: Final = 2
+"""The second pass predicts free positions without the samples that the first has found held back."""
 
 
 def audit(robot: Robot, logs: Logs) -> Audit:
@@ -33,21 +37,25 @@ def audit(robot: Robot, logs: Logs) -> Audit:
     rates, remarks = audit_rates(motions)
     remarks += audit_units(robot, motions)
     rest = find_rest(robot, motions)
-    cut_offs, held = find_cut_offs(robot, motions, rest)
-    is_held = np.any([*held.values(), np.zeros(rest.time_s.size, np.bool_)], axis=0)
-    contact, is_below = find_plane(robot, motions, rest, is_held)
+    held = np.zeros(rest.measured.shape, np.bool_)
+    is_below = np.zeros(rest.time_s.size, np.bool_)
+    chain = np.isin(rest.joints, chain_joints(robot))
+    for _ in range(PASSES):
+        free = predict_free(robot, motions, rest, held | (is_below[:, None] & chain))
+        cut_offs, held = find_cut_offs(robot, motions, rest, free)
+        contact, is_below = find_plane(robot, motions, rest, free, np.asarray(held.any(axis=1)))
     remarks += [*cut_offs, *contact, *find_saturation(robot, motions), *find_collisions(robot, motions, rest)]
     ranked = sorted(remarks, key=lambda one: list(Kind).index(one.kind))
-    reasons: list[tuple[str, dict[str, Flags]]] = [
-        ("command is cut off or the joint is too weak", held),
-        ("contact with a plane", dict.fromkeys(chain_joints(robot), is_below) if contact else {}),
-    ]
+    reasons = {
+        "command is cut off or the joint is too weak": held,
+        "contact with a plane": is_below[:, None] & chain,
+    }
     usable, refused = _refuse(motions, rest, reasons)
     return Audit(rates, tuple(ranked), refused, usable)
 
 
 def _refuse(
-    motions: Sequence[Motion], rest: Rest, reasons: Sequence[tuple[str, dict[str, Flags]]]
+    motions: Sequence[Motion], rest: Rest, reasons: Mapping[str, Flags]
 ) -> tuple[dict[tuple[str, str], Flags], tuple[Refusal, ...]]:
     """Return flags of usable position samples, and for each motion and reason how many rows are refused."""
     usable: dict[tuple[str, str], Flags] = {}
@@ -55,7 +63,7 @@ def _refuse(
     step_rad = {name: encoder_step_rad(motions, name) for name in rest.joints}
     for number, motion in enumerate(motions):
         at = np.flatnonzero(rest.motion == number)
-        count = {reason: 0 for reason, _ in reasons} | {"stale": 0, "not finite": 0}
+        count = dict.fromkeys([*reasons, "stale", "not finite"], 0)
         for name, log in motion.joints.items():
             samples, n = joint_samples(log), log.position.value.size
             good = np.zeros(n, np.bool_)
@@ -65,9 +73,10 @@ def _refuse(
             stale[samples.index] = stale_flags(samples, step_rad.get(name, 0.0))
             count["stale"] = max(count["stale"], int(stale.sum()))
             good &= ~stale
-            for reason, flags in reasons:
-                if name in flags and at.size:
-                    hit = _at_samples(rest.time_s[at], flags[name][at], log.position.time_s)
+            for reason, flags in reasons.items():
+                if name in rest.joints and at.size:
+                    own = flags[at, rest.joints.index(name)]
+                    hit = _at_samples(rest.time_s[at], own, log.position.time_s)
                     count[reason] = max(count[reason], int(np.sum(hit & good)))
                     good &= ~hit
             usable[motion.name, name] = good

@@ -9,7 +9,7 @@ import numpy as np
 from diagnosis.arrays import Array, Flags
 from diagnosis.audit.records import Kind, Remark
 from diagnosis.audit.samples import hold, joint_samples, runs
-from diagnosis.audit.static import Rest
+from diagnosis.audit.static import Free, Rest
 from diagnosis.audit.stops import Stop, find_lower_stop
 from diagnosis.logs import JointLog, Motion
 from diagnosis.robot import ControlMode, Robot, RobotJoint
@@ -20,45 +20,46 @@ REMARK_SHARE: Final = 0.01
 """Share of the samples at a limit that is worth a remark."""
 PLATEAU_RUN: Final = 5
 """Samples in a row at the very same largest value that make a plateau."""
-STRONGER: Final = 1.25
-"""A motor that held this much more gravity torque elsewhere is not too weak for a stop."""
+STRONGER: Final = 1.05
+"""A motor that lifted this much more elsewhere is not too weak: masses of models are good to about 5 %."""
+SIGMAS_90: Final = 1.645
+"""Half the width of a 90 % interval of a normal value, in standard deviations."""
 PUSHES: Final = 3.0
 """Ratio to the median effort from which a motor pushes against something."""
 
 
 def find_cut_offs(
-    robot: Robot, motions: Sequence[Motion], rest: Rest
-) -> tuple[list[Remark], dict[str, Flags]]:
+    robot: Robot, motions: Sequence[Motion], rest: Rest, free: Free
+) -> tuple[list[Remark], Flags]:
     """Find values at which the position of a joint stops although its command goes on.
 
     Returns:
-        Remarks, and by joint flags of the samples of `rest` at which it is held back, (n,).
+        Remarks, and flags of the samples of `rest` at which a joint is held back, (n, n_joints).
     """
     remarks: list[Remark] = []
-    held: dict[str, Flags] = {}
+    held = np.zeros(rest.measured.shape, np.bool_)
     for k, name in enumerate(rest.joints):
-        free = np.where(rest.is_slow[:, k], rest.free[:, k], np.nan)
+        slow = np.where(rest.is_slow[:, k], free.position[:, k], np.nan)
         for side in (1.0, -1.0):
             measured = side * rest.measured[:, k]
-            stop = find_lower_stop(side * free, measured, rest.motion, float(rest.friction[k]))
+            stop = find_lower_stop(side * slow, measured, rest.motion, float(free.friction[k]))
             if stop is None:
                 continue
-            remarks.append(_cut_off(robot.joint(name), motions, rest, k, side, stop))
+            remarks.append(_cut_off(robot.joint(name), motions, rest, free, k, side, stop))
             with np.errstate(invalid="ignore"):
-                is_beyond = side * rest.free[:, k] < stop.levels.max()
-            held[name] = held.get(name, np.zeros(is_beyond.size, np.bool_)) | is_beyond
+                held[:, k] |= side * free.position[:, k] < stop.levels.max()
     return remarks, held
 
 
 def _cut_off(
-    joint: RobotJoint, motions: Sequence[Motion], rest: Rest, k: int, side: float, stop: Stop
+    joint: RobotJoint, motions: Sequence[Motion], rest: Rest, free: Free, k: int, side: float, stop: Stop
 ) -> Remark:
     """Describe a stop of one joint: a command that is cut off, or a motor that may be too weak."""
     numbers = [int(rest.motion[begin]) for begin, _ in stop.excursions]
     names = tuple(dict.fromkeys(motions[number].name for number in numbers))
     at = np.concatenate([np.arange(b, e)[stop.is_sure[b:e]] for b, e in stop.excursions])
-    value = side * stop.furthest + float(np.median(rest.offset[at, k]))
-    band = float(rest.friction[k])
+    value = side * stop.furthest + float(np.median(free.offset[at, k]))
+    band = max(float(free.friction[k]), SIGMAS_90 * stop.noise)
     others = side * stop.levels - side * stop.furthest + value
     interval = (float(min(others.min(), value - band)), float(max(others.max(), value + band)))
     furthest = side * float(np.min(side * rest.command[at, k]))
@@ -77,15 +78,15 @@ def _cut_off(
 
 
 def _may_be_too_weak(joint: RobotJoint, rest: Rest, k: int, side: float, at: Array) -> bool:
-    """Return whether gravity pulls away from the command, as hard as anywhere that the joint was held."""
+    """Return whether gravity pulls back as hard as anywhere that the joint went towards its command."""
     if not joint.is_loaded_by_gravity:
         return False
     needed = -side * rest.gravity_Nm[:, k]  # positive: the motor has to work towards the command
     here = float(np.median(needed[at]))
-    held = rest.is_slow[:, k].copy()
-    held[at] = False
-    largest = float(np.max(needed[held], initial=0.0))
-    return here > 0.0 and largest < STRONGER * here
+    step = -side * np.diff(rest.measured[:, k], prepend=np.nan)
+    is_lifting = rest.is_slow[:, k] & (step > 0.0)
+    is_lifting[at] = False
+    return here > 0.0 and float(np.max(needed[is_lifting], initial=0.0)) < STRONGER * here
 
 
 def _effort_words(joint: str, motions: Sequence[Motion], rest: Rest, at: Array) -> str:

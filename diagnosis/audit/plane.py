@@ -7,14 +7,14 @@ import numpy as np
 
 from diagnosis.arrays import Array, Flags
 from diagnosis.audit.records import Kind, Remark
-from diagnosis.audit.static import Rest
+from diagnosis.audit.static import Free, Rest
 from diagnosis.audit.stops import find_lower_stop, median_interval
 from diagnosis.logs import Motion
 from diagnosis.robot import ControlMode, Robot
 
 
 def find_plane(
-    robot: Robot, motions: Sequence[Motion], rest: Rest, is_held: Flags
+    robot: Robot, motions: Sequence[Motion], rest: Rest, free: Free, is_held: Flags
 ) -> tuple[list[Remark], Flags]:
     """Find a horizontal plane at which the tool site stops.
 
@@ -22,6 +22,7 @@ def find_plane(
         robot: Robot; without a tool site nothing is found.
         motions: Motions.
         rest: Samples of the motions at a low rate.
+        free: Their free positions.
         is_held: Samples at which a joint is held back by something else, (n,).
 
     Returns:
@@ -36,10 +37,10 @@ def find_plane(
     columns = [rest.joints.index(name) for name in chain]
     measured = site_heights(robot, rest.joints, rest.measured)
     pose = rest.measured.copy()
-    pose[:, columns] = rest.free[:, columns]
-    free = site_heights(robot, rest.joints, pose)
+    pose[:, columns] = free.position[:, columns]
+    lowered = site_heights(robot, rest.joints, pose)
     use = rest.is_slow[:, columns].all(axis=1) & ~is_held
-    stop = find_lower_stop(np.where(use, free, np.nan), measured, rest.motion, 0.0)
+    stop = find_lower_stop(np.where(use, lowered, np.nan), measured, rest.motion, 0.0)
     if stop is None:
         return nothing
     numbers = np.unique(rest.motion[stop.is_sure])
@@ -49,10 +50,10 @@ def find_plane(
     text = (
         f"{robot.tool_site} stops at z = {value * 1e3:.0f} mm ({interval[0] * 1e3:.0f} to "
         f"{interval[1] * 1e3:.0f}) in {len(names)} motions, while the commands go on to "
-        f"{float(free[stop.is_sure].min()) * 1e3:.0f} mm"
+        f"{float(lowered[stop.is_sure].min()) * 1e3:.0f} mm"
     )
     with np.errstate(invalid="ignore"):
-        is_below = free < levels.max()
+        is_below = lowered < levels.max()
     return [Remark(Kind.CONTACT, "", names, text, value, interval, "m")], is_below
 
 

@@ -21,8 +21,9 @@ MAX_SLOPE: Final = 0.3
 spread evenly over DEPTH sigmas and have an error of one: 16 / 12 / (16 / 12 + 1). A stop has slope 0."""
 LEAST_EXCURSIONS: Final = 3
 """Excursions that must agree: two may be one coincidence repeated."""
-MAX_PASSED: Final = 0.05
-"""Share of samples, in those beyond, that may pass a stop."""
+MAX_PASSED: Final = 0.2
+"""Samples that may pass a stop, over those whose free value does: 0 at a stop and 1 for free motion. A few do
+because the site is not the point of contact, so that its height there changes with its direction."""
 LEAST_SHARE: Final = 0.005
 """Least standard deviation as a share of the travel: with DEPTH, less than 2 % is not worth a remark."""
 LEVEL: Final = 0.9
@@ -32,7 +33,7 @@ LEVEL: Final = 0.9
 class Stop:
     """A lower stop of some quantity."""
 
-    sigma: float
+    noise: float
     """Standard deviation of measured less free values where nothing stops."""
     is_sure: Flags
     """Samples whose free value is surely beyond it, (n,)."""
@@ -59,9 +60,8 @@ def find_lower_stop(free: Array, measured: Array, motion: Integers, least_sigma:
     known = np.isfinite(free) & np.isfinite(measured)
     if known.sum() < LEAST_EXCURSIONS:
         return None
-    sigma = max(
-        robust_sigma((measured - free)[known]), least_sigma, LEAST_SHARE * float(np.ptp(measured[known]))
-    )
+    noise = robust_sigma((measured - free)[known])
+    sigma = max(noise, least_sigma, LEAST_SHARE * float(np.ptp(measured[known])))
     value = _best_level(free[known], measured[known])
     beyond = np.where(known, value - free, -np.inf)
     is_sure = beyond > BEYOND * sigma
@@ -73,7 +73,7 @@ def find_lower_stop(free: Array, measured: Array, motion: Integers, least_sigma:
         return None
     levels = np.array([np.median(measured[b:e][is_sure[b:e]]) for b, e in found])
     deepest = int(np.argmin([free[b:e].min() for b, e in found]))
-    return Stop(sigma, is_sure, tuple(found), levels, float(levels[deepest]))
+    return Stop(noise, is_sure, tuple(found), levels, float(levels[deepest]))
 
 
 def median_interval(values: Array) -> tuple[float, float]:
