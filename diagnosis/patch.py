@@ -104,7 +104,11 @@ def save_patch(robot: Robot, diagnosis: Diagnosis, folder: Path) -> tuple[Path, 
     Raises:
         RobotError: An effect changes what MJCF cannot say.
     """
-    made = make_patch(robot, diagnosis.effects, diagnosis.sizes)
+    return write_patch(make_patch(robot, diagnosis.effects, diagnosis.sizes), folder)
+
+
+def write_patch(made: Patch, folder: Path) -> tuple[Path, ...]:
+    """Write the files of a patch to a folder, which is made if it is not there, and return them."""
     folder.mkdir(parents=True, exist_ok=True)
     files = {MODEL_FILE: made.model_xml, RUNTIME_FILE: made.runtime}
     written = [folder / name for name, text in files.items() if text]

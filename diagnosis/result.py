@@ -1,8 +1,12 @@
 """Records of a diagnosis: what was found, how sure, how far, and what remains."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from diagnosis.effects.effect import Effect, Family
+from diagnosis.logs import Motion
+from diagnosis.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,3 +117,16 @@ class Diagnosis:
         before = sum((one.nominal / one.noise_floor) ** 2 - 1.0 for one in self.errors)
         after = sum((one.explained / one.noise_floor) ** 2 - 1.0 for one in self.errors)
         return 1.0 - after / before if before > 0.0 else None
+
+    def patch(self, robot: Robot, folder: str | Path) -> tuple[Path, ...]:
+        """Write the patched model and the runtime file, and return their paths; see `diagnosis.patch`."""
+        from diagnosis.patch import save_patch
+
+        return save_patch(robot, self, Path(folder))
+
+    def report(self, path: str | Path, robot: Robot, motions: Sequence[Motion] = ()) -> None:
+        """Write the page, with interactive traces of these motions before and after; see `diagnosis.page`."""
+        from diagnosis.page.page import save_page
+        from diagnosis.page.traces import trace_motions
+
+        save_page(self, trace_motions(robot, motions, self), Path(path))
