@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from ground.common.options import Option, ReportOption, SeedOption
+from ground.common.options import Option, ReportOption
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,9 @@ class RobotDiagnoseRequest:
         tuple[Path, ...],
         Option("Python file with effects of your own, which join the catalogue; repeatable.", "FILE.py"),
     ] = ()
-    seed: SeedOption = 1
+    seed: Annotated[
+        int, Option("Seed of the parts into which motions are put, and of random signs.", within=(0, None))
+    ] = 1
     patch: Annotated[
         Path | None,
         Option("Write the patched model, and the runtime file for what MuJoCo cannot express.", "FOLDER"),
