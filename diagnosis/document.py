@@ -68,9 +68,7 @@ def from_document(document: Mapping[str, Any], catalogue: Sequence[Effect]) -> D
         base=tuple(_read_base(one) for one in document["base"]),
         errors=tuple(_read_error(one) for one in document["errors"]),
         remaining=tuple(_read_remainder(one) for one in document["remaining"]),
-        refused=tuple(
-            Refusal(one["motion"], one["reason"], one["n_samples"]) for one in document["refused"]
-        ),
+        refused=tuple(Refusal(one["motion"], one["reason"], one["n_samples"]) for one in document["refused"]),
         fitted_motions=tuple(document["fitted_motions"]),
         judged_motions=tuple(document["judged_motions"]),
         effects=tuple(known[one["key"]] for one in document["effects"]),

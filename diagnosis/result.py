@@ -1,8 +1,12 @@
 """Records of a diagnosis: what was found, how sure, how far, and what remains."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from diagnosis.effects.effect import Effect, Family
+from diagnosis.logs import Motion
+from diagnosis.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +48,10 @@ class Base:
 
 @dataclass(frozen=True, slots=True)
 class JointError:
-    """Mean absolute residual of one joint on held-out motions; the root mean square for a tracker."""
+    """Mean absolute residual of one joint on held-out motions, on the fitted ones if none is held out.
+
+    For a tracker it is the root mean square.
+    """
 
     joint: str
     unit: str
@@ -117,10 +124,23 @@ class Diagnosis:
         """Share of the explainable energy of held-out motions that is gone with base and findings.
 
         Energies are squared mean errors less that of noise, each joint in units of its noise floor. None if
-        the floor of a joint is unknown, or if no error is above the floor.
+        no motion was held out, if the floor of a joint is unknown, or if no error is above the floor.
         """
-        if not self.errors or not all(one.noise_floor > 0 for one in self.errors):
+        if not (self.judged_motions and self.errors) or not all(one.noise_floor > 0 for one in self.errors):
             return None
         before = sum((one.nominal / one.noise_floor) ** 2 - 1.0 for one in self.errors)
         after = sum((one.explained / one.noise_floor) ** 2 - 1.0 for one in self.errors)
         return 1.0 - after / before if before > 0.0 else None
+
+    def patch(self, robot: Robot, folder: str | Path) -> tuple[Path, ...]:
+        """Write the patched model and the runtime file, and return their paths; see `diagnosis.patch`."""
+        from diagnosis.patch import save_patch
+
+        return save_patch(robot, self, Path(folder))
+
+    def report(self, path: str | Path, robot: Robot, motions: Sequence[Motion] = ()) -> None:
+        """Write the page, with interactive traces of these motions before and after; see `diagnosis.page`."""
+        from diagnosis.page.page import save_page
+        from diagnosis.page.traces import trace_motions
+
+        save_page(self, trace_motions(robot, motions, self), Path(path))

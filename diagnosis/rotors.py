@@ -1,13 +1,13 @@
 """Rotors: motors that turn a degree of freedom of their own, behind a gear with backlash or compliance."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco.batch
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
-from diagnosis.effects.effect import Fields
+from diagnosis.effects.effect import Fields, Rotor
 from diagnosis.robot import ControlMode, Robot
 
 
@@ -36,12 +36,13 @@ class Rotors:
             robot: Robot with the compiled model.
             fields: Fields after all effects.
         """
+        rotors = _one_for_each_joint(fields.rotors)
         self._places: Sequence[_Place] = [
             _place(robot, one.joint, one.name, np.flatnonzero(one.rows), one.encoder_is_at_output)
-            for one in fields.rotors
+            for one in rotors
         ]
         self.exist = any(one.rows.size for one in self._places)
-        for one, rotor in zip(self._places, fields.rotors, strict=True):
+        for one, rotor in zip(self._places, rotors, strict=True):
             target = fields.batch.expand("actuator_trnid")
             target[one.rows, robot.joints[one.joint].actuator_index, 0] = robot.model.joint(rotor.name).id
 
@@ -96,6 +97,15 @@ class Rotors:
                 command[rows, one.joint] += qpos[rows, one.qpos] - qpos[rows, one.joint_qpos]
             elif one.mode is ControlMode.VELOCITY:
                 command[rows, one.joint] += qvel[rows, one.dof] - qvel[rows, one.joint_dof]
+
+
+def _one_for_each_joint(rotors: Sequence[Rotor]) -> list[Rotor]:
+    """Join the rotors of a joint with backlash and compliance: its loop must close once."""
+    joined: dict[int, Rotor] = {}
+    for one in rotors:
+        rows = one.rows | joined[one.joint].rows if one.joint in joined else one.rows
+        joined[one.joint] = replace(one, rows=rows)
+    return list(joined.values())
 
 
 def _place(robot: Robot, index: int, name: str, rows: Integers, encoder_is_at_output: bool) -> _Place:

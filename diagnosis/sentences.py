@@ -137,6 +137,8 @@ def regime_words(regime: str) -> str:
 
 def quantity(value: float, unit: str) -> str:
     """Return a number with its unit, small angles and lengths in thousandths."""
+    if not isfinite(value):
+        return "not known"
     small, factor = SMALL_UNITS.get(unit, (unit, 1.0))
     return f"{value * factor:.3g} {small}"
 
@@ -214,7 +216,7 @@ def _effects_words(keys: Sequence[str]) -> str:
 
 
 def _how_far(diagnosis: Diagnosis) -> str:
-    if not diagnosis.errors:
+    if not diagnosis.judged_motions or not diagnosis.errors:
         return "not known, because no motion was held out."
     motions = count(len(diagnosis.judged_motions), "motion")
     worst = max(diagnosis.errors, key=_fall)
@@ -240,7 +242,7 @@ def _next(diagnosis: Diagnosis) -> str:
         return f"record {wanted}."
     if not diagnosis.fitted_motions:
         return "correct the logs, and check them with `marsarm robot check`."
-    if not diagnosis.errors:
+    if not diagnosis.judged_motions:
         return "hold out some motions, so that the result can be judged."
     if not has_floor(diagnosis):
         return "repeat some motions without a change, so that the noise floor is known."

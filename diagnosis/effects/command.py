@@ -55,6 +55,12 @@ class VelocityLimit(JointEffect):
             followed[:, k] = np.clip(command[:, k], last - step, last + step)
         return followed
 
+    def next_command(self, size: Array, command: Array, period_s: float, memory: dict[str, Array]) -> Array:
+        """Follow the command from the last one that arrived."""
+        step, last = period_s * inverse(size[:, 0]), memory.get("arrived", command)
+        memory["arrived"] = np.clip(command, last - step, last + step)
+        return memory["arrived"]
+
     def describe(self, size: Array) -> str:
         """Return the limit."""
         return f"velocity limit {float(inverse(size)[0]):.4g} rad/s"
@@ -87,12 +93,23 @@ class AccelerationLimit(JointEffect):
         speed = np.zeros(limited.size)
         for k in range(1, command.shape[1]):
             far = command[limited, k] - followed[limited, k - 1]
-            distance = np.abs(far)
-            fastest = (np.sqrt(step**2 + 8.0 * step * distance / period_s) - step) / 2.0
-            wanted = np.sign(far) * np.minimum(fastest, distance / period_s)
-            speed = np.clip(wanted, speed - step, speed + step)
+            speed = self._speed(far, speed, step, period_s)
             followed[limited, k] = followed[limited, k - 1] + period_s * speed
         return followed
+
+    def next_command(self, size: Array, command: Array, period_s: float, memory: dict[str, Array]) -> Array:
+        """Follow the command from the last one that arrived, with its speed."""
+        last, speed = memory.get("arrived", command), memory.get("speed", np.zeros_like(command))
+        memory["speed"] = self._speed(command - last, speed, period_s * inverse(size[:, 0]), period_s)
+        memory["arrived"] = last + period_s * memory["speed"]
+        return memory["arrived"]
+
+    def _speed(self, far: Array, speed: Array, step: Array, period_s: float) -> Array:
+        """Return the next speed at a distance from the command."""
+        distance = np.abs(far)
+        fastest = (np.sqrt(step**2 + 8.0 * step * distance / period_s) - step) / 2.0
+        wanted = np.sign(far) * np.minimum(fastest, distance / period_s)
+        return np.asarray(np.clip(wanted, speed - step, speed + step))
 
     def describe(self, size: Array) -> str:
         """Return the limit."""

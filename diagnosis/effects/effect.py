@@ -15,13 +15,17 @@ import math
 from abc import ABC
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import ClassVar
+from typing import ClassVar, Final
 
 import mujoco
 import mujoco.batch
+import numpy as np
 
 from diagnosis.arrays import Array, Flags
 from diagnosis.robot import Robot
+
+HISTORY_S: Final = 0.5
+"""Commands that a simulation without a known end remembers: more than twice the longest delay."""
 
 
 class Family(StrEnum):
@@ -162,6 +166,15 @@ class Effect(ABC):
     def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
         """Return the command of this joint as it arrives, (n_sims, n_ticks), given as (n_sims, n_ticks)."""
         return command
+
+    def next_command(self, size: Array, command: Array, period_s: float, memory: dict[str, Array]) -> Array:
+        """Return one command as it arrives, (n_sims,): `shape_command` for a simulation without a known end.
+
+        It shapes the commands of the last HISTORY_S again. An effect that remembers longer has its own version.
+        """
+        last = memory.get("commands", np.zeros((command.size, 0)))
+        memory["commands"] = np.column_stack([last, command])[:, -round(HISTORY_S / period_s) :]
+        return self.shape_command(size, memory["commands"], period_s)[:, -1]
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Change the model or the controller before the first step."""

@@ -64,12 +64,15 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def _error_part(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.errors:
-        return [_heading("How far the error shrinks"), _paragraph("No motion was held out to judge it.")]
+        return []
+    judged = (
+        "motions that took no part" if diagnosis.judged_motions else "the fitted motions: none was held out"
+    )
     legend = "".join(f'<span><i class="swatch {kind}"></i>{words}</span> ' for kind, words in BARS.items())
-    mark = "The line across the bars is the noise floor." if has_floor(diagnosis) else "The noise floor is unknown."
+    mark = "The line across the bars is" if has_floor(diagnosis) else "No repeated motion shows"
     return [
         _heading("How far the error shrinks"),
-        _paragraph(f"Mean error by joint on motions that took no part. {mark}"),
+        _paragraph(f"Mean error by joint on {judged}. {mark} the noise floor."),
         f"<p>{legend}</p>",
         f'<div class="bars">{"".join(map(_error_bars, diagnosis.errors))}</div>',
     ]
@@ -87,7 +90,7 @@ def _error_bars(one: JointError) -> str:
     rows = "".join(
         f'<div class="row"><span>{BARS[kind]}</span><div class="track">'
         f'<div class="bar {kind}" style="--share:{value / most if isfinite(value) else 0.0:.4f}"></div>{line}'
-        f"</div><span>{html.escape(quantity(value, one.unit)) if isfinite(value) else 'not known'}</span></div>"
+        f"</div><span>{html.escape(quantity(value, one.unit))}</span></div>"
         for kind, value in values.items()
     )
     return f"<figure><h3>{html.escape(one.joint)}</h3>{rows}</figure>"
@@ -99,7 +102,7 @@ def _trace_part(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
         return []
     return [
         _heading("Before and after"),
-        _paragraph("Of each joint, the held-out motions with the largest, middle and smallest error are shown."),
+        _paragraph("Of each joint, the motions with the largest, middle and smallest error are shown."),
         "<noscript><p>The figures here need JavaScript.</p></noscript>",
         *(_trace_figure(joint, own) for joint, own in chosen.items()),
         f"<script>{_read('traces.js')}</script>",

@@ -1,14 +1,17 @@
 """Traces of held-out motions: measured, simulated as the model is, and simulated with the findings."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from diagnosis.arrays import Array
+from diagnosis.arrays import Array, Flags
+from diagnosis.logs import Motion
 from diagnosis.residuals import ResidualModel
 from diagnosis.result import Diagnosis
+from diagnosis.robot import Robot
+from diagnosis.simulation_residuals import SimulationResiduals
 
 MAX_POINTS: Final = 2000
 """Points of a trace on a page: about two for each pixel of a wide screen."""
@@ -45,6 +48,26 @@ def make_traces(model: ResidualModel, diagnosis: Diagnosis) -> tuple[Trace, ...]
     variable = MEASURED.get(model.kind)
     measured = None if variable is None else model.explain(variable)
     return tuple(_cut(model, nominal, explained, measured))
+
+
+def trace_motions(
+    robot: Robot,
+    motions: Sequence[Motion],
+    diagnosis: Diagnosis,
+    usable: Mapping[tuple[str, str], Flags] | None = None,
+) -> tuple[Trace, ...]:
+    """Simulate motions without and with what a diagnosis has found.
+
+    Args:
+        robot: Robot that was diagnosed.
+        motions: Motions to show.
+        diagnosis: Diagnosis with its effects and sizes.
+        usable: By names of motion and joint, flags over the position samples to show, (n,); all if absent.
+
+    Raises:
+        RobotError: A motion cannot be simulated.
+    """
+    return make_traces(SimulationResiduals(robot, motions, keep=usable), diagnosis) if motions else ()
 
 
 def _cut(model: ResidualModel, nominal: Array, explained: Array, measured: Array | None) -> Iterator[Trace]:

@@ -4,6 +4,7 @@ import typer
 
 from ground.cli.verb import VerbResult, verb
 from ground.common.progress import Progress
+from ground.robot.diagnose_request import RobotDiagnoseRequest
 from ground.robot.request import CheckRequest
 
 robot_app = typer.Typer(
@@ -11,11 +12,6 @@ robot_app = typer.Typer(
     "Example: marsarm robot check models/robots/so101/robot.toml so101.parquet",
     no_args_is_help=True,
 )
-
-
-@robot_app.callback()
-def _group() -> None:
-    """Make typer keep `check` as a verb, though it is the only one of the group."""
 
 
 @robot_app.command()
@@ -36,3 +32,23 @@ def check(request: CheckRequest, progress: Progress) -> VerbResult:
     if request.report is not None:
         save_check_page(report, request.report)
     return VerbResult(check_json(report), lambda: print_check(report))
+
+
+@robot_app.command()
+@verb
+def diagnose(request: RobotDiagnoseRequest, progress: Progress) -> VerbResult:
+    """Find why a robot and its model differ: where, which effect, how far, and what to record next.
+
+    Motions that are held out take no part in the fit, and judge it. docs/robot.md describes the files, and
+    how to read the verdict. The patch holds the changed model, and a file for diagnosis.runtime.
+
+    Example: marsarm robot diagnose robot.toml logs.parquet --report found.html --patch found
+    """
+    from diagnosis.document import to_document
+    from ground.robot.diagnosis import diagnose_robot, save_diagnosis_files
+    from ground.robot.diagnosis_page import print_diagnosis
+
+    made = diagnose_robot(request, progress)
+    return VerbResult(
+        to_document(made.diagnosis), lambda: print_diagnosis(made), save=lambda: save_diagnosis_files(made)
+    )

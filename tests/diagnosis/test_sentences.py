@@ -111,10 +111,10 @@ def test_without_repeats_no_share_is_given():
 
 
 def test_without_held_out_motions_the_fall_is_not_known():
-    _, _, far, following = lines(errors=(), judged_motions=())
+    _, _, far, following = lines(judged_motions=())
     assert far == "How far: not known, because no motion was held out."
     assert following.startswith("Next: hold out some motions")
-    assert diagnosis(errors=()).closure is None
+    assert diagnosis(judged_motions=()).closure is None
 
 
 def test_the_closure_is_one_at_the_floor_and_zero_at_the_nominal_model():

@@ -1,0 +1,115 @@
+"""Execution of a diagnosis: read robot and logs, audit them, find the effects, write the files."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from diagnosis.audit.audit import audit
+from diagnosis.diagnose import diagnose
+from diagnosis.load import load
+from diagnosis.logs import Logs, Motion
+from diagnosis.own_effects import load_effects
+from diagnosis.page.traces import Trace, trace_motions
+from diagnosis.patch import Patch, make_patch, write_patch
+from diagnosis.result import Diagnosis
+from diagnosis.robot import Robot
+from ground.common.errors import BadOutput
+from ground.common.files import check_new_path
+from ground.common.options import check_options
+from ground.common.progress import Progress, no_progress, part_of
+from ground.robot.diagnose_request import RobotDiagnoseRequest
+
+READ: Final = 0.01
+"""Share of the time that reading takes: simulation takes the rest, but for the audit."""
+AUDITED: Final = 0.03
+"""Share after the audit."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotDiagnosis:
+    """A diagnosis with what its files need."""
+
+    request: RobotDiagnoseRequest
+    robot: Robot
+    diagnosis: Diagnosis
+    traces: tuple[Trace, ...]
+    """Of held-out motions, or of the fitted ones if none is held out; empty without a report."""
+    patch: Patch | None
+    digests: dict[str, str]
+    """SHA-256 of robot file and logs."""
+
+
+def diagnose_robot(request: RobotDiagnoseRequest, progress: Progress = no_progress) -> RobotDiagnosis:
+    """Diagnose a robot; nothing is written.
+
+    Raises:
+        BadRequest: an option is wrong.
+        RobotError: the robot file, a log or a file of effects is wrong.
+    """
+    check_options(request)
+    _check_folder(request.patch)
+    progress(0.0, 1.0, "reading")
+    robot = Robot.from_toml(request.robot)
+    logs = load(robot, request.logs, split=request.split, held_out=request.held_out)
+    effects = [one for path in request.effects for one in load_effects(path, robot, logs)]
+    digests = {
+        "robot": _sha256(request.robot),
+        **{f"log {path.name}": _sha256(path) for path in request.logs},
+        **{f"effects {path.name}": _sha256(path) for path in request.effects},
+    }
+    progress(READ, 1.0, "auditing")
+    found = audit(robot, logs)
+    rest = part_of(progress, AUDITED, 1.0)
+    result = diagnose(
+        robot,
+        logs.fit,
+        held_out=logs.judged,
+        effects=effects,
+        usable=dict(found.usable),
+        refused=found.refused,
+        seed=request.seed,
+        progress=lambda share, text: rest(share, 1.0, text),
+    )
+    patch = None if request.patch is None else make_patch(robot, result.effects, result.sizes)
+    traces = () if request.report is None else trace_motions(robot, _shown(logs), result, found.usable)
+    return RobotDiagnosis(request, robot, result, traces, patch, digests)
+
+
+def save_diagnosis_files(made: RobotDiagnosis) -> None:
+    """Write the files of a request.
+
+    Raises:
+        BadOutput: a file cannot be written.
+    """
+    from ground.robot.diagnosis_page import save_diagnosis_page
+
+    if made.request.report is not None:
+        save_diagnosis_page(made, made.request.report)
+    if made.patch is not None and made.request.patch is not None:
+        try:
+            write_patch(made.patch, made.request.patch)
+        except OSError as error:
+            raise BadOutput(f"patch {made.request.patch}: cannot be written ({error.strerror})") from error
+
+
+def _shown(logs: Logs) -> tuple[Motion, ...]:
+    return logs.judged or logs.fit
+
+
+def _check_folder(folder: Path | None) -> None:
+    """Check that a folder is there or can be made, before hours of work.
+
+    Raises:
+        BadOutput: it is a file, or its parent is missing.
+    """
+    if folder is None:
+        return
+    check_new_path(folder, "patch")
+    if folder.exists() and not folder.is_dir():
+        raise BadOutput(f"patch {folder}: this is a file; give the path of a folder")
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
