@@ -201,23 +201,27 @@ def find_size(
         The effect, and its strength in family-wise limits.
 
     Raises:
-        NoSize: No size within its bounds has the strength.
+        NoSize: No size within its bounds has a strength in the range of all strengths.
         FloatingPointError: The truth diverged.
     """
     size, high = one.entry.typical, one.entry.high
-    below, above = 0.0, np.inf
+    below, above, best = 0.0, np.inf, (np.inf, 0.0, 0.0)
     for _ in range(SIZE_ROUNDS):
         effect = one.entry.kind(campaign.plan.scene, one.place, sign * size * one.scale, shape)
         change = change_of(campaign, effect)
-        reached = np.sqrt(max(information(change, change, campaign.nuisance), 0.0)) / campaign.limit
-        if abs(reached / times - 1.0) < CLOSE:
-            return effect, float(reached)
+        reached = float(np.sqrt(max(information(change, change, campaign.nuisance), 0.0)) / campaign.limit)
+        best = min(best, (abs(np.log(max(reached, 1e-9) / times)), size, reached))
+        if best[0] < CLOSE:
+            break
         below, above = (max(below, size), above) if reached < times else (below, min(above, size))
         if below >= high:
             break
         guess = size * float(np.clip(times / max(reached, 1e-9), 0.1, 10.0))
         size = min(guess if below < guess < above else _between(below, above, size), high)
-    raise NoSize(one.key)
+    _, size, reached = best
+    if not TIMES_LIMIT[0] <= reached <= TIMES_LIMIT[1]:
+        raise NoSize(one.key)
+    return one.entry.kind(campaign.plan.scene, one.place, sign * size * one.scale, shape), reached
 
 
 def _between(below: float, above: float, size: float) -> float:

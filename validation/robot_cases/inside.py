@@ -118,7 +118,7 @@ class DeadZone(TrueEffect):
 
 
 class Integral(TrueEffect):
-    """Integral of the error, with a leak; size: integral gain over position gain [1/s], shape: time constant."""
+    """Integral of the error, with a leak; size: integral over position gain [1/s]."""
 
     name = "integral leak"
     family = Family.ACTUATION

@@ -72,7 +72,6 @@ class WobblingBase(Outside):
     name = "wobbling base"
     family = F.TRANSMISSION
     families = frozenset({F.TRANSMISSION, F.GEOMETRY, F.EXTERNAL})
-    is_body = True
 
     def begin(self, run: Run) -> None:
         self.tilt, self.rate = 0.0, 0.0
