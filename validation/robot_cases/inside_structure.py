@@ -169,7 +169,7 @@ class ConstantTorque(TrueEffect):
 
 
 class Plane(TrueEffect):
-    """Horizontal plane that the tool touches; size: height over the lowest place of the tool [m]."""
+    """Horizontal plane that the tool touches; size: height over where the tool was lowest [m]."""
 
     name = "contact with a plane"
     family = Family.CONTACT
@@ -180,8 +180,9 @@ class Plane(TrueEffect):
             type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.002, 0, 0], pos=site.pos, mass=0.0,
             contype=2, conaffinity=2, solref=[0.005, 1.0], friction=[0.3, 0.005, 0.0001],
         )  # fmt: skip
+        height_m = self.scene.lowest_m + self.size
         spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], pos=[0, 0, self.scene.lowest_m + self.size - 0.002],
+            type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], pos=[0, 0, height_m - 0.002],
             contype=2, conaffinity=2, solref=[0.005, 1.0],
         )  # fmt: skip
 

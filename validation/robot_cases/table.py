@@ -42,7 +42,7 @@ ENTRIES: Final = (
     Entry(inside_friction.Coulomb, "torque", 0.03, 0.2, False, "known"),
     Entry(inside_friction.Stribeck, "torque", 0.03, 0.2),
     Entry(inside_friction.LoadFriction, "1", 0.15, 0.6, False, "loaded"),
-    Entry(inside_friction.AsymmetricFriction, "friction", 0.3, 0.8, True),
+    Entry(inside_friction.AsymmetricFriction, "torque", 0.03, 0.15, True),
     Entry(inside_friction.TemperatureFriction, "friction", 0.4, 2.0),
     Entry(inside_structure.Compliance, "flex", 0.3, 2.0),
     Entry(inside_structure.Backlash, "1", 0.02, 0.1),
@@ -55,7 +55,7 @@ ENTRIES: Final = (
     Entry(inside_structure.Spring, "flex_torque", 0.05, 0.4),
     Entry(inside_structure.PositionTorque, "torque", 0.03, 0.2),
     Entry(inside_structure.ConstantTorque, "torque", 0.03, 0.2, True),
-    Entry(inside_structure.Plane, "1", 0.03, 0.12),
+    Entry(inside_structure.Plane, "1", 0.005, 0.12),
     Entry(inside_structure.PeriodicError, "1", 0.003, 0.02),
     Entry(inside_structure.EncoderScale, "1", 0.02, 0.1, True),
     Entry(inside_structure.Coupling, "1", 0.1, 0.8, True, "neighbour"),
@@ -113,7 +113,8 @@ def _places(robot: Robot, entry: Entry) -> Iterator[tuple[str, float]]:
     if kind is inside_structure.GravityDirection:
         yield BASE, 1.0
     elif kind is inside_structure.Plane:
-        yield robot.tool_site, 1.0
+        if len(robot.joints) > 1:  # a plane under a pendulum stops it, or is not touched
+            yield robot.tool_site, 1.0
     elif kind is outside.WobblingBase:
         first = next(joint for joint in robot.joints if joint.is_loaded_by_gravity)
         yield BASE, 1.0 / first.torque_limit_Nm

@@ -57,7 +57,7 @@ class Scene:
     """Least command of each joint."""
     high_rad: tuple[float, ...]
     lowest_m: float
-    """Least height of the tool when the joints are as commanded."""
+    """Least height that the tool reaches without an effect."""
 
 
 class TrueEffect:
@@ -255,8 +255,8 @@ class _Motion:
         k = min(max(math.floor(end), 0), last)
         share = (end - k) * self.period_s / self.run.step_s
         if share >= 1.0 or k == 0:
-            return row[k]
-        return share * row[k] + (1.0 - share) * row[k - 1]
+            return float(row[k])
+        return float(share * row[k] + (1.0 - share) * row[k - 1])
 
     def simulate(self) -> Array:
         run, plant, data = self.run, self.plant, self.data
