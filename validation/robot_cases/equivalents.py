@@ -15,11 +15,10 @@ from diagnosis.arrays import Array
 from validation.robot_cases import inside, inside_friction, inside_structure
 from validation.robot_cases.draw import Campaign, DrawnEffect, change_of, make_effect
 from validation.robot_cases.limits import information
-from validation.robot_cases.table import BASE, ENTRIES, Hypothesis, list_hypotheses
+from validation.robot_cases.table import BASE, ENTRIES, SUPPLY, Hypothesis, list_hypotheses
 
 LEAST_COSINE: Final = 0.99
 SHAPED: Final = (
-    inside.CommandClamp,
     inside.Integral,
     inside_friction.Stribeck,
     inside_structure.Spring,
@@ -38,7 +37,7 @@ def find_equivalents(campaign: Campaign, drawn: DrawnEffect) -> tuple[tuple[str,
         drawn: The effect; one of the catalogue is its own equivalent.
     """
     true = change_of(campaign, make_effect(drawn, campaign.plan.scene))
-    near = {drawn.place, BASE, campaign.robot.tool_site}
+    near = {drawn.place, BASE, SUPPLY, campaign.robot.tool_site}
     found = [
         (one.entry.kind.name, one.place)
         for one in list_hypotheses(campaign.robot, ENTRIES)

@@ -54,7 +54,7 @@ class LoadFriction(TrueEffect):
 
     name = "load-dependent friction"
     family = Family.FRICTION
-    loads = ("load",)
+    needs_load = True
 
     def friction_Nm(self, run: Run) -> float:
         return self.size * abs(run.load_Nm[self.j])

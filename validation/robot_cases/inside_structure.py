@@ -141,7 +141,7 @@ class GravityDirection(TrueEffect):
 class Spring(TrueEffect):
     """Spring at a joint; size [N m/rad], shape: angle at which it is at rest."""
 
-    name = "spring torque"
+    name = "spring"
     family = Family.EXTERNAL
 
     def torque_Nm(self, run: Run) -> float:
@@ -202,7 +202,7 @@ class EncoderScale(TrueEffect):
     """Encoder that shows 1 + size times the angle."""
 
     name = "encoder scale"
-    family = Family.GEOMETRY
+    family = Family.TIMING
 
     def shows(self, run: Run, q_rad: float) -> float:
         return q_rad * (1.0 + self.size)
@@ -213,7 +213,7 @@ class Coupling(TrueEffect):
 
     name = "joint coupling"
     family = Family.TRANSMISSION
-    loads = ("load",)
+    needs_load = True
 
     def __init__(self, scene: Scene, place: str, size: float, shape: float = 0.5) -> None:
         super().__init__(scene, place, size, shape)

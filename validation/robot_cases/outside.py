@@ -23,7 +23,7 @@ class CreepingLink(Outside):
     name = "creeping link"
     family = F.TRANSMISSION
     families = frozenset({F.TRANSMISSION, F.GEOMETRY})
-    loads = ("load",)
+    needs_load = True
 
     def begin(self, run: Run) -> None:
         self.slow_Nm: float | None = None

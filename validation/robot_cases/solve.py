@@ -5,8 +5,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from diagnosis.diagnose import diagnose
 from diagnosis.errors import RobotError
+from diagnosis.load import load
 from diagnosis.result import Diagnosis
+from diagnosis.robot import Robot
 from ground.common.pool import Runner
 from ground.common.progress import Progress
 from validation.blind.folder import SOLVED_FOLDER, write_json
@@ -19,10 +22,6 @@ SEED: Final = 1
 
 def diagnose_files(robot_file: Path, log: Path) -> Diagnosis:
     """Diagnose a log as a user does: robot file, logs, split, diagnosis."""
-    from diagnosis.diagnose import diagnose
-    from diagnosis.load import load
-    from diagnosis.robot import Robot
-
     robot = Robot.from_toml(robot_file)
     logs = load(robot, log)
     return diagnose(robot, logs.fit, held_out=logs.judged, seed=SEED)

@@ -31,7 +31,8 @@ ENTRIES: Final = (
     Entry(inside.VelocityLimit, "1", 0.6, 4.0),
     Entry(inside.AccelerationLimit, "1", 0.04, 0.5),
     Entry(inside.TorqueLimit, "flex_limit", 1.0, 20.0),
-    Entry(inside.CommandClamp, "1", 0.1, 0.5),
+    Entry(inside.ClampLow, "1", 0.05, 0.6),
+    Entry(inside.ClampHigh, "1", 0.05, 0.6),
     Entry(inside.GainError, "1", 0.2, 0.5, True, "known"),
     Entry(inside.DeadZone, "1", 0.01, 0.06),
     Entry(inside.Integral, "1", 1.0, 6.0),
@@ -82,6 +83,8 @@ OUTSIDE: Final = (
 )
 """Effects outside the catalogue."""
 
+SUPPLY: Final = "supply"
+"""Place of what concerns all motors."""
 BASE: Final = "base"
 """Place of what concerns the base or the surroundings."""
 
@@ -112,6 +115,8 @@ def _places(robot: Robot, entry: Entry) -> Iterator[tuple[str, float]]:
     kind = entry.kind
     if kind is inside_structure.GravityDirection:
         yield BASE, 1.0
+    elif kind is inside.SupplySag:
+        yield SUPPLY, 1.0
     elif kind is inside_structure.Plane:
         if len(robot.joints) > 1:  # a plane under a pendulum stops it, or is not touched
             yield robot.tool_site, 1.0

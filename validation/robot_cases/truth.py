@@ -7,9 +7,9 @@ damping and armature sit at the motor.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import mujoco
 import numpy as np
@@ -65,7 +65,10 @@ class TrueEffect:
 
     name: ClassVar[str]
     family: ClassVar[Family]
-    loads: ClassVar[tuple[str, ...]] = ()
+    needs_load: ClassVar[bool] = False
+    """True if it reads the load of the gears, which costs time."""
+    is_everywhere: ClassVar[bool] = False
+    """True if it acts on the servos of all joints."""
 
     def __init__(self, scene: Scene, place: str, size: float, shape: float = 0.5) -> None:
         """Make it.
@@ -129,7 +132,7 @@ class TrueEffect:
         return q_rad
 
 
-Hook = Callable[..., float]
+Hook = Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +232,7 @@ class _Motion:
         self.torques = self._list("torque_Nm")
         self.gears = [(j, *gear) for j, gear in enumerate(plant.gear) if gear is not None]
         self.acts = self._list("act")
-        self.knows_load = any(effect.loads for effect in plant.effects)
+        self.knows_load = any(effect.needs_load for effect in plant.effects)
 
     def _total(self, name: str, j: int) -> float:
         return math.fsum(getattr(effect, name) for effect in self.plant.effects if effect.j == j)
@@ -245,7 +248,9 @@ class _Motion:
     def _collect(self, name: str) -> list[list[Hook]]:
         found: list[list[Hook]] = [[] for _ in self.plant.robot.joints]
         for j, hook in self._list(name):
-            found[j].append(hook)
+            rows = found if hook.__self__.is_everywhere else found[j : j + 1]
+            for row in rows:
+                row.append(hook)
         return found
 
     def _held(self, j: int, time_s: float) -> float:
