@@ -84,7 +84,8 @@ def test_compliance_moves_the_motor_and_not_the_joint_at_rest() -> None:
     "one", list_hypotheses(load_robot("pendulum"), ENTRIES + OUTSIDE), ids=lambda one: one.key
 )
 def test_every_effect_moves_the_log_and_none_diverges(one) -> None:  # type: ignore[no-untyped-def]
-    commands = draw_plan(PENDULUM, np.random.default_rng(6)).commands[4][:, :250]
+    # waves and then a jump, at which the torque is limited
+    commands = np.concatenate([PLAN.commands[4][:, :150], PLAN.commands[0][:, :100]], axis=1)
     scene = Scene(PENDULUM, (float(commands.min()),), (float(commands.max()),), 0.0)
     effect = one.entry.kind(scene, one.place, one.entry.typical * one.scale, 0.3)
     with_it, without = (
