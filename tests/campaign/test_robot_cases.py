@@ -6,15 +6,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from diagnosis.load import load
+from diagnosis.logs import JointLog, Logs, Motion, Signal
 from ground.common.errors import BadRequest
 from ground.common.pool import run_here
 from ground.common.progress import no_progress
 from validation.robot_cases import solve
+from validation.robot_cases.arms import load_robot
 from validation.robot_cases.draw import DrawnEffect, Truth, draw_case
 from validation.robot_cases.make import INDEX_FILE, log_path
+from validation.robot_cases.motions import HELD_OUT, PLAN, sample_times
 from validation.robot_cases.score import check_rate, score_cases
 from validation.robot_cases.seal import SealedCase, SealedTruth, load_truth, plan_cases, seal
 from validation.robot_cases.write import write_logs, write_robot
@@ -121,21 +126,23 @@ def test_the_counts_of_the_bars_are_those_of_an_exact_test(of: int, rate: float,
     assert verdicts == [True, False]
 
 
-def test_files_of_a_case_say_nothing_of_its_truth(tmp_path: Path) -> None:
-    robot, logs, truth = draw_case(11, "none", "pendulum")
-    write_robot(tmp_path / "robot", robot, logs.held_out, tuple(one.name for one in logs.motions))
-    write_logs(tmp_path / "log.parquet", logs)
+def test_files_of_a_case_hold_commands_positions_and_temperatures_alone(tmp_path: Path) -> None:
+    robot, times = load_robot("pendulum"), sample_times()
+    signal = Signal(times, np.sin(times))
+    joint = JointLog(position=signal, command=signal, temperature=signal)
+    motions = tuple(Motion(name, {"swing": joint}, {"swing": 1.0}) for name, _ in PLAN)
+    write_robot(tmp_path / "robot", robot, HELD_OUT, tuple(one.name for one in motions))
+    write_logs(tmp_path / "log.parquet", Logs(motions, HELD_OUT))
     table = pq.read_table(tmp_path / "log.parquet")
-    assert table.column_names == [
-        "motion", "repeat", "t_s", "command_swing", "position_swing", "temperature_swing",
-    ]  # fmt: skip
-    assert table.num_rows == 12 * 500
+    columns = "motion repeat t_s command_swing position_swing temperature_swing"
+    assert table.column_names == columns.split()
     assert not table.schema.metadata
-    text = "".join(path.read_text() for path in (tmp_path / "robot").iterdir())
-    assert str(truth.seed) not in text.split()
-    assert (logs.fit[0].name, len(logs.fit), len(logs.judged)) == ("steps-1", 8, 4)
+    read = load(tmp_path / "robot" / "robot.toml", tmp_path / "log.parquet")
+    assert (len(read.fit), len(read.judged)) == (8, 4)
+    assert read.motions[3].joints["swing"].position.value == pytest.approx(signal.value)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_case() -> None:
     first, second = (draw_case(11, "none", "pendulum")[1] for _ in range(2))
     pairs = zip(first.motions, second.motions, strict=True)
