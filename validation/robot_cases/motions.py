@@ -17,12 +17,12 @@ SAMPLES: Final = 500
 HALF_RANGE_RAD: Final = 0.75
 """Largest distance from the middle pose."""
 PLAN: Final = (
-    ("steps-1", "steps"), ("chirp-1", "chirp"), ("slow-1", "slow"), ("moves-1", "moves"),
+    ("jumps-1", "jumps"), ("chirp-1", "chirp"), ("slow-1", "slow"), ("moves-1", "moves"),
     ("waves-1", "waves"), ("moves-2", "moves"), ("repeat-1", "moves"), ("repeat-2", "moves"),
-    ("steps-2", "steps"), ("slow-2", "slow"), ("moves-3", "moves"), ("waves-2", "waves"),
+    ("jumps-2", "jumps"), ("slow-2", "slow"), ("moves-3", "moves"), ("waves-2", "waves"),
 )  # fmt: skip
 REPEATED: Final = ("repeat-1", "repeat-2")
-HELD_OUT: Final = frozenset({"steps-2", "slow-2", "moves-3", "waves-2"})
+HELD_OUT: Final = frozenset({"jumps-2", "slow-2", "moves-3", "waves-2"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +56,8 @@ def sample_times() -> Array:
     return np.asarray(PERIOD_S * np.arange(SAMPLES), float)
 
 
-def _steps(rng: np.random.Generator) -> Array:
-    """Return steps every 0.8 to 1.4 s."""
+def _jumps(rng: np.random.Generator) -> Array:
+    """Return jumps every 0.8 to 1.4 s."""
     found, at = np.empty(SAMPLES), float(rng.uniform(-0.4, 0.4))
     change_s = 0.3 + float(rng.uniform(0.0, 0.5))
     for k, time_s in enumerate(sample_times()):
@@ -110,7 +110,7 @@ def _waves(rng: np.random.Generator) -> Array:
     return np.asarray(np.sum(waves, axis=0) + rng.uniform(-0.2, 0.2))
 
 
-KINDS: Final = {"steps": _steps, "chirp": _chirp, "slow": _slow, "moves": _moves, "waves": _waves}
+KINDS: Final = {"jumps": _jumps, "chirp": _chirp, "slow": _slow, "moves": _moves, "waves": _waves}
 
 
 def lowest_m(robot: Robot, positions: Array) -> float:
