@@ -36,6 +36,7 @@ class Brief:
 BRIEFS: Final = (
     Brief("monte_carlo", "--statics 100 --closed-loop 10 --calibrated 0 --workers 1"),
     Brief("blind.brief", ""),
+    Brief("robot_cases.brief", "--seed 1"),
     Brief("faults", "--count 2 --only processing --workers 1"),
     Brief("tool_change", "--calibrated 1 --as-built 0 --poses 1 --workers 1"),
     Brief("scenarios", "--calibrated 0 --as-built 0 --only processing --workers 1"),

@@ -3,7 +3,7 @@
 Seeds below 1000 are for tuning; scores use others.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final, Literal
 
@@ -23,10 +23,18 @@ from validation.robot_cases.limits import (
     make_nuisance,
     whiten,
 )
-from validation.robot_cases.motions import HELD_OUT, PERIOD_S, REPEATED, SAMPLES, Plan, draw_plan
+from validation.robot_cases.motions import (
+    HELD_OUT,
+    PERIOD_S,
+    REPEATED,
+    Plan,
+    draw_plan,
+    lowest_m,
+    sample_times,
+)
 from validation.robot_cases.outside import Outside
 from validation.robot_cases.table import ENTRIES, OUTSIDE, Entry, Hypothesis, list_hypotheses
-from validation.robot_cases.truth import Nuisances, Plant, TrueEffect
+from validation.robot_cases.truth import Nuisances, Plant, Scene, TrueEffect
 
 Kind = Literal["none", "single", "pair", "outside"]
 TIMES_LIMIT: Final = (0.5, 4.0)
@@ -100,22 +108,24 @@ def draw_case(seed: int, kind: Kind, model: str) -> tuple[Robot, Logs, Truth]:
     Returns:
         The nominal robot, its logs with the held-out motions, and the truth.
     """
+    truth = draw_truth(seed, kind, model)
+    return load_robot(model), record_logs(truth), truth
+
+
+def draw_truth(seed: int, kind: Kind, model: str) -> Truth:
+    """Draw the effects and the nuisances of a case; two effects differ in place or in family."""
     campaign = make_campaign(seed, model)
     rng = np.random.default_rng([seed, 2, sorted(ARMS).index(model)])
-    effects: list[TrueEffect] = []
     drawn: list[DrawnEffect] = []
     while len(drawn) < {"none": 0, "single": 1, "pair": 2, "outside": 1}[kind]:
         try:
-            effect, one = _draw_effect(campaign, OUTSIDE if kind == "outside" else ENTRIES, rng)
+            one = _draw_effect(campaign, OUTSIDE if kind == "outside" else ENTRIES, rng)
         except (NoSize, FloatingPointError):
             continue
-        if any((one.place, one.family) == (other.place, other.family) for other in drawn):
-            continue
-        effects.append(effect)
-        drawn.append(one)
+        if all((one.place, one.family) != (other.place, other.family) for other in drawn):
+            drawn.append(one)
     factors = {name: tuple(np.asarray(getattr(campaign.nuisances, name)).tolist()) for name in SPREADS}
-    truth = Truth(model, kind, seed, tuple(drawn), factors)
-    return campaign.robot, record_logs(campaign, effects, seed), truth
+    return Truth(model, kind, seed, tuple(drawn), factors)
 
 
 @lru_cache(maxsize=4)
@@ -132,6 +142,7 @@ def make_campaign(seed: int, model: str) -> Campaign:
     }
     nuisances = Nuisances(**factors)
     base = simulate_fitted(Plant(robot, nuisances, (), LIMIT_STEP_S), plan, fitted)
+    plan = replace(plan, scene=replace(plan.scene, lowest_m=lowest_m(robot, base)))
     columns = []
     for name, spread in SPREADS.items():
         for j in np.flatnonzero(~known):
@@ -164,9 +175,7 @@ def change_of(campaign: Campaign, effect: TrueEffect) -> Array:
     return np.asarray(whiten(moved - campaign.base).ravel())
 
 
-def _draw_effect(
-    campaign: Campaign, entries: tuple[Entry, ...], rng: np.random.Generator
-) -> tuple[TrueEffect, DrawnEffect]:
+def _draw_effect(campaign: Campaign, entries: tuple[Entry, ...], rng: np.random.Generator) -> DrawnEffect:
     """Draw an effect, then one of its places, then a strength; NoSize if its bounds do not allow it."""
     everything = list_hypotheses(campaign.robot, entries)
     names = sorted({one.entry.kind.name for one in everything})
@@ -179,10 +188,14 @@ def _draw_effect(
     effect, reached = find_size(campaign, one, sign, shape, times)
     kind = one.entry.kind
     families = kind.families if issubclass(kind, Outside) else frozenset({kind.family})
-    drawn = DrawnEffect(
-        kind.name, one.place, str(kind.family), effect.size, shape, reached, tuple(sorted(map(str, families)))
-    )
-    return effect, drawn
+    accepted = tuple(sorted(map(str, families)))
+    return DrawnEffect(kind.name, one.place, str(kind.family), effect.size, shape, reached, accepted)
+
+
+def make_effect(drawn: DrawnEffect, scene: Scene) -> TrueEffect:
+    """Make the effect of a drawn one."""
+    kind = next(one.kind for one in (*ENTRIES, *OUTSIDE) if one.kind.name == drawn.name)
+    return kind(scene, drawn.place, drawn.size, drawn.shape)
 
 
 def find_size(
@@ -201,23 +214,27 @@ def find_size(
         The effect, and its strength in family-wise limits.
 
     Raises:
-        NoSize: No size within its bounds has the strength.
+        NoSize: No size within its bounds has a strength in the range of all strengths.
         FloatingPointError: The truth diverged.
     """
     size, high = one.entry.typical, one.entry.high
-    below, above = 0.0, np.inf
+    below, above, best = 0.0, np.inf, (np.inf, 0.0, 0.0)
     for _ in range(SIZE_ROUNDS):
         effect = one.entry.kind(campaign.plan.scene, one.place, sign * size * one.scale, shape)
         change = change_of(campaign, effect)
-        reached = np.sqrt(max(information(change, change, campaign.nuisance), 0.0)) / campaign.limit
-        if abs(reached / times - 1.0) < CLOSE:
-            return effect, float(reached)
+        reached = float(np.sqrt(max(information(change, change, campaign.nuisance), 0.0)) / campaign.limit)
+        best = min(best, (abs(np.log(max(reached, 1e-9) / times)), size, reached))
+        if best[0] < CLOSE:
+            break
         below, above = (max(below, size), above) if reached < times else (below, min(above, size))
         if below >= high:
             break
         guess = size * float(np.clip(times / max(reached, 1e-9), 0.1, 10.0))
         size = min(guess if below < guess < above else _between(below, above, size), high)
-    raise NoSize(one.key)
+    _, size, reached = best
+    if not TIMES_LIMIT[0] <= reached <= TIMES_LIMIT[1]:
+        raise NoSize(one.key)
+    return one.entry.kind(campaign.plan.scene, one.place, sign * size * one.scale, shape), reached
 
 
 def _between(below: float, above: float, size: float) -> float:
@@ -226,16 +243,18 @@ def _between(below: float, above: float, size: float) -> float:
     return float(np.sqrt(below * above)) if below > 0.0 else 0.3 * above
 
 
-def record_logs(campaign: Campaign, effects: list[TrueEffect], seed: int) -> Logs:
-    """Record all motions with noise, quantised."""
+def record_logs(truth: Truth) -> Logs:
+    """Record all motions of a case with noise, quantised."""
+    campaign, seed = make_campaign(truth.seed, truth.model), truth.seed
+    effects = [make_effect(one, campaign.plan.scene) for one in truth.effects]
     plant = Plant(campaign.robot, campaign.nuisances, effects)
-    plan, times = campaign.plan, PERIOD_S * np.arange(SAMPLES)
+    plan, times = campaign.plan, sample_times()
     motions = []
     for k, name in enumerate(plan.names):
         shown = plant.simulate(plan.commands[k], PERIOD_S, seed * 100 + k, temperature_degC(k))
         rng = np.random.default_rng([seed, 3, k])
         measured = measure(shown, rng)
-        heat = Signal(times, np.linspace(*temperature_degC(k), SAMPLES))
+        heat = Signal(times, np.interp(times, times[[0, -1]], temperature_degC(k)))
         joints = {
             joint.name: JointLog(
                 position=Signal(times, measured[j]),

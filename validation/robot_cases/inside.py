@@ -85,16 +85,24 @@ class TorqueLimit(TrueEffect):
         return min(max(torque_Nm, -limit), limit)
 
 
-class CommandClamp(TrueEffect):
-    """Command that is cut off; size: how far inside the commanded range [rad], shape: which end."""
+class ClampLow(TrueEffect):
+    """Commands that are cut off at the lower end; size: length of the range that is lost [rad]."""
 
-    name = "command clamp"
+    name = "command clamp, low"
     family = Family.ACTUATION
 
     def command(self, run: Run, command: float) -> float:
-        if self.shape < 0.5:
-            return min(command, self.scene.high_rad[self.j] - self.size)
         return max(command, self.scene.low_rad[self.j] + self.size)
+
+
+class ClampHigh(TrueEffect):
+    """Commands that are cut off at the upper end; size: length of the range that is lost [rad]."""
+
+    name = "command clamp, high"
+    family = Family.ACTUATION
+
+    def command(self, run: Run, command: float) -> float:
+        return min(command, self.scene.high_rad[self.j] - self.size)
 
 
 class GainError(TrueEffect):
@@ -118,7 +126,7 @@ class DeadZone(TrueEffect):
 
 
 class Integral(TrueEffect):
-    """Integral of the error, with a leak; size: integral gain over position gain [1/s], shape: time constant."""
+    """Integral of the error, with a leak; size: integral over position gain [1/s]."""
 
     name = "integral leak"
     family = Family.ACTUATION
@@ -146,12 +154,13 @@ class BackEmf(TrueEffect):
 
 
 class SupplySag(TrueEffect):
-    """Supply that falls with the torque of all motors; size: fall of the torque at full load (share)."""
+    """Supply that gives way for all joints; size: fall of all torques when each motor has its largest."""
 
     name = "supply sag"
     family = Family.ACTUATION
+    is_everywhere = True
 
-    def servo(self, run: Run, torque_Nm: float) -> float:
+    def limited(self, run: Run, torque_Nm: float, limit_Nm: float) -> float:
         joints = self.robot.joints
         load = sum(abs(t) / one.torque_limit_Nm for t, one in zip(run.motor_Nm, joints, strict=True))
         return torque_Nm * max(1.0 - self.size * load / len(joints), 0.0)

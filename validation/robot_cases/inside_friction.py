@@ -54,27 +54,33 @@ class LoadFriction(TrueEffect):
 
     name = "load-dependent friction"
     family = Family.FRICTION
-    loads = ("load",)
+    needs_load = True
 
     def friction_Nm(self, run: Run) -> float:
         return self.size * abs(run.load_Nm[self.j])
 
 
 class AsymmetricFriction(TrueEffect):
-    """Friction that is larger in one direction and smaller in the other; size [N m], with a sign."""
+    """Dry friction in one direction only, that of the sign; size [N m].
+
+    The range of a friction from -(F + s) to F is one of F + s / 2 beside a constant torque of -s / 2.
+    """
 
     name = "asymmetric friction"
     family = Family.FRICTION
 
     def friction_Nm(self, run: Run) -> float:
-        return self.size * math.tanh(run.v[self.j] / 0.005)
+        return 0.5 * abs(self.size)
+
+    def torque_Nm(self, run: Run) -> float:
+        return -0.5 * self.size
 
 
 class TemperatureFriction(TrueEffect):
-    """Dry friction that changes with the temperature; size: [N m] per 10 K above 25 degC."""
+    """Dry friction of a cold joint; size: [N m] per 10 K below 40 degC."""
 
     name = "temperature-dependent friction"
     family = Family.FRICTION
 
     def friction_Nm(self, run: Run) -> float:
-        return self.size * (run.temperature_degC - 25.0) / 10.0
+        return self.size * (40.0 - run.temperature_degC) / 10.0

@@ -1,17 +1,13 @@
 """Effects of the truth that the catalogue has too: gears, links, gravity, external torque, encoders."""
 
 import math
-from typing import Final
 
 import mujoco
 import numpy as np
 
 from diagnosis.effects.effect import Family
 from diagnosis.robot import Robot
-from validation.robot_cases.truth import Run, TrueEffect
-
-GEAR: Final = "_gear"
-"""Suffix of the second hinge of a joint: between its motor and its link."""
+from validation.robot_cases.truth import GEAR, Run, Scene, TrueEffect
 
 
 def add_gear(spec: mujoco.MjSpec, place: str) -> mujoco.MjsJoint:
@@ -28,7 +24,7 @@ def scale(values: object, factor: float) -> np.ndarray:
 
 
 class Compliance(TrueEffect):
-    """Spring between motor and link; size: 1 / stiffness [rad/(N m)]. Its damping is 2 ms of its stiffness."""
+    """Spring between motor and link; size: 1 / stiffness [rad/(N m)]. Its damping is 2 ms of that."""
 
     name = "joint compliance"
     family = Family.TRANSMISSION
@@ -40,7 +36,7 @@ class Compliance(TrueEffect):
 
 
 class Backlash(TrueEffect):
-    """Free angle between motor and link; size [rad]. The flanks have forty times the stiffness of the servo."""
+    """Free angle between motor and link; size [rad]. The flanks are forty times as stiff as the servo."""
 
     name = "backlash"
     family = Family.TRANSMISSION
@@ -60,7 +56,6 @@ class Payload(TrueEffect):
 
     name = "payload"
     family = Family.INERTIA
-    is_body = True
 
     def build(self, spec: mujoco.MjSpec) -> None:
         site = spec.site(self.robot.tool_site)
@@ -75,10 +70,9 @@ class LinkMass(TrueEffect):
 
     name = "link mass"
     family = Family.INERTIA
-    is_body = True
 
     def build(self, spec: mujoco.MjSpec) -> None:
-        for geom in spec.body(self.place).geoms:
+        for geom in link_of(spec, self.place).geoms:
             geom.mass *= 1.0 + self.size
 
 
@@ -87,11 +81,10 @@ class LinkCentre(TrueEffect):
 
     name = "link centre"
     family = Family.INERTIA
-    is_body = True
 
     def build(self, spec: mujoco.MjSpec) -> None:
         along = link_direction(self.robot, self.place)
-        for geom in spec.body(self.place).geoms:
+        for geom in link_of(spec, self.place).geoms:
             if not np.isnan(geom.fromto[0]):
                 geom.fromto = np.asarray(geom.fromto) + self.size * np.tile(along, 2)
             else:
@@ -103,17 +96,21 @@ class LinkLength(TrueEffect):
 
     name = "link length"
     family = Family.GEOMETRY
-    is_body = True
 
     def build(self, spec: mujoco.MjSpec) -> None:
         along = link_direction(self.robot, self.place)
-        for child in spec.body(self.place).bodies:
+        for child in link_of(spec, self.place).bodies:
             child.pos = np.asarray(child.pos) + self.size * along
 
 
-def link_direction(robot: Robot, body: str) -> np.ndarray:
-    """Return the unit vector from the joint of a body to its centre of mass, (3,)."""
-    centre = robot.model.body(body).ipos
+def link_of(spec: mujoco.MjSpec, joint: str) -> mujoco.MjsBody:
+    """Return the body that a joint moves."""
+    return spec.joint(joint).parent
+
+
+def link_direction(robot: Robot, joint: str) -> np.ndarray:
+    """Return the unit vector from a joint to the centre of mass of its link, (3,)."""
+    centre = robot.model.body(int(robot.model.dof_bodyid[robot.joint(joint).dof_index])).ipos
     return np.asarray(centre / np.linalg.norm(centre))
 
 
@@ -132,7 +129,6 @@ class GravityDirection(TrueEffect):
 
     name = "gravity direction"
     family = Family.GEOMETRY
-    is_body = True
 
     def build(self, spec: mujoco.MjSpec) -> None:
         # about y (shape 0) tilts the plane of the arms; the part about x is at most as large
@@ -145,7 +141,7 @@ class GravityDirection(TrueEffect):
 class Spring(TrueEffect):
     """Spring at a joint; size [N m/rad], shape: angle at which it is at rest."""
 
-    name = "spring torque"
+    name = "spring"
     family = Family.EXTERNAL
 
     def torque_Nm(self, run: Run) -> float:
@@ -173,11 +169,10 @@ class ConstantTorque(TrueEffect):
 
 
 class Plane(TrueEffect):
-    """Horizontal plane that the tool touches; size: height over the lowest place of the tool [m]."""
+    """Horizontal plane that the tool touches; size: height over where the tool was lowest [m]."""
 
     name = "contact with a plane"
     family = Family.CONTACT
-    is_body = True
 
     def build(self, spec: mujoco.MjSpec) -> None:
         site = spec.site(self.robot.tool_site)
@@ -185,8 +180,9 @@ class Plane(TrueEffect):
             type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.002, 0, 0], pos=site.pos, mass=0.0,
             contype=2, conaffinity=2, solref=[0.005, 1.0], friction=[0.3, 0.005, 0.0001],
         )  # fmt: skip
+        height_m = self.scene.lowest_m + self.size
         spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], pos=[0, 0, self.scene.lowest_m + self.size - 0.002],
+            type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], pos=[0, 0, height_m - 0.002],
             contype=2, conaffinity=2, solref=[0.005, 1.0],
         )  # fmt: skip
 
@@ -206,17 +202,22 @@ class EncoderScale(TrueEffect):
     """Encoder that shows 1 + size times the angle."""
 
     name = "encoder scale"
-    family = Family.GEOMETRY
+    family = Family.TIMING
 
     def shows(self, run: Run, q_rad: float) -> float:
         return q_rad * (1.0 + self.size)
 
 
 class Coupling(TrueEffect):
-    """Joint that is turned by its neighbour towards the base; size: angle per angle of the neighbour."""
+    """Gear that turns with the neighbour towards the base too: its load comes back there; size: ratio."""
 
-    name = "coupling between joints"
+    name = "joint coupling"
     family = Family.TRANSMISSION
+    needs_load = True
 
-    def shows(self, run: Run, q_rad: float) -> float:
-        return q_rad + self.size * run.q[self.j - 1]
+    def __init__(self, scene: Scene, place: str, size: float, shape: float = 0.5) -> None:
+        super().__init__(scene, place, size, shape)
+        self.acts_on = self.j - 1
+
+    def torque_Nm(self, run: Run) -> float:
+        return self.size * run.load_Nm[self.j]

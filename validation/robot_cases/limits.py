@@ -7,9 +7,9 @@ t-distribution with M - 1 degrees of freedom, and with the effect a noncentral o
 a sqrt(sum I_m). With H hypotheses, a two-sided test at 0.05 / H each keeps false alarms of all together below
 5 % (Bonferroni). The limit is the noncentrality at which the test has 90 % power.
 
-The strength of an effect is sqrt(sum d_m . d_m) over the fitted motions, after the part that the nuisances may
-imitate is taken out: each nuisance is a column with its prior. An effect is at its limit when its strength is
-that noncentrality. The strength is computed with the effect at its true size, so that nothing is linearised.
+The strength of an effect is sqrt(sum d_m . d_m) over the fitted motions, without the part that the nuisances
+imitate: each of them is a column with its prior. An effect is at its limit when its strength is that
+noncentrality. The strength is computed with the effect at its true size, so that nothing is linearised.
 """
 
 from dataclasses import dataclass
@@ -68,7 +68,7 @@ class Nuisance:
 def make_nuisance(columns: Array) -> Nuisance:
     """Prepare the removal of what nuisances imitate; columns are (n, n_nuisances)."""
     gram = columns.T @ columns + np.eye(columns.shape[1])
-    return Nuisance(columns, np.linalg.solve(gram, columns.T))
+    return Nuisance(columns, np.asarray(np.linalg.solve(gram, columns.T), float))
 
 
 def information(one: Array, other: Array, nuisance: Nuisance) -> float:

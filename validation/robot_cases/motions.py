@@ -1,4 +1,4 @@
-"""Motions of a case: at most 60 s in twelve logs of varied kind, four of them held out, one repeated twice."""
+"""Motions of a case: at most 60 s, twelve of varied kind; four are held out, and two repeat each other."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -17,12 +17,12 @@ SAMPLES: Final = 500
 HALF_RANGE_RAD: Final = 0.75
 """Largest distance from the middle pose."""
 PLAN: Final = (
-    ("steps-1", "steps"), ("chirp-1", "chirp"), ("slow-1", "slow"), ("moves-1", "moves"),
+    ("jumps-1", "jumps"), ("chirp-1", "chirp"), ("slow-1", "slow"), ("moves-1", "moves"),
     ("waves-1", "waves"), ("moves-2", "moves"), ("repeat-1", "moves"), ("repeat-2", "moves"),
-    ("steps-2", "steps"), ("slow-2", "slow"), ("moves-3", "moves"), ("waves-2", "waves"),
+    ("jumps-2", "jumps"), ("slow-2", "slow"), ("moves-3", "moves"), ("waves-2", "waves"),
 )  # fmt: skip
 REPEATED: Final = ("repeat-1", "repeat-2")
-HELD_OUT: Final = frozenset({"steps-2", "slow-2", "moves-3", "waves-2"})
+HELD_OUT: Final = frozenset({"jumps-2", "slow-2", "moves-3", "waves-2"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,19 +47,20 @@ def draw_plan(robot: Robot, rng: np.random.Generator) -> Plan:
             commands[name] = centre[:, None] + HALF_RANGE_RAD * np.clip(np.array(offsets), -1.0, 1.0)
     stacked = np.array(list(commands.values()))
     low, high = stacked.min(axis=(0, 2)), stacked.max(axis=(0, 2))
-    scene = Scene(robot, tuple(low.tolist()), tuple(high.tolist()), _lowest_m(robot, stacked))
+    scene = Scene(robot, tuple(low.tolist()), tuple(high.tolist()), 0.0)
     return Plan(tuple(commands), stacked, scene)
 
 
-def _times() -> Array:
-    return PERIOD_S * np.arange(SAMPLES)
+def sample_times() -> Array:
+    """Return the times of the samples of a motion [s]."""
+    return np.asarray(PERIOD_S * np.arange(SAMPLES), float)
 
 
-def _steps(rng: np.random.Generator) -> Array:
-    """Return steps every 0.8 to 1.4 s."""
+def _jumps(rng: np.random.Generator) -> Array:
+    """Return jumps every 0.8 to 1.4 s."""
     found, at = np.empty(SAMPLES), float(rng.uniform(-0.4, 0.4))
     change_s = 0.3 + float(rng.uniform(0.0, 0.5))
-    for k, time_s in enumerate(_times()):
+    for k, time_s in enumerate(sample_times()):
         if time_s >= change_s:
             change_s += float(rng.uniform(0.8, 1.4))
             at = float(np.clip(at + rng.choice((-1, 1)) * rng.uniform(0.15, 0.4), -0.7, 0.7))
@@ -69,7 +70,7 @@ def _steps(rng: np.random.Generator) -> Array:
 
 def _chirp(rng: np.random.Generator) -> Array:
     """Return a sine whose frequency grows from 0.3 to 2.5 Hz, with less amplitude as it grows."""
-    t = _times()
+    t = sample_times()
     last = t[-1]
     low, high = 0.3 * rng.uniform(0.8, 1.2), 2.5 * rng.uniform(0.8, 1.2)
     frequency = low * (high / low) ** (t / last)
@@ -79,7 +80,7 @@ def _chirp(rng: np.random.Generator) -> Array:
 
 def _slow(rng: np.random.Generator) -> Array:
     """Return a triangle of constant speed, with two or three reversals."""
-    t = _times()
+    t = sample_times()
     period_s = rng.uniform(3.0, 5.0)
     saw = (t / period_s + rng.uniform()) % 1.0
     return np.asarray(rng.uniform(-0.3, 0.3) + 0.6 * (4.0 * np.abs(saw - 0.5) - 1.0))
@@ -101,7 +102,7 @@ def _moves(rng: np.random.Generator) -> Array:
 
 def _waves(rng: np.random.Generator) -> Array:
     """Return three sines."""
-    t = _times()
+    t = sample_times()
     waves = [
         share * np.sin(2.0 * np.pi * rng.uniform(0.8, 1.25) * frequency * t + rng.uniform(0.0, 2.0 * np.pi))
         for share, frequency in ((0.45, 0.35), (0.2, 0.9), (0.08, 1.9))
@@ -109,15 +110,15 @@ def _waves(rng: np.random.Generator) -> Array:
     return np.asarray(np.sum(waves, axis=0) + rng.uniform(-0.2, 0.2))
 
 
-KINDS: Final = {"steps": _steps, "chirp": _chirp, "slow": _slow, "moves": _moves, "waves": _waves}
+KINDS: Final = {"jumps": _jumps, "chirp": _chirp, "slow": _slow, "moves": _moves, "waves": _waves}
 
 
-def _lowest_m(robot: Robot, commands: Array) -> float:
-    """Return the least height of the tool at the commands."""
+def lowest_m(robot: Robot, positions: Array) -> float:
+    """Return the least height of the tool at positions, (n_motions, n_joints, n) [rad]."""
     data = mujoco.MjData(robot.model)
     indices = [joint.qpos_index for joint in robot.joints]
     heights = []
-    for pose in np.moveaxis(commands, 1, 2)[:, ::10].reshape(-1, len(indices)):
+    for pose in np.moveaxis(positions, 1, 2)[:, ::5].reshape(-1, len(indices)):
         data.qpos[indices] = pose
         mujoco.mj_kinematics(robot.model, data)
         heights.append(float(data.site(robot.tool_site).xpos[2]))

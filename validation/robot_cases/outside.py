@@ -23,7 +23,7 @@ class CreepingLink(Outside):
     name = "creeping link"
     family = F.TRANSMISSION
     families = frozenset({F.TRANSMISSION, F.GEOMETRY})
-    loads = ("load",)
+    needs_load = True
 
     def begin(self, run: Run) -> None:
         self.slow_Nm: float | None = None
@@ -72,7 +72,6 @@ class WobblingBase(Outside):
     name = "wobbling base"
     family = F.TRANSMISSION
     families = frozenset({F.TRANSMISSION, F.GEOMETRY, F.EXTERNAL})
-    is_body = True
 
     def begin(self, run: Run) -> None:
         self.tilt, self.rate = 0.0, 0.0

@@ -22,7 +22,7 @@ class Entry:
     """Largest size that a robot of this kind may have."""
     is_signed: bool = False
     needs: str = ""
-    """Joint that may have it: "known", "loaded" or "neighbour"; empty: all."""
+    """Joint that may have it: "known", "loaded", "inner" or "neighbour"; empty: all."""
 
 
 ENTRIES: Final = (
@@ -31,34 +31,35 @@ ENTRIES: Final = (
     Entry(inside.VelocityLimit, "1", 0.6, 4.0),
     Entry(inside.AccelerationLimit, "1", 0.04, 0.5),
     Entry(inside.TorqueLimit, "flex_limit", 1.0, 20.0),
-    Entry(inside.CommandClamp, "1", 0.1, 0.5),
+    Entry(inside.ClampLow, "1", 0.05, 0.6),
+    Entry(inside.ClampHigh, "1", 0.05, 0.6),
     Entry(inside.GainError, "1", 0.2, 0.5, True, "known"),
     Entry(inside.DeadZone, "1", 0.01, 0.06),
     Entry(inside.Integral, "1", 1.0, 6.0),
-    Entry(inside.BackEmf, "1", 0.1, 0.5),
+    Entry(inside.BackEmf, "1", 0.1, 1.0),
     Entry(inside.SupplySag, "1", 0.3, 0.9),
     Entry(inside_friction.Armature, "armature", 0.3, 2.0, True, "known"),
     Entry(inside_friction.Viscous, "damping", 0.3, 1.5, True, "known"),
     Entry(inside_friction.Coulomb, "torque", 0.03, 0.2, False, "known"),
     Entry(inside_friction.Stribeck, "torque", 0.03, 0.2),
     Entry(inside_friction.LoadFriction, "1", 0.15, 0.6, False, "loaded"),
-    Entry(inside_friction.AsymmetricFriction, "friction", 0.3, 0.8, True),
+    Entry(inside_friction.AsymmetricFriction, "torque", 0.03, 0.15, True),
     Entry(inside_friction.TemperatureFriction, "friction", 0.4, 2.0),
     Entry(inside_structure.Compliance, "flex", 0.3, 2.0),
     Entry(inside_structure.Backlash, "1", 0.02, 0.1),
     Entry(inside_structure.Payload, "mass", 0.3, 1.0),
-    Entry(inside_structure.LinkMass, "1", 0.3, 0.8, True),
-    Entry(inside_structure.LinkCentre, "1", 0.02, 0.06, True),
-    Entry(inside_structure.LinkLength, "1", 0.02, 0.06, True),
+    Entry(inside_structure.LinkMass, "1", 0.3, 0.8, True, "loaded"),
+    Entry(inside_structure.LinkCentre, "1", 0.02, 0.06, True, "loaded"),
+    Entry(inside_structure.LinkLength, "1", 0.02, 0.06, True, "inner"),
     Entry(inside_structure.JointZero, "1", 0.02, 0.1, True),
     Entry(inside_structure.GravityDirection, "1", 0.05, 0.25, True),
     Entry(inside_structure.Spring, "flex_torque", 0.05, 0.4),
     Entry(inside_structure.PositionTorque, "torque", 0.03, 0.2),
     Entry(inside_structure.ConstantTorque, "torque", 0.03, 0.2, True),
-    Entry(inside_structure.Plane, "1", 0.03, 0.12),
+    Entry(inside_structure.Plane, "1", 0.005, 0.12),
     Entry(inside_structure.PeriodicError, "1", 0.003, 0.02),
     Entry(inside_structure.EncoderScale, "1", 0.02, 0.1, True),
-    Entry(inside_structure.Coupling, "1", 0.02, 0.1, True, "neighbour"),
+    Entry(inside_structure.Coupling, "1", 0.1, 0.8, True, "neighbour"),
 )
 """Effects of the catalogue."""
 
@@ -82,7 +83,9 @@ OUTSIDE: Final = (
 )
 """Effects outside the catalogue."""
 
-BASE: Final = "world"
+SUPPLY: Final = "supply"
+"""Place of what concerns all motors."""
+BASE: Final = "base"
 """Place of what concerns the base or the surroundings."""
 
 
@@ -110,32 +113,33 @@ def list_hypotheses(robot: Robot, entries: tuple[Entry, ...]) -> tuple[Hypothesi
 
 def _places(robot: Robot, entry: Entry) -> Iterator[tuple[str, float]]:
     kind = entry.kind
-    if kind in (inside_structure.GravityDirection, inside_structure.Plane):
+    if kind is inside_structure.GravityDirection:
         yield BASE, 1.0
+    elif kind is inside.SupplySag:
+        yield SUPPLY, 1.0
+    elif kind is inside_structure.Plane:
+        if len(robot.joints) > 1:  # a plane under a pendulum stops it, or is not touched
+            yield robot.tool_site, 1.0
     elif kind is outside.WobblingBase:
         first = next(joint for joint in robot.joints if joint.is_loaded_by_gravity)
         yield BASE, 1.0 / first.torque_limit_Nm
     elif kind is inside_structure.Payload:
         body = int(robot.model.site(robot.tool_site).bodyid[0])
-        yield robot.model.body(body).name, float(robot.model.body_mass[body])
-    elif kind.is_body:
-        for k, joint in enumerate(robot.joints):
-            body = int(robot.model.dof_bodyid[joint.dof_index])
-            is_last = k == len(robot.joints) - 1
-            if joint.is_loaded_by_gravity and not (is_last and kind is inside_structure.LinkLength):
-                yield robot.model.body(body).name, 1.0
+        yield robot.joints[-1].name, float(robot.model.body_mass[body])
     else:
         for k, joint in enumerate(robot.joints):
-            if _may_have(joint, entry.needs, k):
+            if _may_have(robot, k, entry.needs):
                 yield joint.name, _scale(robot, joint, entry.unit)
 
 
-def _may_have(joint: RobotJoint, needs: str, index: int) -> bool:
+def _may_have(robot: Robot, index: int, needs: str) -> bool:
+    joint = robot.joints[index]
     return (
         not needs
         or (needs == "known" and joint.is_known)
         or (needs == "loaded" and joint.is_loaded_by_gravity)
-        or (needs == "neighbour" and index > 0)
+        or (needs == "neighbour" and index > 0 and robot.joints[index - 1].is_loaded_by_gravity)
+        or (needs == "inner" and joint.is_loaded_by_gravity and joint is not robot.joints[-1])
     )
 
 

@@ -2,13 +2,14 @@
 
 It shares no code with the diagnosis. The servo law, all effects and the dry friction are evaluated in every
 physics step. The integrator is `implicit`, the step an eighth of that of the robot's model. Commands are held
-between their samples. An encoder sits on the motor: before backlash and compliance of its joint.
+between their samples. Encoders sit at the joint, behind backlash and compliance of its gear. Dry friction,
+damping and armature sit at the motor.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import mujoco
 import numpy as np
@@ -18,9 +19,11 @@ from diagnosis.effects.effect import Family
 from diagnosis.robot import Robot
 
 TRUE_STEP_S: Final = 0.00025
-"""Step of the truth: halving it moves no sample by a tenth of the noise (see the tests)."""
+"""Step of the truth: a quarter of it moves the samples by less than a tenth of the noise (see the tests)."""
 SETTLE_S: Final = 1.0
 """Time at the first command before a log begins: some ten time constants of the slowest servo."""
+GEAR: Final = "_gear"
+"""Suffix of the second hinge of a joint: between its motor and its link."""
 HARD: Final = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Impedance of dry friction; the default of MuJoCo creeps under load."""
 
@@ -54,7 +57,7 @@ class Scene:
     """Least command of each joint."""
     high_rad: tuple[float, ...]
     lowest_m: float
-    """Least height of the tool when the joints are as commanded."""
+    """Least height that the tool reaches without an effect."""
 
 
 class TrueEffect:
@@ -62,9 +65,10 @@ class TrueEffect:
 
     name: ClassVar[str]
     family: ClassVar[Family]
-    is_body: ClassVar[bool] = False
-    """True if the place is a body."""
-    loads: ClassVar[tuple[str, ...]] = ()
+    needs_load: ClassVar[bool] = False
+    """True if it reads the load of the gears, which costs time."""
+    is_everywhere: ClassVar[bool] = False
+    """True if it acts on the servos of all joints."""
 
     def __init__(self, scene: Scene, place: str, size: float, shape: float = 0.5) -> None:
         """Make it.
@@ -78,6 +82,7 @@ class TrueEffect:
         self.scene, self.robot, self.place, self.size, self.shape = scene, scene.robot, place, size, shape
         names = [joint.name for joint in scene.robot.joints]
         self.j = names.index(place) if place in names else 0
+        self.acts_on = self.j
 
     def build(self, spec: mujoco.MjSpec) -> None:
         """Change the model before it is compiled."""
@@ -116,7 +121,7 @@ class TrueEffect:
         return 0.0
 
     def torque_Nm(self, run: Run) -> float:
-        """Return the external torque at this joint."""
+        """Return the external torque at the joint `acts_on`."""
         return 0.0
 
     def act(self, run: Run) -> None:
@@ -127,7 +132,7 @@ class TrueEffect:
         return q_rad
 
 
-Hook = Callable[..., float]
+Hook = Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +169,7 @@ class Plant:
         ids = [mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in names]
         self.dof = [int(self.model.jnt_dofadr[one]) for one in ids]
         self.qpos = [int(self.model.jnt_qposadr[one]) for one in ids]
+        self.gear = [self._gear(name) for name in names]
         self.gain = [float(one) for one in nuisances.gain]
         self.model.dof_damping[self.dof] *= nuisances.damping
         self.model.dof_frictionloss[self.dof] *= nuisances.friction
@@ -172,6 +178,11 @@ class Plant:
         self.model.dof_solref[:] = (4.0 * step_s, 1.0)
         self.dry_Nm = self.model.dof_frictionloss.copy()
         mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
+
+    def _gear(self, joint: str) -> tuple[int, int] | None:
+        """Return the addresses of a joint's second hinge in qpos and qvel; None if it has none."""
+        one = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_JOINT, joint + GEAR)
+        return None if one < 0 else (int(self.model.jnt_qposadr[one]), int(self.model.jnt_dofadr[one]))
 
     def simulate(
         self,
@@ -219,8 +230,9 @@ class _Motion:
         self.hooks = {name: self._collect(name) for name in ("command", "error", "servo", "limited", "shows")}
         self.frictions = self._list("friction_Nm")
         self.torques = self._list("torque_Nm")
+        self.gears = [(j, *gear) for j, gear in enumerate(plant.gear) if gear is not None]
         self.acts = self._list("act")
-        self.knows_load = any(effect.loads for effect in plant.effects)
+        self.knows_load = any(effect.needs_load for effect in plant.effects)
 
     def _total(self, name: str, j: int) -> float:
         return math.fsum(getattr(effect, name) for effect in self.plant.effects if effect.j == j)
@@ -228,7 +240,7 @@ class _Motion:
     def _list(self, name: str) -> list[tuple[int, Hook]]:
         """Return the hooks that are not those of the base class."""
         return [
-            (effect.j, getattr(effect, name))
+            (effect.acts_on, getattr(effect, name))
             for effect in self.plant.effects
             if getattr(type(effect), name) is not getattr(TrueEffect, name)
         ]
@@ -236,7 +248,9 @@ class _Motion:
     def _collect(self, name: str) -> list[list[Hook]]:
         found: list[list[Hook]] = [[] for _ in self.plant.robot.joints]
         for j, hook in self._list(name):
-            found[j].append(hook)
+            rows = found if hook.__self__.is_everywhere else found[j : j + 1]
+            for row in rows:
+                row.append(hook)
         return found
 
     def _held(self, j: int, time_s: float) -> float:
@@ -246,8 +260,8 @@ class _Motion:
         k = min(max(math.floor(end), 0), last)
         share = (end - k) * self.period_s / self.run.step_s
         if share >= 1.0 or k == 0:
-            return row[k]
-        return share * row[k] + (1.0 - share) * row[k - 1]
+            return float(row[k])
+        return float(share * row[k] + (1.0 - share) * row[k - 1])
 
     def simulate(self) -> Array:
         run, plant, data = self.run, self.plant, self.data
@@ -280,6 +294,9 @@ class _Motion:
         run.temperature_degC = self.temperature[0] + share * (self.temperature[1] - self.temperature[0])
         run.q = data.qpos[plant.qpos].tolist()
         run.v = data.qvel[plant.dof].tolist()
+        for j, position, speed in self.gears:
+            run.q[j] += float(data.qpos[position])
+            run.v[j] += float(data.qvel[speed])
         if self.knows_load:
             self._update_load()
         for j, (kp, kd, limit) in enumerate(self.law):
@@ -301,10 +318,12 @@ class _Motion:
             for hook in hooks["limited"][j]:
                 torque = hook(run, torque, limit)
             run.motor_Nm[j] = torque
-        applied = list(run.motor_Nm)
+        external = [0.0] * len(self.law)
         for j, hook in self.torques:
-            applied[j] += hook(run)
-        data.qfrc_applied[plant.dof] = applied
+            external[j] += hook(run)
+        data.qfrc_applied[plant.dof] = [a + b for a, b in zip(run.motor_Nm, external, strict=True)]
+        for j, _, speed in self.gears:
+            data.qfrc_applied[speed] = external[j]
         if self.frictions:
             dry = plant.dry_Nm.copy()
             for j, hook in self.frictions:

@@ -1,0 +1,149 @@
+"""Sealing, files and score of the synthetic cases."""
+
+import json
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from diagnosis.load import load
+from diagnosis.logs import JointLog, Logs, Motion, Signal
+from ground.common.errors import BadRequest
+from ground.common.pool import run_here
+from ground.common.progress import no_progress
+from validation.robot_cases import solve
+from validation.robot_cases.arms import load_robot
+from validation.robot_cases.draw import DrawnEffect, Truth, draw_case
+from validation.robot_cases.make import INDEX_FILE, log_path
+from validation.robot_cases.motions import HELD_OUT, PLAN, sample_times
+from validation.robot_cases.score import check_rate, score_cases
+from validation.robot_cases.seal import SealedCase, SealedTruth, load_truth, plan_cases, seal
+from validation.robot_cases.write import write_logs, write_robot
+
+DELAY = DrawnEffect("command delay", "swing", "sensing and timing", 0.004, 0.5, 2.0, ("sensing and timing",))
+CREEP = DrawnEffect("creeping link", "swing", "transmission", 0.01, 0.5, 2.0, ("geometry", "transmission"))
+
+
+def case(kind: Any, *effects: DrawnEffect) -> SealedCase:
+    same = tuple(((one.name, one.place),) if one is DELAY else () for one in effects)
+    return SealedCase("case-000", Truth("pendulum", kind, 1000, effects, {}), same)
+
+
+def finding(effect: str, family: str, *others: str) -> dict[str, Any]:
+    keys = [f"swing: {name}" for name in (effect, *others)]
+    return {
+        "place": "swing",
+        "family": family,
+        "effect": effect,
+        "places": ["swing"],
+        "families": [family],
+        "effects": keys,
+    }
+
+
+def result(*findings: dict[str, Any]) -> dict[str, Any]:
+    return {"findings": list(findings), "seconds": 10.0, "refused": ""}
+
+
+TRUE_DELAY = finding("command delay", "sensing and timing", "measurement delay")
+FRICTION = finding("Stribeck friction", "friction")
+
+
+def test_a_truth_that_was_changed_is_refused(tmp_path: Path) -> None:
+    digest = seal(tmp_path, SealedTruth("salt", (case("single", DELAY),)))
+    assert load_truth(tmp_path).digest() == digest
+    path = tmp_path / "sealed" / "truth.json"
+    path.write_text(path.read_text().replace("0.004", "0.005"))
+    with pytest.raises(BadRequest, match="not what was sealed"):
+        load_truth(tmp_path)
+
+
+def test_a_hundred_and_twenty_cases_have_their_kinds_and_models_in_equal_parts() -> None:
+    plans = plan_cases(120, 7, ("pendulum", "two_joint", "four_joint"))
+    assert Counter(one.kind for one in plans) == {"none": 36, "single": 36, "pair": 24, "outside": 24}
+    assert set(Counter((one.kind, one.model) for one in plans).values()) == {12, 8}
+    assert min(one.seed for one in plans) >= 1000
+
+
+def test_solving_reads_nothing_of_the_truth_and_goes_on_where_it_was_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "cases").mkdir()
+    (tmp_path / INDEX_FILE).write_text(json.dumps({"case-000": "pendulum", "case-001": "pendulum"}))
+    for name in ("case-000", "case-001"):
+        log_path(tmp_path, name).touch()
+    solve.write_json(solve.solved_path(tmp_path, "case-000"), result())
+
+    class Nothing:
+        findings = remaining = errors = refused = ()
+
+    seen: list[Path] = []
+    monkeypatch.setattr(solve, "diagnose_files", lambda robot, log: seen.extend((robot, log)) or Nothing())
+    assert solve.solve_cases(tmp_path, run_here, no_progress) == (1, 2)
+    assert [path.relative_to(tmp_path).as_posix() for path in seen] == [
+        "robots/pendulum/robot.toml",
+        "cases/case-001.parquet",
+    ]
+
+
+def test_a_right_answer_meets_all_bars() -> None:
+    solved = [
+        (case("none"), result()),
+        (case("single", DELAY), result(TRUE_DELAY)),
+        (case("outside", CREEP), result()),
+    ]
+    found = score_cases(solved)
+    assert all(bar["met"] for bar in found["bars"].values())
+    assert found["bars"]["right effect"]["hits"] == 1
+    assert found["mean set size"] == 2
+
+
+def test_a_wrong_name_of_an_outside_effect_counts_at_each_level_that_it_gives() -> None:
+    bars = score_cases([(case("outside", CREEP), result(FRICTION))])["bars"]
+    assert [bars[f"outside, wrong {level}"]["hits"] for level in ("place", "family", "effect")] == [0, 1, 1]
+    only_place = {**FRICTION, "families": [], "effects": []}
+    bars = score_cases([(case("outside", CREEP), result(only_place))])["bars"]
+    assert [bars[f"outside, wrong {level}"]["hits"] for level in ("place", "family", "effect")] == [0, 0, 0]
+
+
+def test_effects_below_the_limit_are_not_counted_as_missed() -> None:
+    small = replace(DELAY, times_limit=0.9)
+    sealed = SealedCase(
+        "case-000", Truth("pendulum", "single", 1000, (small,), {}), ((("command delay", "swing"),),)
+    )
+    assert score_cases([(sealed, result())])["bars"]["reported"]["of"] == 0
+
+
+@pytest.mark.parametrize(("of", "rate", "most"), [(36, 0.05, 4), (24, 0.05, 3), (24, 0.10, 5), (24, 0.15, 7)])
+def test_the_counts_of_the_bars_are_those_of_an_exact_test(of: int, rate: float, most: int) -> None:
+    verdicts = [
+        check_rate([True] * hits + [False] * (of - hits), rate, True).is_met for hits in (most, most + 1)
+    ]
+    assert verdicts == [True, False]
+
+
+def test_files_of_a_case_hold_commands_positions_and_temperatures_alone(tmp_path: Path) -> None:
+    robot, times = load_robot("pendulum"), sample_times()
+    signal = Signal(times, np.sin(times))
+    joint = JointLog(position=signal, command=signal, temperature=signal)
+    motions = tuple(Motion(name, {"swing": joint}, {"swing": 1.0}) for name, _ in PLAN)
+    write_robot(tmp_path / "robot", robot, HELD_OUT, tuple(one.name for one in motions))
+    write_logs(tmp_path / "log.parquet", Logs(motions, HELD_OUT))
+    table = pq.read_table(tmp_path / "log.parquet")
+    columns = "motion repeat t_s command_swing position_swing temperature_swing"
+    assert table.column_names == columns.split()
+    assert not table.schema.metadata
+    read = load(tmp_path / "robot" / "robot.toml", tmp_path / "log.parquet")
+    assert (len(read.fit), len(read.judged)) == (8, 4)
+    assert read.motions[3].joints["swing"].position.value == pytest.approx(signal.value)
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_case() -> None:
+    first, second = (draw_case(11, "none", "pendulum")[1] for _ in range(2))
+    pairs = zip(first.motions, second.motions, strict=True)
+    assert all((a.joints["swing"].position.value == b.joints["swing"].position.value).all() for a, b in pairs)

@@ -1,0 +1,184 @@
+"""Controls of the diagnosis of any robot: what must be refused, what must be none, what must grow.
+
+1. Commands shuffled between motions are refused.
+2. Twins: the model with the base parameters that were fitted to one half of a robot's logs is simulated on
+   the other half's commands. Residuals of all that was fitted are resampled in blocks and added. At least 17
+   of 20 end as none. Findings are left out of the twin, so that the nominal robot has no effect beside it.
+3. The XL330 with 20 ms added to the times of its positions: the delay grows by 20 +- 4 ms, no family is new.
+
+Real logs are read where MARSARM_DATA points.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from diagnosis.arrays import Array
+from diagnosis.diagnose import diagnose
+from diagnosis.errors import RobotError
+from diagnosis.load import load
+from diagnosis.logs import Logs, Motion, Signal
+from diagnosis.residuals import ResidualModel
+from diagnosis.result import Diagnosis
+from diagnosis.robot import Robot
+from diagnosis.simulation_residuals import SimulationResiduals
+from validation.options import campaign_parser
+from validation.robot_cases.draw import draw_case
+
+EXAMPLE: Final = "example: python -m validation.robot_controls --twins 20"
+NONE_SHARE: Final = 17.0 / 20.0
+ADDED_S: Final = 0.020
+ADDED_TOLERANCE_S: Final = 0.004
+BLOCK_S: Final = 0.5
+"""Block of resampled residuals: ten correlation times of the noise of a servo's encoder."""
+DELAYS: Final = ("command delay", "measurement delay")
+ROBOTS: Final = Path(__file__).parents[1] / "models" / "robots"
+
+
+def shuffle_commands(motions: Sequence[Motion], seed: int) -> tuple[Motion, ...]:
+    """Give each motion the commands of another one: a cycle through all motions in random order."""
+    order = np.random.default_rng(seed).permutation(len(motions))
+    follower = dict(zip(order.tolist(), np.roll(order, 1).tolist(), strict=True))
+    found = []
+    for k, motion in enumerate(motions):
+        other = motions[follower[k]].joints
+        joints = {name: replace(log, command=other[name].command) for name, log in motion.joints.items()}
+        found.append(replace(motion, joints=joints))
+    return tuple(found)
+
+
+def is_refused(robot: Robot, motions: Sequence[Motion], seed: int) -> bool:
+    """Return whether the motions are refused: by an error, or by a diagnosis that leaves all of them out."""
+    try:
+        found = diagnose(robot, motions, seed=seed)
+    except RobotError:
+        return True
+    return not found.findings and not found.fitted_motions
+
+
+def delay_positions(motions: Sequence[Motion], added_s: float) -> tuple[Motion, ...]:
+    """Return motions whose positions are stamped later than they were measured."""
+    found = []
+    for motion in motions:
+        joints = {
+            name: replace(log, position=Signal(log.position.time_s + added_s, log.position.value))
+            for name, log in motion.joints.items()
+        }
+        found.append(replace(motion, joints=joints))
+    return tuple(found)
+
+
+def total_delay_s(found: Diagnosis) -> float:
+    """Return the sum of the delays of command and measurement that were found."""
+    return float(sum(one.size[0] for one in found.findings if one.effect in DELAYS))
+
+
+def make_twin(
+    motions: Sequence[Motion], model: ResidualModel, found: Diagnosis, seed: int
+) -> tuple[Motion, ...]:
+    """Return motions as the fitted model makes them, with resampled residuals.
+
+    Args:
+        motions: Motions of the model.
+        model: Residuals of these motions.
+        found: Diagnosis of other motions, whose effects and sizes are simulated.
+        seed: Seed of the resampling.
+    """
+    named = {(one.place, one.effect) for one in found.findings}
+    kept = [(effect.place, effect.name) not in named for effect in found.effects]
+    fitted = [one for size in found.sizes for one in size]
+    base = [one * keep for size, keep in zip(found.sizes, kept, strict=True) for one in size]
+    residuals, of_base = model.residuals(found.effects, np.array([fitted, base]))
+    rng = np.random.default_rng(seed)
+    made = []
+    for motion in motions:
+        k, joints = model.motions.index(motion.name), {}
+        for j, name in enumerate(model.joints):
+            rows = np.flatnonzero((model.motion_of == k) & (model.joint_of == j))
+            log = motion.joints[name]
+            others = residuals[model.joint_of == j]
+            noise = _resample(others, rows.size, _block(model.time_s[rows]), rng)
+            measured = np.interp(model.time_s[rows], log.position.time_s, log.position.value)
+            twin = Signal(model.time_s[rows], measured - of_base[rows] + noise)
+            joints[name] = replace(log, position=twin, velocity=None)
+        made.append(replace(motion, joints=joints))
+    return tuple(made)
+
+
+def _block(time_s: Array) -> int:
+    """Return the number of samples in a block."""
+    return max(1, round(BLOCK_S / float(np.median(np.diff(time_s)))))
+
+
+def _resample(residuals: Array, count: int, block: int, rng: np.random.Generator) -> Array:
+    """Return residuals drawn in blocks, (count,), with their mean taken off."""
+    starts = rng.integers(0, max(residuals.size - block, 1), size=-(-count // block))
+    drawn = np.concatenate([residuals[start : start + block] for start in starts])[:count]
+    return np.asarray(drawn - residuals.mean())
+
+
+def twin_control(robot: Robot, logs: Logs, twins: int, seed: int) -> dict[str, Any]:
+    """Fit one half, simulate it on the other half, and diagnose the twins; count how many end as none."""
+    motions = logs.motions
+    first, second = motions[::2], motions[1::2]
+    found = diagnose(robot, first, seed=seed)
+    model = SimulationResiduals(robot, second, spacing_s=0.0)
+    named = [
+        [one.effect for one in diagnose(robot, make_twin(second, model, found, k), seed=seed).findings]
+        for k in range(twins)
+    ]
+    none = sum(not one for one in named)
+    return {"none": none, "of": twins, "named": named, "in_bounds": none >= NONE_SHARE * twins}
+
+
+def delay_control(robot: Robot, logs: Logs, seed: int) -> dict[str, Any]:
+    """Compare the delays of logs with those of logs whose positions are later."""
+    before = diagnose(robot, logs.motions, seed=seed)
+    after = diagnose(robot, delay_positions(logs.motions, ADDED_S), seed=seed)
+    grown = total_delay_s(after) - total_delay_s(before)
+    new = {one.family for one in after.findings} - {one.family for one in before.findings}
+    names = {one.effect for one in after.findings if one.effect in DELAYS}
+    return {
+        "grown_s": grown,
+        "delays": sorted(names),
+        "new_families": sorted(map(str, new)),
+        "in_bounds": abs(grown - ADDED_S) <= ADDED_TOLERANCE_S and not new,
+    }
+
+
+def load_real(name: str, file: str) -> tuple[Robot, Logs] | None:
+    """Load a robot and its real logs; None where they are absent."""
+    folder = os.environ.get("MARSARM_DATA", "")
+    path = Path(folder) / name / file
+    if not folder or not path.exists():
+        return None
+    robot = Robot.from_toml(ROBOTS / ("pendulum" if name == "xl330" else name) / "robot.toml")
+    return robot, load(robot, path)
+
+
+def main() -> int:
+    """Print the controls as JSON; exit status 1 if one is out of its bounds."""
+    parser = campaign_parser("robot_controls", __doc__, EXAMPLE, with_pool=False)
+    parser.add_argument("--twins", type=int, default=20, help="twins (default 20)")
+    options = parser.parse_args()
+    robot, logs, _ = draw_case(options.seed, "single", "two_joint")
+    shuffled = is_refused(robot, shuffle_commands(logs.motions, options.seed), options.seed)
+    document: dict[str, Mapping[str, Any]] = {"shuffled": {"refused": shuffled, "in_bounds": shuffled}}
+    xl330 = load_real("xl330", "xl330.parquet")
+    if xl330 is not None:
+        again = is_refused(xl330[0], shuffle_commands(xl330[1].motions, options.seed), options.seed)
+        document["shuffled, XL330"] = {"refused": again, "in_bounds": again}
+        document["delay, XL330"] = delay_control(*xl330, options.seed)
+        document["twins, XL330"] = twin_control(*xl330, options.twins, options.seed)
+    print(json.dumps(document, indent=2))
+    return 0 if all(one["in_bounds"] for one in document.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
