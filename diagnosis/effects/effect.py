@@ -11,6 +11,7 @@ Hooks by kind of residual:
 - second encoder: `deflection_rad`, `sample_delay_s` and `encode`.
 """
 
+import math
 from abc import ABC
 from dataclasses import dataclass
 from enum import StrEnum
@@ -46,6 +47,8 @@ class Size:
     high: float
     typical: float
     """Size at which the effect is worth a name: start of a fit, and its scale."""
+    prior_std: float = math.inf
+    """Standard deviation of its prior around 0; infinite for an effect that may be named."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,330 @@
+"""Fit the sizes of effects: many small robust least-squares problems, which share their simulations.
+
+Each hypothesis frees a few sizes and reads the residuals of one joint, or of all. scipy fits one problem at
+a time; here all advance together, because an engine simulates a hundred candidates at the price of ten.
+Hypotheses at different joints share a candidate where one joint scarcely moves another (`measure_coupling`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from diagnosis.arrays import Array, Integers
+from diagnosis.effects.effect import Effect, Size
+from diagnosis.residuals import ResidualModel
+
+ALL_JOINTS: Final = -1
+STEP: Final = 0.05
+"""Finite-difference step over the typical size: more than one stick or slip changes, small beside it."""
+DAMPINGS: Final = (0.1, 1.0, 10.0)
+"""Factors on the Levenberg-Marquardt damping that are tried at once."""
+CONVERGED: Final = 1e-3
+"""Relative decrease of the loss below which a fit has converged; selection asks for changes of percents."""
+MAX_ITERATIONS: Final = 12
+
+
+@dataclass(frozen=True, slots=True)
+class Union:
+    """All effects that are fitted in a diagnosis, and the place of their sizes in one vector."""
+
+    effects: tuple[Effect, ...]
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Sizes of all effects, one after the other."""
+        return tuple(size for effect in self.effects for size in effect.sizes)
+
+    def columns(self, effects: Sequence[Effect]) -> Integers:
+        """Return the columns of the sizes of these effects.
+
+        Args:
+            effects: Members of the union.
+
+        Returns:
+            Indices, (n_sizes,).
+        """
+        starts = np.cumsum([0, *(len(effect.sizes) for effect in self.effects)])
+        where = {effect.key: k for k, effect in enumerate(self.effects)}
+        chosen = [where[effect.key] for effect in effects]
+        ranges = [np.arange(starts[k], starts[k + 1]) for k in chosen]
+        return np.concatenate([np.empty(0, np.int64), *ranges]).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """Sizes that are free, where they start, and the residuals that they have to explain."""
+
+    columns: Integers
+    """Free columns of the union, (p,)."""
+    start: Array
+    """Sizes of the whole union, (P,)."""
+    joint: int = ALL_JOINTS
+    """Index of the joint whose residuals count."""
+    left_out: frozenset[int] = frozenset()
+    """Indices of motions that take no part."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Hypothesis at its optimum."""
+
+    sizes: Array
+    """(P,)."""
+    columns: Integers
+    residuals: Array
+    """Residuals of its joint, (n_rows,), also of motions that were left out."""
+    rows: Integers
+    """Their indices in the residual model."""
+    jacobian: Array
+    """Derivatives of the residuals by the free sizes, (n_rows, p)."""
+    loss: float
+    iterations: int
+    bounded: tuple[int, ...]
+    """Free columns that end at a bound."""
+
+
+def scale_residuals(model: ResidualModel, residuals: Array) -> Array:
+    """Return a robust standard deviation for the residuals of each joint.
+
+    Args:
+        model: The residual model.
+        residuals: (n,), in the unit of the model.
+
+    Returns:
+        Scales by joint, (n_joints,), 1.4826 times the median of the absolute residuals.
+    """
+    scales = np.ones(len(model.joints))
+    for joint in range(len(model.joints)):
+        chosen = np.abs(residuals[model.joint_of == joint])
+        if len(chosen):
+            scales[joint] = max(1.4826 * float(np.median(chosen)), 1e-9)
+    return scales
+
+
+def fit_hypotheses(
+    model: ResidualModel,
+    union: Union,
+    hypotheses: Sequence[Hypothesis],
+    scales: Array,
+    *,
+    share: bool,
+    iterations: int = MAX_ITERATIONS,
+    report: Callable[[int], None] | None = None,
+) -> list[Fit]:
+    """Fit hypotheses together by Levenberg-Marquardt with a pseudo-Huber loss.
+
+    Args:
+        model: The residual model.
+        union: Effects, and the columns of their sizes.
+        hypotheses: Problems to solve.
+        scales: Scale of the residuals of each joint, (n_joints,), in the unit of the model.
+        share: True to put hypotheses at different joints into one candidate.
+        iterations: Most steps of each problem.
+        report: Called with the number of candidates after each batch.
+
+    Returns:
+        One fit a hypothesis, in their order.
+    """
+    evaluate = _Evaluator(model, union, share, report)
+    problems = [_Problem(model, union, hypothesis, scales) for hypothesis in hypotheses]
+    for problem, rows in zip(problems, evaluate([[one.x] for one in problems], problems), strict=True):
+        problem.begin(rows[0])
+    for _ in range(iterations):
+        active = [one for one in problems if not one.converged]
+        if not active:
+            break
+        steps = [one.difference_points() for one in active]
+        for problem, rows in zip(active, evaluate(steps, active), strict=True):
+            problem.set_jacobian(rows)
+        trials = [one.trial_points() for one in active]
+        for problem, rows in zip(active, evaluate(trials, active), strict=True):
+            problem.choose(rows)
+    return [one.fit() for one in problems]
+
+
+class _Problem:
+    """One hypothesis on its way to its optimum."""
+
+    def __init__(self, model: ResidualModel, union: Union, hypothesis: Hypothesis, scales: Array) -> None:
+        sizes = union.sizes
+        self.hypothesis = hypothesis
+        self.free = hypothesis.columns
+        self.x = hypothesis.start.copy()
+        self.low = np.array([sizes[c].low for c in self.free])
+        self.high = np.array([sizes[c].high for c in self.free])
+        self.typical = np.array([sizes[c].typical for c in self.free])
+        prior = np.array([sizes[c].prior_std for c in self.free])
+        self.prior_weight = 1.0 / prior  # 0 where the prior is flat
+        wanted = np.ones(len(model.joint_of), bool)
+        if hypothesis.joint != ALL_JOINTS:
+            wanted &= model.joint_of == hypothesis.joint
+        self.rows = np.flatnonzero(wanted)
+        left_out = np.isin(model.motion_of[self.rows], sorted(hypothesis.left_out))
+        self.weight = np.where(left_out, 0.0, 1.0 / scales[model.joint_of[self.rows]])
+        self.damping, self.converged, self.count = 1e-2, False, 0
+        self.jacobian = np.zeros((len(self.rows), len(self.free)))
+
+    def begin(self, residuals: Array) -> None:
+        self.r, self.loss = residuals, self.loss_of(residuals, self.x)
+        self.converged = len(self.free) == 0
+
+    def loss_of(self, residuals: Array, x: Array) -> float:
+        z = residuals * self.weight
+        loss = float(np.sum(2.0 * (np.sqrt(1.0 + z * z) - 1.0)))
+        loss += float(np.sum((x[self.free] * self.prior_weight) ** 2))
+        return loss if np.isfinite(loss) else np.inf
+
+    def difference_points(self) -> list[Array]:
+        """Return a point for each free size, one step away on the side of its farther bound."""
+        at = self.x[self.free]
+        step = STEP * np.maximum(self.typical, np.abs(at))
+        step = np.where(at + step > self.high, -step, step)
+        self.steps = np.clip(at + step, self.low, self.high) - at
+        points = []
+        for k, column in enumerate(self.free):
+            point = self.x.copy()
+            point[column] += self.steps[k]
+            points.append(point)
+        return points
+
+    def set_jacobian(self, rows: list[Array]) -> None:
+        for k, moved in enumerate(rows):
+            change = (moved - self.r) / self.steps[k] if self.steps[k] else np.zeros_like(self.r)
+            self.jacobian[:, k] = np.where(np.isfinite(change), change, 0.0)
+
+    def trial_points(self) -> list[Array]:
+        """Return the end of a step for each damping, inside the bounds."""
+        z = self.r * self.weight
+        robust = self.weight * (1.0 + z * z) ** -0.25
+        a = self.jacobian * robust[:, None]
+        gradient = a.T @ (self.r * robust) + self.prior_weight**2 * self.x[self.free]
+        hessian = a.T @ a + np.diag(self.prior_weight**2)
+        at = self.x[self.free]
+        held = ((at <= self.low) & (gradient > 0)) | ((at >= self.high) & (gradient < 0))
+        go = np.flatnonzero(~held)
+        self.trials = []
+        for factor in DAMPINGS:
+            point = self.x.copy()
+            if len(go):
+                block = hessian[np.ix_(go, go)]
+                scale = np.diag(block) + 1e-12 * np.max(np.diag(hessian), initial=1e-300)
+                step = np.linalg.solve(block + self.damping * factor * np.diag(scale), -gradient[go])
+                point[self.free[go]] = np.clip(at[go] + step, self.low[go], self.high[go])
+            self.trials.append(point)
+        return self.trials
+
+    def choose(self, rows: list[Array]) -> None:
+        losses = [self.loss_of(moved, point) for moved, point in zip(rows, self.trials, strict=True)]
+        best = int(np.argmin(losses))
+        self.count += 1
+        if losses[best] < self.loss:
+            self.converged = self.loss - losses[best] < CONVERGED * self.loss
+            self.x, self.r, self.loss = self.trials[best], rows[best], losses[best]
+            self.damping *= DAMPINGS[best]
+        else:
+            self.converged = self.damping > 1e3  # a step of a thousandth of the model's own finds nothing
+            self.damping *= 100.0
+
+    def fit(self) -> Fit:
+        at = self.x[self.free]
+        reach = 1e-6 * (self.high - self.low)
+        bounded = (at <= self.low + reach) | (at >= self.high - reach)
+        stops = tuple(int(c) for c in self.free[bounded & (at != 0.0)])
+        return Fit(self.x, self.free, self.r, self.rows, self.jacobian, self.loss, self.count, stops)
+
+
+class _Evaluator:
+    """Simulates the points of many problems in as few candidates as possible."""
+
+    def __init__(
+        self, model: ResidualModel, union: Union, share: bool, report: Callable[[int], None] | None
+    ) -> None:
+        self.model, self.union, self.share, self.report = model, union, share, report
+
+    def __call__(self, points: list[list[Array]], problems: Sequence[_Problem]) -> list[list[Array]]:
+        """Return the residuals of each problem at each of its points."""
+        queues: dict[int, list[tuple[int, int]]] = {}
+        for k, (wanted, problem) in enumerate(zip(points, problems, strict=True)):
+            lane = problem.hypothesis.joint if self.share else ALL_JOINTS
+            queues.setdefault(lane, []).extend((k, i) for i in range(len(wanted)))
+        alone = queues.pop(ALL_JOINTS, [])
+        candidates = [([at], points[at[0]][at[1]]) for at in alone]
+        for slot in range(max((len(queue) for queue in queues.values()), default=0)):
+            members = [queue[slot] for queue in queues.values() if slot < len(queue)]
+            candidates.append((members, self.merge([(problems[k], points[k][i]) for k, i in members])))
+        if not candidates:
+            return [[] for _ in points]
+        found: dict[tuple[int, int], Array] = {}
+        used = np.flatnonzero(np.any([point != 0.0 for _, point in candidates], axis=0))
+        part = [e for e in self.union.effects if np.isin(self.union.columns([e]), used).any()]
+        sizes = np.array([point[self.union.columns(part)] for _, point in candidates])
+        simulated = self.model.residuals(part, sizes)
+        for (members, _), row in zip(candidates, simulated, strict=True):
+            for k, i in members:
+                found[k, i] = row[problems[k].rows]
+        if self.report is not None:
+            self.report(len(candidates))
+        return [[found[k, i] for i in range(len(wanted))] for k, wanted in enumerate(points)]
+
+    def merge(self, members: list[tuple[_Problem, Array]]) -> Array:
+        """Return one size vector with the sizes of each problem at the joint of the problem."""
+        place_of = np.array([effect.place for effect in self.union.effects for _ in effect.sizes])
+        merged = members[0][1].copy()
+        for problem, point in members:
+            mine = place_of == self.model.joints[problem.hypothesis.joint]
+            merged[mine] = point[mine]
+        return merged
+
+
+def measure_coupling(model: ResidualModel, union: Union, at: Array, base: Sequence[Effect]) -> float:
+    """Measure how much the effects at one joint move another joint.
+
+    Args:
+        model: The residual model.
+        union: Effects, and the columns of their sizes.
+        at: Sizes around which it is measured, (P,), in their own units.
+        base: Effects whose typical sizes move their joints.
+
+    Returns:
+        Largest ratio of the RMS change at another joint to that at the joint itself.
+    """
+    part = [effect for effect in union.effects if effect.key in {one.key for one in base} or at.any()]
+    columns = union.columns(part)
+    points = [at]
+    for joint in model.joints:
+        moved = at.copy()
+        for effect in base:
+            if effect.place == joint:
+                for column, size in zip(union.columns([effect]), effect.sizes, strict=True):
+                    moved[column] = np.clip(moved[column] + STEP * size.typical, size.low, size.high)
+        points.append(moved)
+    rows = model.residuals(part, np.array([point[columns] for point in points]))
+    change = np.array(
+        [
+            [_rms((moved - rows[0])[model.joint_of == joint]) for joint in range(len(model.joints))]
+            for moved in rows[1:]
+        ]
+    )
+    own = np.diag(change)
+    others = change - np.diag(own)
+    return float(np.max(others.max(axis=1) / np.maximum(own, 1e-12), initial=0.0))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+
+
+def restart(hypothesis: Hypothesis, fit: Fit, **changes: object) -> Hypothesis:
+    """Return a hypothesis that begins where a fit ended.
+
+    Args:
+        hypothesis: The hypothesis.
+        fit: The fit.
+        changes: Fields with new values.
+
+    Returns:
+        The hypothesis with another start.
+    """
+    return replace(hypothesis, start=fit.sizes, **changes)  # type: ignore[arg-type]
