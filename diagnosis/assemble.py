@@ -20,7 +20,10 @@ MIN_DEPENDENCE: Final = 0.1
 """Least share of the variance of a remainder that a variable explains to be named."""
 MIN_REMAINDER: Final = 1.2
 """Least error over that of noise that is told to remain: the noise is known from few repeats."""
-VARIABLES: Final = ("position", "velocity", "load", "command", "time", "temperature")
+VARIABLES: Final = ("position", "velocity", "load", "time", "temperature")
+"""The simplest first: it is named where another explains no more. The command of a servo is its position."""
+CLEARLY_MORE: Final = 0.1
+"""Share of variance by which a later variable has to be better."""
 SLOW: Final = 0.1
 """Largest share of the highest usual speed that is slow."""
 
@@ -198,6 +201,8 @@ def list_errors(raw: ResidualModel, fitted: Array, held_out: ResidualModel, rows
     """
     found = []
     for j, name in enumerate(held_out.joints):
+        if not np.any(held_out.joint_of == j):
+            continue
         here = np.abs(rows[:, held_out.joint_of == j])
         nominal, base, chosen = np.mean(here, axis=1).tolist()
         noise = noise_residuals(raw, fitted, j)
@@ -223,6 +228,8 @@ def list_remainders(
     found = []
     for j, name in enumerate(held_out.joints):
         ours, theirs = raw.joint_of == j, held_out.joint_of == j
+        if not ours.any() or not theirs.any():
+            continue
         error = float(np.mean(np.abs(residuals[theirs])))
         variable, share = find_dependence(raw, fitted, ours, held_out, residuals, theirs)
         noise = noise_residuals(raw, fitted, j)
@@ -255,7 +262,8 @@ def find_dependence(
         if np.isfinite(mine).all() and np.isfinite(other).all():
             pair = (fitted[ours], mine), (residuals[theirs], other)
             shares[name] = unexplained_dependence(*pair)
-    best = max(shares, key=lambda one: shares[one], default="")
+    most = max(shares.values(), default=0.0)
+    best = next((name for name in shares if shares[name] >= most - CLEARLY_MORE), "")
     if not best or shares[best] < MIN_DEPENDENCE:
         return "", 0.0
     return best, shares[best]

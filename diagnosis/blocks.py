@@ -51,6 +51,7 @@ class Blocks:
         self._model, self._rows = model, rows
         self.kind, self.unit, self.joints = model.kind, model.unit, model.joints
         self.motions = names
+        self.repeat_of = ("",) * len(names)  # parts of a motion do not repeat one another
         self.motion_of: Integers = block
         self.joint_of: Integers = model.joint_of[rows]
         self.time_s: Array = model.time_s[rows]

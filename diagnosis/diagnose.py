@@ -2,24 +2,22 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
-from diagnosis.arrays import Flags
 from diagnosis.assemble import assemble
+from diagnosis.audit.records import Audit
 from diagnosis.catalogue import base_effects, catalogue
 from diagnosis.effects.effect import Effect
+from diagnosis.encoder_residuals import why_refused
 from diagnosis.errors import RobotError
+from diagnosis.kinds import Kind, list_kinds
 from diagnosis.logs import Logs, Motion, Signal
-from diagnosis.result import Diagnosis, Refusal
-from diagnosis.robot import Robot
+from diagnosis.result import Diagnosis, Rejected
+from diagnosis.robot import ControlMode, Robot
 from diagnosis.selection import select_effects
-from diagnosis.simulation_residuals import SimulationResiduals
 from diagnosis.verdict import doubt_findings
 
-MIN_MOTIONS: Final = 4
-"""Least motions of a fit: with fewer, no error of a left-out motion has a standard error worth the name."""
 Progress = Callable[[float, str], None]
 
 
@@ -29,8 +27,7 @@ def diagnose(
     *,
     held_out: Sequence[Motion] = (),
     effects: Sequence[Effect] = (),
-    usable: dict[tuple[str, str], Flags] | None = None,
-    refused: Sequence[Refusal] = (),
+    audit: Audit | None = None,
     seed: int = 1,
     progress: Progress = lambda share, text: None,
 ) -> Diagnosis:
@@ -41,8 +38,7 @@ def diagnose(
         motions: Motions that are fitted.
         held_out: Motions that only judge.
         effects: Effects of one's own, which join the catalogue.
-        usable: Position samples that take part, (n,) flags, by names of motion and joint; all where absent.
-        refused: Samples that an audit refused, to be listed in the result.
+        audit: Audit of all these motions; the samples that it refuses take no part.
         seed: Seed of folds and random signs: the same seed gives the same bits.
         progress: Called with the share that is done, from 0 to 1, and a text.
 
@@ -53,34 +49,87 @@ def diagnose(
         RobotError: The motions are too few, are both fitted and held out, or do not follow their commands.
     """
     check_motions(robot, motions, held_out)
-    meter = _Meter(progress)
-    fitted = SimulationResiduals(robot, motions, keep=usable)
+    usable = None
+    if audit is not None:
+        names = [(motion.name, joint) for motion in (*motions, *held_out) for joint in motion.joints]
+        usable = {(motion, joint): audit.is_usable(motion, joint) for motion, joint in names}
+    kinds = list_kinds(robot, motions, usable)
     logs = Logs(tuple(motions))
     known = [*catalogue(robot, logs), *effects]
-    selection = select_effects(fitted, base_effects(robot, logs), known, seed=seed, report=meter.advance)
-    doubts = doubt_findings(selection)
-    judge = SimulationResiduals(robot, held_out, keep=usable) if held_out else fitted
-    result = assemble(robot, fitted, selection, doubts, judge)
+    parts = []
+    for k, kind in enumerate(kinds):
+        meter = _Meter(progress, k, len(kinds))
+        fitted = kind.make(motions)
+        shown, rejected = choose_shown(robot, kind, known)
+        base = [one for one in base_effects(robot, logs) if kind.shows(one)] if kind.has_base else []
+        selection = select_effects(fitted, base, shown, seed=seed, report=meter.advance)
+        judge = kind.make(held_out) if held_out else fitted
+        part = assemble(robot, fitted, selection, doubt_findings(selection), judge)
+        parts.append(replace(part, rejected=(*part.rejected, *rejected)))
     progress(1.0, "done")
     return replace(
-        result,
+        join_parts(parts),
         seed=seed,
-        refused=tuple(refused),
+        refused=() if audit is None else audit.refused,
+        fitted_motions=tuple(motion.name for motion in motions),
         judged_motions=tuple(motion.name for motion in held_out),
+    )
+
+
+def choose_shown(robot: Robot, kind: Kind, known: Sequence[Effect]) -> tuple[list[Effect], list[Rejected]]:
+    """Choose the effects that a kind of residual can show.
+
+    Args:
+        robot: The robot.
+        kind: The kind.
+        known: All effects of the catalogue.
+
+    Returns:
+        Effects that compete, and those that get no name whatever the fit says, with the reason.
+    """
+    shown = [effect for effect in known if kind.shows(effect)]
+    if kind.has_base:
+        return shown, []
+    reasons = [(effect, why_refused(robot, effect)) for effect in shown]
+    rejected = [Rejected(effect.place, effect.name, reason) for effect, reason in reasons if reason]
+    return [effect for effect, reason in reasons if not reason], rejected
+
+
+def join_parts(parts: Sequence[Diagnosis]) -> Diagnosis:
+    """Join the results of several kinds of residual.
+
+    Args:
+        parts: One diagnosis a kind.
+
+    Returns:
+        A diagnosis with the findings of all.
+    """
+    return replace(
+        parts[0],
+        kind=" and ".join(part.kind for part in parts),
+        findings=tuple(one for part in parts for one in part.findings),
+        base=tuple(one for part in parts for one in part.base),
+        errors=tuple(one for part in parts for one in part.errors),
+        remaining=tuple(one for part in parts for one in part.remaining),
+        rejected=tuple(one for part in parts for one in part.rejected),
+        effects=tuple(one for part in parts for one in part.effects),
+        sizes=tuple(one for part in parts for one in part.sizes),
     )
 
 
 class _Meter:
     """Turns numbers of simulations into a share that is done; each round is taken for the last but one."""
 
-    def __init__(self, progress: Progress) -> None:
-        self.progress, self.done, self.stage, self.left = progress, 0, "", 1
+    def __init__(self, progress: Progress, part: int, parts: int) -> None:
+        self.progress, self.part, self.parts = progress, part, parts
+        self.done, self.left = 0, 1
 
     def advance(self, text: str, count: int) -> None:
         if text == "screening":
             self.left = max(self.done, count)
         self.done += count
-        self.progress(min(self.done / (self.done + max(self.left, 1)), 0.99), text)
+        share = min(self.done / (self.done + max(self.left, 1)), 0.99)
+        self.progress((self.part + share) / self.parts, text)
         self.left = max(self.left - count, self.done // 20)
 
 
@@ -98,12 +147,9 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
     both = sorted({motion.name for motion in motions} & {motion.name for motion in held_out})
     if both:
         raise RobotError(f"motion {both[0]} is fitted and held out; a motion can be one of both")
-    if len(motions) < MIN_MOTIONS:
-        raise RobotError(
-            f"{len(motions)} motions are fitted; a diagnosis needs {MIN_MOTIONS} at least, "
-            "because it judges effects by motions that it leaves out"
-        )
     for joint in robot.joints:
+        if joint.mode is not ControlMode.POSITION:
+            continue
         logs = [motion.joints[joint.name] for motion in motions if joint.name in motion.joints]
         wrong = count_foreign_commands(
             [(log.position, log.command) for log in logs if log.command is not None]

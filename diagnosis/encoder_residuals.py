@@ -103,6 +103,7 @@ class EncoderResiduals:
     def _fill(self, logs: Sequence[Motion], states: Sequence[State]) -> None:
         self._logs, self._states = tuple(logs), tuple(states)
         self.motions = tuple(motion.name for motion in logs)
+        self.repeat_of = tuple(motion.repeat_of for motion in logs)
         self._parts: list[_Part] = []
         for m, motion in enumerate(logs):
             for j, name in enumerate(self.joints):

@@ -109,6 +109,7 @@ class InverseResiduals:
         self._nominal: dict[int, tuple[Array, Array]] = {}
         self.joints = tuple(joint.name for joint in self._robot.joints)
         self.motions = tuple(motion.name for motion in logs)
+        self.repeat_of = tuple(motion.repeat_of for motion in logs)
         joint_of, motion_of, time_s = [], [], []
         for m, one in enumerate(filtered):
             times = one.time_s[self._kept]

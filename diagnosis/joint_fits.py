@@ -7,7 +7,9 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
+from diagnosis.blocks import cut_into_blocks
 from diagnosis.effects.effect import Effect
+from diagnosis.errors import RobotError
 from diagnosis.fit import (
     Fit,
     Hypothesis,
@@ -21,6 +23,8 @@ from diagnosis.noise import noise_losses, whiten_noise
 from diagnosis.residuals import ResidualModel
 
 FOLDS: Final = 4
+MIN_MOTIONS: Final = 4
+"""Least motions of a fit: with fewer, no error of a left-out motion has a standard error worth the name."""
 MAX_COUPLING: Final = 0.02
 """Largest share of a change that may show at another joint when joints share a simulation."""
 Report = Callable[[str, int], None]
@@ -82,9 +86,6 @@ def start_context(
     """
     known = {effect.key for effect in base}
     rivals = tuple(effect for effect in catalogue if effect.key not in known)
-    order = np.random.default_rng(seed).permutation(len(model.motions))
-    count = min(FOLDS, len(order))
-    folds = tuple(frozenset(int(m) for m in order[k::count]) for k in range(count))
     union = Union((*base, *rivals))
     ones = np.ones(len(model.joints))
     return Context(
@@ -107,6 +108,14 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     (residuals,) = raw.residuals([], np.zeros((1, 0)))
     context = replace(context, share=coupling <= MAX_COUPLING, scales=scale_residuals(raw, residuals))
     sizes, residuals, _ = fit_all_joints(context, sizes)
+    if len(raw.motions) < MIN_MOTIONS:
+        raw = cut_into_blocks(raw, residuals)
+    if len(raw.motions) < MIN_MOTIONS:
+        raise RobotError(
+            f"{len(raw.motions)} motions or independent parts of them are fitted; a diagnosis needs "
+            f"{MIN_MOTIONS} at least, because it judges effects by motions that it leaves out"
+        )
+    context = replace(context, folds=draw_folds(len(raw.motions), context.seed))
     model = whiten_noise(raw, residuals)
     (residuals,) = model.residuals(context.base, sizes[None, union.columns(context.base)])
     context = replace(context, model=model, scales=scale_residuals(model, residuals))
@@ -114,6 +123,20 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     context = replace(context, noise_loss=noise_losses(model, residuals, context.scales))
     scores = np.array(cross_validate(context, list(enumerate(fits))))
     return replace(context, base_scores=scores), Present((), sizes, fits, scores)
+
+
+def draw_folds(n_motions: int, seed: int) -> tuple[frozenset[int], ...]:
+    """Divide motions at random into folds of about equal numbers.
+
+    Args:
+        n_motions: Number of motions.
+        seed: Seed of the order.
+
+    Returns:
+        Indices of the motions of each fold.
+    """
+    order = np.random.default_rng(seed).permutation(n_motions)
+    return tuple(frozenset(int(m) for m in order[k::FOLDS]) for k in range(FOLDS))
 
 
 def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[Fit, ...]]:

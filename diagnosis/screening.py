@@ -133,8 +133,10 @@ def score_trial(white: Whitened, n_motions: int, trial: Trial, change: Array, at
         solution = np.zeros(1)  # the trial of the other sign stands for it
     direction = cleared @ solution
     gain = 1.0 - float(np.sum((white.residual + direction) ** 2)) / energy if energy > 0.0 else 0.0
-    products = direction * white.residual
-    by_motion = -np.bincount(white.motion, weights=products, minlength=n_motions).astype(np.float64)
+    # each product over the size of the residuals of its motion: one wild motion does not decide
+    products = np.bincount(white.motion, weights=direction * white.residual, minlength=n_motions)
+    sizes = np.sqrt(np.bincount(white.motion, weights=white.residual**2, minlength=n_motions))
+    by_motion = -products / np.where(sizes > 0.0, sizes, 1.0)
     start = trial.points[0]
     if len(trial.points) > 1:
         start = at + (np.array(trial.points) - at).T @ solution

@@ -101,7 +101,7 @@ def select_effects(
     context, first = fit_base(start_context(model, base, catalogue, seed, report))
     present = first
     refitted: dict[str, Effect] = {}
-    open_joints = set(range(len(model.joints)))
+    open_joints = {int(j) for j in np.unique(model.joint_of)}
     while open_joints:
         shortlist = screen(context, present, open_joints)
         refitted |= {score.effect.key: score.effect for score in shortlist}

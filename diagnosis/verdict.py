@@ -165,7 +165,7 @@ def separating_motion(context: Context, doubt: Doubt) -> str:
     inside = (model.motion_of == motion) & (model.joint_of == joint)
     change = np.sqrt(np.mean((rows[0] - rows[1])[inside] ** 2))
     return (
-        f'record more motions like "{model.motions[motion]}": there "{first.effect.name}" and '
+        f'more motions like "{model.motions[motion]}": there "{first.effect.name}" and '
         f'"{second.effect.name}" differ by {change:.2g} {model.unit} (RMS)'
     )
 

@@ -1,0 +1,76 @@
+"""Kinds of residual that the logs of a robot allow: simulation, inverse dynamics, second encoder."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from diagnosis import encoder_residuals, inverse_residuals
+from diagnosis.arrays import Flags
+from diagnosis.effects.effect import Effect
+from diagnosis.effects.periodic import PeriodicError, SmoothPeriodicError
+from diagnosis.encoder_residuals import EncoderResiduals
+from diagnosis.errors import RobotError
+from diagnosis.inverse_residuals import InverseResiduals
+from diagnosis.logs import Motion
+from diagnosis.residuals import ResidualModel
+from diagnosis.robot import Robot
+from diagnosis.simulation_residuals import SimulationResiduals
+
+SIMULATION_HOOKS = (
+    *("vary", "set_model", "shape_command", "act", "friction_Nm", "torque_Nm"),
+    *("encode", "decode", "sample_delay_s"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """One kind of residual."""
+
+    make: Callable[[Sequence[Motion]], ResidualModel]
+    shows: Callable[[Effect], bool]
+    """Whether the residual can show an effect."""
+    has_base: bool
+    """False if the base parameters of a joint do not move it."""
+
+
+def list_kinds(
+    robot: Robot, motions: Sequence[Motion], usable: dict[tuple[str, str], Flags] | None
+) -> list[Kind]:
+    """List the kinds of residual that the logs allow.
+
+    Logged torques are compared with inverse dynamics, which needs no controller; without them the commands are
+    simulated. A second encoder is always compared with the first.
+
+    Args:
+        robot: The robot.
+        motions: Motions that are fitted.
+        usable: Position samples that take part in a simulation; all where absent.
+
+    Returns:
+        The kinds.
+
+    Raises:
+        RobotError: There are neither torques nor commands nor a second encoder.
+    """
+    logs = [log for motion in motions for log in motion.joints.values()]
+    found = []
+    if any(log.torque is not None for log in logs):
+        found.append(Kind(lambda part: InverseResiduals(robot, part), shows_torque, True))
+    elif any(log.command is not None for log in logs):
+        found.append(Kind(lambda part: SimulationResiduals(robot, part, keep=usable), shows_simulation, True))
+    if any(log.secondary is not None for log in logs):
+        found.append(Kind(lambda part: EncoderResiduals(robot, part), encoder_residuals.shows, False))
+    if not found:
+        raise RobotError("the logs have no command, torque or second encoder; a diagnosis needs one of them")
+    return found
+
+
+def shows_simulation(effect: Effect) -> bool:
+    """Return whether a simulation can show an effect; the 96 sizes of a smooth error would follow anything."""
+    return any(effect.overrides(hook) for hook in SIMULATION_HOOKS) and not isinstance(
+        effect, SmoothPeriodicError
+    )
+
+
+def shows_torque(effect: Effect) -> bool:
+    """Return whether logged torques can show an effect; an error of one encoder moves no torque."""
+    return inverse_residuals.shows(effect) and not isinstance(effect, PeriodicError | SmoothPeriodicError)
