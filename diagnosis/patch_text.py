@@ -70,7 +70,9 @@ def _find(root: Element, change: Change) -> tuple[Element, Element]:
         if section is None:
             section = _add(root, "actuator")
             section.text, section.tail = f"{root.text or ''}  ", root.text
-        return section, _add(section, "general")
+        section.append(Element("general"))  # the order of actuators is that of commands
+        section[-1].tail = root.text
+        return section, section[-1]
     return _named(root, change.tag, change.name)
 
 
