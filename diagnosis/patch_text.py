@@ -46,7 +46,8 @@ def change_text(text: str, changes: Sequence[Change]) -> str:
         said = Comment(f" {change.reason.replace('--', '- -')} ")
         said.tail = _indent(parent, element)
         parent.insert(list(parent).index(element), said)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
+    head = text[: text.index("<mujoco")]  # comments above the root, which the parser leaves out
+    return f"{head}{ElementTree.tostring(root, encoding='unicode').replace(' />', '/>')}\n"
 
 
 def number_text(*values: float) -> str:

@@ -106,8 +106,10 @@ def test_a_comment_above_each_change_says_the_effect_with_old_and_new_number():
 
 def test_comments_and_other_elements_of_the_user_stay():
     xml = ROBOT.model_xml.replace("<worldbody>", "<worldbody><!-- my arm --><light name='sun'/>")
+    xml = f"<!-- head -->{xml}"
     text = make_patch(replace(ROBOT, model_xml=xml), *made({CoulombFriction: 0.05})).model_xml
     assert "<!-- my arm -->" in text
+    assert text.startswith("<!-- head -->")
     assert 'name="sun"' in text
 
 
