@@ -5,7 +5,6 @@ The same hooks that the engine calls change the model here, so that both simulat
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -18,9 +17,10 @@ from diagnosis.compiled import HARD_IMPEDANCE, nominal_gains
 from diagnosis.effect_table import effect_table, toml_text
 from diagnosis.effects.effect import Effect, Fields, Rotor
 from diagnosis.errors import RobotError
+from diagnosis.patch_law import law_attributes, model_law
 from diagnosis.patch_text import BODY_OF, Change, change_text, number_text
 from diagnosis.result import Diagnosis
-from diagnosis.robot import ControlMode, Robot, RobotJoint
+from diagnosis.robot import Robot, RobotJoint
 
 MODEL_FILE: Final = "patched.xml"
 RUNTIME_FILE: Final = "runtime.toml"
@@ -170,15 +170,21 @@ def _on_text(robot: Robot, text: str) -> Robot:
 
 def _option_changes(robot: Robot) -> Iterator[Change]:
     """Yield the numerics of the diagnosis, without which the fitted numbers mean something else."""
-    step_s = float(robot.model.opt.timestep)
-    numerics = (("timestep", number_text(step_s)), ("integrator", "implicitfast"))
-    yield Change("option", "", numerics, "time step and integrator of the diagnosis")
+    own, step_s = mujoco.MjModel.from_xml_string(robot.model_xml), float(robot.model.opt.timestep)
+    if own.opt.timestep != step_s or own.opt.integrator != mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
+        numerics = (("timestep", number_text(step_s)), ("integrator", "implicitfast"))
+        yield Change("option", "", numerics, "time step and integrator of the diagnosis")
+    reference = (2 * step_s, 1.0)
     hard = (
-        ("solreffriction", number_text(2 * step_s, 1.0)),
+        ("solreffriction", number_text(*reference)),
         ("solimpfriction", number_text(*HARD_IMPEDANCE)),
     )
     for joint in robot.joints:
-        yield Change("joint", _mjcf_joint(robot, joint), hard, "dry friction that does not creep under load")
+        dof = joint.dof_index
+        if tuple(own.dof_solref[dof]) != reference or tuple(own.dof_solimp[dof]) != HARD_IMPEDANCE:
+            yield Change(
+                "joint", _mjcf_joint(robot, joint), hard, "dry friction that does not creep under load"
+            )
 
 
 def _effect_changes(
@@ -231,8 +237,8 @@ def _law_changes(robot: Robot, before: _Numbers | None, after: _Numbers, reason:
         if before is not None and all(before.joints[name][j] == after.joints[name][j] for name in names):
             continue
         kp, kd, limit = (float(after.joints[name][j]) for name in names)
-        law = _law(robot, joint, kp, kd, limit)
-        if before is None and law == _model_law(robot.model, joint.actuator_index):
+        law = law_attributes(robot, joint, kp, kd, limit)
+        if before is None and law == model_law(robot.model, joint.actuator_index):
             continue
         is_new = joint.actuator_index < 0 and before is None
         own = "" if joint.actuator_index < 0 else robot.model.actuator(joint.actuator_index).name
@@ -244,46 +250,6 @@ def _law_changes(robot: Robot, before: _Numbers | None, after: _Numbers, reason:
             (*place, *law),
             f"kp {kp:.5g}, kd {kd:.5g}, torque limit {limit:.5g}: {reason}",
         )
-
-
-def _law(robot: Robot, joint: RobotJoint, kp: float, kd: float, limit: float) -> tuple[tuple[str, str], ...]:
-    """Return the attributes of an actuator with a law; its gear scales length and force."""
-    gear = 1.0
-    if joint.actuator_index >= 0:
-        gear = abs(float(robot.model.actuator_gear[joint.actuator_index, 0]))
-    position, velocity, gain = {
-        ControlMode.POSITION: (kp / gear**2, kd / gear**2, kp / gear**2),
-        ControlMode.VELOCITY: (0.0, kd / gear**2, kd / gear**2),
-    }.get(joint.mode, (0.0, 0.0, kp / gear))
-    return _law_attributes(gain, position, velocity, limit / gear)
-
-
-def _law_attributes(
-    gain: float, position: float, velocity: float, limit: float
-) -> tuple[tuple[str, str], ...]:
-    is_limited = limit < inf
-    force = (("forcerange", number_text(-limit, limit)),) if is_limited else ()
-    return (
-        ("dyntype", "none"),
-        ("gaintype", "fixed"),
-        ("biastype", "affine"),
-        ("gainprm", number_text(gain)),
-        ("biasprm", number_text(0.0, -position, -velocity)),
-        ("forcelimited", str(is_limited).lower()),
-        *force,
-    )
-
-
-def _model_law(model: mujoco.MjModel, number: int) -> tuple[tuple[str, str], ...] | None:
-    """Return the attributes of an actuator as the model has it; None if it has no such law."""
-    if number < 0 or model.actuator_dyntype[number] != mujoco.mjtDyn.mjDYN_NONE:
-        return None
-    bias = model.actuator_biasprm[number]
-    low, high = model.actuator_forcerange[number] if model.actuator_forcelimited[number] else (-inf, inf)
-    is_fixed = model.actuator_gaintype[number] == mujoco.mjtGain.mjGAIN_FIXED
-    if not is_fixed or bias[0] != 0.0 or low != -high:
-        return None
-    return _law_attributes(float(model.actuator_gainprm[number, 0]), -bias[1], -bias[2], high)
 
 
 def _joint_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str) -> Iterator[Change]:

@@ -46,7 +46,8 @@ def change_text(text: str, changes: Sequence[Change]) -> str:
         said = Comment(f" {change.reason.replace('--', '- -')} ")
         said.tail = _indent(parent, element)
         parent.insert(list(parent).index(element), said)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
+    head = text[: text.index("<mujoco")]  # comments above the root, which the parser leaves out
+    return f"{head}{ElementTree.tostring(root, encoding='unicode').replace(' />', '/>')}\n"
 
 
 def number_text(*values: float) -> str:
@@ -70,7 +71,9 @@ def _find(root: Element, change: Change) -> tuple[Element, Element]:
         if section is None:
             section = _add(root, "actuator")
             section.text, section.tail = f"{root.text or ''}  ", root.text
-        return section, _add(section, "general")
+        section.append(Element("general"))  # the order of actuators is that of commands
+        section[-1].tail = root.text
+        return section, section[-1]
     return _named(root, change.tag, change.name)
 
 

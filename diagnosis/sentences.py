@@ -184,10 +184,21 @@ def _what(diagnosis: Diagnosis) -> str:
     if not diagnosis.fitted_motions:
         return f"nothing can be said: {diagnosis.refused[0].reason}." if diagnosis.refused else "no data."
     if not diagnosis.findings:
-        return "none of the effects in the catalogue" + (" explains it." if diagnosis.remaining else ".")
+        explains = " explains it" if diagnosis.remaining else ""
+        return f"none of the effects in the catalogue{explains}{_base_words(diagnosis.base)}."
     texts = [f"{finding_words(one)}, {_certainty(one)}" for one in diagnosis.findings[:MAX_MEMBERS]]
     rest = len(diagnosis.findings) - MAX_MEMBERS
     return "; ".join(texts) + (f"; and {count(rest, 'more finding')}." if rest > 0 else ".")
+
+
+def _base_words(base: Sequence[Base]) -> str:
+    """Return the base parameters whose 90 % interval excludes the number of the model, the surest first."""
+    other = [
+        one for one in base if one.is_identifiable and not one.interval[0] <= one.nominal <= one.interval[1]
+    ]
+    other.sort(key=lambda one: -abs(one.value - one.nominal) / max(one.interval[1] - one.interval[0], 1e-300))
+    words = [f"{one.name} of {one.place} {one.nominal:.3g} to {one.value:.3g}" for one in other]
+    return f"; fitted base parameters differ: {join_words(words, 'and')}" if words else ""
 
 
 def _certainty(finding: Finding) -> str:

@@ -170,7 +170,7 @@ class Effect(ABC):
     def next_command(self, size: Array, command: Array, period_s: float, memory: dict[str, Array]) -> Array:
         """Return one command as it arrives, (n_sims,): `shape_command` for a simulation without a known end.
 
-        It shapes the commands of the last HISTORY_S again. An effect that remembers longer has its own version.
+        It shapes the commands of the last HISTORY_S again. An effect that remembers longer overrides it.
         """
         last = memory.get("commands", np.zeros((command.size, 0)))
         memory["commands"] = np.column_stack([last, command])[:, -round(HISTORY_S / period_s) :]

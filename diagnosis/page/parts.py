@@ -65,9 +65,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def _error_part(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.errors:
         return []
-    judged = (
-        "motions that took no part" if diagnosis.judged_motions else "the fitted motions: none was held out"
-    )
+    is_judged = bool(diagnosis.judged_motions)
+    judged = "motions that took no part" if is_judged else "the fitted motions: none was held out"
     legend = "".join(f'<span><i class="swatch {kind}"></i>{words}</span> ' for kind, words in BARS.items())
     mark = "The line across the bars is" if has_floor(diagnosis) else "No repeated motion shows"
     return [

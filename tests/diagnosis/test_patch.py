@@ -15,11 +15,11 @@ from diagnosis.effects.inertia import Armature
 from diagnosis.effects.joint import JointScales
 from diagnosis.effects.timing import EncoderScale, JointZero, MeasurementDelay
 from diagnosis.engine import Engine
-from diagnosis.errors import RobotError
 from diagnosis.patch import make_patch, save_patch
 from diagnosis.runtime import RuntimeEffects
 from diagnosis.windows import cut_windows
 from tests.diagnosis.pendulum import motion, pendulum, waves
+from tests.diagnosis.planar_arm import planar_arm
 from tests.diagnosis.verdicts import diagnosis
 
 SCALES = {"swing": JointScales(0.02, 0.01, 0.002, -1, 1, 5, 50, -1, 1, 5, 2.0, math.nan, math.nan)}
@@ -106,8 +106,10 @@ def test_a_comment_above_each_change_says_the_effect_with_old_and_new_number():
 
 def test_comments_and_other_elements_of_the_user_stay():
     xml = ROBOT.model_xml.replace("<worldbody>", "<worldbody><!-- my arm --><light name='sun'/>")
+    xml = f"<!-- head -->{xml}"
     text = make_patch(replace(ROBOT, model_xml=xml), *made({CoulombFriction: 0.05})).model_xml
     assert "<!-- my arm -->" in text
+    assert text.startswith("<!-- head -->")
     assert 'name="sun"' in text
 
 
@@ -128,16 +130,7 @@ def test_an_actuator_that_has_the_law_of_the_robot_file_is_not_touched():
     assert changed == ("actuator m: kp 6, kd 0.15, torque limit inf: swing: gain error, gain_ratio = 0.5")
 
 
-def test_a_runtime_file_of_another_format_is_refused(tmp_path):
-    (tmp_path / "runtime.toml").write_text('format = "else"\n')
-    with pytest.raises(RobotError, match="is not 'robot runtime 1'"):
-        RuntimeEffects.from_toml(ROBOT.model, tmp_path / "runtime.toml")
-
-
-def test_a_runtime_file_names_no_class_outside_of_the_package(tmp_path):
-    text = make_patch(ROBOT, *made({LoadFriction: 0.1})).runtime
-    (tmp_path / "runtime.toml").write_text(
-        text.replace("diagnosis.effects.friction:LoadFriction", "os:system")
-    )
-    with pytest.raises(RobotError, match="os is no module of diagnosis"):
-        RuntimeEffects.from_toml(ROBOT.model, tmp_path / "runtime.toml")
+def test_added_actuators_have_the_order_of_the_joints():
+    robot = planar_arm()
+    model = mujoco.MjModel.from_xml_string(make_patch(robot, [], []).model_xml)
+    assert [model.actuator(k).name for k in range(model.nu)] == ["shoulder", "elbow"]

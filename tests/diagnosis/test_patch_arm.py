@@ -16,9 +16,7 @@ from tests.diagnosis.verdicts import diagnosis
 
 ARM = robot_of(ARM_XML)
 TIME_S = ARM.control_period_s * np.arange(200)
-COMMAND = np.stack(
-    [0.5 * np.sin(5 * TIME_S), 0.2 + 0.3 * np.sin(4 * TIME_S), 0.5 * np.cos(3 * TIME_S)], axis=1
-)
+COMMAND = np.array([0.0, 0.2, 0.0]) + 0.5 * np.sin(np.outer(TIME_S, (5.0, 4.0, 3.0)))
 START_RAD = COMMAND[0]
 WITH_NAMES = {
     "payload": (Payload("elbow", "tool", 0.05, 0.5), (0.1,)),
@@ -80,11 +78,8 @@ def test_what_adds_bodies_or_acts_at_run_time_is_that_of_the_engine(name, tmp_pa
 
 
 def test_effects_of_two_kinds_at_one_joint_add_up(tmp_path):
-    pairs = [
-        MADE_ANEW["backlash"],
-        (JointCompliance("lift", 1, True, 0.02, 0.2), (0.02,)),
-        WITH_NAMES["mass"],
-    ]
+    compliance = (JointCompliance("lift", 1, True, 0.02, 0.2), (0.02,))
+    pairs = [MADE_ANEW["backlash"], compliance, WITH_NAMES["mass"]]
     effects, sizes = [one for one, _ in pairs], [size for _, size in pairs]
     (engine,) = simulate(ARM, effects, [[value for size in sizes for value in size]], COMMAND, START_RAD)
     assert shown(effects, sizes, tmp_path) == pytest.approx(engine, abs=1e-4)

@@ -82,7 +82,10 @@ def test_no_finding_and_no_remainder_is_none():
     where, what, *_ = verdict_lines(nothing)
     assert verdict_word(nothing) == "none"
     assert where.startswith("Where: nowhere")
-    assert what == "What: none of the effects in the catalogue."
+    assert what == (
+        "What: none of the effects in the catalogue; "
+        "fitted base parameters differ: gain of lift 17.8 to 12.2."
+    )
 
 
 def test_a_remainder_without_a_finding_is_unknown_at_its_joint():

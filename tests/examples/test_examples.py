@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = sorted(path.stem for path in (ROOT / "examples").glob("*.py"))
 PAGE = (ROOT / "docs" / "python.md").read_text()
 SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-ALLOWED = {"marsarm", "matplotlib", "numpy"}
+ALLOWED = {"diagnosis", "marsarm", "matplotlib", "mujoco", "numpy"}
 
 
 def run_example(name: str, folder: Path) -> str:
@@ -93,10 +93,20 @@ def test_a_monte_carlo_samples_a_hundred_arms(tmp_path):
 
 @pytest.mark.slow
 def test_a_diagnosis_finds_the_link_and_its_length(tmp_path):
-    printed = run_example("diagnosis", tmp_path)
+    printed = run_example("arm_diagnosis", tmp_path)
     assert "link-length at arm3.x" in printed
     (length_m,) = numbers(r"length_m=([\d.]+)", printed)
     assert length_m == pytest.approx(0.006, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_robot_is_diagnosed_from_its_model_and_its_logs(tmp_path):
+    printed = run_example("robot_diagnose", tmp_path)
+    assert "Where: elbow." in printed
+    (delay_s,) = numbers(r"command delay at elbow: delay_s = ([\d.]+)", printed)
+    assert delay_s == pytest.approx(0.03, abs=0.003)
+    assert {"patched.xml", "runtime.toml"} == {path.name for path in (tmp_path / "patch").iterdir()}
+    assert (tmp_path / "report.html").is_file()
 
 
 def test_every_example_has_a_test():

@@ -34,7 +34,7 @@ def main() -> None:
         heights = (result.tool.before_mm, result.tool.after_mm, result.tool.noise_floor_mm)
         tool.bar(["without", "with the finding", "noise floor"], heights)
     tool.set(title="Tool on held-out motion", ylabel="error, root mean square [mm]")
-    figure.savefig("diagnosis.png", dpi=100)
+    figure.savefig("arm_diagnosis.png", dpi=100)
 
 
 if __name__ == "__main__":
