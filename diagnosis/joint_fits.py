@@ -89,7 +89,7 @@ def start_context(
     union = Union((*base, *rivals))
     ones = np.ones(len(model.joints))
     return Context(
-        model, union, tuple(base), rivals, ones, 0.0 * ones, np.empty((0, 0)), False, folds, seed, report
+        model, union, tuple(base), rivals, ones, 0.0 * ones, np.empty((0, 0)), False, (), seed, report
     )
 
 

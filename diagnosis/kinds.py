@@ -37,13 +37,13 @@ def list_kinds(
 ) -> list[Kind]:
     """List the kinds of residual that the logs allow.
 
-    Logged torques are compared with inverse dynamics, which needs no controller; without them the commands are
-    simulated. A second encoder is always compared with the first.
+    Logged torques are compared with inverse dynamics, which needs no controller. Without them the commands
+    are simulated. A second encoder is always compared with the first.
 
     Args:
         robot: The robot.
         motions: Motions that are fitted.
-        usable: Position samples that take part in a simulation; all where absent.
+        usable: Position samples that take part in a simulation, (n,) flags; all where absent.
 
     Returns:
         The kinds.
@@ -65,10 +65,9 @@ def list_kinds(
 
 
 def shows_simulation(effect: Effect) -> bool:
-    """Return whether a simulation can show an effect; the 96 sizes of a smooth error would follow anything."""
-    return any(effect.overrides(hook) for hook in SIMULATION_HOOKS) and not isinstance(
-        effect, SmoothPeriodicError
-    )
+    """Return whether a simulation can show an effect; a smooth error has sizes enough to follow anything."""
+    is_smooth = isinstance(effect, SmoothPeriodicError)
+    return not is_smooth and any(effect.overrides(hook) for hook in SIMULATION_HOOKS)
 
 
 def shows_torque(effect: Effect) -> bool:

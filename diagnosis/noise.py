@@ -37,21 +37,50 @@ class WhitenedResiduals:
         self._scale = 1.0 / np.sqrt(1.0 - self._decay**2)
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Return whitened residuals of candidates, (n_candidates, n), in the unit of the model."""
+        """Return whitened residuals of candidates.
+
+        Args:
+            effects: Union of the effects of all candidates.
+            sizes: Sizes of all effects one after the other, (n_candidates, n_sizes), in their own units.
+
+        Returns:
+            (n_candidates, n), in the unit of the model.
+        """
         return self.whiten(self.raw.residuals(effects, sizes))
 
     def whiten(self, residuals: Array) -> Array:
-        """Return residuals, (.., n), less what noise predicts from the sample before."""
+        """Subtract what noise predicts from the sample before.
+
+        Args:
+            residuals: (n_candidates, n), in the unit of the model.
+
+        Returns:
+            (n_candidates, n), in the unit of the model.
+        """
         before = np.concatenate([residuals[..., :1], residuals[..., :-1]], axis=-1)
         white: Array = (residuals - self._decay * before) * self._scale
         return white
 
     def select(self, motions: Sequence[str]) -> ResidualModel:
-        """Return the whitened residuals of these motions alone."""
+        """Return the whitened residuals of these motions alone.
+
+        Args:
+            motions: Names.
+
+        Returns:
+            A model with fewer motions.
+        """
         return WhitenedResiduals(self.raw.select(motions), self.correlation)
 
     def explain(self, name: str) -> Array:
-        """Return a variable at the measured motion, (n,)."""
+        """Return a variable at the measured motion.
+
+        Args:
+            name: Name of the variable.
+
+        Returns:
+            Its value at each residual, (n,).
+        """
         return self.raw.explain(name)
 
 

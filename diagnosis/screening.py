@@ -82,7 +82,14 @@ class Whitened:
     """For each joint: its rows, their weights (n,), an orthonormal basis of its base changes (n, p)."""
 
     def clear(self, change: Array) -> Array:
-        """Return a change of the residuals, (n_rows, k), in weights and cleared like the residuals."""
+        """Weight a change of the residuals and clear it like the residuals.
+
+        Args:
+            change: (n_rows, n_points), in the unit of the model.
+
+        Returns:
+            (n_rows, n_points), without a unit.
+        """
         cleared = np.empty_like(change)
         for rows, weight, basis in self.parts:
             part = np.where(np.isfinite(change[rows]), change[rows], 0.0) * weight[:, None]

@@ -62,6 +62,7 @@ class Candidate:
     scores: Array
     """Mean loss of left-out motions, (n_joints judged, n_motions)."""
     at_bound: bool
+    """True if a size ends at a bound, or is not plausible beside the others."""
     gain: float
     """Share of what can be explained in left-out motions that it removes."""
     z: float
@@ -261,7 +262,12 @@ def _candidate(
     sizes = merge_sizes(context, sizes, fits)
     gain, z = compare(context, joints, present.scores[list(joints)], scores)
     bounds = [(context.union.sizes[c].low, context.union.sizes[c].high) for c in own]
-    at_bound = any(
+    others = {
+        one.name: sizes[context.union.columns([one])]
+        for one in (*context.base, *present.effects)
+        if one.place == effect.place
+    }
+    at_bound = not effect.is_plausible(sizes[own], others) or any(
         sizes[c] != 0.0 and min(sizes[c] - low, high - sizes[c]) < 1e-3 * (high - low)
         for c, (low, high) in zip(own, bounds, strict=True)
     )

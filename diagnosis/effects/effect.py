@@ -13,6 +13,7 @@ Hooks by kind of residual:
 
 import math
 from abc import ABC
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import ClassVar, Final
@@ -159,6 +160,10 @@ class Effect(ABC):
         """Value of the model to which the first size is added; 0 unless the effect is a base parameter."""
         return 0.0
 
+    def is_plausible(self, size: Array, others: Mapping[str, Array]) -> bool:
+        """Return whether the sizes, (n_sizes,), can be real beside others at the same place, by effect name."""
+        return True
+
     def describe(self, size: Array) -> str:
         """Return the sizes, (n_sizes,), as text with units, in the form that a user expects."""
         return ", ".join(f"{one.name} = {value:.4g}" for one, value in zip(self.sizes, size, strict=True))
@@ -168,7 +173,7 @@ class Effect(ABC):
         return command
 
     def next_command(self, size: Array, command: Array, period_s: float, memory: dict[str, Array]) -> Array:
-        """Return one command as it arrives, (n_sims,): `shape_command` for a simulation without a known end.
+        """Return one command as it arrives, (n_sims,): `shape_command` for a simulation with an open end.
 
         It shapes the commands of the last HISTORY_S again. An effect that remembers longer overrides it.
         """

@@ -1,5 +1,6 @@
 """Friction of a joint."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
@@ -22,6 +23,11 @@ class ViscousFriction(JointEffect):
     family: ClassVar[Family] = Family.FRICTION
 
     @property
+    def nominal(self) -> float:
+        """Value of the model."""
+        return self.scales.damping_Nms_rad
+
+    @property
     def sizes(self) -> tuple[Size, ...]:
         """Damping: at most what takes the whole torque at the highest speed, at least none at all."""
         scale = self.scales.torque_Nm / self.scales.speed_rad_s
@@ -38,6 +44,11 @@ class CoulombFriction(JointEffect):
 
     name: ClassVar[str] = "Coulomb friction"
     family: ClassVar[Family] = Family.FRICTION
+
+    @property
+    def nominal(self) -> float:
+        """Value of the model."""
+        return self.scales.frictionloss_Nm
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -105,6 +116,11 @@ class AsymmetricFriction(JointEffect):
         """Friction that acts on positive speeds alone; if it is negative, on negative speeds alone."""
         scale = self.scales.torque_Nm
         return (Size("asymmetric_Nm", -0.5 * scale, 0.5 * scale, 0.05 * scale),)
+
+    def is_plausible(self, size: Array, others: Mapping[str, Array]) -> bool:
+        """Return whether dry friction stays positive in both directions."""
+        coulomb = others.get(CoulombFriction.name, np.zeros(1))
+        return abs(float(size[0])) <= self.scales.frictionloss_Nm + float(coulomb[0])
 
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Add the symmetric half."""

@@ -25,6 +25,11 @@ class Armature(JointEffect):
     family: ClassVar[Family] = Family.INERTIA
 
     @property
+    def nominal(self) -> float:
+        """Value of the model."""
+        return self.scales.armature_kgm2
+
+    @property
     def sizes(self) -> tuple[Size, ...]:
         """Inertia: at most what takes the whole torque at the highest acceleration, at least none at all."""
         scale = self.scales.torque_Nm / self.scales.acceleration_rad_s2

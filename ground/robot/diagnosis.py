@@ -66,8 +66,7 @@ def diagnose_robot(request: RobotDiagnoseRequest, progress: Progress = no_progre
         logs.fit,
         held_out=logs.judged,
         effects=effects,
-        usable=dict(found.usable),
-        refused=found.refused,
+        audit=found,
         seed=request.seed,
         progress=lambda share, text: rest(share, 1.0, text),
     )

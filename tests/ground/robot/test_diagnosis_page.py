@@ -166,10 +166,10 @@ def request(folder, **changes):
 
 
 def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypatch):
-    asked = {}
+    options_seen = {}
 
     def find(robot, motions, **options):
-        asked.update(options, motions=motions)
+        options_seen.update(options, motions=motions)
         options["progress"](0.5, "half")
         return diagnosis(effects=(), sizes=(), judged_motions=("motion 3",))
 
@@ -179,10 +179,10 @@ def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypat
     result = diagnose_robot(
         request(folder, held_out=("motion 3",), seed=7, **files), lambda *said: reports.append(said)
     )
-    assert [motion.name for motion in asked["motions"]] == ["motion 0", "motion 1", "motion 2"]
-    assert [motion.name for motion in asked["held_out"]] == ["motion 3"]
-    assert asked["seed"] == 7
-    assert any(one.reason == "contact with a plane" for one in asked["refused"])
+    assert [motion.name for motion in options_seen["motions"]] == ["motion 0", "motion 1", "motion 2"]
+    assert [motion.name for motion in options_seen["held_out"]] == ["motion 3"]
+    assert options_seen["seed"] == 7
+    assert any(one.reason == "contact with a plane" for one in options_seen["refused"])
     assert reports[-1][2] == "half"
     assert not any(path.exists() for path in files.values())
     save_diagnosis_files(result)
