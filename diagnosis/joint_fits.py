@@ -360,3 +360,17 @@ def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effec
                 layers.append([])
             (free or layers[-1:])[0].append(effect)
     return [*(tuple(layer) for layer in layers), *bodies]
+
+
+def joints_of(context: Context, effect: Effect) -> tuple[int, ...]:
+    """Return the joint of an effect, or all joints for an effect at a body.
+
+    Args:
+        context: The context.
+        effect: The effect.
+
+    Returns:
+        Indices of joints.
+    """
+    names = context.model.joints
+    return (names.index(effect.place),) if effect.place in names else tuple(range(len(names)))

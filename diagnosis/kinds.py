@@ -65,7 +65,7 @@ def list_kinds(
 
 
 def shows_simulation(effect: Effect) -> bool:
-    """Return whether a simulation can show an effect; a smooth error has sizes enough to follow anything."""
+    """Return whether a simulation can show an effect; a smooth error could follow anything."""
     is_smooth = isinstance(effect, SmoothPeriodicError)
     return not is_smooth and any(effect.overrides(hook) for hook in SIMULATION_HOOKS)
 

@@ -21,6 +21,7 @@ from diagnosis.joint_fits import (
     fit_base,
     fit_joints,
     free_columns,
+    joints_of,
     leave_out,
     list_layers,
     merge_sizes,
@@ -392,17 +393,3 @@ def drop_needless(context: Context, present: Present) -> Present:
             if gain < MIN_SHARE or z <= MIN_Z:
                 present = leave_out(context, present, (effect,))
     return present
-
-
-def joints_of(context: Context, effect: Effect) -> tuple[int, ...]:
-    """Return the joint of an effect, or all joints for an effect at a body.
-
-    Args:
-        context: The context.
-        effect: The effect.
-
-    Returns:
-        Indices of joints.
-    """
-    names = context.model.joints
-    return (names.index(effect.place),) if effect.place in names else tuple(range(len(names)))

@@ -10,9 +10,9 @@ from scipy.stats import t as student
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect, Family
 from diagnosis.fit import ALL_JOINTS, Fit, evaluate_points
-from diagnosis.joint_fits import Context, Present, leave_out, list_layers
+from diagnosis.joint_fits import Context, Present, joints_of, leave_out, list_layers
 from diagnosis.screening import Score
-from diagnosis.selection import Candidate, Selection, joints_of, judge, screen
+from diagnosis.selection import Candidate, Selection, judge, screen
 
 EXCLUDED: Final = 0.05
 """Probability below which an alternative is excluded."""

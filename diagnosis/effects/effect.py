@@ -161,7 +161,7 @@ class Effect(ABC):
         return 0.0
 
     def is_plausible(self, size: Array, others: Mapping[str, Array]) -> bool:
-        """Return whether the sizes, (n_sizes,), can be real beside others at the same place, by effect name."""
+        """Return whether sizes, (n_sizes,), can be real beside those of others at the place, by name."""
         return True
 
     def describe(self, size: Array) -> str:
