@@ -159,12 +159,12 @@ def wald_p(direction: Array, left: Array, n_sizes: int) -> float:
     """Test whether the sizes of an effect are 0, with motions as clusters.
 
     The error of a size comes from the residuals that the effect leaves, so that an effect of different
-    strength in different motions does not hide itself. The statistic is F with n_sizes and n_motions - n_sizes
-    degrees of freedom.
+    strength in different motions does not hide itself. The statistic is F with n_sizes and
+    n_motions - n_sizes degrees of freedom.
 
     Args:
         direction: Change of the residuals by the effect at its best sizes, (n_rows,), without a unit.
-        left: Products of that change with what it leaves, by motion, (n_motions,), without a unit.
+        left: Products of that change with what it leaves, (n_motions,), without a unit.
         n_sizes: Number of sizes.
 
     Returns:

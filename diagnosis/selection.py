@@ -344,7 +344,7 @@ def worsens_another(context: Context, present: Present, candidate: Candidate) ->
     if len(candidate.joints) > 1:
         return False
     columns = merge_sizes(context, present.sizes, candidate.fits)
-    others = [j for j in range(len(context.model.joints)) if j not in candidate.joints]
+    others = [j for j in np.unique(context.model.joint_of) if j not in candidate.joints]
     if not others:
         return False
     points = [(ALL_JOINTS, present.sizes), (ALL_JOINTS, columns)]
