@@ -198,7 +198,7 @@ def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypat
         ({"patch": "log.parquet"}, BadRequest, "this is a file; give the path of a folder"),
         ({"report": "page.txt"}, BadRequest, "must end in .html"),
         ({"effects": ("nosuch.py",)}, RobotError, "no such file"),
-        ({"held_out": tuple(f"motion {k}" for k in range(4))}, RobotError, "no motion is fitted"),
+        ({"held_out": tuple(f"motion {k}" for k in range(4))}, RobotError, "nothing is fitted"),
     ],
     ids=["held out", "split", "patch", "report", "effects", "too few"],
 )
