@@ -147,6 +147,8 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
     both = sorted({motion.name for motion in motions} & {motion.name for motion in held_out})
     if both:
         raise RobotError(f"motion {both[0]} is fitted and held out; a motion can be one of both")
+    if not motions:
+        raise RobotError("no motion is fitted; a diagnosis needs 4 at least, because it leaves motions out")
     for joint in robot.joints:
         if joint.mode is not ControlMode.POSITION:
             continue

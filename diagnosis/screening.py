@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.stats import f as fisher
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect
@@ -40,6 +41,8 @@ class Score:
     """Share of the weighted sum of squares that it removes."""
     by_motion: Array
     """Products of residual and change, (n_motions,): their sum is 0 if the effect is absent."""
+    p: float
+    """Probability of so good a score without the effect, by `wald_p`."""
 
 
 def list_trials(union: Union, effect: Effect, at: Array) -> list[Trial]:
@@ -144,16 +147,43 @@ def score_trial(white: Whitened, n_motions: int, trial: Trial, change: Array, at
     products = np.bincount(white.motion, weights=direction * white.residual, minlength=n_motions)
     sizes = np.sqrt(np.bincount(white.motion, weights=white.residual**2, minlength=n_motions))
     by_motion = -products / np.where(sizes > 0.0, sizes, 1.0)
+    left = np.bincount(white.motion, weights=direction * (white.residual + direction), minlength=n_motions)
+    p = wald_p(direction, left.astype(np.float64), len(trial.points))
     start = trial.points[0]
     if len(trial.points) > 1:
         start = at + (np.array(trial.points) - at).T @ solution
-    return Score(trial.effect, start, gain, by_motion)
+    return Score(trial.effect, start, gain, by_motion, p)
+
+
+def wald_p(direction: Array, left: Array, n_sizes: int) -> float:
+    """Test whether the sizes of an effect are 0, with motions as clusters.
+
+    The error of a size comes from the residuals that the effect leaves, so that an effect of different
+    strength in different motions does not hide itself. The statistic is F with n_sizes and
+    n_motions - n_sizes degrees of freedom.
+
+    Args:
+        direction: Change of the residuals by the effect at its best sizes, (n_rows,), without a unit.
+        left: Products of that change with what it leaves, (n_motions,), without a unit.
+        n_sizes: Number of sizes.
+
+    Returns:
+        Probability of the statistic, or a larger one, if the sizes are 0.
+    """
+    n = len(left)
+    strength, scatter = float(direction @ direction), float(np.sum(left**2)) * n / max(n - 1, 1)
+    if n <= n_sizes or strength == 0.0:
+        return 1.0
+    ratio = strength**2 / max(scatter, 1e-300) / n_sizes * (n - n_sizes) / (n - 1)
+    return float(fisher.sf(ratio, n_sizes, n - n_sizes))
 
 
 def family_wise_p(scores: list[Score], seed: int) -> Array:
     """Return the probability of each score, or a better one of any effect, if no effect is present.
 
-    The signs of all products of a motion are flipped together: without an effect either sign is as likely.
+    Two tests, each of all hypotheses together; the smaller probability counts twice. In the first, the signs
+    of all products of a motion are flipped together: without an effect either sign is as likely. With few
+    motions it cannot reject anything. The second is the Wald test of each effect, times their number.
 
     Args:
         scores: Scores of all effects that compete.
@@ -170,5 +200,7 @@ def family_wise_p(scores: list[Score], seed: int) -> Array:
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(DRAWS, table.shape[1]))
     null = np.max(np.abs(signs @ table.T), axis=1)
     seen = np.abs(table.sum(axis=1))
-    exceeded: Array = (np.sum(null[None, :] >= seen[:, None] - 1e-12, axis=1) + 1.0) / (DRAWS + 1.0)
-    return exceeded
+    flipped = (np.sum(null[None, :] >= seen[:, None] - 1e-12, axis=1) + 1.0) / (DRAWS + 1.0)
+    by_wald = np.array([score.p for score in scores]) * len(scores)
+    both: Array = np.minimum(2.0 * np.minimum(flipped, by_wald), 1.0)
+    return both

@@ -316,8 +316,8 @@ def simplest(candidates: Sequence[Candidate]) -> Candidate:
     best = max(candidates, key=lambda one: one.gain)
     alike = []
     for one in candidates:
-        worse = np.nanmean(one.scores - best.scores, axis=0)
-        worse = worse[~np.isnan(worse)]
+        worse = one.scores - best.scores
+        worse = np.nanmean(worse[:, ~np.isnan(worse).all(axis=0)], axis=0)
         error = float(np.std(worse, ddof=1) / np.sqrt(len(worse))) if len(worse) > 1 else 0.0
         if one is best or float(np.mean(worse)) <= error:
             alike.append(one)
@@ -344,7 +344,7 @@ def worsens_another(context: Context, present: Present, candidate: Candidate) ->
     if len(candidate.joints) > 1:
         return False
     columns = merge_sizes(context, present.sizes, candidate.fits)
-    others = [j for j in range(len(context.model.joints)) if j not in candidate.joints]
+    others = [j for j in np.unique(context.model.joint_of) if j not in candidate.joints]
     if not others:
         return False
     points = [(ALL_JOINTS, present.sizes), (ALL_JOINTS, columns)]

@@ -60,7 +60,7 @@ def doubt_findings(selection: Selection) -> list[Doubt]:
         scores = screen(context, without, open_joints)
         seen = {score.effect.key for score in scores}
         nothing = np.zeros(len(context.model.motions))
-        scores += [Score(one, present.sizes, 0.0, nothing) for one in layer if one.key not in seen]
+        scores += [Score(one, present.sizes, 0.0, nothing, 1.0) for one in layer if one.key not in seen]
         candidates = judge(context, without, scores)
         for effect in layer:
             found[effect.key] = doubt_finding(context, without, effect, candidates)

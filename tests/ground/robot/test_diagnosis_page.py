@@ -182,7 +182,7 @@ def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypat
     assert [motion.name for motion in options_seen["motions"]] == ["motion 0", "motion 1", "motion 2"]
     assert [motion.name for motion in options_seen["held_out"]] == ["motion 3"]
     assert options_seen["seed"] == 7
-    assert any(one.reason == "contact with a plane" for one in options_seen["refused"])
+    assert any(one.reason == "contact with a plane" for one in options_seen["audit"].refused)
     assert reports[-1][2] == "half"
     assert not any(path.exists() for path in files.values())
     save_diagnosis_files(result)
@@ -198,7 +198,7 @@ def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypat
         ({"patch": "log.parquet"}, BadRequest, "this is a file; give the path of a folder"),
         ({"report": "page.txt"}, BadRequest, "must end in .html"),
         ({"effects": ("nosuch.py",)}, RobotError, "no such file"),
-        ({"held_out": ("motion 0",)}, RobotError, "needs 4 at least"),
+        ({"held_out": tuple(f"motion {k}" for k in range(4))}, RobotError, "no motion is fitted"),
     ],
     ids=["held out", "split", "patch", "report", "effects", "too few"],
 )
