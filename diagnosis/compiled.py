@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
-from diagnosis.effects.effect import Effect
+from diagnosis.effects.effect import Effect, Fields
 from diagnosis.robot import ControlMode, Robot
 
 HARD_IMPEDANCE: Final = (0.9999, 0.9999, 0.001, 0.5, 2.0)
@@ -144,6 +144,25 @@ def laws(robot: Robot, kp: Array, kd: Array) -> tuple[Array, Array]:
             case ControlMode.TORQUE | ControlMode.CURRENT:
                 gain[:, j] = kp[:, j]
     return gain, bias
+
+
+def step_armature(robot: Robot, fields: Fields) -> Array:
+    """Compute the armature with which steps of the integrator are of second order.
+
+    The implicit step takes the damping at its end, which acts like more inertia: half a step times the
+    damping. Without it the step is a trapezoidal rule, and SO-101 errs by a fifth as much at 5 ms.
+
+    Args:
+        robot: Robot with its time step and control modes.
+        fields: Numbers after all effects, with a damping of at least 0.
+
+    Returns:
+        Armature, at least 0, (n_sims, n_joints) [kg m2].
+    """
+    is_closed = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in robot.joints]
+    damping = fields.damping_Nms_rad + np.where(is_closed, fields.kd_Nms_rad, 0.0)
+    excess = 0.5 * float(robot.model.opt.timestep) * damping
+    return np.asarray(np.maximum(fields.armature_kgm2 - excess, 0.0))
 
 
 def nominal_gains(robot: Robot) -> tuple[Array, Array]:

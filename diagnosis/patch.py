@@ -13,7 +13,7 @@ import mujoco.batch
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.compiled import HARD_IMPEDANCE, nominal_gains
+from diagnosis.compiled import HARD_IMPEDANCE, nominal_gains, step_armature
 from diagnosis.effect_table import effect_table, toml_text
 from diagnosis.effects.effect import Effect, Fields, Rotor
 from diagnosis.errors import RobotError
@@ -203,6 +203,11 @@ def _effect_changes(
         yield from _joint_changes(robot, before, after, reason)
         yield from _model_changes(robot, before, after, reason)
         before = after
+    fields.damping_Nms_rad = np.maximum(fields.damping_Nms_rad, 0.0)
+    fields.armature_kgm2 = step_armature(robot, fields)
+    step_s = float(robot.model.opt.timestep)
+    reason = f"less half a time step of joint damping and kd: second-order steps of {step_s:.5g} s"
+    yield from _joint_changes(robot, before, _numbers(fields, recorder), reason)
 
 
 def _fields(robot: Robot, recorder: _Recorder) -> Fields:

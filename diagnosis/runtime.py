@@ -109,6 +109,8 @@ class RuntimeEffects:
         of_gear = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in joints]
         self._ctrl_scale = np.where(of_gear, self._nominal.gear, 1.0)
         self._path_s, self._path_rad = np.zeros(0), np.zeros((0, len(joints)))
+        self._last_share = 0.5 * model.opt.timestep / control_period_s
+        self._last_command: Array | None = None
 
     @classmethod
     def from_toml(cls, model: mujoco.MjModel, path: str | Path) -> Self:
@@ -216,8 +218,14 @@ class RuntimeEffects:
         self._path_rad = np.concatenate([self._path_rad, data.qpos[None, self._shown]])[-most:]
 
     def _arrived(self, command: Array) -> Array:
-        """Return the command as it arrives, (n_joints,)."""
-        arrived = command[None, :].copy()
+        """Return the command as it arrives, (n_joints,).
+
+        As in the engine, it is the mean of the held command over a control period that begins half a step
+        earlier: a step uses one force from half a step before its state to half a step after it.
+        """
+        last = command if self._last_command is None else self._last_command
+        self._last_command = command.copy()
+        arrived = (command + self._last_share * (last - command))[None, :]
         for one in self._with("shape_command"):
             j = one.joint
             arrived[:, j] = one.effect.next_command(one.size, arrived[:, j], self._period_s, one.memory)

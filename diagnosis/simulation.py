@@ -9,7 +9,7 @@ import mujoco.batch
 import numpy as np
 
 from diagnosis.arrays import Array, Flags
-from diagnosis.compiled import Models, nominal_gains
+from diagnosis.compiled import Models, nominal_gains, step_armature
 from diagnosis.effects.effect import Effect, Fields
 from diagnosis.periods import Acting, Periods
 from diagnosis.robot import ControlMode
@@ -113,10 +113,7 @@ class Simulation:
             one.effect.set_model(one.size, fields, self._robot)
         fields.damping_Nms_rad = np.maximum(fields.damping_Nms_rad, 0.0)
         fields.frictionloss_Nm = np.maximum(fields.frictionloss_Nm, 0.0)
-        # The implicit step takes the damping at its end, which acts like more inertia: half a step times the
-        # damping. Without it the step is a trapezoidal rule, and SO-101 errs by a fifth as much at 5 ms.
-        excess = 0.5 * float(model.opt.timestep) * (fields.damping_Nms_rad + self._loop_damping(fields))
-        fields.armature_kgm2 = np.maximum(fields.armature_kgm2 - excess, 0.0)
+        fields.armature_kgm2 = step_armature(self._robot, fields)
         self._rotors = Rotors(self._robot, fields)
         for name, value in (
             ("dof_damping", fields.damping_Nms_rad),
@@ -128,11 +125,6 @@ class Simulation:
         self._rotors.clear(fields.armature_kgm2)
         batch.set_const()
         return fields
-
-    def _loop_damping(self, fields: Fields) -> Array:
-        """Return the damping of the loops, (n_sims, n_joints)."""
-        closed = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in self._robot.joints]
-        return np.where(closed, fields.kd_Nms_rad, 0.0)
 
     def _commands(self) -> Array:
         """Compute the commands as they arrive, (n_ticks, n_sims, n_joints)."""

@@ -15,6 +15,7 @@ from diagnosis.effects.inertia import Armature
 from diagnosis.effects.joint import JointScales
 from diagnosis.effects.timing import EncoderScale, JointZero, MeasurementDelay
 from diagnosis.engine import Engine
+from diagnosis.logs import Signal
 from diagnosis.patch import make_patch, save_patch
 from diagnosis.runtime import RuntimeEffects
 from diagnosis.windows import cut_windows
@@ -49,10 +50,13 @@ def made(sizes):
     return effects, [size if isinstance(size, tuple) else (size,) for size in sizes.values()]
 
 
-def by_engine(effects, sizes):
-    """Return what the encoder shows in a motion by the engine, (n,)."""
-    (window,) = cut_windows(ROBOT, motion(TIME_s, np.zeros(TIME_s.size), COMMAND), None, 0.0)
-    engine = Engine(Models(ROBOT), effects, [window], n_threads=1)
+def by_engine(effects, sizes, robot=ROBOT, early_s=0.0):
+    """Return what the encoder shows in a motion by the engine, (n,); commands may have early stamps."""
+    log = motion(TIME_s, np.zeros(TIME_s.size), COMMAND)
+    command = Signal(TIME_s - early_s, COMMAND)
+    log = replace(log, joints={"swing": replace(log.joints["swing"], command=command)})
+    (window,) = cut_windows(robot, log, None, 0.0)
+    engine = Engine(Models(robot), effects, [window], n_threads=1)
     return engine.positions(np.array([value for size in sizes for value in size])[None, :])[0]
 
 
@@ -86,6 +90,29 @@ def test_each_effect_at_run_time_is_that_of_the_engine_and_is_seen(kind, tmp_pat
     assert np.abs(engine - by_engine(*made({}))).max() > 1e-3
 
 
+@pytest.mark.parametrize(("share_of_last", "early_s"), [(0.0, 0.001), (0.1, 0.0)])
+def test_a_loop_without_the_wrapper_is_half_a_step_early_unless_it_mixes_commands(share_of_last, early_s):
+    robot = pendulum(step_s=0.002, period_s=0.01)
+    effects, sizes = made(IN_MODEL)
+    model = mujoco.MjModel.from_xml_string(make_patch(robot, effects, sizes).model_xml)
+    data, shown, last = mujoco.MjData(model), [0.0], COMMAND[0]
+    for command in COMMAND[:-1]:
+        data.ctrl[:] = (1.0 - share_of_last) * command + share_of_last * last
+        mujoco.mj_step(model, data, 5)
+        shown.append(data.qpos[0])
+        last = command
+    assert shown == pytest.approx(by_engine(effects, sizes, robot, early_s), abs=1e-9)
+
+
+def test_the_armature_of_the_patch_is_less_half_a_step_of_damping_and_kd():
+    changes = make_patch(ROBOT, *made({Armature: 0.001})).changes
+    assert changes[-2:] == (
+        "joint swing: armature 0.002 to 0.003: swing: armature, armature_kgm2 = 0.001",
+        "joint swing: armature 0.003 to 0.00288: "
+        "less half a time step of joint damping and kd: second-order steps of 0.002 s",
+    )
+
+
 def test_effects_of_the_model_alone_need_no_runtime_file(tmp_path):
     effects, sizes = made(IN_MODEL)
     made_patch = make_patch(ROBOT, effects, sizes)
@@ -93,7 +120,8 @@ def test_effects_of_the_model_alone_need_no_runtime_file(tmp_path):
     model = mujoco.MjModel.from_xml_string(made_patch.model_xml)
     assert model.dof_damping[0] == pytest.approx(0.03)
     assert model.dof_frictionloss[0] == pytest.approx(0.06)
-    assert model.dof_armature[0] == pytest.approx(0.003)
+    half_step_s, kd_Nms_rad = 0.001, 0.07
+    assert model.dof_armature[0] == pytest.approx(0.003 - half_step_s * (0.03 + kd_Nms_rad))
     assert model.actuator_gainprm[0, 0] == pytest.approx(2.8)
     assert model.actuator_forcerange[0].tolist() == [-1.5, 1.5]
 
@@ -126,8 +154,10 @@ def test_an_actuator_that_has_the_law_of_the_robot_file_is_not_touched():
     joint = replace(ROBOT.joints[0], actuator_index=0, torque_limit_Nm=math.inf)
     robot = replace(ROBOT, model=mujoco.MjModel.from_xml_string(xml), model_xml=xml, joints=(joint,))
     assert not [one for one in make_patch(robot, [], []).changes if one.startswith("actuator")]
-    changed = make_patch(robot, *made({GainError: 0.5})).changes[-1]
-    assert changed == ("actuator m: kp 6, kd 0.15, torque limit inf: swing: gain error, gain_ratio = 0.5")
+    (changed,) = (
+        one for one in make_patch(robot, *made({GainError: 0.5})).changes if one.startswith("actuator")
+    )
+    assert changed == "actuator m: kp 6, kd 0.15, torque limit inf: swing: gain error, gain_ratio = 0.5"
 
 
 def test_added_actuators_have_the_order_of_the_joints():

@@ -9,14 +9,19 @@ from diagnosis.effects.coupling import JointCoupling
 from diagnosis.effects.geometry import GravityDirection, LinkLength
 from diagnosis.effects.inertia import LinkCentre, LinkInertia, LinkMass, Payload
 from diagnosis.effects.transmission import Backlash, JointCompliance
+from diagnosis.logs import Signal
 from diagnosis.patch import make_patch, save_patch
 from diagnosis.runtime import RuntimeEffects
+from diagnosis.windows import held_means
 from tests.diagnosis.effect_lab import ARM_XML, robot_of, simulate
 from tests.diagnosis.verdicts import diagnosis
 
 ARM = robot_of(ARM_XML)
 TIME_S = ARM.control_period_s * np.arange(200)
 COMMAND = np.array([0.0, 0.2, 0.0]) + 0.5 * np.sin(np.outer(TIME_S, (5.0, 4.0, 3.0)))
+EDGES_S = ARM.control_period_s * np.arange(TIME_S.size + 1) - 0.5 * ARM.model.opt.timestep
+HELD = np.stack([held_means(Signal(TIME_S, one), EDGES_S) for one in COMMAND.T], axis=1)
+"""Commands as the engine takes them from a log; a loop without the wrapper sets them itself."""
 START_RAD = COMMAND[0]
 WITH_NAMES = {
     "payload": (Payload("elbow", "tool", 0.05, 0.5), (0.1,)),
@@ -47,9 +52,9 @@ def shown(effects, sizes, folder):
         runtime.place(data, START_RAD)
     data.qpos[joints] = START_RAD
     rows = [START_RAD]
-    for command in COMMAND[:-1]:
+    for command, held in zip(COMMAND[:-1], HELD[:-1], strict=True):
         if runtime is None:
-            data.ctrl[:] = command
+            data.ctrl[:] = held
             mujoco.mj_step(model, data, 5)
             rows.append(data.qpos[joints].copy())
         else:
@@ -61,7 +66,7 @@ def shown(effects, sizes, folder):
 @pytest.mark.parametrize("name", WITH_NAMES)
 def test_a_change_of_links_or_gravity_is_in_the_model_alone(name, tmp_path):
     effect, size = WITH_NAMES[name]
-    engine = simulate(ARM, [effect], [size, np.zeros(len(size))], COMMAND, START_RAD)
+    engine = simulate(ARM, [effect], [size, np.zeros(len(size))], HELD, START_RAD)
     patched = shown([effect], [size], tmp_path)
     assert not (tmp_path / "runtime.toml").exists()
     assert patched == pytest.approx(engine[0], abs=1e-7)
@@ -71,7 +76,7 @@ def test_a_change_of_links_or_gravity_is_in_the_model_alone(name, tmp_path):
 @pytest.mark.parametrize("name", MADE_ANEW)
 def test_what_adds_bodies_or_acts_at_run_time_is_that_of_the_engine(name, tmp_path):
     effect, size = MADE_ANEW[name]
-    engine = simulate(ARM, [effect], [size, (0.0,)], COMMAND, START_RAD)
+    engine = simulate(ARM, [effect], [size, (0.0,)], HELD, START_RAD)
     patched = shown([effect], [size], tmp_path)
     assert patched == pytest.approx(engine[0], abs=1e-4)
     assert np.abs(engine[0] - engine[1]).max() > 1e-3
@@ -81,7 +86,7 @@ def test_effects_of_two_kinds_at_one_joint_add_up(tmp_path):
     compliance = (JointCompliance("lift", 1, True, 0.02, 0.2), (0.02,))
     pairs = [MADE_ANEW["backlash"], compliance, WITH_NAMES["mass"]]
     effects, sizes = [one for one, _ in pairs], [size for _, size in pairs]
-    (engine,) = simulate(ARM, effects, [[value for size in sizes for value in size]], COMMAND, START_RAD)
+    (engine,) = simulate(ARM, effects, [[value for size in sizes for value in size]], HELD, START_RAD)
     assert shown(effects, sizes, tmp_path) == pytest.approx(engine, abs=1e-4)
 
 
