@@ -47,7 +47,7 @@ class Kill:
     """Run that was killed, and its log."""
 
     outcome: str
-    """ "cut short", which counts; "not begun" or "closed" if no log was open; or an error, "wrong: ..."."""
+    """ "cut short", which counts; "not begun" or "closed" if no log with messages was open; or "wrong: ..."."""
     lost_s: float = 0.0
     """Wall time before the kill that the log lacks."""
     lost_cycles: int = 0
@@ -146,6 +146,8 @@ def one_kill(loop: ClosedLoop, path: Path, stamps_s: Any, after_s: float, whole:
         return Kill("wrong: not what the run was")
     if not log.truncated:
         return Kill("closed" if len(log["/joint"]) == CYCLES else "wrong: closed before the end of the run")
+    if not any(len(times) for times in log.time_ns.values()):
+        return Kill("not begun")  # a header alone has nothing to recover, and recovery says so
     if not is_recovered(path, log, whole):
         return Kill("wrong: not all of it was recovered")
     logged = len(log.packets.get("/joint", ()))
