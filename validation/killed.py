@@ -47,7 +47,7 @@ class Kill:
     """Run that was killed, and its log."""
 
     outcome: str
-    """ "cut short", which counts; "not begun" or "closed" if no log with messages was open; or "wrong: ..."."""
+    """ "cut short", which counts; "not begun" or "closed" if no messages were open; or "wrong: ..."."""
     lost_s: float = 0.0
     """Wall time before the kill that the log lacks."""
     lost_cycles: int = 0

@@ -15,9 +15,7 @@ ROUNDING: Final = 1e-18
 """Expansions below this, in m/K, are rounding errors of a right angle."""
 
 
-def flight_params(
-    arm: ArmDescription, digest: str, defaults: Path, rover: Path, source: str
-) -> Params:
+def flight_params(arm: ArmDescription, digest: str, defaults: Path, rover: Path, source: str) -> Params:
     """Make the flight parameters of the drawing.
 
     Args:
@@ -51,9 +49,7 @@ def flight_params(
     }
     reserved = [f"flight.{place}" for place in reserved_of_flight(own, shared, arm.flight)]
     if reserved:
-        raise BadArm(
-            f"{source}: {', '.join(reserved)}: other tables set this; leave it out of [flight]"
-        )
+        raise BadArm(f"{source}: {', '.join(reserved)}: other tables set this; leave it out of [flight]")
     return params_from_table(merge_tables(merge_tables(shared, arm.flight), own), source)
 
 

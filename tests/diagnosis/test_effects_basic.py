@@ -116,9 +116,7 @@ def test_sizes_have_bounds_around_their_typical_size_and_0(kind: type[JointEffec
         (
             PositionTorque,
             [0.02, -0.05],
-            lambda t, q, v: (
-                0.1 + 0.02 * np.cos(q) - 0.05 * np.sin(q)
-            ),
+            lambda t, q, v: 0.1 + 0.02 * np.cos(q) - 0.05 * np.sin(q),
         ),
         (TorqueConstant, [0.3], lambda t, q, v: 0.13),
         (TorqueLimit, [20.0], lambda t, q, v: 0.05),
