@@ -45,25 +45,27 @@ command = { column = "command_NAME", unit = "rad" }
 position = { column = "position_NAME", unit = "rad" }
 """
 NAMES = ("shoulder", "elbow")
-DELAY_S = 0.03
+DELAY_SAMPLES = 3
+"""30 ms."""
 
 
 def record_logs(path: Path) -> None:
     """Stand in for the real arm, whose elbow gets its commands late: the model does not say so."""
     model, random = mujoco.MjModel.from_xml_string(MODEL), np.random.default_rng(1)
+    model.opt.timestep = 0.0005  # a real arm has no time step
     time_s = 0.01 * np.arange(400)
     rows = []
     for motion in range(8):
         if motion % 2 == 0:  # each command is sent twice
             steps = random.uniform(-0.5, 0.5, (8, 2))
             command = np.where(time_s[:, None] < 0.5, 0.0, steps[(2.0 * time_s).astype(int)])
-        late = np.column_stack([command[:, 0], np.interp(time_s - DELAY_S, time_s, command[:, 1])])
+        arrived = np.column_stack([command[:, 0], np.roll(command[:, 1], DELAY_SAMPLES)])
         data = mujoco.MjData(model)
-        for t, sent, arrived in zip(time_s, command, late, strict=True):
+        for t, sent, received in zip(time_s, command, arrived, strict=True):
             shown = data.qpos + 5e-4 * random.standard_normal(2)
             rows.append((motion, motion // 2, t, *sent, *shown))
-            data.ctrl[:] = arrived
-            mujoco.mj_step(model, data, 5)
+            data.ctrl[:] = received
+            mujoco.mj_step(model, data, 20)
     head = ",".join(
         ("motion", "repeat", "t", *(f"{what}_{one}" for what in ("command", "position") for one in NAMES))
     )
