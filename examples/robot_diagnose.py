@@ -60,6 +60,7 @@ def record_logs(path: Path) -> None:
             steps = random.uniform(-0.5, 0.5, (8, 2))
             command = np.where(time_s[:, None] < 0.5, 0.0, steps[(2.0 * time_s).astype(int)])
         arrived = np.column_stack([command[:, 0], np.roll(command[:, 1], DELAY_SAMPLES)])
+        arrived[:DELAY_SAMPLES] = 0.0
         data = mujoco.MjData(model)
         for t, sent, received in zip(time_s, command, arrived, strict=True):
             shown = data.qpos + 5e-4 * random.standard_normal(2)
