@@ -17,7 +17,7 @@ NUMERIC: Final = (
     *("fsw/kinematics", "fsw/estimate", "ground/calibration", "ground/diagnosis"),
     *("diagnosis/serial_arm", "diagnosis/engine", "diagnosis/fit", "diagnosis/joint_fits"),
     *("diagnosis/screening", "diagnosis/selection", "diagnosis/verdict", "diagnosis/noise"),
-    *("diagnosis/assemble", "diagnosis/diagnose", "diagnosis/kinds"),
+    *("diagnosis/assemble", "diagnosis/diagnose", "diagnosis/kinds", "diagnosis/comparison"),
 )
 """Folders whose public functions say shapes and units."""
 ARRAYS: Final = re.compile(r"\b(Array|Flags|Integers|Indices|NDArray|Pose)\b")

@@ -125,6 +125,32 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     return replace(context, base_scores=scores), Present((), sizes, fits, scores)
 
 
+def rescale(context: Context, base: Present, present: Present) -> tuple[Context, Present]:
+    """Take scales and noise from the residuals of the present model, and refit it.
+
+    A scale from before an effect was found is so wide that the loss is a sum of squares.
+
+    Args:
+        context: The context.
+        base: The base model.
+        present: The present model.
+
+    Returns:
+        The context with new scales, and the model refitted in them.
+    """
+    model = context.model
+    together = np.zeros(len(model.joint_of))
+    for fit in present.fits:
+        together[fit.rows] = fit.residuals
+    scales = scale_residuals(model, together)
+    context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
+    before = np.array(cross_validate(context, list(enumerate(base.fits))))
+    fits = fit_joints(context, present.effects, present.sizes)
+    scores = np.array(cross_validate(context, list(enumerate(fits))))
+    sizes = merge_sizes(context, present.sizes, fits)
+    return replace(context, base_scores=before), replace(present, sizes=sizes, fits=fits, scores=scores)
+
+
 def draw_folds(n_motions: int, seed: int) -> tuple[frozenset[int], ...]:
     """Divide motions at random into folds of about equal numbers.
 
@@ -299,26 +325,6 @@ def motion_losses(context: Context, rows: Integers, residuals: Array) -> Array:
     total = np.bincount(model.motion_of[rows], weights=loss, minlength=len(model.motions))
     with np.errstate(invalid="ignore"):
         return np.asarray(total / count)
-
-
-def compare(context: Context, joints: Sequence[int], before: Array, after: Array) -> tuple[float, float]:
-    """Compare the losses of left-out motions, in pairs.
-
-    Args:
-        context: The context.
-        joints: Joints to which the rows belong.
-        before: Mean losses, (n_rows, n_motions), without a unit.
-        after: Mean losses of another model, (n_rows, n_motions), without a unit.
-
-    Returns:
-        The mean improvement as a share of what can be explained, and over its standard error.
-    """
-    seen = ~np.isnan(before).all(axis=0)
-    better = np.nanmean(before[:, seen], axis=0) - np.nanmean(after[:, seen], axis=0)
-    mean = float(np.mean(better))
-    error = float(np.std(better, ddof=1) / np.sqrt(len(better))) if len(better) > 1 else np.inf
-    explainable = float(np.nanmean(before) - np.mean(context.noise_loss[list(joints)]))
-    return mean / max(explainable, abs(mean), 1e-12), mean / error if error > 0.0 else 0.0
 
 
 def leave_out(context: Context, present: Present, effects: Sequence[Effect]) -> Present:

@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array
+from diagnosis.comparison import compare
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import ALL_JOINTS, Fit, Hypothesis, evaluate_points
 from diagnosis.joint_fits import (
     Context,
     Present,
     Report,
-    compare,
     cross_validate,
     fit_base,
     fit_joints,
@@ -26,6 +26,7 @@ from diagnosis.joint_fits import (
     list_layers,
     merge_sizes,
     motion_losses,
+    rescale,
     run,
     start_context,
     step_without,
@@ -111,6 +112,8 @@ def select_effects(
         open_joints &= {j for winner in winners for j in winner.joints}
         for winner in winners:
             present = accept(context, present, winner)
+        if winners:
+            context, present = rescale(context, first, present)
         open_joints -= {j for j in open_joints if len(present.at(model.joints[j])) >= MAX_EFFECTS}
     return Selection(context, first, drop_needless(context, present), tuple(refitted.values()))
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from diagnosis.arrays import Array, Integers
+from diagnosis.comparison import one_sided_p
 from diagnosis.effects.effect import Effect, Family
 from diagnosis.fit import ALL_JOINTS, Fit, evaluate_points
 from diagnosis.joint_fits import Context, Present, joints_of, leave_out, list_layers
@@ -88,7 +89,7 @@ def doubt_finding(
         if one.effect.key == effect.key or not set(one.joints) & set(finding.joints) or one.at_bound:
             continue
         worse = _errors(context, without, one) - own
-        p = _one_sided_p(worse[~np.isnan(worse)])
+        p = one_sided_p(worse[~np.isnan(worse)])
         if p > EXCLUDED:
             members.append(Alternative(one.effect, one.sizes, p))
     ranked = (members[0], *sorted(members[1:], key=lambda one: -one.p))
@@ -101,16 +102,6 @@ def _errors(context: Context, without: Present, candidate: Candidate) -> Array:
     scores[list(candidate.joints)] = candidate.scores
     total: Array = np.nansum(scores, axis=0)
     return np.where(np.isnan(scores).all(axis=0), np.nan, total)
-
-
-def _one_sided_p(worse: Array) -> float:
-    """Return the probability of so large a mean, or a larger one, if the true mean is 0."""
-    if len(worse) < 2:
-        return 1.0
-    error = float(np.std(worse, ddof=1) / np.sqrt(len(worse)))
-    if error == 0.0:
-        return 1.0 if np.mean(worse) <= 0.0 else 0.0
-    return float(student.sf(np.mean(worse) / error, len(worse) - 1))
 
 
 def size_intervals(context: Context, fit: Fit) -> Array:

@@ -1,0 +1,59 @@
+"""Compare two models by their losses on motions that took no part, in pairs."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import t as student
+
+from diagnosis.arrays import Array
+from diagnosis.joint_fits import Context
+
+
+def compare(context: Context, joints: Sequence[int], before: Array, after: Array) -> tuple[float, float]:
+    """Compare the losses of left-out motions, in pairs.
+
+    The standard error is that of differences or of logarithms of ratios, whichever says more. Motions of very
+    different strength scatter in differences; motions that an effect does not touch scatter in ratios.
+
+    Args:
+        context: The context.
+        joints: Joints to which the rows belong.
+        before: Mean losses, (n_rows, n_motions), without a unit.
+        after: Mean losses of another model, (n_rows, n_motions), without a unit.
+
+    Returns:
+        The mean improvement as a share of what can be explained, and over its standard error.
+    """
+    seen = ~np.isnan(before).all(axis=0)
+    old, new = np.nanmean(before[:, seen], axis=0), np.nanmean(after[:, seen], axis=0)
+    share = np.log(np.maximum(old, 1e-12)) - np.log(np.maximum(new, 1e-12))
+    mean = float(np.mean(old - new))
+    explainable = float(np.mean(old) - np.mean(context.noise_loss[list(joints)]))
+    return mean / max(explainable, abs(mean), 1e-12), max(
+        _mean_over_error(old - new), _mean_over_error(share)
+    )
+
+
+def _mean_over_error(values: Array) -> float:
+    """Return the mean of values, (n,), over its standard error; 0 if there is none."""
+    if len(values) < 2:
+        return 0.0
+    error = float(np.std(values, ddof=1) / np.sqrt(len(values)))
+    return float(np.mean(values)) / error if error > 0.0 else 0.0
+
+
+def one_sided_p(worse: Array) -> float:
+    """Return the probability of so large a mean, or a larger one, if the true mean is 0.
+
+    Args:
+        worse: Differences of losses, (n_motions,), without a unit.
+
+    Returns:
+        Probability by Student's t test.
+    """
+    if len(worse) < 2:
+        return 1.0
+    error = float(np.std(worse, ddof=1) / np.sqrt(len(worse)))
+    if error == 0.0:
+        return 1.0 if np.mean(worse) <= 0.0 else 0.0
+    return float(student.sf(np.mean(worse) / error, len(worse) - 1))
