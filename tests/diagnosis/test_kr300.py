@@ -1,6 +1,5 @@
 """A real KR300: a position-dependent torque at axis 2, a time skew between its encoders."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -17,16 +16,14 @@ pytestmark = [
     pytest.mark.real_data,
     pytest.mark.slow,
     pytest.mark.skipif(
-        "MARSARM_DATA" not in os.environ, reason="MARSARM_DATA names no folder with measured data"
     ),
 ]
 GEAR = 267.43
 
 
-def found(split: str) -> tuple[Robot, Diagnosis, float]:
+def find(folder: Path, split: str) -> tuple[Robot, Diagnosis, float]:
     """Return robot, diagnosis, and the torque error of axis 2 on the other batch [motor N m, RMS]."""
     robot = Robot.from_toml(Path("models/robots/kr300/robot.toml"))
-    folder = Path(os.environ["MARSARM_DATA"]) / "kr300"
     logs = load(robot, [folder / "kr300_A.parquet", folder / "kr300_B.parquet"], split=split)
     result = diagnose(robot, logs.fit, held_out=logs.judged, seed=1)
     other = InverseResiduals(robot, logs.judged)
@@ -38,13 +35,13 @@ def found(split: str) -> tuple[Robot, Diagnosis, float]:
 
 
 @pytest.fixture(scope="module")
-def fitted_a() -> tuple[Robot, Diagnosis, float]:
-    return found("fit_a")
+def fitted_a(real_data) -> tuple[Robot, Diagnosis, float]:
+    return find(real_data / "kr300", "fit_a")
 
 
 @pytest.fixture(scope="module")
-def fitted_b() -> tuple[Robot, Diagnosis, float]:
-    return found("fit_b")
+def fitted_b(real_data) -> tuple[Robot, Diagnosis, float]:
+    return find(real_data / "kr300", "fit_b")
 
 
 def test_batch_a_names_an_external_torque_at_axis_2_that_holds_for_batch_b(fitted_a):
@@ -63,7 +60,7 @@ def test_batch_b_says_that_a_torque_remains_at_axis_2_and_depends_on_position(fi
 
 
 @pytest.mark.xfail(
-    reason="batch B has five independent blocks, too few for the family-wise test", strict=True
+    reason="five independent blocks are too few for the family-wise test", strict=True
 )
 def test_batch_b_names_a_torque_at_axis_2_that_holds_for_batch_a(fitted_b):
     _, result, error = fitted_b

@@ -60,7 +60,7 @@ _NAMES: Final = TypeAdapter(Names)
 
 
 COMPARING_MODULES: Final = (
-    "ground.calibration.screws",
+    "diagnosis.serial_arm.screws",
     "ground.diagnosis.problem",
     "ground.diagnosis.normal_equations",
     "ground.diagnosis.sensitivity",
