@@ -12,12 +12,7 @@ from diagnosis.load import load
 from diagnosis.result import Diagnosis
 from diagnosis.robot import Robot
 
-pytestmark = [
-    pytest.mark.real_data,
-    pytest.mark.slow,
-    pytest.mark.skipif(
-    ),
-]
+pytestmark = [pytest.mark.real_data, pytest.mark.slow]
 GEAR = 267.43
 
 
