@@ -16,6 +16,7 @@ PACKAGES: Final = ("fsw", "sim", "diagnosis", "ground", "marsarm", "validation",
 NUMERIC: Final = (
     *("fsw/kinematics", "fsw/estimate", "ground/calibration", "ground/diagnosis"),
     *("diagnosis/serial_arm", "diagnosis/engine", "diagnosis/fit", "diagnosis/joint_fits"),
+    *("diagnosis/context", "diagnosis/meter"),
     *("diagnosis/screening", "diagnosis/selection", "diagnosis/verdict", "diagnosis/noise"),
     *("diagnosis/assemble", "diagnosis/diagnose", "diagnosis/kinds", "diagnosis/comparison"),
 )

@@ -6,13 +6,21 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Flags
-from diagnosis.joint_fits import Context, Present
+from diagnosis.context import Context, Present
+from diagnosis.effects.actuation import GainError
 from diagnosis.noise import noise_residuals
 from diagnosis.residuals import ResidualModel
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
 from diagnosis.robot import Robot
 from diagnosis.selection import Selection
-from diagnosis.verdict import Doubt, list_members, separating_motion, size_intervals, unexplained_dependence
+from diagnosis.verdict import (
+    Doubt,
+    join_fits,
+    list_members,
+    separating_motion,
+    size_intervals,
+    unexplained_dependence,
+)
 
 MIN_CLOSURE: Final = 0.5
 """Least share of what can be explained at a joint for which effects are called its causes: half."""
@@ -136,28 +144,27 @@ def closure_at(context: Context, chosen: Present, place: str) -> float:
 
 
 def find_interval(context: Context, chosen: Present, column: int) -> tuple[float, float]:
-    """Return the interval of a size; NaN for a size at a body, which is not fitted with one joint.
+    """Return the interval of a size; that of an effect at a body allows for the sizes of all joints.
 
     Args:
         context: The context.
         chosen: The model.
-        column: Column of the union.
+        column: Column of a size that the model has fitted.
 
     Returns:
         Low and high end, in the unit of the size.
     """
-    for fit in chosen.fits:
-        at = np.flatnonzero(fit.columns == column)
-        if len(at):
-            low, high = size_intervals(context, fit)[at[0]]
-            return float(low), float(high)
-    return float("nan"), float("nan")
+    found = next((fit for fit in chosen.fits if column in fit.columns), None)
+    fit = found or join_fits(chosen, len(context.model.joint_of))
+    low, high = size_intervals(context, fit)[np.flatnonzero(fit.columns == column)[0]]
+    return float(low), float(high)
 
 
 def list_base(robot: Robot, context: Context, chosen: Present) -> list[Base]:
     """List the base parameters as fitted.
 
-    A number counts as unidentifiable if its interval is as wide as the prior allows.
+    A number counts as unidentifiable if its interval is as wide as the prior allows, or if the gain of its
+    joint is fitted too and gravity gives it no scale.
 
     Args:
         robot: The robot.
@@ -168,11 +175,12 @@ def list_base(robot: Robot, context: Context, chosen: Present) -> list[Base]:
         One record a size.
     """
     found = []
+    with_gain = {one.place for one in context.base if isinstance(one, GainError)}
     for effect in context.base:
         for column, size in zip(context.union.columns([effect]), effect.sizes, strict=True):
             low, high = find_interval(context, chosen, int(column))
             known = high - low < min(2.0 * size.prior_std, size.high - size.low)
-            loaded = robot.joint(effect.place).is_loaded_by_gravity
+            has_scale = robot.joint(effect.place).is_loaded_by_gravity or effect.place not in with_gain
             nominal = effect.nominal
             found.append(
                 Base(
@@ -181,7 +189,7 @@ def list_base(robot: Robot, context: Context, chosen: Present) -> list[Base]:
                     nominal=nominal,
                     value=nominal + float(chosen.sizes[column]),
                     interval=(nominal + low, nominal + high),
-                    is_identifiable=bool(known and loaded),
+                    is_identifiable=bool(known and has_scale),
                 )
             )
     return found

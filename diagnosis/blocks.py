@@ -32,7 +32,7 @@ class Blocks:
 
         Args:
             model: Residuals of whole motions.
-            counts: Number of blocks of each motion; blocks of a motion are equally long.
+            counts: Number of blocks of each motion, which are equally long; 0 for one without residuals.
         """
         block = np.zeros(model.time_s.size, dtype=np.int64)
         names: list[str] = []
@@ -41,9 +41,10 @@ class Blocks:
         for m, (motion, count) in enumerate(zip(model.motions, counts, strict=True)):
             rows = model.motion_of == m
             time_s = model.time_s[rows]
-            share = (time_s - time_s.min()) / max(float(np.ptp(time_s)), 1e-12)
-            block[rows] = len(names) + np.minimum((share * count).astype(np.int64), count - 1)
-            names += [f"{motion}:{k + 1}" for k in range(count)] if count > 1 else [motion]
+            if rows.any():
+                share = (time_s - time_s.min()) / max(float(np.ptp(time_s)), 1e-12)
+                block[rows] = len(names) + np.minimum((share * count).astype(np.int64), count - 1)
+            names += [motion] if count == 1 else [f"{motion}:{k + 1}" for k in range(count)]
             self.parents += (motion,) * count
         self._fill(model, np.arange(model.time_s.size), block, tuple(names))
 
@@ -101,6 +102,9 @@ def cut_into_blocks(model: ResidualModel, residuals: Array) -> Blocks:
     counts = []
     for m in range(len(model.motions)):
         rows = model.motion_of == m
+        if not rows.any():  # all its samples were refused
+            counts.append(0)
+            continue
         length_s = float(np.ptp(model.time_s[rows]))
         longest_s = max(
             correlation_time_s(model.time_s[here], residuals[here])

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from diagnosis.arrays import Array
-from diagnosis.joint_fits import Context
+from diagnosis.context import Context
 
 
 def compare(context: Context, joints: Sequence[int], before: Array, after: Array) -> tuple[float, float]:

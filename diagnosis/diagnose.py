@@ -1,6 +1,6 @@
 """Diagnose a robot: from its model and its logs to where, which effect, how far."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,12 +13,11 @@ from diagnosis.encoder_residuals import why_refused
 from diagnosis.errors import RobotError
 from diagnosis.kinds import Kind, list_kinds
 from diagnosis.logs import Logs, Motion, Signal
+from diagnosis.meter import Meter, Progress
 from diagnosis.result import Diagnosis, Rejected
 from diagnosis.robot import ControlMode, Robot
 from diagnosis.selection import select_effects
 from diagnosis.verdict import doubt_findings
-
-Progress = Callable[[float, str], None]
 
 
 def diagnose(
@@ -58,11 +57,11 @@ def diagnose(
     known = [*catalogue(robot, logs), *effects]
     parts = []
     for k, kind in enumerate(kinds):
-        meter = _Meter(progress, k, len(kinds))
+        meter = Meter(_part_of(progress, k, len(kinds)))
         fitted = kind.make(motions)
         shown, rejected = choose_shown(robot, kind, known)
         base = [one for one in base_effects(robot, logs) if kind.shows(one)] if kind.has_base else []
-        selection = select_effects(fitted, base, shown, seed=seed, report=meter.advance)
+        selection = select_effects(fitted, base, shown, seed=seed, meter=meter)
         judge = kind.make(held_out) if held_out else fitted
         part = assemble(robot, fitted, selection, doubt_findings(selection), judge)
         parts.append(replace(part, rejected=(*part.rejected, *rejected)))
@@ -74,6 +73,11 @@ def diagnose(
         fitted_motions=tuple(motion.name for motion in motions),
         judged_motions=tuple(motion.name for motion in held_out),
     )
+
+
+def _part_of(progress: Progress, part: int, parts: int) -> Progress:
+    """Return the progress of one of some parts that are taken to last alike."""
+    return lambda share, text: progress((part + share) / parts, text)
 
 
 def choose_shown(robot: Robot, kind: Kind, known: Sequence[Effect]) -> tuple[list[Effect], list[Rejected]]:
@@ -115,22 +119,6 @@ def join_parts(parts: Sequence[Diagnosis]) -> Diagnosis:
         effects=tuple(one for part in parts for one in part.effects),
         sizes=tuple(one for part in parts for one in part.sizes),
     )
-
-
-class _Meter:
-    """Turns numbers of simulations into a share that is done; each round is taken for the last but one."""
-
-    def __init__(self, progress: Progress, part: int, parts: int) -> None:
-        self.progress, self.part, self.parts = progress, part, parts
-        self.done, self.left = 0, 1
-
-    def advance(self, text: str, count: int) -> None:
-        if text == "screening":
-            self.left = max(self.done, count)
-        self.done += count
-        share = min(self.done / (self.done + max(self.left, 1)), 0.99)
-        self.progress((self.part + share) / self.parts, text)
-        self.left = max(self.left - count, self.done // 20)
 
 
 def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Motion]) -> None:

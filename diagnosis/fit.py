@@ -6,7 +6,7 @@ Hypotheses at different joints share a candidate where one joint scarcely moves 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -23,6 +23,8 @@ DAMPINGS: Final = (0.1, 1.0, 10.0)
 CONVERGED: Final = 1e-3
 """Relative decrease of the loss below which a fit has converged; selection asks for changes of percents."""
 MAX_ITERATIONS: Final = 12
+AT_ONCE: Final = 100
+"""Most candidates in a call of the model: more cost as much each, and no progress would be told meanwhile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +64,6 @@ class Hypothesis:
     """Sizes of the whole union, (n_sizes,)."""
     joint: int = ALL_JOINTS
     """Index of the joint whose residuals count."""
-    left_out: frozenset[int] = frozenset()
-    """Indices of motions that take no part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,15 +74,11 @@ class Fit:
     """(n_sizes,)."""
     columns: Integers
     residuals: Array
-    """Residuals of its joint, (n_rows,), also of motions that were left out."""
+    """Residuals of its joint, (n_rows,)."""
     rows: Integers
     """Their indices in the residual model."""
     jacobian: Array
     """Derivatives of the residuals by the free sizes, (n_rows, p)."""
-    loss: float
-    iterations: int
-    bounded: tuple[int, ...]
-    """Free columns that end at a bound."""
 
 
 def scale_residuals(model: ResidualModel, residuals: Array) -> Array:
@@ -110,7 +106,6 @@ def fit_hypotheses(
     scales: Array,
     *,
     share: bool,
-    iterations: int = MAX_ITERATIONS,
     report: Callable[[int], None] | None = None,
 ) -> list[Fit]:
     """Fit hypotheses together by Levenberg-Marquardt with a pseudo-Huber loss.
@@ -121,8 +116,7 @@ def fit_hypotheses(
         hypotheses: Problems to solve.
         scales: Scale of the residuals of each joint, (n_joints,), in the unit of the model.
         share: True to put hypotheses at different joints into one candidate.
-        iterations: Most steps of each problem.
-        report: Called with the number of candidates after each batch.
+        report: Called with the number of candidates after each call of the model.
 
     Returns:
         One fit a hypothesis, in their order.
@@ -131,7 +125,7 @@ def fit_hypotheses(
     problems = [_Problem(model, union, hypothesis, scales) for hypothesis in hypotheses]
     for problem, rows in zip(problems, evaluate([[one.x] for one in problems], problems), strict=True):
         problem.begin(rows[0])
-    for _ in range(iterations):
+    for _ in range(MAX_ITERATIONS):
         active = [one for one in problems if not one.converged]
         if not active:
             break
@@ -145,7 +139,12 @@ def fit_hypotheses(
 
 
 def evaluate_points(
-    model: ResidualModel, union: Union, points: Sequence[tuple[int, Array]], *, share: bool
+    model: ResidualModel,
+    union: Union,
+    points: Sequence[tuple[int, Array]],
+    *,
+    share: bool,
+    report: Callable[[int], None] | None = None,
 ) -> list[Array]:
     """Simulate single points, those of different joints in one candidate if they may share it.
 
@@ -154,6 +153,7 @@ def evaluate_points(
         union: Effects, and the columns of their sizes.
         points: Joint, or ALL_JOINTS, and sizes of the union in their units, (n_sizes,), for each.
         share: True to put points of different joints into one candidate.
+        report: Called with the number of candidates after each call of the model.
 
     Returns:
         Residuals of its joint for each point, (n_rows,).
@@ -161,8 +161,25 @@ def evaluate_points(
     none = np.empty(0, np.int64)
     ones = np.ones(len(model.joints))
     problems = [_Problem(model, union, Hypothesis(none, at, joint), ones) for joint, at in points]
-    found = _Evaluator(model, union, share, None)([[at] for _, at in points], problems)
+    found = _Evaluator(model, union, share, report)([[at] for _, at in points], problems)
     return [rows[0] for rows in found]
+
+
+def count_candidates(points: Sequence[tuple[int, Array]], *, share: bool) -> int:
+    """Count the candidates in which `evaluate_points` simulates single points.
+
+    Args:
+        points: Joint, or ALL_JOINTS, and sizes of the union in their units, (n_sizes,), for each.
+        share: True to put points of different joints into one candidate.
+
+    Returns:
+        Number of candidates.
+    """
+    joints = [joint for joint, _ in points]
+    if not share:
+        return len(joints)
+    counts = [joints.count(joint) for joint in set(joints) - {ALL_JOINTS}]
+    return joints.count(ALL_JOINTS) + max(counts, default=0)
 
 
 class _Problem:
@@ -175,6 +192,7 @@ class _Problem:
         self.x = hypothesis.start.copy()
         self.low = np.array([sizes[c].low for c in self.free])
         self.high = np.array([sizes[c].high for c in self.free])
+        self.x[self.free] = np.clip(self.x[self.free], self.low, self.high)
         self.typical = np.array([sizes[c].typical for c in self.free])
         prior = np.array([sizes[c].prior_std for c in self.free])
         self.prior_weight = 1.0 / prior  # 0 where the prior is flat
@@ -182,9 +200,8 @@ class _Problem:
         if hypothesis.joint != ALL_JOINTS:
             wanted &= model.joint_of == hypothesis.joint
         self.rows = np.flatnonzero(wanted)
-        left_out = np.isin(model.motion_of[self.rows], sorted(hypothesis.left_out))
-        self.weight = np.where(left_out, 0.0, 1.0 / scales[model.joint_of[self.rows]])
-        self.damping, self.converged, self.count = 1e-2, False, 0
+        self.weight = 1.0 / scales[model.joint_of[self.rows]]
+        self.damping, self.converged = 1e-2, False
         self.jacobian = np.zeros((len(self.rows), len(self.free)))
 
     def begin(self, residuals: Array) -> None:
@@ -239,7 +256,6 @@ class _Problem:
     def choose(self, rows: list[Array]) -> None:
         losses = [self.loss_of(moved, point) for moved, point in zip(rows, self.trials, strict=True)]
         best = int(np.argmin(losses))
-        self.count += 1
         if losses[best] < self.loss:
             self.converged = self.loss - losses[best] < CONVERGED * self.loss
             self.x, self.r, self.loss = self.trials[best], rows[best], losses[best]
@@ -249,11 +265,7 @@ class _Problem:
             self.damping *= 100.0
 
     def fit(self) -> Fit:
-        at = self.x[self.free]
-        reach = 1e-6 * (self.high - self.low)
-        bounded = (at <= self.low + reach) | (at >= self.high - reach)
-        stops = tuple(int(c) for c in self.free[bounded & (at != 0.0)])
-        return Fit(self.x, self.free, self.r, self.rows, self.jacobian, self.loss, self.count, stops)
+        return Fit(self.x, self.free, self.r, self.rows, self.jacobian)
 
 
 class _Evaluator:
@@ -278,6 +290,17 @@ class _Evaluator:
         if not candidates:
             return [[] for _ in points]
         found: dict[tuple[int, int], Array] = {}
+        for first in range(0, len(candidates), AT_ONCE):
+            self.simulate(candidates[first : first + AT_ONCE], problems, found)
+        return [[found[k, i] for i in range(len(wanted))] for k, wanted in enumerate(points)]
+
+    def simulate(
+        self,
+        candidates: list[tuple[list[tuple[int, int]], Array]],
+        problems: Sequence[_Problem],
+        found: dict[tuple[int, int], Array],
+    ) -> None:
+        """Simulate candidates, and add the residuals of each point to what is found."""
         used = np.flatnonzero(np.any([point != 0.0 for _, point in candidates], axis=0))
         part = [e for e in self.union.effects if np.isin(self.union.columns([e]), used).any()]
         sizes = np.array([point[self.union.columns(part)] for _, point in candidates])
@@ -287,7 +310,6 @@ class _Evaluator:
                 found[k, i] = row[problems[k].rows]
         if self.report is not None:
             self.report(len(candidates))
-        return [[found[k, i] for i in range(len(wanted))] for k, wanted in enumerate(points)]
 
     def merge(self, members: list[tuple[_Problem, Array]]) -> Array:
         """Return one size vector with the sizes of each problem at the joint of the problem."""
@@ -299,29 +321,27 @@ class _Evaluator:
         return merged
 
 
-def measure_coupling(model: ResidualModel, union: Union, at: Array, base: Sequence[Effect]) -> float:
-    """Measure how much the effects at one joint move another joint.
+def measure_coupling(model: ResidualModel, union: Union, movers: Sequence[Effect]) -> float:
+    """Measure how much the effects at one joint move another joint, at the nominal model.
 
     Args:
         model: The residual model.
         union: Effects, and the columns of their sizes.
-        at: Sizes around which it is measured, (n_sizes,), in their own units.
-        base: Effects whose typical sizes move their joints.
+        movers: Effects whose typical sizes move their joints.
 
     Returns:
         Largest ratio of the RMS change at another joint to that at the joint itself.
     """
-    part = [effect for effect in union.effects if effect.key in {one.key for one in base} or at.any()]
-    columns = union.columns(part)
-    points = [at]
+    columns = union.columns(movers)
+    points = [np.zeros(len(union.sizes))]
     for joint in model.joints:
-        moved = at.copy()
-        for effect in base:
+        moved = np.zeros(len(union.sizes))
+        for effect in movers:
             if effect.place == joint:
                 for column, size in zip(union.columns([effect]), effect.sizes, strict=True):
-                    moved[column] = np.clip(moved[column] + STEP * size.typical, size.low, size.high)
+                    moved[column] = np.clip(STEP * size.typical, size.low, size.high)
         points.append(moved)
-    rows = model.residuals(part, np.array([point[columns] for point in points]))
+    rows = model.residuals(movers, np.array([point[columns] for point in points]))
     change = np.array(
         [
             [_rms((moved - rows[0])[model.joint_of == joint]) for joint in range(len(model.joints))]
@@ -335,17 +355,3 @@ def measure_coupling(model: ResidualModel, union: Union, at: Array, base: Sequen
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
-
-
-def restart(hypothesis: Hypothesis, fit: Fit, **changes: object) -> Hypothesis:
-    """Return a hypothesis that begins where a fit ended.
-
-    Args:
-        hypothesis: The hypothesis.
-        fit: The fit.
-        changes: Fields with new values.
-
-    Returns:
-        The hypothesis with another start.
-    """
-    return replace(hypothesis, start=fit.sizes, **changes)  # type: ignore[arg-type]

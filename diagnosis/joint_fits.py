@@ -1,96 +1,29 @@
 """Fit the base parameters and the accepted effects of every joint, with all motions and without some."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.blocks import cut_into_blocks
+from diagnosis.context import Context, Present, draw_folds, run, simulate
 from diagnosis.effects.effect import Effect
 from diagnosis.errors import RobotError
 from diagnosis.fit import (
+    ALL_JOINTS,
     Fit,
     Hypothesis,
-    Union,
-    evaluate_points,
-    fit_hypotheses,
     measure_coupling,
     scale_residuals,
 )
 from diagnosis.noise import noise_losses, whiten_noise
-from diagnosis.residuals import ResidualModel
 
-FOLDS: Final = 4
 MIN_MOTIONS: Final = 4
 """Least motions of a fit: with fewer, no error of a left-out motion has a standard error worth the name."""
 MAX_COUPLING: Final = 0.02
 """Largest share of a change that may show at another joint when joints share a simulation."""
-Report = Callable[[str, int], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Context:
-    """Inputs that stay the same while effects are selected."""
-
-    model: ResidualModel
-    union: Union
-    base: tuple[Effect, ...]
-    catalogue: tuple[Effect, ...]
-    scales: Array
-    """(n_joints,)."""
-    noise_loss: Array
-    """Mean loss of the noise of each joint, (n_joints,); 0 where it is unknown."""
-    base_scores: Array
-    """Losses of left-out motions with base parameters alone, (n_joints, n_motions)."""
-    share: bool
-    """True if hypotheses at different joints share simulations."""
-    folds: tuple[frozenset[int], ...]
-    seed: int
-    report: Report
-
-
-@dataclass(frozen=True, slots=True)
-class Present:
-    """A model: its effects, its fit at each joint, its errors on motions that were left out."""
-
-    effects: tuple[Effect, ...]
-    """Accepted effects, without base parameters."""
-    sizes: Array
-    """(n_sizes,)."""
-    fits: tuple[Fit, ...]
-    """One a joint."""
-    scores: Array
-    """Mean loss when the motion was left out, (n_joints, n_motions); NaN without data."""
-
-    def at(self, place: str) -> tuple[Effect, ...]:
-        """Return the accepted effects at a place."""
-        return tuple(effect for effect in self.effects if effect.place == place)
-
-
-def start_context(
-    model: ResidualModel, base: Sequence[Effect], catalogue: Sequence[Effect], seed: int, report: Report
-) -> Context:
-    """Put base and catalogue into one union and divide the motions into folds.
-
-    Args:
-        model: Residuals of the motions that are fitted.
-        base: Nuisance effects.
-        catalogue: Effects that compete; those that are also in the base are left out.
-        seed: Seed of the folds.
-        report: Called with a text and the number of simulated candidates.
-
-    Returns:
-        The context, with scales of 1 and without shared simulations.
-    """
-    known = {effect.key for effect in base}
-    rivals = tuple(effect for effect in catalogue if effect.key not in known)
-    union = Union((*base, *rivals))
-    ones = np.ones(len(model.joints))
-    return Context(
-        model, union, tuple(base), rivals, ones, 0.0 * ones, np.empty((0, 0)), False, (), seed, report
-    )
 
 
 def fit_base(context: Context) -> tuple[Context, Present]:
@@ -104,7 +37,9 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     """
     raw, union = context.model, context.union
     sizes = np.zeros(len(union.sizes))
-    coupling = measure_coupling(raw, union, sizes, context.base)
+    known = {one.place for one in context.base}
+    others = [one for one in context.catalogue if one.place in raw.joints and one.place not in known]
+    coupling = measure_coupling(raw, union, [*context.base, *others])
     (residuals,) = raw.residuals([], np.zeros((1, 0)))
     context = replace(context, share=coupling <= MAX_COUPLING, scales=scale_residuals(raw, residuals))
     sizes, residuals, _ = fit_all_joints(context, sizes)
@@ -145,24 +80,14 @@ def rescale(context: Context, base: Present, present: Present) -> tuple[Context,
     scales = scale_residuals(model, together)
     context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
     before = np.array(cross_validate(context, list(enumerate(base.fits))))
-    fits = fit_joints(context, present.effects, present.sizes)
+    effects = [one for one in present.effects if one.place not in model.joints]
+    columns = [context.union.columns([one]) for one in effects]
+    bodies = tuple(run(context, [Hypothesis(free, present.sizes) for free in columns], "refit"))
+    fits = fit_joints(context, present.effects, merge_sizes(context, present.sizes, bodies))
     scores = np.array(cross_validate(context, list(enumerate(fits))))
-    sizes = merge_sizes(context, present.sizes, fits)
-    return replace(context, base_scores=before), replace(present, sizes=sizes, fits=fits, scores=scores)
-
-
-def draw_folds(n_motions: int, seed: int) -> tuple[frozenset[int], ...]:
-    """Divide motions at random into folds of about equal numbers.
-
-    Args:
-        n_motions: Number of motions.
-        seed: Seed of the order.
-
-    Returns:
-        Indices of the motions of each fold.
-    """
-    order = np.random.default_rng(seed).permutation(n_motions)
-    return tuple(frozenset(int(m) for m in order[k::FOLDS]) for k in range(FOLDS))
+    sizes = fits[0].sizes
+    found = replace(present, sizes=sizes, fits=fits, scores=scores, bodies=bodies)
+    return replace(context, base_scores=before), found
 
 
 def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[Fit, ...]]:
@@ -179,7 +104,7 @@ def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[
     together = np.zeros(len(context.model.joint_of))
     for fit in fits:
         together[fit.rows] = fit.residuals
-    return merge_sizes(context, sizes, fits), together, fits
+    return fits[0].sizes, together, fits
 
 
 def free_columns(context: Context, effects: Sequence[Effect], place: str) -> Integers:
@@ -196,44 +121,25 @@ def free_columns(context: Context, effects: Sequence[Effect], place: str) -> Int
     return context.union.columns([one for one in (*context.base, *effects) if one.place == place])
 
 
-def fit_joints(
-    context: Context, effects: Sequence[Effect], sizes: Array, left_out: frozenset[int] = frozenset()
-) -> tuple[Fit, ...]:
+def fit_joints(context: Context, effects: Sequence[Effect], sizes: Array) -> tuple[Fit, ...]:
     """Fit base and effects of every joint; sizes at other places stay.
+
+    The residuals are those with the new sizes of all joints: a joint was fitted with the others as they were.
 
     Args:
         context: The context.
         effects: Accepted effects.
         sizes: Sizes from which the fits start, (n_sizes,), in their own units.
-        left_out: Motions that take no part.
 
     Returns:
-        One fit a joint.
+        One fit a joint, each with the sizes of all.
     """
     joints = enumerate(context.model.joints)
-    free = [Hypothesis(free_columns(context, effects, name), sizes, j, left_out) for j, name in joints]
-    return tuple(run(context, free, "fit"))
-
-
-def run(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> list[Fit]:
-    """Fit hypotheses in this context.
-
-    Args:
-        context: The context.
-        hypotheses: The hypotheses.
-        text: Name of the work, for the progress.
-
-    Returns:
-        The fits.
-    """
-    return fit_hypotheses(
-        context.model,
-        context.union,
-        hypotheses,
-        context.scales,
-        share=context.share,
-        report=lambda count: context.report(text, count),
-    )
+    free = [Hypothesis(free_columns(context, effects, name), sizes, j) for j, name in joints]
+    fits = run(context, free, "fit")
+    sizes = merge_sizes(context, sizes, fits)
+    (rows,) = simulate(context, [(ALL_JOINTS, sizes)], "fit")
+    return tuple(replace(fit, sizes=sizes, residuals=rows[fit.rows]) for fit in fits)
 
 
 def merge_sizes(context: Context, sizes: Array, fits: Sequence[Fit]) -> Array:
@@ -256,7 +162,7 @@ def merge_sizes(context: Context, sizes: Array, fits: Sequence[Fit]) -> Array:
 def cross_validate(context: Context, fits: Sequence[tuple[int, Fit]]) -> list[Array]:
     """Leave out each fold of motions, and measure the loss on the fold.
 
-    A fit without a fold begins at the optimum of all motions and takes one Gauss-Newton step, with the
+    A fit without a fold begins at the optimum of all motions and takes one Newton step, with the
     Jacobian of that optimum. It is then simulated, so that nothing of its loss is linearised.
 
     Args:
@@ -267,8 +173,7 @@ def cross_validate(context: Context, fits: Sequence[tuple[int, Fit]]) -> list[Ar
         Mean losses of left-out motions of each fit, (n_motions,) each, without a unit.
     """
     points = [(joint, step_without(context, fit, fold)) for joint, fit in fits for fold in context.folds]
-    rows = iter(evaluate_points(context.model, context.union, points, share=context.share))
-    context.report("cross-validation", len(points))
+    rows = iter(simulate(context, points, "cross-validation"))
     found = []
     for _, fit in fits:
         scores = np.full(len(context.model.motions), np.nan)
@@ -282,6 +187,8 @@ def cross_validate(context: Context, fits: Sequence[tuple[int, Fit]]) -> list[Ar
 def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:
     """Return the sizes of a fit after one step without a fold of motions.
 
+    A size at a bound stays there if the step would lead beyond it.
+
     Args:
         context: The context.
         fit: Fit of all motions.
@@ -292,16 +199,22 @@ def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:
     """
     model, free = context.model, fit.columns
     sizes = [context.union.sizes[c] for c in free]
-    prior = np.array([1.0 / size.prior_std**2 for size in sizes])
-    weight = 1.0 / context.scales[model.joint_of[fit.rows]]
-    robust = weight * (1.0 + (fit.residuals * weight) ** 2) ** -0.25
-    robust[np.isin(model.motion_of[fit.rows], sorted(fold))] = 0.0
-    a = fit.jacobian * robust[:, None]
-    gradient = a.T @ (fit.residuals * robust) + prior * fit.sizes[free]
-    step = -np.linalg.pinv(a.T @ a + np.diag(prior), rcond=1e-10, hermitian=True) @ gradient
+    unit = np.array([size.typical for size in sizes])  # sizes of very different units in one matrix
+    low = np.array([size.low for size in sizes]) / unit
+    high = np.array([size.high for size in sizes]) / unit
+    prior = (unit / np.array([size.prior_std for size in sizes])) ** 2
+    weight = np.where(np.isin(model.motion_of[fit.rows], sorted(fold)), 0.0, 1.0)
+    weight /= context.scales[model.joint_of[fit.rows]]
+    z = fit.residuals * weight
+    a = fit.jacobian * weight[:, None] * unit
+    slope, curvature = z / np.sqrt(1.0 + z * z), (1.0 + z * z) ** -1.5  # of half the pseudo-Huber loss
+    at = fit.sizes[free] / unit
+    gradient = a.T @ slope + prior * at
+    go = ~(((at <= low) & (gradient > 0.0)) | ((at >= high) & (gradient < 0.0)))
+    normal = (a.T @ (a * curvature[:, None]) + np.diag(prior))[np.ix_(go, go)]
+    at[go] -= np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ gradient[go]
     found = fit.sizes.copy()
-    low, high = [size.low for size in sizes], [size.high for size in sizes]
-    found[free] = np.clip(found[free] + step, low, high)
+    found[free] = np.clip(at, low, high) * unit
     return found
 
 
@@ -344,7 +257,9 @@ def leave_out(context: Context, present: Present, effects: Sequence[Effect]) -> 
     sizes[context.union.columns(effects)] = 0.0
     fits = fit_joints(context, rest, sizes)
     scores = np.array(cross_validate(context, list(enumerate(fits))))
-    return Present(rest, merge_sizes(context, sizes, fits), fits, scores)
+    gone_columns = set(context.union.columns(effects).tolist())
+    bodies = tuple(fit for fit in present.bodies if not gone_columns & set(fit.columns.tolist()))
+    return Present(rest, fits[0].sizes, fits, scores, bodies)
 
 
 def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from diagnosis import encoder_residuals, inverse_residuals
 from diagnosis.arrays import Flags
+from diagnosis.effects.actuation import DampingGain, GainError, TorqueConstant, TorqueLimit
 from diagnosis.effects.effect import Effect
 from diagnosis.effects.periodic import PeriodicError, SmoothPeriodicError
 from diagnosis.encoder_residuals import EncoderResiduals
@@ -27,7 +28,7 @@ class Kind:
 
     make: Callable[[Sequence[Motion]], ResidualModel]
     shows: Callable[[Effect], bool]
-    """Whether the residual can show an effect."""
+    """True if the residual can show an effect."""
     has_base: bool
     """False if the base parameters of a joint do not move it."""
 
@@ -71,5 +72,11 @@ def shows_simulation(effect: Effect) -> bool:
 
 
 def shows_torque(effect: Effect) -> bool:
-    """Return whether logged torques can show an effect; an error of one encoder moves no torque."""
-    return inverse_residuals.shows(effect) and not isinstance(effect, PeriodicError | SmoothPeriodicError)
+    """Return whether logged torques can show an effect.
+
+    An error of one encoder moves no torque. A change of the controller does not count where its torque is
+    logged.
+    """
+    is_periodic = isinstance(effect, PeriodicError | SmoothPeriodicError)
+    is_controller = isinstance(effect, GainError | DampingGain | TorqueConstant | TorqueLimit)
+    return inverse_residuals.shows(effect) and not is_periodic and not is_controller

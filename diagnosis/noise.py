@@ -150,9 +150,11 @@ def whiten_noise(model: ResidualModel, residuals: Array) -> ResidualModel:
     """
     correlation = np.zeros(len(model.joints))
     for joint in range(len(model.joints)):
+        product, energy = 0.0, 0.0
         for a, b in repeat_pairs(model, joint):
             noise = residuals[a] - residuals[b]
             noise = noise - noise.mean()
-            energy = float(noise @ noise)
-            correlation[joint] = np.clip(noise[1:] @ noise[:-1] / energy, 0.0, 0.95) if energy > 0.0 else 0.0
+            product += float(noise[1:] @ noise[:-1])
+            energy += float(noise @ noise)
+        correlation[joint] = np.clip(product / energy, 0.0, 0.95) if energy > 0.0 else 0.0
     return WhitenedResiduals(model, correlation) if correlation.any() else model

@@ -25,7 +25,7 @@ class Finding:
     share: float
     """Share of the held-out error of its joint that comes back without it."""
     places: tuple[str, ...]
-    """Places that cannot be excluded; at most three, the best first."""
+    """Places that cannot be excluded, the best first."""
     families: tuple[Family, ...]
     effects: tuple[str, ...]
     """Keys of effects that cannot be excluded."""
@@ -43,7 +43,7 @@ class Base:
     value: float
     interval: tuple[float, float]
     is_identifiable: bool
-    """False if the data show only its ratio to the gain, or nothing."""
+    """False if the data show nothing of it, or only its ratio to the gain where that is fitted too."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -148,7 +148,8 @@ def score_trial(white: Whitened, n_motions: int, trial: Trial, change: Array, at
     sizes = np.sqrt(np.bincount(white.motion, weights=white.residual**2, minlength=n_motions))
     by_motion = -products / np.where(sizes > 0.0, sizes, 1.0)
     left = np.bincount(white.motion, weights=direction * (white.residual + direction), minlength=n_motions)
-    p = wald_p(direction, left.astype(np.float64), len(trial.points))
+    # motions without this joint are no clusters
+    p = wald_p(direction, left[np.unique(white.motion)].astype(np.float64), len(trial.points))
     start = trial.points[0]
     if len(trial.points) > 1:
         start = at + (np.array(trial.points) - at).T @ solution

@@ -11,12 +11,10 @@ import numpy as np
 
 from diagnosis.arrays import Array
 from diagnosis.comparison import compare
+from diagnosis.context import Context, Present, run, simulate, start_context
 from diagnosis.effects.effect import Effect
-from diagnosis.fit import ALL_JOINTS, Fit, Hypothesis, evaluate_points
+from diagnosis.fit import ALL_JOINTS, Fit, Hypothesis, count_candidates
 from diagnosis.joint_fits import (
-    Context,
-    Present,
-    Report,
     cross_validate,
     fit_base,
     fit_joints,
@@ -27,10 +25,9 @@ from diagnosis.joint_fits import (
     merge_sizes,
     motion_losses,
     rescale,
-    run,
-    start_context,
     step_without,
 )
+from diagnosis.meter import Meter
 from diagnosis.residuals import ResidualModel
 from diagnosis.screening import Score, Whitened, family_wise_p, list_trials, score_trial, whiten
 
@@ -87,7 +84,7 @@ def select_effects(
     catalogue: Sequence[Effect],
     *,
     seed: int,
-    report: Report = lambda text, count: None,
+    meter: Meter | None = None,
 ) -> Selection:
     """Find the effects that motions need beyond the base parameters.
 
@@ -96,17 +93,19 @@ def select_effects(
         base: Effects that every model has: nuisance parameters with priors.
         catalogue: Effects that compete.
         seed: Seed of random signs and folds.
-        report: Called with a text and the number of simulated candidates.
+        meter: Tells the progress; None: nobody is told.
 
     Returns:
         The models before and after.
     """
-    context, first = fit_base(start_context(model, base, catalogue, seed, report))
+    context, first = fit_base(start_context(model, base, catalogue, seed, meter or Meter()))
     present = first
     refitted: dict[str, Effect] = {}
     open_joints = {int(j) for j in np.unique(model.joint_of)}
     while open_joints:
-        shortlist = screen(context, present, open_joints)
+        n_layers = len(list_layers(context, present.effects))
+        # a first finding is expected, and a round without another; then each layer is left out once
+        shortlist = screen(context, present, open_joints, rounds_after=n_layers or 2)
         refitted |= {score.effect.key: score.effect for score in shortlist}
         winners = choose(context, present, judge(context, present, shortlist))
         open_joints &= {j for winner in winners for j in winner.joints}
@@ -118,13 +117,14 @@ def select_effects(
     return Selection(context, first, drop_needless(context, present), tuple(refitted.values()))
 
 
-def screen(context: Context, present: Present, open_joints: set[int]) -> list[Score]:
+def screen(context: Context, present: Present, open_joints: set[int], rounds_after: int) -> list[Score]:
     """Simulate every effect at a few sizes, and keep the best of each place.
 
     Args:
         context: The context.
         present: The present model.
         open_joints: Joints at which effects are still looked for.
+        rounds_after: Rounds that are expected after this one, for the progress.
 
     Returns:
         At most SHORTLIST scores of a joint, and as many of all bodies, which beat chance over all effects.
@@ -144,9 +144,8 @@ def screen(context: Context, present: Present, open_joints: set[int]) -> list[Sc
         for trial in list_trials(context.union, effect, present.sizes)
     ]
     points = [(lane, point) for lane, trial in trials for point in trial.points]
-    rows = evaluate_points(context.model, context.union, points, share=context.share)
-    moved = iter(rows)
-    context.report("screening", len(points))
+    context.meter.begin_round(count_candidates(points, share=context.share), rounds_after)
+    moved = iter(simulate(context, points, "screening"))
     best: dict[int, dict[str, Score]] = {lane: {} for _, lane, _ in groups}
     white = {lane: _whiten(context, present, joints) for joints, lane, _ in groups}
     for lane, trial in trials:
@@ -221,8 +220,7 @@ def _judge_body(context: Context, present: Present, score: Score) -> Candidate:
         steps = [replace(fit, sizes=step_without(context, fit, fold)) for fit in fits]
         body = replace(whole, sizes=step_without(context, whole, fold))
         points.append((ALL_JOINTS, merge_sizes(context, whole.sizes, [*steps, body])))
-    rows = evaluate_points(context.model, context.union, points, share=False)
-    context.report("cross-validation", len(points))
+    rows = simulate(context, points, "cross-validation")
     scores = np.full((len(fits), len(context.model.motions)), np.nan)
     for fold, residuals in zip(context.folds, rows, strict=True):
         left_out = sorted(fold)
@@ -329,8 +327,8 @@ def simplest(candidates: Sequence[Candidate]) -> Candidate:
 
 def _improvement(present: Present, candidate: Candidate) -> float:
     """Return the decrease of the mean loss, summed over the joints of a candidate."""
-    before = present.scores[list(candidate.joints)]
-    return float(np.sum(np.nanmean(before - candidate.scores, axis=1)))
+    change = present.scores[list(candidate.joints)] - candidate.scores
+    return float(np.sum(np.nanmean(change[~np.isnan(change).all(axis=1)], axis=1)))
 
 
 def worsens_another(context: Context, present: Present, candidate: Candidate) -> bool:
@@ -346,12 +344,12 @@ def worsens_another(context: Context, present: Present, candidate: Candidate) ->
     """
     if len(candidate.joints) > 1:
         return False
-    columns = merge_sizes(context, present.sizes, candidate.fits)
+    sizes = merge_sizes(context, present.sizes, candidate.fits)
     others = [j for j in np.unique(context.model.joint_of) if j not in candidate.joints]
     if not others:
         return False
-    points = [(ALL_JOINTS, present.sizes), (ALL_JOINTS, columns)]
-    before, after = evaluate_points(context.model, context.union, points, share=False)
+    points = [(ALL_JOINTS, present.sizes), (ALL_JOINTS, sizes)]
+    before, after = simulate(context, points, "cross-validation")
     return any(
         float(np.mean(np.abs(after[rows]))) > (1.0 + MAX_WORSE) * float(np.mean(np.abs(before[rows])))
         for rows in (context.model.joint_of == j for j in others)
@@ -367,7 +365,7 @@ def accept(context: Context, present: Present, candidate: Candidate) -> Present:
         candidate: The effect.
 
     Returns:
-        The model with the effect.
+        The model with the effect, whose other fits `rescale` has to renew.
     """
     own = [*(int(c) for c in context.union.columns([candidate.effect]))]
     own += [int(c) for fit in candidate.fits for c in fit.columns]
@@ -375,7 +373,7 @@ def accept(context: Context, present: Present, candidate: Candidate) -> Present:
     sizes[own] = candidate.sizes[own]
     for k, j in enumerate(candidate.joints):
         scores[j], fits[j] = candidate.scores[k], candidate.fits[k]
-    return Present((*present.effects, candidate.effect), sizes, tuple(fits), scores)
+    return Present((*present.effects, candidate.effect), sizes, tuple(fits), scores, present.bodies)
 
 
 def drop_needless(context: Context, present: Present) -> Present:

@@ -11,6 +11,8 @@ MAX_MEMBERS: Final = 3
 """Largest number of members of a set that is listed; a reader can act on no more of them."""
 SMALL_UNITS: Final = {"rad": ("mrad", 1e3), "m": ("mm", 1e3), "rad/s": ("mrad/s", 1e3)}
 """Units in which errors of a robot are small numbers, and their factors."""
+GAIN: Final = "gain_ratio"
+"""Name of the base parameter to which others are known as ratios where gravity gives no scale."""
 NOT_LOCATED: Final = "something small, not located"
 FAMILY_WORDS: Final = {
     Family.FRICTION: "friction",
@@ -50,7 +52,7 @@ def finding_lines(diagnosis: Diagnosis) -> list[str]:
     """Return a sentence for each finding, for what remains, and for what cannot be known."""
     found = [finding_sentence(finding) for finding in diagnosis.findings]
     rest = [remainder_sentence(one) for one in diagnosis.remaining]
-    return [*found, *rest, *ratio_sentences(diagnosis.base)]
+    return [*found, *rest, *unknown_sentences(diagnosis.base)]
 
 
 def verdict_word(diagnosis: Diagnosis) -> str:
@@ -111,15 +113,18 @@ def remainder_sentence(one: Remainder) -> str:
     return f"Remains at {one.joint}, {regime_words(one.regime)}: {amount} that no effect explains; {depends}."
 
 
-def ratio_sentences(base: Sequence[Base]) -> list[str]:
-    """Return a sentence for each joint of which some numbers cannot be known."""
-    places = dict.fromkeys(one.place for one in base if not one.is_identifiable)
+def unknown_sentences(base: Sequence[Base]) -> list[str]:
+    """Return a sentence for each joint or link of which some numbers cannot be known."""
+    unknown = [one for one in base if not one.is_identifiable]
     sentences = []
-    for place in places:
-        names = [one.name for one in base if one.place == place and not one.is_identifiable]
-        sentences.append(
-            f"At {place}, only ratios to the gain can be known of: {join_words(names, 'and', len(names))}."
-        )
+    for place in dict.fromkeys(one.place for one in unknown):
+        names = [one.name for one in unknown if one.place == place]
+        rest = [name for name in names if name != GAIN]
+        if GAIN in names and rest:
+            what = f"only ratios to the gain can be known of: {join_words(rest, 'and', len(rest))}"
+        else:
+            what = f"the logs do not determine: {join_words(names, 'and', len(names))}"
+        sentences.append(f"At {place}, {what}.")
     return sentences
 
 

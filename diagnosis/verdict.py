@@ -9,9 +9,10 @@ from scipy.stats import t as student
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.comparison import one_sided_p
+from diagnosis.context import Context, Present, simulate
 from diagnosis.effects.effect import Effect, Family
-from diagnosis.fit import ALL_JOINTS, Fit, evaluate_points
-from diagnosis.joint_fits import Context, Present, joints_of, leave_out, list_layers
+from diagnosis.fit import ALL_JOINTS, Fit
+from diagnosis.joint_fits import joints_of, leave_out, list_layers
 from diagnosis.screening import Score
 from diagnosis.selection import Candidate, Selection, judge, screen
 
@@ -55,13 +56,18 @@ def doubt_findings(selection: Selection) -> list[Doubt]:
     """
     context, present = selection.context, selection.chosen
     found: dict[str, Doubt] = {}
-    for layer in list_layers(context, present.effects):
+    layers = list_layers(context, present.effects)
+    for k, layer in enumerate(layers):
         without = leave_out(context, present, layer)
         open_joints = {j for effect in layer for j in joints_of(context, effect)}
-        scores = screen(context, without, open_joints)
-        seen = {score.effect.key for score in scores}
+        rivals = screen(context, without, open_joints, rounds_after=len(layers) - k - 1)
+        keys = {effect.key for effect in layer}
+        scores = [score for score in rivals if score.effect.key not in keys]
         nothing = np.zeros(len(context.model.motions))
-        scores += [Score(one, present.sizes, 0.0, nothing, 1.0) for one in layer if one.key not in seen]
+        for effect in layer:  # each begins at its own sizes, without the others that are left out
+            start, own = without.sizes.copy(), context.union.columns([effect])
+            start[own] = present.sizes[own]
+            scores.append(Score(effect, start, 0.0, nothing, 1.0))
         candidates = judge(context, without, scores)
         for effect in layer:
             found[effect.key] = doubt_finding(context, without, effect, candidates)
@@ -105,32 +111,59 @@ def _errors(context: Context, without: Present, candidate: Candidate) -> Array:
 
 
 def size_intervals(context: Context, fit: Fit) -> Array:
-    """Return intervals of the free sizes of a fit that hold for autocorrelated residuals.
+    """Return intervals of the free sizes of a fit that hold for residuals with autocorrelation.
 
     The covariance is the sandwich with motions as clusters: residuals of one motion may depend on one another
     in any way (Liang and Zeger 1986). The quantile is that of Student's t with one degree less than motions.
 
     Args:
         context: The context.
-        fit: A fit of one joint.
+        fit: A fit of one joint or of all.
 
     Returns:
         Low and high ends, (n_free, 2), in the units of the sizes.
     """
     weight = 1.0 / context.scales[context.model.joint_of[fit.rows]]
     z = fit.residuals * weight
-    robust = weight * (1.0 + z * z) ** -0.25
-    a, r = fit.jacobian * robust[:, None], fit.residuals * robust
-    prior = np.array([1.0 / context.union.sizes[c].prior_std ** 2 for c in fit.columns])
-    inverse = np.linalg.pinv(a.T @ a + np.diag(prior), rcond=1e-12, hermitian=True)
+    sizes = [context.union.sizes[c] for c in fit.columns]
+    unit = np.array([size.typical for size in sizes])  # sizes of very different units in one matrix
+    a = fit.jacobian * weight[:, None] * unit
+    slope, curvature = z / np.sqrt(1.0 + z * z), (1.0 + z * z) ** -1.5  # of half the pseudo-Huber loss
+    prior = (unit / np.array([size.prior_std for size in sizes])) ** 2
+    inverse = np.linalg.pinv(a.T @ (a * curvature[:, None]) + np.diag(prior), rcond=1e-12, hermitian=True)
     motion = context.model.motion_of[fit.rows]
     n = len(np.unique(motion))
-    slopes = np.array([a[motion == k].T @ r[motion == k] for k in np.unique(motion)])
+    slopes = np.array([a[motion == k].T @ slope[motion == k] for k in np.unique(motion)]).reshape(
+        n, len(sizes)
+    )
     middle = slopes.T @ slopes * (n / max(n - 1, 1)) + np.diag(prior)
     covariance = inverse @ middle @ inverse
-    half = student.ppf(0.5 + 0.5 * COVERED, max(n - 1, 1)) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    sigma = unit * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    half = student.ppf(0.5 + 0.5 * COVERED, max(n - 1, 1)) * sigma
     at = fit.sizes[fit.columns]
     return np.column_stack([at - half, at + half])
+
+
+def join_fits(present: Present, n_rows: int) -> Fit:
+    """Join the fits of bodies and joints, so that the interval of one size allows for errors of the others.
+
+    Args:
+        present: A model with effects at bodies.
+        n_rows: Number of residuals of all joints.
+
+    Returns:
+        A fit of all joints with all their sizes; a size at a joint moves no other joint.
+    """
+    parts = (*present.bodies, *present.fits)
+    columns = np.concatenate([fit.columns for fit in parts])
+    residuals, jacobian, first = np.zeros(n_rows), np.zeros((n_rows, len(columns))), 0
+    for fit in parts:
+        last = first + len(fit.columns)
+        jacobian[fit.rows, first:last] = fit.jacobian
+        first = last
+    for fit in present.fits:
+        residuals[fit.rows] = fit.residuals
+    return Fit(present.sizes, columns, residuals, np.arange(n_rows), jacobian)
 
 
 def separating_motion(context: Context, doubt: Doubt) -> str:
@@ -146,9 +179,7 @@ def separating_motion(context: Context, doubt: Doubt) -> str:
     if len(doubt.alternatives) < 2:
         return ""
     first, second = doubt.alternatives[:2]
-    rows = evaluate_points(
-        context.model, context.union, [(ALL_JOINTS, first.sizes), (ALL_JOINTS, second.sizes)], share=False
-    )
+    rows = simulate(context, [(ALL_JOINTS, first.sizes), (ALL_JOINTS, second.sizes)], "comparison")
     model = context.model
     difference = (rows[0] - rows[1]) / context.scales[model.joint_of]
     motion = _strongest(difference, model.motion_of, len(model.motions))

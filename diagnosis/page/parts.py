@@ -192,7 +192,7 @@ def _base_part(diagnosis: Diagnosis) -> list[str]:
             one.name,
             f"{one.nominal:.4g}",
             f"{one.value:.4g}",
-            f"{one.interval[0]:.4g} to {one.interval[1]:.4g}" if one.is_identifiable else "only as a ratio",
+            f"{one.interval[0]:.4g} to {one.interval[1]:.4g}" if one.is_identifiable else "not known",
         )
         for one in diagnosis.base
     ]

@@ -8,6 +8,7 @@ import pytest
 from diagnosis.blocks import Blocks, correlation_time_s, cut_into_blocks
 from diagnosis.effects.friction import CoulombFriction
 from diagnosis.inverse_residuals import InverseResiduals
+from tests.diagnosis.toy import draw_toy
 from tests.diagnosis.two_joint_arm import arm, scales, simulated
 
 PERIOD_s = 0.01
@@ -111,3 +112,11 @@ def test_a_selection_of_a_selection_is_that_selection():
     once = blocks.select(("m2:2",))
     size = np.zeros((1, 0))
     assert np.array_equal(twice.residuals([], size), once.residuals([], size))
+
+
+def test_a_motion_of_which_nothing_is_left_is_no_block():
+    toy = draw_toy(1, {}, n_motions=3)
+    toy.motions = (*toy.motions, "refused")
+    blocks = cut_into_blocks(toy, toy.measured.ravel())
+    assert not any(name.startswith("refused") for name in blocks.motions)
+    assert set(blocks.motion_of) == set(range(len(blocks.motions)))

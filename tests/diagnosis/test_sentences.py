@@ -132,9 +132,15 @@ def test_an_error_at_the_floor_has_no_closure():
 
 
 def test_a_joint_without_gravity_load_shows_only_ratios_to_the_gain():
-    said = detail_lines(diagnosis(base=(GAIN, ARMATURE)))
+    gain = replace(ARMATURE, name="gain_ratio")
+    said = detail_lines(diagnosis(base=(GAIN, ARMATURE, gain)))
     assert "At pan, only ratios to the gain can be known of: armature." in said
-    assert not any("At lift, only" in line for line in said)
+    assert not any("At lift" in line for line in said)
+
+
+def test_a_number_without_a_gain_is_no_ratio_to_it():
+    said = detail_lines(diagnosis(base=(GAIN, ARMATURE)))
+    assert "At pan, the logs do not determine: armature." in said
 
 
 def test_details_give_interval_share_and_what_the_remainder_depends_on():

@@ -1,0 +1,135 @@
+"""Inputs of a selection, its present model, and how both reach the residual model."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from diagnosis.arrays import Array
+from diagnosis.effects.effect import Effect
+from diagnosis.fit import Fit, Hypothesis, Union, evaluate_points, fit_hypotheses
+from diagnosis.meter import Meter
+from diagnosis.residuals import ResidualModel
+
+FOLDS: Final = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """Inputs that stay the same while effects are selected."""
+
+    model: ResidualModel
+    union: Union
+    base: tuple[Effect, ...]
+    catalogue: tuple[Effect, ...]
+    scales: Array
+    """(n_joints,)."""
+    noise_loss: Array
+    """Mean loss of the noise of each joint, (n_joints,); 0 where it is unknown."""
+    base_scores: Array
+    """Losses of left-out motions with base parameters alone, (n_joints, n_motions)."""
+    share: bool
+    """True if hypotheses at different joints share simulations."""
+    folds: tuple[frozenset[int], ...]
+    seed: int
+    meter: Meter
+
+
+@dataclass(frozen=True, slots=True)
+class Present:
+    """A model: its effects, its fit at each joint, its errors on motions that were left out."""
+
+    effects: tuple[Effect, ...]
+    """Accepted effects, without base parameters."""
+    sizes: Array
+    """(n_sizes,)."""
+    fits: tuple[Fit, ...]
+    """One a joint."""
+    scores: Array
+    """Mean loss when the motion was left out, (n_joints, n_motions); NaN without data."""
+    bodies: tuple[Fit, ...] = ()
+    """One for each effect at a body, with the residuals of all joints."""
+
+    def at(self, place: str) -> tuple[Effect, ...]:
+        """Return the accepted effects at a place."""
+        return tuple(effect for effect in self.effects if effect.place == place)
+
+
+def start_context(
+    model: ResidualModel, base: Sequence[Effect], catalogue: Sequence[Effect], seed: int, meter: Meter
+) -> Context:
+    """Put base and catalogue into one union and divide the motions into folds.
+
+    Args:
+        model: Residuals of the motions that are fitted.
+        base: Nuisance effects.
+        catalogue: Effects that compete; those that are also in the base are left out.
+        seed: Seed of the folds.
+        meter: Counts simulated candidates.
+
+    Returns:
+        The context, with scales of 1 and without shared simulations.
+    """
+    known = {effect.key for effect in base}
+    rivals = tuple(effect for effect in catalogue if effect.key not in known)
+    union = Union((*base, *rivals))
+    ones = np.ones(len(model.joints))
+    return Context(
+        model, union, tuple(base), rivals, ones, 0.0 * ones, np.empty((0, 0)), False, (), seed, meter
+    )
+
+
+def draw_folds(n_motions: int, seed: int) -> tuple[frozenset[int], ...]:
+    """Divide motions at random into folds of about equal numbers.
+
+    Args:
+        n_motions: Number of motions.
+        seed: Seed of the order.
+
+    Returns:
+        Indices of the motions of each fold.
+    """
+    order = np.random.default_rng(seed).permutation(n_motions)
+    return tuple(frozenset(int(m) for m in order[k::FOLDS]) for k in range(FOLDS))
+
+
+def run(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> list[Fit]:
+    """Fit hypotheses in this context.
+
+    Args:
+        context: The context.
+        hypotheses: The hypotheses.
+        text: Name of the work, for the progress.
+
+    Returns:
+        The fits.
+    """
+    return fit_hypotheses(
+        context.model,
+        context.union,
+        hypotheses,
+        context.scales,
+        share=context.share,
+        report=lambda count: context.meter.advance(text, count),
+    )
+
+
+def simulate(context: Context, points: Sequence[tuple[int, Array]], text: str) -> list[Array]:
+    """Simulate single points in this context.
+
+    Args:
+        context: The context.
+        points: Joint, or ALL_JOINTS, and sizes of the union in their units, (n_sizes,), for each.
+        text: Name of the work, for the progress.
+
+    Returns:
+        Residuals of its joint for each point, (n_rows,).
+    """
+    return evaluate_points(
+        context.model,
+        context.union,
+        points,
+        share=context.share,
+        report=lambda count: context.meter.advance(text, count),
+    )

@@ -1,0 +1,54 @@
+"""Share of a selection that is done, from the rounds and the simulated candidates that are still expected."""
+
+from collections.abc import Callable
+from typing import Final
+
+Progress = Callable[[float, str], None]
+
+FIRST_RATIO: Final = 2.0
+"""Candidates of the first round over those of its screening: refits are taken to cost as much."""
+OVERRUN: Final = 0.1
+"""Share of its candidates that a round has left once it has more than were expected."""
+
+
+class Meter:
+    """Counts candidates. The share stays 0 until the base parameters are fitted, and never falls."""
+
+    def __init__(self, progress: Progress = lambda share, text: None) -> None:
+        """Start at 0.
+
+        Args:
+            progress: Called with the share that is done, from 0 to 1, and a text.
+        """
+        self._progress = progress
+        self._share = 0.0
+        self._done, self._begin = 0, 0
+        self._screened, self._after = 0, 0
+        self._ended_done, self._ended_screened = 0, 0
+
+    def begin_round(self, screened: int, after: int) -> None:
+        """Begin a round of screening and refits.
+
+        Args:
+            screened: Candidates of its screening.
+            after: Rounds that are expected after it.
+        """
+        if self._screened:
+            self._ended_done += self._done - self._begin
+            self._ended_screened += self._screened
+        self._begin, self._screened, self._after = self._done, screened, after
+
+    def advance(self, text: str, count: int) -> None:
+        """Count candidates.
+
+        Args:
+            text: Name of the work.
+            count: Number of candidates that were simulated.
+        """
+        self._done += count
+        if self._screened:
+            ratio = self._ended_done / self._ended_screened if self._ended_screened else FIRST_RATIO
+            usual, spent = ratio * self._screened, self._done - self._begin
+            left = max(usual - spent, OVERRUN * spent) + self._after * usual
+            self._share = max(self._share, self._done / (self._done + left))
+        self._progress(self._share, text)

@@ -1,0 +1,49 @@
+"""Kinds of residual, and the effects that each can show."""
+
+from dataclasses import replace
+
+import pytest
+
+from diagnosis.assemble import list_base
+from diagnosis.catalogue import base_effects, catalogue
+from diagnosis.context import start_context
+from diagnosis.effects.actuation import GainError
+from diagnosis.effects.effect import Family
+from diagnosis.joint_fits import fit_base
+from diagnosis.kinds import list_kinds
+from diagnosis.logs import Logs, Motion
+from diagnosis.meter import Meter
+from diagnosis.robot import Robot
+from tests.diagnosis.two_joint_arm import arm, simulated
+
+
+def with_commands(robot: Robot) -> list[Motion]:
+    """Return motions in which the logged torque was the command too."""
+    found = [simulated(robot, seed, duration_s=2.0, name=f"m{seed}") for seed in range(4)]
+    return [
+        replace(one, joints={name: replace(log, command=log.torque) for name, log in one.joints.items()})
+        for one in found
+    ]
+
+
+@pytest.fixture(scope="module")
+def unloaded() -> tuple[Robot, list[Motion]]:
+    robot = arm(is_loaded=False)
+    return robot, with_commands(robot)
+
+
+def test_logged_torques_show_no_change_of_the_controller(unloaded: tuple[Robot, list[Motion]]) -> None:
+    robot, motions = unloaded
+    logs = Logs(tuple(motions))
+    (kind,) = list_kinds(robot, motions, None)
+    assert any(isinstance(one, GainError) for one in base_effects(robot, logs))
+    for effect in (*base_effects(robot, logs), *catalogue(robot, logs)):
+        assert not (kind.shows(effect) and effect.family is Family.ACTUATION)
+
+
+def test_logged_torques_give_friction_a_scale_without_gravity(unloaded: tuple[Robot, list[Motion]]) -> None:
+    robot, motions = unloaded
+    (kind,) = list_kinds(robot, motions, None)
+    base = [one for one in base_effects(robot, Logs(tuple(motions))) if kind.shows(one)]
+    context, present = fit_base(start_context(kind.make(motions), base, (), 1, Meter()))
+    assert all(one.is_identifiable for one in list_base(robot, context, present))
