@@ -54,9 +54,7 @@ def test_batch_b_says_that_a_torque_remains_at_axis_2_and_depends_on_position(fi
     }
 
 
-@pytest.mark.xfail(
-    reason="five independent blocks are too few for the family-wise test", strict=True
-)
+@pytest.mark.xfail(reason="five independent blocks are too few for the family-wise test", strict=True)
 def test_batch_b_names_a_torque_at_axis_2_that_holds_for_batch_a(fitted_b):
     _, result, error = fitted_b
     assert ("a2", Family.EXTERNAL) in {(one.place, one.family) for one in result.findings}
