@@ -25,8 +25,8 @@ MODEL = """
     </body>
   </worldbody>
   <actuator>
-    <position name="shoulder" joint="shoulder" kp="20" kv="1" forcerange="-8 8"/>
-    <position name="elbow" joint="elbow" kp="20" kv="1" forcerange="-8 8"/>
+    <position name="shoulder" joint="shoulder" kp="20" kv="1" forcerange="-20 20"/>
+    <position name="elbow" joint="elbow" kp="20" kv="1" forcerange="-20 20"/>
   </actuator>
 </mujoco>
 """
