@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis.assemble import assemble
-from diagnosis.audit.records import Audit
+from diagnosis.audit.records import Audit, Remark
+from diagnosis.audit.records import Kind as RemarkKind
 from diagnosis.catalogue import base_effects, catalogue
 from diagnosis.effects.effect import Effect
 from diagnosis.encoder_residuals import why_refused
@@ -45,16 +46,19 @@ def diagnose(
         The diagnosis.
 
     Raises:
-        RobotError: The motions are too few, are both fitted and held out, or do not follow their commands.
+        RobotError: The motions are too few, are both fitted and held out, or do not follow their commands; a
+            unit looks wrong to the audit; or two effects have one name.
     """
     check_motions(robot, motions, held_out)
     usable = None
     if audit is not None:
+        check_units(audit.remarks)
         names = [(motion.name, joint) for motion in (*motions, *held_out) for joint in motion.joints]
         usable = {(motion, joint): audit.is_usable(motion, joint) for motion, joint in names}
     kinds = list_kinds(robot, motions, usable)
     logs = Logs(tuple(motions))
     known = [*catalogue(robot, logs), *effects]
+    check_names(known)
     parts = []
     for k, kind in enumerate(kinds):
         meter = Meter(_part_of(progress, k, len(kinds)))
@@ -132,15 +136,19 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
     Raises:
         RobotError: The motions are too few, are both fitted and held out, or do not follow their commands.
     """
-    both = sorted({motion.name for motion in motions} & {motion.name for motion in held_out})
-    if both:
-        raise RobotError(f"motion {both[0]} is fitted and held out; a motion can be one of both")
+    for motion in held_out:
+        same = next((one.name for one in motions if one.name == motion.name or is_copy(one, motion)), None)
+        if same is not None:
+            copied = f" as {same}" if same != motion.name else ""
+            raise RobotError(
+                f"motion {motion.name} is held out and is fitted{copied}; a motion can be one of both"
+            )
     if not motions:
         raise RobotError("no motion is fitted; a diagnosis needs 4 at least, because it leaves motions out")
     for joint in robot.joints:
         if joint.mode is not ControlMode.POSITION:
             continue
-        logs = [motion.joints[joint.name] for motion in motions if joint.name in motion.joints]
+        logs = [one.joints[joint.name] for one in (*motions, *held_out) if joint.name in one.joints]
         wrong = count_foreign_commands(
             [(log.position, log.command) for log in logs if log.command is not None]
         )
@@ -149,6 +157,48 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
                 f"joint {joint.name}: {wrong} of {len(logs)} motions follow the command of another motion "
                 "better than their own; each motion needs its own command"
             )
+
+
+def check_units(remarks: Sequence[Remark]) -> None:
+    """Refuse logs with a unit that looks wrong: effects would explain its factor.
+
+    Args:
+        remarks: Remarks of an audit.
+
+    Raises:
+        RobotError: A unit looks wrong.
+    """
+    for one in remarks:
+        if one.kind is RemarkKind.UNIT:
+            raise RobotError(f"joint {one.joint}: a unit in the robot file looks wrong; {one.text}")
+
+
+def check_names(effects: Sequence[Effect]) -> None:
+    """Refuse two effects of one name at one place.
+
+    Args:
+        effects: Effects of the catalogue and of one's own.
+
+    Raises:
+        RobotError: Two have the same key.
+    """
+    keys = [effect.key for effect in effects]
+    twice = next((key for k, key in enumerate(keys) if key in keys[:k]), None)
+    if twice is not None:
+        raise RobotError(f"effects: two have the key {twice!r}; give yours another name, and each file once")
+
+
+def is_copy(one: Motion, other: Motion) -> bool:
+    """Return whether two motions have the same positions, in which something moves.
+
+    Args:
+        one: A motion.
+        other: Another one.
+    """
+    if one.joints.keys() != other.joints.keys():
+        return False
+    pairs = [(log.position.value, other.joints[name].position.value) for name, log in one.joints.items()]
+    return all(np.array_equal(*pair) for pair in pairs) and any(np.ptp(first) > 0.0 for first, _ in pairs)
 
 
 def count_foreign_commands(pairs: Sequence[tuple[Signal, Signal]]) -> int:

@@ -2,6 +2,7 @@
 
 import csv
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -67,6 +68,8 @@ def open_log(path: Path, numbers: Sequence[str], texts: Sequence[str], csv_table
     """
     if not path.is_file():
         raise RobotError(f"{path}: there is no such log; name a file that exists")
+    if path.stat().st_size == 0:
+        raise RobotError(f"{path}: is an empty file; name a log with samples")
     try:
         match path.suffix.lower():
             case ".parquet":
@@ -96,8 +99,11 @@ def check_columns(path: Path, wanted: Sequence[str], there: Sequence[str]) -> No
         if name not in there:
             near = get_close_matches(name, there, 1)
             listed = ", ".join([*there[:N_NAMES], *([".."] if len(there) > N_NAMES else [])])
+            listed = " ".join(listed.split())
             hint = f"did you mean {near[0]!r}?" if near else f"it has {listed or 'none'}"
             raise RobotError(f"{path}: has no column {name!r}, which the robot file names; {hint}")
+        if there.count(name) > 1:
+            raise RobotError(f"{path}: has {there.count(name)} columns {name!r}; give each its own name")
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,8 +174,13 @@ def _open_parquet(path: Path, wanted: Sequence[str]) -> TableLog:
 
 
 def _open_csv(path: Path, numbers: Sequence[str], texts: Sequence[str], form: CsvTable) -> TableLog:
-    with path.open(encoding="utf-8-sig", newline="", errors="replace") as file:
-        there = next(csv.reader(file, delimiter=form.separator), [])
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            there = next(csv.reader(file, delimiter=form.separator), [])
+    except UnicodeDecodeError as error:
+        raise RobotError(f"{path}: is not text in UTF-8; save it as UTF-8") from error
+    except (csv.Error, TypeError) as error:
+        raise RobotError(f"{path}: cannot be read as a table: {error}") from error
     check_columns(path, [*numbers, *texts], there)
     convert = pacsv.ConvertOptions(
         column_types=dict.fromkeys((one for one in texts if one not in numbers), pa.string()),
@@ -185,12 +196,17 @@ def _open_csv(path: Path, numbers: Sequence[str], texts: Sequence[str], form: Cs
 
 
 def _open_npz(path: Path, wanted: Sequence[str]) -> ArrayLog:
+    if not zipfile.is_zipfile(path):  # numpy would take it for another format
+        raise RobotError(f"{path}: is no NumPy .npz file, or is damaged; name another")
     try:
         with np.load(path, allow_pickle=False) as archive:
             check_columns(path, wanted, archive.files)
-            return ArrayLog(path, {name: archive[name] for name in dict.fromkeys(wanted)})
-    except (ValueError, EOFError) as error:
+            arrays = {name: archive[name] for name in dict.fromkeys(wanted)}
+    except (ValueError, EOFError, zlib.error) as error:
         raise RobotError(f"{path}: cannot be read: {error}") from error
+    if any(array.size == 0 for array in arrays.values()):
+        raise RobotError(f"{path}: has no rows; name a log with samples")
+    return ArrayLog(path, arrays)
 
 
 def _not_empty(path: Path, table: pa.Table) -> pa.Table:

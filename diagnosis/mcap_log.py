@@ -58,7 +58,7 @@ def open_mcap(path: Path, names: Sequence[str]) -> McapLog:
             fields = {name: _split(path, name, topics) for name in dict.fromkeys(names)}
             found = _collect(path, reader.iter_messages({topic for topic, _ in fields.values()}), fields)
     except (McapError, BadMessage, EOFError, ValueError) as error:
-        raise RobotError(f"{path}: cannot be read: {error}") from error
+        raise RobotError(f"{path}: cannot be read: {str(error) or 'it is cut short'}") from error
     start_ns = min((times[0] for times, _ in found.values() if times), default=0)
     return McapLog(path, {name: _column(path, name, *one, start_ns) for name, one in found.items()})
 

@@ -1,7 +1,7 @@
 """Rows of a log file by motion, as checked signals in SI units at the joint."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -11,6 +11,14 @@ from diagnosis.log_file import Column, LogFile
 from diagnosis.logs import Signal
 from diagnosis.robot_file import JointTable, RobotFile, SignalColumn
 from diagnosis.units import COUNTS, FRACTION, UNITS, Quantity, find_unit
+
+MAX_VALUE: Final = 1e9
+"""Largest value in SI units: no angle, torque, current or voltage of a robot is as large."""
+MAX_PERIOD_S: Final = 1.0
+"""Longest mean period of positions: a controlled joint settles in less, so that nothing of it shows."""
+MAX_RATE: Final = 30.0
+"""Positions in a control period from which the times are wrong: units of time differ by 1000, and the root
+of 1000 is between a log at the rate of the controller and one that looks 1000 times as fast."""
 
 
 class MotionRows:
@@ -58,8 +66,37 @@ class MotionRows:
                     f"{self._log.path}: column {one.column!r}, motion {name!r}: is no finite number at "
                     f"{first:.6g} s; leave the cell empty or remove the row"
                 )
+            if np.abs(value).max() > MAX_VALUE:
+                raise RobotError(
+                    f"{self._log.path}: column {one.column!r}, motion {name!r}: reaches "
+                    f"{np.abs(value).max():.3g} in SI units; leave the cells empty, or correct the unit"
+                )
+            if one is table.position:
+                self._check_rate(time_s, name)
             found.append(Signal(time_s, value))
         return found
+
+    def _check_rate(self, time_s: Array, name: str) -> None:
+        """Refuse times in another unit than the robot file says, and gaps that no simulation should cross.
+
+        Raises:
+            RobotError: positions have less than one sample a second, or far more than the controller.
+        """
+        if time_s.size < 2:
+            raise RobotError(f"{self._log.path}: motion {name!r} has 1 position; a motion needs several")
+        mean_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
+        rate_Hz = 1.0 / float(np.median(np.diff(time_s)))
+        unit = self._file.time.unit
+        if mean_s > MAX_PERIOD_S:
+            raise RobotError(
+                f"{self._log.path}: motion {name!r} has a position every {mean_s:.3g} s on average, at least "
+                f"one a second is needed: are the times in {unit}, or is there a gap, where the motion ends?"
+            )
+        if rate_Hz > MAX_RATE * self._file.control_rate_Hz:
+            raise RobotError(
+                f"{self._log.path}: motion {name!r} has {rate_Hz:.3g} positions a second, the controller "
+                f"runs at {self._file.control_rate_Hz:g} Hz: are the times in {unit}?"
+            )
 
     def labels(self, column: str) -> list[str]:
         """Return the text of a column for each motion; empty texts for no column.

@@ -21,6 +21,7 @@ HOOKS: Final = (
     *("vary", "set_model", "shape_command", "act", "friction_Nm", "torque_Nm"),
     *("encode", "sample_delay_s", "deflection_rad"),
 )
+MODULE_PREFIX: Final = "own_effects_"
 
 
 def load_effects(path: str | Path, robot: Robot, logs: Logs) -> tuple[Effect, ...]:
@@ -62,11 +63,16 @@ def load_effects(path: str | Path, robot: Robot, logs: Logs) -> tuple[Effect, ..
     return effects
 
 
+def user_files() -> set[str]:
+    """Return the files of all effects that were loaded, by the names that a traceback gives them."""
+    return {str(module.__file__) for name, module in [*sys.modules.items()] if name.startswith(MODULE_PREFIX)}
+
+
 def _module(path: Path) -> ModuleType:
     if not path.is_file():
         raise RobotError(f"{path}: no such file; give a Python file with effects")
     # dataclasses look up their module by its name; the digest keeps files of one name apart
-    name = f"own_effects_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}"
+    name = f"{MODULE_PREFIX}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise RobotError(f"{path}: not a Python file; its name has to end in .py")
@@ -91,9 +97,9 @@ def _run(place: str, problem: str, job: Callable[[], T]) -> T:
     """Call code of the user; whatever it raises is the user's to read, in one sentence."""
     try:
         return job()
-    except Exception as error:
-        text = " ".join(str(error).split())
-        raise RobotError(f"{place}: {problem}, {type(error).__name__}: {text}") from error
+    except (Exception, SystemExit) as error:
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        raise RobotError(f"{place}: {problem}, {text}") from error
 
 
 def _checked(place: str, effect: object) -> Effect:
@@ -109,7 +115,10 @@ def _checked(place: str, effect: object) -> Effect:
     if not sizes or not all(isinstance(size, Size) for size in sizes):
         raise RobotError(f"{place}: the sizes of {kind} are {sizes!r}; give a tuple with at least one Size")
     for size in sizes:
-        is_finite = math.isfinite(size.low) and math.isfinite(size.high)
+        numbers = size.low, size.typical, size.high
+        if not all(isinstance(one, float | int) for one in numbers):
+            raise RobotError(f"{place}: {size!r} of {kind}: low, high and typical have to be numbers")
+        is_finite = all(map(math.isfinite, numbers))
         if not (is_finite and size.low <= 0 < size.typical <= size.high):
             raise RobotError(
                 f"{place}: {size.name} of {kind} has bounds {size.low:g} to {size.high:g} and the typical "

@@ -10,6 +10,9 @@ import mujoco
 if TYPE_CHECKING:
     from diagnosis.robot_file import RobotFile
 
+# MuJoCo would write its warnings to a file in the current directory; simulations look for bad states
+mujoco.set_mju_user_warning(lambda _: None)
+
 
 class ControlMode(StrEnum):
     """Law by which a command becomes a torque."""

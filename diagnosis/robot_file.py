@@ -12,6 +12,8 @@ from diagnosis.units import COUNTS, FRACTION, Quantity, find_unit
 Text = Annotated[str, Field(min_length=1)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+TimeStep = Annotated[float, Field(ge=1e-6, le=0.1)]
+"""Below, a second is a million steps; above, no joint of a robot is simulated stably."""
 
 SIGNALS = {
     "position": Quantity.ANGLE,
@@ -160,7 +162,7 @@ class RobotFile(Record):
     """MJCF file, relative to the robot file."""
     split: str = ""
     """File that says what is held out, relative to the robot file; empty: nothing is."""
-    time_step_s: Positive
+    time_step_s: TimeStep
     """Step of the simulation."""
     control_rate_Hz: Positive
     """Rate of the inner control loop; its period is a whole number of time steps."""
@@ -180,7 +182,24 @@ class RobotFile(Record):
                 f"control_rate_Hz: its period is {steps:.6g} time steps; write a rate whose period is a "
                 "whole number of time_step_s"
             )
+        self._check_columns()
         return self
+
+    def _check_columns(self) -> None:
+        """Refuse a position that is the position, second position or command of another signal."""
+        used: dict[str, str] = {}
+        for joint, table in self.joints.items():
+            for name in ("position", "secondary"):
+                one: SignalColumn | None = getattr(table, name)
+                if one is not None and used.setdefault(one.column, f"{joint}.{name}") != f"{joint}.{name}":
+                    raise ValueError(
+                        f"joints.{joint}.{name}.column: is that of joints.{used[one.column]} too"
+                    )
+        for joint, table in self.joints.items():
+            if table.command is not None and table.command.column in used:
+                raise ValueError(
+                    f"joints.{joint}.command.column: is that of joints.{used[table.command.column]} too"
+                )
 
 
 class SerialFile(Record):

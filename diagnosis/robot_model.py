@@ -54,12 +54,18 @@ def read_model_text(path: Path) -> str:
         RobotError: it cannot be read or is no XML.
     """
     try:
+        if path.exists() and not path.is_file():  # a pipe would be waited for
+            raise RobotError(f"{path}: is no regular file; name an MJCF file")
         text = path.read_text(encoding="utf-8")
         root = ElementTree.fromstring(text)
     except OSError as error:
         raise RobotError(f"{path}: cannot be read ({error.strerror}); name an MJCF file") from error
-    except (UnicodeDecodeError, ElementTree.ParseError) as error:
+    except ElementTree.ParseError as error:
         raise RobotError(f"{path}: is not XML: {error}") from error
+    except UnicodeDecodeError as error:
+        raise RobotError(f"{path}: is not UTF-8 text; name an MJCF file") from error
+    except ValueError as error:  # a zero byte in the name
+        raise RobotError(f"{str(path)!r}: is no name of a file; name an MJCF file") from error
     if root.tag != "mujoco":
         raise RobotError(f"{path}: its root is <{root.tag}>; name an MJCF file, which begins with <mujoco>")
     places = [one for one in root.iter() if one.tag in (*FILE_ATTRIBUTES, "include") and "file" in one.attrib]
@@ -106,9 +112,9 @@ def _joint(name: str, table: JointTable, model: mujoco.MjModel, path: Path, grav
     kp = kp if table.kp_Nm_rad is None else table.kp_Nm_rad
     kd = kd if table.kd_Nms_rad is None else table.kd_Nms_rad
     if table.mode == "position" and kp == 0.0:
-        raise RobotError(f"{where}.kp_Nm_rad: is missing, and the model has no position actuator; add it")
+        raise RobotError(f"{where}.kp_Nm_rad: is 0 or missing, and the model has no gain; give one above 0")
     if table.mode == "velocity" and kd == 0.0:
-        raise RobotError(f"{where}.kd_Nms_rad: is missing, and the model has no velocity actuator; add it")
+        raise RobotError(f"{where}.kd_Nms_rad: is 0 or missing, and the model has no gain; give one above 0")
     threshold_Nm = max(float(model.dof_frictionloss[dof]), ROUNDING * float(np.max(gravity_Nm)))
     return RobotJoint(
         name=name,

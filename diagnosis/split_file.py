@@ -108,14 +108,18 @@ def _members(names: Sequence[str], members: Sequence[Member], where: str) -> fro
     """Return the motions with these names, of these conditions or in these files."""
     found: set[str] = set()
     for name in names:
-        chosen = {one.motion for one in members if name in (one.motion, one.condition, one.file)}
+        chosen = {one.motion for one in members if name and name in _names(one)}
         if not chosen:
-            there = dict.fromkeys(text for one in members for text in (one.motion, one.condition, one.file))
+            there = dict.fromkeys(text for one in members for text in _names(one))
             raise RobotError(
                 f"{where}: {name!r} is no motion, condition or file of these logs{_near(name, there)}"
             )
         found |= chosen
     return frozenset(found)
+
+
+def _names(one: Member) -> tuple[str, str, str]:
+    return one.motion, one.condition, one.file
 
 
 def _near(name: str, there: Iterable[str]) -> str:

@@ -30,6 +30,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         RobotError: it is absent, too large, or no TOML.
     """
     try:
+        if path.exists() and not path.is_file():  # a pipe would be waited for
+            raise RobotError(f"{path}: is no regular file; name a TOML file")
         if path.stat().st_size > MAX_BYTES:
             raise RobotError(f"{path}: is larger than 1 MB; name a TOML file")
         return tomllib.loads(path.read_text(encoding="utf-8"))
@@ -39,6 +41,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise RobotError(f"{path}: is not UTF-8 text; name a TOML file") from error
     except tomllib.TOMLDecodeError as error:
         raise RobotError(f"{path}: is not TOML: {error}") from error
+    except ValueError as error:  # a zero byte in the name
+        raise RobotError(f"{str(path)!r}: is no name of a file; name a TOML file") from error
 
 
 def parse_record(kind: type[R], content: dict[str, Any], path: Path) -> R:
@@ -70,7 +74,8 @@ def _sentence(kind: type[Record], fault: Any, path: Path) -> str:
         case _:
             said = fault["msg"][0].lower() + fault["msg"][1:]
             shown = "" if isinstance(fault["input"], dict | list) else f", not {fault['input']!r}"
-            return f"{path}: {key}: {said.removeprefix('input ')}{shown}"
+            said = said.removeprefix("input ").removesuffix(", not 0").removesuffix(" after validation")
+            return f"{path}: {key}: {said}{shown}"
 
 
 def _fields(kind: type[Record], loc: tuple[str | int, ...]) -> list[str]:

@@ -1,6 +1,7 @@
 """Execution of a diagnosis: read robot and logs, audit them, find the effects, write the files."""
 
 import hashlib
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -14,8 +15,8 @@ from diagnosis.page.traces import Trace, trace_motions
 from diagnosis.patch import Patch, make_patch, write_patch
 from diagnosis.result import Diagnosis
 from diagnosis.robot import Robot
-from ground.common.errors import BadOutput
-from ground.common.files import check_new_path
+from ground.common.errors import BadOutput, BadRequest
+from ground.common.files import check_distinct_files, check_new_path
 from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress, part_of
 from ground.robot.diagnose_request import RobotDiagnoseRequest
@@ -48,6 +49,9 @@ def diagnose_robot(request: RobotDiagnoseRequest, progress: Progress = no_progre
         RobotError: the robot file, a log or a file of effects is wrong.
     """
     check_options(request)
+    if request.split and request.held_out:
+        raise BadRequest("split, held-out: they exclude each other; give one of the two")
+    check_distinct_files({"report": request.report, "patch": request.patch})
     _check_folder(request.patch)
     progress(0.0, 1.0, "reading")
     robot = Robot.from_toml(request.robot)
@@ -107,6 +111,8 @@ def _check_folder(folder: Path | None) -> None:
     check_new_path(folder, "patch")
     if folder.exists() and not folder.is_dir():
         raise BadOutput(f"patch {folder}: this is a file; give the path of a folder")
+    if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
+        raise BadOutput(f"patch {folder}: no right to write there")
 
 
 def _sha256(path: Path) -> str:

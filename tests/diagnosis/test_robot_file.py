@@ -89,7 +89,11 @@ def test_the_file_of_a_tracked_arm_points_to_its_serial_arm(tmp_path):
         ('model = "model.xml"', "", "model: is missing; add it"),
         ('model = "model.xml"', 'modle = "model.xml"', "modle: is not known; did you mean model?"),
         ("time_step_s = 0.002", "time_step_s = nan", "time_step_s: should be a finite number, not nan"),
-        ("time_step_s = 0.002", "time_step_s = 0", "time_step_s: should be greater than 0, not 0"),
+        (
+            "time_step_s = 0.002",
+            "time_step_s = 0",
+            "time_step_s: should be greater than or equal to 0.000001, not 0",
+        ),
         ("time_step_s = 0.002", 'time_step_s = "2 ms"', "time_step_s: should be a valid number, not '2 ms'"),
         ("time_step_s = 0.002", "time_step_s = 0.003", "control_rate_Hz: its period is 1.33333 time steps"),
         (
@@ -123,7 +127,7 @@ def test_the_file_of_a_tracked_arm_points_to_its_serial_arm(tmp_path):
         (
             'mode = "torque"',
             'mode = "position"',
-            "joints.elbow.kp_Nm_rad: is missing, and the model has no posi",
+            "joints.elbow.kp_Nm_rad: is 0 or missing, and the model has no gain",
         ),
         (
             'tool_site = "tip"',
