@@ -63,7 +63,7 @@ def record_logs(path: Path) -> None:
         arrived[:DELAY_SAMPLES] = 0.0
         data = mujoco.MjData(model)
         for t, sent, received in zip(time_s, command, arrived, strict=True):
-            shown = data.qpos + 5e-4 * random.standard_normal(2)
+            shown = data.qpos + 1.5e-3 * random.standard_normal(2)  # a count of a 12-bit encoder
             rows.append((motion, motion // 2, t, *sent, *shown))
             data.ctrl[:] = received
             mujoco.mj_step(model, data, 20)
