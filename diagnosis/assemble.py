@@ -56,7 +56,9 @@ def assemble(
         one for one in context.union.effects if np.any(chosen.sizes[context.union.columns([one])])
     )
     sizes = tuple(tuple(chosen.sizes[context.union.columns([one])].tolist()) for one in effects)
-    rows, fitted = simulate_models(selection, held_out), simulate_models(selection, raw)[2]
+    nominal = 0.0 * chosen.sizes
+    rows = simulate_models(context, held_out, [nominal, selection.base.sizes, chosen.sizes])
+    fitted = rows[2] if held_out is raw else simulate_models(context, raw, [chosen.sizes])[0]
     return Diagnosis(
         robot=robot.name,
         kind=context.model.kind,
@@ -73,18 +75,18 @@ def assemble(
     )
 
 
-def simulate_models(selection: Selection, model: ResidualModel) -> Array:
-    """Return the residuals of the nominal, the base and the chosen model.
+def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Array]) -> Array:
+    """Return the residuals of some motions with models that were found on others.
 
     Args:
-        selection: Models before and after.
+        context: The context.
         model: Residuals of any motions.
+        sizes: Sizes of each model, (n_sizes,), in their own units.
 
     Returns:
-        (3, n), in the unit of the model.
+        (n_models, n), in the unit of the model.
     """
-    union = selection.context.union
-    points = np.array([0.0 * selection.base.sizes, selection.base.sizes, selection.chosen.sizes])
+    union, points = context.union, np.array(sizes)
     part = [one for one in union.effects if np.any(points[:, union.columns([one])])]
     return model.residuals(part, points[:, union.columns(part)])
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import mujoco
+import mujoco.batch
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
@@ -144,6 +145,34 @@ def laws(robot: Robot, kp: Array, kd: Array) -> tuple[Array, Array]:
             case ControlMode.TORQUE | ControlMode.CURRENT:
                 gain[:, j] = kp[:, j]
     return gain, bias
+
+
+def nominal_fields(robot: Robot, n_sims: int, batch: mujoco.batch.Batch) -> Fields:
+    """Return the numbers of model and controllers without effects.
+
+    Args:
+        robot: Robot.
+        n_sims: Number of simulations.
+        batch: Models of the simulations, in which effects change other fields.
+
+    Returns:
+        The numbers, a row a simulation.
+    """
+    model, (kp, kd) = robot.model, nominal_gains(robot)
+    dof = [joint.dof_index for joint in robot.joints]
+
+    def rows(values: Array) -> Array:
+        return np.tile(values, (n_sims, 1))
+
+    return Fields(
+        kp_Nm_rad=rows(kp),
+        kd_Nms_rad=rows(kd),
+        torque_limit_Nm=rows(np.array([joint.torque_limit_Nm for joint in robot.joints])),
+        damping_Nms_rad=rows(model.dof_damping[dof].reshape(-1)),
+        frictionloss_Nm=rows(model.dof_frictionloss[dof]),
+        armature_kgm2=rows(model.dof_armature[dof]),
+        batch=batch,
+    )
 
 
 def step_armature(robot: Robot, fields: Fields) -> Array:

@@ -81,6 +81,47 @@ class Fit:
     """Derivatives of the residuals by the free sizes, (n_rows, p)."""
 
 
+def pseudo_huber(z: Array) -> Array:
+    """Compute the loss: the square of small residuals, twice the absolute value of large ones.
+
+    Args:
+        z: Residuals over their scale, (n,), unitless.
+
+    Returns:
+        Losses, (n,).
+    """
+    loss: Array = 2.0 * (np.sqrt(1.0 + z * z) - 1.0)
+    return loss
+
+
+def half_loss_derivatives(z: Array) -> tuple[Array, Array]:
+    """Compute the first two derivatives of half the pseudo-Huber loss.
+
+    Args:
+        z: Residuals over their scale, (n,), unitless.
+
+    Returns:
+        Slope and curvature, (n,) each.
+    """
+    return z / np.sqrt(1.0 + z * z), (1.0 + z * z) ** -1.5
+
+
+def gather_residuals(fits: Sequence[Fit], n_rows: int) -> Array:
+    """Put the residuals of the joints in one array.
+
+    Args:
+        fits: One fit a joint.
+        n_rows: Number of residuals of all joints.
+
+    Returns:
+        (n_rows,), in the unit of the model.
+    """
+    together = np.zeros(n_rows)
+    for fit in fits:
+        together[fit.rows] = fit.residuals
+    return together
+
+
 def scale_residuals(model: ResidualModel, residuals: Array) -> Array:
     """Return a robust standard deviation for the residuals of each joint.
 
@@ -209,8 +250,7 @@ class _Problem:
         self.converged = len(self.free) == 0
 
     def loss_of(self, residuals: Array, x: Array) -> float:
-        z = residuals * self.weight
-        loss = float(np.sum(2.0 * (np.sqrt(1.0 + z * z) - 1.0)))
+        loss = float(np.sum(pseudo_huber(residuals * self.weight)))
         loss += float(np.sum((x[self.free] * self.prior_weight) ** 2))
         return loss if np.isfinite(loss) else np.inf
 

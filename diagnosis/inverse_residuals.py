@@ -17,8 +17,8 @@ import mujoco.batch
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
-from diagnosis.compiled import nominal_gains
-from diagnosis.effects.effect import Effect, Fields, State
+from diagnosis.compiled import nominal_fields
+from diagnosis.effects.effect import Effect, State
 from diagnosis.errors import RobotError
 from diagnosis.explain import measured_variable
 from diagnosis.filtered_motion import (
@@ -254,21 +254,7 @@ class _Candidates:
         self._robot = robot
         self._acting = acting
         self._batch = mujoco.batch.Batch(robot.model, nsim=n, nthread=1)
-        dof = [joint.dof_index for joint in robot.joints]
-
-        def rows(values: Array) -> Array:
-            return np.tile(values, (n, 1))
-
-        kp, kd = nominal_gains(robot)
-        self.fields = Fields(
-            kp_Nm_rad=rows(kp),
-            kd_Nms_rad=rows(kd),
-            torque_limit_Nm=rows(np.array([joint.torque_limit_Nm for joint in robot.joints])),
-            damping_Nms_rad=rows(robot.model.dof_damping[dof].reshape(-1)),
-            frictionloss_Nm=rows(robot.model.dof_frictionloss[dof]),
-            armature_kgm2=rows(robot.model.dof_armature[dof]),
-            batch=self._batch,
-        )
+        self.fields = nominal_fields(robot, n, self._batch)
         for one in self.with_hook("set_model"):
             one.effect.set_model(one.size, self.fields, robot)
         names = [name for name in mujoco.batch.MODEL_FIELDS if self._batch.expanded(name) is not None]

@@ -15,7 +15,10 @@ from diagnosis.fit import (
     ALL_JOINTS,
     Fit,
     Hypothesis,
+    gather_residuals,
+    half_loss_derivatives,
     measure_coupling,
+    pseudo_huber,
     scale_residuals,
 )
 from diagnosis.noise import noise_losses, whiten_noise
@@ -74,9 +77,7 @@ def rescale(context: Context, base: Present, present: Present) -> tuple[Context,
         The context with new scales, and the model refitted in them.
     """
     model = context.model
-    together = np.zeros(len(model.joint_of))
-    for fit in present.fits:
-        together[fit.rows] = fit.residuals
+    together = gather_residuals(present.fits, len(model.joint_of))
     scales = scale_residuals(model, together)
     context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
     before = np.array(cross_validate(context, list(enumerate(base.fits))))
@@ -101,10 +102,7 @@ def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[
         Sizes, (n_sizes,), residuals of all joints, (n,), and the fits.
     """
     fits = fit_joints(context, (), sizes)
-    together = np.zeros(len(context.model.joint_of))
-    for fit in fits:
-        together[fit.rows] = fit.residuals
-    return fits[0].sizes, together, fits
+    return fits[0].sizes, gather_residuals(fits, len(context.model.joint_of)), fits
 
 
 def free_columns(context: Context, effects: Sequence[Effect], place: str) -> Integers:
@@ -207,7 +205,7 @@ def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:
     weight /= context.scales[model.joint_of[fit.rows]]
     z = fit.residuals * weight
     a = fit.jacobian * weight[:, None] * unit
-    slope, curvature = z / np.sqrt(1.0 + z * z), (1.0 + z * z) ** -1.5  # of half the pseudo-Huber loss
+    slope, curvature = half_loss_derivatives(z)
     at = fit.sizes[free] / unit
     gradient = a.T @ slope + prior * at
     go = ~(((at <= low) & (gradient > 0.0)) | ((at >= high) & (gradient < 0.0)))
@@ -233,7 +231,7 @@ def motion_losses(context: Context, rows: Integers, residuals: Array) -> Array:
     """
     model = context.model
     z = residuals / context.scales[model.joint_of[rows]]
-    loss = 2.0 * (np.sqrt(1.0 + z * z) - 1.0)
+    loss = pseudo_huber(z)
     count = np.bincount(model.motion_of[rows], minlength=len(model.motions))
     total = np.bincount(model.motion_of[rows], weights=loss, minlength=len(model.motions))
     with np.errstate(invalid="ignore"):

@@ -7,6 +7,7 @@ import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect
+from diagnosis.fit import pseudo_huber
 from diagnosis.residuals import ResidualModel
 
 
@@ -134,7 +135,7 @@ def noise_losses(model: ResidualModel, residuals: Array, scales: Array) -> Array
     found = np.zeros(len(model.joints))
     for joint, scale in enumerate(scales):
         z = noise_residuals(model, residuals, joint) / scale
-        found[joint] = float(np.mean(2.0 * (np.sqrt(1.0 + z * z) - 1.0))) if len(z) else 0.0
+        found[joint] = float(np.mean(pseudo_huber(z))) if len(z) else 0.0
     return found
 
 

@@ -10,11 +10,10 @@ import numpy as np
 
 from diagnosis.arrays import Array, Flags
 from diagnosis.audit.samples import hold, joint_samples
+from diagnosis.compiled import compile_for, laws, nominal_gains
 from diagnosis.logs import JointLog, Motion
-from diagnosis.robot import ControlMode, Robot, RobotJoint
+from diagnosis.robot import Robot
 
-HARD_FRICTION: Final = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""Impedance of dry friction at its upper bound: with the default, a joint creeps under load."""
 START_S: Final = 0.1
 """Time over which the first positions give the velocity at the start: several samples of a slow log."""
 
@@ -39,28 +38,12 @@ class NominalModel:
         Args:
             robot: Robot.
         """
-        self.robot = robot
-        spec = mujoco.MjSpec.from_string(robot.model_xml)
-        spec.option.timestep = robot.model.opt.timestep
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        names = {
-            robot.model.joint(int(robot.model.dof_jntid[one.dof_index])).name: one for one in robot.joints
-        }
-        for part in (*spec.keys, *spec.sensors, *(a for a in spec.actuators if a.target in names)):
-            spec.delete(part)
-        for name, joint in names.items():
-            spec.joint(name).solimp_friction = HARD_FRICTION
-            # Twice the step is the shortest time constant that MuJoCo keeps.
-            spec.joint(name).solref_friction = (2 * robot.model.opt.timestep, 1.0)
-            motor = spec.add_actuator(name=joint.name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            motor.gaintype, motor.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
+        self.robot = compile_for(robot, ()).robot
+        self.model = self.robot.model
+        for joint in self.robot.joints:
             if math.isfinite(joint.torque_limit_Nm):
-                motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-                motor.forcerange = (-joint.torque_limit_Nm, joint.torque_limit_Nm)
-        self.model = spec.compile()
-        self._motor = [self.model.actuator(one.name).id for one in robot.joints]
-        self._qpos = [int(self.model.joint(name).qposadr[0]) for name in names]
-        self._dof = [int(self.model.joint(name).dofadr[0]) for name in names]
+                limit_Nm = joint.torque_limit_Nm
+                self.model.actuator_forcerange[joint.actuator_index] = (-limit_Nm, limit_Nm)
 
     def simulate(self, motion: Motion) -> NominalMotion:
         """Simulate a motion once, and compare."""
@@ -83,17 +66,19 @@ class NominalModel:
         joints, model, data = self.robot.joints, self.model, mujoco.MjData(self.model)
         command = np.stack([_commands(motion.joints[one.name], tick_s) for one in joints], axis=1)
         is_on = np.stack([_enabled(motion.joints[one.name], tick_s) for one in joints], axis=1)
-        for k, one in enumerate(joints):
-            data.qpos[self._qpos[k]], data.qvel[self._dof[k]] = _start(motion.joints[one.name])
+        for one in joints:
+            data.qpos[one.qpos_index], data.qvel[one.dof_index] = _start(motion.joints[one.name])
+        qpos = [one.qpos_index for one in joints]
+        actuators = [one.actuator_index for one in joints]
         path = np.full((tick_s.size, len(joints)), np.nan)
         n_steps = round(self.robot.control_period_s / model.opt.timestep)
         last: Flags = np.zeros(0, np.bool_)
         for tick in range(tick_s.size):
-            path[tick] = data.qpos[self._qpos]
+            path[tick] = data.qpos[qpos]
             if not np.array_equal(is_on[tick], last):
                 last = is_on[tick]
                 self._set_gains(motion, last)
-            data.ctrl[self._motor] = command[tick]
+            data.ctrl[actuators] = command[tick]
             mujoco.mj_step(model, data, n_steps)
             if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
                 path[:] = np.nan
@@ -102,24 +87,13 @@ class NominalModel:
 
     def _set_gains(self, motion: Motion, is_on: Flags) -> None:
         """Write the gains of the controllers; a motor that is off has none."""
-        for k, one in enumerate(self.robot.joints):
-            gain, bias = _law(one, motion.gain.get(one.name, 1.0))
-            self.model.actuator_gainprm[self._motor[k], 0] = gain * is_on[k]
-            self.model.actuator_biasprm[self._motor[k], :3] = np.array(bias) * is_on[k]
-
-
-def _law(joint: RobotJoint, gain: float) -> tuple[float, tuple[float, float, float]]:
-    """Return the gain on the command, and the bias on (1, position, velocity), of a controller."""
-    kp, kd = joint.kp_Nm_rad * gain, joint.kd_Nms_rad
-    match joint.mode:
-        case ControlMode.POSITION:
-            return kp, (0.0, -kp, -kd)
-        case ControlMode.VELOCITY:
-            return kd, (0.0, 0.0, -kd)
-        case ControlMode.TORQUE:
-            return 1.0, (0.0, 0.0, 0.0)
-        case ControlMode.CURRENT:
-            return joint.torque_constant_Nm_A, (0.0, 0.0, 0.0)
+        joints = self.robot.joints
+        kp, kd = nominal_gains(self.robot)
+        gains = np.array([motion.gain.get(one.name, 1.0) for one in joints])
+        gain, bias = laws(self.robot, (kp * gains)[None], kd[None])
+        actuators = [one.actuator_index for one in joints]
+        self.model.actuator_gainprm[actuators, 0] = gain[0] * is_on
+        self.model.actuator_biasprm[actuators, :3] = bias[0] * is_on[:, None]
 
 
 def _commands(log: JointLog, tick_s: Array) -> Array:

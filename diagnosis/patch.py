@@ -13,7 +13,7 @@ import mujoco.batch
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.compiled import HARD_IMPEDANCE, nominal_gains, step_armature
+from diagnosis.compiled import HARD_IMPEDANCE, nominal_fields, step_armature
 from diagnosis.effect_table import effect_table, toml_text
 from diagnosis.effects.effect import Effect, Fields, Rotor
 from diagnosis.errors import RobotError
@@ -147,7 +147,7 @@ def make_patch(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence
         text = spec.to_xml()
     robot = _on_text(robot, text)
     recorder = _Recorder(robot.model)
-    fields = _fields(robot, recorder)
+    fields = nominal_fields(robot, 1, cast(Any, recorder))
     changes = [*_option_changes(robot), *_effect_changes(robot, active, fields, recorder)]
     rotors = {one.joint: one for one in fields.rotors if one.rows[0]}
     changes += _rotor_changes(robot, rotors.values(), _numbers(fields, recorder))
@@ -208,15 +208,6 @@ def _effect_changes(
     step_s = float(robot.model.opt.timestep)
     reason = f"less half a time step of joint damping and kd: second-order steps of {step_s:.5g} s"
     yield from _joint_changes(robot, before, _numbers(fields, recorder), reason)
-
-
-def _fields(robot: Robot, recorder: _Recorder) -> Fields:
-    model, kp_kd = robot.model, nominal_gains(robot)
-    dof = [joint.dof_index for joint in robot.joints]
-    limits = [joint.torque_limit_Nm for joint in robot.joints]
-    values = (*kp_kd, limits, model.dof_damping[dof], model.dof_frictionloss[dof], model.dof_armature[dof])
-    kp, kd, limit, damping, dry, armature = (np.array([value], dtype=float) for value in values)
-    return Fields(kp, kd, limit, damping, dry, armature, cast(Any, recorder))
 
 
 def _numbers(fields: Fields, recorder: _Recorder) -> _Numbers:

@@ -13,7 +13,7 @@ from diagnosis.arrays import Array
 from diagnosis.comparison import compare
 from diagnosis.context import Context, Present, run, simulate, start_context
 from diagnosis.effects.effect import Effect
-from diagnosis.fit import ALL_JOINTS, Fit, Hypothesis, count_candidates
+from diagnosis.fit import ALL_JOINTS, Fit, Hypothesis, count_candidates, gather_residuals
 from diagnosis.joint_fits import (
     cross_validate,
     fit_base,
@@ -70,12 +70,11 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Models before and after, and every effect that was judged in between."""
+    """Models before and after."""
 
     context: Context
     base: Present
     chosen: Present
-    refitted: tuple[Effect, ...]
 
 
 def select_effects(
@@ -100,13 +99,11 @@ def select_effects(
     """
     context, first = fit_base(start_context(model, base, catalogue, seed, meter or Meter()))
     present = first
-    refitted: dict[str, Effect] = {}
     open_joints = {int(j) for j in np.unique(model.joint_of)}
     while open_joints:
         n_layers = len(list_layers(context, present.effects))
         # a first finding is expected, and a round without another; then each layer is left out once
         shortlist = screen(context, present, open_joints, rounds_after=n_layers or 2)
-        refitted |= {score.effect.key: score.effect for score in shortlist}
         winners = choose(context, present, judge(context, present, shortlist))
         open_joints &= {j for winner in winners for j in winner.joints}
         for winner in winners:
@@ -114,7 +111,7 @@ def select_effects(
         if winners:
             context, present = rescale(context, first, present)
         open_joints -= {j for j in open_joints if len(present.at(model.joints[j])) >= MAX_EFFECTS}
-    return Selection(context, first, drop_needless(context, present), tuple(refitted.values()))
+    return Selection(context, first, drop_needless(context, present))
 
 
 def screen(context: Context, present: Present, open_joints: set[int], rounds_after: int) -> list[Score]:
@@ -174,10 +171,7 @@ def _whiten(context: Context, present: Present, joints: Sequence[int]) -> Whiten
 def _residuals(context: Context, present: Present, lane: int) -> Array:
     if lane != ALL_JOINTS:
         return present.fits[lane].residuals
-    together = np.zeros(len(context.model.joint_of))
-    for fit in present.fits:
-        together[fit.rows] = fit.residuals
-    return together
+    return gather_residuals(present.fits, len(context.model.joint_of))
 
 
 def judge(context: Context, present: Present, shortlist: Sequence[Score]) -> list[Candidate]:
@@ -348,8 +342,8 @@ def worsens_another(context: Context, present: Present, candidate: Candidate) ->
     others = [j for j in np.unique(context.model.joint_of) if j not in candidate.joints]
     if not others:
         return False
-    points = [(ALL_JOINTS, present.sizes), (ALL_JOINTS, sizes)]
-    before, after = simulate(context, points, "cross-validation")
+    before = _residuals(context, present, ALL_JOINTS)
+    (after,) = simulate(context, [(ALL_JOINTS, sizes)], "cross-validation")
     return any(
         float(np.mean(np.abs(after[rows]))) > (1.0 + MAX_WORSE) * float(np.mean(np.abs(before[rows])))
         for rows in (context.model.joint_of == j for j in others)

@@ -9,7 +9,7 @@ import mujoco.batch
 import numpy as np
 
 from diagnosis.arrays import Array, Flags
-from diagnosis.compiled import Models, nominal_gains, step_armature
+from diagnosis.compiled import Models, nominal_fields, step_armature
 from diagnosis.effects.effect import Effect, Fields
 from diagnosis.periods import Acting, Periods
 from diagnosis.robot import ControlMode
@@ -94,21 +94,9 @@ class Simulation:
 
     def _set_model(self) -> Fields:
         """Set the numbers of the model, and return them with those of the controllers."""
-        model, dof, batch = self._robot.model, self._compiled.dof, self._batch
-        kp, kd = nominal_gains(self._robot)
-
-        def rows(values: Array) -> Array:
-            return np.tile(values, (self._n_sims, 1))
-
-        fields = Fields(
-            kp_Nm_rad=kp * self._each(np.array([window.gain for window in self._windows])),
-            kd_Nms_rad=rows(kd),
-            torque_limit_Nm=rows(np.array([joint.torque_limit_Nm for joint in self._robot.joints])),
-            damping_Nms_rad=rows(model.dof_damping[dof]),
-            frictionloss_Nm=rows(model.dof_frictionloss[dof]),
-            armature_kgm2=rows(model.dof_armature[dof]),
-            batch=batch,
-        )
+        dof, batch = self._compiled.dof, self._batch
+        fields = nominal_fields(self._robot, self._n_sims, batch)
+        fields.kp_Nm_rad *= self._each(np.array([window.gain for window in self._windows]))
         for one in self._with("set_model"):
             one.effect.set_model(one.size, fields, self._robot)
         fields.damping_Nms_rad = np.maximum(fields.damping_Nms_rad, 0.0)

@@ -11,7 +11,7 @@ from diagnosis.arrays import Array, Integers
 from diagnosis.comparison import one_sided_p
 from diagnosis.context import Context, Present, simulate
 from diagnosis.effects.effect import Effect, Family
-from diagnosis.fit import ALL_JOINTS, Fit
+from diagnosis.fit import ALL_JOINTS, Fit, gather_residuals, half_loss_derivatives
 from diagnosis.joint_fits import joints_of, leave_out, list_layers
 from diagnosis.screening import Score
 from diagnosis.selection import Candidate, Selection, judge, screen
@@ -128,7 +128,7 @@ def size_intervals(context: Context, fit: Fit) -> Array:
     sizes = [context.union.sizes[c] for c in fit.columns]
     unit = np.array([size.typical for size in sizes])  # sizes of very different units in one matrix
     a = fit.jacobian * weight[:, None] * unit
-    slope, curvature = z / np.sqrt(1.0 + z * z), (1.0 + z * z) ** -1.5  # of half the pseudo-Huber loss
+    slope, curvature = half_loss_derivatives(z)
     prior = (unit / np.array([size.prior_std for size in sizes])) ** 2
     inverse = np.linalg.pinv(a.T @ (a * curvature[:, None]) + np.diag(prior), rcond=1e-12, hermitian=True)
     motion = context.model.motion_of[fit.rows]
@@ -156,13 +156,12 @@ def join_fits(present: Present, n_rows: int) -> Fit:
     """
     parts = (*present.bodies, *present.fits)
     columns = np.concatenate([fit.columns for fit in parts])
-    residuals, jacobian, first = np.zeros(n_rows), np.zeros((n_rows, len(columns))), 0
+    jacobian, first = np.zeros((n_rows, len(columns))), 0
     for fit in parts:
         last = first + len(fit.columns)
         jacobian[fit.rows, first:last] = fit.jacobian
         first = last
-    for fit in present.fits:
-        residuals[fit.rows] = fit.residuals
+    residuals = gather_residuals(present.fits, n_rows)
     return Fit(present.sizes, columns, residuals, np.arange(n_rows), jacobian)
 
 

@@ -4,8 +4,7 @@ import typer
 
 from ground.cli.verb import VerbResult, verb
 from ground.common.progress import Progress
-from ground.robot.diagnose_request import RobotDiagnoseRequest
-from ground.robot.request import CheckRequest
+from ground.robot.request import CheckRequest, RobotDiagnoseRequest
 
 robot_app = typer.Typer(
     help="Check and diagnose any robot from its MuJoCo model and its logs.\n\n"

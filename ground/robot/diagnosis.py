@@ -19,7 +19,7 @@ from ground.common.errors import BadOutput, BadRequest
 from ground.common.files import check_distinct_files, check_new_path
 from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress, part_of
-from ground.robot.diagnose_request import RobotDiagnoseRequest
+from ground.robot.request import RobotDiagnoseRequest
 
 READ: Final = 0.01
 """Share of the time that reading takes: simulation takes the rest, but for the audit."""

@@ -34,7 +34,7 @@ def test_what_explains_little_of_a_residual_is_not_called_its_cause() -> None:
         finding = describe_finding(selection.context, selection.chosen, doubt)
         assert finding.places == ("far",)
         assert finding.families == finding.effects == ()
-    residuals = simulate_models(selection, model)[2]
+    residuals = simulate_models(selection.context, model, [selection.chosen.sizes])[0]
     (remainder,) = list_remainders(model, residuals, model, residuals)
     assert (remainder.joint, remainder.depends_on) == ("far", "position")
 

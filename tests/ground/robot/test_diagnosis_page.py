@@ -10,9 +10,9 @@ import ground.robot.diagnosis as execution
 from diagnosis.errors import RobotError
 from diagnosis.page.traces import choose_traces, make_traces
 from ground.common.errors import BadRequest
-from ground.robot.diagnose_request import RobotDiagnoseRequest
 from ground.robot.diagnosis import RobotDiagnosis, diagnose_robot, save_diagnosis_files
 from ground.robot.diagnosis_page import print_diagnosis, save_diagnosis_page
+from ground.robot.request import RobotDiagnoseRequest
 from tests.diagnosis.pendulum import pendulum
 from tests.diagnosis.verdicts import (
     ARMATURE,
