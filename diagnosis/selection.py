@@ -171,9 +171,8 @@ def _expected_change(context: Context, lane: int, trial: Trial) -> float:
     if lane == ALL_JOINTS:
         return 0.0
     typical = np.array([size.typical for size in trial.effect.sizes])
-    columns = context.union.columns([trial.effect])
-    over_typical = max(float(np.max(np.abs(point[columns]) / typical)) for point in trial.points)
-    return context.reach[trial.effect.key] * over_typical
+    ratios = np.array(trial.points)[:, context.union.columns([trial.effect])] / typical
+    return context.reach[trial.effect.key] * float(np.max(np.abs(ratios)))
 
 
 def _whiten(context: Context, present: Present, joints: Sequence[int]) -> Whitened:
