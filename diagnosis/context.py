@@ -1,17 +1,20 @@
 """Inputs of a selection, its present model, and how both reach the residual model."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Concatenate, Final, ParamSpec, TypeVar
 
 import numpy as np
 
 from diagnosis.arrays import Array
+from diagnosis.checkpoint import Checkpoint
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Hypothesis, Union, evaluate_points, fit_hypotheses
 from diagnosis.meter import Meter
 from diagnosis.residuals import ResidualModel
 
+P = ParamSpec("P")
+T = TypeVar("T")
 FOLDS: Final = 4
 
 
@@ -34,6 +37,7 @@ class Context:
     folds: tuple[frozenset[int], ...]
     seed: int
     meter: Meter
+    checkpoint: Checkpoint
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +61,12 @@ class Present:
 
 
 def start_context(
-    model: ResidualModel, base: Sequence[Effect], catalogue: Sequence[Effect], seed: int, meter: Meter
+    model: ResidualModel,
+    base: Sequence[Effect],
+    catalogue: Sequence[Effect],
+    seed: int,
+    meter: Meter,
+    checkpoint: Checkpoint | None = None,
 ) -> Context:
     """Put base and catalogue into one union and divide the motions into folds.
 
@@ -67,6 +76,7 @@ def start_context(
         catalogue: Effects that compete; those that are also in the base are left out.
         seed: Seed of the folds.
         meter: Counts simulated candidates.
+        checkpoint: Keeps the results of steps; None: nothing is kept.
 
     Returns:
         The context, with scales of 1 and without shared simulations.
@@ -76,7 +86,18 @@ def start_context(
     union = Union((*base, *rivals))
     ones = np.ones(len(model.joints))
     return Context(
-        model, union, tuple(base), rivals, ones, 0.0 * ones, np.empty((0, 0)), False, (), seed, meter
+        model=model,
+        union=union,
+        base=tuple(base),
+        catalogue=rivals,
+        scales=ones,
+        noise_loss=0.0 * ones,
+        base_scores=np.empty((0, 0)),
+        share=False,
+        folds=(),
+        seed=seed,
+        meter=meter,
+        checkpoint=checkpoint or Checkpoint(),
     )
 
 
@@ -92,6 +113,23 @@ def draw_folds(n_motions: int, seed: int) -> tuple[frozenset[int], ...]:
     """
     order = np.random.default_rng(seed).permutation(n_motions)
     return tuple(frozenset(int(m) for m in order[k::FOLDS]) for k in range(FOLDS))
+
+
+def recall(
+    step: Callable[Concatenate[Context, P], T], context: Context, *args: P.args, **kwargs: P.kwargs
+) -> T:
+    """Return what an earlier run with the same inputs found in a step; else carry it out and keep it.
+
+    Args:
+        step: Function of the context, whose result `checkpoint.pack` can keep.
+        context: The context.
+        *args: Its further arguments.
+        **kwargs: Its named arguments.
+
+    Returns:
+        Its result.
+    """
+    return context.checkpoint.step(context.meter, step.__name__, lambda: step(context, *args, **kwargs))
 
 
 def run(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> list[Fit]:

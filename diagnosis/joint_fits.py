@@ -8,7 +8,7 @@ import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.blocks import cut_into_blocks
-from diagnosis.context import Context, Present, draw_folds, run, simulate
+from diagnosis.context import Context, Present, draw_folds, recall, run, simulate
 from diagnosis.effects.effect import Effect
 from diagnosis.errors import RobotError
 from diagnosis.fit import (
@@ -84,7 +84,7 @@ def rescale(context: Context, base: Present, present: Present) -> tuple[Context,
     effects = [one for one in present.effects if one.place not in model.joints]
     columns = [context.union.columns([one]) for one in effects]
     bodies = tuple(run(context, [Hypothesis(free, present.sizes) for free in columns], "refit"))
-    fits = fit_joints(context, present.effects, merge_sizes(context, present.sizes, bodies))
+    fits = recall(fit_joints, context, present.effects, merge_sizes(context, present.sizes, bodies))
     scores = np.array(cross_validate(context, list(enumerate(fits))))
     sizes = fits[0].sizes
     found = replace(present, sizes=sizes, fits=fits, scores=scores, bodies=bodies)
@@ -101,7 +101,7 @@ def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[
     Returns:
         Sizes, (n_sizes,), residuals of all joints, (n,), and the fits.
     """
-    fits = fit_joints(context, (), sizes)
+    fits = recall(fit_joints, context, (), sizes)
     return fits[0].sizes, gather_residuals(fits, len(context.model.joint_of)), fits
 
 
@@ -253,7 +253,7 @@ def leave_out(context: Context, present: Present, effects: Sequence[Effect]) -> 
     rest = tuple(one for one in present.effects if one.key not in gone)
     sizes = present.sizes.copy()
     sizes[context.union.columns(effects)] = 0.0
-    fits = fit_joints(context, rest, sizes)
+    fits = recall(fit_joints, context, rest, sizes)
     scores = np.array(cross_validate(context, list(enumerate(fits))))
     gone_columns = set(context.union.columns(effects).tolist())
     bodies = tuple(fit for fit in present.bodies if not gone_columns & set(fit.columns.tolist()))
