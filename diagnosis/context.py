@@ -12,6 +12,7 @@ from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Hypothesis, Union, evaluate_points, fit_hypotheses
 from diagnosis.meter import Meter
 from diagnosis.residuals import ResidualModel
+from diagnosis.sharing import ALL_JOINTS, Sharing, share_nothing
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -32,12 +33,26 @@ class Context:
     """Mean loss of the noise of each joint, (n_joints,); 0 where it is unknown."""
     base_scores: Array
     """Losses of left-out motions with base parameters alone, (n_joints, n_motions)."""
-    share: bool
-    """True if hypotheses at different joints share simulations."""
+    sharing: Sharing
+    """Joints whose hypotheses share simulations."""
+    wide: frozenset[str]
+    """Keys of effects at a joint that are judged at all joints, because they move others too."""
+    reach: dict[str, float]
+    """Change that an effect of typical size makes at its joint, over the scale of the residuals, by key."""
     folds: tuple[frozenset[int], ...]
     seed: int
     meter: Meter
     checkpoint: Checkpoint
+
+    def joint_of(self, effect: Effect) -> int:
+        """Return the index of the joint at which an effect is judged, or ALL_JOINTS.
+
+        Args:
+            effect: The effect.
+        """
+        if effect.place not in self.model.joints or effect.key in self.wide:
+            return ALL_JOINTS
+        return self.model.joints.index(effect.place)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +73,15 @@ class Present:
     def at(self, place: str) -> tuple[Effect, ...]:
         """Return the accepted effects at a place."""
         return tuple(effect for effect in self.effects if effect.place == place)
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Models before and after."""
+
+    context: Context
+    base: Present
+    chosen: Present
 
 
 def start_context(
@@ -93,7 +117,9 @@ def start_context(
         scales=ones,
         noise_loss=0.0 * ones,
         base_scores=np.empty((0, 0)),
-        share=False,
+        sharing=share_nothing(len(model.joints)),
+        wide=frozenset(),
+        reach={},
         folds=(),
         seed=seed,
         meter=meter,
@@ -148,7 +174,7 @@ def run(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> list[F
         context.union,
         hypotheses,
         context.scales,
-        share=context.share,
+        sharing=context.sharing,
         report=lambda count: context.meter.advance(text, count),
     )
 
@@ -168,6 +194,6 @@ def simulate(context: Context, points: Sequence[tuple[int, Array]], text: str) -
         context.model,
         context.union,
         points,
-        share=context.share,
+        sharing=context.sharing,
         report=lambda count: context.meter.advance(text, count),
     )

@@ -12,9 +12,9 @@ import numpy as np
 from diagnosis.arrays import Array
 from diagnosis.checkpoint import Checkpoint
 from diagnosis.comparison import compare
-from diagnosis.context import Context, Present, recall, run, simulate, start_context
+from diagnosis.context import Context, Present, Selection, recall, run, simulate, start_context
 from diagnosis.effects.effect import Effect
-from diagnosis.fit import ALL_JOINTS, Fit, Hypothesis, count_candidates, gather_residuals
+from diagnosis.fit import Fit, Hypothesis, gather_residuals
 from diagnosis.joint_fits import (
     cross_validate,
     fit_base,
@@ -30,7 +30,8 @@ from diagnosis.joint_fits import (
 )
 from diagnosis.meter import Meter
 from diagnosis.residuals import ResidualModel
-from diagnosis.screening import Score, Whitened, family_wise_p, list_trials, score_trial, whiten
+from diagnosis.screening import Score, Trial, Whitened, family_wise_p, list_trials, score_trial, whiten
+from diagnosis.sharing import ALL_JOINTS
 
 MIN_SHARE: Final = 0.05
 """Least share of the error of left-out motions that an effect has to remove: less is not worth a name."""
@@ -67,15 +68,6 @@ class Candidate:
     """Share of what can be explained in left-out motions that it removes."""
     z: float
     """Mean improvement of a motion over its standard error."""
-
-
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """Models before and after."""
-
-    context: Context
-    base: Present
-    chosen: Present
 
 
 def select_effects(
@@ -133,9 +125,9 @@ def screen(context: Context, present: Present, open_joints: set[int], rounds_aft
     taken = {effect.key for effect in present.effects}
     rivals = [effect for effect in context.catalogue if effect.key not in taken]
     groups: list[tuple[tuple[int, ...], int, list[Effect]]] = [
-        ((j,), j, [one for one in rivals if one.place == names[j]]) for j in sorted(open_joints)
+        ((j,), j, [one for one in rivals if context.joint_of(one) == j]) for j in sorted(open_joints)
     ]
-    bodies = [one for one in rivals if one.place not in names]
+    bodies = [one for one in rivals if context.joint_of(one) == ALL_JOINTS]
     groups.append((tuple(range(len(names))), ALL_JOINTS, bodies))
     trials = [
         (lane, trial)
@@ -143,8 +135,10 @@ def screen(context: Context, present: Present, open_joints: set[int], rounds_aft
         for effect in effects
         for trial in list_trials(context.union, effect, present.sizes)
     ]
+    # a large change at one joint would hide a small one at another in the same candidate
+    trials.sort(key=lambda pair: -_expected_change(context, *pair))
     points = [(lane, point) for lane, trial in trials for point in trial.points]
-    context.meter.begin_round(count_candidates(points, share=context.share), rounds_after)
+    context.meter.begin_round(len(context.sharing.plan(points)), rounds_after)
     moved = iter(simulate(context, points, "screening"))
     best: dict[int, dict[str, Score]] = {lane: {} for _, lane, _ in groups}
     white = {lane: _whiten(context, present, joints) for joints, lane, _ in groups}
@@ -170,6 +164,15 @@ def _find_winners(context: Context, present: Present, shortlist: Sequence[Score]
     return choose(context, present, judge(context, present, shortlist))
 
 
+def _expected_change(context: Context, lane: int, trial: Trial) -> float:
+    """Return the change that a trial should make at its joint, from that of typical sizes."""
+    if lane == ALL_JOINTS:
+        return 0.0
+    typical = np.array([size.typical for size in trial.effect.sizes])
+    ratios = np.array(trial.points)[:, context.union.columns([trial.effect])] / typical
+    return context.reach[trial.effect.key] * float(np.max(np.abs(ratios)))
+
+
 def _whiten(context: Context, present: Present, joints: Sequence[int]) -> Whitened:
     fits = [present.fits[j] for j in joints]
     return whiten(fits, context.model.motion_of, [float(context.scales[j]) for j in joints])
@@ -192,24 +195,20 @@ def judge(context: Context, present: Present, shortlist: Sequence[Score]) -> lis
     Returns:
         The candidates, in the order of the shortlist.
     """
-    names = context.model.joints
-    local = [score for score in shortlist if score.effect.place in names]
+    joints = [context.joint_of(score.effect) for score in shortlist]
+    local = [score for score, joint in zip(shortlist, joints, strict=True) if joint != ALL_JOINTS]
+    joints = [joint for joint in joints if joint != ALL_JOINTS]
     starts = [
-        Hypothesis(
-            free_columns(context, (*present.effects, score.effect), score.effect.place),
-            score.start,
-            names.index(score.effect.place),
-        )
-        for score in local
+        Hypothesis(free_columns(context, (*present.effects, score.effect), joint), score.start, joint)
+        for score, joint in zip(local, joints, strict=True)
     ]
     fits = run(context, starts, "refit")
-    joints = [start.joint for start in starts]
     scores = cross_validate(context, list(zip(joints, fits, strict=True)))
     candidates = [
         _candidate(context, present, one.effect, (joint,), (fit,), losses[None])
         for one, joint, fit, losses in zip(local, joints, fits, scores, strict=True)
     ]
-    bodies = [score for score in shortlist if score.effect.place not in names]
+    bodies = [score for score in shortlist if context.joint_of(score.effect) == ALL_JOINTS]
     return candidates + [_judge_body(context, present, score) for score in bodies]
 
 
@@ -333,7 +332,7 @@ def _improvement(present: Present, candidate: Candidate) -> float:
 
 
 def worsens_another(context: Context, present: Present, candidate: Candidate) -> bool:
-    """Check whether an effect at one joint worsens another joint.
+    """Check whether an effect worsens a joint that is not its place.
 
     Args:
         context: The context.
@@ -343,17 +342,19 @@ def worsens_another(context: Context, present: Present, candidate: Candidate) ->
     Returns:
         True if the mean absolute residual of another joint grows by more than MAX_WORSE.
     """
-    if len(candidate.joints) > 1:
-        return False
-    sizes = merge_sizes(context, present.sizes, candidate.fits)
-    others = [j for j in np.unique(context.model.joint_of) if j not in candidate.joints]
+    model = context.model
+    others = [j for j in np.unique(model.joint_of) if model.joints[j] != candidate.effect.place]
     if not others:
         return False
     before = _residuals(context, present, ALL_JOINTS)
-    (after,) = simulate(context, [(ALL_JOINTS, sizes)], "cross-validation")
+    if len(candidate.joints) > 1:
+        after = gather_residuals(candidate.fits, len(before))
+    else:
+        sizes = merge_sizes(context, present.sizes, candidate.fits)
+        (after,) = simulate(context, [(ALL_JOINTS, sizes)], "cross-validation")
     return any(
         float(np.mean(np.abs(after[rows]))) > (1.0 + MAX_WORSE) * float(np.mean(np.abs(before[rows])))
-        for rows in (context.model.joint_of == j for j in others)
+        for rows in (model.joint_of == j for j in others)
     )
 
 
