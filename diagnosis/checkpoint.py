@@ -174,6 +174,15 @@ def unpack(document: Any, arrays: Sequence[Array], effects: Mapping[str, Effect]
     return record(*unpack(document["fields"], arrays, effects))
 
 
+def digest_code() -> str:
+    """Return the digest of the diagnosis and of the libraries that it computes with, as hexadecimal text."""
+    versions = (np.__version__, scipy.__version__, mujoco.__version__, sys.version, platform.machine())
+    digest = hashlib.sha256(repr(versions).encode())
+    for path in sorted(PACKAGE.rglob("*.py")):
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
 def digest_inputs(
     robot: Robot,
     motions: Sequence[Motion],
@@ -209,10 +218,7 @@ def _inputs(
     effects: Sequence[Effect],
     seed: int,
 ) -> Iterator[bytes]:
-    versions = (np.__version__, scipy.__version__, mujoco.__version__, sys.version, platform.machine())
-    yield repr(versions).encode()
-    for path in sorted(PACKAGE.rglob("*.py")):
-        yield path.read_bytes()
+    yield digest_code().encode()
     compiled = np.empty(mujoco.mj_sizeModel(robot.model), np.uint8)
     mujoco.mj_saveModel(robot.model, None, compiled)
     yield compiled.tobytes()
