@@ -15,6 +15,7 @@ import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import TracebackType
@@ -51,7 +52,7 @@ class Checkpoint:
             folder: Folder of this diagnosis, named by the digest of its inputs; None: nothing is kept.
             effects: All effects that compete; a step names them by their keys.
         """
-        self._folder, self._number = folder, 0
+        self._folder, self._number, self._is_full = folder, 0, False
         self._effects = {effect.key: effect for effect in effects}
         if folder is None:
             return
@@ -92,7 +93,8 @@ class Checkpoint:
         except (OSError, ValueError, KeyError, EOFError, BadZipFile):  # absent, or torn by a loss of power
             meter.go_on()
             made = work()
-            self._write(path, made, meter)
+            if not self._is_full:
+                self._write(path, made, meter)
             return made
         meter.restore(counts)
         return cast("T", result)
@@ -112,8 +114,9 @@ class Checkpoint:
                 np.savez(file, *arrays, document=np.array(json.dumps(document)))
             part.replace(path)
         except OSError:
-            part.unlink(missing_ok=True)
-            self._folder = None
+            self._is_full = True
+            with suppress(OSError):
+                part.unlink()
 
 
 def pack(value: object, arrays: list[Array]) -> Any:

@@ -138,8 +138,11 @@ def test_a_full_disk_stops_no_diagnosis(
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
+    with pytest.raises(Killed):
+        find(mortal(whole[1] // 2), tmp_path / "steps")
     monkeypatch.setattr(np, "savez", full)
     assert bits(find(mortal(), tmp_path / "steps")) == whole[0]
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_steps_that_nobody_went_on_from_for_a_week_are_deleted(tmp_path: Path) -> None:
