@@ -48,6 +48,12 @@ class Blocks:
             self.parents += (motion,) * count
         self._fill(model, np.arange(model.time_s.size), block, tuple(names))
 
+    @property
+    def parent_of(self) -> Integers:
+        """Motion of each residual, (n,), index."""
+        names = list(dict.fromkeys(self.parents))
+        return np.array([names.index(name) for name in self.parents], dtype=np.int64)[self.motion_of]
+
     def _fill(self, model: ResidualModel, rows: Integers, block: Integers, names: tuple[str, ...]) -> None:
         self._model, self._rows = model, rows
         self.kind, self.unit, self.joints = model.kind, model.unit, model.joints
@@ -133,3 +139,28 @@ def correlation_time_s(time_s: Array, residuals: Array) -> float:
     end = int(np.argmax(rho <= 0)) or n
     period_s = float(np.median(np.diff(time_s)))
     return float(period_s * (1 + 2 * np.sum(rho[1:end])))
+
+
+def cut_rows(time_s: Array, motion: Integers, residuals: Sequence[tuple[slice, Array]]) -> Integers:
+    """Cut the rows of motions into blocks that are as long as the correlation time of their residuals.
+
+    Args:
+        time_s: Times, (n_rows,) [s].
+        motion: Motion of each row, (n_rows,).
+        residuals: Rows of each joint, and its residuals, (n,), in any unit; the longest memory counts.
+
+    Returns:
+        Block of each row, (n_rows,), from 0.
+    """
+    block, n_blocks = np.zeros(time_s.size, dtype=np.int64), 0
+    for m in np.unique(motion):
+        here = motion == m
+        begin_s, length_s = float(time_s[here].min()), float(np.ptp(time_s[here]))
+        longest_s = max(
+            correlation_time_s(time_s[rows][here[rows]], values[here[rows]]) for rows, values in residuals
+        )
+        count = max(1, int(length_s / longest_s)) if longest_s > 0.0 else 1
+        share = (time_s[here] - begin_s) / max(length_s, 1e-12)
+        block[here] = n_blocks + np.minimum((share * count).astype(np.int64), count - 1)
+        n_blocks += count
+    return block

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array
+from diagnosis.chance import FALSE_ALARM
 from diagnosis.comparison import compare
 from diagnosis.context import Context, Present, run, simulate, start_context
 from diagnosis.effects.effect import Effect
@@ -29,14 +30,12 @@ from diagnosis.joint_fits import (
 )
 from diagnosis.meter import Meter
 from diagnosis.residuals import ResidualModel
-from diagnosis.screening import Score, Whitened, family_wise_p, list_trials, score_trial, whiten
+from diagnosis.screening import Score, Whitened, family_wise_p, list_trials, score_effect, whiten
 
 MIN_SHARE: Final = 0.05
 """Least share of the error of left-out motions that an effect has to remove: less is not worth a name."""
 MIN_Z: Final = 2.0
 """Least improvement of left-out motions over its standard error."""
-FALSE_ALARM: Final = 0.05
-"""Largest family-wise probability of a screening score without an effect."""
 MAX_EFFECTS: Final = 3
 """Most effects at one joint beside the base parameters: more describe a residual rather than explain it."""
 SHORTLIST: Final = 5
@@ -134,38 +133,36 @@ def screen(context: Context, present: Present, open_joints: set[int], rounds_aft
     ]
     bodies = [one for one in rivals if one.place not in names]
     groups.append((tuple(range(len(names))), ALL_JOINTS, bodies))
-    trials = [
-        (lane, trial)
+    tried = [
+        (lane, list_trials(context.union, effect, present.sizes))
         for _, lane, effects in groups
         for effect in effects
-        for trial in list_trials(context.union, effect, present.sizes)
     ]
-    points = [(lane, point) for lane, trial in trials for point in trial.points]
+    points = [(lane, point) for lane, trials in tried for trial in trials for point in trial.points]
     context.meter.begin_round(count_candidates(points, share=context.share), rounds_after)
     moved = iter(simulate(context, points, "screening"))
-    best: dict[int, dict[str, Score]] = {lane: {} for _, lane, _ in groups}
+    best: dict[int, list[Score]] = {lane: [] for _, lane, _ in groups}
     white = {lane: _whiten(context, present, joints) for joints, lane, _ in groups}
-    for lane, trial in trials:
+    for lane, trials in tried:
         now = _residuals(context, present, lane)
-        change = np.column_stack([next(moved) - now for _ in trial.points])
+        changes = [np.column_stack([next(moved) - now for _ in trial.points]) for trial in trials]
         if lane == ALL_JOINTS:
-            change = change[white[lane].rows]
-        score = score_trial(white[lane], len(context.model.motions), trial, change, present.sizes)
-        key = trial.effect.key
-        if key not in best[lane] or score.gain > best[lane][key].gain:
-            best[lane][key] = score
-    everything = [score for group in best.values() for score in group.values()]
-    chance = family_wise_p(everything, context.seed)
+            changes = [change[white[lane].rows] for change in changes]
+        if trials:
+            score = score_effect(white[lane], len(context.model.motions), trials, changes, present.sizes)
+            best[lane].append(score)
+    everything = [score for group in best.values() for score in group]
+    chance = family_wise_p(everything, len(context.model.motions), context.seed)
     likely = {score.effect.key for score, p in zip(everything, chance, strict=True) if p <= FALSE_ALARM}
     # the order of the F statistic: an effect with many sizes has to explain more
-    ranked = [sorted(group.values(), key=lambda s: -s.gain / len(s.effect.sizes)) for group in best.values()]
+    ranked = [sorted(group, key=lambda s: -s.gain / len(s.effect.sizes)) for group in best.values()]
     likely_ones = [[one for one in group if one.effect.key in likely] for group in ranked]
     return [score for group in likely_ones for score in group[:SHORTLIST]]
 
 
 def _whiten(context: Context, present: Present, joints: Sequence[int]) -> Whitened:
     fits = [present.fits[j] for j in joints]
-    return whiten(fits, context.model.motion_of, [float(context.scales[j]) for j in joints])
+    return whiten(fits, context.model, [float(context.scales[j]) for j in joints])
 
 
 def _residuals(context: Context, present: Present, lane: int) -> Array:
