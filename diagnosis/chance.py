@@ -67,7 +67,7 @@ def wald_p(basis: Array, change: Array, residual: Array, cluster: Integers) -> f
 
 
 def flip_basis(products: Array) -> Array:
-    """Prepare the test by sign flips: without an effect, either sign of the products of a motion is as likely.
+    """Prepare sign flips: without an effect, either sign of the products of a motion is as likely.
 
     Args:
         products: Products of residual and change in each motion, (n_motions, n_sizes), without a unit.
@@ -150,4 +150,4 @@ def can_flip(n_motions: int) -> bool:
     Args:
         n_motions: Number of motions.
     """
-    return bool(2.0 ** (1 - n_motions) <= 0.5 * FALSE_ALARM)
+    return n_motions > 0 and 2.0 ** (1 - n_motions) <= 0.5 * FALSE_ALARM

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
-from diagnosis.blocks import cut_into_blocks
+from diagnosis.blocks import Blocks, cut_into_blocks
 from diagnosis.context import Context, Present, draw_folds, run, simulate
 from diagnosis.effects.effect import Effect
 from diagnosis.errors import RobotError
@@ -22,6 +22,7 @@ from diagnosis.fit import (
     scale_residuals,
 )
 from diagnosis.noise import noise_losses, whiten_noise
+from diagnosis.residuals import ResidualModel
 
 MIN_MOTIONS: Final = 4
 """Least motions of a fit: with fewer, no error of a left-out motion has a standard error worth the name."""
@@ -48,12 +49,13 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     sizes, residuals, _ = fit_all_joints(context, sizes)
     if len(raw.motions) < MIN_MOTIONS:
         raw = cut_into_blocks(raw, residuals)
-    if len(raw.motions) < MIN_MOTIONS:
+    n_parts = _count_motions(raw)
+    if n_parts < MIN_MOTIONS:
         raise RobotError(
-            f"{len(raw.motions)} motions or independent parts of them are fitted; a diagnosis needs "
+            f"{n_parts} motions or independent parts of them are fitted; a diagnosis needs "
             f"{MIN_MOTIONS} at least, because it judges effects by motions that it leaves out"
         )
-    context = replace(context, folds=draw_folds(len(raw.motions), context.seed))
+    context = replace(context, folds=draw_folds(raw, context.seed))
     model = whiten_noise(raw, residuals)
     (residuals,) = model.residuals(context.base, sizes[None, union.columns(context.base)])
     context = replace(context, model=model, scales=scale_residuals(model, residuals))
@@ -63,10 +65,18 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     return replace(context, base_scores=scores), Present((), sizes, fits, scores)
 
 
+def _count_motions(model: ResidualModel) -> int:
+    """Return the number of motions; of blocks, those of the joint that has the fewest."""
+    if not isinstance(model, Blocks):
+        return len(model.motions)
+    counts = np.bincount(model.joint_of_block)
+    return int(np.min(counts[counts > 0], initial=len(model.motions)))
+
+
 def rescale(context: Context, base: Present, present: Present) -> tuple[Context, Present]:
     """Take scales and noise from the residuals of the present model, and refit it.
 
-    A scale from before an effect was found is so wide that the loss is a sum of squares.
+    A scale from before an effect was found is so wide that the loss is a sum of squares. Blocks are cut anew.
 
     Args:
         context: The context.
@@ -78,6 +88,9 @@ def rescale(context: Context, base: Present, present: Present) -> tuple[Context,
     """
     model = context.model
     together = gather_residuals(present.fits, len(model.joint_of))
+    if isinstance(model, Blocks):  # what was explained is no memory of the noise
+        model = cut_into_blocks(model.whole, together)
+        context = replace(context, model=model, folds=draw_folds(model, context.seed))
     scales = scale_residuals(model, together)
     context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
     before = np.array(cross_validate(context, list(enumerate(base.fits))))

@@ -45,6 +45,9 @@ class Score:
     """One basis for sign flips, by `flip_basis`, for each trial that differs from the others."""
     p: float
     """Probability of so good a score of any trial without the effect, by `wald_p`."""
+    left: tuple[tuple[Integers, Array], ...] = ()
+    """For each joint: rows of the residual model, and what the effect leaves there, without a unit; empty
+    where motions are not cut into blocks."""
 
 
 def list_trials(union: Union, effect: Effect, at: Array) -> list[Trial]:
@@ -208,12 +211,13 @@ def score_effect(
             best = (gain, start, cleared)
     assert best is not None, "an effect without a trial"
     gain, start, cleared = best
-    p = 1.0
-    if gain > 0.0:
-        solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
-        clusters = white.clusters(white.residual + cleared @ solution)
-        p = min(1.0, len(seen) * wald_p(white.basis, cleared, white.residual, clusters))
-    return Score(trials[0].effect, start, gain, tuple(flips), p)
+    if gain <= 0.0:
+        return Score(trials[0].effect, start, gain, tuple(flips), 1.0)
+    solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
+    rest = white.residual + cleared @ solution
+    p = min(1.0, len(seen) * wald_p(white.basis, cleared, white.residual, white.clusters(rest)))
+    kept = tuple((white.rows[rows], rest[rows]) for rows, *_ in white.parts) if white.is_cut else ()
+    return Score(trials[0].effect, start, gain, tuple(flips), p, kept)
 
 
 def is_new(change: Array, seen: Sequence[Array]) -> bool:
@@ -241,15 +245,16 @@ def sum_by_motion(motion: Integers, values: Array, n_motions: int) -> Array:
     return np.column_stack([np.bincount(motion, weights=one, minlength=n_motions) for one in values.T])
 
 
-def family_wise_p(scores: Sequence[Score], n_motions: int, seed: int) -> Array:
+def family_wise_p(scores: Sequence[Score], n_whole: int, seed: int) -> Array:
     """Return the probability of each score, or a better one of any effect, if no effect is present.
 
     Two tests, each of all hypotheses together; the smaller probability counts twice. With few motions, sign
-    flips cannot reject anything, and the Wald test stands alone.
+    flips cannot reject anything; blocks of a motion are not independent enough for them. Then the Wald test
+    stands alone.
 
     Args:
         scores: Scores of all effects that compete.
-        n_motions: Number of motions.
+        n_whole: Number of motions; 0 if they were cut into blocks.
         seed: Seed of the signs.
 
     Returns:
@@ -258,7 +263,7 @@ def family_wise_p(scores: Sequence[Score], n_motions: int, seed: int) -> Array:
     if not scores:
         return np.empty(0)
     wald = wald_by_place(np.array([one.p for one in scores]), [one.effect.place for one in scores])
-    if not can_flip(n_motions):
+    if not can_flip(n_whole):
         return wald
     flipped = flips_p([one.flips for one in scores], seed)
     both: Array = np.minimum(2.0 * np.minimum(flipped, wald), 1.0)

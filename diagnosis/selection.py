@@ -10,9 +10,10 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array
+from diagnosis.blocks import Blocks, cut_into_blocks
 from diagnosis.chance import FALSE_ALARM
 from diagnosis.comparison import compare
-from diagnosis.context import Context, Present, run, simulate, start_context
+from diagnosis.context import Context, Present, draw_folds, run, simulate, start_context
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import ALL_JOINTS, Fit, Hypothesis, count_candidates, gather_residuals
 from diagnosis.joint_fits import (
@@ -103,6 +104,7 @@ def select_effects(
         n_layers = len(list_layers(context, present.effects))
         # a first finding is expected, and a round without another; then each layer is left out once
         shortlist = screen(context, present, open_joints, rounds_after=n_layers or 2)
+        context, present = cut_anew(context, present, shortlist)
         winners = choose(context, present, judge(context, present, shortlist))
         open_joints &= {j for winner in winners for j in winner.joints}
         for winner in winners:
@@ -152,12 +154,39 @@ def screen(context: Context, present: Present, open_joints: set[int], rounds_aft
             score = score_effect(white[lane], len(context.model.motions), trials, changes, present.sizes)
             best[lane].append(score)
     everything = [score for group in best.values() for score in group]
-    chance = family_wise_p(everything, len(context.model.motions), context.seed)
+    n_whole = 0 if isinstance(context.model, Blocks) else len(context.model.motions)
+    chance = family_wise_p(everything, n_whole, context.seed)
     likely = {score.effect.key for score, p in zip(everything, chance, strict=True) if p <= FALSE_ALARM}
     # the order of the F statistic: an effect with many sizes has to explain more
     ranked = [sorted(group, key=lambda s: -s.gain / len(s.effect.sizes)) for group in best.values()]
     likely_ones = [[one for one in group if one.effect.key in likely] for group in ranked]
     return [score for group in likely_ones for score in group[:SHORTLIST]]
+
+
+def cut_anew(context: Context, present: Present, shortlist: Sequence[Score]) -> tuple[Context, Present]:
+    """Cut the blocks of each joint by the memory of what its best effect leaves.
+
+    Without the effect that memory is the noise's. With it, what it explains is no noise: blocks as long as
+    the misfit would be so few that a fit without one of them extrapolates.
+
+    Args:
+        context: The context.
+        present: The present model.
+        shortlist: Scores of the effects that will be judged.
+
+    Returns:
+        The context with new blocks and folds, and the model judged by them; the same where motions are whole.
+    """
+    if not isinstance(context.model, Blocks) or not shortlist:
+        return context, present
+    left = gather_residuals(present.fits, len(context.model.joint_of))
+    for score in sorted(shortlist, key=lambda one: one.gain):  # the best comes last and stays
+        for rows, values in score.left:
+            left[rows] = values
+    model = cut_into_blocks(context.model.whole, left)
+    context = replace(context, model=model, folds=draw_folds(model, context.seed))
+    scores = np.array(cross_validate(context, list(enumerate(present.fits))))
+    return context, replace(present, scores=scores)
 
 
 def _whiten(context: Context, present: Present, joints: Sequence[int]) -> Whitened:
