@@ -12,6 +12,7 @@ from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Hypothesis, Union, evaluate_points, fit_hypotheses
 from diagnosis.meter import Meter
 from diagnosis.residuals import ResidualModel
+from diagnosis.sharing import ALL_JOINTS, Sharing, share_nothing
 
 FOLDS: Final = 4
 
@@ -30,11 +31,25 @@ class Context:
     """Mean loss of the noise of each joint, (n_joints,); 0 where it is unknown."""
     base_scores: Array
     """Losses of left-out motions with base parameters alone, (n_joints, n_motions)."""
-    share: bool
-    """True if hypotheses at different joints share simulations."""
+    sharing: Sharing
+    """Joints whose hypotheses share simulations."""
+    wide: frozenset[str]
+    """Keys of effects at a joint that are judged at all joints, because they move others too."""
+    reach: dict[str, float]
+    """Change that an effect of typical size makes at its joint, over the scale of the residuals, by key."""
     folds: tuple[frozenset[int], ...]
     seed: int
     meter: Meter
+
+    def joint_of(self, effect: Effect) -> int:
+        """Return the index of the joint at which an effect is judged, or ALL_JOINTS.
+
+        Args:
+            effect: The effect.
+        """
+        if effect.place not in self.model.joints or effect.key in self.wide:
+            return ALL_JOINTS
+        return self.model.joints.index(effect.place)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +92,19 @@ def start_context(
     union = Union((*base, *rivals))
     ones = np.ones(len(model.joints))
     return Context(
-        model, union, tuple(base), rivals, ones, 0.0 * ones, np.empty((0, 0)), False, (), seed, meter
+        model=model,
+        union=union,
+        base=tuple(base),
+        catalogue=rivals,
+        scales=ones,
+        noise_loss=0.0 * ones,
+        base_scores=np.empty((0, 0)),
+        sharing=share_nothing(len(model.joints)),
+        wide=frozenset(),
+        reach={},
+        folds=(),
+        seed=seed,
+        meter=meter,
     )
 
 
@@ -113,7 +140,7 @@ def run(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> list[F
         context.union,
         hypotheses,
         context.scales,
-        share=context.share,
+        sharing=context.sharing,
         report=lambda count: context.meter.advance(text, count),
     )
 
@@ -133,6 +160,6 @@ def simulate(context: Context, points: Sequence[tuple[int, Array]], text: str) -
         context.model,
         context.union,
         points,
-        share=context.share,
+        sharing=context.sharing,
         report=lambda count: context.meter.advance(text, count),
     )

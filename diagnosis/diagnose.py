@@ -1,7 +1,9 @@
 """Diagnose a robot: from its model and its logs to where, which effect, how far."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -19,6 +21,10 @@ from diagnosis.result import Diagnosis, Rejected
 from diagnosis.robot import ControlMode, Robot
 from diagnosis.selection import select_effects
 from diagnosis.verdict import doubt_findings
+
+MOST_STEPS: Final = 50_000
+"""Steps of a candidate that is fitted: at 10 microseconds each, a few thousand candidates take half an hour.
+Longer motions are simulated in part: the error of a size depends on their number more than on seconds."""
 
 
 def diagnose(
@@ -62,11 +68,11 @@ def diagnose(
     parts = []
     for k, kind in enumerate(kinds):
         meter = Meter(_part_of(progress, k, len(kinds)))
-        fitted = kind.make(motions)
+        fitted = kind.make(motions, MOST_STEPS)
         shown, rejected = choose_shown(robot, kind, known)
         base = [one for one in base_effects(robot, logs) if kind.shows(one)] if kind.has_base else []
         selection = select_effects(fitted, base, shown, seed=seed, meter=meter)
-        judge = kind.make(held_out) if held_out else fitted
+        judge = kind.make(held_out, math.inf) if held_out else fitted
         part = assemble(robot, fitted, selection, doubt_findings(selection), judge)
         parts.append(replace(part, rejected=(*part.rejected, *rejected)))
     progress(1.0, "done")

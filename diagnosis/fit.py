@@ -2,7 +2,7 @@
 
 Each hypothesis frees a few sizes and reads the residuals of one joint, or of all. scipy fits one problem at
 a time; here all advance together, because an engine simulates a hundred candidates at the price of ten.
-Hypotheses at different joints share a candidate where one joint scarcely moves another (`measure_coupling`).
+Hypotheses at different joints share a candidate where one joint scarcely moves another (`diagnosis.sharing`).
 """
 
 from collections.abc import Callable, Sequence
@@ -14,8 +14,8 @@ import numpy as np
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect, Size
 from diagnosis.residuals import ResidualModel
+from diagnosis.sharing import ALL_JOINTS, Sharing
 
-ALL_JOINTS: Final = -1
 STEP: Final = 0.05
 """Finite-difference step over the typical size: more than one stick or slip changes, small beside it."""
 DAMPINGS: Final = (0.1, 1.0, 10.0)
@@ -146,7 +146,7 @@ def fit_hypotheses(
     hypotheses: Sequence[Hypothesis],
     scales: Array,
     *,
-    share: bool,
+    sharing: Sharing,
     report: Callable[[int], None] | None = None,
 ) -> list[Fit]:
     """Fit hypotheses together by Levenberg-Marquardt with a pseudo-Huber loss.
@@ -156,13 +156,13 @@ def fit_hypotheses(
         union: Effects, and the columns of their sizes.
         hypotheses: Problems to solve.
         scales: Scale of the residuals of each joint, (n_joints,), in the unit of the model.
-        share: True to put hypotheses at different joints into one candidate.
+        sharing: Joints whose hypotheses may share a candidate.
         report: Called with the number of candidates after each call of the model.
 
     Returns:
         One fit a hypothesis, in their order.
     """
-    evaluate = _Evaluator(model, union, share, report)
+    evaluate = _Evaluator(model, union, sharing, report)
     problems = [_Problem(model, union, hypothesis, scales) for hypothesis in hypotheses]
     for problem, rows in zip(problems, evaluate([[one.x] for one in problems], problems), strict=True):
         problem.begin(rows[0])
@@ -184,7 +184,7 @@ def evaluate_points(
     union: Union,
     points: Sequence[tuple[int, Array]],
     *,
-    share: bool,
+    sharing: Sharing,
     report: Callable[[int], None] | None = None,
 ) -> list[Array]:
     """Simulate single points, those of different joints in one candidate if they may share it.
@@ -193,7 +193,7 @@ def evaluate_points(
         model: The residual model.
         union: Effects, and the columns of their sizes.
         points: Joint, or ALL_JOINTS, and sizes of the union in their units, (n_sizes,), for each.
-        share: True to put points of different joints into one candidate.
+        sharing: Joints whose points may share a candidate.
         report: Called with the number of candidates after each call of the model.
 
     Returns:
@@ -202,25 +202,8 @@ def evaluate_points(
     none = np.empty(0, np.int64)
     ones = np.ones(len(model.joints))
     problems = [_Problem(model, union, Hypothesis(none, at, joint), ones) for joint, at in points]
-    found = _Evaluator(model, union, share, report)([[at] for _, at in points], problems)
+    found = _Evaluator(model, union, sharing, report)([[at] for _, at in points], problems)
     return [rows[0] for rows in found]
-
-
-def count_candidates(points: Sequence[tuple[int, Array]], *, share: bool) -> int:
-    """Count the candidates in which `evaluate_points` simulates single points.
-
-    Args:
-        points: Joint, or ALL_JOINTS, and sizes of the union in their units, (n_sizes,), for each.
-        share: True to put points of different joints into one candidate.
-
-    Returns:
-        Number of candidates.
-    """
-    joints = [joint for joint, _ in points]
-    if not share:
-        return len(joints)
-    counts = [joints.count(joint) for joint in set(joints) - {ALL_JOINTS}]
-    return joints.count(ALL_JOINTS) + max(counts, default=0)
 
 
 class _Problem:
@@ -312,20 +295,17 @@ class _Evaluator:
     """Simulates the points of many problems in as few candidates as possible."""
 
     def __init__(
-        self, model: ResidualModel, union: Union, share: bool, report: Callable[[int], None] | None
+        self, model: ResidualModel, union: Union, sharing: Sharing, report: Callable[[int], None] | None
     ) -> None:
-        self.model, self.union, self.share, self.report = model, union, share, report
+        self.model, self.union, self.sharing, self.report = model, union, sharing, report
 
     def __call__(self, points: list[list[Array]], problems: Sequence[_Problem]) -> list[list[Array]]:
         """Return the residuals of each problem at each of its points."""
-        queues: dict[int, list[tuple[int, int]]] = {}
-        for k, (wanted, problem) in enumerate(zip(points, problems, strict=True)):
-            lane = problem.hypothesis.joint if self.share else ALL_JOINTS
-            queues.setdefault(lane, []).extend((k, i) for i in range(len(wanted)))
-        alone = queues.pop(ALL_JOINTS, [])
-        candidates = [([at], points[at[0]][at[1]]) for at in alone]
-        for slot in range(max((len(queue) for queue in queues.values()), default=0)):
-            members = [queue[slot] for queue in queues.values() if slot < len(queue)]
+        where = [(k, i) for k, wanted in enumerate(points) for i in range(len(wanted))]
+        plan = self.sharing.plan([(problems[k].hypothesis.joint, points[k][i]) for k, i in where])
+        candidates = []
+        for numbers in plan:
+            members = [where[number] for number in numbers]
             candidates.append((members, self.merge([(problems[k], points[k][i]) for k, i in members])))
         if not candidates:
             return [[] for _ in points]
@@ -355,43 +335,7 @@ class _Evaluator:
         """Return one size vector with the sizes of each problem at the joint of the problem."""
         place_of = np.array([effect.place for effect in self.union.effects for _ in effect.sizes])
         merged = members[0][1].copy()
-        for problem, point in members:
+        for problem, point in members[1:]:
             mine = place_of == self.model.joints[problem.hypothesis.joint]
             merged[mine] = point[mine]
         return merged
-
-
-def measure_coupling(model: ResidualModel, union: Union, movers: Sequence[Effect]) -> float:
-    """Measure how much the effects at one joint move another joint, at the nominal model.
-
-    Args:
-        model: The residual model.
-        union: Effects, and the columns of their sizes.
-        movers: Effects whose typical sizes move their joints.
-
-    Returns:
-        Largest ratio of the RMS change at another joint to that at the joint itself.
-    """
-    columns = union.columns(movers)
-    points = [np.zeros(len(union.sizes))]
-    for joint in model.joints:
-        moved = np.zeros(len(union.sizes))
-        for effect in movers:
-            if effect.place == joint:
-                for column, size in zip(union.columns([effect]), effect.sizes, strict=True):
-                    moved[column] = np.clip(STEP * size.typical, size.low, size.high)
-        points.append(moved)
-    rows = model.residuals(movers, np.array([point[columns] for point in points]))
-    change = np.array(
-        [
-            [_rms((moved - rows[0])[model.joint_of == joint]) for joint in range(len(model.joints))]
-            for moved in rows[1:]
-        ]
-    )
-    own = np.diag(change)
-    others = change - np.diag(own)
-    return float(np.max(others.max(axis=1) / np.maximum(own, 1e-12), initial=0.0))
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

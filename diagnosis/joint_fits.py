@@ -12,22 +12,22 @@ from diagnosis.context import Context, Present, draw_folds, run, simulate
 from diagnosis.effects.effect import Effect
 from diagnosis.errors import RobotError
 from diagnosis.fit import (
-    ALL_JOINTS,
     Fit,
     Hypothesis,
     gather_residuals,
     half_loss_derivatives,
-    measure_coupling,
     pseudo_huber,
     scale_residuals,
 )
 from diagnosis.noise import noise_losses, whiten_noise
 from diagnosis.residuals import ResidualModel
+from diagnosis.screening import Score, Trial
+from diagnosis.sharing import ALL_JOINTS, find_sharing, measure_reach, relative_reach
 
 MIN_MOTIONS: Final = 4
 """Least motions of a fit: with fewer, no error of a left-out motion has a standard error worth the name."""
-MAX_COUPLING: Final = 0.02
-"""Largest share of a change that may show at another joint when joints share a simulation."""
+MAX_LOCAL: Final = 0.5
+"""Largest change at another joint over that at its own for which an effect is judged at its joint alone."""
 
 
 def fit_base(context: Context) -> tuple[Context, Present]:
@@ -43,9 +43,9 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     sizes = np.zeros(len(union.sizes))
     known = {one.place for one in context.base}
     others = [one for one in context.catalogue if one.place in raw.joints and one.place not in known]
-    coupling = measure_coupling(raw, union, [*context.base, *others])
     (residuals,) = raw.residuals([], np.zeros((1, 0)))
-    context = replace(context, share=coupling <= MAX_COUPLING, scales=scale_residuals(raw, residuals))
+    context = replace(context, scales=scale_residuals(raw, residuals))
+    context = share_simulations(context, sizes, residuals, [*context.base, *others])
     sizes, residuals, _ = fit_all_joints(context, sizes)
     if len(raw.motions) < MIN_MOTIONS:
         raw = cut_into_blocks(raw, residuals)
@@ -59,6 +59,7 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     model = whiten_noise(raw, residuals)
     (residuals,) = model.residuals(context.base, sizes[None, union.columns(context.base)])
     context = replace(context, model=model, scales=scale_residuals(model, residuals))
+    context = share_simulations(context, sizes, residuals, union.effects)
     sizes, residuals, fits = fit_all_joints(context, sizes)
     context = replace(context, noise_loss=noise_losses(model, residuals, context.scales))
     scores = np.array(cross_validate(context, list(enumerate(fits))))
@@ -71,6 +72,44 @@ def _count_motions(model: ResidualModel) -> int:
         return len(model.motions)
     counts = np.bincount(model.joint_of_block)
     return int(np.min(counts[counts > 0], initial=len(model.motions)))
+
+
+def share_simulations(context: Context, sizes: Array, residuals: Array, effects: Sequence[Effect]) -> Context:
+    """Measure which joints effects move, and choose what shares simulations and what is judged at all joints.
+
+    Args:
+        context: The context, with scales.
+        sizes: Present sizes, (n_sizes,), in their own units.
+        residuals: Their residuals, (n,), in the unit of the model.
+        effects: Effects to measure. Those of the base decide which joints share; all do where no base is.
+
+    Returns:
+        The context with its sharing, its wide effects and their reach.
+    """
+    union, model = context.union, context.model
+    base = {effect.key for effect in context.base}
+    placed = [one for one in effects if one.place in model.joints]
+    moved = {one.place for one in context.base}
+    columns = [union.columns([effect]) for effect in placed]
+    typical = [np.array([np.clip(one.typical, one.low, one.high) for one in e.sizes]) for e in placed]
+    reach = measure_reach(
+        lambda points: simulate(context, [(ALL_JOINTS, point) for point in points], "fit"),
+        model.joint_of,
+        context.scales,
+        (sizes, residuals),
+        list(zip(columns, typical, strict=True)),
+    )
+    places = [model.joints.index(one.place) for one in placed]
+    decides = np.array([one.key in base or one.place not in moved for one in placed], bool)
+    wide = {
+        one.key
+        for one, joint, row in zip(placed, places, reach, strict=True)
+        if one.key not in base and relative_reach(joint, row).max(initial=0.0) > MAX_LOCAL
+    }
+    is_local = np.array([one.key not in wide for one in placed], bool)
+    sharing = find_sharing(places, columns, decides & is_local, reach)
+    own = {one.key: float(row[joint]) for one, joint, row in zip(placed, places, reach, strict=True)}
+    return replace(context, sharing=sharing, wide=frozenset(wide), reach=own)
 
 
 def rescale(context: Context, base: Present, present: Present) -> tuple[Context, Present]:
@@ -94,7 +133,7 @@ def rescale(context: Context, base: Present, present: Present) -> tuple[Context,
     scales = scale_residuals(model, together)
     context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
     before = np.array(cross_validate(context, list(enumerate(base.fits))))
-    effects = [one for one in present.effects if one.place not in model.joints]
+    effects = [one for one in present.effects if context.joint_of(one) == ALL_JOINTS]
     columns = [context.union.columns([one]) for one in effects]
     bodies = tuple(run(context, [Hypothesis(free, present.sizes) for free in columns], "refit"))
     fits = fit_joints(context, present.effects, merge_sizes(context, present.sizes, bodies))
@@ -102,6 +141,50 @@ def rescale(context: Context, base: Present, present: Present) -> tuple[Context,
     sizes = fits[0].sizes
     found = replace(present, sizes=sizes, fits=fits, scores=scores, bodies=bodies)
     return replace(context, base_scores=before), found
+
+
+def cut_anew(context: Context, present: Present, shortlist: Sequence[Score]) -> tuple[Context, Present]:
+    """Cut the blocks of each joint by the memory of what its best effect leaves.
+
+    Without the effect that memory is the noise's. With it, what it explains is no noise: blocks as long as
+    the misfit would be so few that a fit without one of them extrapolates.
+
+    Args:
+        context: The context.
+        present: The present model.
+        shortlist: Scores of the effects that will be judged.
+
+    Returns:
+        The context with new blocks and folds, and the model judged by them; the same where motions are whole.
+    """
+    if not isinstance(context.model, Blocks) or not shortlist:
+        return context, present
+    left = gather_residuals(present.fits, len(context.model.joint_of))
+    for score in sorted(shortlist, key=lambda one: one.gain):  # the best comes last and stays
+        for rows, values in score.left:
+            left[rows] = values
+    model = cut_into_blocks(context.model.whole, left)
+    context = replace(context, model=model, folds=draw_folds(model, context.seed))
+    scores = np.array(cross_validate(context, list(enumerate(present.fits))))
+    return context, replace(present, scores=scores)
+
+
+def expected_change(context: Context, lane: int, trial: Trial) -> float:
+    """Return the change that a trial should make at its joint, from that of typical sizes.
+
+    Args:
+        context: The context.
+        lane: Index of the joint, or ALL_JOINTS.
+        trial: The trial.
+
+    Returns:
+        RMS change over the scale of the joint, without a unit.
+    """
+    if lane == ALL_JOINTS:
+        return 0.0
+    typical = np.array([size.typical for size in trial.effect.sizes])
+    ratios = np.array(trial.points)[:, context.union.columns([trial.effect])] / typical
+    return context.reach[trial.effect.key] * float(np.max(np.abs(ratios)))
 
 
 def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[Fit, ...]]:
@@ -118,18 +201,18 @@ def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[
     return fits[0].sizes, gather_residuals(fits, len(context.model.joint_of)), fits
 
 
-def free_columns(context: Context, effects: Sequence[Effect], place: str) -> Integers:
-    """Return the columns of the base and of these effects that belong to a place.
+def free_columns(context: Context, effects: Sequence[Effect], joint: int) -> Integers:
+    """Return the columns of the base and of these effects that are fitted at a joint.
 
     Args:
         context: The context.
         effects: Accepted effects.
-        place: Name of a joint.
+        joint: Index of the joint.
 
     Returns:
         Indices, (p,).
     """
-    return context.union.columns([one for one in (*context.base, *effects) if one.place == place])
+    return context.union.columns([one for one in (*context.base, *effects) if context.joint_of(one) == joint])
 
 
 def fit_joints(context: Context, effects: Sequence[Effect], sizes: Array) -> tuple[Fit, ...]:
@@ -145,8 +228,8 @@ def fit_joints(context: Context, effects: Sequence[Effect], sizes: Array) -> tup
     Returns:
         One fit a joint, each with the sizes of all.
     """
-    joints = enumerate(context.model.joints)
-    free = [Hypothesis(free_columns(context, effects, name), sizes, j) for j, name in joints]
+    joints = range(len(context.model.joints))
+    free = [Hypothesis(free_columns(context, effects, j), sizes, j) for j in joints]
     fits = run(context, free, "fit")
     sizes = merge_sizes(context, sizes, fits)
     (rows,) = simulate(context, [(ALL_JOINTS, sizes)], "fit")
@@ -283,10 +366,10 @@ def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effec
     Returns:
         Groups in which joints do not repeat.
     """
-    bodies = [(one,) for one in effects if one.place not in context.model.joints]
+    bodies = [(one,) for one in effects if context.joint_of(one) == ALL_JOINTS]
     layers: list[list[Effect]] = []
     for effect in effects:
-        if effect.place in context.model.joints:
+        if context.joint_of(effect) != ALL_JOINTS:
             free = [layer for layer in layers if all(one.place != effect.place for one in layer)]
             if not free:
                 layers.append([])
@@ -295,7 +378,7 @@ def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effec
 
 
 def joints_of(context: Context, effect: Effect) -> tuple[int, ...]:
-    """Return the joint of an effect, or all joints for an effect at a body.
+    """Return the joints at which an effect is judged.
 
     Args:
         context: The context.
@@ -304,5 +387,5 @@ def joints_of(context: Context, effect: Effect) -> tuple[int, ...]:
     Returns:
         Indices of joints.
     """
-    names = context.model.joints
-    return (names.index(effect.place),) if effect.place in names else tuple(range(len(names)))
+    joint = context.joint_of(effect)
+    return tuple(range(len(context.model.joints))) if joint == ALL_JOINTS else (joint,)

@@ -26,7 +26,8 @@ SIMULATION_HOOKS = (
 class Kind:
     """One kind of residual."""
 
-    make: Callable[[Sequence[Motion]], ResidualModel]
+    make: Callable[[Sequence[Motion], float], ResidualModel]
+    """Takes motions and the most steps of a simulation."""
     shows: Callable[[Effect], bool]
     """True if the residual can show an effect."""
     has_base: bool
@@ -55,11 +56,15 @@ def list_kinds(
     logs = [log for motion in motions for log in motion.joints.values()]
     found = []
     if any(log.torque is not None for log in logs):
-        found.append(Kind(lambda part: InverseResiduals(robot, part), shows_torque, True))
+        found.append(Kind(lambda part, _: InverseResiduals(robot, part), shows_torque, True))
     elif any(log.command is not None for log in logs):
-        found.append(Kind(lambda part: SimulationResiduals(robot, part, keep=usable), shows_simulation, True))
+
+        def simulate(part: Sequence[Motion], most_steps: float) -> ResidualModel:
+            return SimulationResiduals(robot, part, keep=usable, most_steps=most_steps)
+
+        found.append(Kind(simulate, shows_simulation, True))
     if any(log.secondary is not None for log in logs):
-        found.append(Kind(lambda part: EncoderResiduals(robot, part), encoder_residuals.shows, False))
+        found.append(Kind(lambda part, _: EncoderResiduals(robot, part), encoder_residuals.shows, False))
     if not found:
         raise RobotError("the logs have no command, torque or second encoder; a diagnosis needs one of them")
     return found

@@ -10,14 +10,16 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.blocks import Blocks, cut_into_blocks
+from diagnosis.blocks import Blocks
 from diagnosis.chance import FALSE_ALARM
 from diagnosis.comparison import compare
-from diagnosis.context import Context, Present, draw_folds, run, simulate, start_context
+from diagnosis.context import Context, Present, run, simulate, start_context
 from diagnosis.effects.effect import Effect
-from diagnosis.fit import ALL_JOINTS, Fit, Hypothesis, count_candidates, gather_residuals
+from diagnosis.fit import Fit, Hypothesis, gather_residuals
 from diagnosis.joint_fits import (
     cross_validate,
+    cut_anew,
+    expected_change,
     fit_base,
     fit_joints,
     free_columns,
@@ -31,7 +33,8 @@ from diagnosis.joint_fits import (
 )
 from diagnosis.meter import Meter
 from diagnosis.residuals import ResidualModel
-from diagnosis.screening import Score, Whitened, family_wise_p, list_trials, score_effect, whiten
+from diagnosis.screening import Score, Trial, Whitened, family_wise_p, list_trials, score_effect, whiten
+from diagnosis.sharing import ALL_JOINTS
 
 MIN_SHARE: Final = 0.05
 """Least share of the error of left-out motions that an effect has to remove: less is not worth a name."""
@@ -131,28 +134,35 @@ def screen(context: Context, present: Present, open_joints: set[int], rounds_aft
     taken = {effect.key for effect in present.effects}
     rivals = [effect for effect in context.catalogue if effect.key not in taken]
     groups: list[tuple[tuple[int, ...], int, list[Effect]]] = [
-        ((j,), j, [one for one in rivals if one.place == names[j]]) for j in sorted(open_joints)
+        ((j,), j, [one for one in rivals if context.joint_of(one) == j]) for j in sorted(open_joints)
     ]
-    bodies = [one for one in rivals if one.place not in names]
+    bodies = [one for one in rivals if context.joint_of(one) == ALL_JOINTS]
     groups.append((tuple(range(len(names))), ALL_JOINTS, bodies))
-    tried = [
-        (lane, list_trials(context.union, effect, present.sizes))
+    trials = [
+        (lane, trial)
         for _, lane, effects in groups
         for effect in effects
+        for trial in list_trials(context.union, effect, present.sizes)
     ]
-    points = [(lane, point) for lane, trials in tried for trial in trials for point in trial.points]
-    context.meter.begin_round(count_candidates(points, share=context.share), rounds_after)
+    # a large change at one joint would hide a small one at another in the same candidate
+    trials.sort(key=lambda pair: -expected_change(context, *pair))
+    points = [(lane, point) for lane, trial in trials for point in trial.points]
+    context.meter.begin_round(len(context.sharing.plan(points)), rounds_after)
     moved = iter(simulate(context, points, "screening"))
+    tried: dict[tuple[int, str], list[tuple[Trial, list[Array]]]] = {}
+    for lane, trial in trials:
+        simulated = [next(moved) for _ in trial.points]
+        tried.setdefault((lane, trial.effect.key), []).append((trial, simulated))
     best: dict[int, list[Score]] = {lane: [] for _, lane, _ in groups}
     white = {lane: _whiten(context, present, joints) for joints, lane, _ in groups}
-    for lane, trials in tried:
+    for (lane, _), of_effect in tried.items():
         now = _residuals(context, present, lane)
-        changes = [np.column_stack([next(moved) - now for _ in trial.points]) for trial in trials]
+        changes = [np.column_stack([rows - now for rows in simulated]) for _, simulated in of_effect]
         if lane == ALL_JOINTS:
             changes = [change[white[lane].rows] for change in changes]
-        if trials:
-            score = score_effect(white[lane], len(context.model.motions), trials, changes, present.sizes)
-            best[lane].append(score)
+        own = [trial for trial, _ in of_effect]
+        score = score_effect(white[lane], len(context.model.motions), own, changes, present.sizes)
+        best[lane].append(score)
     everything = [score for group in best.values() for score in group]
     n_whole = 0 if isinstance(context.model, Blocks) else len(context.model.motions)
     chance = family_wise_p(everything, n_whole, context.seed)
@@ -161,32 +171,6 @@ def screen(context: Context, present: Present, open_joints: set[int], rounds_aft
     ranked = [sorted(group, key=lambda s: -s.gain / len(s.effect.sizes)) for group in best.values()]
     likely_ones = [[one for one in group if one.effect.key in likely] for group in ranked]
     return [score for group in likely_ones for score in group[:SHORTLIST]]
-
-
-def cut_anew(context: Context, present: Present, shortlist: Sequence[Score]) -> tuple[Context, Present]:
-    """Cut the blocks of each joint by the memory of what its best effect leaves.
-
-    Without the effect that memory is the noise's. With it, what it explains is no noise: blocks as long as
-    the misfit would be so few that a fit without one of them extrapolates.
-
-    Args:
-        context: The context.
-        present: The present model.
-        shortlist: Scores of the effects that will be judged.
-
-    Returns:
-        The context with new blocks and folds, and the model judged by them; the same where motions are whole.
-    """
-    if not isinstance(context.model, Blocks) or not shortlist:
-        return context, present
-    left = gather_residuals(present.fits, len(context.model.joint_of))
-    for score in sorted(shortlist, key=lambda one: one.gain):  # the best comes last and stays
-        for rows, values in score.left:
-            left[rows] = values
-    model = cut_into_blocks(context.model.whole, left)
-    context = replace(context, model=model, folds=draw_folds(model, context.seed))
-    scores = np.array(cross_validate(context, list(enumerate(present.fits))))
-    return context, replace(present, scores=scores)
 
 
 def _whiten(context: Context, present: Present, joints: Sequence[int]) -> Whitened:
@@ -211,24 +195,20 @@ def judge(context: Context, present: Present, shortlist: Sequence[Score]) -> lis
     Returns:
         The candidates, in the order of the shortlist.
     """
-    names = context.model.joints
-    local = [score for score in shortlist if score.effect.place in names]
+    joints = [context.joint_of(score.effect) for score in shortlist]
+    local = [score for score, joint in zip(shortlist, joints, strict=True) if joint != ALL_JOINTS]
+    joints = [joint for joint in joints if joint != ALL_JOINTS]
     starts = [
-        Hypothesis(
-            free_columns(context, (*present.effects, score.effect), score.effect.place),
-            score.start,
-            names.index(score.effect.place),
-        )
-        for score in local
+        Hypothesis(free_columns(context, (*present.effects, score.effect), joint), score.start, joint)
+        for score, joint in zip(local, joints, strict=True)
     ]
     fits = run(context, starts, "refit")
-    joints = [start.joint for start in starts]
     scores = cross_validate(context, list(zip(joints, fits, strict=True)))
     candidates = [
         _candidate(context, present, one.effect, (joint,), (fit,), losses[None])
         for one, joint, fit, losses in zip(local, joints, fits, scores, strict=True)
     ]
-    bodies = [score for score in shortlist if score.effect.place not in names]
+    bodies = [score for score in shortlist if context.joint_of(score.effect) == ALL_JOINTS]
     return candidates + [_judge_body(context, present, score) for score in bodies]
 
 
@@ -352,7 +332,7 @@ def _improvement(present: Present, candidate: Candidate) -> float:
 
 
 def worsens_another(context: Context, present: Present, candidate: Candidate) -> bool:
-    """Check whether an effect at one joint worsens another joint.
+    """Check whether an effect worsens a joint that is not its place.
 
     Args:
         context: The context.
@@ -362,17 +342,19 @@ def worsens_another(context: Context, present: Present, candidate: Candidate) ->
     Returns:
         True if the mean absolute residual of another joint grows by more than MAX_WORSE.
     """
-    if len(candidate.joints) > 1:
-        return False
-    sizes = merge_sizes(context, present.sizes, candidate.fits)
-    others = [j for j in np.unique(context.model.joint_of) if j not in candidate.joints]
+    model = context.model
+    others = [j for j in np.unique(model.joint_of) if model.joints[j] != candidate.effect.place]
     if not others:
         return False
     before = _residuals(context, present, ALL_JOINTS)
-    (after,) = simulate(context, [(ALL_JOINTS, sizes)], "cross-validation")
+    if len(candidate.joints) > 1:
+        after = gather_residuals(candidate.fits, len(before))
+    else:
+        sizes = merge_sizes(context, present.sizes, candidate.fits)
+        (after,) = simulate(context, [(ALL_JOINTS, sizes)], "cross-validation")
     return any(
         float(np.mean(np.abs(after[rows]))) > (1.0 + MAX_WORSE) * float(np.mean(np.abs(before[rows])))
-        for rows in (context.model.joint_of == j for j in others)
+        for rows in (model.joint_of == j for j in others)
     )
 
 

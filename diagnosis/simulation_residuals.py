@@ -1,5 +1,6 @@
 """Residuals of forward simulation: measured positions minus simulated ones."""
 
+import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import Final
@@ -20,6 +21,9 @@ PENALTY_rad: Final = 100.0
 SPACING_s: Final = 0.02
 """Least time between residuals: closer ones repeat each other, because a servo needs longer to move."""
 
+PART_s: Final = 10.0
+"""Length of the windows where motions are simulated in part: long beside what a servo remembers."""
+
 
 class SimulationResiduals:
     """Predict measured minus simulated positions; see `diagnosis.residuals.ResidualModel`."""
@@ -35,6 +39,7 @@ class SimulationResiduals:
         spacing_s: float = SPACING_s,
         keep: Mapping[tuple[str, str], Flags] | None = None,
         n_threads: int = 0,
+        most_steps: float = math.inf,
     ) -> None:
         """Cut the motions into windows.
 
@@ -46,18 +51,29 @@ class SimulationResiduals:
             spacing_s: Least time between residuals of a joint [s].
             keep: By names of motion and joint, which position samples are used, (n,); all where absent.
             n_threads: Threads of the simulation; 0: as many as there are processors.
+            most_steps: Steps of a candidate. Where all motions take more, evenly spaced windows of each are
+                simulated instead.
         """
         self._robot = robot
         self._models = Models(robot)
-        self._options = (window_s, spacing_s, keep)
+        self._options = (spacing_s, keep)
         self._n_threads = n_threads
+        self._window_s, self._part = window_s, 1.0
         self._fill(motions)
+        steps = sum(window.n_ticks for window in self._windows) * round(
+            robot.control_period_s / robot.model.opt.timestep
+        )
+        if steps > most_steps:
+            self._window_s, self._part = window_s or PART_s, most_steps / steps
+            self._fill(motions)
 
     def _fill(self, motions: Sequence[Motion]) -> None:
         self._logs = tuple(motions)
         self._windows: list[Window] = []
         for motion in motions:
-            self._windows += cut_windows(self._robot, motion, *self._options)
+            windows = cut_windows(self._robot, motion, self._window_s, *self._options)
+            n = max(1, round(self._part * len(windows)))
+            self._windows += [windows[int((k + 0.5) * len(windows) / n)] for k in range(n)]
         self.joints = tuple(joint.name for joint in self._robot.joints)
         self.motions = tuple(motion.name for motion in motions)
         self.repeat_of = tuple(motion.repeat_of for motion in motions)

@@ -11,10 +11,11 @@ from diagnosis.arrays import Array, Integers
 from diagnosis.comparison import one_sided_p
 from diagnosis.context import Context, Present, simulate
 from diagnosis.effects.effect import Effect, Family
-from diagnosis.fit import ALL_JOINTS, Fit, gather_residuals, half_loss_derivatives
+from diagnosis.fit import Fit, gather_residuals, half_loss_derivatives
 from diagnosis.joint_fits import joints_of, leave_out, list_layers
 from diagnosis.screening import Score
 from diagnosis.selection import Candidate, Selection, judge, screen
+from diagnosis.sharing import ALL_JOINTS
 
 EXCLUDED: Final = 0.05
 """Probability below which an alternative is excluded."""
@@ -88,12 +89,12 @@ def doubt_finding(
         The finding with the alternatives that cannot be excluded.
     """
     finding = next(one for one in candidates if one.effect.key == effect.key)
-    own = _errors(context, without, finding)
+    own = _errors(without, finding, finding.joints)
     members = [Alternative(effect, finding.sizes, 1.0)]
     for one in candidates:
         if one.effect.key == effect.key or not set(one.joints) & set(finding.joints) or one.at_bound:
             continue
-        worse = _errors(context, without, one) - own
+        worse = _errors(without, one, finding.joints) - own
         p = one_sided_p(worse[~np.isnan(worse)])
         if p > EXCLUDED:
             members.append(Alternative(one.effect, one.sizes, p))
@@ -101,10 +102,15 @@ def doubt_finding(
     return Doubt(effect, ranked, finding.gain)
 
 
-def _errors(context: Context, without: Present, candidate: Candidate) -> Array:
-    """Return the loss of each motion, summed over all joints, (n_motions,)."""
-    scores = without.scores.copy()
-    scores[list(candidate.joints)] = candidate.scores
+def _errors(without: Present, candidate: Candidate, joints: Sequence[int]) -> Array:
+    """Return the loss of each motion, summed over all joints, (n_motions,).
+
+    A candidate gets no credit for joints other than these: findings that were left out there are no part of
+    the comparison.
+    """
+    scores, judged = without.scores.copy(), list(candidate.joints)
+    elsewhere = ~np.isin(judged, joints)
+    scores[judged] = np.where(elsewhere[:, None], np.fmax(candidate.scores, scores[judged]), candidate.scores)
     total: Array = np.nansum(scores, axis=0)
     return np.where(np.isnan(scores).all(axis=0), np.nan, total)
 

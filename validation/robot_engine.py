@@ -28,7 +28,8 @@ from diagnosis.robot import Robot
 from diagnosis.windows import cut_windows
 
 ROBOT: Final = "models/robots/so101/robot.toml"
-SECONDS: Final = 3.0
+SECONDS: Final = 10.0
+"""Shorter than the motions of any of the real logs."""
 MOTIONS: Final = 8
 CANDIDATES: Final = (5, 20)
 """Candidates in 8 motions: 40 simulations, the fewest for which the bar holds, and 160."""

@@ -15,6 +15,7 @@ from diagnosis.joint_fits import fit_base, step_without
 from diagnosis.meter import Meter
 from diagnosis.noise import WhitenedResiduals, whiten_noise
 from diagnosis.selection import select_effects
+from diagnosis.sharing import share_nothing
 from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 
 
@@ -39,7 +40,6 @@ def test_residuals_of_coupled_joints_are_those_of_their_sizes_together() -> None
     toy = draw_toy(1, {})
     model = Coupled(toy.commands, toy.measured, NAMES)
     context, present = fit_base(start_context(model, BASE, CATALOGUE, 1, Meter()))
-    assert not context.share
     columns = context.union.columns(context.base)
     (rows,) = context.model.residuals(context.base, present.sizes[None, columns])
     for fit in present.fits:
@@ -49,17 +49,17 @@ def test_residuals_of_coupled_joints_are_those_of_their_sizes_together() -> None
 
 def test_joints_without_base_parameters_share_no_simulation_if_they_are_coupled() -> None:
     toy = draw_toy(1, {})
-    for kind, share in ((ToyResiduals, True), (Coupled, False)):
+    for kind, groups in ((ToyResiduals, ((0, 1),)), (Coupled, ((0,), (1,)))):
         model = kind(toy.commands, toy.measured, NAMES)
         context, _ = fit_base(start_context(model, (), CATALOGUE, 1, Meter()))
-        assert context.share is share
+        assert context.sharing.groups == groups
 
 
 def test_a_fit_that_starts_beyond_a_bound_ends_inside() -> None:
     model = draw_toy(1, {})
     union = Union(BASE)
     start = Hypothesis(np.arange(1), np.array([9.0, 0.0]), 0)
-    (fit,) = fit_hypotheses(model, union, [start], np.full(2, 0.02), share=False)
+    (fit,) = fit_hypotheses(model, union, [start], np.full(2, 0.02), sharing=share_nothing(2))
     np.testing.assert_allclose(fit.sizes[0], 0.3, atol=0.02)
 
 

@@ -6,6 +6,7 @@ import pytest
 from diagnosis.assemble import describe_finding, list_remainders, simulate_models
 from diagnosis.fit import Hypothesis, Union, fit_hypotheses
 from diagnosis.selection import select_effects
+from diagnosis.sharing import Sharing, share_nothing
 from diagnosis.verdict import doubt_findings, size_intervals, unexplained_dependence
 from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 
@@ -71,8 +72,9 @@ def test_problems_that_share_simulations_end_where_they_end_alone() -> None:
     zero = np.zeros(len(union.sizes))
     problems = [Hypothesis(union.columns([effect]), zero, NAMES.index(effect.place)) for effect in BASE]
     scales = np.full(2, 0.02)
-    together = fit_hypotheses(model, union, problems, scales, share=True)
-    alone = [fit_hypotheses(model, union, [one], scales, share=False)[0] for one in problems]
+    both = Sharing(((0, 1),), np.empty(0, np.int64))
+    together = fit_hypotheses(model, union, problems, scales, sharing=both)
+    alone = [fit_hypotheses(model, union, [one], scales, sharing=share_nothing(2))[0] for one in problems]
     for shared, single in zip(together, alone, strict=True):
         np.testing.assert_array_equal(shared.sizes, single.sizes)
 
