@@ -41,10 +41,10 @@ class Blocks:
         """Name of the motion of each block."""
         for m, j in np.argwhere(counts > 0):
             rows = (model.motion_of == m) & (model.joint_of == j)
-            block[rows] = len(names) + _divide(model.time_s[rows], int(counts[m, j]))
-            label = f"{model.motions[m]}:{model.joints[j]}"
-            names += [f"{label}:{k + 1}" for k in range(counts[m, j])]
-            self.parents += (model.motions[m],) * int(counts[m, j])
+            kept, place = np.unique(_divide(model.time_s[rows], int(counts[m, j])), return_inverse=True)
+            block[rows] = len(names) + place  # a block in a gap of the samples is none
+            names += [f"{model.motions[m]}:{model.joints[j]}:{k + 1}" for k in range(kept.size)]
+            self.parents += (model.motions[m],) * kept.size
         self.whole = model
         self._fill(model, np.arange(model.time_s.size), block, tuple(names))
 
