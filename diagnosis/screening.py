@@ -225,7 +225,10 @@ def is_new(change: Array, seen: Sequence[Array]) -> bool:
 
     Args:
         change: (n_rows,), in any unit.
-        seen: Others, (n_rows,) each, of length 1.
+        seen: Others, (n_rows,) each, of length 1 and without a unit.
+
+    Returns:
+        True if its cosine with each of them is below ALIKE; False if there is no change.
     """
     length = float(np.linalg.norm(change))
     return length > 0.0 and all(abs(float(change @ one)) < ALIKE * length for one in seen)
