@@ -6,9 +6,9 @@ ones, where
 
     tau = T (1 + 2 sum of rho(k T)),  k = 1, 2, .. up to the first rho that is not positive.
 
-That is the correlation time. A block is as long as the longest one, of all joints; where it is longer than a
-motion, the motion stays one block. The motion is not cut: blocks share its filter and its simulation, and
-only the residuals are counted by block.
+That is the correlation time. Each joint is cut by its own, so that one joint with a slow misfit leaves the
+others their blocks; where it is longer than a motion, the motion stays one block. The motion is not cut:
+blocks share its filter and its simulation, and only the residuals are counted by block.
 """
 
 from collections.abc import Sequence
@@ -24,29 +24,42 @@ from diagnosis.residuals import ResidualModel
 class Blocks:
     """A residual model whose units of inference are blocks; see `diagnosis.residuals.ResidualModel`.
 
-    A block is named after its motion and its place: "A:1", "A:2".
+    A block is named after its motion, its joint and its place: "A:shoulder:1", "A:shoulder:2".
     """
 
-    def __init__(self, model: ResidualModel, counts: Sequence[int]) -> None:
+    def __init__(self, model: ResidualModel, counts: Integers) -> None:
         """Divide the motions.
 
         Args:
             model: Residuals of whole motions.
-            counts: Number of blocks of each motion, which are equally long; 0 for one without residuals.
+            counts: Number of blocks of each motion and joint, which are equally long, (n_motions, n_joints);
+                0 without residuals.
         """
         block = np.zeros(model.time_s.size, dtype=np.int64)
         names: list[str] = []
         self.parents: tuple[str, ...] = ()
         """Name of the motion of each block."""
-        for m, (motion, count) in enumerate(zip(model.motions, counts, strict=True)):
-            rows = model.motion_of == m
-            time_s = model.time_s[rows]
-            if rows.any():
-                share = (time_s - time_s.min()) / max(float(np.ptp(time_s)), 1e-12)
-                block[rows] = len(names) + np.minimum((share * count).astype(np.int64), count - 1)
-            names += [motion] if count == 1 else [f"{motion}:{k + 1}" for k in range(count)]
-            self.parents += (motion,) * count
+        for m, j in np.argwhere(counts > 0):
+            rows = (model.motion_of == m) & (model.joint_of == j)
+            kept, place = np.unique(_divide(model.time_s[rows], int(counts[m, j])), return_inverse=True)
+            block[rows] = len(names) + place  # a block in a gap of the samples is none
+            names += [f"{model.motions[m]}:{model.joints[j]}:{k + 1}" for k in range(kept.size)]
+            self.parents += (model.motions[m],) * kept.size
+        self.whole = model
         self._fill(model, np.arange(model.time_s.size), block, tuple(names))
+
+    @property
+    def joint_of_block(self) -> Integers:
+        """Joint of each block, (n_blocks,), index."""
+        found = np.zeros(len(self.motions), dtype=np.int64)
+        found[self.motion_of] = self.joint_of
+        return found
+
+    @property
+    def parent_of(self) -> Integers:
+        """Motion of each residual, (n,), index."""
+        names = list(dict.fromkeys(self.parents))
+        return np.array([names.index(name) for name in self.parents], dtype=np.int64)[self.motion_of]
 
     def _fill(self, model: ResidualModel, rows: Integers, block: Integers, names: tuple[str, ...]) -> None:
         self._model, self._rows = model, rows
@@ -99,19 +112,24 @@ def cut_into_blocks(model: ResidualModel, residuals: Array) -> Blocks:
     Returns:
         The same residuals, counted by block.
     """
-    counts = []
-    for m in range(len(model.motions)):
-        rows = model.motion_of == m
-        if not rows.any():  # all its samples were refused
-            counts.append(0)
-            continue
-        length_s = float(np.ptp(model.time_s[rows]))
-        longest_s = max(
-            correlation_time_s(model.time_s[here], residuals[here])
-            for here in (rows & (model.joint_of == j) for j in np.unique(model.joint_of[rows]))
-        )
-        counts.append(max(1, int(length_s / longest_s)) if longest_s > 0 else 1)
+    counts = np.zeros((len(model.motions), len(model.joints)), dtype=np.int64)
+    for m, j in np.ndindex(counts.shape):
+        rows = (model.motion_of == m) & (model.joint_of == j)
+        if rows.any():
+            counts[m, j] = _count(model.time_s[rows], residuals[rows])
     return Blocks(model, counts)
+
+
+def _count(time_s: Array, residuals: Array) -> int:
+    """Return the number of blocks that are as long as the correlation time of residuals; at least 1."""
+    memory_s = correlation_time_s(time_s, residuals)
+    return max(1, int(float(np.ptp(time_s)) / memory_s)) if memory_s > 0.0 else 1
+
+
+def _divide(time_s: Array, count: int) -> Integers:
+    """Return the block of each row, (n,), from 0, of so many that are equally long."""
+    share = (time_s - time_s.min()) / max(float(np.ptp(time_s)), 1e-12)
+    return np.asarray(np.minimum((share * count).astype(np.int64), count - 1))
 
 
 def correlation_time_s(time_s: Array, residuals: Array) -> float:
@@ -133,3 +151,27 @@ def correlation_time_s(time_s: Array, residuals: Array) -> float:
     end = int(np.argmax(rho <= 0)) or n
     period_s = float(np.median(np.diff(time_s)))
     return float(period_s * (1 + 2 * np.sum(rho[1:end])))
+
+
+def cut_rows(time_s: Array, motion: Integers, residuals: Sequence[tuple[slice, Array]]) -> Integers:
+    """Cut the rows of motions into blocks that are as long as the correlation time of their residuals.
+
+    Args:
+        time_s: Times, (n_rows,) [s].
+        motion: Motion of each row, (n_rows,).
+        residuals: Rows of each joint, and its residuals, (n,), in any unit; the longest memory counts.
+
+    Returns:
+        Block of each row, (n_rows,), from 0.
+    """
+    block, n_blocks = np.zeros(time_s.size, dtype=np.int64), 0
+    for m in np.unique(motion):
+        here = motion == m
+        counts = [
+            _count(time_s[rows][here[rows]], values[here[rows]])
+            for rows, values in residuals
+            if here[rows].any()
+        ]
+        block[here] = n_blocks + _divide(time_s[here], min(counts))
+        n_blocks += min(counts)
+    return block

@@ -7,6 +7,7 @@ from typing import Concatenate, Final, ParamSpec, TypeVar
 import numpy as np
 
 from diagnosis.arrays import Array
+from diagnosis.blocks import Blocks
 from diagnosis.checkpoint import Checkpoint
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Hypothesis, Union, evaluate_points, fit_hypotheses
@@ -127,18 +128,20 @@ def start_context(
     )
 
 
-def draw_folds(n_motions: int, seed: int) -> tuple[frozenset[int], ...]:
-    """Divide motions at random into folds of about equal numbers.
+def draw_folds(model: ResidualModel, seed: int) -> tuple[frozenset[int], ...]:
+    """Divide motions at random into folds of about equal numbers; blocks, those of each joint by themselves.
 
     Args:
-        n_motions: Number of motions.
+        model: The residual model.
         seed: Seed of the order.
 
     Returns:
         Indices of the motions of each fold.
     """
-    order = np.random.default_rng(seed).permutation(n_motions)
-    return tuple(frozenset(int(m) for m in order[k::FOLDS]) for k in range(FOLDS))
+    random, n = np.random.default_rng(seed), len(model.motions)
+    joint = model.joint_of_block if isinstance(model, Blocks) else np.zeros(n, dtype=np.int64)
+    order = [int(m) for j in np.unique(joint) for m in random.permutation(np.flatnonzero(joint == j))]
+    return tuple(frozenset(order[k::FOLDS]) for k in range(FOLDS))
 
 
 def recall(

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
-from diagnosis.blocks import cut_into_blocks
+from diagnosis.blocks import Blocks, cut_into_blocks
 from diagnosis.context import Context, Present, draw_folds, recall, run, simulate
 from diagnosis.effects.effect import Effect
 from diagnosis.errors import RobotError
@@ -20,6 +20,8 @@ from diagnosis.fit import (
     scale_residuals,
 )
 from diagnosis.noise import noise_losses, whiten_noise
+from diagnosis.residuals import ResidualModel
+from diagnosis.screening import Score, Trial
 from diagnosis.sharing import ALL_JOINTS, find_sharing, measure_reach, relative_reach
 
 MIN_MOTIONS: Final = 4
@@ -47,12 +49,13 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     sizes, residuals, _ = fit_all_joints(context, sizes)
     if len(raw.motions) < MIN_MOTIONS:
         raw = cut_into_blocks(raw, residuals)
-    if len(raw.motions) < MIN_MOTIONS:
+    n_parts = _count_motions(raw)
+    if n_parts < MIN_MOTIONS:
         raise RobotError(
-            f"{len(raw.motions)} motions or independent parts of them are fitted; a diagnosis needs "
+            f"{n_parts} motions or independent parts of them are fitted; a diagnosis needs "
             f"{MIN_MOTIONS} at least, because it judges effects by motions that it leaves out"
         )
-    context = replace(context, folds=draw_folds(len(raw.motions), context.seed))
+    context = replace(context, folds=draw_folds(raw, context.seed))
     model = whiten_noise(raw, residuals)
     (residuals,) = model.residuals(context.base, sizes[None, union.columns(context.base)])
     context = replace(context, model=model, scales=scale_residuals(model, residuals))
@@ -61,6 +64,14 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     context = replace(context, noise_loss=noise_losses(model, residuals, context.scales))
     scores = np.array(cross_validate(context, list(enumerate(fits))))
     return replace(context, base_scores=scores), Present((), sizes, fits, scores)
+
+
+def _count_motions(model: ResidualModel) -> int:
+    """Return the number of motions; of blocks, those of the joint that has the fewest."""
+    if not isinstance(model, Blocks):
+        return len(model.motions)
+    counts = np.bincount(model.joint_of_block)
+    return int(np.min(counts[counts > 0], initial=len(model.motions)))
 
 
 def share_simulations(context: Context, sizes: Array, residuals: Array, effects: Sequence[Effect]) -> Context:
@@ -110,7 +121,7 @@ def _measure_reach(
 def rescale(context: Context, base: Present, present: Present) -> tuple[Context, Present]:
     """Take scales and noise from the residuals of the present model, and refit it.
 
-    A scale from before an effect was found is so wide that the loss is a sum of squares.
+    A scale from before an effect was found is so wide that the loss is a sum of squares. Blocks are cut anew.
 
     Args:
         context: The context.
@@ -122,6 +133,9 @@ def rescale(context: Context, base: Present, present: Present) -> tuple[Context,
     """
     model = context.model
     together = gather_residuals(present.fits, len(model.joint_of))
+    if isinstance(model, Blocks):  # what was explained is no memory of the noise
+        model = cut_into_blocks(model.whole, together)
+        context = replace(context, model=model, folds=draw_folds(model, context.seed))
     scales = scale_residuals(model, together)
     context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
     before = np.array(cross_validate(context, list(enumerate(base.fits))))
@@ -133,6 +147,50 @@ def rescale(context: Context, base: Present, present: Present) -> tuple[Context,
     sizes = fits[0].sizes
     found = replace(present, sizes=sizes, fits=fits, scores=scores, bodies=bodies)
     return replace(context, base_scores=before), found
+
+
+def cut_anew(context: Context, present: Present, shortlist: Sequence[Score]) -> tuple[Context, Present]:
+    """Cut the blocks of each joint by the memory of what its best effect leaves.
+
+    Without the effect that memory is the noise's. With it, what it explains is no noise: blocks as long as
+    the misfit would be so few that a fit without one of them extrapolates.
+
+    Args:
+        context: The context.
+        present: The present model.
+        shortlist: Scores of the effects that will be judged.
+
+    Returns:
+        The context with new blocks and folds, and the model judged by them; the same where motions are whole.
+    """
+    if not isinstance(context.model, Blocks) or not shortlist:
+        return context, present
+    left = gather_residuals(present.fits, len(context.model.joint_of))
+    for score in sorted(shortlist, key=lambda one: one.gain):  # the best comes last and stays
+        for rows, values in score.left:
+            left[rows] = values
+    model = cut_into_blocks(context.model.whole, left)
+    context = replace(context, model=model, folds=draw_folds(model, context.seed))
+    scores = np.array(cross_validate(context, list(enumerate(present.fits))))
+    return context, replace(present, scores=scores)
+
+
+def expected_change(context: Context, lane: int, trial: Trial) -> float:
+    """Return the change that a trial should make at its joint, from that of typical sizes.
+
+    Args:
+        context: The context.
+        lane: Index of the joint, or ALL_JOINTS.
+        trial: The trial.
+
+    Returns:
+        RMS change over the scale of the joint, without a unit.
+    """
+    if lane == ALL_JOINTS:
+        return 0.0
+    typical = np.array([size.typical for size in trial.effect.sizes])
+    ratios = np.array(trial.points)[:, context.union.columns([trial.effect])] / typical
+    return context.reach[trial.effect.key] * float(np.max(np.abs(ratios)))
 
 
 def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[Fit, ...]]:

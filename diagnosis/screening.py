@@ -9,16 +9,18 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import f as fisher
 
 from diagnosis.arrays import Array, Integers
+from diagnosis.blocks import Blocks, cut_rows
+from diagnosis.chance import can_flip, flip_basis, flips_p, wald_by_place, wald_p
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Union
+from diagnosis.residuals import ResidualModel
 
 FACTORS: Final = (0.3, 1.0, 3.0)
 """Sizes at which an effect is tried, over its typical size: half a decade to each side."""
-DRAWS: Final = 2000
-"""Random signs of the null distribution: its 5 % quantile is good to half a percent."""
+ALIKE: Final = 0.99
+"""Cosine above which two changes of the residuals count as one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +41,13 @@ class Score:
     """Sizes of the union from which a fit should begin, (n_sizes,)."""
     gain: float
     """Share of the weighted sum of squares that it removes."""
-    by_motion: Array
-    """Products of residual and change, (n_motions,): their sum is 0 if the effect is absent."""
+    flips: tuple[Array, ...]
+    """One basis for sign flips, by `flip_basis`, for each trial that differs from the others."""
     p: float
-    """Probability of so good a score without the effect, by `wald_p`."""
+    """Probability of so good a score of any trial without the effect, by `wald_p`."""
+    left: tuple[tuple[Integers, Array], ...] = ()
+    """For each joint: rows of the residual model, and what the effect leaves there, without a unit; empty
+    where motions are not cut into blocks."""
 
 
 def list_trials(union: Union, effect: Effect, at: Array) -> list[Trial]:
@@ -81,8 +86,24 @@ class Whitened:
     residual: Array
     """(n_rows,)."""
     motion: Integers
+    time_s: Array
+    """(n_rows,)."""
+    whole: Integers
+    """Motion before it was cut into blocks, (n_rows,)."""
+    is_cut: bool
+    """True if motions are blocks of a few whole ones."""
     parts: tuple[tuple[slice, Array, Array], ...]
     """For each joint: its rows, their weights (n,), an orthonormal basis of its base changes (n, p)."""
+
+    @property
+    def basis(self) -> Array:
+        """Base changes of all joints, orthonormal, (n_rows, n_base)."""
+        together = np.zeros((self.residual.size, sum(basis.shape[1] for *_, basis in self.parts)))
+        first = 0
+        for rows, _, basis in self.parts:
+            together[rows, first : first + basis.shape[1]] = basis
+            first += basis.shape[1]
+        return together
 
     def clear(self, change: Array) -> Array:
         """Weight a change of the residuals and clear it like the residuals.
@@ -99,13 +120,29 @@ class Whitened:
             cleared[rows] = part - basis @ (basis.T @ part)
         return cleared
 
+    def clusters(self, left: Array) -> Integers:
+        """Return the clusters of a Wald test.
 
-def whiten(fits: Sequence[Fit], motion_of: Integers, scales: Sequence[float]) -> Whitened:
+        Motions are clusters. A log of few motions is cut by the memory of what the effect leaves: a misfit
+        that the effect explains is no noise, and would make blocks so long that nothing could be rejected.
+
+        Args:
+            left: Residuals that the effect leaves, (n_rows,), without a unit.
+
+        Returns:
+            Cluster of each residual, (n_rows,).
+        """
+        if not self.is_cut:
+            return self.motion
+        return cut_rows(self.time_s, self.whole, [(rows, left[rows]) for rows, *_ in self.parts])
+
+
+def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Sequence[float]) -> Whitened:
     """Weight the residuals of some joints and clear them of what their free sizes can do.
 
     Args:
         fits: Present model of each joint.
-        motion_of: Motion of each residual of the model, (n,), index.
+        model: The residual model.
         scales: Scale of the residuals of each joint, in their unit.
 
     Returns:
@@ -120,74 +157,107 @@ def whiten(fits: Sequence[Fit], motion_of: Integers, scales: Sequence[float]) ->
         parts.append((slice(begin, begin + len(residual)), weight, basis))
         begin += len(residual)
     rows = np.concatenate([fit.rows for fit in fits])
-    return Whitened(rows, np.concatenate(residuals), motion_of[rows], tuple(parts))
+    is_cut = isinstance(model, Blocks)
+    whole = model.parent_of if isinstance(model, Blocks) else model.motion_of
+    return Whitened(
+        rows,
+        np.concatenate(residuals),
+        model.motion_of[rows],
+        model.time_s[rows],
+        whole[rows],
+        is_cut,
+        tuple(parts),
+    )
 
 
-def score_trial(white: Whitened, n_motions: int, trial: Trial, change: Array, at: Array) -> Score:
-    """Hold the change that an effect makes against the residual of the present model.
+def score_effect(
+    white: Whitened, n_motions: int, trials: Sequence[Trial], changes: Sequence[Array], at: Array
+) -> Score:
+    """Hold the changes that an effect makes against the residual of the present model.
 
     Args:
         white: Residuals of the present model.
         n_motions: Number of motions.
-        trial: The trial.
-        change: Change of the residuals at each point, (n_rows, n_points), in the unit of the fit.
+        trials: Trials of one effect.
+        changes: For each trial the change of the residuals at its points, (n_rows, n_points), in the unit of
+            the fit.
         at: Sizes of the present model, (n_sizes,), in their own units.
 
     Returns:
-        The score; with several points, the start is their best linear combination.
+        The score of the best trial; with several points, the start is their best linear combination.
     """
-    cleared = white.clear(change)
     energy = float(white.residual @ white.residual)
-    solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
-    if len(trial.points) == 1 and solution[0] <= 0.0:
-        solution = np.zeros(1)  # the trial of the other sign stands for it
-    direction = cleared @ solution
-    gain = 1.0 - float(np.sum((white.residual + direction) ** 2)) / energy if energy > 0.0 else 0.0
-    # each product over the size of the residuals of its motion: one wild motion does not decide
-    products = np.bincount(white.motion, weights=direction * white.residual, minlength=n_motions)
     sizes = np.sqrt(np.bincount(white.motion, weights=white.residual**2, minlength=n_motions))
-    by_motion = -products / np.where(sizes > 0.0, sizes, 1.0)
-    left = np.bincount(white.motion, weights=direction * (white.residual + direction), minlength=n_motions)
-    # motions without this joint are no clusters
-    p = wald_p(direction, left[np.unique(white.motion)].astype(np.float64), len(trial.points))
-    start = trial.points[0]
-    if len(trial.points) > 1:
-        start = at + (np.array(trial.points) - at).T @ solution
-    return Score(trial.effect, start, gain, by_motion, p)
+    best: tuple[float, Array, Array] | None = None
+    seen: list[Array] = []
+    flips: list[Array] = []
+    for trial, change in zip(trials, changes, strict=True):
+        cleared = white.clear(change)
+        solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
+        tested = cleared @ solution
+        if is_new(tested, seen):
+            seen.append(tested / np.linalg.norm(tested))
+            # each product over the size of the residuals of its motion: one wild motion does not decide
+            products = sum_by_motion(white.motion, cleared * white.residual[:, None], n_motions)
+            flips.append(flip_basis(products / np.where(sizes > 0.0, sizes, 1.0)[:, None]))
+        if len(trial.points) == 1 and solution[0] <= 0.0:
+            solution = np.zeros(1)  # the trial of the other sign stands for it
+        left = float(np.sum((white.residual + cleared @ solution) ** 2))
+        gain = 1.0 - left / energy if energy > 0.0 else 0.0
+        if best is None or gain > best[0]:
+            start = trial.points[0]
+            if len(trial.points) > 1:
+                start = at + (np.array(trial.points) - at).T @ solution
+            best = (gain, start, cleared)
+    assert best is not None, "an effect without a trial"
+    gain, start, cleared = best
+    if gain <= 0.0:
+        return Score(trials[0].effect, start, gain, tuple(flips), 1.0)
+    solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
+    rest = white.residual + cleared @ solution
+    p = min(1.0, len(seen) * wald_p(white.basis, cleared, white.residual, white.clusters(rest)))
+    kept = tuple((white.rows[rows], rest[rows]) for rows, *_ in white.parts) if white.is_cut else ()
+    return Score(trials[0].effect, start, gain, tuple(flips), p, kept)
 
 
-def wald_p(direction: Array, left: Array, n_sizes: int) -> float:
-    """Test whether the sizes of an effect are 0, with motions as clusters.
-
-    The error of a size comes from the residuals that the effect leaves, so that an effect of different
-    strength in different motions does not hide itself. The statistic is F with n_sizes and
-    n_motions - n_sizes degrees of freedom.
+def is_new(change: Array, seen: Sequence[Array]) -> bool:
+    """Return whether a change differs from others: tests of changes that are alike reject together.
 
     Args:
-        direction: Change of the residuals by the effect at its best sizes, (n_rows,), without a unit.
-        left: Products of that change with what it leaves, (n_motions,), without a unit.
-        n_sizes: Number of sizes.
+        change: (n_rows,), in any unit.
+        seen: Others, (n_rows,) each, of length 1 and without a unit.
 
     Returns:
-        Probability of the statistic, or a larger one, if the sizes are 0.
+        True if its cosine with each of them is below ALIKE; False if there is no change.
     """
-    n = len(left)
-    strength, scatter = float(direction @ direction), float(np.sum(left**2)) * n / max(n - 1, 1)
-    if n <= n_sizes or strength == 0.0:
-        return 1.0
-    ratio = strength**2 / max(scatter, 1e-300) / n_sizes * (n - n_sizes) / (n - 1)
-    return float(fisher.sf(ratio, n_sizes, n - n_sizes))
+    length = float(np.linalg.norm(change))
+    return length > 0.0 and all(abs(float(change @ one)) < ALIKE * length for one in seen)
 
 
-def family_wise_p(scores: list[Score], seed: int) -> Array:
+def sum_by_motion(motion: Integers, values: Array, n_motions: int) -> Array:
+    """Sum values over the rows of each motion.
+
+    Args:
+        motion: Motion of each row, (n_rows,), index.
+        values: (n_rows, n_columns), in any unit.
+        n_motions: Number of motions.
+
+    Returns:
+        (n_motions, n_columns), in the unit of the values.
+    """
+    return np.column_stack([np.bincount(motion, weights=one, minlength=n_motions) for one in values.T])
+
+
+def family_wise_p(scores: Sequence[Score], n_whole: int, seed: int) -> Array:
     """Return the probability of each score, or a better one of any effect, if no effect is present.
 
-    Two tests, each of all hypotheses together; the smaller probability counts twice. In the first, the signs
-    of all products of a motion are flipped together: without an effect either sign is as likely. With few
-    motions it cannot reject anything. The second is the Wald test of each effect, times their number.
+    Two tests, each of all hypotheses together; the smaller probability counts twice. With few motions, sign
+    flips cannot reject anything; blocks of a motion are not independent enough for them. Then the Wald test
+    stands alone.
 
     Args:
         scores: Scores of all effects that compete.
+        n_whole: Number of motions; 0 if they were cut into blocks.
         seed: Seed of the signs.
 
     Returns:
@@ -195,13 +265,9 @@ def family_wise_p(scores: list[Score], seed: int) -> Array:
     """
     if not scores:
         return np.empty(0)
-    table = np.array([score.by_motion for score in scores])
-    size = np.sqrt(np.sum(table**2, axis=1))
-    table = table / np.where(size > 0, size, 1.0)[:, None]
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], size=(DRAWS, table.shape[1]))
-    null = np.max(np.abs(signs @ table.T), axis=1)
-    seen = np.abs(table.sum(axis=1))
-    flipped = (np.sum(null[None, :] >= seen[:, None] - 1e-12, axis=1) + 1.0) / (DRAWS + 1.0)
-    by_wald = np.array([score.p for score in scores]) * len(scores)
-    both: Array = np.minimum(2.0 * np.minimum(flipped, by_wald), 1.0)
+    wald = wald_by_place(np.array([one.p for one in scores]), [one.effect.place for one in scores])
+    if not can_flip(n_whole):
+        return wald
+    flipped = flips_p([one.flips for one in scores], seed)
+    both: Array = np.minimum(2.0 * np.minimum(flipped, wald), 1.0)
     return both

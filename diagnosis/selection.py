@@ -10,6 +10,8 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array
+from diagnosis.blocks import Blocks
+from diagnosis.chance import FALSE_ALARM
 from diagnosis.checkpoint import Checkpoint
 from diagnosis.comparison import compare
 from diagnosis.context import Context, Present, Selection, recall, run, simulate, start_context
@@ -17,6 +19,8 @@ from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Hypothesis, gather_residuals
 from diagnosis.joint_fits import (
     cross_validate,
+    cut_anew,
+    expected_change,
     fit_base,
     fit_joints,
     free_columns,
@@ -30,15 +34,13 @@ from diagnosis.joint_fits import (
 )
 from diagnosis.meter import Meter
 from diagnosis.residuals import ResidualModel
-from diagnosis.screening import Score, Trial, Whitened, family_wise_p, list_trials, score_trial, whiten
+from diagnosis.screening import Score, Trial, Whitened, family_wise_p, list_trials, score_effect, whiten
 from diagnosis.sharing import ALL_JOINTS
 
 MIN_SHARE: Final = 0.05
 """Least share of the error of left-out motions that an effect has to remove: less is not worth a name."""
 MIN_Z: Final = 2.0
 """Least improvement of left-out motions over its standard error."""
-FALSE_ALARM: Final = 0.05
-"""Largest family-wise probability of a screening score without an effect."""
 MAX_EFFECTS: Final = 3
 """Most effects at one joint beside the base parameters: more describe a residual rather than explain it."""
 SHORTLIST: Final = 5
@@ -99,6 +101,7 @@ def select_effects(
         n_layers = len(list_layers(context, present.effects))
         # a first finding is expected, and a round without another; then each layer is left out once
         shortlist = recall(screen, context, present, open_joints, rounds_after=n_layers or 2)
+        context, present = cut_anew(context, present, shortlist)
         winners = recall(_find_winners, context, present, shortlist)
         open_joints &= {j for winner in winners for j in winner.joints}
         for winner in winners:
@@ -136,26 +139,30 @@ def screen(context: Context, present: Present, open_joints: set[int], rounds_aft
         for trial in list_trials(context.union, effect, present.sizes)
     ]
     # a large change at one joint would hide a small one at another in the same candidate
-    trials.sort(key=lambda pair: -_expected_change(context, *pair))
+    trials.sort(key=lambda pair: -expected_change(context, *pair))
     points = [(lane, point) for lane, trial in trials for point in trial.points]
     context.meter.begin_round(len(context.sharing.plan(points)), rounds_after)
     moved = iter(simulate(context, points, "screening"))
-    best: dict[int, dict[str, Score]] = {lane: {} for _, lane, _ in groups}
-    white = {lane: _whiten(context, present, joints) for joints, lane, _ in groups}
+    tried: dict[tuple[int, str], list[tuple[Trial, list[Array]]]] = {}
     for lane, trial in trials:
+        simulated = [next(moved) for _ in trial.points]
+        tried.setdefault((lane, trial.effect.key), []).append((trial, simulated))
+    best: dict[int, list[Score]] = {lane: [] for _, lane, _ in groups}
+    white = {lane: _whiten(context, present, joints) for joints, lane, _ in groups}
+    for (lane, _), of_effect in tried.items():
         now = _residuals(context, present, lane)
-        change = np.column_stack([next(moved) - now for _ in trial.points])
+        changes = [np.column_stack([rows - now for rows in simulated]) for _, simulated in of_effect]
         if lane == ALL_JOINTS:
-            change = change[white[lane].rows]
-        score = score_trial(white[lane], len(context.model.motions), trial, change, present.sizes)
-        key = trial.effect.key
-        if key not in best[lane] or score.gain > best[lane][key].gain:
-            best[lane][key] = score
-    everything = [score for group in best.values() for score in group.values()]
-    chance = family_wise_p(everything, context.seed)
+            changes = [change[white[lane].rows] for change in changes]
+        own = [trial for trial, _ in of_effect]
+        score = score_effect(white[lane], len(context.model.motions), own, changes, present.sizes)
+        best[lane].append(score)
+    everything = [score for group in best.values() for score in group]
+    n_whole = 0 if isinstance(context.model, Blocks) else len(context.model.motions)
+    chance = family_wise_p(everything, n_whole, context.seed)
     likely = {score.effect.key for score, p in zip(everything, chance, strict=True) if p <= FALSE_ALARM}
     # the order of the F statistic: an effect with many sizes has to explain more
-    ranked = [sorted(group.values(), key=lambda s: -s.gain / len(s.effect.sizes)) for group in best.values()]
+    ranked = [sorted(group, key=lambda s: -s.gain / len(s.effect.sizes)) for group in best.values()]
     likely_ones = [[one for one in group if one.effect.key in likely] for group in ranked]
     return [score for group in likely_ones for score in group[:SHORTLIST]]
 
@@ -164,18 +171,9 @@ def _find_winners(context: Context, present: Present, shortlist: Sequence[Score]
     return choose(context, present, judge(context, present, shortlist))
 
 
-def _expected_change(context: Context, lane: int, trial: Trial) -> float:
-    """Return the change that a trial should make at its joint, from that of typical sizes."""
-    if lane == ALL_JOINTS:
-        return 0.0
-    typical = np.array([size.typical for size in trial.effect.sizes])
-    ratios = np.array(trial.points)[:, context.union.columns([trial.effect])] / typical
-    return context.reach[trial.effect.key] * float(np.max(np.abs(ratios)))
-
-
 def _whiten(context: Context, present: Present, joints: Sequence[int]) -> Whitened:
     fits = [present.fits[j] for j in joints]
-    return whiten(fits, context.model.motion_of, [float(context.scales[j]) for j in joints])
+    return whiten(fits, context.model, [float(context.scales[j]) for j in joints])
 
 
 def _residuals(context: Context, present: Present, lane: int) -> Array:

@@ -84,11 +84,10 @@ def doubt_layer(
     """
     keys = {effect.key for effect in layer}
     scores = [score for score in rivals if score.effect.key not in keys]
-    nothing = np.zeros(len(context.model.motions))
     for effect in layer:  # each begins at its own sizes, without the others that are left out
         start, own = without.sizes.copy(), context.union.columns([effect])
         start[own] = present.sizes[own]
-        scores.append(Score(effect, start, 0.0, nothing, 1.0))
+        scores.append(Score(effect, start, 0.0, (), 1.0))
     candidates = judge(context, without, scores)
     return [doubt_finding(context, without, effect, candidates) for effect in layer]
 

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from diagnosis.blocks import Blocks, correlation_time_s, cut_into_blocks
+from diagnosis.blocks import Blocks, correlation_time_s, cut_into_blocks, cut_rows
 from diagnosis.effects.friction import CoulombFriction
 from diagnosis.inverse_residuals import InverseResiduals
 from tests.diagnosis.toy import draw_toy
@@ -57,59 +57,81 @@ def test_a_residual_that_does_not_vary_has_no_correlation_time():
     assert correlation_time_s(np.arange(9.0), np.ones(9)) == 0.0
 
 
-def test_blocks_are_longer_than_the_correlation_time():
+@cache
+def blocks():
+    """Return the first motion in three and two blocks, the second in two and one."""
+    return Blocks(model(), np.array([[3, 2], [2, 1]]))
+
+
+def test_blocks_are_longer_than_the_correlation_time_of_their_joint():
     residuals = nominal()
-    blocks = cut_into_blocks(model(), residuals)
-    assert len(blocks.motions) > len(model().motions)
-    for m, motion in enumerate(model().motions):
-        times = [
-            correlation_time_s(model().time_s[rows], residuals[rows])
-            for rows in ((model().motion_of == m) & (model().joint_of == j) for j in (0, 1))
-        ]
-        length_s = np.ptp(model().time_s[model().motion_of == m]) / blocks.parents.count(motion)
-        assert length_s >= max(times)
+    cut = cut_into_blocks(model(), residuals)
+    assert len(cut.motions) > 2 * len(model().motions)
+    for m, j in np.ndindex(2, 2):
+        rows = (model().motion_of == m) & (model().joint_of == j)
+        length_s = np.ptp(model().time_s[rows]) / np.unique(cut.motion_of[rows]).size
+        assert length_s >= correlation_time_s(model().time_s[rows], residuals[rows])
+
+
+def test_a_joint_with_a_slow_misfit_leaves_the_others_their_blocks():
+    residuals, far = nominal(), model().joint_of == 1
+    slow = np.where(far, residuals, np.sin(np.pi / 4 * model().time_s))
+    count = [np.bincount(cut_into_blocks(model(), one).joint_of_block) for one in (residuals, slow)]
+    assert count[1][0] < count[0][0]
+    assert count[1][1] == count[0][1]
 
 
 def test_blocks_hold_each_residual_once_and_in_order():
-    blocks = Blocks(model(), (3, 2))
-    assert blocks.motions == ("m1:1", "m1:2", "m1:3", "m2:1", "m2:2")
-    assert np.array_equal(blocks.residuals([], np.zeros((1, 0)))[0], nominal())
-    for k in range(5):
-        rows = blocks.motion_of == k
-        own = blocks.time_s[rows]
-        assert np.ptp(own) < 0.51 * np.ptp(blocks.time_s)
-        assert {blocks.parents[k]} == {model().motions[m] for m in model().motion_of[rows]}
+    near, far = model().joints
+    assert blocks().motions == (
+        *(f"m1:{near}:{k}" for k in (1, 2, 3)),
+        *(f"m1:{far}:{k}" for k in (1, 2)),
+        *(f"m2:{near}:{k}" for k in (1, 2)),
+        f"m2:{far}:1",
+    )
+    assert blocks().joint_of_block.tolist() == [0, 0, 0, 1, 1, 0, 0, 1]
+    assert np.array_equal(blocks().residuals([], np.zeros((1, 0)))[0], nominal())
+    assert np.array_equal(blocks().parent_of, model().motion_of)
+    for k in range(7):
+        own = blocks().time_s[blocks().motion_of == k]
+        assert np.ptp(own) < 0.51 * np.ptp(blocks().time_s)
 
 
-def test_a_motion_that_is_one_block_keeps_its_name():
-    assert Blocks(model(), (1, 2)).motions == ("m1", "m2:1", "m2:2")
+def test_rows_of_several_joints_are_cut_by_the_longest_memory():
+    time_s = np.tile(np.arange(100.0), 2)
+    white = np.random.default_rng(1).standard_normal(100)
+    slow = np.sin(np.arange(100.0) / 8)
+    parts = [(slice(0, 100), white), (slice(100, 200), slow)]
+    found = cut_rows(time_s, np.zeros(200, dtype=np.int64), parts)
+    assert np.array_equal(found[:100], found[100:])
+    assert found.max() + 1 == int(99 / correlation_time_s(np.arange(100.0), slow))
 
 
 def test_a_residual_as_slow_as_the_motion_leaves_few_blocks():
     slow = np.sin(np.pi / 4 * model().time_s)
-    assert len(cut_into_blocks(model(), slow).motions) <= 3 * len(model().motions)
+    assert len(cut_into_blocks(model(), slow).motions) <= 3 * 2 * len(model().motions)
 
 
-@pytest.mark.parametrize("wanted", [("m1:2", "m2:1"), ("m2:2",), ("m1:1", "m1:3")])
+@pytest.mark.parametrize("wanted", [(1, 5), (6,), (0, 2, 3)])
 def test_selected_blocks_keep_their_residuals(wanted):
-    blocks = Blocks(model(), (3, 2))
+    wanted = tuple(blocks().motions[k] for k in wanted)
     effects = [CoulombFriction.at(arm(), "elbow", scales(arm(), *logs()))]
-    part = blocks.select(wanted)
-    rows = np.isin(blocks.motion_of, [blocks.motions.index(name) for name in wanted])
+    part = blocks().select(wanted)
+    rows = np.isin(blocks().motion_of, [blocks().motions.index(name) for name in wanted])
     assert part.motions == wanted
     sizes = np.array([[0.0], [0.5]])
-    assert np.array_equal(part.residuals(effects, sizes), blocks.residuals(effects, sizes)[:, rows])
-    assert np.array_equal(part.time_s, blocks.time_s[rows])
-    assert np.array_equal(part.joint_of, blocks.joint_of[rows])
-    assert np.array_equal(part.explain("load"), blocks.explain("load")[rows])
+    assert np.array_equal(part.residuals(effects, sizes), blocks().residuals(effects, sizes)[:, rows])
+    assert np.array_equal(part.time_s, blocks().time_s[rows])
+    assert np.array_equal(part.joint_of, blocks().joint_of[rows])
+    assert np.array_equal(part.explain("load"), blocks().explain("load")[rows])
     names = [part.motions[k] for k in part.motion_of]
-    assert names == [blocks.motions[k] for k in blocks.motion_of[rows]]
+    assert names == [blocks().motions[k] for k in blocks().motion_of[rows]]
 
 
 def test_a_selection_of_a_selection_is_that_selection():
-    blocks = Blocks(model(), (3, 2))
-    twice = blocks.select(("m1:2", "m2:1", "m2:2")).select(("m2:2",))
-    once = blocks.select(("m2:2",))
+    names = blocks().motions
+    twice = blocks().select(names[2:6]).select(names[5:6])
+    once = blocks().select(names[5:6])
     size = np.zeros((1, 0))
     assert np.array_equal(twice.residuals([], size), once.residuals([], size))
 

@@ -9,7 +9,7 @@ from diagnosis.diagnose import diagnose
 from diagnosis.effects.effect import Family
 from diagnosis.inverse_residuals import InverseResiduals, shows
 from diagnosis.load import load
-from diagnosis.result import Diagnosis
+from diagnosis.result import Diagnosis, Finding
 from diagnosis.robot import Robot
 
 pytestmark = [pytest.mark.real_data, pytest.mark.slow]
@@ -39,26 +39,42 @@ def fitted_b(real_data) -> tuple[Robot, Diagnosis, float]:
     return find(real_data / "kr300", "fit_b")
 
 
+def torque_at_axis_2(result: Diagnosis) -> Finding:
+    return next(one for one in result.findings if (one.place, one.family) == ("a2", Family.EXTERNAL))
+
+
 def test_batch_a_names_an_external_torque_at_axis_2_that_holds_for_batch_b(fitted_a):
     _, result, error = fitted_a
-    torque = next(one for one in result.findings if one.size_names[0] != "delay_s")
-    assert (torque.place, torque.family) == ("a2", Family.EXTERNAL)
-    assert "a2: position-dependent torque" in torque.effects
+    assert "a2: position-dependent torque" in torque_at_axis_2(result).effects
     assert error < 1.5
 
 
-def test_batch_b_says_that_a_torque_remains_at_axis_2_and_depends_on_position(fitted_b):
-    _, result, _ = fitted_b
-    assert ("a2", "position") in {
-        (one.joint, one.depends_on) for one in result.remaining if one.unit == "N m"
-    }
+def test_batch_b_names_an_external_torque_at_axis_2(fitted_b):
+    assert torque_at_axis_2(fitted_b[1]).effects
 
 
-@pytest.mark.xfail(reason="five independent blocks are too few for the family-wise test", strict=True)
+@pytest.mark.xfail(
+    reason="a torque of first order, fitted to B alone, is 1.64 motor N m off on A", strict=True
+)
 def test_batch_b_names_a_torque_at_axis_2_that_holds_for_batch_a(fitted_b):
-    _, result, error = fitted_b
-    assert ("a2", Family.EXTERNAL) in {(one.place, one.family) for one in result.findings}
-    assert error < 1.5
+    assert fitted_b[2] < 1.5
+
+
+@pytest.mark.parametrize("axis", ["a2", "a3"])
+def test_batch_b_names_the_compliance_of_axes_2_and_3(fitted_b, axis):
+    assert (axis, "joint compliance") in {(one.place, one.effect) for one in fitted_b[1].findings}
+
+
+@pytest.mark.xfail(reason="its gain on left-out blocks of A is 1.8 to 2.0 standard errors", strict=True)
+@pytest.mark.parametrize("axis", ["a2", "a3"])
+def test_batch_a_names_the_compliance_of_axes_2_and_3(fitted_a, axis):
+    assert (axis, "joint compliance") in {(one.place, one.effect) for one in fitted_a[1].findings}
+
+
+@pytest.mark.parametrize("batch", ["fitted_a", "fitted_b"])
+def test_backlash_is_named_nowhere(batch, request):
+    _, result, _ = request.getfixturevalue(batch)
+    assert "backlash" not in {one.effect for one in result.findings}
 
 
 @pytest.mark.parametrize("batch", ["fitted_a", "fitted_b"])
