@@ -11,7 +11,8 @@ WORKERS ?= 2
 
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: help setup demo test test-all bench brief campaign accuracy calibration ur10 joints jobs blind requirements killed interrupt \
+.PHONY: help setup demo test test-all bench brief campaign accuracy calibration ur10 joints jobs blind robot-cases robot-controls robot-cost \
+  robot-engine requirements killed interrupt \
   damage fuzz mutants references oracle view viewers examples package cluster lint lock clean
 
 help:
@@ -27,6 +28,10 @@ help:
 	@echo "make joints    find hardstops and backlash again and again on many arms, print how well as JSON"
 	@echo "make jobs      run every scenario, tool changes, contacts and faults on many arms, print how well as JSON"
 	@echo "make blind     make, solve and score 200 cases of the diagnosis whose effect is withheld, print the score as JSON"
+	@echo "make robot-cases  make, solve and score 120 sealed cases of the diagnosis of any robot, print the score as JSON"
+	@echo "make robot-controls  diagnose shuffled, simulated and delayed logs, print what was named as JSON"
+	@echo "make robot-cost  measure what diagnoses of a robot cost, print it as JSON, plot it in docs/robot-cost.png"
+	@echo "make robot-engine  compare the simulation of the diagnosis with bare MuJoCo, print the speeds as JSON"
 	@echo "make requirements  measure every requirement of the paper, write docs/requirements.md"
 	@echo "make killed    kill recorded runs at random moments, print what their logs lost as JSON"
 	@echo "make interrupt  press Ctrl-C at several moments of every long command, print how soon it ends as JSON"
@@ -100,6 +105,29 @@ blind: $(VENV)/ready
 	@$(BIN)/python -m validation.blind make --seed $(SEED) --out $(OUT) --jobs $(WORKERS) >&2
 	@$(BIN)/python -m validation.blind solve $(OUT) --jobs $(WORKERS) >&2
 	@$(BIN)/python -m validation.blind score $(OUT) --json $(ARGS)
+
+# What was stopped goes on, unless the diagnosis was changed. SEED names other cases, OUT another folder or file.
+robot-cases: OUT = robot-cases-$(SEED)
+robot-cases: $(VENV)/ready
+	@$(call say,120 sealed cases in $(WORKERS) processes; this takes an hour)
+	@$(BIN)/python -m validation.robot_cases make --seed $(SEED) --out $(OUT) --jobs $(WORKERS) >&2
+	@$(BIN)/python -m validation.robot_cases solve $(OUT) --jobs $(WORKERS) >&2
+	@$(BIN)/python -m validation.robot_cases score $(OUT) --json $(ARGS)
+
+# The XL330 takes part where MARSARM_DATA names its logs.
+robot-controls: OUT = robot-controls-$(SEED).jsonl
+robot-controls: $(VENV)/ready
+	@$(call say,controls of the diagnosis; this takes the better part of an hour)
+	@$(BIN)/python -m validation.robot_controls --seed $(SEED) --results $(OUT) $(ARGS)
+
+robot-cost: OUT = robot-cost-$(SEED).jsonl
+robot-cost: $(VENV)/ready
+	@$(call say,eighteen diagnoses; leave the machine alone for half an hour)
+	@$(BIN)/python -m validation.robot_cost --seed $(SEED) --results $(OUT) --out docs/robot-cost.png $(ARGS)
+
+robot-engine: $(VENV)/ready
+	@$(call say,measuring; leave the machine alone for a minute)
+	@$(BIN)/python -m validation.robot_engine $(ARGS)
 
 # What is measured is stored campaign by campaign; commit it with docs/requirements.md.
 requirements: $(VENV)/ready

@@ -6,13 +6,12 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Flags
-from diagnosis.context import Context, Present
+from diagnosis.context import Context, Present, Selection
 from diagnosis.effects.actuation import GainError
 from diagnosis.noise import noise_residuals
 from diagnosis.residuals import ResidualModel
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
 from diagnosis.robot import Robot
-from diagnosis.selection import Selection
 from diagnosis.verdict import (
     Doubt,
     join_fits,

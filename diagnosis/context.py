@@ -1,19 +1,22 @@
 """Inputs of a selection, its present model, and how both reach the residual model."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Concatenate, Final, ParamSpec, TypeVar
 
 import numpy as np
 
 from diagnosis.arrays import Array
 from diagnosis.blocks import Blocks
+from diagnosis.checkpoint import Checkpoint
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Hypothesis, Union, evaluate_points, fit_hypotheses
 from diagnosis.meter import Meter
 from diagnosis.residuals import ResidualModel
 from diagnosis.sharing import ALL_JOINTS, Sharing, share_nothing
 
+P = ParamSpec("P")
+T = TypeVar("T")
 FOLDS: Final = 4
 
 
@@ -40,6 +43,7 @@ class Context:
     folds: tuple[frozenset[int], ...]
     seed: int
     meter: Meter
+    checkpoint: Checkpoint
 
     def joint_of(self, effect: Effect) -> int:
         """Return the index of the joint at which an effect is judged, or ALL_JOINTS.
@@ -72,8 +76,22 @@ class Present:
         return tuple(effect for effect in self.effects if effect.place == place)
 
 
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Models before and after."""
+
+    context: Context
+    base: Present
+    chosen: Present
+
+
 def start_context(
-    model: ResidualModel, base: Sequence[Effect], catalogue: Sequence[Effect], seed: int, meter: Meter
+    model: ResidualModel,
+    base: Sequence[Effect],
+    catalogue: Sequence[Effect],
+    seed: int,
+    meter: Meter,
+    checkpoint: Checkpoint | None = None,
 ) -> Context:
     """Put base and catalogue into one union and divide the motions into folds.
 
@@ -83,6 +101,7 @@ def start_context(
         catalogue: Effects that compete; those that are also in the base are left out.
         seed: Seed of the folds.
         meter: Counts simulated candidates.
+        checkpoint: Keeps the results of steps; None: nothing is kept.
 
     Returns:
         The context, with scales of 1 and without shared simulations.
@@ -105,6 +124,7 @@ def start_context(
         folds=(),
         seed=seed,
         meter=meter,
+        checkpoint=checkpoint or Checkpoint(),
     )
 
 
@@ -122,6 +142,23 @@ def draw_folds(model: ResidualModel, seed: int) -> tuple[frozenset[int], ...]:
     joint = model.joint_of_block if isinstance(model, Blocks) else np.zeros(n, dtype=np.int64)
     order = [int(m) for j in np.unique(joint) for m in random.permutation(np.flatnonzero(joint == j))]
     return tuple(frozenset(order[k::FOLDS]) for k in range(FOLDS))
+
+
+def recall(
+    step: Callable[Concatenate[Context, P], T], context: Context, *args: P.args, **kwargs: P.kwargs
+) -> T:
+    """Return what an earlier run with the same inputs found in a step; else carry it out and keep it.
+
+    Args:
+        step: Function of the context, whose result `checkpoint.pack` can keep.
+        context: The context.
+        *args: Its further arguments.
+        **kwargs: Its named arguments.
+
+    Returns:
+        Its result.
+    """
+    return context.checkpoint.step(context.meter, step.__name__, lambda: step(context, *args, **kwargs))
 
 
 def run(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> list[Fit]:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -11,6 +12,7 @@ from diagnosis.assemble import assemble
 from diagnosis.audit.records import Audit, Remark
 from diagnosis.audit.records import Kind as RemarkKind
 from diagnosis.catalogue import base_effects, catalogue
+from diagnosis.checkpoint import Checkpoint, digest_inputs
 from diagnosis.effects.effect import Effect
 from diagnosis.encoder_residuals import why_refused
 from diagnosis.errors import RobotError
@@ -36,6 +38,7 @@ def diagnose(
     audit: Audit | None = None,
     seed: int = 1,
     progress: Progress = lambda share, text: None,
+    cache: Path | None = None,
 ) -> Diagnosis:
     """Find the effects that make a robot differ from its model.
 
@@ -47,6 +50,8 @@ def diagnose(
         audit: Audit of all these motions; the samples that it refuses take no part.
         seed: Seed of folds and random signs: the same seed gives the same bits.
         progress: Called with the share that is done, from 0 to 1, and a text.
+        cache: Folder for the steps of an unfinished diagnosis: after an interruption, the same call goes on
+            from them. They are deleted at the end. None: nothing is kept.
 
     Returns:
         The diagnosis.
@@ -66,15 +71,17 @@ def diagnose(
     known = [*catalogue(robot, logs), *effects]
     check_names(known)
     parts = []
-    for k, kind in enumerate(kinds):
-        meter = Meter(_part_of(progress, k, len(kinds)))
-        fitted = kind.make(motions, MOST_STEPS)
-        shown, rejected = choose_shown(robot, kind, known)
-        base = [one for one in base_effects(robot, logs) if kind.shows(one)] if kind.has_base else []
-        selection = select_effects(fitted, base, shown, seed=seed, meter=meter)
-        judge = kind.make(held_out, math.inf) if held_out else fitted
-        part = assemble(robot, fitted, selection, doubt_findings(selection), judge)
-        parts.append(replace(part, rejected=(*part.rejected, *rejected)))
+    digest = None if cache is None else digest_inputs(robot, motions, usable, effects, seed)
+    with Checkpoint(cache / digest if cache and digest else None, known) as checkpoint:
+        for k, kind in enumerate(kinds):
+            meter = Meter(_part_of(progress, k, len(kinds)))
+            fitted = kind.make(motions, MOST_STEPS)
+            shown, rejected = choose_shown(robot, kind, known)
+            base = [one for one in base_effects(robot, logs) if kind.shows(one)] if kind.has_base else []
+            selection = select_effects(fitted, base, shown, seed=seed, meter=meter, checkpoint=checkpoint)
+            judge = kind.make(held_out, math.inf) if held_out else fitted
+            part = assemble(robot, fitted, selection, doubt_findings(selection), judge)
+            parts.append(replace(part, rejected=(*part.rejected, *rejected)))
     progress(1.0, "done")
     return replace(
         join_parts(parts),

@@ -8,7 +8,7 @@ import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.blocks import Blocks, cut_into_blocks
-from diagnosis.context import Context, Present, draw_folds, run, simulate
+from diagnosis.context import Context, Present, draw_folds, recall, run, simulate
 from diagnosis.effects.effect import Effect
 from diagnosis.errors import RobotError
 from diagnosis.fit import (
@@ -92,13 +92,7 @@ def share_simulations(context: Context, sizes: Array, residuals: Array, effects:
     moved = {one.place for one in context.base}
     columns = [union.columns([effect]) for effect in placed]
     typical = [np.array([np.clip(one.typical, one.low, one.high) for one in e.sizes]) for e in placed]
-    reach = measure_reach(
-        lambda points: simulate(context, [(ALL_JOINTS, point) for point in points], "fit"),
-        model.joint_of,
-        context.scales,
-        (sizes, residuals),
-        list(zip(columns, typical, strict=True)),
-    )
+    reach = recall(_measure_reach, context, (sizes, residuals), list(zip(columns, typical, strict=True)))
     places = [model.joints.index(one.place) for one in placed]
     decides = np.array([one.key in base or one.place not in moved for one in placed], bool)
     wide = {
@@ -110,6 +104,18 @@ def share_simulations(context: Context, sizes: Array, residuals: Array, effects:
     sharing = find_sharing(places, columns, decides & is_local, reach)
     own = {one.key: float(row[joint]) for one, joint, row in zip(placed, places, reach, strict=True)}
     return replace(context, sharing=sharing, wide=frozenset(wide), reach=own)
+
+
+def _measure_reach(
+    context: Context, now: tuple[Array, Array], columns: Sequence[tuple[Integers, Array]]
+) -> Array:
+    return measure_reach(
+        lambda points: simulate(context, [(ALL_JOINTS, point) for point in points], "fit"),
+        context.model.joint_of,
+        context.scales,
+        now,
+        columns,
+    )
 
 
 def rescale(context: Context, base: Present, present: Present) -> tuple[Context, Present]:
@@ -136,7 +142,7 @@ def rescale(context: Context, base: Present, present: Present) -> tuple[Context,
     effects = [one for one in present.effects if context.joint_of(one) == ALL_JOINTS]
     columns = [context.union.columns([one]) for one in effects]
     bodies = tuple(run(context, [Hypothesis(free, present.sizes) for free in columns], "refit"))
-    fits = fit_joints(context, present.effects, merge_sizes(context, present.sizes, bodies))
+    fits = recall(fit_joints, context, present.effects, merge_sizes(context, present.sizes, bodies))
     scores = np.array(cross_validate(context, list(enumerate(fits))))
     sizes = fits[0].sizes
     found = replace(present, sizes=sizes, fits=fits, scores=scores, bodies=bodies)
@@ -197,7 +203,7 @@ def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[
     Returns:
         Sizes, (n_sizes,), residuals of all joints, (n,), and the fits.
     """
-    fits = fit_joints(context, (), sizes)
+    fits = recall(fit_joints, context, (), sizes)
     return fits[0].sizes, gather_residuals(fits, len(context.model.joint_of)), fits
 
 
@@ -349,7 +355,7 @@ def leave_out(context: Context, present: Present, effects: Sequence[Effect]) -> 
     rest = tuple(one for one in present.effects if one.key not in gone)
     sizes = present.sizes.copy()
     sizes[context.union.columns(effects)] = 0.0
-    fits = fit_joints(context, rest, sizes)
+    fits = recall(fit_joints, context, rest, sizes)
     scores = np.array(cross_validate(context, list(enumerate(fits))))
     gone_columns = set(context.union.columns(effects).tolist())
     bodies = tuple(fit for fit in present.bodies if not gone_columns & set(fit.columns.tolist()))

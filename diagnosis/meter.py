@@ -1,6 +1,6 @@
 """Share of a selection that is done, from the rounds and the simulated candidates that are still expected."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 Progress = Callable[[float, str], None]
@@ -21,10 +21,33 @@ class Meter:
             progress: Called with the share that is done, from 0 to 1, and a text.
         """
         self._progress = progress
-        self._share = 0.0
+        self._share, self._is_silent = 0.0, False
         self._done, self._begin = 0, 0
         self._screened, self._after = 0, 0
         self._ended_done, self._ended_screened = 0, 0
+
+    @property
+    def counts(self) -> list[float]:
+        """Return all counts, with which `restore` goes on."""
+        rounds = (self._begin, self._screened, self._after, self._ended_done, self._ended_screened)
+        return [self._share, self._done, *rounds]
+
+    def restore(self, counts: Sequence[float]) -> None:
+        """Take the counts of an earlier run, and report nothing before `go_on`.
+
+        Args:
+            counts: Counts of a meter.
+        """
+        self._is_silent = True
+        self._share, done, *rounds = counts
+        self._done = int(done)
+        self._begin, self._screened, self._after, self._ended_done, self._ended_screened = map(int, rounds)
+
+    def go_on(self) -> None:
+        """Report again: what an earlier run has done took no time, and ends here."""
+        if self._is_silent:
+            self._is_silent = False
+            self.advance("going on", 0)
 
     def begin_round(self, screened: int, after: int) -> None:
         """Begin a round of screening and refits.
@@ -51,4 +74,5 @@ class Meter:
             usual, spent = ratio * self._screened, self._done - self._begin
             left = max(usual - spent, OVERRUN * spent) + self._after * usual
             self._share = max(self._share, self._done / (self._done + left))
-        self._progress(self._share, text)
+        if not self._is_silent:
+            self._progress(self._share, text)

@@ -12,8 +12,9 @@ import numpy as np
 from diagnosis.arrays import Array
 from diagnosis.blocks import Blocks
 from diagnosis.chance import FALSE_ALARM
+from diagnosis.checkpoint import Checkpoint
 from diagnosis.comparison import compare
-from diagnosis.context import Context, Present, run, simulate, start_context
+from diagnosis.context import Context, Present, Selection, recall, run, simulate, start_context
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Hypothesis, gather_residuals
 from diagnosis.joint_fits import (
@@ -71,15 +72,6 @@ class Candidate:
     """Mean improvement of a motion over its standard error."""
 
 
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """Models before and after."""
-
-    context: Context
-    base: Present
-    chosen: Present
-
-
 def select_effects(
     model: ResidualModel,
     base: Sequence[Effect],
@@ -87,6 +79,7 @@ def select_effects(
     *,
     seed: int,
     meter: Meter | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> Selection:
     """Find the effects that motions need beyond the base parameters.
 
@@ -96,19 +89,20 @@ def select_effects(
         catalogue: Effects that compete.
         seed: Seed of random signs and folds.
         meter: Tells the progress; None: nobody is told.
+        checkpoint: Keeps the results of steps; None: nothing is kept.
 
     Returns:
         The models before and after.
     """
-    context, first = fit_base(start_context(model, base, catalogue, seed, meter or Meter()))
+    context, first = fit_base(start_context(model, base, catalogue, seed, meter or Meter(), checkpoint))
     present = first
     open_joints = {int(j) for j in np.unique(model.joint_of)}
     while open_joints:
         n_layers = len(list_layers(context, present.effects))
         # a first finding is expected, and a round without another; then each layer is left out once
-        shortlist = screen(context, present, open_joints, rounds_after=n_layers or 2)
+        shortlist = recall(screen, context, present, open_joints, rounds_after=n_layers or 2)
         context, present = cut_anew(context, present, shortlist)
-        winners = choose(context, present, judge(context, present, shortlist))
+        winners = recall(_find_winners, context, present, shortlist)
         open_joints &= {j for winner in winners for j in winner.joints}
         for winner in winners:
             present = accept(context, present, winner)
@@ -171,6 +165,10 @@ def screen(context: Context, present: Present, open_joints: set[int], rounds_aft
     ranked = [sorted(group, key=lambda s: -s.gain / len(s.effect.sizes)) for group in best.values()]
     likely_ones = [[one for one in group if one.effect.key in likely] for group in ranked]
     return [score for group in likely_ones for score in group[:SHORTLIST]]
+
+
+def _find_winners(context: Context, present: Present, shortlist: Sequence[Score]) -> list[Candidate]:
+    return choose(context, present, judge(context, present, shortlist))
 
 
 def _whiten(context: Context, present: Present, joints: Sequence[int]) -> Whitened:

@@ -9,12 +9,12 @@ from scipy.stats import t as student
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.comparison import one_sided_p
-from diagnosis.context import Context, Present, simulate
+from diagnosis.context import Context, Present, Selection, recall, simulate
 from diagnosis.effects.effect import Effect, Family
 from diagnosis.fit import Fit, gather_residuals, half_loss_derivatives
 from diagnosis.joint_fits import joints_of, leave_out, list_layers
 from diagnosis.screening import Score
-from diagnosis.selection import Candidate, Selection, judge, screen
+from diagnosis.selection import Candidate, judge, screen
 from diagnosis.sharing import ALL_JOINTS
 
 EXCLUDED: Final = 0.05
@@ -61,17 +61,35 @@ def doubt_findings(selection: Selection) -> list[Doubt]:
     for k, layer in enumerate(layers):
         without = leave_out(context, present, layer)
         open_joints = {j for effect in layer for j in joints_of(context, effect)}
-        rivals = screen(context, without, open_joints, rounds_after=len(layers) - k - 1)
-        keys = {effect.key for effect in layer}
-        scores = [score for score in rivals if score.effect.key not in keys]
-        for effect in layer:  # each begins at its own sizes, without the others that are left out
-            start, own = without.sizes.copy(), context.union.columns([effect])
-            start[own] = present.sizes[own]
-            scores.append(Score(effect, start, 0.0, (), 1.0))
-        candidates = judge(context, without, scores)
-        for effect in layer:
-            found[effect.key] = doubt_finding(context, without, effect, candidates)
+        rivals = recall(screen, context, without, open_joints, rounds_after=len(layers) - k - 1)
+        doubts = recall(doubt_layer, context, present, without, layer, rivals)
+        found |= {doubt.effect.key: doubt for doubt in doubts}
     return [found[effect.key] for effect in present.effects]
+
+
+def doubt_layer(
+    context: Context, present: Present, without: Present, layer: Sequence[Effect], rivals: Sequence[Score]
+) -> list[Doubt]:
+    """Refit alternatives in the place of findings that are left out together.
+
+    Args:
+        context: The context.
+        present: The model with all findings.
+        without: The model without these.
+        layer: The findings that are left out.
+        rivals: Shortlist of the alternatives.
+
+    Returns:
+        One doubt a finding of the layer.
+    """
+    keys = {effect.key for effect in layer}
+    scores = [score for score in rivals if score.effect.key not in keys]
+    for effect in layer:  # each begins at its own sizes, without the others that are left out
+        start, own = without.sizes.copy(), context.union.columns([effect])
+        start[own] = present.sizes[own]
+        scores.append(Score(effect, start, 0.0, (), 1.0))
+    candidates = judge(context, without, scores)
+    return [doubt_finding(context, without, effect, candidates) for effect in layer]
 
 
 def doubt_finding(

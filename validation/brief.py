@@ -37,6 +37,7 @@ BRIEFS: Final = (
     Brief("monte_carlo", "--statics 100 --closed-loop 10 --calibrated 0 --workers 1"),
     Brief("blind.brief", ""),
     Brief("robot_cases.brief", "--seed 1"),
+    Brief("robot_cost", "--settings 1"),
     Brief("faults", "--count 2 --only processing --workers 1"),
     Brief("tool_change", "--calibrated 1 --as-built 0 --poses 1 --workers 1"),
     Brief("scenarios", "--calibrated 0 --as-built 0 --only processing --workers 1"),
@@ -50,6 +51,7 @@ BRIEFS: Final = (
     Brief("damage", "--tries 50 --cycles 128"),
     Brief("killed", "--kills 3"),
     Brief("interrupt", "--moments 3 --only ik --only reach --only monte-carlo --only 'gap record'"),
+    Brief("robot_controls", "--only shuffled"),
     Brief("ur10", "", needs="MARSARM_DATA, a folder with the measured poses"),
     Brief("oracle", "--targets 2000", needs="EAIK"),
 )

@@ -6,16 +6,17 @@
    of 20 end as none. Findings are left out of the twin, so that the nominal robot has no effect beside it.
 3. The XL330 with 20 ms added to the times of its positions: the delay grows by 20 +- 4 ms, no family is new.
 
-Real logs are read where MARSARM_DATA points.
+Real logs are read where MARSARM_DATA points. With --results, an interrupted campaign goes on.
 """
 
 import json
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -28,7 +29,10 @@ from diagnosis.residuals import ResidualModel
 from diagnosis.result import Diagnosis
 from diagnosis.robot import Robot
 from diagnosis.simulation_residuals import SimulationResiduals
+from ground.common.errors import UserError
+from ground.common.progress import show_progress
 from validation.options import campaign_parser
+from validation.resumable import Result, keep_results
 from validation.robot_cases.draw import draw_case
 
 EXAMPLE: Final = "example: python -m validation.robot_controls --twins 20"
@@ -37,6 +41,7 @@ ADDED_S: Final = 0.020
 ADDED_TOLERANCE_S: Final = 0.004
 BLOCK_S: Final = 0.5
 """Block of resampled residuals: ten correlation times of the noise of a servo's encoder."""
+TWIN: Final = "twin of the XL330"
 DELAYS: Final = ("command delay", "measurement delay")
 ROBOTS: Final = Path(__file__).parents[1] / "models" / "robots"
 
@@ -53,13 +58,14 @@ def shuffle_commands(motions: Sequence[Motion], seed: int) -> tuple[Motion, ...]
     return tuple(found)
 
 
-def is_refused(robot: Robot, motions: Sequence[Motion], seed: int) -> bool:
-    """Return whether the motions are refused: by an error, or by a diagnosis that leaves all of them out."""
+def shuffle_control(robot: Robot, motions: Sequence[Motion], seed: int) -> Result:
+    """Check that shuffled commands are refused: by an error, or by a diagnosis without a fitted motion."""
     try:
-        found = diagnose(robot, motions, seed=seed)
+        found = diagnose(robot, shuffle_commands(motions, seed), seed=seed)
     except RobotError:
-        return True
-    return not found.findings and not found.fitted_motions
+        return {"refused": True, "in_bounds": True}
+    refused = not found.findings and not found.fitted_motions
+    return {"refused": refused, "in_bounds": refused}
 
 
 def delay_positions(motions: Sequence[Motion], added_s: float) -> tuple[Motion, ...]:
@@ -123,21 +129,32 @@ def _resample(residuals: Array, count: int, block: int, rng: np.random.Generator
     return np.asarray(drawn - residuals.mean())
 
 
-def twin_control(robot: Robot, logs: Logs, twins: int, seed: int) -> dict[str, Any]:
-    """Fit one half, simulate it on the other half, and diagnose the twins; count how many end as none."""
-    motions = logs.motions
-    first, second = motions[::2], motions[1::2]
-    found = diagnose(robot, first, seed=seed)
-    model = SimulationResiduals(robot, second, spacing_s=0.0)
-    named = [
-        [one.effect for one in diagnose(robot, make_twin(second, model, found, k), seed=seed).findings]
-        for k in range(twins)
-    ]
+class Twins:
+    """Twins of the second half of some logs, by a fit of the first half, which is made when it is needed."""
+
+    def __init__(self, robot: Robot, logs: Logs, seed: int) -> None:
+        self._robot, self._seed = robot, seed
+        self._first, self._second = logs.motions[::2], logs.motions[1::2]
+
+    @cached_property
+    def _fitted(self) -> tuple[SimulationResiduals, Diagnosis]:
+        model = SimulationResiduals(self._robot, self._second, spacing_s=0.0)
+        return model, diagnose(self._robot, self._first, seed=self._seed)
+
+    def diagnose(self, number: int) -> Result:
+        """Diagnose a twin; return the effects that were named."""
+        twin = make_twin(self._second, *self._fitted, number)
+        found = diagnose(self._robot, twin, seed=self._seed)
+        return {"named": [one.effect for one in found.findings]}
+
+
+def twin_control(named: Sequence[Sequence[str]]) -> Result:
+    """Count how many twins end as none."""
     none = sum(not one for one in named)
-    return {"none": none, "of": twins, "named": named, "in_bounds": none >= NONE_SHARE * twins}
+    return {"none": none, "of": len(named), "named": named, "in_bounds": none >= NONE_SHARE * len(named)}
 
 
-def delay_control(robot: Robot, logs: Logs, seed: int) -> dict[str, Any]:
+def delay_control(robot: Robot, logs: Logs, seed: int) -> Result:
     """Compare the delays of logs with those of logs whose positions are later."""
     before = diagnose(robot, logs.motions, seed=seed)
     after = diagnose(robot, delay_positions(logs.motions, ADDED_S), seed=seed)
@@ -162,20 +179,42 @@ def load_real(name: str, file: str) -> tuple[Robot, Logs] | None:
     return robot, load(robot, path)
 
 
+def list_controls(seed: int, twins: int) -> dict[str, Callable[[], Result]]:
+    """List the controls by name, with the work of each; those of the XL330 only where its logs are."""
+    robot, logs, _ = draw_case(seed, "single", "two_joint")
+    controls: dict[str, Callable[[], Result]] = {
+        "shuffled": partial(shuffle_control, robot, logs.motions, seed)
+    }
+    xl330 = load_real("xl330", "xl330.parquet")
+    if xl330 is not None:
+        controls["shuffled, XL330"] = partial(shuffle_control, xl330[0], xl330[1].motions, seed)
+        controls["delay, XL330"] = partial(delay_control, *xl330, seed)
+        made = Twins(*xl330, seed)
+        controls |= {f"{TWIN} {k}": partial(made.diagnose, k) for k in range(twins)}
+    return controls
+
+
 def main() -> int:
     """Print the controls as JSON; exit status 1 if one is out of its bounds."""
     parser = campaign_parser("robot_controls", __doc__, EXAMPLE, with_pool=False)
     parser.add_argument("--twins", type=int, default=20, help="twins (default 20)")
+    parser.add_argument("--only", default="", help="beginning of the names of the controls to carry out")
+    parser.add_argument("--results", type=Path, help="file of results, from which the campaign goes on")
     options = parser.parse_args()
-    robot, logs, _ = draw_case(options.seed, "single", "two_joint")
-    shuffled = is_refused(robot, shuffle_commands(logs.motions, options.seed), options.seed)
-    document: dict[str, Mapping[str, Any]] = {"shuffled": {"refused": shuffled, "in_bounds": shuffled}}
-    xl330 = load_real("xl330", "xl330.parquet")
-    if xl330 is not None:
-        again = is_refused(xl330[0], shuffle_commands(xl330[1].motions, options.seed), options.seed)
-        document["shuffled, XL330"] = {"refused": again, "in_bounds": again}
-        document["delay, XL330"] = delay_control(*xl330, options.seed)
-        document["twins, XL330"] = twin_control(*xl330, options.twins, options.seed)
+    every = list_controls(options.seed, options.twins)
+    controls = {name: work for name, work in every.items() if name.startswith(options.only)}
+    document: dict[str, Result] = {}
+    try:
+        with keep_results(options.results, options.seed) as once, show_progress() as progress:
+            for done, (name, work) in enumerate(controls.items()):
+                progress(done, len(controls), name)
+                document[name] = once(name, work)
+    except UserError as error:
+        print(error, file=sys.stderr)
+        return 2
+    named = [document.pop(name)["named"] for name in controls if name.startswith(TWIN)]
+    if named:
+        document["twins, XL330"] = twin_control(named)
     print(json.dumps(document, indent=2))
     return 0 if all(one["in_bounds"] for one in document.values()) else 1
 

@@ -74,6 +74,12 @@ def _same_file(one: Path, other: Path) -> bool:
     return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
 
 
+def cache_folder(name: str) -> Path:
+    """Return a cache folder of the user by the XDG specification; an empty variable counts as unset."""
+    base = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    return base / "marsarm" / name
+
+
 @contextmanager
 def reserve(path: Path | None, what: str) -> Iterator[None]:
     """Reserve a file for this run in a block, so that no other run writes it at the same time.

@@ -53,9 +53,14 @@ class ProgressState:
     """Estimated time from the first report to the end; None before there is an estimate."""
 
     def update(self, done: float, total: float, what: str, now_s: float) -> None:
-        """Take a report of progress at a time of the clock."""
+        """Take a report of progress at a time of the clock.
+
+        A total of 0 means that nobody knows yet how much of the work an earlier command has done.
+        """
         self.what = what
-        self.share = max(self.share, min(done / total, 1.0) if total > 0 else 0.0)
+        if total <= 0:
+            return
+        self.share = max(self.share, min(done / total, 1.0))
         if self.first_share is None:
             self.first_share, self.first_s = self.share, now_s
         elif self.share > self.first_share and now_s > self.first_s:

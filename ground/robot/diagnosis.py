@@ -16,15 +16,14 @@ from diagnosis.patch import Patch, make_patch, write_patch
 from diagnosis.result import Diagnosis
 from diagnosis.robot import Robot
 from ground.common.errors import BadOutput, BadRequest
-from ground.common.files import check_distinct_files, check_new_path
+from ground.common.files import cache_folder, check_distinct_files, check_new_path
+from ground.common.interruption import Interrupted
 from ground.common.options import check_options
-from ground.common.progress import Progress, no_progress, part_of
+from ground.common.progress import Progress, no_progress
 from ground.robot.request import RobotDiagnoseRequest
 
-READ: Final = 0.01
-"""Share of the time that reading takes: simulation takes the rest, but for the audit."""
-AUDITED: Final = 0.03
-"""Share after the audit."""
+GOES_ON: Final = "the same command goes on after its last complete step"
+"""Sentence about an interruption."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,7 @@ class RobotDiagnosis:
 
 
 def diagnose_robot(request: RobotDiagnoseRequest, progress: Progress = no_progress) -> RobotDiagnosis:
-    """Diagnose a robot; nothing is written.
+    """Diagnose a robot; nothing is written but steps in the cache, which are deleted at the end.
 
     Raises:
         BadRequest: an option is wrong.
@@ -53,7 +52,7 @@ def diagnose_robot(request: RobotDiagnoseRequest, progress: Progress = no_progre
         raise BadRequest("split, held-out: they exclude each other; give one of the two")
     check_distinct_files({"report": request.report, "patch": request.patch})
     _check_folder(request.patch)
-    progress(0.0, 1.0, "reading")
+    progress(0.0, 0.0, "reading")
     robot = Robot.from_toml(request.robot)
     logs = load(robot, request.logs, split=request.split, held_out=request.held_out)
     effects = [one for path in request.effects for one in load_effects(path, robot, logs)]
@@ -62,18 +61,22 @@ def diagnose_robot(request: RobotDiagnoseRequest, progress: Progress = no_progre
         **{f"log {path.name}": _sha256(path) for path in request.logs},
         **{f"effects {path.name}": _sha256(path) for path in request.effects},
     }
-    progress(READ, 1.0, "auditing")
+    progress(0.0, 0.0, "auditing")
     found = audit(robot, logs)
-    rest = part_of(progress, AUDITED, 1.0)
-    result = diagnose(
-        robot,
-        logs.fit,
-        held_out=logs.judged,
-        effects=effects,
-        audit=found,
-        seed=request.seed,
-        progress=lambda share, text: rest(share, 1.0, text),
-    )
+    try:
+        result = diagnose(
+            robot,
+            logs.fit,
+            held_out=logs.judged,
+            effects=effects,
+            audit=found,
+            seed=request.seed,
+            progress=lambda share, text: progress(share, 1.0, text),
+            cache=cache_folder("robot-steps"),
+        )
+    except Interrupted as error:
+        error.add_note(GOES_ON)
+        raise
     patch = None if request.patch is None else make_patch(robot, result.effects, result.sizes)
     traces = () if request.report is None else trace_motions(robot, _shown(logs), result, found.usable)
     return RobotDiagnosis(request, robot, result, traces, patch, digests)

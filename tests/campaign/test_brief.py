@@ -12,9 +12,10 @@ ROOT = Path(__file__).parents[2]
 WHOLE = {
     "jobs": ("scenarios", "tool_change", "contact", "faults"),
     "blind": ("blind.brief",),
+    "robot_cases": ("robot_cases.brief",),
     "joints": ("hardstops", "backlash", "shoulder_in"),
 }
-OTHERWISE = {"brief", "fuzz", "benchmarks", "cluster", "requirements", "view"}
+OTHERWISE = {"brief", "fuzz", "benchmarks", "cluster", "requirements", "robot_engine", "view"}
 """The list of brief campaigns itself, the fuzzer, which takes a minute, benchmarks of speed, the cluster,
 which needs Ray, requirements, which are measured by other campaigns, and the view, which needs Chromium."""
 

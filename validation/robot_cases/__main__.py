@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ground.common.errors import UserError
 from ground.common.pool import local_runner
+from ground.common.progress import show_progress
 from validation.robot_cases.make import make_cases
 from validation.robot_cases.score import score_folder
 from validation.robot_cases.solve import solve_cases
@@ -42,10 +43,12 @@ def _run(options: argparse.Namespace) -> int:
             print("make: seed and cases are 1 or more; cases of seed 0 are for tuning", file=sys.stderr)
             return 2
         run = local_runner(options.jobs)
-        make_cases(options.out, options.cases, options.seed, run, _progress, _publish)
+        with show_progress() as progress:
+            make_cases(options.out, options.cases, options.seed, run, progress, _publish)
         return 0
     if options.verb == "solve":
-        now, all_cases = solve_cases(options.folder, local_runner(options.jobs), _progress)
+        with show_progress() as progress:
+            now, all_cases = solve_cases(options.folder, local_runner(options.jobs), progress)
         print(f"{all_cases} cases, {now} of them solved now")
         return 0
     found = score_folder(options.folder, options.partial)
@@ -66,10 +69,6 @@ def _table(found: dict[str, object]) -> str:
 
 def _publish(digest: str) -> None:
     print(f"SHA-256 of the truth: {digest}", flush=True)
-
-
-def _progress(done: float, total: float, text: str) -> None:
-    print(f"{done:g}/{total:g} {text}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from typing import Final
 
 from fsw.dictionary.params import Params
 from ground.common.errors import BadRequest
+from ground.common.files import cache_folder
 from ground.common.options import check_options
 from ground.common.pool import Runner, select_runner
 from ground.common.progress import Progress, no_progress, part_of
@@ -168,19 +169,13 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> DiagnosisResult:
     campaign = load_campaign_model(
         logs,
         held_out,
-        job.campaign or _cache_folder(),
+        job.campaign or cache_folder("sensitivities"),
         job.run,
         part_of(progress, 0.0, CAMPAIGN_SHARE),
         job.kinds,
     )
     progress(CAMPAIGN_SHARE, 1.0, "diagnosing")
     return diagnose_case(fitted, held_out_recordings, campaign, job.seed, job.patch)
-
-
-def _cache_folder() -> Path:
-    """Return the user's cache folder by the XDG specification; an empty variable counts as unset."""
-    base = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
-    return base / "marsarm" / "sensitivities"
 
 
 def _check_motion(recordings: Sequence[Recording]) -> None:

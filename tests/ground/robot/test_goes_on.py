@@ -1,0 +1,77 @@
+"""A diagnosis on the command line that is killed: the same command goes on, and prints the same document."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import fields, replace
+from pathlib import Path
+
+import pytest
+
+from diagnosis.logs import Logs, Signal
+from ground.robot.diagnosis import GOES_ON
+from tests.ground.command import ROOT, marsarm_process
+from validation.robot_cases.draw import draw_case
+from validation.robot_cases.write import write_logs, write_robot
+
+WORDS = ("robot", "diagnose", "robot.toml", "log.parquet", "--json")
+N_SAMPLES = 150
+WAIT_s = 300.0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a pendulum and four short motions of it."""
+    place = tmp_path_factory.mktemp("pendulum")
+    robot, logs, _ = draw_case(11, "none", "pendulum")
+    motions = []
+    for motion in logs.fit[:4]:
+        log = motion.joints["swing"]
+        cut = {
+            one.name: Signal(value.time_s[:N_SAMPLES], value.value[:N_SAMPLES])
+            for one in fields(log)
+            if (value := getattr(log, one.name)) is not None
+        }
+        motions.append(replace(motion, joints={"swing": replace(log, **cut)}))
+    write_robot(place, robot, frozenset(), tuple(motion.name for motion in motions))
+    text = (place / "robot.toml").read_text().replace('split = "split.toml"\n', "")
+    (place / "robot.toml").write_text(text)
+    write_logs(place / "log.parquet", Logs(tuple(motions)))
+    return place
+
+
+def steps(cache: Path) -> list[Path]:
+    return sorted(cache.glob("marsarm/robot-steps/*/*.npz"))
+
+
+def end_after(count: int, number: signal.Signals, folder: Path, cache: Path) -> tuple[int, str]:
+    """Start a diagnosis, and end it by a signal once it has kept some steps; return its status and errors."""
+    command = [sys.executable, "-c", "from ground.cli.start import start; start()", *WORDS]
+    env = os.environ | {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(cache)}
+    process = subprocess.Popen(
+        command, cwd=folder, env=env, text=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    )
+    began_s = time.monotonic()
+    while len(steps(cache)) < count and process.poll() is None and time.monotonic() - began_s < WAIT_s:
+        time.sleep(0.01)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=WAIT_s)
+    return process.returncode, errors
+
+
+@pytest.mark.slow
+def test_a_killed_command_goes_on_and_prints_the_same_document(folder: Path, tmp_path: Path) -> None:
+    whole = marsarm_process(folder, *WORDS, XDG_CACHE_HOME=str(tmp_path / "other"))
+    assert whole.returncode == 0, whole.stderr
+    assert end_after(2, signal.SIGKILL, folder, tmp_path)[0] == -signal.SIGKILL
+    first = [(path.name, path.stat().st_mtime_ns) for path in steps(tmp_path)]
+    status, errors = end_after(len(first) + 1, signal.SIGINT, folder, tmp_path)
+    assert (status, errors.count(GOES_ON)) == (128 + signal.SIGINT, 1)
+    assert [(path.name, path.stat().st_mtime_ns) for path in steps(tmp_path)][: len(first)] == first
+    last = marsarm_process(folder, *WORDS, XDG_CACHE_HOME=str(tmp_path))
+    assert json.loads(last.stdout) == json.loads(whole.stdout)
+    assert last.stdout == whole.stdout
+    assert steps(tmp_path) == []
