@@ -150,7 +150,8 @@ def catalogue(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
             found.append(PeriodicTorque.of_order(robot, facts.joint.name, scale, facts.joint.gear_ratio))
     scales = {facts.joint.name: facts.scales for facts in all_facts}
     if len(all_facts) == len(robot.joints) and all(facts.has_command for facts in all_facts):
-        found.append(SupplySag.of(robot, scales))
+        sag = SupplySag.of(robot, scales, logs.fit)
+        found += [sag] if sag.high > 0.0 else []
     found += transmission_effects(robot, logs.fit, scales)
     found += link_effects(robot, logs.fit, scales)
     return tuple(found)

@@ -10,14 +10,15 @@ from diagnosis.arrays import Array
 from diagnosis.blocks import Blocks
 from diagnosis.checkpoint import Checkpoint
 from diagnosis.effects.effect import Effect
-from diagnosis.fit import Fit, Hypothesis, Union, evaluate_points, fit_hypotheses
+from diagnosis.fit import MAX_ITERATIONS, Fit, Hypothesis, Union, evaluate_points, fit_hypotheses
 from diagnosis.meter import Meter
 from diagnosis.residuals import ResidualModel
 from diagnosis.sharing import ALL_JOINTS, Sharing, share_nothing
 
 P = ParamSpec("P")
 T = TypeVar("T")
-FOLDS: Final = 4
+FOLDS: Final = 20
+"""Most folds: up to this number of motions, each is left out alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +49,13 @@ class Context:
     def joint_of(self, effect: Effect) -> int:
         """Return the index of the joint at which an effect is judged, or ALL_JOINTS.
 
+        Where a robot has one joint, effects at bodies are fitted with it.
+
         Args:
             effect: The effect.
         """
+        if len(self.model.joints) == 1:
+            return 0
         if effect.place not in self.model.joints or effect.key in self.wide:
             return ALL_JOINTS
         return self.model.joints.index(effect.place)
@@ -70,10 +75,6 @@ class Present:
     """Mean loss when the motion was left out, (n_joints, n_motions); NaN without data."""
     bodies: tuple[Fit, ...] = ()
     """One for each effect at a body, with the residuals of all joints."""
-
-    def at(self, place: str) -> tuple[Effect, ...]:
-        """Return the accepted effects at a place."""
-        return tuple(effect for effect in self.effects if effect.place == place)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +142,7 @@ def draw_folds(model: ResidualModel, seed: int) -> tuple[frozenset[int], ...]:
     random, n = np.random.default_rng(seed), len(model.motions)
     joint = model.joint_of_block if isinstance(model, Blocks) else np.zeros(n, dtype=np.int64)
     order = [int(m) for j in np.unique(joint) for m in random.permutation(np.flatnonzero(joint == j))]
-    return tuple(frozenset(order[k::FOLDS]) for k in range(FOLDS))
+    return tuple(frozenset(order[k::FOLDS]) for k in range(min(FOLDS, len(order))))
 
 
 def recall(
@@ -161,13 +162,16 @@ def recall(
     return context.checkpoint.step(context.meter, step.__name__, lambda: step(context, *args, **kwargs))
 
 
-def run(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> list[Fit]:
+def run(
+    context: Context, hypotheses: Sequence[Hypothesis], text: str, iterations: int = MAX_ITERATIONS
+) -> list[Fit]:
     """Fit hypotheses in this context.
 
     Args:
         context: The context.
         hypotheses: The hypotheses.
         text: Name of the work, for the progress.
+        iterations: Most iterations.
 
     Returns:
         The fits.
@@ -178,6 +182,7 @@ def run(context: Context, hypotheses: Sequence[Hypothesis], text: str) -> list[F
         hypotheses,
         context.scales,
         sharing=context.sharing,
+        iterations=iterations,
         report=lambda count: context.meter.advance(text, count),
     )
 

@@ -147,6 +147,7 @@ def fit_hypotheses(
     scales: Array,
     *,
     sharing: Sharing,
+    iterations: int = MAX_ITERATIONS,
     report: Callable[[int], None] | None = None,
 ) -> list[Fit]:
     """Fit hypotheses together by Levenberg-Marquardt with a pseudo-Huber loss.
@@ -157,6 +158,7 @@ def fit_hypotheses(
         hypotheses: Problems to solve.
         scales: Scale of the residuals of each joint, (n_joints,), in the unit of the model.
         sharing: Joints whose hypotheses may share a candidate.
+        iterations: Most iterations.
         report: Called with the number of candidates after each call of the model.
 
     Returns:
@@ -166,7 +168,7 @@ def fit_hypotheses(
     problems = [_Problem(model, union, hypothesis, scales) for hypothesis in hypotheses]
     for problem, rows in zip(problems, evaluate([[one.x] for one in problems], problems), strict=True):
         problem.begin(rows[0])
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(iterations):
         active = [one for one in problems if not one.converged]
         if not active:
             break

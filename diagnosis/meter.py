@@ -5,8 +5,8 @@ from typing import Final
 
 Progress = Callable[[float, str], None]
 
-FIRST_RATIO: Final = 2.0
-"""Candidates of the first round over those of its screening: refits are taken to cost as much."""
+FIRST_RATIO: Final = 3.0
+"""Candidates of the first round over those of its screening: refits are taken to cost twice as much."""
 OVERRUN: Final = 0.1
 """Share of its candidates that a round has left once it has more than were expected."""
 

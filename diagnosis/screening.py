@@ -5,22 +5,20 @@ change, cleared of what the base parameters can do, is held against the residual
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.blocks import Blocks, cut_rows
-from diagnosis.chance import can_flip, flip_basis, flips_p, wald_by_place, wald_p
+from diagnosis.chance import wald_p
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Union
 from diagnosis.residuals import ResidualModel
 
 FACTORS: Final = (0.3, 1.0, 3.0)
 """Sizes at which an effect is tried, over its typical size: half a decade to each side."""
-ALIKE: Final = 0.99
-"""Cosine above which two changes of the residuals count as one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +39,6 @@ class Score:
     """Sizes of the union from which a fit should begin, (n_sizes,)."""
     gain: float
     """Share of the weighted sum of squares that it removes."""
-    flips: tuple[Array, ...]
-    """One basis for sign flips, by `flip_basis`, for each trial that differs from the others."""
-    p: float
-    """Probability of so good a score of any trial without the effect, by `wald_p`."""
     left: tuple[tuple[Integers, Array], ...] = ()
     """For each joint: rows of the residual model, and what the effect leaves there, without a unit; empty
     where motions are not cut into blocks."""
@@ -170,14 +164,11 @@ def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Sequence[float]) -
     )
 
 
-def score_effect(
-    white: Whitened, n_motions: int, trials: Sequence[Trial], changes: Sequence[Array], at: Array
-) -> Score:
+def score_effect(white: Whitened, trials: Sequence[Trial], changes: Sequence[Array], at: Array) -> Score:
     """Hold the changes that an effect makes against the residual of the present model.
 
     Args:
         white: Residuals of the present model.
-        n_motions: Number of motions.
         trials: Trials of one effect.
         changes: For each trial the change of the residuals at its points, (n_rows, n_points), in the unit of
             the fit.
@@ -187,87 +178,54 @@ def score_effect(
         The score of the best trial; with several points, the start is their best linear combination.
     """
     energy = float(white.residual @ white.residual)
-    sizes = np.sqrt(np.bincount(white.motion, weights=white.residual**2, minlength=n_motions))
     best: tuple[float, Array, Array] | None = None
-    seen: list[Array] = []
-    flips: list[Array] = []
     for trial, change in zip(trials, changes, strict=True):
         cleared = white.clear(change)
         solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
-        tested = cleared @ solution
-        if is_new(tested, seen):
-            seen.append(tested / np.linalg.norm(tested))
-            # each product over the size of the residuals of its motion: one wild motion does not decide
-            products = sum_by_motion(white.motion, cleared * white.residual[:, None], n_motions)
-            flips.append(flip_basis(products / np.where(sizes > 0.0, sizes, 1.0)[:, None]))
         if len(trial.points) == 1 and solution[0] <= 0.0:
             solution = np.zeros(1)  # the trial of the other sign stands for it
-        left = float(np.sum((white.residual + cleared @ solution) ** 2))
-        gain = 1.0 - left / energy if energy > 0.0 else 0.0
+        rest = white.residual + cleared @ solution
+        gain = 1.0 - float(rest @ rest) / energy if energy > 0.0 else 0.0
         if best is None or gain > best[0]:
             start = trial.points[0]
             if len(trial.points) > 1:
                 start = at + (np.array(trial.points) - at).T @ solution
-            best = (gain, start, cleared)
+            best = (gain, start, rest)
     assert best is not None, "an effect without a trial"
-    gain, start, cleared = best
-    if gain <= 0.0:
-        return Score(trials[0].effect, start, gain, tuple(flips), 1.0)
-    solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
-    rest = white.residual + cleared @ solution
-    p = min(1.0, len(seen) * wald_p(white.basis, cleared, white.residual, white.clusters(rest)))
+    gain, start, rest = best
     kept = tuple((white.rows[rows], rest[rows]) for rows, *_ in white.parts) if white.is_cut else ()
-    return Score(trials[0].effect, start, gain, tuple(flips), p, kept)
+    return Score(trials[0].effect, start, gain, kept)
 
 
-def is_new(change: Array, seen: Sequence[Array]) -> bool:
-    """Return whether a change differs from others: tests of changes that are alike reject together.
+def refit_p(
+    fits: Sequence[Fit], body: Fit | None, own: Integers, model: ResidualModel, scales: Sequence[float]
+) -> float:
+    """Test whether the sizes of an effect are 0, at the optimum of a fit with it.
 
-    Args:
-        change: (n_rows,), in any unit.
-        seen: Others, (n_rows,) each, of length 1 and without a unit.
-
-    Returns:
-        True if its cosine with each of them is below ALIKE; False if there is no change.
-    """
-    length = float(np.linalg.norm(change))
-    return length > 0.0 and all(abs(float(change @ one)) < ALIKE * length for one in seen)
-
-
-def sum_by_motion(motion: Integers, values: Array, n_motions: int) -> Array:
-    """Sum values over the rows of each motion.
+    A change at a few sizes says little where a joint sticks and slips; the derivatives at the optimum do.
 
     Args:
-        motion: Motion of each row, (n_rows,), index.
-        values: (n_rows, n_columns), in any unit.
-        n_motions: Number of motions.
+        fits: Fits of the joints at which the effect is judged.
+        body: Fit of the effect itself if it is judged at all joints.
+        own: Columns of the effect, (n_sizes,) indices.
+        model: The residual model.
+        scales: Scale of the residuals of each joint, in their unit.
 
     Returns:
-        (n_motions, n_columns), in the unit of the values.
+        Probability of such sizes, or larger ones, by `wald_p`.
     """
-    return np.column_stack([np.bincount(motion, weights=one, minlength=n_motions) for one in values.T])
-
-
-def family_wise_p(scores: Sequence[Score], n_whole: int, seed: int) -> Array:
-    """Return the probability of each score, or a better one of any effect, if no effect is present.
-
-    Two tests, each of all hypotheses together; the smaller probability counts twice. With few motions, sign
-    flips cannot reject anything; blocks of a motion are not independent enough for them. Then the Wald test
-    stands alone.
-
-    Args:
-        scores: Scores of all effects that compete.
-        n_whole: Number of motions; 0 if they were cut into blocks.
-        seed: Seed of the signs.
-
-    Returns:
-        Probabilities, (n_scores,).
-    """
-    if not scores:
-        return np.empty(0)
-    wald = wald_by_place(np.array([one.p for one in scores]), [one.effect.place for one in scores])
-    if not can_flip(n_whole):
-        return wald
-    flipped = flips_p([one.flips for one in scores], seed)
-    both: Array = np.minimum(2.0 * np.minimum(flipped, wald), 1.0)
-    return both
+    slopes = np.zeros((model.joint_of.size, len(own)))
+    for fit in fits if body is None else (body,):
+        slopes[fit.rows] = fit.jacobian[:, np.isin(fit.columns, own)]
+    without = []
+    for fit in fits:
+        rest = ~np.isin(fit.columns, own)
+        residuals = fit.residuals - slopes[fit.rows] @ fit.sizes[own]
+        without.append(
+            replace(fit, columns=fit.columns[rest], jacobian=fit.jacobian[:, rest], residuals=residuals)
+        )
+    white = whiten(without, model, scales)
+    cleared = white.clear(slopes[white.rows])
+    solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
+    left = white.residual + cleared @ solution
+    return wald_p(white.basis, cleared, white.residual, white.clusters(left))

@@ -4,23 +4,22 @@ Effects at different joints are selected side by side. An effect at a body compe
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
+from diagnosis.acceptance import MIN_SHARE, MIN_Z, Candidate, choose
 from diagnosis.arrays import Array
-from diagnosis.blocks import Blocks
 from diagnosis.chance import FALSE_ALARM
 from diagnosis.checkpoint import Checkpoint
 from diagnosis.comparison import compare
 from diagnosis.context import Context, Present, Selection, recall, run, simulate, start_context
 from diagnosis.effects.effect import Effect
-from diagnosis.fit import Fit, Hypothesis, gather_residuals
+from diagnosis.fit import Fit, Hypothesis, gather_residuals, pseudo_huber
 from diagnosis.joint_fits import (
     cross_validate,
     cut_anew,
-    expected_change,
     fit_base,
     fit_joints,
     free_columns,
@@ -33,43 +32,29 @@ from diagnosis.joint_fits import (
     step_without,
 )
 from diagnosis.meter import Meter
+from diagnosis.reach import expected_change
 from diagnosis.residuals import ResidualModel
-from diagnosis.screening import Score, Trial, Whitened, family_wise_p, list_trials, score_effect, whiten
+from diagnosis.screening import (
+    Score,
+    Trial,
+    Whitened,
+    list_trials,
+    refit_p,
+    score_effect,
+    whiten,
+)
 from diagnosis.sharing import ALL_JOINTS
 
-MIN_SHARE: Final = 0.05
-"""Least share of the error of left-out motions that an effect has to remove: less is not worth a name."""
-MIN_Z: Final = 2.0
-"""Least improvement of left-out motions over its standard error."""
 MAX_EFFECTS: Final = 3
 """Most effects at one joint beside the base parameters: more describe a residual rather than explain it."""
-SHORTLIST: Final = 5
-"""Effects of a joint that are refitted in a round."""
-MAX_WORSE: Final = 0.10
-"""Largest share by which an effect may worsen another joint."""
+SHORTLIST: Final = 8
+"""Effects of a joint that are refitted in a round: a third of its catalogue."""
+FINALISTS: Final = 4
+"""Effects of a joint that are refitted to the end and judged: the best half after a few iterations."""
+FEW_ITERATIONS: Final = 3
+"""Iterations after which the order of refits scarcely changes: they converge in six to nine."""
 ROUNDS: Final = 2
 """Turns between an effect at a body and the joints that it loads."""
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """Effect that was refitted and judged by motions that took no part."""
-
-    effect: Effect
-    joints: tuple[int, ...]
-    """Joints at which it was judged."""
-    sizes: Array
-    """(n_sizes,)."""
-    fits: tuple[Fit, ...]
-    """One for each of the joints."""
-    scores: Array
-    """Mean loss of left-out motions, (n_joints judged, n_motions)."""
-    at_bound: bool
-    """True if a size ends at a bound, or is not plausible beside the others."""
-    gain: float
-    """Share of what can be explained in left-out motions that it removes."""
-    z: float
-    """Mean improvement of a motion over its standard error."""
 
 
 def select_effects(
@@ -108,7 +93,7 @@ def select_effects(
             present = accept(context, present, winner)
         if winners:
             context, present = rescale(context, first, present)
-        open_joints -= {j for j in open_joints if len(present.at(model.joints[j])) >= MAX_EFFECTS}
+        open_joints -= {j for j in open_joints if count_effects(context, present, j) >= MAX_EFFECTS}
     return Selection(context, first, drop_needless(context, present))
 
 
@@ -155,16 +140,11 @@ def screen(context: Context, present: Present, open_joints: set[int], rounds_aft
         if lane == ALL_JOINTS:
             changes = [change[white[lane].rows] for change in changes]
         own = [trial for trial, _ in of_effect]
-        score = score_effect(white[lane], len(context.model.motions), own, changes, present.sizes)
+        score = score_effect(white[lane], own, changes, present.sizes)
         best[lane].append(score)
-    everything = [score for group in best.values() for score in group]
-    n_whole = 0 if isinstance(context.model, Blocks) else len(context.model.motions)
-    chance = family_wise_p(everything, n_whole, context.seed)
-    likely = {score.effect.key for score, p in zip(everything, chance, strict=True) if p <= FALSE_ALARM}
     # the order of the F statistic: an effect with many sizes has to explain more
     ranked = [sorted(group, key=lambda s: -s.gain / len(s.effect.sizes)) for group in best.values()]
-    likely_ones = [[one for one in group if one.effect.key in likely] for group in ranked]
-    return [score for group in likely_ones for score in group[:SHORTLIST]]
+    return [score for group in ranked for score in group[:SHORTLIST]]
 
 
 def _find_winners(context: Context, present: Present, shortlist: Sequence[Score]) -> list[Candidate]:
@@ -182,16 +162,19 @@ def _residuals(context: Context, present: Present, lane: int) -> Array:
     return gather_residuals(present.fits, len(context.model.joint_of))
 
 
-def judge(context: Context, present: Present, shortlist: Sequence[Score]) -> list[Candidate]:
+def judge(
+    context: Context, present: Present, shortlist: Sequence[Score], wanted: Sequence[str] = ()
+) -> list[Candidate]:
     """Refit the shortlist with the base parameters, with all motions and without each fold.
 
     Args:
         context: The context.
         present: The present model.
         shortlist: Effects, and the sizes from which they start.
+        wanted: Keys of effects that are refitted to the end, however they begin.
 
     Returns:
-        The candidates, in the order of the shortlist.
+        The finalists, in the order of the shortlist, and the effects at bodies.
     """
     joints = [context.joint_of(score.effect) for score in shortlist]
     local = [score for score, joint in zip(shortlist, joints, strict=True) if joint != ALL_JOINTS]
@@ -200,14 +183,33 @@ def judge(context: Context, present: Present, shortlist: Sequence[Score]) -> lis
         Hypothesis(free_columns(context, (*present.effects, score.effect), joint), score.start, joint)
         for score, joint in zip(local, joints, strict=True)
     ]
-    fits = run(context, starts, "refit")
+    keep = [score.effect.key in wanted for score in local]
+    begun = run(context, starts, "refit", iterations=FEW_ITERATIONS)
+    chosen = _choose_finalists(context, joints, begun, keep)
+    local, joints = [local[k] for k in chosen], [joints[k] for k in chosen]
+    again = [replace(starts[k], start=begun[k].sizes) for k in chosen]
+    fits = run(context, again, "refit")
     scores = cross_validate(context, list(zip(joints, fits, strict=True)))
     candidates = [
-        _candidate(context, present, one.effect, (joint,), (fit,), losses[None])
+        _candidate(context, present, one, (joint,), (fit,), losses[None])
         for one, joint, fit, losses in zip(local, joints, fits, scores, strict=True)
     ]
     bodies = [score for score in shortlist if context.joint_of(score.effect) == ALL_JOINTS]
     return candidates + [_judge_body(context, present, score) for score in bodies]
+
+
+def _choose_finalists(
+    context: Context, joints: Sequence[int], fits: Sequence[Fit], keep: Sequence[bool]
+) -> list[int]:
+    """Return the indices of the best FINALISTS of each joint, and of those to keep."""
+    loss = [
+        float(np.sum(pseudo_huber(fit.residuals / context.scales[j])))
+        for j, fit in zip(joints, fits, strict=True)
+    ]
+    rank = [
+        sum(loss[m] < loss[k] for m in range(len(loss)) if joints[m] == joints[k]) for k in range(len(loss))
+    ]
+    return [k for k in range(len(loss)) if rank[k] < FINALISTS or keep[k]]
 
 
 def _judge_body(context: Context, present: Present, score: Score) -> Candidate:
@@ -224,7 +226,7 @@ def _judge_body(context: Context, present: Present, score: Score) -> Candidate:
         left_out = sorted(fold)
         for j, fit in enumerate(fits):
             scores[j, left_out] = motion_losses(context, fit.rows, residuals[fit.rows])[left_out]
-    return _candidate(context, present, score.effect, tuple(range(len(fits))), fits, scores)
+    return _candidate(context, present, score, tuple(range(len(fits))), fits, scores)
 
 
 def fit_body(
@@ -251,11 +253,12 @@ def fit_body(
 def _candidate(
     context: Context,
     present: Present,
-    effect: Effect,
+    score: Score,
     joints: tuple[int, ...],
     fits: tuple[Fit, ...],
     scores: Array,
 ) -> Candidate:
+    effect = score.effect
     own = context.union.columns([effect])
     sizes = present.sizes.copy()
     sizes[own] = fits[0].sizes[own]
@@ -272,88 +275,6 @@ def _candidate(
         for c, (low, high) in zip(own, bounds, strict=True)
     )
     return Candidate(effect, joints, sizes, fits, scores, at_bound, gain, z)
-
-
-def choose(context: Context, present: Present, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Choose the best effect of each joint, or one at a body if it does more than they do.
-
-    Args:
-        context: The context.
-        present: The present model.
-        candidates: Effects that were judged.
-
-    Returns:
-        Effects to accept; no two for one joint.
-    """
-    good = [one for one in candidates if one.gain >= MIN_SHARE and one.z > MIN_Z and not one.at_bound]
-    good = [one for one in good if not worsens_another(context, present, one)]
-    groups: dict[tuple[int, ...], list[Candidate]] = {}
-    for one in good:
-        groups.setdefault(one.joints if len(one.joints) == 1 else (ALL_JOINTS,), []).append(one)
-    best = {joints: simplest(group) for joints, group in groups.items()}
-    body = best.pop((ALL_JOINTS,), None)
-    local = list(best.values())
-    if body is None:
-        return local
-    removed = sum(_improvement(present, one) for one in local)
-    # one effect that does as much as several is the simpler explanation
-    enough = (1.0 - MIN_SHARE) * removed if len(local) > 1 else removed
-    return [body] if _improvement(present, body) > enough else local
-
-
-def simplest(candidates: Sequence[Candidate]) -> Candidate:
-    """Choose the effect with the fewest sizes among those that do as well as the best.
-
-    As well means within one standard error of the best, motion by motion (Breiman and others 1984).
-
-    Args:
-        candidates: Effects for the same joints.
-
-    Returns:
-        The effect; of several with as few sizes the best.
-    """
-    best = max(candidates, key=lambda one: one.gain)
-    alike = []
-    for one in candidates:
-        worse = one.scores - best.scores
-        worse = np.nanmean(worse[:, ~np.isnan(worse).all(axis=0)], axis=0)
-        error = float(np.std(worse, ddof=1) / np.sqrt(len(worse))) if len(worse) > 1 else 0.0
-        if one is best or float(np.mean(worse)) <= error:
-            alike.append(one)
-    return min(alike, key=lambda one: (len(one.effect.sizes), -one.gain))
-
-
-def _improvement(present: Present, candidate: Candidate) -> float:
-    """Return the decrease of the mean loss, summed over the joints of a candidate."""
-    change = present.scores[list(candidate.joints)] - candidate.scores
-    return float(np.sum(np.nanmean(change[~np.isnan(change).all(axis=1)], axis=1)))
-
-
-def worsens_another(context: Context, present: Present, candidate: Candidate) -> bool:
-    """Check whether an effect worsens a joint that is not its place.
-
-    Args:
-        context: The context.
-        present: The present model.
-        candidate: The effect.
-
-    Returns:
-        True if the mean absolute residual of another joint grows by more than MAX_WORSE.
-    """
-    model = context.model
-    others = [j for j in np.unique(model.joint_of) if model.joints[j] != candidate.effect.place]
-    if not others:
-        return False
-    before = _residuals(context, present, ALL_JOINTS)
-    if len(candidate.joints) > 1:
-        after = gather_residuals(candidate.fits, len(before))
-    else:
-        sizes = merge_sizes(context, present.sizes, candidate.fits)
-        (after,) = simulate(context, [(ALL_JOINTS, sizes)], "cross-validation")
-    return any(
-        float(np.mean(np.abs(after[rows]))) > (1.0 + MAX_WORSE) * float(np.mean(np.abs(before[rows])))
-        for rows in (model.joint_of == j for j in others)
-    )
 
 
 def accept(context: Context, present: Present, candidate: Candidate) -> Present:
@@ -377,7 +298,7 @@ def accept(context: Context, present: Present, candidate: Candidate) -> Present:
 
 
 def drop_needless(context: Context, present: Present) -> Present:
-    """Drop effects without which the others do as well: a later effect may have taken over.
+    """Drop effects, the weakest first, until left-out motions need each of them and none is due to chance.
 
     Args:
         context: The context.
@@ -386,11 +307,51 @@ def drop_needless(context: Context, present: Present) -> Present:
     Returns:
         The model with those that it needs.
     """
-    for layer in list_layers(context, present.effects):
-        without = leave_out(context, present, layer)
-        for effect in layer:
-            joints = list(joints_of(context, effect))
-            gain, z = compare(context, joints, without.scores[joints], present.scores[joints])
-            if gain < MIN_SHARE or z <= MIN_Z:
-                present = leave_out(context, present, (effect,))
-    return present
+    while True:
+        weakest: dict[int, tuple[float, Effect]] = {}
+        for layer in list_layers(context, present.effects):
+            without = leave_out(context, present, layer)
+            for effect in layer:
+                joints = list(joints_of(context, effect))
+                gain, z = compare(context, joints, without.scores[joints], present.scores[joints])
+                joint = context.joint_of(effect)
+                is_needed = (
+                    gain >= MIN_SHARE and z > MIN_Z and find_chance(context, present, effect) <= FALSE_ALARM
+                )
+                if not is_needed and z < weakest.get(joint, (np.inf, effect))[0]:
+                    weakest[joint] = z, effect
+        if not weakest:
+            return present
+        present = leave_out(context, present, [effect for _, effect in weakest.values()])
+
+
+def find_chance(context: Context, present: Present, effect: Effect) -> float:
+    """Return the probability of so strong an effect, beside all others, if none is present.
+
+    Args:
+        context: The context.
+        present: A model with the effect.
+        effect: The effect.
+
+    Returns:
+        Probability by a Wald test, times the number of effects that compete (Bonferroni).
+    """
+    own, joints = context.union.columns([effect]), joints_of(context, effect)
+    body = next((fit for fit in present.bodies if own[0] in fit.columns), None)
+    scales = [float(context.scales[j]) for j in joints]
+    chance = refit_p([present.fits[j] for j in joints], body, own, context.model, scales)
+    return min(1.0, len(context.catalogue) * chance)
+
+
+def count_effects(context: Context, present: Present, joint: int) -> int:
+    """Count the accepted effects that are judged at a joint alone.
+
+    Args:
+        context: The context.
+        present: The present model.
+        joint: Index of the joint.
+
+    Returns:
+        Number of effects.
+    """
+    return sum(context.joint_of(one) == joint for one in present.effects)

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.stats import t as student
 
+from diagnosis.acceptance import Candidate
 from diagnosis.arrays import Array, Integers
 from diagnosis.comparison import one_sided_p
 from diagnosis.context import Context, Present, Selection, recall, simulate
@@ -14,7 +15,7 @@ from diagnosis.effects.effect import Effect, Family
 from diagnosis.fit import Fit, gather_residuals, half_loss_derivatives
 from diagnosis.joint_fits import joints_of, leave_out, list_layers
 from diagnosis.screening import Score
-from diagnosis.selection import Candidate, judge, screen
+from diagnosis.selection import judge, screen
 from diagnosis.sharing import ALL_JOINTS
 
 EXCLUDED: Final = 0.05
@@ -87,8 +88,8 @@ def doubt_layer(
     for effect in layer:  # each begins at its own sizes, without the others that are left out
         start, own = without.sizes.copy(), context.union.columns([effect])
         start[own] = present.sizes[own]
-        scores.append(Score(effect, start, 0.0, (), 1.0))
-    candidates = judge(context, without, scores)
+        scores.append(Score(effect, start, 0.0))
+    candidates = judge(context, without, scores, sorted(keys))
     return [doubt_finding(context, without, effect, candidates) for effect in layer]
 
 

@@ -1,6 +1,6 @@
 """Faults of a servo: of its gains and its torque."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
@@ -8,7 +8,8 @@ import numpy as np
 
 from diagnosis.arrays import Array
 from diagnosis.effects.effect import Effect, Family, Fields, Size, Tick
-from diagnosis.effects.joint import JointEffect, JointScales
+from diagnosis.effects.joint import QUANTILE, JointEffect, JointScales
+from diagnosis.logs import Motion
 from diagnosis.robot import ControlMode, Robot
 
 
@@ -171,21 +172,25 @@ class SupplySag(Effect):
     place: str = "supply"
     torque_Nm_all: tuple[float, ...] = field(default=())
     """Torque scales of the joints."""
+    high: float = 1.0
+    """Largest share by which the voltage can fall."""
 
     @classmethod
-    def of(cls, robot: Robot, scales: Mapping[str, JointScales]) -> Self:
+    def of(cls, robot: Robot, scales: Mapping[str, JointScales], motions: Sequence[Motion] = ()) -> Self:
         """Return the effect for a robot.
 
         Args:
             robot: Robot.
             scales: Numbers of its joints.
+            motions: Motions that are fitted; a voltage that they log bounds the effect.
         """
-        return cls(torque_Nm_all=tuple(scales[joint.name].torque_Nm for joint in robot.joints))
+        torques = tuple(scales[joint.name].torque_Nm for joint in robot.joints)
+        return cls(torque_Nm_all=torques, high=largest_sag(motions))
 
     @property
     def sizes(self) -> tuple[Size, ...]:
         """Share by which the voltage falls when every joint has its largest torque."""
-        return (Size("sag_ratio", 0.0, 1.0, 0.2),)
+        return (Size("sag_ratio", 0.0, self.high, min(0.2, self.high)),)
 
     def act(self, size: Array, tick: Tick) -> None:
         """Scale limits and gains by the voltage under the load of the last step."""
@@ -193,6 +198,30 @@ class SupplySag(Effect):
         voltage = np.maximum(1.0 - size[:, 0] * load, 0.0)[:, None]
         tick.torque_limit_Nm *= voltage
         tick.gain *= voltage
+
+
+def largest_sag(motions: Sequence[Motion]) -> float:
+    """Return the largest share by which the supply can fall.
+
+    A logged voltage shows how far it fell. The logs may have had half of the largest torques only, so that
+    twice as much is possible.
+
+    Args:
+        motions: Motions.
+
+    Returns:
+        Share from 0 to 1; 1 if no voltage is logged.
+    """
+    logs = [
+        log.voltage.value for motion in motions for log in motion.joints.values() if log.voltage is not None
+    ]
+    volts = np.concatenate([np.empty(0), *logs])
+    volts = volts[np.isfinite(volts)]
+    usual_V = float(np.median(volts)) if volts.size else 0.0
+    if usual_V <= 0.0:
+        return 1.0
+    fall = 1.0 - float(np.quantile(volts, 1.0 - QUANTILE)) / usual_V
+    return min(max(2.0 * fall, 0.0), 1.0)
 
 
 def inverse(size: Array) -> Array:

@@ -115,7 +115,6 @@ def test_a_robot_is_diagnosed_from_its_model_and_its_logs(robot_diagnosis):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="a small torque at the shoulder is named too", strict=True)
 def test_nothing_else_is_named_in_the_example_of_a_robot(robot_diagnosis):
     assert "Where: elbow." in robot_diagnosis[0]
 

@@ -1,0 +1,126 @@
+"""Accept an effect: it beats chance, predicts motions that took no part better, and harms no other joint."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from diagnosis.arrays import Array
+from diagnosis.context import Context, Present, simulate
+from diagnosis.effects.effect import Effect
+from diagnosis.fit import Fit, gather_residuals
+from diagnosis.joint_fits import merge_sizes
+from diagnosis.sharing import ALL_JOINTS
+
+MIN_SHARE: Final = 0.05
+"""Least share of the error of left-out motions that an effect has to remove: less is not worth a name."""
+MIN_Z: Final = 2.0
+"""Least improvement of left-out motions over its standard error, beside all other effects."""
+FIRST_Z: Final = 1.0
+"""The same before other effects are known: of two effects that hide each other, one has to be first."""
+MAX_WORSE: Final = 0.10
+"""Largest share by which an effect may worsen another joint."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """Effect that was refitted and judged by motions that took no part."""
+
+    effect: Effect
+    joints: tuple[int, ...]
+    """Joints at which it was judged."""
+    sizes: Array
+    """(n_sizes,)."""
+    fits: tuple[Fit, ...]
+    """One for each of the joints."""
+    scores: Array
+    """Mean loss of left-out motions, (n_joints judged, n_motions)."""
+    at_bound: bool
+    """True if a size ends at a bound, or is not plausible beside the others."""
+    gain: float
+    """Share of what can be explained in left-out motions that it removes."""
+    z: float
+    """Mean improvement of a motion over its standard error."""
+
+
+def choose(context: Context, present: Present, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Choose the best effect of each joint, or one at a body if it does more than they do.
+
+    Args:
+        context: The context.
+        present: The present model.
+        candidates: Effects that were judged.
+
+    Returns:
+        Effects to accept; no two for one joint.
+    """
+    good = [one for one in candidates if one.gain >= MIN_SHARE and one.z > FIRST_Z and not one.at_bound]
+    good = [one for one in good if not worsens_another(context, present, one)]
+    groups: dict[tuple[int, ...], list[Candidate]] = {}
+    for one in good:
+        groups.setdefault(one.joints if len(one.joints) == 1 else (ALL_JOINTS,), []).append(one)
+    best = {joints: simplest(group) for joints, group in groups.items()}
+    body = best.pop((ALL_JOINTS,), None)
+    local = list(best.values())
+    if body is None:
+        return local
+    removed = sum(_improvement(present, one) for one in local)
+    # one effect that does as much as several is the simpler explanation
+    enough = (1.0 - MIN_SHARE) * removed if len(local) > 1 else removed
+    return [body] if _improvement(present, body) > enough else local
+
+
+def simplest(candidates: Sequence[Candidate]) -> Candidate:
+    """Choose the effect with the fewest sizes among those that do as well as the best.
+
+    As well means within one standard error of the best, motion by motion (Breiman and others 1984).
+
+    Args:
+        candidates: Effects for the same joints.
+
+    Returns:
+        The effect; of several with as few sizes the best.
+    """
+    best = max(candidates, key=lambda one: one.gain)
+    alike = []
+    for one in candidates:
+        worse = one.scores - best.scores
+        worse = np.nanmean(worse[:, ~np.isnan(worse).all(axis=0)], axis=0)
+        error = float(np.std(worse, ddof=1) / np.sqrt(len(worse))) if len(worse) > 1 else 0.0
+        if one is best or float(np.mean(worse)) <= error:
+            alike.append(one)
+    return min(alike, key=lambda one: (len(one.effect.sizes), -one.gain))
+
+
+def _improvement(present: Present, candidate: Candidate) -> float:
+    """Return the decrease of the mean loss, summed over the joints of a candidate."""
+    change = present.scores[list(candidate.joints)] - candidate.scores
+    return float(np.sum(np.nanmean(change[~np.isnan(change).all(axis=1)], axis=1)))
+
+
+def worsens_another(context: Context, present: Present, candidate: Candidate) -> bool:
+    """Check whether an effect worsens a joint that is not its place.
+
+    Args:
+        context: The context.
+        present: The present model.
+        candidate: The effect.
+
+    Returns:
+        True if the mean absolute residual of another joint grows by more than MAX_WORSE.
+    """
+    model = context.model
+    others = [j for j in np.unique(model.joint_of) if model.joints[j] != candidate.effect.place]
+    if not others:
+        return False
+    before = gather_residuals(present.fits, len(model.joint_of))
+    if len(candidate.joints) > 1:
+        after = gather_residuals(candidate.fits, len(before))
+    else:
+        sizes = merge_sizes(context, present.sizes, candidate.fits)
+        (after,) = simulate(context, [(ALL_JOINTS, sizes)], "cross-validation")
+    return any(
+        float(np.mean(np.abs(after[rows]))) > (1.0 + MAX_WORSE) * float(np.mean(np.abs(before[rows])))
+        for rows in (model.joint_of == j for j in others)
+    )
