@@ -1,5 +1,6 @@
 """Chance: the probability of an effect if it is absent, also with few motions."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -56,3 +57,24 @@ def wald_p(basis: Array, change: Array, residual: Array, cluster: Integers) -> f
         return 1.0
     ratio = strength * trace / max(variance, 1e-300) / n_sizes * last / freedom
     return float(fisher.sf(ratio, n_sizes, last))
+
+
+def count_distinct(directions: Sequence[Array]) -> float:
+    """Count how many independent tests as many false alarms would raise as tests of these directions.
+
+    Tests of effects that look alike, such as a payload and a heavier link, are right or wrong together. The
+    count is that of Li and Ji (2005), from the eigenvalues of the correlations.
+
+    Args:
+        directions: Change of the residuals by each effect, (n_rows,) each, in any unit.
+
+    Returns:
+        Number from 1 to that of the directions which are not 0; 0 if there is none.
+    """
+    lengths = [float(np.linalg.norm(one)) for one in directions]
+    unit = [one / length for one, length in zip(directions, lengths, strict=True) if length > 0.0]
+    if not unit:
+        return 0.0
+    table = np.array(unit)
+    values = np.round(np.clip(np.linalg.eigvalsh(table @ table.T), 0.0, None), 9)
+    return float(np.sum((values >= 1.0) + values - np.floor(values)))

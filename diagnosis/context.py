@@ -41,6 +41,8 @@ class Context:
     """Keys of effects at a joint that are judged at all joints, because they move others too."""
     reach: dict[str, float]
     """Change that an effect of typical size makes at its joint, over the scale of the residuals, by key."""
+    n_distinct: float
+    """Number of distinct effects that compete, by `chance.count_distinct`."""
     folds: tuple[frozenset[int], ...]
     seed: int
     meter: Meter
@@ -122,6 +124,7 @@ def start_context(
         sharing=share_nothing(len(model.joints)),
         wide=frozenset(),
         reach={},
+        n_distinct=float(len(rivals)),
         folds=(),
         seed=seed,
         meter=meter,

@@ -164,7 +164,9 @@ def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Sequence[float]) -
     )
 
 
-def score_effect(white: Whitened, trials: Sequence[Trial], changes: Sequence[Array], at: Array) -> Score:
+def score_effect(
+    white: Whitened, trials: Sequence[Trial], changes: Sequence[Array], at: Array
+) -> tuple[Score, Array]:
     """Hold the changes that an effect makes against the residual of the present model.
 
     Args:
@@ -175,13 +177,18 @@ def score_effect(white: Whitened, trials: Sequence[Trial], changes: Sequence[Arr
         at: Sizes of the present model, (n_sizes,), in their own units.
 
     Returns:
-        The score of the best trial; with several points, the start is their best linear combination.
+        The score of the best trial, and its change, (n_rows,), without a unit. With several points, both are
+        those of their best linear combination.
     """
     energy = float(white.residual @ white.residual)
     best: tuple[float, Array, Array] | None = None
+    direction = np.zeros(white.residual.size)
     for trial, change in zip(trials, changes, strict=True):
         cleared = white.clear(change)
         solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
+        change = cleared @ solution
+        if change @ change > direction @ direction:
+            direction = change
         if len(trial.points) == 1 and solution[0] <= 0.0:
             solution = np.zeros(1)  # the trial of the other sign stands for it
         rest = white.residual + cleared @ solution
@@ -194,7 +201,7 @@ def score_effect(white: Whitened, trials: Sequence[Trial], changes: Sequence[Arr
     assert best is not None, "an effect without a trial"
     gain, start, rest = best
     kept = tuple((white.rows[rows], rest[rows]) for rows, *_ in white.parts) if white.is_cut else ()
-    return Score(trials[0].effect, start, gain, kept)
+    return Score(trials[0].effect, start, gain, kept), direction
 
 
 def refit_p(

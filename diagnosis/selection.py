@@ -11,7 +11,7 @@ import numpy as np
 
 from diagnosis.acceptance import MIN_SHARE, MIN_Z, Candidate, choose
 from diagnosis.arrays import Array
-from diagnosis.chance import FALSE_ALARM
+from diagnosis.chance import FALSE_ALARM, count_distinct
 from diagnosis.checkpoint import Checkpoint
 from diagnosis.comparison import compare
 from diagnosis.context import Context, Present, Selection, recall, run, simulate, start_context
@@ -85,7 +85,9 @@ def select_effects(
     while open_joints:
         n_layers = len(list_layers(context, present.effects))
         # a first finding is expected, and a round without another; then each layer is left out once
-        shortlist = recall(screen, context, present, open_joints, rounds_after=n_layers or 2)
+        shortlist, n_distinct = recall(screen, context, present, open_joints, rounds_after=n_layers or 2)
+        if present is first:  # later rounds screen fewer effects, but all have competed
+            context = replace(context, n_distinct=n_distinct)
         context, present = cut_anew(context, present, shortlist)
         winners = recall(_find_winners, context, present, shortlist)
         open_joints &= {j for winner in winners for j in winner.joints}
@@ -97,7 +99,9 @@ def select_effects(
     return Selection(context, first, drop_needless(context, present))
 
 
-def screen(context: Context, present: Present, open_joints: set[int], rounds_after: int) -> list[Score]:
+def screen(
+    context: Context, present: Present, open_joints: set[int], rounds_after: int
+) -> tuple[list[Score], float]:
     """Simulate every effect at a few sizes, and keep the best of each place.
 
     Args:
@@ -107,7 +111,7 @@ def screen(context: Context, present: Present, open_joints: set[int], rounds_aft
         rounds_after: Rounds that are expected after this one, for the progress.
 
     Returns:
-        At most SHORTLIST scores of a joint, and as many of all bodies, which beat chance over all effects.
+        At most SHORTLIST scores of a joint, and as many of all bodies; and how many effects are distinct.
     """
     names = context.model.joints
     taken = {effect.key for effect in present.effects}
@@ -133,6 +137,7 @@ def screen(context: Context, present: Present, open_joints: set[int], rounds_aft
         simulated = [next(moved) for _ in trial.points]
         tried.setdefault((lane, trial.effect.key), []).append((trial, simulated))
     best: dict[int, list[Score]] = {lane: [] for _, lane, _ in groups}
+    directions: dict[int, list[Array]] = {lane: [] for _, lane, _ in groups}
     white = {lane: _whiten(context, present, joints) for joints, lane, _ in groups}
     for (lane, _), of_effect in tried.items():
         now = _residuals(context, present, lane)
@@ -140,11 +145,13 @@ def screen(context: Context, present: Present, open_joints: set[int], rounds_aft
         if lane == ALL_JOINTS:
             changes = [change[white[lane].rows] for change in changes]
         own = [trial for trial, _ in of_effect]
-        score = score_effect(white[lane], own, changes, present.sizes)
+        score, direction = score_effect(white[lane], own, changes, present.sizes)
         best[lane].append(score)
+        directions[lane].append(direction)
     # the order of the F statistic: an effect with many sizes has to explain more
     ranked = [sorted(group, key=lambda s: -s.gain / len(s.effect.sizes)) for group in best.values()]
-    return [score for group in ranked for score in group[:SHORTLIST]]
+    n_distinct = sum(count_distinct(group) for group in directions.values())
+    return [score for group in ranked for score in group[:SHORTLIST]], n_distinct
 
 
 def _find_winners(context: Context, present: Present, shortlist: Sequence[Score]) -> list[Candidate]:
@@ -334,13 +341,13 @@ def find_chance(context: Context, present: Present, effect: Effect) -> float:
         effect: The effect.
 
     Returns:
-        Probability by a Wald test, times the number of effects that compete (Bonferroni).
+        Probability by a Wald test, times the number of distinct effects that compete (Bonferroni).
     """
     own, joints = context.union.columns([effect]), joints_of(context, effect)
     body = next((fit for fit in present.bodies if own[0] in fit.columns), None)
     scales = [float(context.scales[j]) for j in joints]
     chance = refit_p([present.fits[j] for j in joints], body, own, context.model, scales)
-    return min(1.0, len(context.catalogue) * chance)
+    return min(1.0, context.n_distinct * chance)
 
 
 def count_effects(context: Context, present: Present, joint: int) -> int:

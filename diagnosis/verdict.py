@@ -62,7 +62,7 @@ def doubt_findings(selection: Selection) -> list[Doubt]:
     for k, layer in enumerate(layers):
         without = leave_out(context, present, layer)
         open_joints = {j for effect in layer for j in joints_of(context, effect)}
-        rivals = recall(screen, context, without, open_joints, rounds_after=len(layers) - k - 1)
+        rivals, _ = recall(screen, context, without, open_joints, rounds_after=len(layers) - k - 1)
         doubts = recall(doubt_layer, context, present, without, layer, rivals)
         found |= {doubt.effect.key: doubt for doubt in doubts}
     return [found[effect.key] for effect in present.effects]

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import norm
 
-from diagnosis.chance import wald_p
+from diagnosis.chance import count_distinct, wald_p
 
 N, MEMORY = 60, 0.9
 """Samples of a motion, and share of the noise that a sample keeps of the one before."""
@@ -55,3 +56,24 @@ def test_a_strong_effect_is_proven_by_four_motions():
     part = change[:, :1] - basis @ (basis.T @ change[:, :1])
     noise = noise - basis @ (basis.T @ noise)
     assert wald_p(basis, part, 3000.0 * part[:, 0] + noise, np.repeat(np.arange(4), N)) < 1e-3
+
+
+def test_directions_that_are_alike_count_once():
+    random = np.random.default_rng(5)
+    apart, _ = np.linalg.qr(random.standard_normal((50, 4)))
+    assert count_distinct(list(apart.T)) == pytest.approx(4.0)
+    assert count_distinct([*apart.T, -2.0 * apart[:, 0], 3.0 * apart[:, 1]]) == pytest.approx(4.0)
+    assert count_distinct([np.zeros(50), apart[:, 0]]) == pytest.approx(1.0)
+    assert count_distinct([np.zeros(50)]) == 0.0
+
+
+def test_the_best_of_directions_that_are_alike_raises_no_more_false_alarms_than_their_count_says():
+    random = np.random.default_rng(6)
+    common = random.standard_normal((400, 3))
+    table = np.column_stack([common @ random.standard_normal(3) for _ in range(12)])
+    table += 0.1 * random.standard_normal(table.shape)
+    unit = table / np.linalg.norm(table, axis=0)
+    level = 0.05 / count_distinct(list(unit.T))
+    z = random.standard_normal((4000, 400)) @ unit
+    false_alarms = np.sum(np.max(np.abs(z), axis=1) > norm.isf(level / 2.0))
+    assert false_alarms <= most_of(4000, 0.05)
