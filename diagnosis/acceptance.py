@@ -1,4 +1,4 @@
-"""Accept an effect: it beats chance, predicts motions that took no part better, and harms no other joint."""
+"""Accept an effect: it predicts motions that took no part better, and harms no other joint."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

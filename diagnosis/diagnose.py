@@ -48,7 +48,7 @@ def diagnose(
         held_out: Motions that only judge.
         effects: Effects of one's own, which join the catalogue.
         audit: Audit of all these motions; the samples that it refuses take no part.
-        seed: Seed of folds and random signs: the same seed gives the same bits.
+        seed: Seed of the folds: the same seed gives the same bits.
         progress: Called with the share that is done, from 0 to 1, and a text.
         cache: Folder for the steps of an unfinished diagnosis: after an interruption, the same call goes on
             from them. They are deleted at the end. None: nothing is kept.

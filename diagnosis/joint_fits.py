@@ -210,15 +210,27 @@ def cross_validate(context: Context, fits: Sequence[tuple[int, Fit]]) -> list[Ar
         Mean losses of left-out motions of each fit, (n_motions,) each, without a unit.
     """
     points = [(joint, step_without(context, fit, fold)) for joint, fit in fits for fold in context.folds]
-    rows = iter(simulate(context, points, "cross-validation"))
-    found = []
-    for _, fit in fits:
-        scores = np.full(len(context.model.motions), np.nan)
-        for fold in context.folds:
-            left_out = sorted(fold)
-            scores[left_out] = motion_losses(context, fit.rows, next(rows))[left_out]
-        found.append(scores)
-    return found
+    rows = simulate(context, points, "cross-validation")
+    n = len(context.folds)
+    return [left_out_losses(context, fit.rows, rows[k * n : (k + 1) * n]) for k, (_, fit) in enumerate(fits)]
+
+
+def left_out_losses(context: Context, rows: Integers, residuals: Sequence[Array]) -> Array:
+    """Return the mean loss of each motion when it was left out.
+
+    Args:
+        context: The context.
+        rows: Rows of the residual model, (n_rows,) indices.
+        residuals: Residuals in these rows without each fold, (n_rows,) each, in the unit of the model.
+
+    Returns:
+        (n_motions,), without a unit; NaN without data.
+    """
+    scores = np.full(len(context.model.motions), np.nan)
+    for fold, moved in zip(context.folds, residuals, strict=True):
+        left_out = sorted(fold)
+        scores[left_out] = motion_losses(context, rows, moved)[left_out]
+    return scores
 
 
 def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:

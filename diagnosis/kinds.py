@@ -1,6 +1,6 @@
 """Kinds of residual that the logs of a robot allow: simulation, inverse dynamics, second encoder."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from diagnosis import encoder_residuals, inverse_residuals
@@ -35,7 +35,7 @@ class Kind:
 
 
 def list_kinds(
-    robot: Robot, motions: Sequence[Motion], usable: dict[tuple[str, str], Flags] | None
+    robot: Robot, motions: Sequence[Motion], usable: Mapping[tuple[str, str], Flags] | None
 ) -> list[Kind]:
     """List the kinds of residual that the logs allow.
 

@@ -10,10 +10,12 @@ from diagnosis.arrays import Array, Integers
 from diagnosis.context import Context, recall, simulate
 from diagnosis.effects.effect import Effect
 from diagnosis.screening import Trial
-from diagnosis.sharing import ALL_JOINTS, find_sharing, measure_reach, relative_reach
+from diagnosis.sharing import ALL_JOINTS, find_sharing, relative_reach
 
 MAX_LOCAL: Final = 0.5
 """Largest change at another joint over that at its own for which an effect is judged at its joint alone."""
+AT_ONCE: Final = 32
+"""Candidates whose residuals are kept at once: those of long logs are large."""
 
 
 def share_simulations(context: Context, sizes: Array, residuals: Array, effects: Sequence[Effect]) -> Context:
@@ -34,30 +36,46 @@ def share_simulations(context: Context, sizes: Array, residuals: Array, effects:
     moved = {one.place for one in context.base}
     columns = [union.columns([effect]) for effect in placed]
     typical = [np.array([np.clip(one.typical, one.low, one.high) for one in e.sizes]) for e in placed]
-    reach = recall(_measure_reach, context, (sizes, residuals), list(zip(columns, typical, strict=True)))
-    places = [model.joints.index(one.place) for one in placed]
+    reach = recall(measure_reach, context, (sizes, residuals), list(zip(columns, typical, strict=True)))
+    joints = [model.joints.index(one.place) for one in placed]
     decides = np.array([one.key in base or one.place not in moved for one in placed], bool)
     wide = {
         one.key
-        for one, joint, row in zip(placed, places, reach, strict=True)
+        for one, joint, row in zip(placed, joints, reach, strict=True)
         if one.key not in base and relative_reach(joint, row).max(initial=0.0) > MAX_LOCAL
     }
     is_local = np.array([one.key not in wide for one in placed], bool)
-    sharing = find_sharing(places, columns, decides & is_local, reach)
-    own = {one.key: float(row[joint]) for one, joint, row in zip(placed, places, reach, strict=True)}
+    sharing = find_sharing(joints, columns, decides & is_local, reach)
+    own = {one.key: float(row[joint]) for one, joint, row in zip(placed, joints, reach, strict=True)}
     return replace(context, sharing=sharing, wide=frozenset(wide), reach=own)
 
 
-def _measure_reach(
+def measure_reach(
     context: Context, now: tuple[Array, Array], columns: Sequence[tuple[Integers, Array]]
 ) -> Array:
-    return measure_reach(
-        lambda points: simulate(context, [(ALL_JOINTS, point) for point in points], "fit"),
-        context.model.joint_of,
-        context.scales,
-        now,
-        columns,
-    )
+    """Measure how much effects of typical size move each joint.
+
+    Args:
+        context: The context, with scales.
+        now: Present sizes, (n_sizes,), in their units, and their residuals, (n,), in the unit of the model.
+        columns: For each effect the columns of its sizes, and its typical sizes in their units.
+
+    Returns:
+        RMS changes over the scales, (n_effects, n_joints), without a unit.
+    """
+    (sizes, residuals), joint_of, n_joints = now, context.model.joint_of, len(context.scales)
+    count = np.maximum(np.bincount(joint_of, minlength=n_joints), 1)
+    reach = []
+    for first in range(0, len(columns), AT_ONCE):
+        points = []
+        for free, typical in columns[first : first + AT_ONCE]:
+            point = sizes.copy()
+            point[free] = typical
+            points.append((ALL_JOINTS, point))
+        for moved in simulate(context, points, "fit"):
+            square = np.bincount(joint_of, weights=(moved - residuals) ** 2, minlength=n_joints)
+            reach.append(np.sqrt(square / count) / context.scales)
+    return np.array(reach).reshape(-1, n_joints)
 
 
 def expected_change(context: Context, lane: int, trial: Trial) -> float:

@@ -25,9 +25,9 @@ from diagnosis.joint_fits import (
     free_columns,
     joints_of,
     leave_out,
+    left_out_losses,
     list_layers,
     merge_sizes,
-    motion_losses,
     rescale,
     step_without,
 )
@@ -52,7 +52,7 @@ SHORTLIST: Final = 8
 FINALISTS: Final = 4
 """Effects of a joint that are refitted to the end and judged: the best half after a few iterations."""
 FEW_ITERATIONS: Final = 3
-"""Iterations after which the order of refits scarcely changes: they converge in six to nine."""
+"""Iterations before the worse half is given up: less than half of what refits need, six to nine."""
 ROUNDS: Final = 2
 """Turns between an effect at a body and the joints that it loads."""
 
@@ -72,7 +72,7 @@ def select_effects(
         model: Residuals of the motions that are fitted.
         base: Effects that every model has: nuisance parameters with priors.
         catalogue: Effects that compete.
-        seed: Seed of random signs and folds.
+        seed: Seed of the folds.
         meter: Tells the progress; None: nobody is told.
         checkpoint: Keeps the results of steps; None: nothing is kept.
 
@@ -228,11 +228,7 @@ def _judge_body(context: Context, present: Present, score: Score) -> Candidate:
         body = replace(whole, sizes=step_without(context, whole, fold))
         points.append((ALL_JOINTS, merge_sizes(context, whole.sizes, [*steps, body])))
     rows = simulate(context, points, "cross-validation")
-    scores = np.full((len(fits), len(context.model.motions)), np.nan)
-    for fold, residuals in zip(context.folds, rows, strict=True):
-        left_out = sorted(fold)
-        for j, fit in enumerate(fits):
-            scores[j, left_out] = motion_losses(context, fit.rows, residuals[fit.rows])[left_out]
+    scores = np.array([left_out_losses(context, fit.rows, [row[fit.rows] for row in rows]) for fit in fits])
     return _candidate(context, present, score, tuple(range(len(fits))), fits, scores)
 
 

@@ -1,6 +1,6 @@
 """Share simulations: hypotheses at joints that scarcely move one another are put into one candidate."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Final
@@ -16,8 +16,6 @@ MAX_COUPLING: Final = 0.1
 What removes all residuals of one joint then changes the mean square of another by a hundredth: a fifth of the
 least share that gets a name.
 """
-AT_ONCE: Final = 32
-"""Candidates whose residuals are kept at once: those of long logs are large."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,56 +59,22 @@ def share_nothing(n_joints: int) -> Sharing:
     return Sharing(tuple((j,) for j in range(n_joints)), np.empty(0, np.int64))
 
 
-def measure_reach(
-    simulate: Callable[[Sequence[Array]], Sequence[Array]],
-    joint_of: Integers,
-    scales: Array,
-    now: tuple[Array, Array],
-    columns: Sequence[tuple[Integers, Array]],
-) -> Array:
-    """Measure how much effects of typical size move each joint.
-
-    Args:
-        simulate: Returns the residuals of all joints, (n,), of size vectors of the union, (n_sizes,) each.
-        joint_of: Joint of each residual, (n,) index.
-        scales: Scale of the residuals of each joint, (n_joints,), in the unit of the model.
-        now: Present sizes, (n_sizes,), in their units, and their residuals, (n,), in the unit of the model.
-        columns: For each effect the columns of its sizes, and its typical sizes in their units.
-
-    Returns:
-        RMS changes over the scales, (n_effects, n_joints), without a unit.
-    """
-    sizes, residuals = now
-    count = np.maximum(np.bincount(joint_of, minlength=len(scales)), 1)
-    reach = []
-    for first in range(0, len(columns), AT_ONCE):
-        points = []
-        for free, typical in columns[first : first + AT_ONCE]:
-            point = sizes.copy()
-            point[free] = typical
-            points.append(point)
-        for moved in simulate(points):
-            square = np.bincount(joint_of, weights=(moved - residuals) ** 2, minlength=len(scales))
-            reach.append(np.sqrt(square / count) / scales)
-    return np.array(reach).reshape(-1, len(scales))
-
-
-def find_sharing(places: Sequence[int], columns: Sequence[Integers], is_base: Flags, reach: Array) -> Sharing:
+def find_sharing(joints: Sequence[int], columns: Sequence[Integers], decides: Flags, reach: Array) -> Sharing:
     """Put joints into groups whose base parameters scarcely move one another.
 
     Args:
-        places: Joint of each effect, index; ALL_JOINTS for one at a body.
+        joints: Joint of each effect, index.
         columns: Columns of the sizes of each effect.
-        is_base: True for effects that decide the groups, (n_effects,).
-        reach: Changes by `measure_reach`, (n_effects, n_joints), without a unit.
+        decides: True for effects that decide the groups, (n_effects,).
+        reach: Changes by `diagnosis.reach.measure_reach`, (n_effects, n_joints), without a unit.
 
     Returns:
         The groups, and the columns of effects that nevertheless move another joint of their group.
     """
     n_joints = reach.shape[1]
     coupling = np.zeros((n_joints, n_joints))
-    for joint, is_mover, row in zip(places, is_base, reach, strict=True):
-        if joint != ALL_JOINTS and is_mover:
+    for joint, does_decide, row in zip(joints, decides, reach, strict=True):
+        if does_decide:
             coupling[joint] = np.maximum(coupling[joint], relative_reach(joint, row))
     coupling = np.maximum(coupling, coupling.T)
     groups: list[list[int]] = []
@@ -121,9 +85,7 @@ def find_sharing(places: Sequence[int], columns: Sequence[Integers], is_base: Fl
         else:
             groups.append([joint])
     mixing = [np.empty(0, np.int64)]
-    for joint, own, row in zip(places, columns, reach, strict=True):
-        if joint == ALL_JOINTS:
-            continue
+    for joint, own, row in zip(joints, columns, reach, strict=True):
         (group,) = (one for one in groups if joint in one)
         if relative_reach(joint, row)[group].max() > MAX_COUPLING:
             mixing.append(own)

@@ -8,15 +8,16 @@ import json
 import math
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from diagnosis.assemble import simulate_models
 from diagnosis.audit.audit import audit
+from diagnosis.audit.records import Audit
 from diagnosis.catalogue import base_effects, catalogue
 from diagnosis.context import start_context
 from diagnosis.diagnose import MOST_STEPS, diagnose
@@ -24,6 +25,7 @@ from diagnosis.effects.actuation import GainError
 from diagnosis.effects.effect import Effect
 from diagnosis.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
 from diagnosis.effects.inertia import Armature
+from diagnosis.errors import RobotError
 from diagnosis.joint_fits import fit_base
 from diagnosis.kinds import list_kinds
 from diagnosis.load import load
@@ -35,19 +37,13 @@ from validation.options import campaign_parser
 EXAMPLE: Final = (
     "example: python -m validation.robot_baselines models/robots/pendulum/robot.toml xl330.parquet"
 )
-NO_FRICTION: Final = (GainError, Armature)
+BASE: Final = (GainError, Armature, ViscousFriction, CoulombFriction)
 LADDER: Final[dict[str, tuple[type[Effect], ...]]] = {
     "gain alone": (GainError,),
-    "viscous friction": (*NO_FRICTION, ViscousFriction),
-    "base parameters": (*NO_FRICTION, ViscousFriction, CoulombFriction),
-    "and Stribeck friction": (*NO_FRICTION, ViscousFriction, CoulombFriction, StribeckFriction),
-    "and load-dependent friction": (
-        *NO_FRICTION,
-        ViscousFriction,
-        CoulombFriction,
-        StribeckFriction,
-        LoadFriction,
-    ),
+    "viscous friction": (GainError, Armature, ViscousFriction),
+    "base parameters": BASE,
+    "and Stribeck friction": (*BASE, StribeckFriction),
+    "and load-dependent friction": (*BASE, StribeckFriction, LoadFriction),
 }
 
 
@@ -61,26 +57,22 @@ class Baseline:
     cpu_s: float
 
 
-def fit_baselines(robot: Robot, logs: Logs, names: Sequence[str]) -> list[Baseline]:
+def fit_baselines(robot: Robot, logs: Logs, found: Audit) -> Iterator[Baseline]:
     """Fit sets of effects without a selection.
 
     Args:
         robot: The robot.
         logs: Motions that are fitted, and motions that judge.
-        names: Names of the ladder, or "everything free".
+        found: Audit of all motions.
 
-    Returns:
-        One record a name.
+    Yields:
+        The fits of the ladder, then the one with everything free.
     """
-    found = audit(robot, logs)
-    motions = [(motion.name, joint) for motion in logs.motions for joint in motion.joints]
-    usable = {pair: found.is_usable(*pair) for pair in motions}
-    (kind, *_) = list_kinds(robot, logs.fit, usable)
+    (kind, *_) = list_kinds(robot, logs.fit, found.usable)
     fitted, judged = kind.make(logs.fit, MOST_STEPS), kind.make(logs.judged, math.inf)
     known = [*base_effects(robot, logs), *catalogue(robot, logs)]
     shown = [one for one in known if kind.shows(one) and one.place in fitted.joints]
-    records = []
-    for name in names:
+    for name in (*LADDER, "everything free"):
         effects = [one for one in shown if name not in LADDER or isinstance(one, LADDER[name])]
         began = time.process_time()
         context, present = fit_base(start_context(fitted, effects, (), 1, Meter()))
@@ -91,16 +83,15 @@ def fit_baselines(robot: Robot, logs: Logs, names: Sequence[str]) -> list[Baseli
             for j, joint in enumerate(judged.joints)
             if np.any(judged.joint_of == j)
         }
-        records.append(Baseline(name, error, spent_s))
-    return records
+        yield Baseline(name, error, spent_s)
 
 
-def diagnose_baseline(robot: Robot, logs: Logs) -> tuple[Baseline, list[str]]:
+def diagnose_baseline(robot: Robot, logs: Logs, found: Audit) -> tuple[Baseline, list[str]]:
     """Diagnose, and return the errors and the keys of the findings."""
     began = time.process_time()
-    found = diagnose(robot, logs.fit, held_out=logs.judged, audit=audit(robot, logs), seed=1)
-    error = {one.joint: one.explained for one in found.errors}
-    keys = [f"{one.place}: {one.effect}" for one in found.findings]
+    result = diagnose(robot, logs.fit, held_out=logs.judged, audit=found, seed=1)
+    error = {one.joint: one.explained for one in result.errors}
+    keys = [f"{one.place}: {one.effect}" for one in result.findings]
     return Baseline("diagnosis", error, time.process_time() - began), keys
 
 
@@ -111,16 +102,21 @@ def main() -> int:
     parser.add_argument("logs", type=Path, nargs="+", help="log files")
     parser.add_argument("--split", help="split of the robot's split file; the default one if absent")
     options = parser.parse_args()
-    robot = Robot.from_toml(options.robot)
-    logs = load(robot, options.logs, split=options.split or "")
-    report: dict[str, Any] = {"robot": robot.name, "fits": []}
-    for name in (*LADDER, "everything free"):
-        (one,) = fit_baselines(robot, logs, [name])
-        print(f"robot_baselines: {name}: {one.mean_abs}, {one.cpu_s:.0f} CPU s", file=sys.stderr, flush=True)
-        report["fits"].append({"name": one.name, "mean_abs": one.mean_abs, "cpu_s": one.cpu_s})
-    one, keys = diagnose_baseline(robot, logs)
-    report["fits"].append({"name": one.name, "mean_abs": one.mean_abs, "cpu_s": one.cpu_s})
-    print(json.dumps({**report, "findings": keys}, indent=2))
+    try:
+        robot = Robot.from_toml(options.robot)
+        logs = load(robot, options.logs, split=options.split or "")
+    except RobotError as error:
+        print(error, file=sys.stderr)
+        return 2
+    found, fits = audit(robot, logs), []
+    for one in fit_baselines(robot, logs, found):
+        print(
+            f"robot_baselines: {one.name}: {one.mean_abs}, {one.cpu_s:.0f} CPU s", file=sys.stderr, flush=True
+        )
+        fits.append(one)
+    last, keys = diagnose_baseline(robot, logs, found)
+    report = {"robot": robot.name, "fits": [asdict(one) for one in (*fits, last)], "findings": keys}
+    print(json.dumps(report, indent=2))
     return 0
 
 

@@ -29,7 +29,7 @@ from diagnosis.windows import cut_windows
 
 ROBOT: Final = "models/robots/so101/robot.toml"
 SECONDS: Final = 10.0
-"""Shorter than the motions of any of the real logs."""
+"""As long as the logs of the KR300; those of the XL330 last 6 s, those of the SO-101 a minute or two."""
 MOTIONS: Final = 8
 CANDIDATES: Final = (5, 20)
 """Candidates in 8 motions: 40 simulations, the fewest for which the bar holds, and 160."""

@@ -42,9 +42,7 @@ class RobotDiagnoseRequest:
         tuple[Path, ...],
         Option("Python file with effects of your own, which join the catalogue; repeatable.", "FILE.py"),
     ] = ()
-    seed: Annotated[
-        int, Option("Seed of the parts into which motions are put, and of random signs.", within=(0, None))
-    ] = 1
+    seed: Annotated[int, Option("Seed of the parts into which motions are put.", within=(0, None))] = 1
     patch: Annotated[
         Path | None,
         Option("Write the patched model, and the runtime file for what MuJoCo cannot express.", "FOLDER"),
