@@ -10,7 +10,6 @@ from diagnosis.arrays import Array
 from diagnosis.context import Context, Present, simulate
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, gather_residuals
-from diagnosis.joint_fits import merge_sizes
 from diagnosis.sharing import ALL_JOINTS
 
 MIN_SHARE: Final = 0.05
@@ -30,10 +29,7 @@ class Candidate:
     effect: Effect
     joints: tuple[int, ...]
     """Joints at which it was judged."""
-    sizes: Array
-    """(n_sizes,)."""
-    fits: tuple[Fit, ...]
-    """One for each of the joints."""
+    fit: Fit
     scores: Array
     """Mean loss of left-out motions, (n_joints judged, n_motions)."""
     at_bound: bool
@@ -115,11 +111,9 @@ def worsens_another(context: Context, present: Present, candidate: Candidate) ->
     if not others:
         return False
     before = gather_residuals(present.fits, len(model.joint_of))
-    if len(candidate.joints) > 1:
-        after = gather_residuals(candidate.fits, len(before))
-    else:
-        sizes = merge_sizes(context, present.sizes, candidate.fits)
-        (after,) = simulate(context, [(ALL_JOINTS, sizes)], "cross-validation")
+    after = candidate.fit.residuals
+    if candidate.fit.joint != ALL_JOINTS:
+        (after,) = simulate(context, [(ALL_JOINTS, candidate.fit.sizes)], "cross-validation")
     return any(
         float(np.mean(np.abs(after[rows]))) > (1.0 + MAX_WORSE) * float(np.mean(np.abs(before[rows])))
         for rows in (model.joint_of == j for j in others)

@@ -14,7 +14,6 @@ from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
 from diagnosis.robot import Robot
 from diagnosis.verdict import (
     Doubt,
-    join_fits,
     list_members,
     separating_motion,
     size_intervals,
@@ -136,7 +135,9 @@ def closure_at(context: Context, chosen: Present, place: str) -> float:
     Returns:
         Share, at most 1; 1 where the noise is unknown.
     """
-    joints = [j for j, name in enumerate(context.model.joints) if name == place] or [*range(len(chosen.fits))]
+    joints = [j for j, name in enumerate(context.model.joints) if name == place] or [
+        *range(len(context.model.joints))
+    ]
     noise = float(np.mean(context.noise_loss[joints]))
     if noise == 0.0:
         return 1.0
@@ -155,8 +156,7 @@ def find_interval(context: Context, chosen: Present, column: int) -> tuple[float
     Returns:
         Low and high end, in the unit of the size.
     """
-    found = next((fit for fit in chosen.fits if column in fit.columns), None)
-    fit = found or join_fits(chosen, len(context.model.joint_of))
+    fit = next(fit for fit in chosen.fits if column in fit.columns)
     low, high = size_intervals(context, fit)[np.flatnonzero(fit.columns == column)[0]]
     return float(low), float(high)
 

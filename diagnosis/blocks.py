@@ -153,13 +153,13 @@ def correlation_time_s(time_s: Array, residuals: Array) -> float:
     return float(period_s * (1 + 2 * np.sum(rho[1:end])))
 
 
-def cut_rows(time_s: Array, motion: Integers, residuals: Sequence[tuple[slice, Array]]) -> Integers:
+def cut_rows(time_s: Array, motion: Integers, residuals: Sequence[tuple[Integers, Array]]) -> Integers:
     """Cut the rows of motions into blocks that are as long as the correlation time of their residuals.
 
     Args:
         time_s: Times, (n_rows,) [s].
         motion: Motion of each row, (n_rows,).
-        residuals: Rows of each joint, and its residuals, (n,), in any unit; the longest memory counts.
+        residuals: Rows of each joint, (n,), and its residuals, (n,), in any unit; the longest memory counts.
 
     Returns:
         Block of each row, (n_rows,), from 0.

@@ -1,19 +1,19 @@
 """Inputs of a selection, its present model, and how both reach the residual model."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Concatenate, Final, ParamSpec, TypeVar
 
 import numpy as np
 
-from diagnosis.arrays import Array
+from diagnosis.arrays import Array, Integers
 from diagnosis.blocks import Blocks
 from diagnosis.checkpoint import Checkpoint
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import MAX_ITERATIONS, Fit, Hypothesis, Union, evaluate_points, fit_hypotheses
 from diagnosis.meter import Meter
 from diagnosis.residuals import ResidualModel
-from diagnosis.sharing import ALL_JOINTS, Sharing, share_nothing
+from diagnosis.sharing import ALL_JOINTS, Point, Sharing, share_nothing
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -37,8 +37,6 @@ class Context:
     """Losses of left-out motions with base parameters alone, (n_joints, n_motions)."""
     sharing: Sharing
     """Joints whose hypotheses share simulations."""
-    wide: frozenset[str]
-    """Keys of effects at a joint that are judged at all joints, because they move others too."""
     reach: dict[str, float]
     """Change that an effect of typical size makes at its joint, over the scale of the residuals, by key."""
     n_distinct: float
@@ -51,16 +49,10 @@ class Context:
     def joint_of(self, effect: Effect) -> int:
         """Return the index of the joint at which an effect is judged, or ALL_JOINTS.
 
-        Where a robot has one joint, effects at bodies are fitted with it.
-
         Args:
             effect: The effect.
         """
-        if len(self.model.joints) == 1:
-            return 0
-        if effect.place not in self.model.joints or effect.key in self.wide:
-            return ALL_JOINTS
-        return self.model.joints.index(effect.place)
+        return int(self.sharing.joint_of_column[self.union.columns([effect])[0]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,20 +64,36 @@ class Present:
     sizes: Array
     """(n_sizes,)."""
     fits: tuple[Fit, ...]
-    """One a joint."""
+    """One a joint; a single one of all joints if an effect is judged at all."""
     scores: Array
     """Mean loss when the motion was left out, (n_joints, n_motions); NaN without data."""
-    bodies: tuple[Fit, ...] = ()
-    """One for each effect at a body, with the residuals of all joints."""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Share of a residual that an effect explains."""
+
+    effect: Effect
+    start: Array
+    """Sizes of the union from which a fit should begin, (n_sizes,)."""
+    gain: float
+    """Share of the weighted sum of squares that it removes."""
+    left: tuple[tuple[Integers, Array], ...] = ()
+    """For each joint: rows of the residual model, and what the effect leaves there, without a unit; empty
+    where motions are not cut into blocks."""
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Models before and after."""
+    """Models before and after, and what the findings were held against."""
 
     context: Context
     base: Present
     chosen: Present
+    left_out: tuple[tuple[tuple[Effect, ...], Present], ...]
+    """Findings that are left out together, and the model without them; each finding once."""
+    competitors: dict[str, tuple[Score, ...]]
+    """For each finding, by key, the effects that were refitted before it was accepted."""
 
 
 def start_context(
@@ -112,6 +120,7 @@ def start_context(
     known = {effect.key for effect in base}
     rivals = tuple(effect for effect in catalogue if effect.key not in known)
     union = Union((*base, *rivals))
+    joint_of_column = list_joints(model, union, ())
     ones = np.ones(len(model.joints))
     return Context(
         model=model,
@@ -121,8 +130,7 @@ def start_context(
         scales=ones,
         noise_loss=0.0 * ones,
         base_scores=np.empty((0, 0)),
-        sharing=share_nothing(len(model.joints)),
-        wide=frozenset(),
+        sharing=share_nothing(len(model.joints), joint_of_column),
         reach={},
         n_distinct=float(len(rivals)),
         folds=(),
@@ -130,6 +138,30 @@ def start_context(
         meter=meter,
         checkpoint=checkpoint or Checkpoint(),
     )
+
+
+def list_joints(model: ResidualModel, union: Union, wide: Collection[str]) -> Integers:
+    """List the joint at which each size is judged.
+
+    Where a robot has one joint, effects at bodies are fitted with it.
+
+    Args:
+        model: The residual model.
+        union: Effects, and the columns of their sizes.
+        wide: Keys of effects at a joint that are judged at all joints, because they move others too.
+
+    Returns:
+        Index of the joint, or ALL_JOINTS, of each size, (n_sizes,).
+    """
+    places = [
+        0
+        if len(model.joints) == 1
+        else ALL_JOINTS
+        if effect.place not in model.joints or effect.key in wide
+        else model.joints.index(effect.place)
+        for effect in union.effects
+    ]
+    return np.repeat(np.array(places, np.int64), [len(effect.sizes) for effect in union.effects])
 
 
 def draw_folds(model: ResidualModel, seed: int) -> tuple[frozenset[int], ...]:
@@ -190,7 +222,7 @@ def run(
     )
 
 
-def simulate(context: Context, points: Sequence[tuple[int, Array]], text: str) -> list[Array]:
+def simulate(context: Context, points: Sequence[Point], text: str) -> list[Array]:
     """Simulate single points in this context.
 
     Args:

@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.arrays import Array, Integers
+from diagnosis.arrays import Array, Flags, Integers
 from diagnosis.effects.effect import Effect, Size
 from diagnosis.residuals import ResidualModel
-from diagnosis.sharing import ALL_JOINTS, Sharing
+from diagnosis.sharing import ALL_JOINTS, Point, Sharing
 
 STEP: Final = 0.05
 """Finite-difference step over the typical size: more than one stick or slip changes, small beside it."""
@@ -64,6 +64,8 @@ class Hypothesis:
     """Sizes of the whole union, (n_sizes,)."""
     joint: int = ALL_JOINTS
     """Index of the joint whose residuals count."""
+    jacobian: Array | None = None
+    """Derivatives to begin with, (n_rows, p), from a fit that is near; NaN in columns that are not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +75,8 @@ class Fit:
     sizes: Array
     """(n_sizes,)."""
     columns: Integers
+    joint: int
+    """Index of the joint, or ALL_JOINTS."""
     residuals: Array
     """Residuals of its joint, (n_rows,)."""
     rows: Integers
@@ -165,26 +169,27 @@ def fit_hypotheses(
         One fit a hypothesis, in their order.
     """
     evaluate = _Evaluator(model, union, sharing, report)
-    problems = [_Problem(model, union, hypothesis, scales) for hypothesis in hypotheses]
-    for problem, rows in zip(problems, evaluate([[one.x] for one in problems], problems), strict=True):
-        problem.begin(rows[0])
+    problems = [_Problem(model, union, hypothesis, scales, sharing) for hypothesis in hypotheses]
+    starts = [[(one.joint, one.x)] for one in problems]
+    for problem, found in zip(problems, evaluate(starts), strict=True):
+        problem.begin(found[0])
     for _ in range(iterations):
         active = [one for one in problems if not one.converged]
         if not active:
             break
-        steps = [one.difference_points() for one in active]
-        for problem, rows in zip(active, evaluate(steps, active), strict=True):
-            problem.set_jacobian(rows)
+        differences = [one.difference_points() for one in active]
+        for problem, found in zip(active, evaluate(differences), strict=True):
+            problem.set_derivatives(found)
         trials = [one.trial_points() for one in active]
-        for problem, rows in zip(active, evaluate(trials, active), strict=True):
-            problem.choose(rows)
+        for problem, found in zip(active, evaluate(trials), strict=True):
+            problem.choose(found)
     return [one.fit() for one in problems]
 
 
 def evaluate_points(
     model: ResidualModel,
     union: Union,
-    points: Sequence[tuple[int, Array]],
+    points: Sequence[Point],
     *,
     sharing: Sharing,
     report: Callable[[int], None] | None = None,
@@ -201,20 +206,23 @@ def evaluate_points(
     Returns:
         Residuals of its joint for each point, (n_rows,).
     """
-    none = np.empty(0, np.int64)
-    ones = np.ones(len(model.joints))
-    problems = [_Problem(model, union, Hypothesis(none, at, joint), ones) for joint, at in points]
-    found = _Evaluator(model, union, sharing, report)([[at] for _, at in points], problems)
-    return [rows[0] for rows in found]
+    (found,) = _Evaluator(model, union, sharing, report)([list(points)])
+    return found
 
 
 class _Problem:
-    """One hypothesis on its way to its optimum."""
+    """One hypothesis on its way to its optimum.
 
-    def __init__(self, model: ResidualModel, union: Union, hypothesis: Hypothesis, scales: Array) -> None:
+    Between two computations of the derivatives by differences, each step corrects them by a rank of one so
+    that they predict its change (Broyden 1965). A step that fails, or that decreases the loss no more, asks
+    for new differences: only then is the end of a fit believed.
+    """
+
+    def __init__(
+        self, model: ResidualModel, union: Union, hypothesis: Hypothesis, scales: Array, sharing: Sharing
+    ) -> None:
         sizes = union.sizes
-        self.hypothesis = hypothesis
-        self.free = hypothesis.columns
+        self.joint, self.free = hypothesis.joint, hypothesis.columns
         self.x = hypothesis.start.copy()
         self.low = np.array([sizes[c].low for c in self.free])
         self.high = np.array([sizes[c].high for c in self.free])
@@ -222,13 +230,22 @@ class _Problem:
         self.typical = np.array([sizes[c].typical for c in self.free])
         prior = np.array([sizes[c].prior_std for c in self.free])
         self.prior_weight = 1.0 / prior  # 0 where the prior is flat
-        wanted = np.ones(len(model.joint_of), bool)
-        if hypothesis.joint != ALL_JOINTS:
-            wanted &= model.joint_of == hypothesis.joint
-        self.rows = np.flatnonzero(wanted)
+        self.rows = select_rows(model, self.joint)
         self.weight = 1.0 / scales[model.joint_of[self.rows]]
         self.damping, self.converged = 1e-2, False
-        self.jacobian = np.zeros((len(self.rows), len(self.free)))
+        # a size at a joint is differenced at that joint alone, so that several share a candidate
+        moves = np.full(len(self.free), self.joint)
+        if self.joint == ALL_JOINTS:
+            moves = sharing.joint_of_column[self.free]
+        self.moves = [int(joint) for joint in moves]
+        self.part = {j: np.arange(self.rows.size) for j in (self.joint,)}
+        self.part |= {j: select_rows(model, j) for j in set(self.moves) - {self.joint}}
+        given = hypothesis.jacobian
+        shape = self.rows.size, len(self.free)
+        self.jacobian = np.full(shape, np.nan) if given is None else given.copy()
+        self.unknown: Flags = np.asarray(np.isnan(self.jacobian).any(axis=0))
+        self.jacobian[:, self.unknown] = 0.0
+        self.is_exact = False
 
     def begin(self, residuals: Array) -> None:
         self.r, self.loss = residuals, self.loss_of(residuals, self.x)
@@ -239,25 +256,29 @@ class _Problem:
         loss += float(np.sum((x[self.free] * self.prior_weight) ** 2))
         return loss if np.isfinite(loss) else np.inf
 
-    def difference_points(self) -> list[Array]:
-        """Return a point for each free size, one step away on the side of its farther bound."""
+    def difference_points(self) -> list[Point]:
+        """Return a point for each unknown derivative, one step away on the side of its farther bound."""
         at = self.x[self.free]
         step = STEP * np.maximum(self.typical, np.abs(at))
         step = np.where(at + step > self.high, -step, step)
         self.steps = np.clip(at + step, self.low, self.high) - at
         points = []
-        for k, column in enumerate(self.free):
+        for k in np.flatnonzero(self.unknown):
             point = self.x.copy()
-            point[column] += self.steps[k]
-            points.append(point)
+            point[self.free[k]] += self.steps[k]
+            points.append((self.moves[k], point))
         return points
 
-    def set_jacobian(self, rows: list[Array]) -> None:
-        for k, moved in enumerate(rows):
-            change = (moved - self.r) / self.steps[k] if self.steps[k] else np.zeros_like(self.r)
-            self.jacobian[:, k] = np.where(np.isfinite(change), change, 0.0)
+    def set_derivatives(self, found: list[Array]) -> None:
+        for k, moved in zip(np.flatnonzero(self.unknown), found, strict=True):
+            rows, self.jacobian[:, k] = self.part[self.moves[k]], 0.0
+            if self.steps[k]:
+                change = (moved - self.r[rows]) / self.steps[k]
+                self.jacobian[rows, k] = np.where(np.isfinite(change), change, 0.0)
+        self.is_exact |= bool(self.unknown.all())
+        self.unknown[:] = False
 
-    def trial_points(self) -> list[Array]:
+    def trial_points(self) -> list[Point]:
         """Return the end of a step for each damping, inside the bounds."""
         z = self.r * self.weight
         robust = self.weight * (1.0 + z * z) ** -0.25
@@ -276,21 +297,34 @@ class _Problem:
                 step = np.linalg.solve(block + self.damping * factor * np.diag(scale), -gradient[go])
                 point[self.free[go]] = np.clip(at[go] + step, self.low[go], self.high[go])
             self.trials.append(point)
-        return self.trials
+        return [(self.joint, point) for point in self.trials]
 
-    def choose(self, rows: list[Array]) -> None:
-        losses = [self.loss_of(moved, point) for moved, point in zip(rows, self.trials, strict=True)]
+    def choose(self, found: list[Array]) -> None:
+        losses = [self.loss_of(moved, point) for moved, point in zip(found, self.trials, strict=True)]
         best = int(np.argmin(losses))
-        if losses[best] < self.loss:
-            self.converged = self.loss - losses[best] < CONVERGED * self.loss
-            self.x, self.r, self.loss = self.trials[best], rows[best], losses[best]
+        decrease = self.loss - losses[best]
+        is_small = not decrease > CONVERGED * self.loss
+        if decrease > 0.0:
+            self.correct(found[best] - self.r, (self.trials[best] - self.x)[self.free])
+            self.x, self.r, self.loss = self.trials[best], found[best], losses[best]
             self.damping *= DAMPINGS[best]
-        else:
+            self.converged = is_small and self.is_exact
+            self.unknown[:] = is_small
+            self.is_exact = False
+        elif self.is_exact:
             self.converged = self.damping > 1e3  # a step of a thousandth of the model's own finds nothing
             self.damping *= 100.0
+        else:
+            self.unknown[:] = True
+
+    def correct(self, change: Array, step: Array) -> None:
+        """Correct the derivatives so that they predict the change that a step has made."""
+        step = step / self.typical
+        missed = change - self.jacobian @ (step * self.typical)
+        self.jacobian += np.outer(missed, step / self.typical) / float(step @ step)
 
     def fit(self) -> Fit:
-        return Fit(self.x, self.free, self.r, self.rows, self.jacobian)
+        return Fit(self.x, self.free, self.joint, self.r, self.rows, self.jacobian)
 
 
 class _Evaluator:
@@ -301,43 +335,40 @@ class _Evaluator:
     ) -> None:
         self.model, self.union, self.sharing, self.report = model, union, sharing, report
 
-    def __call__(self, points: list[list[Array]], problems: Sequence[_Problem]) -> list[list[Array]]:
-        """Return the residuals of each problem at each of its points."""
+    def __call__(self, points: list[list[Point]]) -> list[list[Array]]:
+        """Return the residuals of its joint for each point of each problem."""
         where = [(k, i) for k, wanted in enumerate(points) for i in range(len(wanted))]
-        plan = self.sharing.plan([(problems[k].hypothesis.joint, points[k][i]) for k, i in where])
-        candidates = []
-        for numbers in plan:
-            members = [where[number] for number in numbers]
-            candidates.append((members, self.merge([(problems[k], points[k][i]) for k, i in members])))
-        if not candidates:
-            return [[] for _ in points]
-        found: dict[tuple[int, int], Array] = {}
-        for first in range(0, len(candidates), AT_ONCE):
-            self.simulate(candidates[first : first + AT_ONCE], problems, found)
-        return [[found[k, i] for i in range(len(wanted))] for k, wanted in enumerate(points)]
+        flat = [points[k][i] for k, i in where]
+        self.rows = {joint: select_rows(self.model, joint) for joint in {joint for joint, _ in flat}}
+        plan = self.sharing.plan(flat)
+        found: dict[int, Array] = {}
+        for first in range(0, len(plan), AT_ONCE):
+            self.simulate(plan[first : first + AT_ONCE], flat, found)
+        place = {one: number for number, one in enumerate(where)}
+        return [[found[place[k, i]] for i in range(len(wanted))] for k, wanted in enumerate(points)]
 
-    def simulate(
-        self,
-        candidates: list[tuple[list[tuple[int, int]], Array]],
-        problems: Sequence[_Problem],
-        found: dict[tuple[int, int], Array],
-    ) -> None:
+    def simulate(self, plan: list[list[int]], points: list[Point], found: dict[int, Array]) -> None:
         """Simulate candidates, and add the residuals of each point to what is found."""
-        used = np.flatnonzero(np.any([point != 0.0 for _, point in candidates], axis=0))
+        merged = [self.sharing.merge([points[number] for number in numbers]) for numbers in plan]
+        used = np.flatnonzero(np.any([point != 0.0 for point in merged], axis=0))
         part = [e for e in self.union.effects if np.isin(self.union.columns([e]), used).any()]
-        sizes = np.array([point[self.union.columns(part)] for _, point in candidates])
+        sizes = np.array([point[self.union.columns(part)] for point in merged])
         simulated = self.model.residuals(part, sizes)
-        for (members, _), row in zip(candidates, simulated, strict=True):
-            for k, i in members:
-                found[k, i] = row[problems[k].rows]
+        for numbers, row in zip(plan, simulated, strict=True):
+            for number in numbers:
+                found[number] = row[self.rows[points[number][0]]]
         if self.report is not None:
-            self.report(len(candidates))
+            self.report(len(plan))
 
-    def merge(self, members: list[tuple[_Problem, Array]]) -> Array:
-        """Return one size vector with the sizes of each problem at the joint of the problem."""
-        place_of = np.array([effect.place for effect in self.union.effects for _ in effect.sizes])
-        merged = members[0][1].copy()
-        for problem, point in members[1:]:
-            mine = place_of == self.model.joints[problem.hypothesis.joint]
-            merged[mine] = point[mine]
-        return merged
+
+def select_rows(model: ResidualModel, joint: int) -> Integers:
+    """Return the rows of the residuals of a joint.
+
+    Args:
+        model: The residual model.
+        joint: Index of the joint, or ALL_JOINTS.
+
+    Returns:
+        Indices, (n_rows,).
+    """
+    return np.arange(len(model.joint_of)) if joint == ALL_JOINTS else np.flatnonzero(model.joint_of == joint)

@@ -8,21 +8,22 @@ import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.blocks import Blocks, cut_into_blocks
-from diagnosis.context import Context, Present, draw_folds, recall, run, simulate
+from diagnosis.context import Context, Present, Score, draw_folds, recall, run, simulate
 from diagnosis.effects.effect import Effect
 from diagnosis.errors import RobotError
 from diagnosis.fit import (
+    STEP,
     Fit,
     Hypothesis,
     gather_residuals,
     half_loss_derivatives,
     pseudo_huber,
     scale_residuals,
+    select_rows,
 )
 from diagnosis.noise import noise_losses, whiten_noise
 from diagnosis.reach import share_simulations
 from diagnosis.residuals import ResidualModel
-from diagnosis.screening import Score
 from diagnosis.sharing import ALL_JOINTS
 
 MIN_MOTIONS: Final = 4
@@ -44,7 +45,7 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     others = [one for one in context.catalogue if one.place in raw.joints and one.place not in known]
     (residuals,) = raw.residuals([], np.zeros((1, 0)))
     context = replace(context, scales=scale_residuals(raw, residuals))
-    context = share_simulations(context, sizes, residuals, [*context.base, *others])
+    context = share_simulations(context, sizes, [*context.base, *others])
     sizes, residuals, _ = fit_all_joints(context, sizes)
     if len(raw.motions) < MIN_MOTIONS:
         raw = cut_into_blocks(raw, residuals)
@@ -58,10 +59,10 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     model = whiten_noise(raw, residuals)
     (residuals,) = model.residuals(context.base, sizes[None, union.columns(context.base)])
     context = replace(context, model=model, scales=scale_residuals(model, residuals))
-    context = share_simulations(context, sizes, residuals, union.effects)
+    context = share_simulations(context, sizes, union.effects)
     sizes, residuals, fits = fit_all_joints(context, sizes)
     context = replace(context, noise_loss=noise_losses(model, residuals, context.scales))
-    scores = np.array(cross_validate(context, list(enumerate(fits))))
+    scores = cross_validate(context, fits)
     return replace(context, base_scores=scores), Present((), sizes, fits, scores)
 
 
@@ -73,8 +74,10 @@ def _count_motions(model: ResidualModel) -> int:
     return int(np.min(counts[counts > 0], initial=len(model.motions)))
 
 
-def rescale(context: Context, base: Present, present: Present) -> tuple[Context, Present]:
-    """Take scales and noise from the residuals of the present model, and refit it.
+def add_effects(
+    context: Context, base: Present, present: Present, effects: Sequence[Effect], found: Sequence[Fit]
+) -> tuple[Context, Present]:
+    """Add effects to the present model, and refit it in the scales of its new residuals.
 
     A scale from before an effect was found is so wide that the loss is a sum of squares. Blocks are cut anew.
 
@@ -82,26 +85,23 @@ def rescale(context: Context, base: Present, present: Present) -> tuple[Context,
         context: The context.
         base: The base model.
         present: The present model.
+        effects: Effects to add.
+        found: The fit with each of them.
 
     Returns:
         The context with new scales, and the model refitted in them.
     """
-    model = context.model
-    together = gather_residuals(present.fits, len(model.joint_of))
+    sizes, model = merge_sizes(context, present.sizes, found), context.model
+    (together,) = simulate(context, [(ALL_JOINTS, sizes)], "fit")
     if isinstance(model, Blocks):  # what was explained is no memory of the noise
         model = cut_into_blocks(model.whole, together)
         context = replace(context, model=model, folds=draw_folds(model, context.seed))
     scales = scale_residuals(model, together)
     context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
-    before = np.array(cross_validate(context, list(enumerate(base.fits))))
-    effects = [one for one in present.effects if context.joint_of(one) == ALL_JOINTS]
-    columns = [context.union.columns([one]) for one in effects]
-    bodies = tuple(run(context, [Hypothesis(free, present.sizes) for free in columns], "refit"))
-    fits = recall(fit_joints, context, present.effects, merge_sizes(context, present.sizes, bodies))
-    scores = np.array(cross_validate(context, list(enumerate(fits))))
-    sizes = fits[0].sizes
-    found = replace(present, sizes=sizes, fits=fits, scores=scores, bodies=bodies)
-    return replace(context, base_scores=before), found
+    context = replace(context, base_scores=cross_validate(context, base.fits))
+    more = (*present.effects, *effects)
+    fits = recall(fit_joints, context, more, sizes, (*present.fits, *found))
+    return context, Present(more, fits[0].sizes, fits, cross_validate(context, fits))
 
 
 def cut_anew(context: Context, present: Present, shortlist: Sequence[Score]) -> tuple[Context, Present]:
@@ -126,8 +126,7 @@ def cut_anew(context: Context, present: Present, shortlist: Sequence[Score]) -> 
             left[rows] = values
     model = cut_into_blocks(context.model.whole, left)
     context = replace(context, model=model, folds=draw_folds(model, context.seed))
-    scores = np.array(cross_validate(context, list(enumerate(present.fits))))
-    return context, replace(present, scores=scores)
+    return context, replace(present, scores=cross_validate(context, present.fits))
 
 
 def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[Fit, ...]]:
@@ -150,16 +149,44 @@ def free_columns(context: Context, effects: Sequence[Effect], joint: int) -> Int
     Args:
         context: The context.
         effects: Accepted effects.
-        joint: Index of the joint.
+        joint: Index of the joint; ALL_JOINTS: all columns.
 
     Returns:
         Indices, (p,).
     """
-    return context.union.columns([one for one in (*context.base, *effects) if context.joint_of(one) == joint])
+    wanted = [one for one in (*context.base, *effects) if joint in (ALL_JOINTS, context.joint_of(one))]
+    return context.union.columns(wanted)
 
 
-def fit_joints(context: Context, effects: Sequence[Effect], sizes: Array) -> tuple[Fit, ...]:
-    """Fit base and effects of every joint; sizes at other places stay.
+def start_fit(
+    context: Context, effects: Sequence[Effect], joint: int, sizes: Array, known: Sequence[Fit] = ()
+) -> Hypothesis:
+    """Return the hypothesis of base and effects at a joint, with the derivatives that are known.
+
+    Args:
+        context: The context.
+        effects: Accepted effects.
+        joint: Index of the joint, or ALL_JOINTS.
+        sizes: Sizes from which the fit starts, (n_sizes,), in their own units.
+        known: Fits of the same residual model at sizes that are near.
+
+    Returns:
+        The hypothesis.
+    """
+    columns = free_columns(context, effects, joint)
+    slopes = np.full((len(context.model.joint_of), len(columns)), np.nan)
+    for fit in known:
+        here = np.flatnonzero(np.isin(columns, fit.columns))
+        there = [int(np.flatnonzero(fit.columns == columns[k])[0]) for k in here]
+        slopes[:, here] = 0.0  # a size at a joint moves no other
+        slopes[np.ix_(fit.rows, here)] = fit.jacobian[:, there]
+    return Hypothesis(columns, sizes, joint, slopes[select_rows(context.model, joint)])
+
+
+def fit_joints(
+    context: Context, effects: Sequence[Effect], sizes: Array, known: Sequence[Fit] = ()
+) -> tuple[Fit, ...]:
+    """Fit base and effects of every joint; all joints together if an effect is judged at all of them.
 
     The residuals are those with the new sizes of all joints: a joint was fitted with the others as they were.
 
@@ -167,16 +194,47 @@ def fit_joints(context: Context, effects: Sequence[Effect], sizes: Array) -> tup
         context: The context.
         effects: Accepted effects.
         sizes: Sizes from which the fits start, (n_sizes,), in their own units.
+        known: Fits of the same residual model at sizes that are near.
 
     Returns:
-        One fit a joint, each with the sizes of all.
+        One fit a joint, or one of all joints, each with the sizes of all.
     """
-    joints = range(len(context.model.joints))
-    free = [Hypothesis(free_columns(context, effects, j), sizes, j) for j in joints]
-    fits = run(context, free, "fit")
+    joints = [*range(len(context.model.joints))]
+    if any(context.joint_of(one) == ALL_JOINTS for one in effects):
+        joints = [ALL_JOINTS]
+    fits = run(context, [start_fit(context, effects, j, sizes, known) for j in joints], "fit")
+    if len(fits) == 1:
+        return tuple(fits)
     sizes = merge_sizes(context, sizes, fits)
     (rows,) = simulate(context, [(ALL_JOINTS, sizes)], "fit")
     return tuple(replace(fit, sizes=sizes, residuals=rows[fit.rows]) for fit in fits)
+
+
+def fits_at(context: Context, present: Present, joint: int) -> tuple[Fit, ...]:
+    """Return the fits of the residuals of a joint.
+
+    Args:
+        context: The context.
+        present: The model.
+        joint: Index of the joint; ALL_JOINTS: all fits.
+
+    Returns:
+        The fit of the joint; of a fit of all joints, the part at this one.
+    """
+    if joint == ALL_JOINTS or len(present.fits) == len(context.model.joints):
+        return present.fits if joint == ALL_JOINTS else (present.fits[joint],)
+    (whole,) = present.fits
+    rows = select_rows(context.model, joint)
+    moves = np.flatnonzero(whole.jacobian[rows].any(axis=0))
+    part = replace(
+        whole,
+        columns=whole.columns[moves],
+        joint=joint,
+        residuals=whole.residuals[rows],
+        rows=rows,
+        jacobian=whole.jacobian[np.ix_(rows, moves)],
+    )
+    return (part,)
 
 
 def merge_sizes(context: Context, sizes: Array, fits: Sequence[Fit]) -> Array:
@@ -196,47 +254,55 @@ def merge_sizes(context: Context, sizes: Array, fits: Sequence[Fit]) -> Array:
     return merged
 
 
-def cross_validate(context: Context, fits: Sequence[tuple[int, Fit]]) -> list[Array]:
+def cross_validate(context: Context, fits: Sequence[Fit]) -> Array:
     """Leave out each fold of motions, and measure the loss on the fold.
+
+    Args:
+        context: The context.
+        fits: Fits of different joints.
+
+    Returns:
+        Mean losses of left-out motions of each joint, (n_joints, n_motions), without a unit; NaN without
+        data, and for joints without a fit.
+    """
+    found = np.full((len(context.model.joints), len(context.model.motions)), np.nan)
+    for losses in cross_validate_each(context, fits):
+        found = np.fmax(found, losses)
+    return found
+
+
+def cross_validate_each(context: Context, fits: Sequence[Fit]) -> list[Array]:
+    """Leave out each fold of motions, and measure the loss on the fold, for each fit by itself.
 
     A fit without a fold begins at the optimum of all motions and takes one Newton step, with the
     Jacobian of that optimum. It is then simulated, so that nothing of its loss is linearised.
 
     Args:
         context: The context.
-        fits: Index of the joint, or ALL_JOINTS, and the fit.
+        fits: Fits.
 
     Returns:
-        Mean losses of left-out motions of each fit, (n_motions,) each, without a unit.
+        Mean losses of left-out motions for each fit, (n_joints, n_motions) each, without a unit; NaN without
+        data.
     """
-    points = [(joint, step_without(context, fit, fold)) for joint, fit in fits for fold in context.folds]
-    rows = simulate(context, points, "cross-validation")
-    n = len(context.folds)
-    return [left_out_losses(context, fit.rows, rows[k * n : (k + 1) * n]) for k, (_, fit) in enumerate(fits)]
-
-
-def left_out_losses(context: Context, rows: Integers, residuals: Sequence[Array]) -> Array:
-    """Return the mean loss of each motion when it was left out.
-
-    Args:
-        context: The context.
-        rows: Rows of the residual model, (n_rows,) indices.
-        residuals: Residuals in these rows without each fold, (n_rows,) each, in the unit of the model.
-
-    Returns:
-        (n_motions,), without a unit; NaN without data.
-    """
-    scores = np.full(len(context.model.motions), np.nan)
-    for fold, moved in zip(context.folds, residuals, strict=True):
-        left_out = sorted(fold)
-        scores[left_out] = motion_losses(context, rows, moved)[left_out]
-    return scores
+    points = [(fit.joint, step_without(context, fit, fold)) for fit in fits for fold in context.folds]
+    rows = iter(simulate(context, points, "cross-validation"))
+    found = []
+    for fit in fits:
+        losses = np.full((len(context.model.joints), len(context.model.motions)), np.nan)
+        for fold in context.folds:
+            left_out = sorted(fold)
+            losses[:, left_out] = motion_losses(context, fit.rows, next(rows))[:, left_out]
+        found.append(losses)
+    return found
 
 
 def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:
     """Return the sizes of a fit after one step without a fold of motions.
 
-    A size at a bound stays there if the step would lead beyond it.
+    A size at a bound stays there if the step would lead beyond it. Derivatives are known to about STEP: what
+    changes in sizes together do to the residual is not known where it is STEP times less than what they do
+    alone, and the step does not go there.
 
     Args:
         context: The context.
@@ -247,28 +313,26 @@ def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:
         (n_sizes,), in their own units.
     """
     model, free = context.model, fit.columns
-    sizes = [context.union.sizes[c] for c in free]
-    unit = np.array([size.typical for size in sizes])  # sizes of very different units in one matrix
-    low = np.array([size.low for size in sizes]) / unit
-    high = np.array([size.high for size in sizes]) / unit
-    prior = (unit / np.array([size.prior_std for size in sizes])) ** 2
+    low = np.array([context.union.sizes[c].low for c in free])
+    high = np.array([context.union.sizes[c].high for c in free])
+    prior = np.array([context.union.sizes[c].prior_std for c in free]) ** -2.0
     weight = np.where(np.isin(model.motion_of[fit.rows], sorted(fold)), 0.0, 1.0)
     weight /= context.scales[model.joint_of[fit.rows]]
-    z = fit.residuals * weight
-    a = fit.jacobian * weight[:, None] * unit
-    slope, curvature = half_loss_derivatives(z)
-    at = fit.sizes[free] / unit
+    a, at = fit.jacobian * weight[:, None], fit.sizes[free]
+    slope, curvature = half_loss_derivatives(fit.residuals * weight)
     gradient = a.T @ slope + prior * at
     go = ~(((at <= low) & (gradient > 0.0)) | ((at >= high) & (gradient < 0.0)))
     normal = (a.T @ (a * curvature[:, None]) + np.diag(prior))[np.ix_(go, go)]
-    at[go] -= np.linalg.pinv(normal, rcond=1e-10, hermitian=True) @ gradient[go]
+    unit = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / np.outer(unit, unit), rcond=STEP**2, hermitian=True)
+    at[go] -= inverse @ (gradient[go] / unit) / unit
     found = fit.sizes.copy()
-    found[free] = np.clip(at, low, high) * unit
+    found[free] = np.clip(at, low, high)
     return found
 
 
 def motion_losses(context: Context, rows: Integers, residuals: Array) -> Array:
-    """Return the mean pseudo-Huber loss of each motion.
+    """Return the mean pseudo-Huber loss of each joint in each motion.
 
     It is the loss that a fit minimises: square of small residuals, absolute value of large ones.
 
@@ -278,15 +342,16 @@ def motion_losses(context: Context, rows: Integers, residuals: Array) -> Array:
         residuals: Residuals in these rows, (n_rows,), in the unit of the model.
 
     Returns:
-        (n_motions,), without a unit: residuals count in the scale of their joint; NaN if it has none.
+        (n_joints, n_motions), without a unit: residuals count in the scale of their joint; NaN without data.
     """
     model = context.model
-    z = residuals / context.scales[model.joint_of[rows]]
-    loss = pseudo_huber(z)
-    count = np.bincount(model.motion_of[rows], minlength=len(model.motions))
-    total = np.bincount(model.motion_of[rows], weights=loss, minlength=len(model.motions))
+    joint, shape = model.joint_of[rows], (len(model.joints), len(model.motions))
+    cell = joint * shape[1] + model.motion_of[rows]
+    loss = pseudo_huber(residuals / context.scales[joint])
+    count = np.bincount(cell, minlength=shape[0] * shape[1])
+    total = np.bincount(cell, weights=loss, minlength=shape[0] * shape[1])
     with np.errstate(invalid="ignore"):
-        return np.asarray(total / count)
+        return np.asarray(total / count).reshape(shape)
 
 
 def leave_out(context: Context, present: Present, effects: Sequence[Effect]) -> Present:
@@ -304,11 +369,8 @@ def leave_out(context: Context, present: Present, effects: Sequence[Effect]) -> 
     rest = tuple(one for one in present.effects if one.key not in gone)
     sizes = present.sizes.copy()
     sizes[context.union.columns(effects)] = 0.0
-    fits = recall(fit_joints, context, rest, sizes)
-    scores = np.array(cross_validate(context, list(enumerate(fits))))
-    gone_columns = set(context.union.columns(effects).tolist())
-    bodies = tuple(fit for fit in present.bodies if not gone_columns & set(fit.columns.tolist()))
-    return Present(rest, fits[0].sizes, fits, scores, bodies)
+    fits = recall(fit_joints, context, rest, sizes, present.fits)
+    return Present(rest, fits[0].sizes, fits, cross_validate(context, fits))
 
 
 def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:

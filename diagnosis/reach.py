@@ -7,8 +7,9 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
-from diagnosis.context import Context, recall, simulate
+from diagnosis.context import Context, list_joints, recall, simulate
 from diagnosis.effects.effect import Effect
+from diagnosis.residuals import ResidualModel
 from diagnosis.screening import Trial
 from diagnosis.sharing import ALL_JOINTS, find_sharing, relative_reach
 
@@ -18,17 +19,16 @@ AT_ONCE: Final = 32
 """Candidates whose residuals are kept at once: those of long logs are large."""
 
 
-def share_simulations(context: Context, sizes: Array, residuals: Array, effects: Sequence[Effect]) -> Context:
+def share_simulations(context: Context, sizes: Array, effects: Sequence[Effect]) -> Context:
     """Measure which joints effects move, and choose what shares simulations and what is judged at all joints.
 
     Args:
         context: The context, with scales.
         sizes: Present sizes, (n_sizes,), in their own units.
-        residuals: Their residuals, (n,), in the unit of the model.
         effects: Effects to measure. Those of the base decide which joints share; all do where no base is.
 
     Returns:
-        The context with its sharing, its wide effects and their reach.
+        The context with its sharing, and the reach of the effects.
     """
     union, model = context.union, context.model
     base = {effect.key for effect in context.base}
@@ -36,7 +36,7 @@ def share_simulations(context: Context, sizes: Array, residuals: Array, effects:
     moved = {one.place for one in context.base}
     columns = [union.columns([effect]) for effect in placed]
     typical = [np.array([np.clip(one.typical, one.low, one.high) for one in e.sizes]) for e in placed]
-    reach = recall(measure_reach, context, (sizes, residuals), list(zip(columns, typical, strict=True)))
+    reach = recall(measure_reach, context, sizes, list(zip(columns, typical, strict=True)))
     joints = [model.joints.index(one.place) for one in placed]
     decides = np.array([one.key in base or one.place not in moved for one in placed], bool)
     wide = {
@@ -45,37 +45,55 @@ def share_simulations(context: Context, sizes: Array, residuals: Array, effects:
         if one.key not in base and relative_reach(joint, row).max(initial=0.0) > MAX_LOCAL
     }
     is_local = np.array([one.key not in wide for one in placed], bool)
-    sharing = find_sharing(joints, columns, decides & is_local, reach)
+    sharing = find_sharing(joints, columns, decides & is_local, reach, list_joints(model, union, wide))
     own = {one.key: float(row[joint]) for one, joint, row in zip(placed, joints, reach, strict=True)}
-    return replace(context, sharing=sharing, wide=frozenset(wide), reach=own)
+    return replace(context, sharing=sharing, reach=own)
 
 
-def measure_reach(
-    context: Context, now: tuple[Array, Array], columns: Sequence[tuple[Integers, Array]]
-) -> Array:
-    """Measure how much effects of typical size move each joint.
+def measure_reach(context: Context, sizes: Array, columns: Sequence[tuple[Integers, Array]]) -> Array:
+    """Measure how much effects of typical size move each joint, in the motions in which joints move most.
 
     Args:
         context: The context, with scales.
-        now: Present sizes, (n_sizes,), in their units, and their residuals, (n,), in the unit of the model.
+        sizes: Present sizes, (n_sizes,), in their own units.
         columns: For each effect the columns of its sizes, and its typical sizes in their units.
 
     Returns:
         RMS changes over the scales, (n_effects, n_joints), without a unit.
     """
-    (sizes, residuals), joint_of, n_joints = now, context.model.joint_of, len(context.scales)
-    count = np.maximum(np.bincount(joint_of, minlength=n_joints), 1)
+    model, n_joints = context.model.select(list_lively(context.model)), len(context.scales)
+    count = np.maximum(np.bincount(model.joint_of, minlength=n_joints), 1)
+    points = []
+    for free, typical in columns:
+        point = sizes.copy()
+        point[free] = typical
+        points.append((ALL_JOINTS, point))
+    part = replace(context, model=model)
+    (now,) = simulate(part, [(ALL_JOINTS, sizes)], "fit")
     reach = []
-    for first in range(0, len(columns), AT_ONCE):
-        points = []
-        for free, typical in columns[first : first + AT_ONCE]:
-            point = sizes.copy()
-            point[free] = typical
-            points.append((ALL_JOINTS, point))
-        for moved in simulate(context, points, "fit"):
-            square = np.bincount(joint_of, weights=(moved - residuals) ** 2, minlength=n_joints)
+    for first in range(0, len(points), AT_ONCE):
+        for moved in simulate(part, points[first : first + AT_ONCE], "fit"):
+            square = np.bincount(model.joint_of, weights=(moved - now) ** 2, minlength=n_joints)
             reach.append(np.sqrt(square / count) / context.scales)
     return np.array(reach).reshape(-1, n_joints)
+
+
+def list_lively(model: ResidualModel) -> list[str]:
+    """List, for each joint, the motion in which it moves fastest.
+
+    Args:
+        model: The residual model.
+
+    Returns:
+        Names of motions, without repetition.
+    """
+    square = np.nan_to_num(model.explain("velocity") ** 2)
+    shape = len(model.joints), len(model.motions)
+    cell = model.joint_of * shape[1] + model.motion_of
+    total = np.bincount(cell, weights=square, minlength=shape[0] * shape[1])
+    count = np.bincount(cell, minlength=shape[0] * shape[1])
+    speed = (total / np.maximum(count, 1)).reshape(shape)
+    return [model.motions[k] for k in np.unique(np.argmax(speed, axis=1))]
 
 
 def expected_change(context: Context, lane: int, trial: Trial) -> float:

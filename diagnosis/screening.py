@@ -13,12 +13,14 @@ import numpy as np
 from diagnosis.arrays import Array, Integers
 from diagnosis.blocks import Blocks, cut_rows
 from diagnosis.chance import wald_p
+from diagnosis.context import Score
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Union
 from diagnosis.residuals import ResidualModel
 
-FACTORS: Final = (0.3, 1.0, 3.0)
-"""Sizes at which an effect is tried, over its typical size: half a decade to each side."""
+FACTORS: Final = (0.3, -1.0, 3.0)
+"""Sizes at which an effect is tried, over its typical size: half a decade to each side. A size that is not
+negative takes their amounts; a small effect of the other sign is the opposite, and counts by its sign."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,20 +32,6 @@ class Trial:
     """One size vector of the union for each direction, (n_sizes,) each."""
 
 
-@dataclass(frozen=True, slots=True)
-class Score:
-    """Share of a residual that an effect explains."""
-
-    effect: Effect
-    start: Array
-    """Sizes of the union from which a fit should begin, (n_sizes,)."""
-    gain: float
-    """Share of the weighted sum of squares that it removes."""
-    left: tuple[tuple[Integers, Array], ...] = ()
-    """For each joint: rows of the residual model, and what the effect leaves there, without a unit; empty
-    where motions are not cut into blocks."""
-
-
 def list_trials(union: Union, effect: Effect, at: Array) -> list[Trial]:
     """List the sizes at which an effect is tried.
 
@@ -53,22 +41,22 @@ def list_trials(union: Union, effect: Effect, at: Array) -> list[Trial]:
         at: Sizes of the present model, (n_sizes,), in their own units.
 
     Returns:
-        Trials with one direction for each size of the effect, for each factor and sign.
+        Trials with one direction for each size of the effect, for each factor.
     """
     columns = union.columns([effect])
     trials = []
     for factor in FACTORS:
-        for sign in (1.0, -1.0):
-            points = []
-            for column, size in zip(columns, effect.sizes, strict=True):
-                point = at.copy()
-                point[column] = np.clip(sign * factor * size.typical, size.low, size.high)
-                points.append(point)
-            if effect.has_shape:  # the other sizes say nothing while the first is 0
-                points[0][columns[1:]] = [size.typical for size in effect.sizes[1:]]
-                points = points[:1]
-            if any(np.any(point != at) for point in points):
-                trials.append(Trial(effect, tuple(points)))
+        points = []
+        for column, size in zip(columns, effect.sizes, strict=True):
+            point = at.copy()
+            signed = factor if size.low < 0.0 else abs(factor)
+            point[column] = np.clip(signed * size.typical, size.low, size.high)
+            points.append(point)
+        if effect.has_shape:  # the other sizes say nothing while the first is 0
+            points[0][columns[1:]] = [size.typical for size in effect.sizes[1:]]
+            points = points[:1]
+        if any(np.any(point != at) for point in points):
+            trials.append(Trial(effect, tuple(points)))
     return trials
 
 
@@ -86,8 +74,10 @@ class Whitened:
     """Motion before it was cut into blocks, (n_rows,)."""
     is_cut: bool
     """True if motions are blocks of a few whole ones."""
+    joints: tuple[Integers, ...]
+    """Indices of the rows of each joint, (n,) each."""
     parts: tuple[tuple[slice, Array, Array], ...]
-    """For each joint: its rows, their weights (n,), an orthonormal basis of its base changes (n, p)."""
+    """For each fit: its rows, their weights (n,), an orthonormal basis of its base changes (n, p)."""
 
     @property
     def basis(self) -> Array:
@@ -128,22 +118,23 @@ class Whitened:
         """
         if not self.is_cut:
             return self.motion
-        return cut_rows(self.time_s, self.whole, [(rows, left[rows]) for rows, *_ in self.parts])
+        return cut_rows(self.time_s, self.whole, [(rows, left[rows]) for rows in self.joints])
 
 
-def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Sequence[float]) -> Whitened:
+def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Array) -> Whitened:
     """Weight the residuals of some joints and clear them of what their free sizes can do.
 
     Args:
-        fits: Present model of each joint.
+        fits: Present model of these joints.
         model: The residual model.
-        scales: Scale of the residuals of each joint, in their unit.
+        scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
 
     Returns:
         The whitened residuals.
     """
     parts, residuals, begin = [], [], 0
-    for fit, scale in zip(fits, scales, strict=True):
+    for fit in fits:
+        scale = scales[model.joint_of[fit.rows]]
         weight = (1.0 + (fit.residuals / scale) ** 2) ** -0.25 / scale
         basis, _ = np.linalg.qr(fit.jacobian * weight[:, None])
         residual = fit.residuals * weight
@@ -160,6 +151,7 @@ def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Sequence[float]) -
         model.time_s[rows],
         whole[rows],
         is_cut,
+        tuple(np.flatnonzero(model.joint_of[rows] == j) for j in np.unique(model.joint_of[rows])),
         tuple(parts),
     )
 
@@ -189,40 +181,40 @@ def score_effect(
         change = cleared @ solution
         if change @ change > direction @ direction:
             direction = change
-        if len(trial.points) == 1 and solution[0] <= 0.0:
-            solution = np.zeros(1)  # the trial of the other sign stands for it
+        is_signed = all(size.low < 0.0 for size in trial.effect.sizes[: len(trial.points)])
+        if len(trial.points) == 1 and solution[0] <= 0.0 and not is_signed:
+            solution = np.zeros(1)
         rest = white.residual + cleared @ solution
         gain = 1.0 - float(rest @ rest) / energy if energy > 0.0 else 0.0
         if best is None or gain > best[0]:
             start = trial.points[0]
             if len(trial.points) > 1:
                 start = at + (np.array(trial.points) - at).T @ solution
+            elif solution[0] < 0.0:
+                start = 2.0 * at - start
             best = (gain, start, rest)
     assert best is not None, "an effect without a trial"
     gain, start, rest = best
-    kept = tuple((white.rows[rows], rest[rows]) for rows, *_ in white.parts) if white.is_cut else ()
+    kept = tuple((white.rows[rows], rest[rows]) for rows in white.joints) if white.is_cut else ()
     return Score(trials[0].effect, start, gain, kept), direction
 
 
-def refit_p(
-    fits: Sequence[Fit], body: Fit | None, own: Integers, model: ResidualModel, scales: Sequence[float]
-) -> float:
+def refit_p(fits: Sequence[Fit], own: Integers, model: ResidualModel, scales: Array) -> float:
     """Test whether the sizes of an effect are 0, at the optimum of a fit with it.
 
     A change at a few sizes says little where a joint sticks and slips; the derivatives at the optimum do.
 
     Args:
         fits: Fits of the joints at which the effect is judged.
-        body: Fit of the effect itself if it is judged at all joints.
         own: Columns of the effect, (n_sizes,) indices.
         model: The residual model.
-        scales: Scale of the residuals of each joint, in their unit.
+        scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
 
     Returns:
         Probability of such sizes, or larger ones, by `wald_p`.
     """
     slopes = np.zeros((model.joint_of.size, len(own)))
-    for fit in fits if body is None else (body,):
+    for fit in fits:
         slopes[fit.rows] = fit.jacobian[:, np.isin(fit.columns, own)]
     without = []
     for fit in fits:

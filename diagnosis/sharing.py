@@ -9,6 +9,8 @@ import numpy as np
 
 from diagnosis.arrays import Array, Flags, Integers
 
+Point = tuple[int, Array]
+"""Joint, or ALL_JOINTS, and sizes of the union in their units, (n_sizes,)."""
 ALL_JOINTS: Final = -1
 MAX_COUPLING: Final = 0.1
 """Largest change at another joint over that at the joint itself, each in the scale of its residuals.
@@ -25,10 +27,12 @@ class Sharing:
     groups: tuple[tuple[int, ...], ...]
     """Indices of joints, each in one group."""
     mixing: Integers
-    """Columns of sizes at one joint that change other joints of its group; points that differ in them do not
-    share."""
+    """Columns of sizes at one joint that change other joints of its group; points that differ in them, or in
+    sizes of all joints, do not share."""
+    joint_of_column: Integers
+    """Joint whose residuals decide each size, or ALL_JOINTS, (n_sizes,)."""
 
-    def plan(self, points: Sequence[tuple[int, Array]]) -> list[list[int]]:
+    def plan(self, points: Sequence[Point]) -> list[list[int]]:
         """Distribute points over as few candidates as possible.
 
         Args:
@@ -37,6 +41,7 @@ class Sharing:
         Returns:
             For each candidate the indices of its points, at most one of each joint.
         """
+        same = np.union1d(self.mixing, np.flatnonzero(self.joint_of_column == ALL_JOINTS))
         group_of = {joint: g for g, group in enumerate(self.groups) for joint in group}
         alone: list[list[int]] = []
         queues: dict[tuple[int, bytes], dict[int, list[int]]] = {}
@@ -44,22 +49,44 @@ class Sharing:
             if joint == ALL_JOINTS:
                 alone.append([k])
             else:
-                key = group_of[joint], sizes[self.mixing].tobytes()
+                key = group_of[joint], sizes[same].tobytes()
                 queues.setdefault(key, {}).setdefault(joint, []).append(k)
         slots = [slot for lanes in queues.values() for slot in zip_longest(*lanes.values())]
         return alone + [[k for k in slot if k is not None] for slot in slots]
 
+    def merge(self, points: Sequence[Point]) -> Array:
+        """Put the sizes of points at different joints into one candidate.
 
-def share_nothing(n_joints: int) -> Sharing:
+        Args:
+            points: Members of a candidate by `plan`.
+
+        Returns:
+            Sizes of the union in their units, (n_sizes,).
+        """
+        merged = points[0][1].copy()
+        for joint, sizes in points[1:]:
+            mine = self.joint_of_column == joint
+            merged[mine] = sizes[mine]
+        return merged
+
+
+def share_nothing(n_joints: int, joint_of_column: Integers) -> Sharing:
     """Return the sharing in which each joint has candidates of its own.
 
     Args:
         n_joints: Number of joints.
+        joint_of_column: Joint of each size, or ALL_JOINTS, (n_sizes,).
     """
-    return Sharing(tuple((j,) for j in range(n_joints)), np.empty(0, np.int64))
+    return Sharing(tuple((j,) for j in range(n_joints)), np.empty(0, np.int64), joint_of_column)
 
 
-def find_sharing(joints: Sequence[int], columns: Sequence[Integers], decides: Flags, reach: Array) -> Sharing:
+def find_sharing(
+    joints: Sequence[int],
+    columns: Sequence[Integers],
+    decides: Flags,
+    reach: Array,
+    joint_of_column: Integers,
+) -> Sharing:
     """Put joints into groups whose base parameters scarcely move one another.
 
     Args:
@@ -67,6 +94,7 @@ def find_sharing(joints: Sequence[int], columns: Sequence[Integers], decides: Fl
         columns: Columns of the sizes of each effect.
         decides: True for effects that decide the groups, (n_effects,).
         reach: Changes by `diagnosis.reach.measure_reach`, (n_effects, n_joints), without a unit.
+        joint_of_column: Joint of each size, or ALL_JOINTS, (n_sizes,).
 
     Returns:
         The groups, and the columns of effects that nevertheless move another joint of their group.
@@ -89,7 +117,7 @@ def find_sharing(joints: Sequence[int], columns: Sequence[Integers], decides: Fl
         (group,) = (one for one in groups if joint in one)
         if relative_reach(joint, row)[group].max() > MAX_COUPLING:
             mixing.append(own)
-    return Sharing(tuple(tuple(group) for group in groups), np.concatenate(mixing))
+    return Sharing(tuple(tuple(group) for group in groups), np.concatenate(mixing), joint_of_column)
 
 
 def relative_reach(joint: int, reach: Array) -> Array:

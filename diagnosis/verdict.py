@@ -10,12 +10,10 @@ from scipy.stats import t as student
 from diagnosis.acceptance import Candidate
 from diagnosis.arrays import Array, Integers
 from diagnosis.comparison import one_sided_p
-from diagnosis.context import Context, Present, Selection, recall, simulate
+from diagnosis.context import Context, Present, Score, Selection, recall, simulate
 from diagnosis.effects.effect import Effect, Family
-from diagnosis.fit import Fit, gather_residuals, half_loss_derivatives
-from diagnosis.joint_fits import joints_of, leave_out, list_layers
-from diagnosis.screening import Score
-from diagnosis.selection import judge, screen
+from diagnosis.fit import Fit, half_loss_derivatives
+from diagnosis.selection import judge
 from diagnosis.sharing import ALL_JOINTS
 
 EXCLUDED: Final = 0.05
@@ -56,40 +54,40 @@ def doubt_findings(selection: Selection) -> list[Doubt]:
     Returns:
         One doubt a finding, in their order.
     """
-    context, present = selection.context, selection.chosen
     found: dict[str, Doubt] = {}
-    layers = list_layers(context, present.effects)
-    for k, layer in enumerate(layers):
-        without = leave_out(context, present, layer)
-        open_joints = {j for effect in layer for j in joints_of(context, effect)}
-        rivals, _ = recall(screen, context, without, open_joints, rounds_after=len(layers) - k - 1)
-        doubts = recall(doubt_layer, context, present, without, layer, rivals)
+    for layer, without in selection.left_out:
+        doubts = recall(doubt_layer, selection.context, selection, without, layer)
         found |= {doubt.effect.key: doubt for doubt in doubts}
-    return [found[effect.key] for effect in present.effects]
+    return [found[effect.key] for effect in selection.chosen.effects]
 
 
 def doubt_layer(
-    context: Context, present: Present, without: Present, layer: Sequence[Effect], rivals: Sequence[Score]
+    context: Context, selection: Selection, without: Present, layer: Sequence[Effect]
 ) -> list[Doubt]:
     """Refit alternatives in the place of findings that are left out together.
 
     Args:
         context: The context.
-        present: The model with all findings.
+        selection: The selected effects.
         without: The model without these.
         layer: The findings that are left out.
-        rivals: Shortlist of the alternatives.
 
     Returns:
         One doubt a finding of the layer.
     """
-    keys = {effect.key for effect in layer}
-    scores = [score for score in rivals if score.effect.key not in keys]
-    for effect in layer:  # each begins at its own sizes, without the others that are left out
+    # each begins at its own sizes, without the others that are left out
+    starts = {effect.key: (effect, selection.chosen.sizes) for effect in layer}
+    present = {effect.key for effect in without.effects}
+    for effect in layer:
+        for one in selection.competitors[effect.key]:
+            if one.effect.key not in present:
+                starts.setdefault(one.effect.key, (one.effect, one.start))
+    scores = []
+    for effect, sizes in starts.values():
         start, own = without.sizes.copy(), context.union.columns([effect])
-        start[own] = present.sizes[own]
+        start[own] = sizes[own]
         scores.append(Score(effect, start, 0.0))
-    candidates = judge(context, without, scores, sorted(keys))
+    candidates = judge(context, without, scores)
     return [doubt_finding(context, without, effect, candidates) for effect in layer]
 
 
@@ -109,14 +107,14 @@ def doubt_finding(
     """
     finding = next(one for one in candidates if one.effect.key == effect.key)
     own = _errors(without, finding, finding.joints)
-    members = [Alternative(effect, finding.sizes, 1.0)]
+    members = [Alternative(effect, finding.fit.sizes, 1.0)]
     for one in candidates:
         if one.effect.key == effect.key or not set(one.joints) & set(finding.joints) or one.at_bound:
             continue
         worse = _errors(without, one, finding.joints) - own
         p = one_sided_p(worse[~np.isnan(worse)])
         if p > EXCLUDED:
-            members.append(Alternative(one.effect, one.sizes, p))
+            members.append(Alternative(one.effect, one.fit.sizes, p))
     ranked = (members[0], *sorted(members[1:], key=lambda one: -one.p))
     return Doubt(effect, ranked, finding.gain)
 
@@ -166,27 +164,6 @@ def size_intervals(context: Context, fit: Fit) -> Array:
     half = student.ppf(0.5 + 0.5 * COVERED, max(n - 1, 1)) * sigma
     at = fit.sizes[fit.columns]
     return np.column_stack([at - half, at + half])
-
-
-def join_fits(present: Present, n_rows: int) -> Fit:
-    """Join the fits of bodies and joints, so that the interval of one size allows for errors of the others.
-
-    Args:
-        present: A model with effects at bodies.
-        n_rows: Number of residuals of all joints.
-
-    Returns:
-        A fit of all joints with all their sizes; a size at a joint moves no other joint.
-    """
-    parts = (*present.bodies, *present.fits)
-    columns = np.concatenate([fit.columns for fit in parts])
-    jacobian, first = np.zeros((n_rows, len(columns))), 0
-    for fit in parts:
-        last = first + len(fit.columns)
-        jacobian[fit.rows, first:last] = fit.jacobian
-        first = last
-    residuals = gather_residuals(present.fits, n_rows)
-    return Fit(present.sizes, columns, residuals, np.arange(n_rows), jacobian)
 
 
 def separating_motion(context: Context, doubt: Doubt) -> str:

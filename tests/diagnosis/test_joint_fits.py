@@ -59,7 +59,7 @@ def test_a_fit_that_starts_beyond_a_bound_ends_inside() -> None:
     model = draw_toy(1, {})
     union = Union(BASE)
     start = Hypothesis(np.arange(1), np.array([9.0, 0.0]), 0)
-    (fit,) = fit_hypotheses(model, union, [start], np.full(2, 0.02), sharing=share_nothing(2))
+    (fit,) = fit_hypotheses(model, union, [start], np.full(2, 0.02), sharing=share_nothing(2, np.arange(2)))
     np.testing.assert_allclose(fit.sizes[0], 0.3, atol=0.02)
 
 
@@ -69,7 +69,7 @@ def test_without_a_fold_a_size_at_its_bound_does_not_move_another() -> None:
     context = start_context(model, base, (), 1, Meter())
     x = model.commands[0].ravel()
     jacobian = -np.column_stack([x**2, x + 3.0 * x**2])
-    fit = Fit(np.array([0.0, 0.3]), np.arange(2), -0.1 * x**2, np.arange(x.size), jacobian)
+    fit = Fit(np.array([0.0, 0.3]), np.arange(2), 0, -0.1 * x**2, np.arange(x.size), jacobian)
     alone = replace(fit, columns=np.array([1]), jacobian=jacobian[:, 1:])
     both, single = (step_without(context, one, frozenset({0})) for one in (fit, alone))
     np.testing.assert_allclose(both, single, rtol=1e-9)

@@ -72,9 +72,10 @@ def test_problems_that_share_simulations_end_where_they_end_alone() -> None:
     zero = np.zeros(len(union.sizes))
     problems = [Hypothesis(union.columns([effect]), zero, NAMES.index(effect.place)) for effect in BASE]
     scales = np.full(2, 0.02)
-    both = Sharing(((0, 1),), np.empty(0, np.int64))
+    joints = np.array([NAMES.index(effect.place) for effect in union.effects])
+    both = Sharing(((0, 1),), np.empty(0, np.int64), joints)
     together = fit_hypotheses(model, union, problems, scales, sharing=both)
-    alone = [fit_hypotheses(model, union, [one], scales, sharing=share_nothing(2))[0] for one in problems]
+    alone = [fit_hypotheses(model, union, [one], scales, sharing=share_nothing(2, joints))[0] for one in problems]
     for shared, single in zip(together, alone, strict=True):
         np.testing.assert_array_equal(shared.sizes, single.sizes)
 

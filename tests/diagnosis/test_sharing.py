@@ -28,7 +28,7 @@ class Leaking(ToyResiduals):
 
 def test_each_point_stands_in_one_candidate_and_no_joint_twice() -> None:
     rng = np.random.default_rng(1)
-    sharing = Sharing(((0, 2), (1,)), np.array([3]))
+    sharing = Sharing(((0, 2), (1,)), np.array([3]), np.zeros(4, np.int64))
     points = [(int(joint), rng.integers(0, 2, 4) * 1.0) for joint in rng.integers(-1, 3, 60)]
     plan = sharing.plan(points)
     assert sorted(k for members in plan for k in members) == list(range(60))
@@ -41,8 +41,8 @@ def test_each_point_stands_in_one_candidate_and_no_joint_twice() -> None:
 
 def test_without_sharing_each_point_is_a_candidate() -> None:
     points = [(k % 3, np.zeros(2)) for k in range(9)]
-    assert len(share_nothing(3).plan(points)) == 9
-    assert len(Sharing(((0, 1, 2),), NONE).plan(points)) == 3
+    assert len(share_nothing(3, NONE).plan(points)) == 9
+    assert len(Sharing(((0, 1, 2),), NONE, NONE).plan(points)) == 3
 
 
 @pytest.mark.parametrize(("other", "groups"), [(0.05, ((0, 1),)), (0.2, ((0,), (1,)))])
@@ -51,13 +51,13 @@ def test_joints_share_if_their_base_parameters_scarcely_move_one_another(
 ) -> None:
     reach = np.array([[2.0, 2.0 * other], [0.0, 1.0]])
     columns = [np.array([0]), np.array([1])]
-    assert find_sharing([0, 1], columns, np.array([True, True]), reach).groups == groups
+    assert find_sharing([0, 1], columns, np.array([True, True]), reach, np.arange(2)).groups == groups
 
 
 def test_an_effect_that_moves_another_joint_of_its_group_does_not_share() -> None:
     reach = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.3]])
     columns = [np.array([k]) for k in range(3)]
-    sharing = find_sharing([0, 1, 0], columns, np.array([True, True, False]), reach)
+    sharing = find_sharing([0, 1, 0], columns, np.array([True, True, False]), reach, np.arange(3))
     assert sharing.groups == ((0, 1),)
     np.testing.assert_array_equal(sharing.mixing, [2])
 
@@ -71,7 +71,7 @@ def test_an_effect_at_a_joint_that_moves_another_is_found_by_what_it_does_there(
     quiet.measured[1] += 3.0 * 0.02 * np.square(quiet.commands[0])
     model = Leaking(quiet.commands, quiet.measured, NAMES)
     selection = select_effects(model, BASE, CATALOGUE, seed=1)
-    assert selection.context.wide == {"near: square"}
+    assert [selection.context.joint_of(one) for one in selection.chosen.effects] == [ALL_JOINTS]
     assert [one.key for one in selection.chosen.effects] == ["near: square"]
     (column,) = selection.context.union.columns(selection.chosen.effects)
     assert selection.chosen.sizes[column] == pytest.approx(0.02, rel=0.2)
@@ -82,6 +82,6 @@ def test_an_alternative_gets_no_credit_for_another_joint() -> None:
     present = selection.base
     body = Toy("base", "all", np.square)
     better = present.scores * np.array([[1.0], [0.5]])
-    candidate = Candidate(body, (0, 1), present.sizes, present.fits, better, False, 0.0, 0.0)
+    candidate = Candidate(body, (0, 1), present.fits[0], better, False, 0.0, 0.0)
     np.testing.assert_array_equal(_errors(present, candidate, (0,)), present.scores.sum(axis=0))
     np.testing.assert_array_equal(_errors(present, candidate, (0, 1)), better.sum(axis=0))

@@ -1,6 +1,7 @@
 """A residual model without physics: two joints, each moved by known functions of a random command."""
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -59,7 +60,9 @@ class ToyResiduals:
         return np.array(rows)
 
     def select(self, motions: Sequence[str]) -> "ResidualModel":
-        raise NotImplementedError
+        chosen, kept = copy(self), [self.motions.index(name) for name in motions]
+        ToyResiduals.__init__(chosen, self.commands[:, kept], self.measured[:, kept], self.joints)
+        return chosen
 
     def explain(self, name: str) -> Array:
         return self.commands.ravel()
