@@ -13,7 +13,7 @@ from diagnosis.residuals import ResidualModel
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
 from diagnosis.robot import Robot
 from diagnosis.verdict import (
-    Doubt,
+    ConfidenceSet,
     list_members,
     separating_motion,
     size_intervals,
@@ -35,7 +35,11 @@ SLOW: Final = 0.1
 
 
 def assemble(
-    robot: Robot, raw: ResidualModel, selection: Selection, doubts: Sequence[Doubt], held_out: ResidualModel
+    robot: Robot,
+    raw: ResidualModel,
+    selection: Selection,
+    sets: Sequence[ConfidenceSet],
+    held_out: ResidualModel,
 ) -> Diagnosis:
     """Put the parts of a diagnosis together.
 
@@ -43,7 +47,7 @@ def assemble(
         robot: The robot.
         raw: Residuals of the motions that were fitted.
         selection: Models before and after.
-        doubts: Findings with their alternatives.
+        sets: Findings with their alternatives.
         held_out: Residuals of motions that took no part; those of the fit where there are none.
 
     Returns:
@@ -61,7 +65,7 @@ def assemble(
         robot=robot.name,
         kind=context.model.kind,
         seed=0,
-        findings=tuple(describe_finding(context, chosen, doubt) for doubt in doubts),
+        findings=tuple(describe_finding(context, chosen, one) for one in sets),
         base=tuple(list_base(robot, context, chosen)),
         errors=tuple(list_errors(raw, fitted, held_out, rows)),
         remaining=tuple(list_remainders(raw, fitted, held_out, rows[2])),
@@ -89,7 +93,7 @@ def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Arra
     return model.residuals(part, points[:, union.columns(part)])
 
 
-def describe_finding(context: Context, chosen: Present, doubt: Doubt) -> Finding:
+def describe_finding(context: Context, chosen: Present, found: ConfidenceSet) -> Finding:
     """Describe a finding with its sets.
 
     Where effects explain less than MIN_CLOSURE of a joint, the sets of families and effects are empty: none
@@ -98,13 +102,13 @@ def describe_finding(context: Context, chosen: Present, doubt: Doubt) -> Finding
     Args:
         context: The context.
         chosen: The model with all findings.
-        doubt: The finding with its alternatives.
+        found: The finding with its alternatives.
 
     Returns:
         The finding.
     """
-    effect, own = doubt.effect, context.union.columns([doubt.effect])
-    places, families, effects = list_members(doubt)
+    effect, own = found.effect, context.union.columns([found.effect])
+    places, families, effects = list_members(found)
     if closure_at(context, chosen, effect.place) < MIN_CLOSURE:
         families, effects = (), ()
     size = chosen.sizes[own]
@@ -116,11 +120,11 @@ def describe_finding(context: Context, chosen: Present, doubt: Doubt) -> Finding
         size_names=tuple(one.name for one in effect.sizes),
         interval=tuple(find_interval(context, chosen, int(column)) for column in own),
         text=effect.describe(size),
-        share=doubt.share,
+        share=found.share,
         places=places,
         families=families,
         effects=effects,
-        next_motion=separating_motion(context, doubt),
+        next_motion=separating_motion(context, found),
     )
 
 

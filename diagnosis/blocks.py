@@ -153,25 +153,24 @@ def correlation_time_s(time_s: Array, residuals: Array) -> float:
     return float(period_s * (1 + 2 * np.sum(rho[1:end])))
 
 
-def cut_rows(time_s: Array, motion: Integers, residuals: Sequence[tuple[Integers, Array]]) -> Integers:
-    """Cut the rows of motions into blocks that are as long as the correlation time of their residuals.
+def cut_rows(model: ResidualModel, rows: Integers, residuals: Array) -> Integers:
+    """Cut whole motions into blocks that are as long as the correlation time of residuals.
 
     Args:
-        time_s: Times, (n_rows,) [s].
-        motion: Motion of each row, (n_rows,).
-        residuals: Rows of each joint, (n,), and its residuals, (n,), in any unit; the longest memory counts.
+        model: The residual model.
+        rows: Rows of the model, (n_rows,) indices.
+        residuals: Residuals in these rows, (n_rows,), in any unit. Of joints, the longest memory counts.
 
     Returns:
         Block of each row, (n_rows,), from 0.
     """
-    block, n_blocks = np.zeros(time_s.size, dtype=np.int64), 0
+    time_s, joint = model.time_s[rows], model.joint_of[rows]
+    motion = (model.parent_of if isinstance(model, Blocks) else model.motion_of)[rows]
+    block, n_blocks = np.zeros(rows.size, dtype=np.int64), 0
     for m in np.unique(motion):
         here = motion == m
-        counts = [
-            _count(time_s[rows][here[rows]], values[here[rows]])
-            for rows, values in residuals
-            if here[rows].any()
-        ]
-        block[here] = n_blocks + _divide(time_s[here], min(counts))
-        n_blocks += min(counts)
+        parts = [here & (joint == j) for j in np.unique(joint[here])]
+        count = min(_count(time_s[part], residuals[part]) for part in parts)
+        block[here] = n_blocks + _divide(time_s[here], count)
+        n_blocks += count
     return block

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import t as student
 
 from diagnosis.arrays import Array
 from diagnosis.context import Context
@@ -40,20 +39,3 @@ def _mean_over_error(values: Array) -> float:
         return 0.0
     error = float(np.std(values, ddof=1) / np.sqrt(len(values)))
     return float(np.mean(values)) / error if error > 0.0 else 0.0
-
-
-def one_sided_p(worse: Array) -> float:
-    """Return the probability of so large a mean, or a larger one, if the true mean is 0.
-
-    Args:
-        worse: Differences of losses, (n_motions,), without a unit.
-
-    Returns:
-        Probability by Student's t test.
-    """
-    if len(worse) < 2:
-        return 1.0
-    error = float(np.std(worse, ddof=1) / np.sqrt(len(worse)))
-    if error == 0.0:
-        return 1.0 if np.mean(worse) <= 0.0 else 0.0
-    return float(student.sf(np.mean(worse) / error, len(worse) - 1))

@@ -22,7 +22,7 @@ from diagnosis.meter import Meter, Progress
 from diagnosis.result import Diagnosis, Rejected
 from diagnosis.robot import ControlMode, Robot
 from diagnosis.selection import select_effects
-from diagnosis.verdict import doubt_findings
+from diagnosis.verdict import find_confidence_sets
 
 MOST_STEPS: Final = 50_000
 """Steps of a candidate that is fitted: at 10 microseconds each, a few thousand candidates take half an hour.
@@ -80,7 +80,7 @@ def diagnose(
             base = [one for one in base_effects(robot, logs) if kind.shows(one)] if kind.has_base else []
             selection = select_effects(fitted, base, shown, seed=seed, meter=meter, checkpoint=checkpoint)
             judge = kind.make(held_out, math.inf) if held_out else fitted
-            part = assemble(robot, fitted, selection, doubt_findings(selection), judge)
+            part = assemble(robot, fitted, selection, find_confidence_sets(selection), judge)
             parts.append(replace(part, rejected=(*part.rejected, *rejected)))
     progress(1.0, "done")
     return replace(

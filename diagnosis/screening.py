@@ -67,11 +67,6 @@ class Whitened:
     rows: Integers
     residual: Array
     """(n_rows,)."""
-    motion: Integers
-    time_s: Array
-    """(n_rows,)."""
-    whole: Integers
-    """Motion before it was cut into blocks, (n_rows,)."""
     is_cut: bool
     """True if motions are blocks of a few whole ones."""
     joints: tuple[Integers, ...]
@@ -104,22 +99,6 @@ class Whitened:
             cleared[rows] = part - basis @ (basis.T @ part)
         return cleared
 
-    def clusters(self, left: Array) -> Integers:
-        """Return the clusters of a Wald test.
-
-        Motions are clusters. A log of few motions is cut by the memory of what the effect leaves: a misfit
-        that the effect explains is no noise, and would make blocks so long that nothing could be rejected.
-
-        Args:
-            left: Residuals that the effect leaves, (n_rows,), without a unit.
-
-        Returns:
-            Cluster of each residual, (n_rows,).
-        """
-        if not self.is_cut:
-            return self.motion
-        return cut_rows(self.time_s, self.whole, [(rows, left[rows]) for rows in self.joints])
-
 
 def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Array) -> Whitened:
     """Weight the residuals of some joints and clear them of what their free sizes can do.
@@ -143,13 +122,9 @@ def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Array) -> Whitened
         begin += len(residual)
     rows = np.concatenate([fit.rows for fit in fits])
     is_cut = isinstance(model, Blocks)
-    whole = model.parent_of if isinstance(model, Blocks) else model.motion_of
     return Whitened(
         rows,
         np.concatenate(residuals),
-        model.motion_of[rows],
-        model.time_s[rows],
-        whole[rows],
         is_cut,
         tuple(np.flatnonzero(model.joint_of[rows] == j) for j in np.unique(model.joint_of[rows])),
         tuple(parts),
@@ -227,4 +202,23 @@ def refit_p(fits: Sequence[Fit], own: Integers, model: ResidualModel, scales: Ar
     cleared = white.clear(slopes[white.rows])
     solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
     left = white.residual + cleared @ solution
-    return wald_p(white.basis, cleared, white.residual, white.clusters(left))
+    return wald_p(white.basis, cleared, white.residual, cluster_rows(model, white.rows, left))
+
+
+def cluster_rows(model: ResidualModel, rows: Integers, left: Array) -> Integers:
+    """Return the clusters of a test: residuals of one cluster may depend on one another in any way.
+
+    Motions are clusters. A log of few motions is cut by the memory of what the effect leaves: a misfit that
+    the effect explains is no noise, and would make blocks so long that nothing could be rejected.
+
+    Args:
+        model: The residual model.
+        rows: Rows of the model, (n_rows,) indices.
+        left: Residuals that the effect leaves, (n_rows,), in any unit.
+
+    Returns:
+        Cluster of each residual, (n_rows,), from 0.
+    """
+    if isinstance(model, Blocks):
+        return cut_rows(model, rows, left)
+    return np.unique(model.motion_of[rows], return_inverse=True)[1]

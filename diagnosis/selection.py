@@ -202,8 +202,22 @@ def shorten(context: Context, present: Present, shortlist: Sequence[Score]) -> l
     return left
 
 
+def refit(context: Context, present: Present, scores: Sequence[Score]) -> list[Fit]:
+    """Refit effects, each with the base parameters and the accepted effects of its joint.
+
+    Args:
+        context: The context.
+        present: The present model.
+        scores: Effects, and the sizes from which they start.
+
+    Returns:
+        One fit an effect.
+    """
+    return run(context, [_start(context, present, score) for score in scores], "refit")
+
+
 def judge(context: Context, present: Present, scores: Sequence[Score]) -> list[Candidate]:
-    """Refit effects with the base parameters, with all motions and without each fold.
+    """Refit effects with all motions and without each fold.
 
     Args:
         context: The context.
@@ -213,33 +227,45 @@ def judge(context: Context, present: Present, scores: Sequence[Score]) -> list[C
     Returns:
         One candidate an effect.
     """
-    fits = run(context, [_start(context, present, score) for score in scores], "refit")
-    losses = cross_validate_each(context, fits)
-    return [
-        _candidate(context, present, score.effect, fit, found)
-        for score, fit, found in zip(scores, fits, losses, strict=True)
-    ]
+    fits = refit(context, present, scores)
+    candidates = []
+    for score, fit, losses in zip(scores, fits, cross_validate_each(context, fits), strict=True):
+        joints = joints_of(context, score.effect)
+        before, after = present.scores[list(joints)], losses[list(joints)]
+        gain, z = compare(context, joints, before, after)
+        at_bound = is_at_bound(context, present.effects, score.effect, fit)
+        candidates.append(Candidate(score.effect, joints, fit, after, at_bound, gain, z))
+    return candidates
+
+
+def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit: Fit) -> bool:
+    """Check whether a size of an effect ends at a bound, or is not plausible beside the others.
+
+    Args:
+        context: The context.
+        others: The other effects of the model.
+        effect: The effect.
+        fit: The fit with it.
+
+    Returns:
+        True if the effect gets no name.
+    """
+    own = context.union.columns([effect])
+    beside = {
+        one.name: fit.sizes[context.union.columns([one])]
+        for one in (*context.base, *others)
+        if one.place == effect.place
+    }
+    bounds = [(context.union.sizes[c].low, context.union.sizes[c].high) for c in own]
+    return not effect.is_plausible(fit.sizes[own], beside) or any(
+        fit.sizes[c] != 0.0 and min(fit.sizes[c] - low, high - fit.sizes[c]) < 1e-3 * (high - low)
+        for c, (low, high) in zip(own, bounds, strict=True)
+    )
 
 
 def _start(context: Context, present: Present, score: Score) -> Hypothesis:
     effects, joint = (*present.effects, score.effect), context.joint_of(score.effect)
     return start_fit(context, effects, joint, score.start, present.fits)
-
-
-def _candidate(context: Context, present: Present, effect: Effect, fit: Fit, losses: Array) -> Candidate:
-    own, joints = context.union.columns([effect]), joints_of(context, effect)
-    gain, z = compare(context, joints, present.scores[list(joints)], losses[list(joints)])
-    others = {
-        one.name: fit.sizes[context.union.columns([one])]
-        for one in (*context.base, *present.effects)
-        if one.place == effect.place
-    }
-    bounds = [(context.union.sizes[c].low, context.union.sizes[c].high) for c in own]
-    at_bound = not effect.is_plausible(fit.sizes[own], others) or any(
-        fit.sizes[c] != 0.0 and min(fit.sizes[c] - low, high - fit.sizes[c]) < 1e-3 * (high - low)
-        for c, (low, high) in zip(own, bounds, strict=True)
-    )
-    return Candidate(effect, joints, fit, losses[list(joints)], at_bound, gain, z)
 
 
 def drop_needless(

@@ -7,13 +7,15 @@ from typing import Final
 import numpy as np
 from scipy.stats import t as student
 
-from diagnosis.acceptance import Candidate
 from diagnosis.arrays import Array, Integers
-from diagnosis.comparison import one_sided_p
+from diagnosis.blocks import cut_rows
+from diagnosis.chance import alternative_p
+from diagnosis.comparison import compare
 from diagnosis.context import Context, Present, Score, Selection, recall, simulate
 from diagnosis.effects.effect import Effect, Family
 from diagnosis.fit import Fit, half_loss_derivatives
-from diagnosis.selection import judge
+from diagnosis.joint_fits import fits_at, joints_of
+from diagnosis.selection import is_at_bound, refit
 from diagnosis.sharing import ALL_JOINTS
 
 EXCLUDED: Final = 0.05
@@ -24,17 +26,17 @@ COVERED: Final = 0.90
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """Effect that does as well as a finding on motions that took no part."""
+    """Effect that may be the cause instead of a finding."""
 
     effect: Effect
     sizes: Array
     """(n_sizes,) of the union."""
     p: float
-    """Probability of its disadvantage, or a larger one, if it were as good."""
+    """Probability that the finding fits so much better, or more, if this is the cause."""
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
+class ConfidenceSet:
     """A finding with the effects that cannot be excluded in its place, itself first."""
 
     effect: Effect
@@ -43,37 +45,35 @@ class Doubt:
     """Share of what can be explained in left-out motions that the finding removes."""
 
 
-def doubt_findings(selection: Selection) -> list[Doubt]:
-    """Refit alternatives in the place of each finding, and exclude those that predict worse.
-
-    The test is a paired one-sided t test of the losses of left-out motions.
+def find_confidence_sets(selection: Selection) -> list[ConfidenceSet]:
+    """Refit competitors in the place of each finding, and exclude those that fit too badly to be the cause.
 
     Args:
         selection: The selected effects.
 
     Returns:
-        One doubt a finding, in their order.
+        One set a finding, in their order.
     """
-    found: dict[str, Doubt] = {}
+    found: dict[str, ConfidenceSet] = {}
     for layer, without in selection.left_out:
-        doubts = recall(doubt_layer, selection.context, selection, without, layer)
-        found |= {doubt.effect.key: doubt for doubt in doubts}
+        sets = recall(find_layer_sets, selection.context, selection, without, layer)
+        found |= {one.effect.key: one for one in sets}
     return [found[effect.key] for effect in selection.chosen.effects]
 
 
-def doubt_layer(
+def find_layer_sets(
     context: Context, selection: Selection, without: Present, layer: Sequence[Effect]
-) -> list[Doubt]:
-    """Refit alternatives in the place of findings that are left out together.
+) -> list[ConfidenceSet]:
+    """Refit the competitors of findings that are left out together.
 
     Args:
         context: The context.
         selection: The selected effects.
-        without: The model without these.
+        without: The model without these findings.
         layer: The findings that are left out.
 
     Returns:
-        One doubt a finding of the layer.
+        One set a finding of the layer.
     """
     # each begins at its own sizes, without the others that are left out
     starts = {effect.key: (effect, selection.chosen.sizes) for effect in layer}
@@ -87,49 +87,52 @@ def doubt_layer(
         start, own = without.sizes.copy(), context.union.columns([effect])
         start[own] = sizes[own]
         scores.append(Score(effect, start, 0.0))
-    candidates = judge(context, without, scores)
-    return [doubt_finding(context, without, effect, candidates) for effect in layer]
+    fits = dict(zip(starts, refit(context, without, scores), strict=True))
+    sets = []
+    for effect in layer:
+        joints = list(joints_of(context, effect))
+        share, _ = compare(context, joints, without.scores[joints], selection.chosen.scores[joints])
+        members = [Alternative(effect, fits[effect.key].sizes, 1.0)]
+        for other in (one.effect for one in scores if one.effect.key != effect.key):
+            fit = fits[other.key]
+            is_rival = bool(set(joints) & set(joints_of(context, other)))
+            if is_rival and not is_at_bound(context, without.effects, other, fit):
+                p = _alternative_p(context, without, joints, fits[effect.key], fit)
+                members += [Alternative(other, fit.sizes, p)] if p > EXCLUDED else []
+        ranked = (members[0], *sorted(members[1:], key=lambda one: -one.p))
+        sets.append(ConfidenceSet(effect, ranked, share))
+    return sets
 
 
-def doubt_finding(
-    context: Context, without: Present, effect: Effect, candidates: Sequence[Candidate]
-) -> Doubt:
-    """Compare a finding with the alternatives at its joint and at bodies.
+def _alternative_p(
+    context: Context, without: Present, joints: Sequence[int], finding: Fit, other: Fit
+) -> float:
+    """Return the probability that a finding fits so much better, or more, if the alternative is the cause.
 
-    Args:
-        context: The context.
-        without: The model without the finding.
-        effect: The finding.
-        candidates: Refitted effects, among them the finding.
-
-    Returns:
-        The finding with the alternatives that cannot be excluded.
+    Only the joints of the finding count: findings that were left out at others are no part of the comparison.
     """
-    finding = next(one for one in candidates if one.effect.key == effect.key)
-    own = _errors(without, finding, finding.joints)
-    members = [Alternative(effect, finding.fit.sizes, 1.0)]
-    for one in candidates:
-        if one.effect.key == effect.key or not set(one.joints) & set(finding.joints) or one.at_bound:
-            continue
-        worse = _errors(without, one, finding.joints) - own
-        p = one_sided_p(worse[~np.isnan(worse)])
-        if p > EXCLUDED:
-            members.append(Alternative(one.effect, one.fit.sizes, p))
-    ranked = (members[0], *sorted(members[1:], key=lambda one: -one.p))
-    return Doubt(effect, ranked, finding.gain)
+    model = context.model
+    rows = np.flatnonzero(np.isin(model.joint_of, joints))
+    parts = []
+    for fit in (finding, other):
+        rest = [] if fit.joint == ALL_JOINTS else [j for j in joints if j != fit.joint]
+        together = [fit, *(one for j in rest for one in fits_at(context, without, j))]
+        parts.append(_join(together, len(model.joint_of)))
+    scale = context.scales[model.joint_of[rows]]
+    weight = (1.0 + (parts[0][0][rows] / scale) ** 2) ** -0.25 / scale
+    mine, theirs = ((r[rows] * weight, np.linalg.qr(j[rows] * weight[:, None])[0]) for r, j in parts)
+    return alternative_p(mine, theirs, cut_rows(model, rows, theirs[0]), context.seed)
 
 
-def _errors(without: Present, candidate: Candidate, joints: Sequence[int]) -> Array:
-    """Return the loss of each motion, summed over all joints, (n_motions,).
-
-    A candidate gets no credit for joints other than these: findings that were left out there are no part of
-    the comparison.
-    """
-    scores, judged = without.scores.copy(), list(candidate.joints)
-    elsewhere = ~np.isin(judged, joints)
-    scores[judged] = np.where(elsewhere[:, None], np.fmax(candidate.scores, scores[judged]), candidate.scores)
-    total: Array = np.nansum(scores, axis=0)
-    return np.where(np.isnan(scores).all(axis=0), np.nan, total)
+def _join(fits: Sequence[Fit], n_rows: int) -> tuple[Array, Array]:
+    """Return residuals, (n_rows,), and derivatives, (n_rows, n_free), of several fits together."""
+    residuals, jacobian, first = np.zeros(n_rows), np.zeros((n_rows, sum(len(f.columns) for f in fits))), 0
+    for fit in fits:
+        last = first + len(fit.columns)
+        residuals[fit.rows] = fit.residuals
+        jacobian[fit.rows, first:last] = fit.jacobian
+        first = last
+    return residuals, jacobian[:, jacobian.any(axis=0)]
 
 
 def size_intervals(context: Context, fit: Fit) -> Array:
@@ -166,19 +169,19 @@ def size_intervals(context: Context, fit: Fit) -> Array:
     return np.column_stack([at - half, at + half])
 
 
-def separating_motion(context: Context, doubt: Doubt) -> str:
+def separating_motion(context: Context, found: ConfidenceSet) -> str:
     """Find the recorded motion in which the first two members of a set differ most.
 
     Args:
         context: The context.
-        doubt: A finding with its alternatives.
+        found: A finding with its alternatives.
 
     Returns:
         A sentence; empty if one member is left.
     """
-    if len(doubt.alternatives) < 2:
+    if len(found.alternatives) < 2:
         return ""
-    first, second = doubt.alternatives[:2]
+    first, second = found.alternatives[:2]
     rows = simulate(context, [(ALL_JOINTS, first.sizes), (ALL_JOINTS, second.sizes)], "comparison")
     model = context.model
     difference = (rows[0] - rows[1]) / context.scales[model.joint_of]
@@ -225,16 +228,16 @@ def unexplained_dependence(
     return 1.0 - left / total if total > 0.0 else 0.0
 
 
-def list_members(doubt: Doubt) -> tuple[tuple[str, ...], tuple[Family, ...], tuple[str, ...]]:
+def list_members(found: ConfidenceSet) -> tuple[tuple[str, ...], tuple[Family, ...], tuple[str, ...]]:
     """List the places, families and effects that cannot be excluded, the best first.
 
     Args:
-        doubt: A finding with its alternatives.
+        found: A finding with its alternatives.
 
     Returns:
         Names without repetition.
     """
-    effects = [one.effect for one in doubt.alternatives]
+    effects = [one.effect for one in found.alternatives]
     places, families = (
         dict.fromkeys(one.place for one in effects),
         dict.fromkeys(one.family for one in effects),

@@ -98,13 +98,13 @@ def test_blocks_hold_each_residual_once_and_in_order():
 
 
 def test_rows_of_several_joints_are_cut_by_the_longest_memory():
-    time_s = np.tile(np.arange(100.0), 2)
+    toy = draw_toy(1, {}, n_motions=2, n_samples=100)
     white = np.random.default_rng(1).standard_normal(100)
     slow = np.sin(np.arange(100.0) / 8)
-    parts = [(slice(0, 100), white), (slice(100, 200), slow)]
-    found = cut_rows(time_s, np.zeros(200, dtype=np.int64), parts)
-    assert np.array_equal(found[:100], found[100:])
-    assert found.max() + 1 == int(99 / correlation_time_s(np.arange(100.0), slow))
+    residuals = np.where(toy.joint_of == 0, np.tile(white, 4), np.tile(slow, 4))
+    found = cut_rows(toy, np.arange(400), residuals).reshape(2, 200)
+    assert np.array_equal(*found)
+    assert found.max() + 1 == 2 * int(99 / correlation_time_s(np.arange(100.0), slow))
 
 
 def test_a_residual_as_slow_as_the_motion_leaves_few_blocks():

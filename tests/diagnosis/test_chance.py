@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from diagnosis.chance import count_distinct, wald_p
+from diagnosis.chance import alternative_p, count_distinct, wald_p
 
 N, MEMORY = 60, 0.9
 """Samples of a motion, and share of the noise that a sample keeps of the one before."""
@@ -77,3 +77,33 @@ def test_the_best_of_directions_that_are_alike_raises_no_more_false_alarms_than_
     z = random.standard_normal((4000, 400)) @ unit
     false_alarms = np.sum(np.max(np.abs(z), axis=1) > norm.isf(level / 2.0))
     assert false_alarms <= most_of(4000, 0.05)
+
+
+def alternative(random, n_motions, strength, other):
+    """Return the probability of the square, which is the cause, if another change fits better; and its reverse."""
+    base, change, noise = draw(random, n_motions)
+    residual = noise + strength * change[:, 0]
+    models = []
+    for k in (0, other):
+        basis, _ = np.linalg.qr(np.column_stack([base, change[:, k]]))
+        models.append((residual - basis @ (basis.T @ residual), basis))
+    cluster = np.repeat(np.arange(n_motions), N)
+    cause, wrong = models
+    fits_better = wrong[0] @ wrong[0] < cause[0] @ cause[0]
+    is_cause = alternative_p(wrong, cause, cluster, 1) if fits_better else 1.0
+    return is_cause, alternative_p(cause, wrong, cluster, 1)
+
+
+@pytest.mark.parametrize("other", [1, 2])
+def test_the_cause_is_excluded_as_rarely_as_its_probability_says(other):
+    random = np.random.default_rng(other)
+    found = np.array(
+        [alternative(random, 8, strength, other)[0] for strength in (0.0, 2.0) for _ in range(200)]
+    )
+    assert np.sum(found <= 0.05) <= most_of(400, 0.05)
+
+
+def test_what_is_not_the_cause_is_excluded_where_the_effect_is_strong():
+    random = np.random.default_rng(7)
+    found = np.array([alternative(random, 12, 20.0, 1)[1] for _ in range(20)])
+    assert np.all(found <= 0.05)

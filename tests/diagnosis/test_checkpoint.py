@@ -15,11 +15,11 @@ from diagnosis.context import Selection
 from diagnosis.effects.effect import Effect
 from diagnosis.meter import Meter
 from diagnosis.selection import select_effects
-from diagnosis.verdict import Doubt, doubt_findings
+from diagnosis.verdict import ConfidenceSet, find_confidence_sets
 from tests.diagnosis.planar_arm import planar_arm, slow_logs, with_joint
 from tests.diagnosis.toy import BASE, CATALOGUE, Toy, ToyResiduals, draw_toy
 
-Found = tuple[Selection, list[Doubt]]
+Found = tuple[Selection, list[ConfidenceSet]]
 BODY = Toy("base", "square of all", np.square)
 EFFECTS = (*CATALOGUE, BODY)
 TRUTH = {"near: square": 0.1, "far: square": 0.1, "far: sine": 0.05}
@@ -50,14 +50,14 @@ def mortal(last: int = 10**9) -> MortalToy:
 def find(model: ToyResiduals, folder: Path | None, meter: Meter | None = None) -> Found:
     with Checkpoint(folder, EFFECTS) as checkpoint:
         selection = select_effects(model, BASE, EFFECTS, seed=1, meter=meter, checkpoint=checkpoint)
-        return selection, doubt_findings(selection)
+        return selection, find_confidence_sets(selection)
 
 
 def bits(found: Found) -> list[bytes]:
     """Return every number of what was found."""
-    selection, doubts = found
+    selection, sets = found
     arrays: list[Array] = [selection.context.scales, selection.context.base_scores]
-    text = pack([selection.base, selection.chosen, doubts], arrays)
+    text = pack([selection.base, selection.chosen, sets], arrays)
     return [repr(text).encode(), *(array.tobytes() for array in arrays)]
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from diagnosis.meter import Meter
 from diagnosis.selection import select_effects
-from diagnosis.verdict import doubt_findings
+from diagnosis.verdict import find_confidence_sets
 from tests.diagnosis.toy import BASE, CATALOGUE, draw_toy
 
 
@@ -15,7 +15,7 @@ def test_the_share_of_a_selection_is_never_far_from_that_of_its_candidates(truth
     model = draw_toy(1, truth)
     reports: list[tuple[float, int]] = []
     meter = Meter(lambda share, text: reports.append((share, model.calls)))
-    doubt_findings(select_effects(model, BASE, CATALOGUE, seed=1, meter=meter))
+    find_confidence_sets(select_effects(model, BASE, CATALOGUE, seed=1, meter=meter))
     assert all(before[0] <= after[0] for before, after in pairwise(reports))
     assert max(abs(share - calls / model.calls) for share, calls in reports) < 0.25
     assert reports[-1][0] < 1.0

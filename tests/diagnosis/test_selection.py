@@ -7,7 +7,7 @@ from diagnosis.assemble import describe_finding, list_remainders, simulate_model
 from diagnosis.fit import Hypothesis, Union, fit_hypotheses
 from diagnosis.selection import select_effects
 from diagnosis.sharing import Sharing, share_nothing
-from diagnosis.verdict import doubt_findings, size_intervals, unexplained_dependence
+from diagnosis.verdict import find_confidence_sets, size_intervals, unexplained_dependence
 from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 
 TRUTH = {"near: square": 0.1, "far: sine": 0.05, "far: step": -0.03}
@@ -31,8 +31,8 @@ def test_what_explains_little_of_a_residual_is_not_called_its_cause() -> None:
     model = draw_toy(1, {"far: double": 0.05})
     rest = tuple(effect for effect in CATALOGUE if effect.label != "double")
     selection = select_effects(model, BASE, rest, seed=1)
-    for doubt in doubt_findings(selection):
-        finding = describe_finding(selection.context, selection.chosen, doubt)
+    for one_set in find_confidence_sets(selection):
+        finding = describe_finding(selection.context, selection.chosen, one_set)
         assert finding.places == ("far",)
         assert finding.families == finding.effects == ()
     residuals = simulate_models(selection.context, model, [selection.chosen.sizes])[0]
@@ -51,8 +51,8 @@ def test_two_effects_that_the_data_cannot_separate_stay_in_the_set() -> None:
     twin = Toy("near", "twin", lambda x: x**2 + 0.01 * x**3)
     model = draw_toy(1, {"near: square": 0.1})
     selection = select_effects(model, BASE, (*CATALOGUE, twin), seed=1)
-    (doubt,) = doubt_findings(selection)
-    assert {one.effect.key for one in doubt.alternatives} == {"near: square", "near: twin"}
+    (one_set,) = find_confidence_sets(selection)
+    assert {one.effect.key for one in one_set.alternatives} == {"near: square", "near: twin"}
 
 
 @pytest.mark.slow
@@ -75,7 +75,9 @@ def test_problems_that_share_simulations_end_where_they_end_alone() -> None:
     joints = np.array([NAMES.index(effect.place) for effect in union.effects])
     both = Sharing(((0, 1),), np.empty(0, np.int64), joints)
     together = fit_hypotheses(model, union, problems, scales, sharing=both)
-    alone = [fit_hypotheses(model, union, [one], scales, sharing=share_nothing(2, joints))[0] for one in problems]
+    alone = [
+        fit_hypotheses(model, union, [one], scales, sharing=share_nothing(2, joints))[0] for one in problems
+    ]
     for shared, single in zip(together, alone, strict=True):
         np.testing.assert_array_equal(shared.sizes, single.sizes)
 

@@ -7,10 +7,9 @@ import pytest
 
 from diagnosis.arrays import Array
 from diagnosis.effects.effect import Effect
-from diagnosis.selection import Candidate, select_effects
+from diagnosis.selection import select_effects
 from diagnosis.sharing import ALL_JOINTS, Sharing, find_sharing, relative_reach, share_nothing
-from diagnosis.verdict import _errors
-from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
+from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, ToyResiduals, draw_toy
 
 NONE = np.empty(0, np.int64)
 
@@ -75,13 +74,3 @@ def test_an_effect_at_a_joint_that_moves_another_is_found_by_what_it_does_there(
     assert [one.key for one in selection.chosen.effects] == ["near: square"]
     (column,) = selection.context.union.columns(selection.chosen.effects)
     assert selection.chosen.sizes[column] == pytest.approx(0.02, rel=0.2)
-
-
-def test_an_alternative_gets_no_credit_for_another_joint() -> None:
-    selection = select_effects(draw_toy(1, {}), BASE, CATALOGUE, seed=1)
-    present = selection.base
-    body = Toy("base", "all", np.square)
-    better = present.scores * np.array([[1.0], [0.5]])
-    candidate = Candidate(body, (0, 1), present.fits[0], better, False, 0.0, 0.0)
-    np.testing.assert_array_equal(_errors(present, candidate, (0,)), present.scores.sum(axis=0))
-    np.testing.assert_array_equal(_errors(present, candidate, (0, 1)), better.sum(axis=0))
