@@ -9,6 +9,7 @@ import numpy as np
 from diagnosis.arrays import Array, Integers
 from diagnosis.compiled import Models
 from diagnosis.effects.effect import Effect
+from diagnosis.profiler import profiler_off
 from diagnosis.simulation import ActiveEffect, Simulation
 from diagnosis.windows import Window
 
@@ -60,7 +61,8 @@ class Engine:
             chosen = np.flatnonzero(active[rows].any(axis=0))
             effects = [ActiveEffect(self.effects[e], sizes[rows, self._sizes[e]]) for e in chosen]
             simulation = Simulation(self.models, effects, self.windows, len(rows), self.n_threads)
-            shown[rows] = simulation.positions()
+            with profiler_off():
+                shown[rows] = simulation.positions()
         return shown
 
     def _groups(self, active: Integers) -> list[Integers]:
