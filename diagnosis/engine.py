@@ -69,8 +69,10 @@ class Engine:
         """Put candidates together that have the same model, and like effects in each control period."""
         varies = np.array([effect.overrides("vary") for effect in self.effects], dtype=bool)
         acts = np.array([_acts(effect) for effect in self.effects], dtype=bool)
-        keys = np.concatenate([active[:, varies], active[:, acts]], axis=1)
-        order = np.lexsort(keys.T[::-1]) if keys.shape[1] else np.arange(active.shape[0])
+        # candidates without effects in each period need no Python between the steps
+        kind = np.column_stack([active[:, varies], active[:, acts].any(axis=1)])
+        keys = np.column_stack([kind, active[:, acts]])
+        order = np.lexsort(keys.T[::-1])
         longest = max(window.n_ticks for window in self.windows)
         candidate_bytes = 8 * longest * len(self.models.robot.joints) * len(self.windows)
         at_once = max(1, MEMORY_BYTES // candidate_bytes)
@@ -78,11 +80,12 @@ class Engine:
         first = 0
         for k in range(1, order.size + 1):
             is_end = k == order.size or k - first == at_once
-            if is_end or np.any(active[order[k], varies] != active[order[first], varies]):
+            if is_end or np.any(kind[order[k]] != kind[order[first]]):
                 groups.append(order[first:k])
                 first = k
         return groups
 
 
 def _acts(effect: Effect) -> bool:
-    return any(effect.overrides(hook) for hook in ("act", "friction_Nm", "torque_Nm"))
+    hooks = ("act",) if effect.is_steady else ("act", "friction_Nm", "torque_Nm")
+    return any(effect.overrides(hook) for hook in hooks)

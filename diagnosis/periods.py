@@ -104,7 +104,11 @@ class Periods:
             [one for one in effects if one.effect.overrides(hook)]
             for hook in ("act", "friction_Nm", "torque_Nm")
         )
-        self._has_effects = bool(self._acts or self._frictions or self._torques or rotors.exist)
+        self._has_effects = bool(self._acts or self._frictions or self._torques or rotors.close_at_output)
+        self.are_steady = not (self._acts or rotors.close_at_output) and all(
+            one.effect.is_steady for one in (*self._frictions, *self._torques)
+        )
+        """True if nothing but the commands changes from period to period."""
         self._period_s = compiled.robot.control_period_s
         self.n_steps = round(self._period_s / compiled.robot.model.opt.timestep)
         """Steps of a control period."""
@@ -135,10 +139,25 @@ class Periods:
         self._torque_columns = [self._inputs[0][:, one.joint] for one in self._torques]
         self._friction_columns = [self._inputs[1][:, one.joint] for one in self._frictions]
 
-    def shown_rad(self, shown_rad: Array) -> None:
-        """Write the angles that encoders see to the first rows of an array, (n_sims, n_joints)."""
-        shown_rad[: self.n] = self._q.read()
-        self._rotors.show(self._qpos, shown_rad)
+    def show(self, qpos: Array, shown_rad: Array) -> None:
+        """Write the angles that encoders see.
+
+        Args:
+            qpos: Positions of the model, (..., n_sims, n_qpos) [rad].
+            shown_rad: Angles, (..., n_sims, n_joints) [rad]; those of the first n simulations are written.
+        """
+        shown_rad[..., : self.n, :] = qpos[..., : self.n, self._compiled.qpos]
+        self._rotors.show(qpos, shown_rad)
+
+    def control(self, command: Array) -> Array:
+        """Return the controls of all steps, (n_sims, n_periods n_steps, n_actuators).
+
+        Args:
+            command: Commands that no effect changes any more, (n_periods, n_sims, n_joints).
+        """
+        control = np.zeros((command.shape[1], command.shape[0], self._compiled.robot.model.nu))
+        control[..., self._compiled.actuator] = command.swapaxes(0, 1)
+        return control if self.n_steps == 1 else np.repeat(control, self.n_steps, axis=1)
 
     def set_inputs(self, k: int, command: Array, enabled: Array | None) -> None:
         """Set the inputs of a control period.

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import mujoco
@@ -18,9 +19,9 @@ from diagnosis.sampling import Sampling
 from diagnosis.windows import Window
 
 CHUNK: Final = 1024
-"""Control periods whose positions are kept until they are sampled: some seconds."""
-CHECK: Final = 64
-"""Control periods after which simulations that blew up are looked for."""
+"""Control periods whose positions are kept until they are sampled: some seconds, a multiple of `SPAN`."""
+SPAN: Final = 64
+"""Most control periods in one call of MuJoCo; then simulations that blew up are looked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,29 +157,58 @@ class Simulation:
         n_ticks = int(ends[0])
         alive = self._n_candidates * np.sum(ends > np.arange(n_ticks)[:, None], axis=1)
         path = np.empty((CHUNK + 1, self._n_sims, len(self._robot.joints)))
-        for first in range(0, n_ticks, CHUNK):
-            last = min(first + CHUNK, n_ticks)
-            periods.shown_rad(path[0])
-            for k in range(first, last):
-                if alive[k] != periods.n:
-                    periods.keep(int(alive[k]))
-                self._step(k, failed)
-                periods.shown_rad(path[k + 1 - first])
-                if k % CHECK == 0 or k == n_ticks - 1:
-                    failed |= self._batch.warning.reshape(self._n_sims, -1).any(axis=1)
-            sampling.take(path, first, last)
+        periods.show(self._batch.bind("qpos"), path[0])
+        begin = 0
+        for first, last in pairwise(self._edges()):
+            if alive[first] != periods.n:
+                periods.keep(int(alive[first]))
+            self._advance(first, last, failed, path[first + 1 - begin : last + 1 - begin])
+            if last % SPAN == 0 or last == n_ticks:
+                failed |= self._batch.warning.reshape(self._n_sims, -1).any(axis=1)
+            if last - begin == CHUNK or last == n_ticks:
+                sampling.take(path, begin, last)
+                path[0], begin = path[last - begin], last
         return self._encoded(sampling.values, failed)
 
-    def _step(self, k: int, failed: Flags) -> None:
-        """Step the simulations that go on through a control period."""
-        n = self._periods.n
+    def _edges(self) -> list[int]:
+        """Return the control periods at which more than the commands may change, and the end."""
+        n_ticks = self._windows[0].n_ticks
+        if not self._periods.are_steady:
+            return list(range(n_ticks + 1))
+        edges = {n_ticks, *range(0, n_ticks, SPAN)}
+        for window in self._windows:
+            switched = np.diff(window.enabled, axis=0).any(axis=1)
+            edges.update((window.n_ticks, *(1 + np.flatnonzero(switched)).tolist()))
+        return sorted(edges)
+
+    def _advance(self, first: int, last: int, failed: Flags, path: Array) -> None:
+        """Simulate control periods in which nothing but the commands changes, and write their ends to a path.
+
+        Many periods are one call of MuJoCo: what it does before and after a call takes as long as a step of
+        two joints.
+        """
+        periods, n = self._periods, self._periods.n
         enabled = None
         if self._is_switched:
             alive = self._windows[: n // self._n_candidates]
-            enabled = self._each(np.array([window.enabled[k] for window in alive], dtype=float))
-        self._periods.set_inputs(k, self._command[k, :n], enabled)
+            enabled = self._each(np.array([window.enabled[first] for window in alive], dtype=float))
+        periods.set_inputs(first, self._command[first, :n], enabled)
         ids = np.flatnonzero(~failed[:n]) if n < self._n_sims or failed.any() else None
-        self._call(failed, lambda: self._batch.step(ids, nstep=self._periods.n_steps))
+        if last - first == 1:
+            self._call(failed, lambda: self._batch.step(ids, nstep=periods.n_steps))
+            periods.show(self._batch.bind("qpos"), path[0])
+            return
+        control = periods.control(self._command[first:last])[slice(None) if ids is None else ids]
+        steps = np.zeros((*control.shape[:2], self._robot.model.nq))
+        self._call(
+            failed,
+            lambda: self._batch.rollout(control.shape[1], control, ids=ids, out={"qpos": steps}),
+        )
+        qpos = np.zeros((last - first, self._n_sims, self._robot.model.nq))
+        qpos[:, slice(None) if ids is None else ids] = steps[
+            :, periods.n_steps - 1 :: periods.n_steps
+        ].swapaxes(0, 1)
+        periods.show(qpos, path)
 
     def _call(self, failed: Flags, job: Callable[[], None]) -> None:
         """Call MuJoCo, and mark the simulations that it cannot continue."""
