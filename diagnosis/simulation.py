@@ -139,7 +139,8 @@ class Simulation:
         q = self._each(np.array([window.q_rad for window in self._windows]))
         for one in reversed(self._with("decode")):
             q[:, one.joint] = one.effect.decode(one.size, q[:, [one.joint]])[:, 0]
-        self._batch.bind("qpos")[:, self._compiled.qpos] = q
+        self._qpos = self._batch.bind("qpos")
+        self._qpos[:, self._compiled.qpos] = q
         v = self._each(np.array([window.v_rad_s for window in self._windows]))
         self._batch.bind("qvel")[:, self._compiled.dof] = v
         self._rotors.start(self._batch)
@@ -157,7 +158,7 @@ class Simulation:
         n_ticks = int(ends[0])
         alive = self._n_candidates * np.sum(ends > np.arange(n_ticks)[:, None], axis=1)
         path = np.empty((CHUNK + 1, self._n_sims, len(self._robot.joints)))
-        periods.show(self._batch.bind("qpos"), path[0])
+        periods.show(self._qpos, path[0])
         begin = 0
         for first, last in pairwise(self._edges()):
             if alive[first] != periods.n:
@@ -196,7 +197,7 @@ class Simulation:
         ids = np.flatnonzero(~failed[:n]) if n < self._n_sims or failed.any() else None
         if last - first == 1:
             self._call(failed, lambda: self._batch.step(ids, nstep=periods.n_steps))
-            periods.show(self._batch.bind("qpos"), path[0])
+            periods.show(self._qpos, path[0])
             return
         control = periods.control(self._command[first:last])[slice(None) if ids is None else ids]
         steps = np.zeros((*control.shape[:2], self._robot.model.nq))
