@@ -13,8 +13,8 @@ from diagnosis.profiler import profiler_off
 from diagnosis.simulation import ActiveEffect, Simulation
 from diagnosis.windows import Window
 
-MEMORY_BYTES: Final = 500_000_000
-"""Commands that are kept at once. More candidates in one batch would not be faster."""
+MEMORY_BYTES: Final = 200_000_000
+"""Commands that are kept at once, beside a few copies. More candidates in one batch would not be faster."""
 
 
 class Engine:
@@ -33,7 +33,7 @@ class Engine:
             models: Models of the robot.
             effects: Effects of all candidates.
             windows: Windows to simulate.
-            n_threads: Threads; 0: as many as there are processors. The result does not depend on it.
+            n_threads: Most threads; 0: as many as there are processors. The result does not depend on it.
         """
         self.models = models
         self.effects = tuple(effects)
