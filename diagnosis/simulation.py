@@ -10,7 +10,7 @@ import mujoco
 import mujoco.batch
 import numpy as np
 
-from diagnosis.arrays import Array, Flags
+from diagnosis.arrays import Array, Flags, Integers
 from diagnosis.compiled import Models, nominal_fields, step_armature
 from diagnosis.effects.effect import Effect, Fields
 from diagnosis.periods import Acting, Periods
@@ -23,7 +23,6 @@ CHUNK: Final = 1024
 """Control periods whose positions are kept until they are sampled: some seconds, a multiple of `SPAN`."""
 SPAN: Final = 64
 """Most control periods in one call of MuJoCo; then simulations that blew up are looked for."""
-
 LEAST_SIMS: Final = 20
 """Simulations of a thread. With fewer, it costs more processor time between the calls, when it waits for the
 next one, than its work saves: 25 us a control period, as long as 20 steps of one joint or 8 of six."""
@@ -191,33 +190,36 @@ class Simulation:
         return sorted(edges)
 
     def _advance(self, first: int, last: int, failed: Flags, path: Array) -> None:
-        """Simulate control periods in which nothing but the commands changes, and write their ends to a path.
-
-        Many periods are one call of MuJoCo: what it does before and after a call takes as long as a step of
-        two joints.
-        """
+        """Simulate control periods in which only commands change, and write their ends to a path."""
         periods, n = self._periods, self._periods.n
         enabled = None
         if self._is_switched:
             alive = self._windows[: n // self._n_candidates]
             enabled = self._each(np.array([window.enabled[first] for window in alive], dtype=float))
         periods.set_inputs(first, self._command[first, :n], enabled)
-        ids = np.flatnonzero(~failed[:n]) if n < self._n_sims or failed.any() else None
-        if last - first == 1:
-            self._call(failed, lambda: self._batch.step(ids, nstep=periods.n_steps))
-            periods.show(self._qpos, path[0])
+        ids = np.flatnonzero(~failed[:n])
+        if last - first > 1:
+            periods.show(self._rollout(first, last, ids, failed), path)
             return
-        control = periods.control(self._command[first:last])[slice(None) if ids is None else ids]
-        steps = np.zeros((*control.shape[:2], self._robot.model.nq))
+        some = None if ids.size == self._n_sims else ids
+        self._call(failed, lambda: self._batch.step(some, nstep=periods.n_steps))
+        periods.show(self._qpos, path[0])
+
+    def _rollout(self, first: int, last: int, ids: Integers, failed: Flags) -> Array:
+        """Simulate control periods in one call; return the ends of all, (n_periods, n_sims, n_qpos) [rad].
+
+        Without effects in between, the bits are those of a call a period. A call takes a third of a step of
+        one joint for each simulation, and Python between two calls as long as ten steps.
+        """
+        n_steps, n_qpos = self._periods.n_steps, self._robot.model.nq
+        control = self._periods.control(self._command[first:last, ids])
+        steps = np.zeros((*control.shape[:2], n_qpos))
         self._call(
-            failed,
-            lambda: self._batch.rollout(control.shape[1], control, ids=ids, out={"qpos": steps}),
+            failed, lambda: self._batch.rollout(control.shape[1], control, ids=ids, out={"qpos": steps})
         )
-        qpos = np.zeros((last - first, self._n_sims, self._robot.model.nq))
-        qpos[:, slice(None) if ids is None else ids] = steps[
-            :, periods.n_steps - 1 :: periods.n_steps
-        ].swapaxes(0, 1)
-        periods.show(qpos, path)
+        qpos = np.zeros((last - first, self._n_sims, n_qpos))
+        qpos[:, ids] = steps[:, n_steps - 1 :: n_steps].swapaxes(0, 1)
+        return qpos
 
     def _call(self, failed: Flags, job: Callable[[], None]) -> None:
         """Call MuJoCo, and mark the simulations that it cannot continue."""
