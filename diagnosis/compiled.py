@@ -91,6 +91,7 @@ def compile_for(robot: Robot, effects: Sequence[Effect]) -> Compiled:
         if effect.overrides("vary"):
             effect.vary(spec, robot)
     model = spec.compile()
+    _skip_idle_stages(model)
     found = []
     for name, joint in joints.items():
         index = model.joint(name)
@@ -108,6 +109,15 @@ def compile_for(robot: Robot, effects: Sequence[Effect]) -> Compiled:
         dof=_places([joint.dof_index for joint in found]),
         actuator=_places([joint.actuator_index for joint in found]),
     )
+
+
+def _skip_idle_stages(model: mujoco.MjModel) -> None:
+    """Switch off stages of a step that can change no bit of this model, but take a fifth of its time."""
+    can_touch = model.geom_contype.any() and model.geom_conaffinity.any()
+    if not (can_touch or model.npair or model.nflex):
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    if model.ntree == 1:  # all its constraints are one island
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
 
 
 def _places(indices: list[int]) -> Places:

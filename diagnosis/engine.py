@@ -9,11 +9,12 @@ import numpy as np
 from diagnosis.arrays import Array, Integers
 from diagnosis.compiled import Models
 from diagnosis.effects.effect import Effect
+from diagnosis.profiler import profiler_off
 from diagnosis.simulation import ActiveEffect, Simulation
 from diagnosis.windows import Window
 
-MEMORY_BYTES: Final = 500_000_000
-"""Commands that are kept at once. More candidates in one batch would not be faster."""
+MEMORY_BYTES: Final = 200_000_000
+"""Commands that are kept at once, beside a few copies. More candidates in one batch would not be faster."""
 
 
 class Engine:
@@ -32,7 +33,7 @@ class Engine:
             models: Models of the robot.
             effects: Effects of all candidates.
             windows: Windows to simulate.
-            n_threads: Threads; 0: as many as there are processors. The result does not depend on it.
+            n_threads: Most threads; 0: as many as there are processors. The result does not depend on it.
         """
         self.models = models
         self.effects = tuple(effects)
@@ -60,15 +61,18 @@ class Engine:
             chosen = np.flatnonzero(active[rows].any(axis=0))
             effects = [ActiveEffect(self.effects[e], sizes[rows, self._sizes[e]]) for e in chosen]
             simulation = Simulation(self.models, effects, self.windows, len(rows), self.n_threads)
-            shown[rows] = simulation.positions()
+            with profiler_off():
+                shown[rows] = simulation.positions()
         return shown
 
     def _groups(self, active: Integers) -> list[Integers]:
         """Put candidates together that have the same model, and like effects in each control period."""
         varies = np.array([effect.overrides("vary") for effect in self.effects], dtype=bool)
         acts = np.array([_acts(effect) for effect in self.effects], dtype=bool)
-        keys = np.concatenate([active[:, varies], active[:, acts]], axis=1)
-        order = np.lexsort(keys.T[::-1]) if keys.shape[1] else np.arange(active.shape[0])
+        # candidates without effects in each period need no Python between the steps
+        kind = np.column_stack([active[:, varies], active[:, acts].any(axis=1)])
+        keys = np.column_stack([kind, active[:, acts]])
+        order = np.lexsort(keys.T[::-1])
         longest = max(window.n_ticks for window in self.windows)
         candidate_bytes = 8 * longest * len(self.models.robot.joints) * len(self.windows)
         at_once = max(1, MEMORY_BYTES // candidate_bytes)
@@ -76,11 +80,12 @@ class Engine:
         first = 0
         for k in range(1, order.size + 1):
             is_end = k == order.size or k - first == at_once
-            if is_end or np.any(active[order[k], varies] != active[order[first], varies]):
+            if is_end or np.any(kind[order[k]] != kind[order[first]]):
                 groups.append(order[first:k])
                 first = k
         return groups
 
 
 def _acts(effect: Effect) -> bool:
-    return any(effect.overrides(hook) for hook in ("act", "friction_Nm", "torque_Nm"))
+    hooks = ("act",) if effect.is_steady else ("act", "friction_Nm", "torque_Nm")
+    return any(effect.overrides(hook) for hook in hooks)

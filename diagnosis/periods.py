@@ -28,20 +28,23 @@ class Columns:
     """The columns of the joints in an array of the batch, for its first simulations."""
 
     def __init__(self, array: Array, places: Places, n: int) -> None:
-        """Make a view, if the columns follow one another."""
+        """Make a view if the columns follow one another, else a copy."""
         self._rows, self._places = array[:n], places
-        self._view = array[:n, places] if isinstance(places, slice) else None
+        self.values = array[:n, places]
+        """(n, n_joints); the same array all the time."""
+        self._is_view = isinstance(places, slice)
 
-    def read(self) -> Array:
-        """Return the values, (n, n_joints), only to read; they may change with the next step."""
-        return self._rows[:, self._places] if self._view is None else self._view
+    def read(self) -> None:
+        """Bring the values up to date."""
+        if not self._is_view:
+            self.values[...] = self._rows[:, self._places]
 
     def write(self, values: Array) -> None:
-        """Set the values, (n, n_joints)."""
-        if self._view is None:
+        """Set the values in the batch."""
+        if values is not self.values:
+            self.values[...] = values
+        if not self._is_view:
             self._rows[:, self._places] = values
-        else:
-            self._view[...] = values
 
 
 class Actuators:
@@ -104,7 +107,11 @@ class Periods:
             [one for one in effects if one.effect.overrides(hook)]
             for hook in ("act", "friction_Nm", "torque_Nm")
         )
-        self._has_effects = bool(self._acts or self._frictions or self._torques or rotors.exist)
+        self._has_effects = bool(self._acts or self._frictions or self._torques or rotors.close_at_output)
+        self.are_steady = not (self._acts or rotors.close_at_output) and all(
+            one.effect.is_steady for one in (*self._frictions, *self._torques)
+        )
+        """True if nothing but the commands changes from period to period."""
         self._period_s = compiled.robot.control_period_s
         self.n_steps = round(self._period_s / compiled.robot.model.opt.timestep)
         """Steps of a control period."""
@@ -116,29 +123,47 @@ class Periods:
         for one in self._effects:
             one.size = one.size[:n]
             one.memory = {name: kept[:n] for name, kept in one.memory.items()}
-        at, batch = self._compiled, self._batch
-        self._q = Columns(batch.bind("qpos"), at.qpos, n)
-        self._ctrl = Columns(batch.bind("ctrl"), at.actuator, n)
+        at, fields = self._compiled, self._fields
+
+        def columns(name: str, places: Places) -> Columns:
+            return Columns(self._batch.bind(name), places, n)
+
+        self._ctrl = columns("ctrl", at.actuator)
         if not self._has_effects:
             return
-        self._v = Columns(batch.bind("qvel"), at.dof, n)
+        # arrays for all periods: new ones in each of them would take a fifth of the time of a step
+        self._armature, self._loss = fields.armature_kgm2[:n], fields.frictionloss_Nm[:n]
+        q, v = columns("qpos", at.qpos), columns("qvel", at.dof)
         self._forces = [
-            Columns(batch.bind(name), at.dof, n)
-            for name in ("qfrc_bias", "qfrc_smooth", "qfrc_constraint", "qacc")
+            columns(name, at.dof) for name in ("qfrc_bias", "qfrc_smooth", "qfrc_constraint", "qacc")
         ]
-        self._motor = Columns(batch.bind("actuator_force"), at.actuator, n)
-        self._applied = Columns(batch.bind("qfrc_applied"), at.dof, n)
-        self._friction = Columns(self._dry, at.dof, n)
-        # one set of arrays for all periods: new ones would take a fifth of the time of a step
-        self._time_s, self._load = np.empty(n), np.empty((n, len(at.robot.joints)))
-        self._inputs = [np.empty_like(self._load) for _ in range(4)]
-        self._torque_columns = [self._inputs[0][:, one.joint] for one in self._torques]
-        self._friction_columns = [self._inputs[1][:, one.joint] for one in self._frictions]
+        self._motor = columns("actuator_force", at.actuator)
+        self._read = [q, v, *self._forces, self._motor]
+        self._applied, self._friction = columns("qfrc_applied", at.dof), Columns(self._dry, at.dof, n)
+        self._state = State(np.empty(n), q.values, v.values, np.empty_like(q.values), self._temperature[:n])
+        self._limit, self._gain = np.empty_like(q.values), np.empty_like(q.values)
+        self._torque_columns = [self._applied.values[:, one.joint] for one in self._torques]
+        self._friction_columns = [self._friction.values[:, one.joint] for one in self._frictions]
 
-    def shown_rad(self, shown_rad: Array) -> None:
-        """Write the angles that encoders see to the first rows of an array, (n_sims, n_joints)."""
-        shown_rad[: self.n] = self._q.read()
-        self._rotors.show(self._qpos, shown_rad)
+    def show(self, qpos: Array, shown_rad: Array) -> None:
+        """Write the angles that encoders see.
+
+        Args:
+            qpos: Positions of the model, (..., n_sims, n_qpos) [rad].
+            shown_rad: Angles, (..., n_sims, n_joints) [rad]; those of the first n simulations are written.
+        """
+        shown_rad[..., : self.n, :] = qpos[..., : self.n, self._compiled.qpos]
+        self._rotors.show(qpos, shown_rad)
+
+    def control(self, command: Array) -> Array:
+        """Return the controls of all steps, (n_sims, n_periods n_steps, n_actuators).
+
+        Args:
+            command: Commands that no effect changes any more, (n_periods, n_sims, n_joints).
+        """
+        control = np.zeros((command.shape[1], command.shape[0], self._compiled.robot.model.nu))
+        control[..., self._compiled.actuator] = command.swapaxes(0, 1)
+        return control if self.n_steps == 1 else np.repeat(control, self.n_steps, axis=1)
 
     def set_inputs(self, k: int, command: Array, enabled: Array | None) -> None:
         """Set the inputs of a control period.
@@ -148,58 +173,52 @@ class Periods:
             command: Commands, (n, n_joints); effects may change them.
             enabled: 1 where the motor has torque, else 0, (n, n_joints); None: all have.
         """
-        if not self._has_effects:
-            self._ctrl.write(command)
-            if enabled is not None:
-                self._actuators.scale(enabled)
-            return
-        tick = self._tick(k, command, enabled is not None)
-        for one in self._acts:
-            tick.memory = one.memory
-            one.effect.act(one.size, tick)
-        for one, column in zip(self._frictions, self._friction_columns, strict=True):
-            column += one.effect.friction_Nm(one.size, tick.state)
-        for one, column in zip(self._torques, self._torque_columns, strict=True):
-            column += one.effect.torque_Nm(one.size, tick.state)
-        self._rotors.close_loops(self._qpos, self._qvel, tick.command)
-        self._ctrl.write(tick.command)
-        if self._acts or self._torques:
+        gain = enabled
+        if self._has_effects:
+            tick = self._tick(k, command)
+            for one in self._acts:
+                tick.memory = one.memory
+                one.effect.act(one.size, tick)
+            for one, column in zip(self._frictions, self._friction_columns, strict=True):
+                column += one.effect.friction_Nm(one.size, tick.state)
+            for one, column in zip(self._torques, self._torque_columns, strict=True):
+                column += one.effect.torque_Nm(one.size, tick.state)
+            self._rotors.close_loops(self._qpos, self._qvel, tick.command)
+            command = tick.command
             self._applied.write(tick.applied_Nm)
-        self._friction.write(tick.frictionloss_Nm)
-        self._rotors.move(self._dry, tick.frictionloss_Nm)
-        if self._acts:
-            self._actuators.limit(tick.torque_limit_Nm)
-        if enabled is not None:
-            self._actuators.scale(tick.gain * enabled)
-        elif self._acts:
-            self._actuators.scale(tick.gain)
+            self._friction.write(tick.frictionloss_Nm)
+            self._rotors.move(self._dry, tick.frictionloss_Nm)
+            if self._acts:
+                self._actuators.limit(tick.torque_limit_Nm)
+                gain = tick.gain if enabled is None else tick.gain * enabled
+        self._ctrl.write(command)
+        if gain is not None:
+            self._actuators.scale(gain)
 
-    def _tick(self, k: int, command: Array, is_switched: bool) -> Tick:
+    def _tick(self, k: int, command: Array) -> Tick:
         """Collect what effects may read and change."""
-        n, fields = self.n, self._fields
-        bias, smooth, constraint, qacc = (one.read() for one in self._forces)
-        load = self._load
-        np.multiply(fields.armature_kgm2[:n], qacc, out=load)
+        for one in self._read:
+            one.read()
+        bias, smooth, constraint, qacc = (one.values for one in self._forces)
+        load = self._state.load_Nm
+        np.multiply(self._armature, qacc, out=load)
         np.subtract(constraint, load, out=load)
         load += smooth
         load += bias
-        self._time_s.fill(k * self._period_s)
-        applied, friction, limit, gain = self._inputs
-        if self._acts or self._torques:
-            applied.fill(0.0)
-        friction[...] = fields.frictionloss_Nm[:n]
+        self._state.time_s.fill(k * self._period_s)
+        self._friction.values[...] = self._loss
+        self._applied.values.fill(0.0)
         if self._acts:
-            limit[...] = fields.torque_limit_Nm[:n]
-        if self._acts or is_switched:
-            gain.fill(1.0)
+            self._limit[...] = self._fields.torque_limit_Nm[: self.n]
+            self._gain.fill(1.0)
         return Tick(
-            state=State(self._time_s, self._q.read(), self._v.read(), load, self._temperature[:n]),
+            state=self._state,
             command=command,
-            applied_Nm=applied,
-            frictionloss_Nm=friction,
-            torque_limit_Nm=limit,
-            gain=gain,
-            motor_Nm=self._motor.read(),
+            applied_Nm=self._applied.values,
+            frictionloss_Nm=self._friction.values,
+            torque_limit_Nm=self._limit,
+            gain=self._gain,
+            motor_Nm=self._motor.values,
             period_s=self._period_s,
             memory={},
         )

@@ -41,7 +41,8 @@ class Rotors:
             _place(robot, one.joint, one.name, np.flatnonzero(one.rows), one.encoder_is_at_output)
             for one in rotors
         ]
-        self.exist = any(one.rows.size for one in self._places)
+        self.close_at_output = any(one.rows.size and one.encoder_is_at_output for one in self._places)
+        """True if commands must be shifted in each control period."""
         for one, rotor in zip(self._places, rotors, strict=True):
             target = fields.batch.expand("actuator_trnid")
             target[one.rows, robot.joints[one.joint].actuator_index, 0] = robot.model.joint(rotor.name).id
@@ -74,12 +75,12 @@ class Rotors:
         """Write the angles of rotors that have the encoder over those of their joints.
 
         Args:
-            qpos: Positions of the model, (n_sims, n_qpos) [rad].
-            shown_rad: Positions of the joints, (n_sims, n_joints); it is written.
+            qpos: Positions of the model, (..., n_sims, n_qpos) [rad].
+            shown_rad: Positions of the joints, (..., n_sims, n_joints); it is written.
         """
         for one in self._places:
             if not one.encoder_is_at_output:
-                shown_rad[one.rows, one.joint] = qpos[one.rows, one.qpos]
+                shown_rad[..., one.rows, one.joint] = qpos[..., one.rows, one.qpos]
 
     def close_loops(self, qpos: Array, qvel: Array, command: Array) -> None:
         """Shift commands so that the loop closes at the encoder at the output, not at the rotor.

@@ -1,14 +1,16 @@
 """One batch of simulations: candidates times windows."""
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import groupby, pairwise
 from typing import Final
 
 import mujoco
 import mujoco.batch
 import numpy as np
 
-from diagnosis.arrays import Array, Flags
+from diagnosis.arrays import Array, Flags, Integers
 from diagnosis.compiled import Models, nominal_fields, step_armature
 from diagnosis.effects.effect import Effect, Fields
 from diagnosis.periods import Acting, Periods
@@ -18,9 +20,12 @@ from diagnosis.sampling import Sampling
 from diagnosis.windows import Window
 
 CHUNK: Final = 1024
-"""Control periods whose positions are kept until they are sampled: some seconds."""
-CHECK: Final = 64
-"""Control periods after which simulations that blew up are looked for."""
+"""Control periods whose positions are kept until they are sampled: some seconds, a multiple of `SPAN`."""
+SPAN: Final = 64
+"""Most control periods in one call of MuJoCo; then simulations that blew up are looked for."""
+LEAST_SIMS: Final = 20
+"""Simulations of a thread. With fewer, it costs more processor time between the calls, when it waits for the
+next one, than its work saves: 25 us a control period, as long as 20 steps of one joint or 8 of six."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +55,7 @@ class Simulation:
             effects: Effects with their sizes for each candidate.
             windows: Windows.
             n_candidates: Number of candidates.
-            n_threads: Threads; 0: as many as there are processors.
+            n_threads: Most threads; 0: as many as there are processors.
         """
         self._compiled = models.compiled([one.effect for one in effects])
         self._robot = self._compiled.robot
@@ -58,7 +63,10 @@ class Simulation:
         self._windows = [windows[w] for w in self._order]
         self._n_candidates = n_candidates
         self._n_sims = n_candidates * len(windows)
-        self._batch = mujoco.batch.Batch(self._robot.model, self._n_sims, nthread=n_threads)
+        useful = max(1, self._n_sims // LEAST_SIMS)
+        self._batch = mujoco.batch.Batch(
+            self._robot.model, self._n_sims, nthread=min(n_threads or os.cpu_count() or 1, useful)
+        )
         names = [joint.name for joint in self._robot.joints]
         self._effects = [
             Acting(
@@ -118,19 +126,19 @@ class Simulation:
         """Compute the commands as they arrive, (n_ticks, n_sims, n_joints)."""
         period_s = self._robot.control_period_s
         command = np.zeros((self._windows[0].n_ticks, self._n_sims, len(self._robot.joints)))
-        for j, joint in enumerate(self._robot.joints):
-            shape, decode = self._at("shape_command", j), self._at("decode", j)
-            for w, window in enumerate(self._windows):
-                sims = self._sims(w)
-                arrived: Array = window.command[None, :, j]
-                if shape or decode:
-                    arrived = np.tile(arrived, (self._n_candidates, 1))
-                for one in shape:
+        # windows of the same length together: some effects shape a command period by period in Python
+        for n_ticks, alike in groupby(range(len(self._windows)), lambda w: self._windows[w].n_ticks):
+            windows = list(alike)
+            sims = slice(self._sims(windows[0]).start, self._sims(windows[-1]).stop)
+            given = np.array([self._windows[w].command for w in windows])
+            for j, joint in enumerate(self._robot.joints):
+                arrived: Array = np.repeat(given[:, :, j], self._n_candidates, axis=0)
+                for one in self._at("shape_command", j):
                     arrived = one.effect.shape_command(one.size[sims], arrived, period_s)
                 if joint.mode is ControlMode.POSITION:
-                    for one in reversed(decode):
+                    for one in reversed(self._at("decode", j)):
                         arrived = one.effect.decode(one.size[sims], arrived)
-                command[: window.n_ticks, sims, j] = arrived[:, window.n_lead :].T
+                command[:n_ticks, sims, j] = arrived[:, -n_ticks:].T
         return command
 
     def _set_start(self) -> None:
@@ -138,7 +146,8 @@ class Simulation:
         q = self._each(np.array([window.q_rad for window in self._windows]))
         for one in reversed(self._with("decode")):
             q[:, one.joint] = one.effect.decode(one.size, q[:, [one.joint]])[:, 0]
-        self._batch.bind("qpos")[:, self._compiled.qpos] = q
+        self._qpos = self._batch.bind("qpos")
+        self._qpos[:, self._compiled.qpos] = q
         v = self._each(np.array([window.v_rad_s for window in self._windows]))
         self._batch.bind("qvel")[:, self._compiled.dof] = v
         self._rotors.start(self._batch)
@@ -156,29 +165,61 @@ class Simulation:
         n_ticks = int(ends[0])
         alive = self._n_candidates * np.sum(ends > np.arange(n_ticks)[:, None], axis=1)
         path = np.empty((CHUNK + 1, self._n_sims, len(self._robot.joints)))
-        for first in range(0, n_ticks, CHUNK):
-            last = min(first + CHUNK, n_ticks)
-            periods.shown_rad(path[0])
-            for k in range(first, last):
-                if alive[k] != periods.n:
-                    periods.keep(int(alive[k]))
-                self._step(k, failed)
-                periods.shown_rad(path[k + 1 - first])
-                if k % CHECK == 0 or k == n_ticks - 1:
-                    failed |= self._batch.warning.reshape(self._n_sims, -1).any(axis=1)
-            sampling.take(path, first, last)
+        periods.show(self._qpos, path[0])
+        begin = 0
+        for first, last in pairwise(self._edges()):
+            if alive[first] != periods.n:
+                periods.keep(int(alive[first]))
+            self._advance(first, last, failed, path[first + 1 - begin : last + 1 - begin])
+            if last % SPAN == 0 or last == n_ticks:
+                failed |= self._batch.warning.reshape(self._n_sims, -1).any(axis=1)
+            if last - begin == CHUNK or last == n_ticks:
+                sampling.take(path, begin, last)
+                path[0], begin = path[last - begin], last
         return self._encoded(sampling.values, failed)
 
-    def _step(self, k: int, failed: Flags) -> None:
-        """Step the simulations that go on through a control period."""
-        n = self._periods.n
+    def _edges(self) -> list[int]:
+        """Return the control periods at which more than the commands may change, and the end."""
+        n_ticks = self._windows[0].n_ticks
+        if not self._periods.are_steady:
+            return list(range(n_ticks + 1))
+        edges = {n_ticks, *range(0, n_ticks, SPAN)}
+        for window in self._windows:
+            switched = np.diff(window.enabled, axis=0).any(axis=1)
+            edges.update((window.n_ticks, *(1 + np.flatnonzero(switched)).tolist()))
+        return sorted(edges)
+
+    def _advance(self, first: int, last: int, failed: Flags, path: Array) -> None:
+        """Simulate control periods in which only commands change, and write their ends to a path."""
+        periods, n = self._periods, self._periods.n
         enabled = None
         if self._is_switched:
             alive = self._windows[: n // self._n_candidates]
-            enabled = self._each(np.array([window.enabled[k] for window in alive], dtype=float))
-        self._periods.set_inputs(k, self._command[k, :n], enabled)
-        ids = np.flatnonzero(~failed[:n]) if n < self._n_sims or failed.any() else None
-        self._call(failed, lambda: self._batch.step(ids, nstep=self._periods.n_steps))
+            enabled = self._each(np.array([window.enabled[first] for window in alive], dtype=float))
+        periods.set_inputs(first, self._command[first, :n], enabled)
+        ids = np.flatnonzero(~failed[:n])
+        if last - first > 1:
+            periods.show(self._rollout(first, last, ids, failed), path)
+            return
+        some = None if ids.size == self._n_sims else ids
+        self._call(failed, lambda: self._batch.step(some, nstep=periods.n_steps))
+        periods.show(self._qpos, path[0])
+
+    def _rollout(self, first: int, last: int, ids: Integers, failed: Flags) -> Array:
+        """Simulate control periods in one call; return the ends of all, (n_periods, n_sims, n_qpos) [rad].
+
+        Without effects in between, the bits are those of a call a period. A call takes a third of a step of
+        one joint for each simulation, and Python between two calls as long as ten steps.
+        """
+        n_steps, n_qpos = self._periods.n_steps, self._robot.model.nq
+        control = self._periods.control(self._command[first:last, ids])
+        steps = np.zeros((*control.shape[:2], n_qpos))
+        self._call(
+            failed, lambda: self._batch.rollout(control.shape[1], control, ids=ids, out={"qpos": steps})
+        )
+        qpos = np.zeros((last - first, self._n_sims, n_qpos))
+        qpos[:, ids] = steps[:, n_steps - 1 :: n_steps].swapaxes(0, 1)
+        return qpos
 
     def _call(self, failed: Flags, job: Callable[[], None]) -> None:
         """Call MuJoCo, and mark the simulations that it cannot continue."""

@@ -3,7 +3,8 @@
 Steps in a second with Stribeck friction at every joint, which acts in every control period, are divided by
 those of `mujoco.rollout` with the same model, starts, commands and threads. Both are measured alternately;
 the median of the ratios counts. On a loaded machine the ratio is too low: the engine waits for all threads
-after every control period, rollouts wait at their end alone.
+after every control period, rollouts wait at their end alone. The engine switches the profiler of MuJoCo off;
+bare rollouts keep it, as the Python package installs it.
 """
 
 import json

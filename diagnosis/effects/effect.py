@@ -142,6 +142,8 @@ class Effect(ABC):
     family: ClassVar[Family]
     has_shape: ClassVar[bool] = False
     """True if all sizes but the first give a form, and mean nothing while the first is 0."""
+    is_steady: ClassVar[bool] = False
+    """True if `friction_Nm` and `torque_Nm` do not change within a window, whatever the joint does."""
     place: str
     """Name of the joint, or of the body."""
 

@@ -24,6 +24,7 @@ class ConstantTorque(JointEffect):
 
     name: ClassVar[str] = "constant torque"
     family: ClassVar[Family] = Family.EXTERNAL
+    is_steady: ClassVar[bool] = True
 
     @property
     def sizes(self) -> tuple[Size, ...]:

@@ -110,6 +110,7 @@ class AsymmetricFriction(JointEffect):
 
     name: ClassVar[str] = "asymmetric friction"
     family: ClassVar[Family] = Family.FRICTION
+    is_steady: ClassVar[bool] = True
 
     @property
     def sizes(self) -> tuple[Size, ...]:
@@ -137,6 +138,7 @@ class TemperatureFriction(JointEffect):
 
     name: ClassVar[str] = "temperature-dependent friction"
     family: ClassVar[Family] = Family.FRICTION
+    is_steady: ClassVar[bool] = True
 
     @property
     def sizes(self) -> tuple[Size, ...]:

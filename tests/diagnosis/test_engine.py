@@ -10,8 +10,11 @@ from scipy.integrate import solve_ivp
 from diagnosis.arrays import Array
 from diagnosis.effects.actuation import DeadZone, GainError
 from diagnosis.effects.command import CommandDelay
+from diagnosis.effects.effect import Effect
+from diagnosis.effects.external import ConstantTorque
 from diagnosis.effects.friction import CoulombFriction, LoadFriction, StribeckFriction
 from diagnosis.effects.timing import MeasurementDelay
+from diagnosis.effects.transmission import Backlash
 from diagnosis.errors import RobotError
 from diagnosis.logs import JointLog, Motion, Signal
 from diagnosis.robot import ControlMode
@@ -163,6 +166,28 @@ def test_the_bits_of_a_motion_depend_on_no_other_motion() -> None:
         assert np.array_equal(
             together[:, model.motion_of == m], model.select([name]).residuals(effects, sizes)
         )
+
+
+STEADY: list[Effect] = [
+    *(at_swing(kind, pendulum()) for kind in (GainError, CommandDelay, MeasurementDelay, ConstantTorque)),
+    Backlash("swing", 0, encoder_is_at_output=False, typical_rad=0.01, high_rad=0.1),
+]
+
+
+@pytest.mark.parametrize("limit_Nm", [0.6, float("inf")])
+def test_many_periods_in_one_call_give_the_bits_of_single_ones(
+    limit_Nm: float, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    robot = pendulum(limit_Nm=limit_Nm, step_s=0.001, period_s=0.002)
+    off = Signal(TIME_s, ((TIME_s < 0.3) | (TIME_s > 0.605)).astype(float))
+    logs = [*MOTIONS, motion(TIME_s, 0.1 * TIME_s, waves(TIME_s, 4), name="m4", enabled=off)]
+    model = SimulationResiduals(robot, logs, n_threads=1)
+    typical = np.array([one.typical for effect in STEADY for one in effect.sizes])
+    sizes = typical * np.array([[1, 1, 1, 1, 1], [0, 0, 0, 0, 0], [0, 2, -1, 0, 0], [1e300, 0, 0, 1, 0]])
+    together = model.residuals(STEADY, sizes)
+    monkeypatch.setattr("diagnosis.simulation.SPAN", 1)
+    assert np.array_equal(together, model.residuals(STEADY, sizes))
+    capfd.readouterr()  # MuJoCo itself prints a warning on the gain of 1e300
 
 
 def test_residuals_are_labelled_by_joint_motion_and_time() -> None:
