@@ -80,7 +80,7 @@ def test_the_best_of_directions_that_are_alike_raises_no_more_false_alarms_than_
 
 
 def alternative(random, n_motions, strength, other):
-    """Return the probability of the square, which is the cause, if another change fits better; and its reverse."""
+    """Return the probability of the square, which is the cause, and of another change beside it."""
     base, change, noise = draw(random, n_motions)
     residual = noise + strength * change[:, 0]
     models = []
