@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.context import Context, Present, simulate
+from diagnosis.context import Context, FittedModel, simulate
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, gather_residuals
 from diagnosis.sharing import ALL_JOINTS
@@ -40,7 +40,7 @@ class Candidate:
     """Mean improvement of a motion over its standard error."""
 
 
-def choose(context: Context, present: Present, candidates: Sequence[Candidate]) -> list[Candidate]:
+def choose(context: Context, present: FittedModel, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Choose the best effect of each joint, or one at a body if it does more than they do.
 
     Args:
@@ -89,13 +89,13 @@ def simplest(candidates: Sequence[Candidate]) -> Candidate:
     return min(alike, key=lambda one: (len(one.effect.sizes), -one.gain))
 
 
-def _improvement(present: Present, candidate: Candidate) -> float:
+def _improvement(present: FittedModel, candidate: Candidate) -> float:
     """Return the decrease of the mean loss, summed over the joints of a candidate."""
     change = present.scores[list(candidate.joints)] - candidate.scores
     return float(np.sum(np.nanmean(change[~np.isnan(change).all(axis=1)], axis=1)))
 
 
-def worsens_another(context: Context, present: Present, candidate: Candidate) -> bool:
+def worsens_another(context: Context, present: FittedModel, candidate: Candidate) -> bool:
     """Check whether an effect worsens a joint that is not its place.
 
     Args:

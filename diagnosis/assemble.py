@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Flags
-from diagnosis.context import Context, Present, Selection
+from diagnosis.context import Context, FittedModel, Selection
 from diagnosis.effects.actuation import GainError
 from diagnosis.noise import noise_residuals
 from diagnosis.residuals import ResidualModel
@@ -93,7 +93,7 @@ def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Arra
     return model.residuals(part, points[:, union.columns(part)])
 
 
-def describe_finding(context: Context, chosen: Present, found: ConfidenceSet) -> Finding:
+def describe_finding(context: Context, chosen: FittedModel, found: ConfidenceSet) -> Finding:
     """Describe a finding with its sets.
 
     Where effects explain less than MIN_CLOSURE of a joint, the sets of families and effects are empty: none
@@ -128,7 +128,7 @@ def describe_finding(context: Context, chosen: Present, found: ConfidenceSet) ->
     )
 
 
-def closure_at(context: Context, chosen: Present, place: str) -> float:
+def closure_at(context: Context, chosen: FittedModel, place: str) -> float:
     """Return the share of what can be explained at a joint that a model explains, in left-out motions.
 
     Args:
@@ -149,7 +149,7 @@ def closure_at(context: Context, chosen: Present, place: str) -> float:
     return (before - float(np.nanmean(chosen.scores[joints]))) / max(before - noise, 1e-12)
 
 
-def find_interval(context: Context, chosen: Present, column: int) -> tuple[float, float]:
+def find_interval(context: Context, chosen: FittedModel, column: int) -> tuple[float, float]:
     """Return the interval of a size; that of an effect at a body allows for the sizes of all joints.
 
     Args:
@@ -165,7 +165,7 @@ def find_interval(context: Context, chosen: Present, column: int) -> tuple[float
     return float(low), float(high)
 
 
-def list_base(robot: Robot, context: Context, chosen: Present) -> list[Base]:
+def list_base(robot: Robot, context: Context, chosen: FittedModel) -> list[Base]:
     """List the base parameters as fitted.
 
     A number counts as unidentifiable if its interval is as wide as the prior allows, or if the gain of its

@@ -56,7 +56,7 @@ class Context:
 
 
 @dataclass(frozen=True, slots=True)
-class Present:
+class FittedModel:
     """A model: its effects, its fit at each joint, its errors on motions that were left out."""
 
     effects: tuple[Effect, ...]
@@ -88,9 +88,9 @@ class Selection:
     """Models before and after, and what the findings were held against."""
 
     context: Context
-    base: Present
-    chosen: Present
-    left_out: tuple[tuple[tuple[Effect, ...], Present], ...]
+    base: FittedModel
+    chosen: FittedModel
+    left_out: tuple[tuple[tuple[Effect, ...], FittedModel], ...]
     """Findings that are left out together, and the model without them; each finding once."""
     competitors: dict[str, tuple[Score, ...]]
     """For each finding, by key, the effects that were refitted before it was accepted."""
@@ -118,21 +118,21 @@ def start_context(
         The context, with scales of 1 and without shared simulations.
     """
     known = {effect.key for effect in base}
-    rivals = tuple(effect for effect in catalogue if effect.key not in known)
-    union = Union((*base, *rivals))
+    others = tuple(effect for effect in catalogue if effect.key not in known)
+    union = Union((*base, *others))
     joint_of_column = list_joints(model, union, ())
     ones = np.ones(len(model.joints))
     return Context(
         model=model,
         union=union,
         base=tuple(base),
-        catalogue=rivals,
+        catalogue=others,
         scales=ones,
         noise_loss=0.0 * ones,
         base_scores=np.empty((0, 0)),
         sharing=share_nothing(len(model.joints), joint_of_column),
         reach={},
-        n_distinct=float(len(rivals)),
+        n_distinct=float(len(others)),
         folds=(),
         seed=seed,
         meter=meter,

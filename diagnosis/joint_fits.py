@@ -8,16 +8,14 @@ import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.blocks import Blocks, cut_into_blocks
-from diagnosis.context import Context, Present, Score, draw_folds, recall, run, simulate
+from diagnosis.context import Context, FittedModel, Score, draw_folds, recall, run, simulate
+from diagnosis.cross_validation import cross_validate
 from diagnosis.effects.effect import Effect
 from diagnosis.errors import RobotError
 from diagnosis.fit import (
-    STEP,
     Fit,
     Hypothesis,
     gather_residuals,
-    half_loss_derivatives,
-    pseudo_huber,
     scale_residuals,
     select_rows,
 )
@@ -30,7 +28,7 @@ MIN_MOTIONS: Final = 4
 """Least motions of a fit: with fewer, no error of a left-out motion has a standard error worth the name."""
 
 
-def fit_base(context: Context) -> tuple[Context, Present]:
+def fit_base(context: Context) -> tuple[Context, FittedModel]:
     """Fit the base parameters of each joint twice: scales and noise follow from the first fit.
 
     Args:
@@ -63,7 +61,7 @@ def fit_base(context: Context) -> tuple[Context, Present]:
     sizes, residuals, fits = fit_all_joints(context, sizes)
     context = replace(context, noise_loss=noise_losses(model, residuals, context.scales))
     scores = cross_validate(context, fits)
-    return replace(context, base_scores=scores), Present((), sizes, fits, scores)
+    return replace(context, base_scores=scores), FittedModel((), sizes, fits, scores)
 
 
 def _count_motions(model: ResidualModel) -> int:
@@ -75,8 +73,8 @@ def _count_motions(model: ResidualModel) -> int:
 
 
 def add_effects(
-    context: Context, base: Present, present: Present, effects: Sequence[Effect], found: Sequence[Fit]
-) -> tuple[Context, Present]:
+    context: Context, base: FittedModel, present: FittedModel, effects: Sequence[Effect], found: Sequence[Fit]
+) -> tuple[Context, FittedModel]:
     """Add effects to the present model, and refit it in the scales of its new residuals.
 
     A scale from before an effect was found is so wide that the loss is a sum of squares. Blocks are cut anew.
@@ -101,10 +99,12 @@ def add_effects(
     context = replace(context, base_scores=cross_validate(context, base.fits))
     more = (*present.effects, *effects)
     fits = recall(fit_joints, context, more, sizes, (*present.fits, *found))
-    return context, Present(more, fits[0].sizes, fits, cross_validate(context, fits))
+    return context, FittedModel(more, fits[0].sizes, fits, cross_validate(context, fits))
 
 
-def cut_anew(context: Context, present: Present, shortlist: Sequence[Score]) -> tuple[Context, Present]:
+def cut_anew(
+    context: Context, present: FittedModel, shortlist: Sequence[Score]
+) -> tuple[Context, FittedModel]:
     """Cut the blocks of each joint by the memory of what its best effect leaves.
 
     Without the effect that memory is the noise's. With it, what it explains is no noise: blocks as long as
@@ -210,7 +210,7 @@ def fit_joints(
     return tuple(replace(fit, sizes=sizes, residuals=rows[fit.rows]) for fit in fits)
 
 
-def fits_at(context: Context, present: Present, joint: int) -> tuple[Fit, ...]:
+def fits_at(context: Context, present: FittedModel, joint: int) -> tuple[Fit, ...]:
     """Return the fits of the residuals of a joint.
 
     Args:
@@ -254,107 +254,7 @@ def merge_sizes(context: Context, sizes: Array, fits: Sequence[Fit]) -> Array:
     return merged
 
 
-def cross_validate(context: Context, fits: Sequence[Fit]) -> Array:
-    """Leave out each fold of motions, and measure the loss on the fold.
-
-    Args:
-        context: The context.
-        fits: Fits of different joints.
-
-    Returns:
-        Mean losses of left-out motions of each joint, (n_joints, n_motions), without a unit; NaN without
-        data, and for joints without a fit.
-    """
-    found = np.full((len(context.model.joints), len(context.model.motions)), np.nan)
-    for losses in cross_validate_each(context, fits):
-        found = np.fmax(found, losses)
-    return found
-
-
-def cross_validate_each(context: Context, fits: Sequence[Fit]) -> list[Array]:
-    """Leave out each fold of motions, and measure the loss on the fold, for each fit by itself.
-
-    A fit without a fold begins at the optimum of all motions and takes one Newton step, with the
-    Jacobian of that optimum. It is then simulated, so that nothing of its loss is linearised.
-
-    Args:
-        context: The context.
-        fits: Fits.
-
-    Returns:
-        Mean losses of left-out motions for each fit, (n_joints, n_motions) each, without a unit; NaN without
-        data.
-    """
-    points = [(fit.joint, step_without(context, fit, fold)) for fit in fits for fold in context.folds]
-    rows = iter(simulate(context, points, "cross-validation"))
-    found = []
-    for fit in fits:
-        losses = np.full((len(context.model.joints), len(context.model.motions)), np.nan)
-        for fold in context.folds:
-            left_out = sorted(fold)
-            losses[:, left_out] = motion_losses(context, fit.rows, next(rows))[:, left_out]
-        found.append(losses)
-    return found
-
-
-def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:
-    """Return the sizes of a fit after one step without a fold of motions.
-
-    A size at a bound stays there if the step would lead beyond it. Derivatives are known to about STEP: what
-    changes in sizes together do to the residual is not known where it is STEP times less than what they do
-    alone, and the step does not go there.
-
-    Args:
-        context: The context.
-        fit: Fit of all motions.
-        fold: Indices of motions that take no part.
-
-    Returns:
-        (n_sizes,), in their own units.
-    """
-    model, free = context.model, fit.columns
-    low = np.array([context.union.sizes[c].low for c in free])
-    high = np.array([context.union.sizes[c].high for c in free])
-    prior = np.array([context.union.sizes[c].prior_std for c in free]) ** -2.0
-    weight = np.where(np.isin(model.motion_of[fit.rows], sorted(fold)), 0.0, 1.0)
-    weight /= context.scales[model.joint_of[fit.rows]]
-    a, at = fit.jacobian * weight[:, None], fit.sizes[free]
-    slope, curvature = half_loss_derivatives(fit.residuals * weight)
-    gradient = a.T @ slope + prior * at
-    go = ~(((at <= low) & (gradient > 0.0)) | ((at >= high) & (gradient < 0.0)))
-    normal = (a.T @ (a * curvature[:, None]) + np.diag(prior))[np.ix_(go, go)]
-    unit = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    inverse = np.linalg.pinv(normal / np.outer(unit, unit), rcond=STEP**2, hermitian=True)
-    at[go] -= inverse @ (gradient[go] / unit) / unit
-    found = fit.sizes.copy()
-    found[free] = np.clip(at, low, high)
-    return found
-
-
-def motion_losses(context: Context, rows: Integers, residuals: Array) -> Array:
-    """Return the mean pseudo-Huber loss of each joint in each motion.
-
-    It is the loss that a fit minimises: square of small residuals, absolute value of large ones.
-
-    Args:
-        context: The context.
-        rows: Rows of the residual model, (n_rows,) indices.
-        residuals: Residuals in these rows, (n_rows,), in the unit of the model.
-
-    Returns:
-        (n_joints, n_motions), without a unit: residuals count in the scale of their joint; NaN without data.
-    """
-    model = context.model
-    joint, shape = model.joint_of[rows], (len(model.joints), len(model.motions))
-    cell = joint * shape[1] + model.motion_of[rows]
-    loss = pseudo_huber(residuals / context.scales[joint])
-    count = np.bincount(cell, minlength=shape[0] * shape[1])
-    total = np.bincount(cell, weights=loss, minlength=shape[0] * shape[1])
-    with np.errstate(invalid="ignore"):
-        return np.asarray(total / count).reshape(shape)
-
-
-def leave_out(context: Context, present: Present, effects: Sequence[Effect]) -> Present:
+def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect]) -> FittedModel:
     """Refit the model without some of its effects.
 
     Args:
@@ -370,7 +270,7 @@ def leave_out(context: Context, present: Present, effects: Sequence[Effect]) -> 
     sizes = present.sizes.copy()
     sizes[context.union.columns(effects)] = 0.0
     fits = recall(fit_joints, context, rest, sizes, present.fits)
-    return Present(rest, fits[0].sizes, fits, cross_validate(context, fits))
+    return FittedModel(rest, fits[0].sizes, fits, cross_validate(context, fits))
 
 
 def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:

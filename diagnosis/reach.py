@@ -24,7 +24,7 @@ def share_simulations(context: Context, sizes: Array, effects: Sequence[Effect])
 
     Args:
         context: The context, with scales.
-        sizes: Present sizes, (n_sizes,), in their own units.
+        sizes: FittedModel sizes, (n_sizes,), in their own units.
         effects: Effects to measure. Those of the base decide which joints share; all do where no base is.
 
     Returns:
@@ -55,7 +55,7 @@ def measure_reach(context: Context, sizes: Array, columns: Sequence[tuple[Intege
 
     Args:
         context: The context, with scales.
-        sizes: Present sizes, (n_sizes,), in their own units.
+        sizes: FittedModel sizes, (n_sizes,), in their own units.
         columns: For each effect the columns of its sizes, and its typical sizes in their units.
 
     Returns:
@@ -96,18 +96,18 @@ def list_lively(model: ResidualModel) -> list[str]:
     return [model.motions[k] for k in np.unique(np.argmax(speed, axis=1))]
 
 
-def expected_change(context: Context, lane: int, trial: Trial) -> float:
+def expected_change(context: Context, joint: int, trial: Trial) -> float:
     """Return the change that a trial should make at its joint, from that of typical sizes.
 
     Args:
         context: The context.
-        lane: Index of the joint, or ALL_JOINTS.
+        joint: Index of the joint, or ALL_JOINTS.
         trial: The trial.
 
     Returns:
         RMS change over the scale of the joint, without a unit.
     """
-    if lane == ALL_JOINTS:
+    if joint == ALL_JOINTS:
         return 0.0
     typical = np.array([size.typical for size in trial.effect.sizes])
     ratios = np.array(trial.points)[:, context.union.columns([trial.effect])] / typical

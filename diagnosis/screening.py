@@ -104,7 +104,7 @@ def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Array) -> Whitened
     """Weight the residuals of some joints and clear them of what their free sizes can do.
 
     Args:
-        fits: Present model of these joints.
+        fits: FittedModel model of these joints.
         model: The residual model.
         scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
 

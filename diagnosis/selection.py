@@ -14,12 +14,12 @@ from diagnosis.arrays import Array
 from diagnosis.chance import FALSE_ALARM, count_distinct
 from diagnosis.checkpoint import Checkpoint
 from diagnosis.comparison import compare
-from diagnosis.context import Context, Present, Score, Selection, recall, run, simulate, start_context
+from diagnosis.context import Context, FittedModel, Score, Selection, recall, run, simulate, start_context
+from diagnosis.cross_validation import cross_validate_each
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Hypothesis, pseudo_huber
 from diagnosis.joint_fits import (
     add_effects,
-    cross_validate_each,
     cut_anew,
     fit_base,
     fits_at,
@@ -98,7 +98,7 @@ def _list_competitors(context: Context, winner: Candidate, refitted: dict[str, S
 
 
 def screen(
-    context: Context, present: Present, open_joints: set[int], rounds_after: int
+    context: Context, present: FittedModel, open_joints: set[int], rounds_after: int
 ) -> tuple[list[Score], float]:
     """Simulate every effect at a few sizes, and keep the best of each place.
 
@@ -160,7 +160,7 @@ def _order(simulated: Sequence[Array], fits: Sequence[Fit]) -> Sequence[Array]:
 
 
 def find_winners(
-    context: Context, present: Present, shortlist: Sequence[Score]
+    context: Context, present: FittedModel, shortlist: Sequence[Score]
 ) -> tuple[list[Candidate], list[Score]]:
     """Refit the shortlist, and choose what is accepted.
 
@@ -177,7 +177,7 @@ def find_winners(
     return choose(context, present, candidates), finalists
 
 
-def shorten(context: Context, present: Present, shortlist: Sequence[Score]) -> list[Score]:
+def shorten(context: Context, present: FittedModel, shortlist: Sequence[Score]) -> list[Score]:
     """Refit the shortlist for a few iterations, keep the better half of the effects of each joint, and again.
 
     Args:
@@ -202,7 +202,7 @@ def shorten(context: Context, present: Present, shortlist: Sequence[Score]) -> l
     return left
 
 
-def refit(context: Context, present: Present, scores: Sequence[Score]) -> list[Fit]:
+def refit(context: Context, present: FittedModel, scores: Sequence[Score]) -> list[Fit]:
     """Refit effects, each with the base parameters and the accepted effects of its joint.
 
     Args:
@@ -216,7 +216,7 @@ def refit(context: Context, present: Present, scores: Sequence[Score]) -> list[F
     return run(context, [_start(context, present, score) for score in scores], "refit")
 
 
-def judge(context: Context, present: Present, scores: Sequence[Score]) -> list[Candidate]:
+def judge(context: Context, present: FittedModel, scores: Sequence[Score]) -> list[Candidate]:
     """Refit effects with all motions and without each fold.
 
     Args:
@@ -263,14 +263,14 @@ def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit:
     )
 
 
-def _start(context: Context, present: Present, score: Score) -> Hypothesis:
+def _start(context: Context, present: FittedModel, score: Score) -> Hypothesis:
     effects, joint = (*present.effects, score.effect), context.joint_of(score.effect)
     return start_fit(context, effects, joint, score.start, present.fits)
 
 
 def drop_needless(
-    context: Context, present: Present
-) -> tuple[Present, tuple[tuple[tuple[Effect, ...], Present], ...]]:
+    context: Context, present: FittedModel
+) -> tuple[FittedModel, tuple[tuple[tuple[Effect, ...], FittedModel], ...]]:
     """Drop effects, the weakest first, until left-out motions need each of them and none is due to chance.
 
     Args:
@@ -300,7 +300,7 @@ def drop_needless(
         present = leave_out(context, present, [effect for _, effect in weakest.values()])
 
 
-def find_chance(context: Context, present: Present, effect: Effect) -> float:
+def find_chance(context: Context, present: FittedModel, effect: Effect) -> float:
     """Return the probability of so strong an effect, beside all others, if none is present.
 
     Args:
@@ -316,7 +316,7 @@ def find_chance(context: Context, present: Present, effect: Effect) -> float:
     return min(1.0, context.n_distinct * chance)
 
 
-def count_effects(context: Context, present: Present, joint: int) -> int:
+def count_effects(context: Context, present: FittedModel, joint: int) -> int:
     """Count the accepted effects that are judged at a joint alone.
 
     Args:

@@ -11,7 +11,7 @@ from diagnosis.arrays import Array, Integers
 from diagnosis.blocks import cut_rows
 from diagnosis.chance import alternative_p
 from diagnosis.comparison import compare
-from diagnosis.context import Context, Present, Score, Selection, recall, simulate
+from diagnosis.context import Context, FittedModel, Score, Selection, recall, simulate
 from diagnosis.effects.effect import Effect, Family
 from diagnosis.fit import Fit, half_loss_derivatives
 from diagnosis.joint_fits import fits_at, joints_of
@@ -62,7 +62,7 @@ def find_confidence_sets(selection: Selection) -> list[ConfidenceSet]:
 
 
 def find_layer_sets(
-    context: Context, selection: Selection, without: Present, layer: Sequence[Effect]
+    context: Context, selection: Selection, without: FittedModel, layer: Sequence[Effect]
 ) -> list[ConfidenceSet]:
     """Refit the competitors of findings that are left out together.
 
@@ -105,7 +105,7 @@ def find_layer_sets(
 
 
 def _alternative_p(
-    context: Context, without: Present, joints: Sequence[int], finding: Fit, other: Fit
+    context: Context, without: FittedModel, joints: Sequence[int], finding: Fit, other: Fit
 ) -> float:
     """Return the probability that a finding fits so much better, or more, if the alternative is the cause.
 

@@ -9,9 +9,10 @@ import pytest
 from diagnosis.arrays import Array
 from diagnosis.assemble import find_interval
 from diagnosis.context import start_context
+from diagnosis.cross_validation import step_without
 from diagnosis.effects.effect import Effect, Size
 from diagnosis.fit import Fit, Hypothesis, Union, fit_hypotheses
-from diagnosis.joint_fits import fit_base, step_without
+from diagnosis.joint_fits import fit_base
 from diagnosis.meter import Meter
 from diagnosis.noise import WhitenedResiduals, whiten_noise
 from diagnosis.selection import select_effects
