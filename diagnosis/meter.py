@@ -5,8 +5,6 @@ from typing import Final
 
 Progress = Callable[[float, str], None]
 
-FIRST_RATIO: Final = 3.0
-"""Candidates of the first round over those of its screening: refits are taken to cost twice as much."""
 OVERRUN: Final = 0.1
 """Share of its candidates that a round has left once it has more than were expected."""
 
@@ -23,13 +21,13 @@ class Meter:
         self._progress = progress
         self._share, self._is_silent = 0.0, False
         self._done, self._begin = 0, 0
-        self._screened, self._after = 0, 0
-        self._ended_done, self._ended_screened = 0, 0
+        self._expected, self._after = 0, 0.0
+        self._ended_done, self._ended_expected = 0, 0
 
     @property
     def counts(self) -> list[float]:
         """Return all counts, with which `restore` goes on."""
-        rounds = (self._begin, self._screened, self._after, self._ended_done, self._ended_screened)
+        rounds = (self._begin, self._expected, self._after, self._ended_done, self._ended_expected)
         return [self._share, self._done, *rounds]
 
     def restore(self, counts: Sequence[float]) -> None:
@@ -39,9 +37,9 @@ class Meter:
             counts: Counts of a meter.
         """
         self._is_silent = True
-        self._share, done, *rounds = counts
-        self._done = int(done)
-        self._begin, self._screened, self._after, self._ended_done, self._ended_screened = map(int, rounds)
+        self._share, done, begin, expected, self._after, ended_done, ended_expected = counts
+        self._done, self._begin, self._expected = int(done), int(begin), int(expected)
+        self._ended_done, self._ended_expected = int(ended_done), int(ended_expected)
 
     def go_on(self) -> None:
         """Report again: what an earlier run has done took no time, and ends here."""
@@ -49,17 +47,17 @@ class Meter:
             self._is_silent = False
             self.advance("going on", 0)
 
-    def begin_round(self, screened: int, after: int) -> None:
+    def begin_round(self, expected: int, after: float) -> None:
         """Begin a round of screening and refits.
 
         Args:
-            screened: Candidates of its screening.
+            expected: Candidates that it should take; later rounds are scaled by what earlier ones took.
             after: Rounds that are expected after it.
         """
-        if self._screened:
+        if self._expected:
             self._ended_done += self._done - self._begin
-            self._ended_screened += self._screened
-        self._begin, self._screened, self._after = self._done, screened, after
+            self._ended_expected += self._expected
+        self._begin, self._expected, self._after = self._done, expected, after
 
     def advance(self, text: str, count: int) -> None:
         """Count candidates.
@@ -69,9 +67,9 @@ class Meter:
             count: Number of candidates that were simulated.
         """
         self._done += count
-        if self._screened:
-            ratio = self._ended_done / self._ended_screened if self._ended_screened else FIRST_RATIO
-            usual, spent = ratio * self._screened, self._done - self._begin
+        if self._expected:
+            ratio = self._ended_done / self._ended_expected if self._ended_expected else 1.0
+            usual, spent = ratio * self._expected, self._done - self._begin
             left = max(usual - spent, OVERRUN * spent) + self._after * usual
             self._share = max(self._share, self._done / (self._done + left))
         if not self._is_silent:

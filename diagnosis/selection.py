@@ -43,6 +43,9 @@ FINALISTS: Final = 4
 FEW_ITERATIONS: Final = 2
 """Iterations before the worse half is given up: a third of what refits need, six to nine."""
 
+REFIT_COST: Final = 20
+"""Candidates that an effect of the shortlist takes, as measured; for the progress alone."""
+
 
 def select_effects(
     model: ResidualModel,
@@ -72,8 +75,8 @@ def select_effects(
     competitors: dict[str, tuple[Score, ...]] = {}
     open_joints = {int(j) for j in np.unique(model.joint_of)}
     while open_joints:
-        # a first finding is expected, a round without another, and as much again for what cannot be excluded
-        after = 2 if present is first else 1
+        # a first finding is expected, a round without another, and half of one to leave findings out
+        after = 1.5 if present is first else 0.5
         shortlist, n_distinct = recall(screen, context, present, open_joints, rounds_after=after)
         if present is first:  # later rounds screen fewer effects, but all have competed
             context = replace(context, n_distinct=n_distinct)
@@ -98,7 +101,7 @@ def _list_competitors(context: Context, winner: Candidate, refitted: dict[str, S
 
 
 def screen(
-    context: Context, present: FittedModel, open_joints: set[int], rounds_after: int
+    context: Context, present: FittedModel, open_joints: set[int], rounds_after: float
 ) -> tuple[list[Score], float]:
     """Simulate every effect at a few sizes, and keep the best of each place.
 
@@ -125,7 +128,9 @@ def screen(
     # a large change at one joint would hide a small one at another in the same candidate
     trials.sort(key=lambda pair: -expected_change(context, *pair))
     points = [(joint, point) for joint, trial in trials for point in trial.points]
-    context.meter.begin_round(len(context.sharing.plan(points)), rounds_after)
+    refits = [(joint, present.sizes) for joint, effects in groups.items() for _ in effects[:SHORTLIST]]
+    expected = len(context.sharing.plan(points)) + REFIT_COST * len(context.sharing.plan(refits))
+    context.meter.begin_round(expected, rounds_after)
     moved = iter(simulate(context, points, "screening"))
     tried: dict[tuple[int, str], list[tuple[Trial, list[Array]]]] = {}
     for joint, trial in trials:

@@ -24,7 +24,7 @@ def test_the_share_of_a_selection_is_never_far_from_that_of_its_candidates(truth
 def test_a_round_that_takes_longer_than_expected_never_seems_done() -> None:
     shares: list[float] = []
     meter = Meter(lambda share, text: shares.append(share))
-    meter.begin_round(10, 0)
+    meter.begin_round(30, 0)
     for _ in range(100):
         meter.advance("refit", 10)
     assert shares[0] == pytest.approx(1.0 / 3.0)
