@@ -18,7 +18,7 @@ from diagnosis.sharing import ALL_JOINTS, Point, Sharing
 
 STEP: Final = 0.05
 """Finite-difference step over the typical size: more than one stick or slip changes, small beside it."""
-DAMPINGS: Final = (0.1, 1.0, 10.0)
+DAMPINGS: Final = (0.3, 3.0)
 """Factors on the Levenberg-Marquardt damping that are tried at once."""
 CONVERGED: Final = 1e-3
 """Relative decrease of the loss below which a fit has converged; selection asks for changes of percents."""

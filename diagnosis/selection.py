@@ -36,12 +36,12 @@ from diagnosis.sharing import ALL_JOINTS
 
 MAX_EFFECTS: Final = 3
 """Most effects at one joint beside the base parameters: more describe a residual rather than explain it."""
-SHORTLIST: Final = 16
-"""Effects of a joint that are refitted in a round: half of its catalogue."""
+SHORTLIST: Final = 8
+"""Effects of a joint that are refitted in a round: a third of its catalogue."""
 FINALISTS: Final = 4
 """Effects of a joint that are refitted to the end and judged."""
-FEW_ITERATIONS: Final = 2
-"""Iterations before the worse half is given up: a third of what refits need, six to nine."""
+FEW_ITERATIONS: Final = 3
+"""Iterations before the worse half is given up: less than half of what refits need, six to nine."""
 
 REFIT_COST: Final = 20
 """Candidates that an effect of the shortlist takes, as measured; for the progress alone."""
@@ -150,8 +150,7 @@ def screen(
         score, direction = score_effect(white[joint], own, changes, present.sizes)
         best[joint].append(score)
         directions[joint].append(direction)
-    # the order of the F statistic: an effect with many sizes has to explain more
-    ranked = [sorted(group, key=lambda s: -s.gain / len(s.effect.sizes)) for group in best.values()]
+    ranked = [sorted(group, key=lambda one: -one.gain) for group in best.values()]
     n_distinct = sum(count_distinct(group) for group in directions.values())
     return [score for group in ranked for score in group[:SHORTLIST]], n_distinct
 
