@@ -27,6 +27,8 @@ class Blocks:
     A block is named after its motion, its joint and its place: "A:shoulder:1", "A:shoulder:2".
     """
 
+    by_motion = False
+
     def __init__(self, model: ResidualModel, counts: Integers) -> None:
         """Divide the motions.
 

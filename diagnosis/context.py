@@ -227,7 +227,8 @@ def simulate(context: Context, points: Sequence[Point], text: str) -> list[Array
 
     Args:
         context: The context.
-        points: Joint, or ALL_JOINTS, and sizes of the union in their units, (n_sizes,), for each.
+        points: Joint, or ALL_JOINTS, and sizes of the union in their units, for each: all (n_sizes,), or all
+            (n_motions, n_sizes).
         text: Name of the work, for the progress.
 
     Returns:

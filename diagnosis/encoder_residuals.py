@@ -71,6 +71,7 @@ class EncoderResiduals:
 
     kind = "second encoder"
     unit = "rad"
+    by_motion = False
 
     def __init__(self, robot: Robot, motions: Sequence[Motion]) -> None:
         """Compare the encoders, and compute the loads.

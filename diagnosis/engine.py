@@ -46,20 +46,23 @@ class Engine:
         """Simulate candidates and sample what the encoders show.
 
         Args:
-            sizes: Sizes of all effects one after the other, (n_candidates, n_sizes), each in its own unit.
+            sizes: Sizes of all effects one after the other, (n_candidates, n_sizes) or (n_candidates,
+                n_windows, n_sizes), each in its own unit.
 
         Returns:
             Positions, (n_candidates, n_samples) [rad], in the order of windows, joints, times; NaN in
             windows in which the simulation blew up.
         """
+        if sizes.ndim == 2:
+            sizes = np.repeat(sizes[:, None], len(self.windows), axis=1)
         active = np.zeros((sizes.shape[0], len(self.effects)), dtype=bool)
         for e, part in enumerate(self._sizes):
-            active[:, e] = np.any(sizes[:, part] != 0.0, axis=1)
+            active[:, e] = np.any(sizes[..., part] != 0.0, axis=(1, 2))
         n_samples = sum(one.size for window in self.windows for one in window.sample_time_s)
         shown = np.empty((sizes.shape[0], n_samples))
         for rows in self._groups(active):
             chosen = np.flatnonzero(active[rows].any(axis=0))
-            effects = [ActiveEffect(self.effects[e], sizes[rows, self._sizes[e]]) for e in chosen]
+            effects = [ActiveEffect(self.effects[e], sizes[rows][..., self._sizes[e]]) for e in chosen]
             simulation = Simulation(self.models, effects, self.windows, len(rows), self.n_threads)
             with profiler_off():
                 shown[rows] = simulation.positions()

@@ -13,7 +13,7 @@ import numpy as np
 
 from diagnosis.arrays import Array, Flags, Integers
 from diagnosis.effects.effect import Effect, Size
-from diagnosis.residuals import ResidualModel
+from diagnosis.residuals import ResidualModel, residuals_by_motion
 from diagnosis.sharing import ALL_JOINTS, Point, Sharing
 
 STEP: Final = 0.05
@@ -199,7 +199,8 @@ def evaluate_points(
     Args:
         model: The residual model.
         union: Effects, and the columns of their sizes.
-        points: Joint, or ALL_JOINTS, and sizes of the union in their units, (n_sizes,), for each.
+        points: Joint, or ALL_JOINTS, and sizes of the union in their units, for each: all (n_sizes,), or all
+            (n_motions, n_sizes).
         sharing: Joints whose points may share a candidate.
         report: Called with the number of candidates after each call of the model.
 
@@ -350,10 +351,14 @@ class _Evaluator:
     def simulate(self, plan: list[list[int]], points: list[Point], found: dict[int, Array]) -> None:
         """Simulate candidates, and add the residuals of each point to what is found."""
         merged = [self.sharing.merge([points[number] for number in numbers]) for numbers in plan]
-        used = np.flatnonzero(np.any([point != 0.0 for point in merged], axis=0))
+        sizes = np.array(merged)
+        used = np.flatnonzero(np.any(sizes != 0.0, axis=tuple(range(sizes.ndim - 1))))
         part = [e for e in self.union.effects if np.isin(self.union.columns([e]), used).any()]
-        sizes = np.array([point[self.union.columns(part)] for point in merged])
-        simulated = self.model.residuals(part, sizes)
+        sizes = sizes[..., self.union.columns(part)]
+        if sizes.ndim == 3:
+            simulated = residuals_by_motion(self.model, part, sizes)
+        else:
+            simulated = self.model.residuals(part, sizes)
         for numbers, row in zip(plan, simulated, strict=True):
             for number in numbers:
                 found[number] = row[self.rows[points[number][0]]]

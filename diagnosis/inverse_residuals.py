@@ -73,6 +73,7 @@ class InverseResiduals:
 
     kind = "inverse dynamics"
     unit = "N m"
+    by_motion = False
 
     def __init__(self, robot: Robot, motions: Sequence[Motion]) -> None:
         """Filter the motions.

@@ -7,6 +7,8 @@ at once. Selection, fit and verdict know no more of them than this.
 from collections.abc import Sequence
 from typing import Protocol
 
+import numpy as np
+
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect
 
@@ -29,6 +31,9 @@ class ResidualModel(Protocol):
     """Index of the motion of each residual, (n,)."""
     time_s: Array
     """Time of each residual in its motion, (n,)."""
+    by_motion: bool
+    """True if `residuals` also takes sizes that differ from motion to motion, (n_candidates, n_motions, total
+    sizes)."""
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates, (n_candidates, n).
@@ -50,3 +55,25 @@ class ResidualModel(Protocol):
             name: "position", "velocity", "load", "time", "temperature" or "command".
         """
         ...
+
+
+def residuals_by_motion(model: ResidualModel, effects: Sequence[Effect], sizes: Array) -> Array:
+    """Return the residuals of candidates whose sizes differ from motion to motion.
+
+    Args:
+        model: The residual model.
+        effects: Union of the effects of all candidates.
+        sizes: Sizes of all effects one after the other, in their own units, (n_candidates, n_motions, total
+            sizes).
+
+    Returns:
+        (n_candidates, n), in the unit of the model.
+    """
+    if model.by_motion:
+        return model.residuals(effects, sizes)
+    found = []
+    for candidate in sizes:
+        distinct, which = np.unique(candidate, axis=0, return_inverse=True)
+        rows = model.residuals(effects, distinct)
+        found.append(rows[which.reshape(-1)[model.motion_of], np.arange(rows.shape[1])])
+    return np.array(found)

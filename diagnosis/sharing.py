@@ -10,7 +10,7 @@ import numpy as np
 from diagnosis.arrays import Array, Flags, Integers
 
 Point = tuple[int, Array]
-"""Joint, or ALL_JOINTS, and sizes of the union in their units, (n_sizes,)."""
+"""Joint, or ALL_JOINTS, and sizes of the union in their units, (n_sizes,) or (n_motions, n_sizes)."""
 ALL_JOINTS: Final = -1
 MAX_COUPLING: Final = 0.1
 """Largest change at another joint over that at the joint itself, each in the scale of its residuals.
@@ -36,7 +36,7 @@ class Sharing:
         """Distribute points over as few candidates as possible.
 
         Args:
-            points: Joint, or ALL_JOINTS, and sizes of the union in their units, (n_sizes,), for each.
+            points: All with sizes of one shape.
 
         Returns:
             For each candidate the indices of its points, at most one of each joint.
@@ -49,7 +49,7 @@ class Sharing:
             if joint == ALL_JOINTS:
                 alone.append([k])
             else:
-                key = group_of[joint], sizes[same].tobytes()
+                key = group_of[joint], sizes[..., same].tobytes()
                 queues.setdefault(key, {}).setdefault(joint, []).append(k)
         slots = [slot for lanes in queues.values() for slot in zip_longest(*lanes.values())]
         return alone + [[k for k in slot if k is not None] for slot in slots]
@@ -61,12 +61,12 @@ class Sharing:
             points: Members of a candidate by `plan`.
 
         Returns:
-            Sizes of the union in their units, (n_sizes,).
+            Sizes of the union in their units, in the shape of the points.
         """
         merged = points[0][1].copy()
         for joint, sizes in points[1:]:
             mine = self.joint_of_column == joint
-            merged[mine] = sizes[mine]
+            merged[..., mine] = sizes[..., mine]
         return merged
 
 

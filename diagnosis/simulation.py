@@ -34,7 +34,7 @@ class ActiveEffect:
 
     effect: Effect
     size: Array
-    """(n_candidates, n_sizes)."""
+    """(n_candidates, n_windows, n_sizes)."""
 
 
 class Simulation:
@@ -71,7 +71,7 @@ class Simulation:
         self._effects = [
             Acting(
                 one.effect,
-                np.tile(one.size, (len(windows), 1)),
+                one.size[:, self._order].swapaxes(0, 1).reshape(self._n_sims, -1),
                 names.index(one.effect.place) if one.effect.place in names else -1,
                 {},
             )

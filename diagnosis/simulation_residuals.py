@@ -30,6 +30,7 @@ class SimulationResiduals:
 
     kind = "simulation"
     unit = "rad"
+    by_motion = True
 
     def __init__(
         self,
@@ -95,14 +96,18 @@ class SimulationResiduals:
 
         Args:
             effects: Union of the effects of all candidates.
-            sizes: Sizes of all effects one after the other, (n_candidates, total sizes); zeros where absent.
+            sizes: Sizes of all effects one after the other, (n_candidates, total sizes) or (n_candidates,
+                n_motions, total sizes); zeros where absent.
 
         Returns:
             Measured minus simulated positions, (n_candidates, n) [rad]; `PENALTY_rad` in a window whose
             simulation blew up.
         """
         engine = Engine(self._models, effects, self._windows, self._n_threads)
-        residual = self.measured_rad - engine.positions(np.asarray(sizes, dtype=float))
+        sizes = np.asarray(sizes, dtype=float)
+        if sizes.ndim == 3:
+            sizes = sizes[:, [self.motions.index(window.motion) for window in self._windows]]
+        residual = self.measured_rad - engine.positions(sizes)
         return np.where(np.isfinite(residual), residual, PENALTY_rad)
 
     def select(self, motions: Sequence[str]) -> "SimulationResiduals":

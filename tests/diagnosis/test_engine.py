@@ -17,6 +17,7 @@ from diagnosis.effects.timing import MeasurementDelay
 from diagnosis.effects.transmission import Backlash
 from diagnosis.errors import RobotError
 from diagnosis.logs import JointLog, Motion, Signal
+from diagnosis.residuals import residuals_by_motion
 from diagnosis.robot import ControlMode
 from diagnosis.simulation_residuals import PENALTY_rad, SimulationResiduals
 from diagnosis.windows import cut_windows, held_means
@@ -166,6 +167,17 @@ def test_the_bits_of_a_motion_depend_on_no_other_motion() -> None:
         assert np.array_equal(
             together[:, model.motion_of == m], model.select([name]).residuals(effects, sizes)
         )
+
+
+def test_each_motion_with_its_own_sizes_has_the_bits_that_it_has_with_the_same_in_all() -> None:
+    effects, sizes = candidates()
+    model = SimulationResiduals(pendulum(), MOTIONS, n_threads=1)
+    n = len(model.motions)
+    own = np.array([np.roll(sizes, k, axis=0)[:n] for k in range(2)])
+    together = residuals_by_motion(model, effects, own)
+    for candidate, rows in zip(own, together, strict=True):
+        alike = model.residuals(effects, candidate)
+        assert np.array_equal(rows, alike[model.motion_of, np.arange(rows.size)])
 
 
 STEADY: list[Effect] = [

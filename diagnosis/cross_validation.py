@@ -1,0 +1,107 @@
+"""Judge fits by motions that they leave out."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnosis.arrays import Array, Integers
+from diagnosis.context import Context, simulate
+from diagnosis.fit import STEP, Fit, half_loss_derivatives, pseudo_huber
+
+
+def cross_validate(context: Context, fits: Sequence[Fit]) -> Array:
+    """Leave out each fold of motions, and measure the loss on the fold.
+
+    Args:
+        context: The context.
+        fits: Fits of different joints.
+
+    Returns:
+        Mean losses of left-out motions of each joint, (n_joints, n_motions), without a unit; NaN without
+        data, and for joints without a fit.
+    """
+    found = np.full((len(context.model.joints), len(context.model.motions)), np.nan)
+    for losses in cross_validate_each(context, fits):
+        found = np.fmax(found, losses)
+    return found
+
+
+def cross_validate_each(context: Context, fits: Sequence[Fit]) -> list[Array]:
+    """Leave out each fold of motions, and measure the loss on the fold, for each fit by itself.
+
+    A fit without a fold begins at the optimum of all motions and takes one Newton step, with the
+    Jacobian of that optimum. It is then simulated, so that nothing of its loss is linearised.
+
+    Args:
+        context: The context.
+        fits: Fits.
+
+    Returns:
+        Mean losses of left-out motions for each fit, (n_joints, n_motions) each, without a unit; NaN without
+        data.
+    """
+    points = []
+    for fit in fits:
+        sizes = np.tile(fit.sizes, (len(context.model.motions), 1))
+        for fold in context.folds:
+            sizes[sorted(fold)] = step_without(context, fit, fold)
+        points.append((fit.joint, sizes))
+    rows = simulate(context, points, "cross-validation")
+    return [motion_losses(context, fit.rows, row) for fit, row in zip(fits, rows, strict=True)]
+
+
+def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:
+    """Return the sizes of a fit after one step without a fold of motions.
+
+    A size at a bound stays there if the step would lead beyond it. Derivatives are known to about STEP: what
+    changes in sizes together do to the residual is not known where it is STEP times less than what they do
+    alone, and the step does not go there.
+
+    Args:
+        context: The context.
+        fit: Fit of all motions.
+        fold: Indices of motions that take no part.
+
+    Returns:
+        (n_sizes,), in their own units.
+    """
+    model, free = context.model, fit.columns
+    low = np.array([context.union.sizes[c].low for c in free])
+    high = np.array([context.union.sizes[c].high for c in free])
+    prior = np.array([context.union.sizes[c].prior_std for c in free]) ** -2.0
+    weight = np.where(np.isin(model.motion_of[fit.rows], sorted(fold)), 0.0, 1.0)
+    weight /= context.scales[model.joint_of[fit.rows]]
+    a, at = fit.jacobian * weight[:, None], fit.sizes[free]
+    slope, curvature = half_loss_derivatives(fit.residuals * weight)
+    gradient = a.T @ slope + prior * at
+    go = ~(((at <= low) & (gradient > 0.0)) | ((at >= high) & (gradient < 0.0)))
+    normal = (a.T @ (a * curvature[:, None]) + np.diag(prior))[np.ix_(go, go)]
+    unit = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / np.outer(unit, unit), rcond=STEP**2, hermitian=True)
+    at[go] -= inverse @ (gradient[go] / unit) / unit
+    found = fit.sizes.copy()
+    found[free] = np.clip(at, low, high)
+    return found
+
+
+def motion_losses(context: Context, rows: Integers, residuals: Array) -> Array:
+    """Return the mean pseudo-Huber loss of each joint in each motion.
+
+    It is the loss that a fit minimises: square of small residuals, absolute value of large ones.
+
+    Args:
+        context: The context.
+        rows: Rows of the residual model, (n_rows,) indices.
+        residuals: Residuals in these rows, (n_rows,), in the unit of the model.
+
+    Returns:
+        (n_joints, n_motions), without a unit: residuals count in the scale of their joint; NaN without data.
+    """
+    model = context.model
+    joint, shape = model.joint_of[rows], (len(model.joints), len(model.motions))
+    cell = joint * shape[1] + model.motion_of[rows]
+    loss = pseudo_huber(residuals / context.scales[joint])
+    count = np.bincount(cell, minlength=shape[0] * shape[1])
+    total = np.bincount(cell, weights=loss, minlength=shape[0] * shape[1])
+    with np.errstate(invalid="ignore"):
+        return np.asarray(total / count).reshape(shape)
