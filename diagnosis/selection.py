@@ -11,6 +11,7 @@ import numpy as np
 
 from diagnosis.acceptance import MIN_SHARE, MIN_Z, Candidate, choose
 from diagnosis.arrays import Array
+from diagnosis.blocks import cut_rows
 from diagnosis.chance import FALSE_ALARM, count_distinct
 from diagnosis.checkpoint import Checkpoint
 from diagnosis.comparison import compare
@@ -150,9 +151,28 @@ def screen(
         score, direction = score_effect(white[joint], own, changes, present.sizes)
         best[joint].append(score)
         directions[joint].append(direction)
-    ranked = [sorted(group, key=lambda one: -one.gain) for group in best.values()]
+    ranked = []
+    for joint, scores in best.items():
+        block = cut_rows(context.model, white[joint].rows, white[joint].residual)
+        n = int(block.max(initial=0)) + 1
+        ranked.append(sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n)))
     n_distinct = sum(count_distinct(group) for group in directions.values())
     return [score for group in ranked for score in group[:SHORTLIST]], n_distinct
+
+
+def adjust(share: float, n_sizes: int, n_independent: int) -> float:
+    """Clear a share of a residual of what so many sizes explain of noise (Theil's adjusted R squared).
+
+    Args:
+        share: Share that is explained.
+        n_sizes: Number of fitted sizes.
+        n_independent: Number of independent samples: blocks as long as the correlation time.
+
+    Returns:
+        The share, reduced; minus infinity if sizes are as many as samples.
+    """
+    free = n_independent - 1 - n_sizes
+    return 1.0 - (1.0 - share) * (n_independent - 1) / free if free > 0 else -np.inf
 
 
 def _order(simulated: Sequence[Array], fits: Sequence[Fit]) -> Sequence[Array]:
