@@ -106,11 +106,25 @@ def alternative_p(
     n_clusters = int(cluster.max(initial=0)) + 1
     sums = np.array([np.bincount(cluster, weights=column, minlength=n_clusters) for column in table.T])
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, n_clusters))
+    signs[0] = 1.0  # the data themselves
     drawn = signs @ sums.T
     n_mine = my_basis.shape[1]
     to_me = np.sum((my_basis.T @ apart + drawn[:, :n_mine]) ** 2, axis=1)
     to_them = np.sum(drawn[:, n_mine:-1] ** 2, axis=1)
     advantage = to_me - to_them - apart @ apart - 2.0 * drawn[:, -1]
-    observed = float(theirs @ theirs - mine @ mine)
-    rounding = 1e-9 * float(theirs @ theirs)  # signs that are all equal give the data themselves
-    return float(np.sum(advantage >= observed - rounding) + 1) / (DRAWS + 1)
+    rounding = 1e-9 * float(theirs @ theirs)
+    return float(np.mean(advantage >= advantage[0] - rounding))
+
+
+def orthonormal(changes: Array) -> Array:
+    """Return an orthonormal basis of the changes that sizes make.
+
+    Args:
+        changes: (n_rows, n_sizes), without a unit.
+
+    Returns:
+        (n_rows, rank): changes that are 0, or combinations of others, add no direction.
+    """
+    lengths = np.linalg.norm(changes, axis=0)
+    left, values, _ = np.linalg.svd(changes[:, lengths > 0.0] / lengths[lengths > 0.0], full_matrices=False)
+    return np.asarray(left[:, values > 1e-8 * np.max(values, initial=0.0)])

@@ -77,7 +77,7 @@ class Score:
     start: Array
     """Sizes of the union from which a fit should begin, (n_sizes,)."""
     gain: float
-    """Share of the weighted sum of squares that it removes."""
+    """Share of the weighted sum of squares that it removes; after a refit, that of left-out motions."""
     left: tuple[tuple[Integers, Array], ...] = ()
     """For each joint: rows of the residual model, and what the effect leaves there, without a unit; empty
     where motions are not cut into blocks."""

@@ -66,9 +66,10 @@ def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:
         (n_sizes,), in their own units.
     """
     model, free = context.model, fit.columns
-    low = np.array([context.union.sizes[c].low for c in free])
-    high = np.array([context.union.sizes[c].high for c in free])
-    prior = np.array([context.union.sizes[c].prior_std for c in free]) ** -2.0
+    everything = context.union.sizes
+    sizes = [everything[c] for c in free]
+    low, high = np.array([size.low for size in sizes]), np.array([size.high for size in sizes])
+    prior = np.array([size.prior_std for size in sizes]) ** -2.0
     weight = np.where(np.isin(model.motion_of[fit.rows], sorted(fold)), 0.0, 1.0)
     weight /= context.scales[model.joint_of[fit.rows]]
     a, at = fit.jacobian * weight[:, None], fit.sizes[free]

@@ -234,10 +234,11 @@ class _Problem:
         self.rows = select_rows(model, self.joint)
         self.weight = 1.0 / scales[model.joint_of[self.rows]]
         self.damping, self.converged = 1e-2, False
-        # a size at a joint is differenced at that joint alone, so that several share a candidate
+        # a size that moves its joint alone is differenced there, so that several share a candidate
         moves = np.full(len(self.free), self.joint)
         if self.joint == ALL_JOINTS:
-            moves = sharing.joint_of_column[self.free]
+            far = np.isin(self.free, sharing.reaching)
+            moves = np.where(far, ALL_JOINTS, sharing.joint_of_column[self.free])
         self.moves = [int(joint) for joint in moves]
         self.part = {j: np.arange(self.rows.size) for j in (self.joint,)}
         self.part |= {j: select_rows(model, j) for j in set(self.moves) - {self.joint}}
@@ -306,7 +307,8 @@ class _Problem:
         decrease = self.loss - losses[best]
         is_small = not decrease > CONVERGED * self.loss
         if decrease > 0.0:
-            self.correct(found[best] - self.r, (self.trials[best] - self.x)[self.free])
+            if not is_small:  # after a small step the roughness of the residuals would count as a slope
+                self.correct(found[best] - self.r, (self.trials[best] - self.x)[self.free])
             self.x, self.r, self.loss = self.trials[best], found[best], losses[best]
             self.damping *= DAMPINGS[best]
             self.converged = is_small and self.is_exact
@@ -320,9 +322,11 @@ class _Problem:
 
     def correct(self, change: Array, step: Array) -> None:
         """Correct the derivatives so that they predict the change that a step has made."""
-        step = step / self.typical
-        missed = change - self.jacobian @ (step * self.typical)
-        self.jacobian += np.outer(missed, step / self.typical) / float(step @ step)
+        missed, step = change - self.jacobian @ step, step / self.typical
+        slope = step / self.typical / max(float(step @ step), STEP**2)
+        for k, joint in enumerate(self.moves):
+            rows = self.part[joint]
+            self.jacobian[rows, k] += missed[rows] * slope[k]
 
     def fit(self) -> Fit:
         return Fit(self.x, self.free, self.joint, self.r, self.rows, self.jacobian)

@@ -225,7 +225,7 @@ def fits_at(context: Context, present: FittedModel, joint: int) -> tuple[Fit, ..
         return present.fits if joint == ALL_JOINTS else (present.fits[joint],)
     (whole,) = present.fits
     rows = select_rows(context.model, joint)
-    moves = np.flatnonzero(whole.jacobian[rows].any(axis=0))
+    moves = np.flatnonzero(np.isin(context.sharing.joint_of_column[whole.columns], (joint, ALL_JOINTS)))
     part = replace(
         whole,
         columns=whole.columns[moves],

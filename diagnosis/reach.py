@@ -24,7 +24,7 @@ def share_simulations(context: Context, sizes: Array, effects: Sequence[Effect])
 
     Args:
         context: The context, with scales.
-        sizes: FittedModel sizes, (n_sizes,), in their own units.
+        sizes: Present sizes, (n_sizes,), in their own units.
         effects: Effects to measure. Those of the base decide which joints share; all do where no base is.
 
     Returns:
@@ -55,7 +55,7 @@ def measure_reach(context: Context, sizes: Array, columns: Sequence[tuple[Intege
 
     Args:
         context: The context, with scales.
-        sizes: FittedModel sizes, (n_sizes,), in their own units.
+        sizes: Present sizes, (n_sizes,), in their own units.
         columns: For each effect the columns of its sizes, and its typical sizes in their units.
 
     Returns:

@@ -41,6 +41,7 @@ class ResidualModel(Protocol):
         Args:
             effects: Union of the effects of all candidates.
             sizes: Sizes of all effects one after the other, (n_candidates, total sizes); zeros where absent.
+                Where `by_motion` is true, also (n_candidates, n_motions, total sizes).
         """
         ...
 

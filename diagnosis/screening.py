@@ -12,7 +12,7 @@ import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.blocks import Blocks, cut_rows
-from diagnosis.chance import wald_p
+from diagnosis.chance import orthonormal, wald_p
 from diagnosis.context import Score
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Union
@@ -104,7 +104,7 @@ def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Array) -> Whitened
     """Weight the residuals of some joints and clear them of what their free sizes can do.
 
     Args:
-        fits: FittedModel model of these joints.
+        fits: Present model of these joints.
         model: The residual model.
         scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
 
@@ -115,7 +115,7 @@ def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Array) -> Whitened
     for fit in fits:
         scale = scales[model.joint_of[fit.rows]]
         weight = (1.0 + (fit.residuals / scale) ** 2) ** -0.25 / scale
-        basis, _ = np.linalg.qr(fit.jacobian * weight[:, None])
+        basis = orthonormal(fit.jacobian * weight[:, None])
         residual = fit.residuals * weight
         residuals.append(residual - basis @ (basis.T @ residual))
         parts.append((slice(begin, begin + len(residual)), weight, basis))
@@ -133,7 +133,7 @@ def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Array) -> Whitened
 
 def score_effect(
     white: Whitened, trials: Sequence[Trial], changes: Sequence[Array], at: Array
-) -> tuple[Score, Array]:
+) -> tuple[Score, Array, Array]:
     """Hold the changes that an effect makes against the residual of the present model.
 
     Args:
@@ -144,8 +144,8 @@ def score_effect(
         at: Sizes of the present model, (n_sizes,), in their own units.
 
     Returns:
-        The score of the best trial, and its change, (n_rows,), without a unit. With several points, both are
-        those of their best linear combination.
+        The score of the best trial; its change and what it leaves, (n_rows,) each, without a unit. With
+        several points, all are those of their best linear combination.
     """
     energy = float(white.residual @ white.residual)
     best: tuple[float, Array, Array] | None = None
@@ -171,7 +171,7 @@ def score_effect(
     assert best is not None, "an effect without a trial"
     gain, start, rest = best
     kept = tuple((white.rows[rows], rest[rows]) for rows in white.joints) if white.is_cut else ()
-    return Score(trials[0].effect, start, gain, kept), direction
+    return Score(trials[0].effect, start, gain, kept), direction, rest
 
 
 def refit_p(fits: Sequence[Fit], own: Integers, model: ResidualModel, scales: Array) -> float:

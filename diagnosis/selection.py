@@ -139,6 +139,7 @@ def screen(
         tried.setdefault((joint, trial.effect.key), []).append((trial, simulated))
     best: dict[int, list[Score]] = {joint: [] for joint in groups}
     directions: dict[int, list[Array]] = {joint: [] for joint in groups}
+    rest: dict[int, Array] = {}
     fits = {joint: fits_at(context, present, joint) for joint in groups}
     white = {joint: whiten(of_joint, context.model, context.scales) for joint, of_joint in fits.items()}
     for (joint, _), of_effect in tried.items():
@@ -148,13 +149,15 @@ def screen(
             for _, simulated in of_effect
         ]
         own = [trial for trial, _ in of_effect]
-        score, direction = score_effect(white[joint], own, changes, present.sizes)
+        score, direction, left = score_effect(white[joint], own, changes, present.sizes)
+        if score.gain > max((one.gain for one in best[joint]), default=-np.inf):
+            rest[joint] = left
         best[joint].append(score)
         directions[joint].append(direction)
     ranked = []
     for joint, scores in best.items():
-        block = cut_rows(context.model, white[joint].rows, white[joint].residual)
-        n = int(block.max(initial=0)) + 1
+        # a misfit that the best effect explains is no memory of the noise
+        n = np.unique(cut_rows(context.model, white[joint].rows, rest[joint])).size if scores else 0
         ranked.append(sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n)))
     n_distinct = sum(count_distinct(group) for group in directions.values())
     return [score for group in ranked for score in group[:SHORTLIST]], n_distinct
@@ -196,13 +199,15 @@ def find_winners(
     Returns:
         Effects to accept, and all that were refitted to the end, with their sizes.
     """
-    candidates = judge(context, present, shorten(context, present, shortlist))
+    candidates = judge(context, present, *shorten(context, present, shortlist))
     finalists = [Score(one.effect, one.fit.sizes, one.gain) for one in candidates]
     return choose(context, present, candidates), finalists
 
 
-def shorten(context: Context, present: FittedModel, shortlist: Sequence[Score]) -> list[Score]:
-    """Refit the shortlist for a few iterations, keep the better half of the effects of each joint, and again.
+def shorten(
+    context: Context, present: FittedModel, shortlist: Sequence[Score]
+) -> tuple[list[Effect], list[Hypothesis]]:
+    """Refit the shortlist for a few iterations, and keep the best effects of each joint.
 
     Args:
         context: The context.
@@ -210,55 +215,55 @@ def shorten(context: Context, present: FittedModel, shortlist: Sequence[Score]) 
         shortlist: Effects, and the sizes from which they start.
 
     Returns:
-        At most FINALISTS of each joint, and as many of those at bodies, with their new sizes.
+        At most FINALISTS of each joint, and as many of those at bodies; and the hypotheses that go on.
     """
-    left, starts = list(shortlist), [_start(context, present, score) for score in shortlist]
+    starts = [start_refit(context, present, score) for score in shortlist]
+    fits = run(context, starts, "refit", iterations=FEW_ITERATIONS)
     scales = context.scales[context.model.joint_of]
-    most = SHORTLIST
-    while most > FINALISTS:
-        most //= 2
-        fits = run(context, starts, "refit", iterations=FEW_ITERATIONS)
-        loss = np.array([np.sum(pseudo_huber(fit.residuals / scales[fit.rows])) for fit in fits])
-        joint = np.array([fit.joint for fit in fits])
-        kept = [k for k in range(len(fits)) if np.sum(loss[joint == joint[k]] < loss[k]) < most]
-        left = [replace(left[k], start=fits[k].sizes) for k in kept]
-        starts = [replace(starts[k], start=fits[k].sizes, jacobian=fits[k].jacobian) for k in kept]
-    return left
+    loss = np.array([np.sum(pseudo_huber(fit.residuals / scales[fit.rows])) for fit in fits])
+    joint = np.array([fit.joint for fit in fits])
+    kept = [k for k in range(len(fits)) if np.sum(loss[joint == joint[k]] < loss[k]) < FINALISTS]
+    further = [replace(starts[k], start=fits[k].sizes, jacobian=fits[k].jacobian) for k in kept]
+    return [shortlist[k].effect for k in kept], further
 
 
-def refit(context: Context, present: FittedModel, scores: Sequence[Score]) -> list[Fit]:
-    """Refit effects, each with the base parameters and the accepted effects of its joint.
+def start_refit(context: Context, present: FittedModel, score: Score) -> Hypothesis:
+    """Return the hypothesis of an effect with the base parameters and the accepted effects of its joint.
 
     Args:
         context: The context.
         present: The present model.
-        scores: Effects, and the sizes from which they start.
+        score: The effect, and the sizes from which it starts.
 
     Returns:
-        One fit an effect.
+        The hypothesis.
     """
-    return run(context, [_start(context, present, score) for score in scores], "refit")
+    effects, joint = (*present.effects, score.effect), context.joint_of(score.effect)
+    return start_fit(context, effects, joint, score.start, present.fits)
 
 
-def judge(context: Context, present: FittedModel, scores: Sequence[Score]) -> list[Candidate]:
+def judge(
+    context: Context, present: FittedModel, effects: Sequence[Effect], starts: Sequence[Hypothesis]
+) -> list[Candidate]:
     """Refit effects with all motions and without each fold.
 
     Args:
         context: The context.
         present: The present model.
-        scores: Effects, and the sizes from which they start.
+        effects: Effects.
+        starts: The hypothesis of each.
 
     Returns:
         One candidate an effect.
     """
-    fits = refit(context, present, scores)
+    fits = run(context, starts, "refit")
     candidates = []
-    for score, fit, losses in zip(scores, fits, cross_validate_each(context, fits), strict=True):
-        joints = joints_of(context, score.effect)
+    for effect, fit, losses in zip(effects, fits, cross_validate_each(context, fits), strict=True):
+        joints = joints_of(context, effect)
         before, after = present.scores[list(joints)], losses[list(joints)]
         gain, z = compare(context, joints, before, after)
-        at_bound = is_at_bound(context, present.effects, score.effect, fit)
-        candidates.append(Candidate(score.effect, joints, fit, after, at_bound, gain, z))
+        at_bound = is_at_bound(context, present.effects, effect, fit)
+        candidates.append(Candidate(effect, joints, fit, after, at_bound, gain, z))
     return candidates
 
 
@@ -280,16 +285,11 @@ def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit:
         for one in (*context.base, *others)
         if one.place == effect.place
     }
-    bounds = [(context.union.sizes[c].low, context.union.sizes[c].high) for c in own]
+    bounds = [(size.low, size.high) for size in effect.sizes]
     return not effect.is_plausible(fit.sizes[own], beside) or any(
         fit.sizes[c] != 0.0 and min(fit.sizes[c] - low, high - fit.sizes[c]) < 1e-3 * (high - low)
         for c, (low, high) in zip(own, bounds, strict=True)
     )
-
-
-def _start(context: Context, present: FittedModel, score: Score) -> Hypothesis:
-    effects, joint = (*present.effects, score.effect), context.joint_of(score.effect)
-    return start_fit(context, effects, joint, score.start, present.fits)
 
 
 def drop_needless(

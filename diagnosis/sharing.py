@@ -29,6 +29,8 @@ class Sharing:
     mixing: Integers
     """Columns of sizes at one joint that change other joints of its group; points that differ in them, or in
     sizes of all joints, do not share."""
+    reaching: Integers
+    """Columns of sizes at one joint that change any other joint by more than MAX_COUPLING."""
     joint_of_column: Integers
     """Joint whose residuals decide each size, or ALL_JOINTS, (n_sizes,)."""
 
@@ -77,7 +79,8 @@ def share_nothing(n_joints: int, joint_of_column: Integers) -> Sharing:
         n_joints: Number of joints.
         joint_of_column: Joint of each size, or ALL_JOINTS, (n_sizes,).
     """
-    return Sharing(tuple((j,) for j in range(n_joints)), np.empty(0, np.int64), joint_of_column)
+    none = np.empty(0, np.int64)
+    return Sharing(tuple((j,) for j in range(n_joints)), none, none, joint_of_column)
 
 
 def find_sharing(
@@ -112,12 +115,16 @@ def find_sharing(
             free[0].append(joint)
         else:
             groups.append([joint])
-    mixing = [np.empty(0, np.int64)]
+    mixing, reaching = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     for joint, own, row in zip(joints, columns, reach, strict=True):
         (group,) = (one for one in groups if joint in one)
-        if relative_reach(joint, row)[group].max() > MAX_COUPLING:
+        ratios = relative_reach(joint, row)
+        if ratios[group].max() > MAX_COUPLING:
             mixing.append(own)
-    return Sharing(tuple(tuple(group) for group in groups), np.concatenate(mixing), joint_of_column)
+        if ratios.max() > MAX_COUPLING:
+            reaching.append(own)
+    fixed = tuple(tuple(group) for group in groups)
+    return Sharing(fixed, np.concatenate(mixing), np.concatenate(reaching), joint_of_column)
 
 
 def relative_reach(joint: int, reach: Array) -> Array:

@@ -9,13 +9,13 @@ from scipy.stats import t as student
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.blocks import cut_rows
-from diagnosis.chance import alternative_p
+from diagnosis.chance import alternative_p, orthonormal
 from diagnosis.comparison import compare
-from diagnosis.context import Context, FittedModel, Score, Selection, recall, simulate
+from diagnosis.context import Context, FittedModel, Score, Selection, recall, run, simulate
 from diagnosis.effects.effect import Effect, Family
 from diagnosis.fit import Fit, half_loss_derivatives
 from diagnosis.joint_fits import fits_at, joints_of
-from diagnosis.selection import is_at_bound, refit
+from diagnosis.selection import is_at_bound, start_refit
 from diagnosis.sharing import ALL_JOINTS
 
 EXCLUDED: Final = 0.05
@@ -87,7 +87,8 @@ def find_layer_sets(
         start, own = without.sizes.copy(), context.union.columns([effect])
         start[own] = sizes[own]
         scores.append(Score(effect, start, 0.0))
-    fits = dict(zip(starts, refit(context, without, scores), strict=True))
+    hypotheses = [start_refit(context, without, score) for score in scores]
+    fits = dict(zip(starts, run(context, hypotheses, "refit"), strict=True))
     sets = []
     for effect in layer:
         joints = list(joints_of(context, effect))
@@ -120,7 +121,7 @@ def _alternative_p(
         parts.append(_join(together, len(model.joint_of)))
     scale = context.scales[model.joint_of[rows]]
     weight = (1.0 + (parts[0][0][rows] / scale) ** 2) ** -0.25 / scale
-    mine, theirs = ((r[rows] * weight, np.linalg.qr(j[rows] * weight[:, None])[0]) for r, j in parts)
+    mine, theirs = ((r[rows] * weight, orthonormal(j[rows] * weight[:, None])) for r, j in parts)
     return alternative_p(mine, theirs, cut_rows(model, rows, theirs[0]), context.seed)
 
 
@@ -132,7 +133,7 @@ def _join(fits: Sequence[Fit], n_rows: int) -> tuple[Array, Array]:
         residuals[fit.rows] = fit.residuals
         jacobian[fit.rows, first:last] = fit.jacobian
         first = last
-    return residuals, jacobian[:, jacobian.any(axis=0)]
+    return residuals, jacobian
 
 
 def size_intervals(context: Context, fit: Fit) -> Array:
@@ -150,7 +151,8 @@ def size_intervals(context: Context, fit: Fit) -> Array:
     """
     weight = 1.0 / context.scales[context.model.joint_of[fit.rows]]
     z = fit.residuals * weight
-    sizes = [context.union.sizes[c] for c in fit.columns]
+    everything = context.union.sizes
+    sizes = [everything[c] for c in fit.columns]
     unit = np.array([size.typical for size in sizes])  # sizes of very different units in one matrix
     a = fit.jacobian * weight[:, None] * unit
     slope, curvature = half_loss_derivatives(z)

@@ -73,7 +73,7 @@ def test_problems_that_share_simulations_end_where_they_end_alone() -> None:
     problems = [Hypothesis(union.columns([effect]), zero, NAMES.index(effect.place)) for effect in BASE]
     scales = np.full(2, 0.02)
     joints = np.array([NAMES.index(effect.place) for effect in union.effects])
-    both = Sharing(((0, 1),), np.empty(0, np.int64), joints)
+    both = Sharing(((0, 1),), np.empty(0, np.int64), np.empty(0, np.int64), joints)
     together = fit_hypotheses(model, union, problems, scales, sharing=both)
     alone = [
         fit_hypotheses(model, union, [one], scales, sharing=share_nothing(2, joints))[0] for one in problems

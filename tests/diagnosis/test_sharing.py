@@ -27,7 +27,7 @@ class Leaking(ToyResiduals):
 
 def test_each_point_stands_in_one_candidate_and_no_joint_twice() -> None:
     rng = np.random.default_rng(1)
-    sharing = Sharing(((0, 2), (1,)), np.array([3]), np.zeros(4, np.int64))
+    sharing = Sharing(((0, 2), (1,)), np.array([3]), NONE, np.zeros(4, np.int64))
     points = [(int(joint), rng.integers(0, 2, 4) * 1.0) for joint in rng.integers(-1, 3, 60)]
     plan = sharing.plan(points)
     assert sorted(k for members in plan for k in members) == list(range(60))
@@ -41,7 +41,7 @@ def test_each_point_stands_in_one_candidate_and_no_joint_twice() -> None:
 def test_without_sharing_each_point_is_a_candidate() -> None:
     points = [(k % 3, np.zeros(2)) for k in range(9)]
     assert len(share_nothing(3, NONE).plan(points)) == 9
-    assert len(Sharing(((0, 1, 2),), NONE, NONE).plan(points)) == 3
+    assert len(Sharing(((0, 1, 2),), NONE, NONE, NONE).plan(points)) == 3
 
 
 @pytest.mark.parametrize(("other", "groups"), [(0.05, ((0, 1),)), (0.2, ((0,), (1,)))])
