@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from diagnosis.chance import alternative_p, count_distinct, wald_p
+from diagnosis.chance import alternative_p, count_distinct, orthonormal, wald_p
 
 N, MEMORY = 60, 0.9
 """Samples of a motion, and share of the noise that a sample keeps of the one before."""
@@ -107,3 +107,11 @@ def test_what_is_not_the_cause_is_excluded_where_the_effect_is_strong():
     random = np.random.default_rng(7)
     found = np.array([alternative(random, 12, 20.0, 1)[1] for _ in range(20)])
     assert np.all(found <= 0.05)
+
+
+def test_a_basis_leaves_out_what_changes_nothing_and_what_others_can_do():
+    changes = np.random.default_rng(8).standard_normal((40, 3)) * [1.0, 1e-9, 1e6]
+    basis = orthonormal(np.column_stack([changes, np.zeros(40), changes @ [1.0, 2.0, 3.0]]))
+    assert basis.shape == (40, 3)
+    np.testing.assert_allclose(basis.T @ basis, np.eye(3), atol=1e-12)
+    assert orthonormal(np.zeros((40, 2))).shape == (40, 0)

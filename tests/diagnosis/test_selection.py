@@ -5,7 +5,7 @@ import pytest
 
 from diagnosis.assemble import describe_finding, list_remainders, simulate_models
 from diagnosis.fit import Hypothesis, Union, fit_hypotheses
-from diagnosis.selection import select_effects
+from diagnosis.selection import adjust, select_effects
 from diagnosis.sharing import Sharing, share_nothing
 from diagnosis.verdict import find_confidence_sets, size_intervals, unexplained_dependence
 from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
@@ -90,3 +90,18 @@ def test_a_residual_that_follows_a_variable_is_seen_in_other_motions() -> None:
     alone = unexplained_dependence((noise[0], x[0]), (noise[1], x[1]))
     assert follows == pytest.approx(4.0 / 3.0 / (1.0 + 4.0 / 3.0), abs=0.05)
     assert alone < 0.01
+
+
+@pytest.mark.parametrize("n_sizes", [1, 2, 8])
+def test_of_noise_any_number_of_sizes_explains_nothing_on_average(n_sizes: int) -> None:
+    rng = np.random.default_rng(n_sizes)
+    shares = []
+    for _ in range(400):
+        changes, noise = rng.standard_normal((40, n_sizes)), rng.standard_normal(40)
+        basis, _ = np.linalg.qr(np.column_stack([np.ones(40), changes]))
+        total = np.sum((noise - noise.mean()) ** 2)
+        shares.append(
+            adjust(1.0 - float(np.sum((noise - basis @ (basis.T @ noise)) ** 2) / total), n_sizes, 40)
+        )
+    assert np.mean(shares) == pytest.approx(0.0, abs=0.02)
+    assert adjust(0.9, 40, 40) == -np.inf
