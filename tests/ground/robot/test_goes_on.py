@@ -18,7 +18,7 @@ from validation.robot_cases.draw import draw_case
 from validation.robot_cases.write import write_logs, write_robot
 
 WORDS = ("robot", "diagnose", "robot.toml", "log.parquet", "--json")
-N_SAMPLES = 150
+N_SAMPLES = 400
 WAIT_s = 300.0
 
 
@@ -66,7 +66,7 @@ def end_after(count: int, number: signal.Signals, folder: Path, cache: Path) -> 
 def test_a_killed_command_goes_on_and_prints_the_same_document(folder: Path, tmp_path: Path) -> None:
     whole = marsarm_process(folder, *WORDS, XDG_CACHE_HOME=str(tmp_path / "other"))
     assert whole.returncode == 0, whole.stderr
-    assert end_after(2, signal.SIGKILL, folder, tmp_path)[0] == -signal.SIGKILL
+    assert end_after(1, signal.SIGKILL, folder, tmp_path)[0] == -signal.SIGKILL
     first = [(path.name, path.stat().st_mtime_ns) for path in steps(tmp_path)]
     status, errors = end_after(len(first) + 1, signal.SIGINT, folder, tmp_path)
     assert (status, errors.count(GOES_ON)) == (128 + signal.SIGINT, 1)
