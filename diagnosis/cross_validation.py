@@ -6,7 +6,9 @@ import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.context import Context, simulate
-from diagnosis.fit import STEP, Fit, half_loss_derivatives, pseudo_huber
+from diagnosis.fit import STEP, Fit
+from diagnosis.loss import half_loss_derivatives, pseudo_huber
+from diagnosis.residuals import average
 
 
 def cross_validate(context: Context, fits: Sequence[Fit]) -> Array:
@@ -66,8 +68,7 @@ def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:
         (n_sizes,), in their own units.
     """
     model, free = context.model, fit.columns
-    everything = context.union.sizes
-    sizes = [everything[c] for c in free]
+    sizes = context.union.sizes_at(free)
     low, high = np.array([size.low for size in sizes]), np.array([size.high for size in sizes])
     prior = np.array([size.prior_std for size in sizes]) ** -2.0
     weight = np.where(np.isin(model.motion_of[fit.rows], sorted(fold)), 0.0, 1.0)
@@ -98,11 +99,5 @@ def motion_losses(context: Context, rows: Integers, residuals: Array) -> Array:
     Returns:
         (n_joints, n_motions), without a unit: residuals count in the scale of their joint; NaN without data.
     """
-    model = context.model
-    joint, shape = model.joint_of[rows], (len(model.joints), len(model.motions))
-    cell = joint * shape[1] + model.motion_of[rows]
-    loss = pseudo_huber(residuals / context.scales[joint])
-    count = np.bincount(cell, minlength=shape[0] * shape[1])
-    total = np.bincount(cell, weights=loss, minlength=shape[0] * shape[1])
-    with np.errstate(invalid="ignore"):
-        return np.asarray(total / count).reshape(shape)
+    scale = context.scales[context.model.joint_of[rows]]
+    return average(context.model, rows, pseudo_huber(residuals / scale))

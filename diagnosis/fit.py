@@ -13,6 +13,7 @@ import numpy as np
 
 from diagnosis.arrays import Array, Flags, Integers
 from diagnosis.effects.effect import Effect, Size
+from diagnosis.loss import pseudo_huber, root_weight
 from diagnosis.residuals import ResidualModel, residuals_by_motion
 from diagnosis.sharing import ALL_JOINTS, Point, Sharing
 
@@ -37,6 +38,18 @@ class Union:
     def sizes(self) -> tuple[Size, ...]:
         """Sizes of all effects, one after the other."""
         return tuple(size for effect in self.effects for size in effect.sizes)
+
+    def sizes_at(self, columns: Integers) -> list[Size]:
+        """Return the sizes in these columns.
+
+        Args:
+            columns: Indices of columns, (n_sizes,), without a unit.
+
+        Returns:
+            Bounds, typical size and prior of each, in its own unit.
+        """
+        sizes = self.sizes
+        return [sizes[c] for c in columns]
 
     def columns(self, effects: Sequence[Effect]) -> Integers:
         """Return the columns of the sizes of these effects.
@@ -83,31 +96,6 @@ class Fit:
     """Their indices in the residual model."""
     jacobian: Array
     """Derivatives of the residuals by the free sizes, (n_rows, p)."""
-
-
-def pseudo_huber(z: Array) -> Array:
-    """Compute the loss: the square of small residuals, twice the absolute value of large ones.
-
-    Args:
-        z: Residuals over their scale, (n,), unitless.
-
-    Returns:
-        Losses, (n,).
-    """
-    loss: Array = 2.0 * (np.sqrt(1.0 + z * z) - 1.0)
-    return loss
-
-
-def half_loss_derivatives(z: Array) -> tuple[Array, Array]:
-    """Compute the first two derivatives of half the pseudo-Huber loss.
-
-    Args:
-        z: Residuals over their scale, (n,), unitless.
-
-    Returns:
-        Slope and curvature, (n,) each.
-    """
-    return z / np.sqrt(1.0 + z * z), (1.0 + z * z) ** -1.5
 
 
 def gather_residuals(fits: Sequence[Fit], n_rows: int) -> Array:
@@ -222,14 +210,14 @@ class _Problem:
     def __init__(
         self, model: ResidualModel, union: Union, hypothesis: Hypothesis, scales: Array, sharing: Sharing
     ) -> None:
-        sizes = union.sizes
         self.joint, self.free = hypothesis.joint, hypothesis.columns
+        sizes = union.sizes_at(self.free)
         self.x = hypothesis.start.copy()
-        self.low = np.array([sizes[c].low for c in self.free])
-        self.high = np.array([sizes[c].high for c in self.free])
+        self.low = np.array([size.low for size in sizes])
+        self.high = np.array([size.high for size in sizes])
         self.x[self.free] = np.clip(self.x[self.free], self.low, self.high)
-        self.typical = np.array([sizes[c].typical for c in self.free])
-        prior = np.array([sizes[c].prior_std for c in self.free])
+        self.typical = np.array([size.typical for size in sizes])
+        prior = np.array([size.prior_std for size in sizes])
         self.prior_weight = 1.0 / prior  # 0 where the prior is flat
         self.rows = select_rows(model, self.joint)
         self.weight = 1.0 / scales[model.joint_of[self.rows]]
@@ -283,7 +271,7 @@ class _Problem:
     def trial_points(self) -> list[Point]:
         """Return the end of a step for each damping, inside the bounds."""
         z = self.r * self.weight
-        robust = self.weight * (1.0 + z * z) ** -0.25
+        robust = self.weight * root_weight(z)
         a = self.jacobian * robust[:, None]
         gradient = a.T @ (self.r * robust) + self.prior_weight**2 * self.x[self.free]
         hessian = a.T @ a + np.diag(self.prior_weight**2)

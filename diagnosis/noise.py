@@ -7,7 +7,7 @@ import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect
-from diagnosis.fit import pseudo_huber
+from diagnosis.loss import pseudo_huber
 from diagnosis.residuals import ResidualModel
 
 

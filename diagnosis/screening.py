@@ -16,6 +16,7 @@ from diagnosis.chance import orthonormal, wald_p
 from diagnosis.context import Score
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Union
+from diagnosis.loss import root_weight
 from diagnosis.residuals import ResidualModel
 
 FACTORS: Final = (0.3, -1.0, 3.0)
@@ -114,7 +115,7 @@ def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Array) -> Whitened
     parts, residuals, begin = [], [], 0
     for fit in fits:
         scale = scales[model.joint_of[fit.rows]]
-        weight = (1.0 + (fit.residuals / scale) ** 2) ** -0.25 / scale
+        weight = root_weight(fit.residuals / scale) / scale
         basis = orthonormal(fit.jacobian * weight[:, None])
         residual = fit.residuals * weight
         residuals.append(residual - basis @ (basis.T @ residual))

@@ -18,7 +18,7 @@ from diagnosis.comparison import compare
 from diagnosis.context import Context, FittedModel, Score, Selection, recall, run, simulate, start_context
 from diagnosis.cross_validation import cross_validate_each
 from diagnosis.effects.effect import Effect
-from diagnosis.fit import Fit, Hypothesis, pseudo_huber
+from diagnosis.fit import Fit, Hypothesis
 from diagnosis.joint_fits import (
     add_effects,
     cut_anew,
@@ -29,6 +29,7 @@ from diagnosis.joint_fits import (
     list_layers,
     start_fit,
 )
+from diagnosis.loss import pseudo_huber
 from diagnosis.meter import Meter
 from diagnosis.reach import expected_change
 from diagnosis.residuals import ResidualModel

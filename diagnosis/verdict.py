@@ -13,8 +13,9 @@ from diagnosis.chance import alternative_p, orthonormal
 from diagnosis.comparison import compare
 from diagnosis.context import Context, FittedModel, Score, Selection, recall, run, simulate
 from diagnosis.effects.effect import Effect, Family
-from diagnosis.fit import Fit, half_loss_derivatives
+from diagnosis.fit import Fit, gather_residuals
 from diagnosis.joint_fits import fits_at, joints_of
+from diagnosis.loss import half_loss_derivatives, root_weight
 from diagnosis.selection import is_at_bound, start_refit
 from diagnosis.sharing import ALL_JOINTS
 
@@ -120,20 +121,19 @@ def _alternative_p(
         together = [fit, *(one for j in rest for one in fits_at(context, without, j))]
         parts.append(_join(together, len(model.joint_of)))
     scale = context.scales[model.joint_of[rows]]
-    weight = (1.0 + (parts[0][0][rows] / scale) ** 2) ** -0.25 / scale
+    weight = root_weight(parts[0][0][rows] / scale) / scale
     mine, theirs = ((r[rows] * weight, orthonormal(j[rows] * weight[:, None])) for r, j in parts)
     return alternative_p(mine, theirs, cut_rows(model, rows, theirs[0]), context.seed)
 
 
 def _join(fits: Sequence[Fit], n_rows: int) -> tuple[Array, Array]:
     """Return residuals, (n_rows,), and derivatives, (n_rows, n_free), of several fits together."""
-    residuals, jacobian, first = np.zeros(n_rows), np.zeros((n_rows, sum(len(f.columns) for f in fits))), 0
+    jacobian, first = np.zeros((n_rows, sum(len(fit.columns) for fit in fits))), 0
     for fit in fits:
         last = first + len(fit.columns)
-        residuals[fit.rows] = fit.residuals
         jacobian[fit.rows, first:last] = fit.jacobian
         first = last
-    return residuals, jacobian
+    return gather_residuals(fits, n_rows), jacobian
 
 
 def size_intervals(context: Context, fit: Fit) -> Array:
@@ -151,8 +151,7 @@ def size_intervals(context: Context, fit: Fit) -> Array:
     """
     weight = 1.0 / context.scales[context.model.joint_of[fit.rows]]
     z = fit.residuals * weight
-    everything = context.union.sizes
-    sizes = [everything[c] for c in fit.columns]
+    sizes = context.union.sizes_at(fit.columns)
     unit = np.array([size.typical for size in sizes])  # sizes of very different units in one matrix
     a = fit.jacobian * weight[:, None] * unit
     slope, curvature = half_loss_derivatives(z)
