@@ -3,6 +3,7 @@
 Seeds below 1000 are for tuning; scores use others.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final, Literal
@@ -168,11 +169,12 @@ def temperature_degC(motion: int) -> tuple[float, float]:
     return first, last
 
 
-def change_of(campaign: Campaign, effect: TrueEffect) -> Array:
-    """Return the whitened change of the fitted motions, (n,)."""
+def change_of(campaign: Campaign, effect: TrueEffect, motions: Sequence[int] | None = None) -> Array:
+    """Return the whitened change of the fitted motions, or of some, given by their places, (n,)."""
+    chosen = range(len(campaign.fitted)) if motions is None else motions
     plant = Plant(campaign.robot, campaign.nuisances, (effect,), LIMIT_STEP_S)
-    moved = simulate_fitted(plant, campaign.plan, campaign.fitted)
-    return np.asarray(whiten(moved - campaign.base).ravel())
+    moved = simulate_fitted(plant, campaign.plan, tuple(campaign.fitted[k] for k in chosen))
+    return np.asarray(whiten(moved - campaign.base[list(chosen)]).ravel())
 
 
 def _draw_effect(campaign: Campaign, entries: tuple[Entry, ...], rng: np.random.Generator) -> DrawnEffect:

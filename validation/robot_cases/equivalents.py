@@ -14,8 +14,9 @@ import numpy as np
 from diagnosis.arrays import Array
 from validation.robot_cases import inside, inside_friction, inside_structure
 from validation.robot_cases.draw import Campaign, DrawnEffect, change_of, make_effect
-from validation.robot_cases.limits import information
+from validation.robot_cases.limits import information, make_nuisance
 from validation.robot_cases.table import BASE, ENTRIES, SUPPLY, Hypothesis, list_hypotheses
+from validation.robot_cases.truth import TrueEffect
 
 LEAST_COSINE: Final = 0.99
 SHAPED: Final = (
@@ -27,6 +28,8 @@ SHAPED: Final = (
     inside_structure.GravityDirection,
 )
 """Effects with a shape; two shapes of each are tried beside that of the truth."""
+FAR: Final = 0.9
+"""Cosine of a change at about the right size below which no size makes it equal."""
 
 
 def find_equivalents(campaign: Campaign, drawn: DrawnEffect) -> tuple[tuple[str, str], ...]:
@@ -62,14 +65,35 @@ def _cosine(campaign: Campaign, one: Hypothesis, shape: float, true: Array) -> f
     cosine = 0.0
     for _ in range(2):
         try:
-            change = change_of(
-                campaign, one.entry.kind(campaign.plan.scene, one.place, size * one.scale, shape)
+            change = _close_change(
+                campaign, one.entry.kind(campaign.plan.scene, one.place, size * one.scale, shape), true
             )
         except FloatingPointError:
             return 0.0
+        if change is None:
+            return 0.0
         own = np.sqrt(max(information(change, change, campaign.nuisance), 0.0))
         cosine = information(change, true, campaign.nuisance) / max(own * strength, 1e-12)
-        if abs(cosine) < 0.9:  # a size that is a little off does not turn the change so far
-            break
         size = min(size * float(np.clip(strength / max(own, 1e-9), 0.1, 10.0)), one.entry.high)
     return float(cosine)
+
+
+def _close_change(campaign: Campaign, effect: TrueEffect, true: Array) -> Array | None:
+    """Return the change by an effect; None if its cosine with the true one is below FAR.
+
+    What some motions leave of the true change is a lower bound of what all leave: most effects need only few.
+    """
+    n_motions = len(campaign.fitted)
+    parts = true.reshape(n_motions, -1)
+    allowed = (1.0 - FAR**2) * information(true, true, campaign.nuisance)
+    columns = campaign.nuisance.columns.reshape(n_motions, parts.shape[1], -1)
+    order, changes = np.argsort(-np.sum(parts**2, axis=1)), np.zeros_like(parts)
+    for count, motion in enumerate(order, 1):
+        changes[motion] = change_of(campaign, effect, [motion])
+        seen = order[:count]
+        nuisance = make_nuisance(np.concatenate(columns[seen]))
+        one, other = changes[seen].ravel(), parts[seen].ravel()
+        imitated = information(one, other, nuisance) ** 2 / max(information(one, one, nuisance), 1e-12)
+        if information(other, other, nuisance) - imitated > allowed:
+            return None
+    return np.asarray(changes.ravel())
