@@ -140,7 +140,7 @@ def start_context(
     )
 
 
-def list_joints(model: ResidualModel, union: Union, wide: Collection[str]) -> Integers:
+def list_joints(model: ResidualModel, union: Union, everywhere: Collection[str]) -> Integers:
     """List the joint at which each size is judged.
 
     Where a robot has one joint, effects at bodies are fitted with it.
@@ -148,7 +148,7 @@ def list_joints(model: ResidualModel, union: Union, wide: Collection[str]) -> In
     Args:
         model: The residual model.
         union: Effects, and the columns of their sizes.
-        wide: Keys of effects at a joint that are judged at all joints, because they move others too.
+        everywhere: Keys of effects at a joint that are judged at all joints, because they move others too.
 
     Returns:
         Index of the joint, or ALL_JOINTS, of each size, (n_sizes,).
@@ -157,7 +157,7 @@ def list_joints(model: ResidualModel, union: Union, wide: Collection[str]) -> In
         0
         if len(model.joints) == 1
         else ALL_JOINTS
-        if effect.place not in model.joints or effect.key in wide
+        if effect.place not in model.joints or effect.key in everywhere
         else model.joints.index(effect.place)
         for effect in union.effects
     ]

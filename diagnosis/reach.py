@@ -39,13 +39,13 @@ def share_simulations(context: Context, sizes: Array, effects: Sequence[Effect])
     reach = recall(measure_reach, context, sizes, list(zip(columns, typical, strict=True)))
     joints = [model.joints.index(one.place) for one in placed]
     decides = np.array([one.key in base or one.place not in moved for one in placed], bool)
-    wide = {
+    everywhere = {
         one.key
         for one, joint, row in zip(placed, joints, reach, strict=True)
         if one.key not in base and relative_reach(joint, row).max(initial=0.0) > MAX_LOCAL
     }
-    is_local = np.array([one.key not in wide for one in placed], bool)
-    sharing = find_sharing(joints, columns, decides & is_local, reach, list_joints(model, union, wide))
+    is_local = np.array([one.key not in everywhere for one in placed], bool)
+    sharing = find_sharing(joints, columns, decides & is_local, reach, list_joints(model, union, everywhere))
     own = {one.key: float(row[joint]) for one, joint, row in zip(placed, joints, reach, strict=True)}
     return replace(context, sharing=sharing, reach=own)
 

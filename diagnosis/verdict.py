@@ -99,14 +99,14 @@ def find_layer_sets(
             fit = fits[other.key]
             is_rival = bool(set(joints) & set(joints_of(context, other)))
             if is_rival and not is_at_bound(context, without.effects, other, fit):
-                p = _alternative_p(context, without, joints, fits[effect.key], fit)
+                p = _cause_p(context, without, joints, fits[effect.key], fit)
                 members += [Alternative(other, fit.sizes, p)] if p > EXCLUDED else []
         ranked = (members[0], *sorted(members[1:], key=lambda one: -one.p))
         sets.append(ConfidenceSet(effect, ranked, share))
     return sets
 
 
-def _alternative_p(
+def _cause_p(
     context: Context, without: FittedModel, joints: Sequence[int], finding: Fit, other: Fit
 ) -> float:
     """Return the probability that a finding fits so much better, or more, if the alternative is the cause.
