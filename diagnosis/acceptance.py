@@ -7,9 +7,11 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array
+from diagnosis.comparison import compare
 from diagnosis.context import Context, FittedModel, simulate
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, gather_residuals
+from diagnosis.loss import pseudo_huber
 from diagnosis.sharing import ALL_JOINTS
 
 MIN_SHARE: Final = 0.05
@@ -30,14 +32,14 @@ class Candidate:
     joints: tuple[int, ...]
     """Joints at which it was judged."""
     fit: Fit
-    scores: Array
-    """Mean loss of left-out motions, (n_joints judged, n_motions)."""
+    left_out: Array
+    """Residuals of the fit when their motion was left out, over the scale of their joint, (n_rows,)."""
     at_bound: bool
     """True if a size ends at a bound, or is not plausible beside the others."""
     gain: float
     """Share of what can be explained in left-out motions that it removes."""
     z: float
-    """Mean improvement of a motion over its standard error."""
+    """Mean improvement over its standard error."""
 
 
 def choose(context: Context, present: FittedModel, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -56,23 +58,24 @@ def choose(context: Context, present: FittedModel, candidates: Sequence[Candidat
     groups: dict[tuple[int, ...], list[Candidate]] = {}
     for one in good:
         groups.setdefault(one.joints if len(one.joints) == 1 else (ALL_JOINTS,), []).append(one)
-    best = {joints: simplest(group) for joints, group in groups.items()}
+    best = {joints: simplest(context, group) for joints, group in groups.items()}
     body = best.pop((ALL_JOINTS,), None)
     local = list(best.values())
     if body is None:
         return local
-    removed = sum(_improvement(present, one) for one in local)
+    removed = sum(_improvement(context, present, one) for one in local)
     # one effect that does as much as several is the simpler explanation
     enough = (1.0 - MIN_SHARE) * removed if len(local) > 1 else removed
-    return [body] if _improvement(present, body) > enough else local
+    return [body] if _improvement(context, present, body) > enough else local
 
 
-def simplest(candidates: Sequence[Candidate]) -> Candidate:
+def simplest(context: Context, candidates: Sequence[Candidate]) -> Candidate:
     """Choose the effect with the fewest sizes among those that do as well as the best.
 
-    As well means within one standard error of the best, motion by motion (Breiman and others 1984).
+    As well means within one standard error of the best, in pairs (Breiman and others 1984).
 
     Args:
+        context: The context.
         candidates: Effects for the same joints.
 
     Returns:
@@ -81,18 +84,18 @@ def simplest(candidates: Sequence[Candidate]) -> Candidate:
     best = max(candidates, key=lambda one: one.gain)
     alike = []
     for one in candidates:
-        worse = one.scores - best.scores
-        worse = np.nanmean(worse[:, ~np.isnan(worse).all(axis=0)], axis=0)
-        error = float(np.std(worse, ddof=1) / np.sqrt(len(worse))) if len(worse) > 1 else 0.0
-        if one is best or float(np.mean(worse)) <= error:
+        _, z = compare(context, best.fit.rows, one.left_out, best.left_out)
+        if one is best or z <= 1.0:
             alike.append(one)
     return min(alike, key=lambda one: (len(one.effect.sizes), -one.gain))
 
 
-def _improvement(present: FittedModel, candidate: Candidate) -> float:
+def _improvement(context: Context, present: FittedModel, candidate: Candidate) -> float:
     """Return the decrease of the mean loss, summed over the joints of a candidate."""
-    change = present.scores[list(candidate.joints)] - candidate.scores
-    return float(np.sum(np.nanmean(change[~np.isnan(change).all(axis=1)], axis=1)))
+    rows = candidate.fit.rows
+    change = pseudo_huber(present.left_out[rows]) - pseudo_huber(candidate.left_out)
+    joint = context.model.joint_of[rows]
+    return float(np.sum(np.bincount(joint, weights=change) / np.maximum(np.bincount(joint), 1)))
 
 
 def worsens_another(context: Context, present: FittedModel, candidate: Candidate) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 from diagnosis.arrays import Array, Flags
 from diagnosis.context import Context, FittedModel, Selection
 from diagnosis.effects.actuation import GainError
+from diagnosis.loss import pseudo_huber
 from diagnosis.noise import noise_residuals
 from diagnosis.residuals import ResidualModel
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
@@ -145,8 +146,11 @@ def closure_at(context: Context, chosen: FittedModel, place: str) -> float:
     noise = float(np.mean(context.noise_loss[joints]))
     if noise == 0.0:
         return 1.0
-    before = float(np.nanmean(context.base_scores[joints]))
-    return (before - float(np.nanmean(chosen.scores[joints]))) / max(before - noise, 1e-12)
+    rows = np.isin(context.model.joint_of, joints)
+    before, after = (
+        float(np.mean(pseudo_huber(left_out[rows]))) for left_out in (context.base_left_out, chosen.left_out)
+    )
+    return (before - after) / max(before - noise, 1e-12)
 
 
 def find_interval(context: Context, chosen: FittedModel, column: int) -> tuple[float, float]:

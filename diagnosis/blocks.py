@@ -13,12 +13,17 @@ blocks share its filter and its simulation, and only the residuals are counted b
 
 from collections.abc import Sequence
 from copy import copy
+from typing import Final
 
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect
 from diagnosis.residuals import ResidualModel
+
+GROWTH: Final = 2.0 / 3.0
+"""Power with which the number of blocks grows with that of independent residuals. Longer blocks depend less
+on one another, more blocks scatter less: the error of a variance is least at this power (Kuensch 1989)."""
 
 
 class Blocks:
@@ -123,9 +128,31 @@ def cut_into_blocks(model: ResidualModel, residuals: Array) -> Blocks:
 
 
 def _count(time_s: Array, residuals: Array) -> int:
-    """Return the number of blocks that are as long as the correlation time of residuals; at least 1."""
+    """Return the number of blocks of a motion; at least 1."""
+    return max(1, int(_independent(time_s, residuals) ** GROWTH))
+
+
+def _independent(time_s: Array, residuals: Array) -> float:
+    """Return the number of independent residuals that scatter like these of a motion; at least 1."""
     memory_s = correlation_time_s(time_s, residuals)
-    return max(1, int(float(np.ptp(time_s)) / memory_s)) if memory_s > 0.0 else 1
+    return max(1.0, float(np.ptp(time_s)) / memory_s) if memory_s > 0.0 else 1.0
+
+
+def count_independent(model: ResidualModel, rows: Integers, residuals: Array) -> int:
+    """Count the independent residuals that scatter like those of some rows.
+
+    Args:
+        model: The residual model.
+        rows: Rows of the model, (n_rows,) indices.
+        residuals: Residuals in these rows, (n_rows,), in any unit.
+
+    Returns:
+        Number, at least 1 for each joint in each motion.
+    """
+    motion = (model.parent_of if isinstance(model, Blocks) else model.motion_of)[rows]
+    cell = motion * len(model.joints) + model.joint_of[rows]
+    parts = [cell == k for k in np.unique(cell)]
+    return int(sum(_independent(model.time_s[rows][part], residuals[part]) for part in parts))
 
 
 def _divide(time_s: Array, count: int) -> Integers:

@@ -1,41 +1,76 @@
-"""Compare two models by their losses on motions that took no part, in pairs."""
-
-from collections.abc import Sequence
+"""Compare two models by the residuals of motions that took no part, in pairs."""
 
 import numpy as np
 
-from diagnosis.arrays import Array
+from diagnosis.arrays import Array, Integers
+from diagnosis.blocks import cut_rows
 from diagnosis.context import Context
+from diagnosis.loss import half_loss_derivatives, pseudo_huber
 
 
-def compare(context: Context, joints: Sequence[int], before: Array, after: Array) -> tuple[float, float]:
+def compare(context: Context, rows: Integers, before: Array, after: Array) -> tuple[float, float]:
     """Compare the losses of left-out motions, in pairs.
 
-    The standard error is that of differences or of logarithms of ratios, whichever says more. Motions of very
-    different strength scatter in differences; motions that an effect does not touch scatter in ratios.
+    An improvement is sure if it repeats from motion to motion, or if it is more than noise can do. The
+    first shows an effect beside a larger misfit, the second one that acts in few motions, such as a limit.
 
     Args:
         context: The context.
-        joints: Joints to which the rows belong.
-        before: Mean losses, (n_rows, n_motions), without a unit.
-        after: Mean losses of another model, (n_rows, n_motions), without a unit.
+        rows: Rows of the residual model, (n_rows,) indices.
+        before: Their residuals when their motion was left out, over their scales, (n_rows,).
+        after: The same of another model, (n_rows,).
 
     Returns:
-        The mean improvement as a share of what can be explained, and over its standard error.
+        The mean improvement as a share of what can be explained, and an improvement over its standard error.
     """
-    seen = ~np.isnan(before).all(axis=0)
-    old, new = np.nanmean(before[:, seen], axis=0), np.nanmean(after[:, seen], axis=0)
-    share = np.log(np.maximum(old, 1e-12)) - np.log(np.maximum(new, 1e-12))
+    old, new = pseudo_huber(before), pseudo_huber(after)
     mean = float(np.mean(old - new))
-    explainable = float(np.mean(old) - np.mean(context.noise_loss[list(joints)]))
-    return mean / max(explainable, abs(mean), 1e-12), max(
-        _mean_over_error(old - new), _mean_over_error(share)
+    explainable = float(np.mean(old - context.noise_loss[context.model.joint_of[rows]]))
+    z = max(
+        compare_motions(context.model.motion_of[rows], old, new),
+        compare_with_noise(context, rows, before, after),
     )
+    return mean / max(explainable, abs(mean), 1e-12), z
 
 
-def _mean_over_error(values: Array) -> float:
-    """Return the mean of values, (n,), over its standard error; 0 if there is none."""
-    if len(values) < 2:
+def compare_motions(motion: Integers, before: Array, after: Array) -> float:
+    """Return the mean logarithm of the ratio of the losses of motions, over its standard error.
+
+    Motions of very different strength scatter less in ratios than in differences.
+
+    Args:
+        motion: Motion of each loss, (n_rows,), index.
+        before: Losses, (n_rows,), without a unit.
+        after: Losses of another model, (n_rows,), without a unit.
+
+    Returns:
+        The ratio; 0 with fewer than two motions.
+    """
+    _, motion = np.unique(motion, return_inverse=True)
+    old, new = np.bincount(motion, weights=before), np.bincount(motion, weights=after)
+    improved = np.log(np.maximum(old, 1e-12) / np.maximum(new, 1e-12))
+    if improved.size < 2:
         return 0.0
-    error = float(np.std(values, ddof=1) / np.sqrt(len(values)))
-    return float(np.mean(values)) / error if error > 0.0 else 0.0
+    error = float(np.std(improved, ddof=1) / np.sqrt(improved.size))
+    return float(np.mean(improved)) / error if error > 0.0 else 0.0
+
+
+def compare_with_noise(context: Context, rows: Integers, before: Array, after: Array) -> float:
+    """Return the mean improvement of a loss over the standard error by the noise that remains.
+
+    Where two models differ, noise makes one of them the better by chance: to first order, by the slope of
+    the loss times the difference. Its totals over blocks of the noise are independent.
+
+    Args:
+        context: The context.
+        rows: Rows of the residual model, (n_rows,) indices.
+        before: Their residuals over their scales, (n_rows,).
+        after: The same of another model, (n_rows,).
+
+    Returns:
+        The ratio; 0 where the models do not differ.
+    """
+    slope, _ = half_loss_derivatives(after)
+    totals = np.bincount(cut_rows(context.model, rows, after), weights=2.0 * slope * (before - after))
+    error = float(np.sqrt(totals @ totals))
+    return float(np.sum(pseudo_huber(before) - pseudo_huber(after))) / error if error > 0.0 else 0.0

@@ -33,8 +33,8 @@ class Context:
     """(n_joints,)."""
     noise_loss: Array
     """Mean loss of the noise of each joint, (n_joints,); 0 where it is unknown."""
-    base_scores: Array
-    """Losses of left-out motions with base parameters alone, (n_joints, n_motions)."""
+    base_left_out: Array
+    """`FittedModel.left_out` with base parameters alone."""
     sharing: Sharing
     """Joints whose hypotheses share simulations."""
     reach: dict[str, float]
@@ -65,8 +65,8 @@ class FittedModel:
     """(n_sizes,)."""
     fits: tuple[Fit, ...]
     """One a joint; a single one of all joints if an effect is judged at all."""
-    scores: Array
-    """Mean loss when the motion was left out, (n_joints, n_motions); NaN without data."""
+    left_out: Array
+    """Each residual when its motion was left out, over the scale of its joint, (n_rows,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ def start_context(
         catalogue=others,
         scales=ones,
         noise_loss=0.0 * ones,
-        base_scores=np.empty((0, 0)),
+        base_left_out=np.empty(0),
         sharing=share_nothing(len(model.joints), joint_of_column),
         reach={},
         n_distinct=float(len(others)),

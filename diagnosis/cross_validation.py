@@ -4,11 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.arrays import Array, Integers
+from diagnosis.arrays import Array
 from diagnosis.context import Context, simulate
 from diagnosis.fit import STEP, Fit
-from diagnosis.loss import half_loss_derivatives, pseudo_huber
-from diagnosis.residuals import average
+from diagnosis.loss import half_loss_derivatives
 
 
 def cross_validate(context: Context, fits: Sequence[Fit]) -> Array:
@@ -19,12 +18,11 @@ def cross_validate(context: Context, fits: Sequence[Fit]) -> Array:
         fits: Fits of different joints.
 
     Returns:
-        Mean losses of left-out motions of each joint, (n_joints, n_motions), without a unit; NaN without
-        data, and for joints without a fit.
+        Each residual when its motion was left out, over the scale of its joint, (n_rows,); 0 without a fit.
     """
-    found = np.full((len(context.model.joints), len(context.model.motions)), np.nan)
-    for losses in cross_validate_each(context, fits):
-        found = np.fmax(found, losses)
+    found = np.zeros(context.model.joint_of.size)
+    for fit, left_out in zip(fits, cross_validate_each(context, fits), strict=True):
+        found[fit.rows] = left_out
     return found
 
 
@@ -39,8 +37,7 @@ def cross_validate_each(context: Context, fits: Sequence[Fit]) -> list[Array]:
         fits: Fits.
 
     Returns:
-        Mean losses of left-out motions for each fit, (n_joints, n_motions) each, without a unit; NaN without
-        data.
+        The residuals of each fit when their motion was left out, over the scale of their joint, (n_rows,).
     """
     points = []
     for fit in fits:
@@ -49,7 +46,8 @@ def cross_validate_each(context: Context, fits: Sequence[Fit]) -> list[Array]:
             sizes[sorted(fold)] = step_without(context, fit, fold)
         points.append((fit.joint, sizes))
     rows = simulate(context, points, "cross-validation")
-    return [motion_losses(context, fit.rows, row) for fit, row in zip(fits, rows, strict=True)]
+    joint_of = context.model.joint_of
+    return [row / context.scales[joint_of[fit.rows]] for fit, row in zip(fits, rows, strict=True)]
 
 
 def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:
@@ -84,20 +82,3 @@ def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:
     found = fit.sizes.copy()
     found[free] = np.clip(at, low, high)
     return found
-
-
-def motion_losses(context: Context, rows: Integers, residuals: Array) -> Array:
-    """Return the mean pseudo-Huber loss of each joint in each motion.
-
-    It is the loss that a fit minimises: square of small residuals, absolute value of large ones.
-
-    Args:
-        context: The context.
-        rows: Rows of the residual model, (n_rows,) indices.
-        residuals: Residuals in these rows, (n_rows,), in the unit of the model.
-
-    Returns:
-        (n_joints, n_motions), without a unit: residuals count in the scale of their joint; NaN without data.
-    """
-    scale = context.scales[context.model.joint_of[rows]]
-    return average(context.model, rows, pseudo_huber(residuals / scale))

@@ -60,8 +60,8 @@ def fit_base(context: Context) -> tuple[Context, FittedModel]:
     context = share_simulations(context, sizes, union.effects)
     sizes, residuals, fits = fit_all_joints(context, sizes)
     context = replace(context, noise_loss=noise_losses(model, residuals, context.scales))
-    scores = cross_validate(context, fits)
-    return replace(context, base_scores=scores), FittedModel((), sizes, fits, scores)
+    left_out = cross_validate(context, fits)
+    return replace(context, base_left_out=left_out), FittedModel((), sizes, fits, left_out)
 
 
 def _count_motions(model: ResidualModel) -> int:
@@ -96,7 +96,7 @@ def add_effects(
         context = replace(context, model=model, folds=draw_folds(model, context.seed))
     scales = scale_residuals(model, together)
     context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
-    context = replace(context, base_scores=cross_validate(context, base.fits))
+    context = replace(context, base_left_out=cross_validate(context, base.fits))
     more = (*present.effects, *effects)
     fits = recall(fit_joints, context, more, sizes, (*present.fits, *found))
     return context, FittedModel(more, fits[0].sizes, fits, cross_validate(context, fits))
@@ -126,7 +126,7 @@ def cut_anew(
             left[rows] = values
     model = cut_into_blocks(context.model.whole, left)
     context = replace(context, model=model, folds=draw_folds(model, context.seed))
-    return context, replace(present, scores=cross_validate(context, present.fits))
+    return context, replace(present, left_out=cross_validate(context, present.fits))
 
 
 def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[Fit, ...]]:

@@ -9,7 +9,7 @@ import numpy as np
 from diagnosis.arrays import Array, Integers
 from diagnosis.context import Context, list_joints, recall, simulate
 from diagnosis.effects.effect import Effect
-from diagnosis.residuals import ResidualModel, average
+from diagnosis.residuals import ResidualModel
 from diagnosis.screening import Trial
 from diagnosis.sharing import ALL_JOINTS, find_sharing, relative_reach
 
@@ -88,7 +88,11 @@ def list_lively(model: ResidualModel) -> list[str]:
         Names of motions, without repetition.
     """
     square = np.nan_to_num(model.explain("velocity") ** 2)
-    speed = np.nan_to_num(average(model, np.arange(square.size), square))
+    shape = len(model.joints), len(model.motions)
+    cell = model.joint_of * shape[1] + model.motion_of
+    total = np.bincount(cell, weights=square, minlength=shape[0] * shape[1])
+    count = np.bincount(cell, minlength=shape[0] * shape[1])
+    speed = (total / np.maximum(count, 1)).reshape(shape)
     return [model.motions[k] for k in np.unique(np.argmax(speed, axis=1))]
 
 

@@ -78,22 +78,3 @@ def residuals_by_motion(model: ResidualModel, effects: Sequence[Effect], sizes: 
         rows = model.residuals(effects, distinct)
         found.append(rows[which.reshape(-1)[model.motion_of], np.arange(rows.shape[1])])
     return np.array(found)
-
-
-def average(model: ResidualModel, rows: Integers, values: Array) -> Array:
-    """Average values at residuals over each motion of each joint.
-
-    Args:
-        model: The residual model.
-        rows: Rows of the model, (n_rows,) indices.
-        values: A value a row, (n_rows,), in any unit.
-
-    Returns:
-        Means, (n_joints, n_motions), in the unit of the values; NaN without data.
-    """
-    shape = len(model.joints), len(model.motions)
-    cell = model.joint_of[rows] * shape[1] + model.motion_of[rows]
-    total = np.bincount(cell, weights=values, minlength=shape[0] * shape[1])
-    count = np.bincount(cell, minlength=shape[0] * shape[1])
-    with np.errstate(invalid="ignore"):
-        return np.asarray(total / count).reshape(shape)

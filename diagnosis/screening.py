@@ -203,23 +203,5 @@ def refit_p(fits: Sequence[Fit], own: Integers, model: ResidualModel, scales: Ar
     cleared = white.clear(slopes[white.rows])
     solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
     left = white.residual + cleared @ solution
-    return wald_p(white.basis, cleared, white.residual, cluster_rows(model, white.rows, left))
-
-
-def cluster_rows(model: ResidualModel, rows: Integers, left: Array) -> Integers:
-    """Return the clusters of a test: residuals of one cluster may depend on one another in any way.
-
-    Motions are clusters. A log of few motions is cut by the memory of what the effect leaves: a misfit that
-    the effect explains is no noise, and would make blocks so long that nothing could be rejected.
-
-    Args:
-        model: The residual model.
-        rows: Rows of the model, (n_rows,) indices.
-        left: Residuals that the effect leaves, (n_rows,), in any unit.
-
-    Returns:
-        Cluster of each residual, (n_rows,), from 0.
-    """
-    if isinstance(model, Blocks):
-        return cut_rows(model, rows, left)
-    return np.unique(model.motion_of[rows], return_inverse=True)[1]
+    # a misfit that the effect explains is no noise, and would make blocks so long that nothing is rejected
+    return wald_p(white.basis, cleared, white.residual, cut_rows(model, white.rows, left))

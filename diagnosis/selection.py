@@ -11,14 +11,14 @@ import numpy as np
 
 from diagnosis.acceptance import MIN_SHARE, MIN_Z, Candidate, choose
 from diagnosis.arrays import Array
-from diagnosis.blocks import cut_rows
+from diagnosis.blocks import count_independent
 from diagnosis.chance import FALSE_ALARM, count_distinct
 from diagnosis.checkpoint import Checkpoint
 from diagnosis.comparison import compare
 from diagnosis.context import Context, FittedModel, Score, Selection, recall, run, simulate, start_context
 from diagnosis.cross_validation import cross_validate_each
 from diagnosis.effects.effect import Effect
-from diagnosis.fit import Fit, Hypothesis
+from diagnosis.fit import Fit, Hypothesis, select_rows
 from diagnosis.joint_fits import (
     add_effects,
     cut_anew,
@@ -158,7 +158,7 @@ def screen(
     ranked = []
     for joint, scores in best.items():
         # a misfit that the best effect explains is no memory of the noise
-        n = np.unique(cut_rows(context.model, white[joint].rows, rest[joint])).size if scores else 0
+        n = count_independent(context.model, white[joint].rows, rest[joint]) if scores else 0
         ranked.append(sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n)))
     n_distinct = sum(count_distinct(group) for group in directions.values())
     return [score for group in ranked for score in group[:SHORTLIST]], n_distinct
@@ -259,12 +259,10 @@ def judge(
     """
     fits = run(context, starts, "refit")
     candidates = []
-    for effect, fit, losses in zip(effects, fits, cross_validate_each(context, fits), strict=True):
-        joints = joints_of(context, effect)
-        before, after = present.scores[list(joints)], losses[list(joints)]
-        gain, z = compare(context, joints, before, after)
+    for effect, fit, left_out in zip(effects, fits, cross_validate_each(context, fits), strict=True):
+        gain, z = compare(context, fit.rows, present.left_out[fit.rows], left_out)
         at_bound = is_at_bound(context, present.effects, effect, fit)
-        candidates.append(Candidate(effect, joints, fit, after, at_bound, gain, z))
+        candidates.append(Candidate(effect, joints_of(context, effect), fit, left_out, at_bound, gain, z))
     return candidates
 
 
@@ -312,9 +310,9 @@ def drop_needless(
         left_out = tuple((layer, leave_out(context, present, layer)) for layer in layers)
         for layer, without in left_out:
             for effect in layer:
-                joints = list(joints_of(context, effect))
-                gain, z = compare(context, joints, without.scores[joints], present.scores[joints])
                 joint = context.joint_of(effect)
+                rows = select_rows(context.model, joint)
+                gain, z = compare(context, rows, without.left_out[rows], present.left_out[rows])
                 is_needed = (
                     gain >= MIN_SHARE and z > MIN_Z and find_chance(context, present, effect) <= FALSE_ALARM
                 )

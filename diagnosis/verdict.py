@@ -93,7 +93,8 @@ def find_layer_sets(
     sets = []
     for effect in layer:
         joints = list(joints_of(context, effect))
-        share, _ = compare(context, joints, without.scores[joints], selection.chosen.scores[joints])
+        rows = np.flatnonzero(np.isin(context.model.joint_of, joints))
+        share, _ = compare(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
         members = [Alternative(effect, fits[effect.key].sizes, 1.0)]
         for other in (one.effect for one in scores if one.effect.key != effect.key):
             fit = fits[other.key]

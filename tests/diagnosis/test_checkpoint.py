@@ -56,7 +56,7 @@ def find(model: ToyResiduals, folder: Path | None, meter: Meter | None = None) -
 def bits(found: Found) -> list[bytes]:
     """Return every number of what was found."""
     selection, sets = found
-    arrays: list[Array] = [selection.context.scales, selection.context.base_scores]
+    arrays: list[Array] = [selection.context.scales, selection.context.base_left_out]
     text = pack([selection.base, selection.chosen, sets], arrays)
     return [repr(text).encode(), *(array.tobytes() for array in arrays)]
 

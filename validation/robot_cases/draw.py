@@ -42,6 +42,9 @@ TIMES_LIMIT: Final = (0.5, 4.0)
 """Range of the strength of an effect, in family-wise limits."""
 SPREADS: Final = {"damping": 0.2, "friction": 0.2, "armature": 0.1, "gain": 0.1}
 """Standard deviations of the logarithms of the nuisances of joints whose numbers are not known."""
+UNKNOWN: Final = 1.0
+"""Prior of these nuisances in the limits: a robot file does not say how well it knows a number, so that who
+reads it has to allow for an error as large as the number."""
 LIMIT_STEP_S: Final = 0.001
 """Step of the simulations that only give changes: differences of runs with the same step."""
 SIZE_ROUNDS: Final = 10
@@ -151,7 +154,7 @@ def make_campaign(seed: int, model: str) -> Campaign:
             changed[j] *= np.exp(0.3 * spread)
             moved = Nuisances(**{**factors, name: changed})
             change = simulate_fitted(Plant(robot, moved, (), LIMIT_STEP_S), plan, fitted) - base
-            columns.append(whiten(change).ravel() / 0.3)
+            columns.append(whiten(change).ravel() * UNKNOWN / (0.3 * spread))
     count = len(list_hypotheses(robot, ENTRIES))
     stacked = np.array(columns).T if columns else np.zeros((base.size, 0))
     limit = limit_noncentrality(len(fitted), count)
