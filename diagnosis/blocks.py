@@ -13,17 +13,12 @@ blocks share its filter and its simulation, and only the residuals are counted b
 
 from collections.abc import Sequence
 from copy import copy
-from typing import Final
 
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect
 from diagnosis.residuals import ResidualModel
-
-GROWTH: Final = 2.0 / 3.0
-"""Power with which the number of blocks grows with that of independent residuals. Longer blocks depend less
-on one another, more blocks scatter less: the error of a variance is least at this power (Kuensch 1989)."""
 
 
 class Blocks:
@@ -123,13 +118,8 @@ def cut_into_blocks(model: ResidualModel, residuals: Array) -> Blocks:
     for m, j in np.ndindex(counts.shape):
         rows = (model.motion_of == m) & (model.joint_of == j)
         if rows.any():
-            counts[m, j] = _count(model.time_s[rows], residuals[rows])
+            counts[m, j] = int(_independent(model.time_s[rows], residuals[rows]))
     return Blocks(model, counts)
-
-
-def _count(time_s: Array, residuals: Array) -> int:
-    """Return the number of blocks of a motion; at least 1."""
-    return max(1, int(_independent(time_s, residuals) ** GROWTH))
 
 
 def _independent(time_s: Array, residuals: Array) -> float:
@@ -199,7 +189,7 @@ def cut_rows(model: ResidualModel, rows: Integers, residuals: Array) -> Integers
     for m in np.unique(motion):
         here = motion == m
         parts = [here & (joint == j) for j in np.unique(joint[here])]
-        count = min(_count(time_s[part], residuals[part]) for part in parts)
+        count = int(min(_independent(time_s[part], residuals[part]) for part in parts))
         block[here] = n_blocks + _divide(time_s[here], count)
         n_blocks += count
     return block
