@@ -18,8 +18,9 @@ MIN_SHARE: Final = 0.05
 """Least share of the error of left-out motions that an effect has to remove: less is not worth a name."""
 MIN_Z: Final = 2.0
 """Least improvement of left-out motions over its standard error, beside all other effects."""
-FIRST_Z: Final = 1.0
-"""The same before other effects are known: of two effects that hide each other, one has to be first."""
+FIRST_CHANCE: Final = 0.5
+"""Largest probability of an effect that is taken before others are known, if none is present: it is rather
+there than not. Of two effects that hide each other, one has to be first."""
 MAX_WORSE: Final = 0.10
 """Largest share by which an effect may worsen another joint."""
 
@@ -38,8 +39,8 @@ class Candidate:
     """True if a size ends at a bound, or is not plausible beside the others."""
     gain: float
     """Share of what can be explained in left-out motions that it removes."""
-    z: float
-    """Mean improvement over its standard error."""
+    chance: float
+    """Probability of so strong an effect if none is present."""
 
 
 def choose(context: Context, present: FittedModel, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -53,7 +54,8 @@ def choose(context: Context, present: FittedModel, candidates: Sequence[Candidat
     Returns:
         Effects to accept; no two for one joint.
     """
-    good = [one for one in candidates if one.gain >= MIN_SHARE and one.z > FIRST_Z and not one.at_bound]
+    good = [one for one in candidates if one.gain >= MIN_SHARE and one.chance <= FIRST_CHANCE]
+    good = [one for one in good if not one.at_bound]
     good = [one for one in good if not worsens_another(context, present, one)]
     groups: dict[tuple[int, ...], list[Candidate]] = {}
     for one in good:

@@ -260,9 +260,12 @@ def judge(
     fits = run(context, starts, "refit")
     candidates = []
     for effect, fit, left_out in zip(effects, fits, cross_validate_each(context, fits), strict=True):
-        gain, z = compare(context, fit.rows, present.left_out[fit.rows], left_out)
+        gain, _ = compare(context, fit.rows, present.left_out[fit.rows], left_out)
+        chance = find_chance(context, [fit], effect)
         at_bound = is_at_bound(context, present.effects, effect, fit)
-        candidates.append(Candidate(effect, joints_of(context, effect), fit, left_out, at_bound, gain, z))
+        candidates.append(
+            Candidate(effect, joints_of(context, effect), fit, left_out, at_bound, gain, chance)
+        )
     return candidates
 
 
@@ -314,7 +317,9 @@ def drop_needless(
                 rows = select_rows(context.model, joint)
                 gain, z = compare(context, rows, without.left_out[rows], present.left_out[rows])
                 is_needed = (
-                    gain >= MIN_SHARE and z > MIN_Z and find_chance(context, present, effect) <= FALSE_ALARM
+                    gain >= MIN_SHARE
+                    and z > MIN_Z
+                    and find_chance(context, fits_at(context, present, joint), effect) <= FALSE_ALARM
                 )
                 if not is_needed and z < weakest.get(joint, (np.inf, effect))[0]:
                     weakest[joint] = z, effect
@@ -323,18 +328,17 @@ def drop_needless(
         present = leave_out(context, present, [effect for _, effect in weakest.values()])
 
 
-def find_chance(context: Context, present: FittedModel, effect: Effect) -> float:
+def find_chance(context: Context, fits: Sequence[Fit], effect: Effect) -> float:
     """Return the probability of so strong an effect, beside all others, if none is present.
 
     Args:
         context: The context.
-        present: A model with the effect.
+        fits: Fits, with the effect, of the joints at which it is judged.
         effect: The effect.
 
     Returns:
         Probability by a Wald test, times the number of distinct effects that compete (Bonferroni).
     """
-    fits = fits_at(context, present, context.joint_of(effect))
     chance = refit_p(fits, context.union.columns([effect]), context.model, context.scales)
     return min(1.0, context.n_distinct * chance)
 
