@@ -17,8 +17,8 @@ def compare(context: Context, rows: Integers, before: Array, after: Array) -> tu
     Args:
         context: The context.
         rows: Rows of the residual model, (n_rows,) indices.
-        before: Their residuals when their motion was left out, over their scales, (n_rows,).
-        after: The same of another model, (n_rows,).
+        before: Their residuals when their motion was left out, over their scales, (n_rows,), without a unit.
+        after: The same of another model, (n_rows,), without a unit.
 
     Returns:
         The mean improvement as a share of what can be explained, and an improvement over its standard error.
@@ -64,8 +64,8 @@ def compare_with_noise(context: Context, rows: Integers, before: Array, after: A
     Args:
         context: The context.
         rows: Rows of the residual model, (n_rows,) indices.
-        before: Their residuals over their scales, (n_rows,).
-        after: The same of another model, (n_rows,).
+        before: Their residuals over their scales, (n_rows,), without a unit.
+        after: The same of another model, (n_rows,), without a unit.
 
     Returns:
         The ratio; 0 where the models do not differ.
