@@ -17,7 +17,8 @@ from diagnosis.sharing import ALL_JOINTS
 MIN_SHARE: Final = 0.05
 """Least share of the error of left-out motions that an effect has to remove: less is not worth a name."""
 MIN_Z: Final = 2.0
-"""Least improvement of left-out motions over its standard error, beside all other effects."""
+"""Least improvement of left-out motions over its scatter, beside all other effects, where no repeats show the
+noise."""
 FIRST_CHANCE: Final = 0.5
 """Largest probability of an effect that is taken before others are known, if none is present: it is rather
 there than not. Of two effects that hide each other, one has to be first."""

@@ -14,31 +14,32 @@ DRAWS: Final = 2000
 """Draws of a probability: one of 5 % is then right to half a percent."""
 
 
-def wald_p(basis: Array, change: Array, residual: Array, cluster: Integers) -> float:
-    """Test whether the sizes of an effect are 0.
+def wald_p(basis: Array, change: Array, residual: Array, cluster: Integers, n_sizes: int) -> float:
+    """Test whether the change that an effect makes is due to noise.
 
     The errors are CR2 (Bell and McCaffrey 2002): those of a cluster are enlarged by as much as the fit has
-    followed it, and the degrees of freedom fall where few clusters decide. Several sizes are tested along
-    their best combination by Hotelling's distribution, which bounds the test of all directions from above.
+    followed it, and the degrees of freedom fall where few clusters decide. The change is that of the best
+    sizes: Hotelling's distribution allows for their choice.
 
     Args:
         basis: Orthonormal changes by the base parameters, (n_rows, n_base), without a unit.
-        change: Change by each size, (n_rows, n_sizes), orthogonal to the basis, without a unit.
+        change: Change by the fitted sizes, (n_rows,), orthogonal to the basis, without a unit.
         residual: Residuals before the effect, orthogonal to the basis, (n_rows,), without a unit.
         cluster: Cluster of each residual, (n_rows,), from 0.
+        n_sizes: Number of fitted sizes.
 
     Returns:
         Probability of the statistic, or a larger one, if the sizes are 0.
     """
-    left, sizes, _ = np.linalg.svd(change, full_matrices=False)
-    own = left[:, sizes > 1e-8 * sizes[0]] if sizes.size and sizes[0] > 0.0 else left[:, :0]
-    product = own.T @ residual
-    strength = float(product @ product)
-    if strength == 0.0:
+    length = float(np.linalg.norm(change))
+    if length == 0.0:
         return 1.0
-    x = np.hstack([basis, own])
-    c = np.concatenate([np.zeros(basis.shape[1]), product / np.sqrt(strength)])
-    rest = residual - own @ product
+    own = change / length
+    product = float(own @ residual)
+    strength = product**2
+    x = np.column_stack([basis, own])
+    c = np.append(np.zeros(basis.shape[1]), 1.0)
+    rest = residual - own * product
     scatter, weights, turned = [], [], []
     order = np.argsort(cluster, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(cluster[order])) + 1):
@@ -53,7 +54,7 @@ def wald_p(basis: Array, change: Array, residual: Array, cluster: Integers) -> f
     between = np.diag(weights) - np.array(turned) @ np.array(turned).T
     trace = float(np.trace(between))
     freedom = trace**2 / max(float(np.sum(between**2)), 1e-300) if trace > 0.0 else 0.0
-    n_sizes, last = own.shape[1], freedom - own.shape[1] + 1.0
+    last = freedom - n_sizes + 1.0
     variance = float(np.sum(np.square(scatter)))
     if last <= 0.0 or trace <= 0.0:
         return 1.0

@@ -11,8 +11,8 @@ from diagnosis.loss import half_loss_derivatives, pseudo_huber
 def compare(context: Context, rows: Integers, before: Array, after: Array) -> tuple[float, float]:
     """Compare the losses of left-out motions, in pairs.
 
-    An improvement is sure if it repeats from motion to motion, or if it is more than noise can do. The
-    first shows an effect beside a larger misfit, the second one that acts in few motions, such as a limit.
+    Where repeats show the noise, the standard error is what that noise can do: an effect counts although it
+    acts in few motions, such as a limit. Else it is the scatter from motion to motion, which counts a misfit.
 
     Args:
         context: The context.
@@ -21,16 +21,29 @@ def compare(context: Context, rows: Integers, before: Array, after: Array) -> tu
         after: The same of another model, (n_rows,), without a unit.
 
     Returns:
-        The mean improvement as a share of what can be explained, and an improvement over its standard error.
+        The mean improvement as a share of what can be explained, and the improvement over its standard error.
     """
     old, new = pseudo_huber(before), pseudo_huber(after)
     mean = float(np.mean(old - new))
     explainable = float(np.mean(old - context.noise_loss[context.model.joint_of[rows]]))
-    z = max(
-        compare_motions(context.model.motion_of[rows], old, new),
-        compare_with_noise(context, rows, before, after),
-    )
+    if knows_noise(context, rows):
+        z = compare_with_noise(context, rows, before, after)
+    else:
+        z = compare_motions(context.model.motion_of[rows], old, new)
     return mean / max(explainable, abs(mean), 1e-12), z
+
+
+def knows_noise(context: Context, rows: Integers) -> bool:
+    """Return whether repeated motions show the noise of all joints.
+
+    Args:
+        context: The context.
+        rows: Rows of the joints in the residual model, (n_rows,) indices.
+
+    Returns:
+        True if they do.
+    """
+    return bool(np.all(context.noise_loss[np.unique(context.model.joint_of[rows])] > 0.0))
 
 
 def compare_motions(motion: Integers, before: Array, after: Array) -> float:

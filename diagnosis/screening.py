@@ -175,33 +175,27 @@ def score_effect(
     return Score(trials[0].effect, start, gain, kept), direction, rest
 
 
-def refit_p(fits: Sequence[Fit], own: Integers, model: ResidualModel, scales: Array) -> float:
-    """Test whether the sizes of an effect are 0, at the optimum of a fit with it.
-
-    A change at a few sizes says little where a joint sticks and slips; the derivatives at the optimum do.
+def refit_p(fits: Sequence[Fit], own: Integers, without: Array, model: ResidualModel, scales: Array) -> float:
+    """Test whether a fit without an effect is worse by chance.
 
     Args:
-        fits: Fits of the joints at which the effect is judged.
+        fits: Fits, with the effect, of the joints at which it is judged.
         own: Columns of the effect, (n_sizes,) indices.
+        without: Residuals of a fit without it, (n,), in the unit of the model.
         model: The residual model.
         scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
 
     Returns:
-        Probability of such sizes, or larger ones, by `wald_p`.
+        Probability of such a change, or a larger one, by `wald_p`.
     """
-    slopes = np.zeros((model.joint_of.size, len(own)))
-    for fit in fits:
-        slopes[fit.rows] = fit.jacobian[:, np.isin(fit.columns, own)]
-    without = []
+    base = []
     for fit in fits:
         rest = ~np.isin(fit.columns, own)
-        residuals = fit.residuals - slopes[fit.rows] @ fit.sizes[own]
-        without.append(
-            replace(fit, columns=fit.columns[rest], jacobian=fit.jacobian[:, rest], residuals=residuals)
-        )
-    white = whiten(without, model, scales)
-    cleared = white.clear(slopes[white.rows])
-    solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
-    left = white.residual + cleared @ solution
+        columns, jacobian = fit.columns[rest], fit.jacobian[:, rest]
+        base.append(replace(fit, columns=columns, jacobian=jacobian, residuals=without[fit.rows]))
+    white = whiten(base, model, scales)
+    change = np.concatenate([fit.residuals - without[fit.rows] for fit in fits])
+    (cleared,) = white.clear(change[:, None]).T
     # a misfit that the effect explains is no noise, and would make blocks so long that nothing is rejected
-    return wald_p(white.basis, cleared, white.residual, cut_rows(model, white.rows, left))
+    cluster = cut_rows(model, white.rows, white.residual + cleared)
+    return wald_p(white.basis, cleared, white.residual, cluster, len(own))

@@ -14,11 +14,11 @@ from diagnosis.arrays import Array
 from diagnosis.blocks import count_independent
 from diagnosis.chance import FALSE_ALARM, count_distinct
 from diagnosis.checkpoint import Checkpoint
-from diagnosis.comparison import compare
+from diagnosis.comparison import compare, knows_noise
 from diagnosis.context import Context, FittedModel, Score, Selection, recall, run, simulate, start_context
 from diagnosis.cross_validation import cross_validate_each
 from diagnosis.effects.effect import Effect
-from diagnosis.fit import Fit, Hypothesis, select_rows
+from diagnosis.fit import Fit, Hypothesis, gather_residuals, select_rows
 from diagnosis.joint_fits import (
     add_effects,
     cut_anew,
@@ -261,7 +261,7 @@ def judge(
     candidates = []
     for effect, fit, left_out in zip(effects, fits, cross_validate_each(context, fits), strict=True):
         gain, _ = compare(context, fit.rows, present.left_out[fit.rows], left_out)
-        chance = find_chance(context, [fit], effect)
+        chance = find_chance(context, [fit], effect, present)
         at_bound = is_at_bound(context, present.effects, effect, fit)
         candidates.append(
             Candidate(effect, joints_of(context, effect), fit, left_out, at_bound, gain, chance)
@@ -316,11 +316,9 @@ def drop_needless(
                 joint = context.joint_of(effect)
                 rows = select_rows(context.model, joint)
                 gain, z = compare(context, rows, without.left_out[rows], present.left_out[rows])
-                is_needed = (
-                    gain >= MIN_SHARE
-                    and z > MIN_Z
-                    and find_chance(context, fits_at(context, present, joint), effect) <= FALSE_ALARM
-                )
+                chance = find_chance(context, fits_at(context, present, joint), effect, without)
+                is_sure = z > MIN_Z or knows_noise(context, rows)
+                is_needed = gain >= MIN_SHARE and chance <= FALSE_ALARM and is_sure
                 if not is_needed and z < weakest.get(joint, (np.inf, effect))[0]:
                     weakest[joint] = z, effect
         if not weakest:
@@ -328,18 +326,23 @@ def drop_needless(
         present = leave_out(context, present, [effect for _, effect in weakest.values()])
 
 
-def find_chance(context: Context, fits: Sequence[Fit], effect: Effect) -> float:
+def find_chance(context: Context, fits: Sequence[Fit], effect: Effect, without: FittedModel) -> float:
     """Return the probability of so strong an effect, beside all others, if none is present.
 
     Args:
         context: The context.
         fits: Fits, with the effect, of the joints at which it is judged.
         effect: The effect.
+        without: A model without it.
 
     Returns:
         Probability by a Wald test, times the number of distinct effects that compete (Bonferroni).
     """
-    chance = refit_p(fits, context.union.columns([effect]), context.model, context.scales)
+    own, residuals = (
+        context.union.columns([effect]),
+        gather_residuals(without.fits, context.model.joint_of.size),
+    )
+    chance = refit_p(fits, own, residuals, context.model, context.scales)
     return min(1.0, context.n_distinct * chance)
 
 

@@ -24,8 +24,9 @@ def probability(random, n_motions, columns):
     """Return the probability of an effect that is absent."""
     base, change, noise = draw(random, n_motions)
     basis, _ = np.linalg.qr(base)
-    cleared = [part - basis @ (basis.T @ part) for part in (change[:, columns], noise)]
-    return wald_p(basis, *cleared, np.repeat(np.arange(n_motions), N))
+    change, noise = (part - basis @ (basis.T @ part) for part in (change[:, columns], noise))
+    best = change @ np.linalg.lstsq(change, noise, rcond=None)[0]
+    return wald_p(basis, best, noise, np.repeat(np.arange(n_motions), N), len(columns))
 
 
 def most_of(n, level):
@@ -43,19 +44,19 @@ def test_an_absent_effect_is_as_rare_as_its_probability_says(n_motions, columns)
 
 
 def test_an_effect_that_shows_in_one_motion_alone_is_no_proof():
-    basis, change = np.zeros((4 * N, 0)), np.zeros((4 * N, 1))
+    basis, change = np.zeros((4 * N, 0)), np.zeros(4 * N)
     change[:N] = 1.0
-    residual = change[:, 0] + 1e-3 * np.random.default_rng(1).standard_normal(4 * N)
-    assert wald_p(basis, change, residual, np.repeat(np.arange(4), N)) == 1.0
+    residual = change + 1e-3 * np.random.default_rng(1).standard_normal(4 * N)
+    assert wald_p(basis, change, residual, np.repeat(np.arange(4), N), 1) == 1.0
 
 
 def test_a_strong_effect_is_proven_by_four_motions():
     random = np.random.default_rng(3)
     base, change, noise = draw(random, 4)
     basis, _ = np.linalg.qr(base)
-    part = change[:, :1] - basis @ (basis.T @ change[:, :1])
+    part = change[:, 0] - basis @ (basis.T @ change[:, 0])
     noise = noise - basis @ (basis.T @ noise)
-    assert wald_p(basis, part, 3000.0 * part[:, 0] + noise, np.repeat(np.arange(4), N)) < 1e-3
+    assert wald_p(basis, part, 3000.0 * part + noise, np.repeat(np.arange(4), N), 1) < 1e-3
 
 
 def test_directions_that_are_alike_count_once():

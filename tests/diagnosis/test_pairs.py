@@ -49,4 +49,4 @@ def test_an_effect_is_due_to_chance_where_it_is_absent(truth: float, low: float,
     toy = draw_toy(1, {square.key: truth})
     context, base = fit_base(start_context(toy, BASE, CATALOGUE, 1, Meter()))
     fits = fit_joints(context, (square,), base.sizes)
-    assert low <= find_chance(context, fits[:1], square) <= high
+    assert low <= find_chance(context, fits[:1], square, base) <= high
