@@ -22,6 +22,8 @@ from diagnosis.residuals import ResidualModel
 FACTORS: Final = (0.3, -1.0, 3.0)
 """Sizes at which an effect is tried, over its typical size: half a decade to each side. A size that is not
 negative takes their amounts; a small effect of the other sign is the opposite, and counts by its sign."""
+LEAST_SHARE: Final = 0.3
+"""Least share of a tried size from which a fit starts: to the next smaller one, and a limit still acts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,8 +168,9 @@ def score_effect(
             start = trial.points[0]
             if len(trial.points) > 1:
                 start = at + (np.array(trial.points) - at).T @ solution
-            elif solution[0] < 0.0:
-                start = 2.0 * at - start
+            else:
+                share = np.sign(solution[0]) * np.clip(abs(solution[0]), LEAST_SHARE, 1.0)
+                start = at + share * (start - at)
             best = (gain, start, rest)
     assert best is not None, "an effect without a trial"
     gain, start, rest = best

@@ -147,6 +147,7 @@ class LeakyIntegral(JointEffect):
 
     name: ClassVar[str] = "integral leak"
     family: ClassVar[Family] = Family.ACTUATION
+    has_shape: ClassVar[bool] = True
 
     @property
     def sizes(self) -> tuple[Size, ...]:

@@ -180,6 +180,23 @@ def change_of(campaign: Campaign, effect: TrueEffect, motions: Sequence[int] | N
     return np.asarray(whiten(moved - campaign.base[list(chosen)]).ravel())
 
 
+def strength(campaign: Campaign, effect: TrueEffect) -> float:
+    """Return the strength of an effect, without what the nuisances imitate; see `limits`.
+
+    A large imitation is no straight line, so the nuisances are simulated where the linear one leads.
+    """
+    change = change_of(campaign, effect)
+    amounts = (campaign.nuisance.solve @ change).reshape(len(SPREADS), -1)
+    known = np.array([joint.is_known for joint in campaign.robot.joints])
+    factors = {name: np.asarray(getattr(campaign.nuisances, name)).copy() for name in SPREADS}
+    for name, amount in zip(SPREADS, amounts, strict=True):
+        factors[name][~known] *= np.exp(UNKNOWN * amount)
+    plant = Plant(campaign.robot, Nuisances(**factors), (), LIMIT_STEP_S)
+    imitated = whiten(simulate_fitted(plant, campaign.plan, campaign.fitted) - campaign.base).ravel()
+    left = [change, change - imitated]
+    return float(np.sqrt(max(min(information(one, one, campaign.nuisance) for one in left), 0.0)))
+
+
 def _draw_effect(campaign: Campaign, entries: tuple[Entry, ...], rng: np.random.Generator) -> DrawnEffect:
     """Draw an effect, then one of its places, then a strength; NoSize if its bounds do not allow it."""
     everything = list_hypotheses(campaign.robot, entries)
@@ -226,8 +243,7 @@ def find_size(
     below, above, best = 0.0, np.inf, (np.inf, 0.0, 0.0)
     for _ in range(SIZE_ROUNDS):
         effect = one.entry.kind(campaign.plan.scene, one.place, sign * size * one.scale, shape)
-        change = change_of(campaign, effect)
-        reached = float(np.sqrt(max(information(change, change, campaign.nuisance), 0.0)) / campaign.limit)
+        reached = strength(campaign, effect) / campaign.limit
         best = min(best, (abs(np.log(max(reached, 1e-9) / times)), size, reached))
         if best[0] < CLOSE:
             break
