@@ -169,8 +169,10 @@ def score_effect(
             if len(trial.points) > 1:
                 start = at + (np.array(trial.points) - at).T @ solution
             else:
+                own = np.flatnonzero(start != at)[: 1 if trial.effect.has_shape else None]
                 share = np.sign(solution[0]) * np.clip(abs(solution[0]), LEAST_SHARE, 1.0)
-                start = at + share * (start - at)
+                start = start.copy()
+                start[own] = at[own] + share * (start[own] - at[own])
             best = (gain, start, rest)
     assert best is not None, "an effect without a trial"
     gain, start, rest = best
