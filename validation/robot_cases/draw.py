@@ -155,10 +155,29 @@ def make_campaign(seed: int, model: str) -> Campaign:
             moved = Nuisances(**{**factors, name: changed})
             change = simulate_fitted(Plant(robot, moved, (), LIMIT_STEP_S), plan, fitted) - base
             columns.append(whiten(change).ravel() * UNKNOWN / (0.3 * spread))
+    columns += [whiten(offset).ravel() for offset in list_start_offsets(plan.commands[list(fitted)])]
     count = len(list_hypotheses(robot, ENTRIES))
-    stacked = np.array(columns).T if columns else np.zeros((base.size, 0))
+    stacked = np.array(columns).T
     limit = limit_noncentrality(len(fitted), count)
     return Campaign(robot, plan, fitted, nuisances, base, make_nuisance(stacked), limit)
+
+
+def list_start_offsets(commands: Array) -> list[Array]:
+    """List errors of the start positions, which last until a command moves: a solver reads them in the log.
+
+    Args:
+        commands: Commands, (n_motions, n_joints, n) [rad].
+
+    Returns:
+        For each joint and motion, an error of 1 rad, (n_motions, n_joints, n) [rad].
+    """
+    offsets = []
+    for m, j in np.ndindex(commands.shape[:2]):
+        rests = np.cumprod(commands[m, j] == commands[m, j, 0])
+        offset = np.zeros_like(commands)
+        offset[m, j] = rests
+        offsets.append(offset)
+    return offsets
 
 
 def simulate_fitted(plant: Plant, plan: Plan, motions: tuple[int, ...]) -> Array:
@@ -186,8 +205,8 @@ def strength(campaign: Campaign, effect: TrueEffect) -> float:
     A large imitation is no straight line, so the nuisances are simulated where the linear one leads.
     """
     change = change_of(campaign, effect)
-    amounts = (campaign.nuisance.solve @ change).reshape(len(SPREADS), -1)
     known = np.array([joint.is_known for joint in campaign.robot.joints])
+    amounts = (campaign.nuisance.solve @ change)[: len(SPREADS) * np.sum(~known)].reshape(len(SPREADS), -1)
     factors = {name: np.asarray(getattr(campaign.nuisances, name)).copy() for name in SPREADS}
     for name, amount in zip(SPREADS, amounts, strict=True):
         factors[name][~known] *= np.exp(UNKNOWN * amount)
