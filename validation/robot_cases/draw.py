@@ -42,6 +42,9 @@ TIMES_LIMIT: Final = (0.5, 4.0)
 """Range of the strength of an effect, in family-wise limits."""
 SPREADS: Final = {"damping": 0.2, "friction": 0.2, "armature": 0.1, "gain": 0.1}
 """Standard deviations of the logarithms of the nuisances of joints whose numbers are not known."""
+START_S: Final = 1.0
+"""Time of a motion that does not count in the limits. Friction holds a joint anywhere near its first command,
+and a solver knows the start only from the log. After this time nothing is left of it."""
 UNKNOWN: Final = 1.0
 """Prior of these nuisances in the limits: a robot file does not say how well it knows a number, so that who
 reads it has to allow for an error as large as the number."""
@@ -154,30 +157,16 @@ def make_campaign(seed: int, model: str) -> Campaign:
             changed[j] *= np.exp(0.3 * spread)
             moved = Nuisances(**{**factors, name: changed})
             change = simulate_fitted(Plant(robot, moved, (), LIMIT_STEP_S), plan, fitted) - base
-            columns.append(whiten(change).ravel() * UNKNOWN / (0.3 * spread))
-    columns += [whiten(offset).ravel() for offset in list_start_offsets(plan.commands[list(fitted)])]
+            columns.append(whiten_later(change) * UNKNOWN / (0.3 * spread))
     count = len(list_hypotheses(robot, ENTRIES))
-    stacked = np.array(columns).T
+    stacked = np.array(columns).T if columns else np.zeros((whiten_later(base).size, 0))
     limit = limit_noncentrality(len(fitted), count)
     return Campaign(robot, plan, fitted, nuisances, base, make_nuisance(stacked), limit)
 
 
-def list_start_offsets(commands: Array) -> list[Array]:
-    """List errors of the start positions, which last until a command moves: a solver reads them in the log.
-
-    Args:
-        commands: Commands, (n_motions, n_joints, n) [rad].
-
-    Returns:
-        For each joint and motion, an error of 1 rad, (n_motions, n_joints, n) [rad].
-    """
-    offsets = []
-    for m, j in np.ndindex(commands.shape[:2]):
-        rests = np.cumprod(commands[m, j] == commands[m, j, 0])
-        offset = np.zeros_like(commands)
-        offset[m, j] = rests
-        offsets.append(offset)
-    return offsets
+def whiten_later(change_rad: Array) -> Array:
+    """Whiten changes of positions, (.., n), without the start of the motions, in one row."""
+    return np.asarray(whiten(change_rad)[..., round(START_S / PERIOD_S) :].ravel())
 
 
 def simulate_fitted(plant: Plant, plan: Plan, motions: tuple[int, ...]) -> Array:
@@ -196,7 +185,7 @@ def change_of(campaign: Campaign, effect: TrueEffect, motions: Sequence[int] | N
     chosen = range(len(campaign.fitted)) if motions is None else motions
     plant = Plant(campaign.robot, campaign.nuisances, (effect,), LIMIT_STEP_S)
     moved = simulate_fitted(plant, campaign.plan, tuple(campaign.fitted[k] for k in chosen))
-    return np.asarray(whiten(moved - campaign.base[list(chosen)]).ravel())
+    return whiten_later(moved - campaign.base[list(chosen)])
 
 
 def strength(campaign: Campaign, effect: TrueEffect) -> float:
@@ -206,12 +195,12 @@ def strength(campaign: Campaign, effect: TrueEffect) -> float:
     """
     change = change_of(campaign, effect)
     known = np.array([joint.is_known for joint in campaign.robot.joints])
-    amounts = (campaign.nuisance.solve @ change)[: len(SPREADS) * np.sum(~known)].reshape(len(SPREADS), -1)
+    amounts = (campaign.nuisance.solve @ change).reshape(len(SPREADS), -1)
     factors = {name: np.asarray(getattr(campaign.nuisances, name)).copy() for name in SPREADS}
     for name, amount in zip(SPREADS, amounts, strict=True):
         factors[name][~known] *= np.exp(UNKNOWN * amount)
     plant = Plant(campaign.robot, Nuisances(**factors), (), LIMIT_STEP_S)
-    imitated = whiten(simulate_fitted(plant, campaign.plan, campaign.fitted) - campaign.base).ravel()
+    imitated = whiten_later(simulate_fitted(plant, campaign.plan, campaign.fitted) - campaign.base)
     left = [change, change - imitated]
     return float(np.sqrt(max(min(information(one, one, campaign.nuisance) for one in left), 0.0)))
 

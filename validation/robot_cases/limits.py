@@ -10,8 +10,8 @@ a sqrt(sum I_m). With H hypotheses, a two-sided test at 0.05 / H each keeps fals
 The strength of an effect is sqrt(sum d_m . d_m) over the fitted motions, without the part that the nuisances
 imitate: each of them is a column with a prior as wide as the number. An effect is at its limit when its
 strength is that noncentrality. The strength is computed with the effect at its true size, and with the
-nuisances where they imitate it, so that nothing is linearised. The start positions of the joints are
-nuisances too, because a solver reads them in the log.
+nuisances where they imitate it, so that nothing is linearised. The first second of a motion does not count,
+because its start depends on where friction held the joint.
 """
 
 from dataclasses import dataclass

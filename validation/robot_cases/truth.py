@@ -217,6 +217,7 @@ class _Motion:
         self.plant, self.period_s = plant, period_s
         self.data = mujoco.MjData(plant.model)
         self.n = commands.shape[1]
+        self.has_begun = False
         self.temperature = temperature
         self.run = Run(plant.step_s, np.random.default_rng(seed), model=plant.model, data=self.data)
         joints = plant.robot.joints
@@ -300,9 +301,11 @@ class _Motion:
         if self.knows_load:
             self._update_load()
         for j, (kp, kd, limit) in enumerate(self.law):
-            shown = run.q[j]
+            shown, rate = run.q[j], run.v[j]
             for hook in hooks["shows"][j]:
                 shown = hook(run, shown)
+            if hooks["shows"][j]:  # a servo knows its speed from its encoder
+                rate = (shown - run.shown[j]) / run.step_s if self.has_begun else 0.0
             run.shown[j] = shown
             command = self._held(j, time_s)
             for hook in hooks["command"][j]:
@@ -311,7 +314,7 @@ class _Motion:
             error = command - shown
             for hook in hooks["error"][j]:
                 error = hook(run, error)
-            torque = kp * error - kd * run.v[j]
+            torque = kp * error - kd * rate
             for hook in hooks["servo"][j]:
                 torque = hook(run, torque)
             torque = min(max(torque, -limit), limit)
@@ -332,6 +335,7 @@ class _Motion:
         for _, hook in self.acts:
             hook(run)
         mujoco.mj_step(plant.model, data)
+        self.has_begun = True
 
     def _update_load(self) -> None:
         data, dof = self.data, self.plant.dof
