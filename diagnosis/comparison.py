@@ -47,9 +47,10 @@ def knows_noise(context: Context, rows: Integers) -> bool:
 
 
 def compare_motions(motion: Integers, before: Array, after: Array) -> float:
-    """Return the mean logarithm of the ratio of the losses of motions, over its standard error.
+    """Return the improvement of the losses of motions, over its scatter between them.
 
-    Motions of very different strength scatter less in ratios than in differences.
+    The improvement is that of differences or of logarithms of ratios, whichever says more. Motions of very
+    different strength scatter in differences; motions that an effect does not touch scatter in ratios.
 
     Args:
         motion: Motion of each loss, (n_rows,), index.
@@ -57,15 +58,21 @@ def compare_motions(motion: Integers, before: Array, after: Array) -> float:
         after: Losses of another model, (n_rows,), without a unit.
 
     Returns:
-        The ratio; 0 with fewer than two motions.
+        The mean over its standard error; 0 with fewer than two motions.
     """
     _, motion = np.unique(motion, return_inverse=True)
-    old, new = np.bincount(motion, weights=before), np.bincount(motion, weights=after)
-    improved = np.log(np.maximum(old, 1e-12) / np.maximum(new, 1e-12))
-    if improved.size < 2:
+    count = np.bincount(motion)
+    old, new = np.bincount(motion, weights=before) / count, np.bincount(motion, weights=after) / count
+    ratios = np.log(np.maximum(old, 1e-12) / np.maximum(new, 1e-12))
+    return max(_mean_over_error(old - new), _mean_over_error(ratios))
+
+
+def _mean_over_error(values: Array) -> float:
+    """Return the mean of values, (n,), over its standard error; 0 if there is none."""
+    if len(values) < 2:
         return 0.0
-    error = float(np.std(improved, ddof=1) / np.sqrt(improved.size))
-    return float(np.mean(improved)) / error if error > 0.0 else 0.0
+    error = float(np.std(values, ddof=1) / np.sqrt(len(values)))
+    return float(np.mean(values)) / error if error > 0.0 else 0.0
 
 
 def compare_with_noise(context: Context, rows: Integers, before: Array, after: Array) -> float:
