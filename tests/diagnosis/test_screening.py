@@ -36,7 +36,7 @@ def start(effect: Toy, amplitude: float) -> list[float]:
     trials = list_trials(union, effect, at)
     changes = [-trial.points[0][0] * change[:, None] for trial in trials]
     score, *_ = score_effect(whiten([fit], model, np.ones(2)), trials, changes, at)
-    return score.start.tolist()
+    return [float(size) for size in score.start]
 
 
 @pytest.mark.parametrize("amplitude", [0.1, 0.2, -0.25])
