@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.comparison import compare
+from diagnosis.comparison import improvement_z
 from diagnosis.context import Context, FittedModel, simulate
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, gather_residuals
@@ -85,11 +85,12 @@ def simplest(context: Context, candidates: Sequence[Candidate]) -> Candidate:
         The effect; of several with as few sizes the best.
     """
     best = max(candidates, key=lambda one: one.gain)
-    alike = []
-    for one in candidates:
-        _, z = compare(context, best.fit.rows, one.left_out, best.left_out)
-        if one is best or z <= 1.0:
-            alike.append(one)
+    rows = best.fit.rows
+    alike = [
+        one
+        for one in candidates
+        if one is best or improvement_z(context, rows, one.left_out, best.left_out) <= 1.0
+    ]
     return min(alike, key=lambda one: (len(one.effect.sizes), -one.gain))
 
 

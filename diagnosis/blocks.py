@@ -128,6 +128,11 @@ def _independent(time_s: Array, residuals: Array) -> float:
     return max(1.0, float(np.ptp(time_s)) / memory_s) if memory_s > 0.0 else 1.0
 
 
+def _whole_motion_of(model: ResidualModel) -> Integers:
+    """Return the motion of each residual, (n,), index; of blocks, the motion that they were cut from."""
+    return model.parent_of if isinstance(model, Blocks) else model.motion_of
+
+
 def count_independent(model: ResidualModel, rows: Integers, residuals: Array) -> int:
     """Count the independent residuals that scatter like those of some rows.
 
@@ -139,8 +144,7 @@ def count_independent(model: ResidualModel, rows: Integers, residuals: Array) ->
     Returns:
         Number, at least 1 for each joint in each motion.
     """
-    motion = (model.parent_of if isinstance(model, Blocks) else model.motion_of)[rows]
-    cell = motion * len(model.joints) + model.joint_of[rows]
+    cell = _whole_motion_of(model)[rows] * len(model.joints) + model.joint_of[rows]
     parts = [cell == k for k in np.unique(cell)]
     return int(sum(_independent(model.time_s[rows][part], residuals[part]) for part in parts))
 
@@ -184,7 +188,7 @@ def cut_rows(model: ResidualModel, rows: Integers, residuals: Array) -> Integers
         Block of each row, (n_rows,), from 0.
     """
     time_s, joint = model.time_s[rows], model.joint_of[rows]
-    motion = (model.parent_of if isinstance(model, Blocks) else model.motion_of)[rows]
+    motion = _whole_motion_of(model)[rows]
     block, n_blocks = np.zeros(rows.size, dtype=np.int64), 0
     for m in np.unique(motion):
         here = motion == m

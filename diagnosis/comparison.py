@@ -8,8 +8,26 @@ from diagnosis.context import Context
 from diagnosis.loss import half_loss_derivatives, pseudo_huber
 
 
-def compare(context: Context, rows: Integers, before: Array, after: Array) -> tuple[float, float]:
-    """Compare the losses of left-out motions, in pairs.
+def improvement_share(context: Context, rows: Integers, before: Array, after: Array) -> float:
+    """Return the mean improvement of the losses of left-out motions, as a share of what can be explained.
+
+    Args:
+        context: The context.
+        rows: Rows of the residual model, (n_rows,) indices.
+        before: Their residuals when their motion was left out, over their scales, (n_rows,), without a unit.
+        after: The same of another model, (n_rows,), without a unit.
+
+    Returns:
+        The share, from -1 to 1.
+    """
+    loss = pseudo_huber(before)
+    mean = float(np.mean(loss - pseudo_huber(after)))
+    explainable = float(np.mean(loss - context.noise_loss[context.model.joint_of[rows]]))
+    return mean / max(explainable, abs(mean), 1e-12)
+
+
+def improvement_z(context: Context, rows: Integers, before: Array, after: Array) -> float:
+    """Return the improvement of the losses of left-out motions, over its standard error.
 
     Where repeats show the noise, the standard error is what that noise can do: an effect counts although it
     acts in few motions, such as a limit. Else it is the scatter from motion to motion, which counts a misfit.
@@ -21,16 +39,11 @@ def compare(context: Context, rows: Integers, before: Array, after: Array) -> tu
         after: The same of another model, (n_rows,), without a unit.
 
     Returns:
-        The mean improvement as a share of what can be explained, and the improvement over its standard error.
+        The ratio.
     """
-    old, new = pseudo_huber(before), pseudo_huber(after)
-    mean = float(np.mean(old - new))
-    explainable = float(np.mean(old - context.noise_loss[context.model.joint_of[rows]]))
     if knows_noise(context, rows):
-        z = compare_with_noise(context, rows, before, after)
-    else:
-        z = compare_motions(context.model.motion_of[rows], old, new)
-    return mean / max(explainable, abs(mean), 1e-12), z
+        return compare_with_noise(context, rows, before, after)
+    return compare_motions(context.model.motion_of[rows], pseudo_huber(before), pseudo_huber(after))
 
 
 def knows_noise(context: Context, rows: Integers) -> bool:

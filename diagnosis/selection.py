@@ -14,7 +14,7 @@ from diagnosis.arrays import Array
 from diagnosis.blocks import count_independent
 from diagnosis.chance import FALSE_ALARM, count_distinct
 from diagnosis.checkpoint import Checkpoint
-from diagnosis.comparison import compare, knows_noise
+from diagnosis.comparison import improvement_share, improvement_z, knows_noise
 from diagnosis.context import Context, FittedModel, Score, Selection, recall, run, simulate, start_context
 from diagnosis.cross_validation import cross_validate_each
 from diagnosis.effects.effect import Effect
@@ -258,10 +258,10 @@ def judge(
         One candidate an effect.
     """
     fits = run(context, starts, "refit")
-    candidates = []
+    candidates, without = [], gather_residuals(present.fits, context.model.joint_of.size)
     for effect, fit, left_out in zip(effects, fits, cross_validate_each(context, fits), strict=True):
-        gain, _ = compare(context, fit.rows, present.left_out[fit.rows], left_out)
-        chance = find_chance(context, [fit], effect, present)
+        gain = improvement_share(context, fit.rows, present.left_out[fit.rows], left_out)
+        chance = find_chance(context, [fit], effect, without)
         at_bound = is_at_bound(context, present.effects, effect, fit)
         candidates.append(
             Candidate(effect, joints_of(context, effect), fit, left_out, at_bound, gain, chance)
@@ -312,11 +312,13 @@ def drop_needless(
         layers = list_layers(context, present.effects)
         left_out = tuple((layer, leave_out(context, present, layer)) for layer in layers)
         for layer, without in left_out:
+            residuals = gather_residuals(without.fits, context.model.joint_of.size)
             for effect in layer:
                 joint = context.joint_of(effect)
                 rows = select_rows(context.model, joint)
-                gain, z = compare(context, rows, without.left_out[rows], present.left_out[rows])
-                chance = find_chance(context, fits_at(context, present, joint), effect, without)
+                pair = without.left_out[rows], present.left_out[rows]
+                gain, z = improvement_share(context, rows, *pair), improvement_z(context, rows, *pair)
+                chance = find_chance(context, fits_at(context, present, joint), effect, residuals)
                 is_sure = z > MIN_Z or knows_noise(context, rows)
                 is_needed = gain >= MIN_SHARE and chance <= FALSE_ALARM and is_sure
                 if not is_needed and z < weakest.get(joint, (np.inf, effect))[0]:
@@ -326,23 +328,19 @@ def drop_needless(
         present = leave_out(context, present, [effect for _, effect in weakest.values()])
 
 
-def find_chance(context: Context, fits: Sequence[Fit], effect: Effect, without: FittedModel) -> float:
+def find_chance(context: Context, fits: Sequence[Fit], effect: Effect, without: Array) -> float:
     """Return the probability of so strong an effect, beside all others, if none is present.
 
     Args:
         context: The context.
         fits: Fits, with the effect, of the joints at which it is judged.
         effect: The effect.
-        without: A model without it.
+        without: Residuals of a fit without it, (n,), in the unit of the model.
 
     Returns:
         Probability by a Wald test, times the number of distinct effects that compete (Bonferroni).
     """
-    own, residuals = (
-        context.union.columns([effect]),
-        gather_residuals(without.fits, context.model.joint_of.size),
-    )
-    chance = refit_p(fits, own, residuals, context.model, context.scales)
+    chance = refit_p(fits, context.union.columns([effect]), without, context.model, context.scales)
     return min(1.0, context.n_distinct * chance)
 
 

@@ -10,7 +10,7 @@ from scipy.stats import t as student
 from diagnosis.arrays import Array, Integers
 from diagnosis.blocks import cut_rows
 from diagnosis.chance import alternative_p, orthonormal
-from diagnosis.comparison import compare
+from diagnosis.comparison import improvement_share
 from diagnosis.context import Context, FittedModel, Score, Selection, recall, run, simulate
 from diagnosis.effects.effect import Effect, Family
 from diagnosis.fit import Fit, gather_residuals
@@ -94,7 +94,7 @@ def find_layer_sets(
     for effect in layer:
         joints = list(joints_of(context, effect))
         rows = np.flatnonzero(np.isin(context.model.joint_of, joints))
-        share, _ = compare(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
+        share = improvement_share(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
         members = [Alternative(effect, fits[effect.key].sizes, 1.0)]
         for other in (one.effect for one in scores if one.effect.key != effect.key):
             fit = fits[other.key]

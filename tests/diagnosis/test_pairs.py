@@ -8,6 +8,7 @@ import pytest
 from diagnosis.arrays import Array
 from diagnosis.context import start_context
 from diagnosis.effects.effect import Effect
+from diagnosis.fit import gather_residuals
 from diagnosis.joint_fits import fit_base, fit_joints
 from diagnosis.meter import Meter
 from diagnosis.selection import find_chance, select_effects
@@ -49,4 +50,5 @@ def test_an_effect_is_due_to_chance_where_it_is_absent(truth: float, low: float,
     toy = draw_toy(1, {square.key: truth})
     context, base = fit_base(start_context(toy, BASE, CATALOGUE, 1, Meter()))
     fits = fit_joints(context, (square,), base.sizes)
-    assert low <= find_chance(context, fits[:1], square, base) <= high
+    without = gather_residuals(base.fits, toy.joint_of.size)
+    assert low <= find_chance(context, fits[:1], square, without) <= high

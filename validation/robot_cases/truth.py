@@ -217,7 +217,6 @@ class _Motion:
         self.plant, self.period_s = plant, period_s
         self.data = mujoco.MjData(plant.model)
         self.n = commands.shape[1]
-        self.has_begun = False
         self.temperature = temperature
         self.run = Run(plant.step_s, np.random.default_rng(seed), model=plant.model, data=self.data)
         joints = plant.robot.joints
@@ -305,7 +304,7 @@ class _Motion:
             for hook in hooks["shows"][j]:
                 shown = hook(run, shown)
             if hooks["shows"][j]:  # a servo knows its speed from its encoder
-                rate = (shown - run.shown[j]) / run.step_s if self.has_begun else 0.0
+                rate = (shown - run.shown[j]) / run.step_s if data.time > 0.0 else 0.0
             run.shown[j] = shown
             command = self._held(j, time_s)
             for hook in hooks["command"][j]:
@@ -335,7 +334,6 @@ class _Motion:
         for _, hook in self.acts:
             hook(run)
         mujoco.mj_step(plant.model, data)
-        self.has_begun = True
 
     def _update_load(self) -> None:
         data, dof = self.data, self.plant.dof
