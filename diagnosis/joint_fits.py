@@ -274,25 +274,28 @@ def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect])
 
 
 def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:
-    """Divide effects into groups that can be left out together: one effect of each joint, or one at a body.
+    """Divide effects into groups that can be left out together, because none moves the joint of another.
 
     Args:
         context: The context.
         effects: Effects.
 
     Returns:
-        Groups in which joints do not repeat.
+        Groups, in the order of their first effects.
     """
-    bodies = [(one,) for one in effects if context.joint_of(one) == ALL_JOINTS]
     layers: list[list[Effect]] = []
     for effect in effects:
-        if context.joint_of(effect) != ALL_JOINTS:
-            joint = context.joint_of(effect)
-            free = [layer for layer in layers if all(context.joint_of(one) != joint for one in layer)]
-            if not free:
-                layers.append([])
-            (free or layers[-1:])[0].append(effect)
-    return [*(tuple(layer) for layer in layers), *bodies]
+        free = [layer for layer in layers if all(_are_separate(context, effect, one) for one in layer)]
+        if free:
+            free[0].append(effect)
+        else:
+            layers.append([effect])
+    return [tuple(layer) for layer in layers]
+
+
+def _are_separate(context: Context, first: Effect, second: Effect) -> bool:
+    columns = [context.union.columns([one])[0] for one in (first, second)]
+    return context.sharing.may_share(*columns)
 
 
 def joints_of(context: Context, effect: Effect) -> tuple[int, ...]:

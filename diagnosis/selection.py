@@ -308,7 +308,7 @@ def drop_needless(
         without them, each effect once.
     """
     while True:
-        weakest: dict[int, tuple[float, Effect]] = {}
+        failed: list[tuple[float, Effect]] = []
         layers = list_layers(context, present.effects)
         left_out = tuple((layer, leave_out(context, present, layer)) for layer in layers)
         for layer, without in left_out:
@@ -321,11 +321,11 @@ def drop_needless(
                 chance = find_chance(context, fits_at(context, present, joint), effect, residuals)
                 is_sure = z > MIN_Z or knows_noise(context, rows)
                 is_needed = gain >= MIN_SHARE and chance <= FALSE_ALARM and is_sure
-                if not is_needed and z < weakest.get(joint, (np.inf, effect))[0]:
-                    weakest[joint] = z, effect
-        if not weakest:
+                failed += [] if is_needed else [(z, effect)]
+        if not failed:
             return present, left_out
-        present = leave_out(context, present, [effect for _, effect in weakest.values()])
+        weakest, *_ = list_layers(context, [effect for _, effect in sorted(failed, key=lambda one: one[0])])
+        present = leave_out(context, present, weakest)
 
 
 def find_chance(context: Context, fits: Sequence[Fit], effect: Effect, without: Array) -> float:

@@ -34,6 +34,21 @@ class Sharing:
     joint_of_column: Integers
     """Joint whose residuals decide each size, or ALL_JOINTS, (n_sizes,)."""
 
+    def may_share(self, first: int, second: int) -> bool:
+        """Return whether sizes at two joints scarcely change the other joint.
+
+        Args:
+            first: Column of a size.
+            second: Column of another.
+
+        Returns:
+            True if they may differ in one candidate; False at the same joint, or at all joints.
+        """
+        joints = {int(self.joint_of_column[first]), int(self.joint_of_column[second])}
+        if len(joints) < 2 or ALL_JOINTS in joints or np.isin((first, second), self.mixing).any():
+            return False
+        return any(joints <= set(group) for group in self.groups)
+
     def plan(self, points: Sequence[Point]) -> list[list[int]]:
         """Distribute points over as few candidates as possible.
 
