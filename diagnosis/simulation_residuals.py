@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -14,19 +15,28 @@ from diagnosis.engine import Engine
 from diagnosis.explain import measured_variable
 from diagnosis.logs import Motion
 from diagnosis.robot import Robot
-from diagnosis.windows import Window, cut_windows
+from diagnosis.windows import SLOPE_SAMPLES, Window, cut_windows
 
+SHIFT_rad: Final = 1e-3
+"""Shift of a start that shows how its first samples follow: a milliradian is small beside any motion."""
 PENALTY_rad: Final = 100.0
 """Residual of a simulation that blew up: finite, and larger than any that did not."""
 SPACING_s: Final = 0.02
 """Least time between residuals: closer ones repeat each other, because a servo needs longer to move."""
 
+STEP_PARTS: Final = 8
+"""Parts of a step in the simulation that shows its error: an eighth of an error of first order is left."""
 PART_s: Final = 10.0
 """Length of the windows where motions are simulated in part: long beside what a servo remembers."""
 
 
 class SimulationResiduals:
-    """Predict measured minus simulated positions; see `diagnosis.residuals.ResidualModel`."""
+    """Predict measured minus simulated positions; see `diagnosis.residuals.ResidualModel`.
+
+    To each simulation is added what smaller steps change in that of the nominal model (defect correction). A
+    real robot has no time step, and the error of one is soon larger than the smallest effect that noise lets
+    see.
+    """
 
     kind = "simulation"
     unit = "rad"
@@ -57,24 +67,25 @@ class SimulationResiduals:
         """
         self._robot = robot
         self._models = Models(robot)
-        self._options = (spacing_s, keep)
         self._n_threads = n_threads
-        self._window_s, self._part = window_s, 1.0
-        self._fill(motions)
-        steps = sum(window.n_ticks for window in self._windows) * round(
-            robot.control_period_s / robot.model.opt.timestep
+        most_periods = most_steps / round(robot.control_period_s / robot.model.opt.timestep)
+        refined = _refine(robot)
+        coarse, fine = (
+            _cut(one, motions, window_s, spacing_s, keep, most_periods) for one in (robot, refined)
         )
-        if steps > most_steps:
-            self._window_s, self._part = window_s or PART_s, most_steps / steps
-            self._fill(motions)
+        fine = start_windows(Models(refined), fine, n_threads)
+        coarse = [
+            replace(window, q_rad=one.q_rad, v_rad_s=one.v_rad_s)
+            for window, one in zip(coarse, fine, strict=True)
+        ]
+        found = [
+            Engine(models, [], windows, n_threads).positions(np.zeros((1, 0)))[0]
+            for models, windows in ((self._models, coarse), (Models(refined), fine))
+        ]
+        self._fill(motions, coarse, np.nan_to_num(found[1] - found[0]))
 
-    def _fill(self, motions: Sequence[Motion]) -> None:
-        self._logs = tuple(motions)
-        self._windows: list[Window] = []
-        for motion in motions:
-            windows = cut_windows(self._robot, motion, self._window_s, *self._options)
-            n = max(1, round(self._part * len(windows)))
-            self._windows += [windows[int((k + 0.5) * len(windows) / n)] for k in range(n)]
+    def _fill(self, motions: Sequence[Motion], windows: Sequence[Window], refined_rad: Array) -> None:
+        self._logs, self._windows, self._refined_rad = tuple(motions), tuple(windows), refined_rad
         self.joints = tuple(joint.name for joint in self._robot.joints)
         self.motions = tuple(motion.name for motion in motions)
         self.repeat_of = tuple(motion.repeat_of for motion in motions)
@@ -107,7 +118,7 @@ class SimulationResiduals:
         sizes = np.asarray(sizes, dtype=float)
         if sizes.ndim == 3:
             sizes = sizes[:, [self.motions.index(window.motion) for window in self._windows]]
-        residual = self.measured_rad - engine.positions(sizes)
+        residual = self.measured_rad - engine.positions(sizes) - self._refined_rad
         return np.where(np.isfinite(residual), residual, PENALTY_rad)
 
     def select(self, motions: Sequence[str]) -> "SimulationResiduals":
@@ -119,8 +130,12 @@ class SimulationResiduals:
         Returns:
             A model with fewer motions.
         """
-        chosen = copy(self)
-        chosen._fill([motion for motion in self._logs if motion.name in set(motions)])
+        chosen, names = copy(self), set(motions)
+        chosen._fill(
+            [motion for motion in self._logs if motion.name in names],
+            [window for window in self._windows if window.motion in names],
+            self._refined_rad[np.isin(self.motion_of, [self.motions.index(name) for name in names])],
+        )
         return chosen
 
     def explain(self, name: str) -> Array:
@@ -134,3 +149,73 @@ class SimulationResiduals:
             Its value at each residual, (n,); NaN where it is not logged.
         """
         return measured_variable(self._robot, self._logs, name, self.motion_of, self.joint_of, self.time_s)
+
+
+def _refine(robot: Robot) -> Robot:
+    """Return the robot with smaller steps."""
+    model = copy(robot.model)
+    model.opt.timestep /= STEP_PARTS
+    return replace(robot, model=model)
+
+
+def _cut(
+    robot: Robot,
+    motions: Sequence[Motion],
+    window_s: float | None,
+    spacing_s: float,
+    keep: Mapping[tuple[str, str], Flags] | None,
+    most_periods: float,
+) -> list[Window]:
+    """Cut motions into windows; of too many control periods, keep evenly spaced windows of each motion."""
+    windows = [one for motion in motions for one in cut_windows(robot, motion, window_s, spacing_s, keep)]
+    periods = sum(window.n_ticks for window in windows)
+    if periods <= most_periods:
+        return windows
+    kept = []
+    for motion in motions:
+        windows = cut_windows(robot, motion, window_s or PART_s, spacing_s, keep)
+        n = max(1, round(most_periods / periods * len(windows)))
+        kept += [windows[int((k + 0.5) * len(windows) / n)] for k in range(n)]
+    return kept
+
+
+def start_windows(models: Models, windows: Sequence[Window], n_threads: int) -> list[Window]:
+    """Let joints start at rest where the nominal model then predicts their first samples better.
+
+    A joint that falls or is pulled from rest has the speed of its first samples only after them.
+
+    Args:
+        models: Models of the robot.
+        windows: Windows whose joints start at the position and speed of their first samples.
+        n_threads: Threads of the simulation; 0: as many as there are processors.
+
+    Returns:
+        The windows; a joint that starts at rest starts where its first samples fit best.
+    """
+    resting = [_rest(window, 0.0) for window in windows]
+    shifted = [_rest(window, SHIFT_rad) for window in windows]
+    moving_rad, resting_rad, shifted_rad = (
+        Engine(models, [], some, n_threads).positions(np.zeros((1, 0)))[0]
+        for some in (windows, resting, shifted)
+    )
+    started, end = [], 0
+    for window, rest in zip(windows, resting, strict=True):
+        q_rad, v_rad_s = window.q_rad.copy(), window.v_rad_s.copy()
+        for j, measured_rad in enumerate(window.measured_rad):
+            first = slice(end, end + min(SLOPE_SAMPLES, measured_rad.size))
+            end += measured_rad.size
+            miss_rad = measured_rad[:SLOPE_SAMPLES] - moving_rad[first]
+            rest_rad = measured_rad[:SLOPE_SAMPLES] - resting_rad[first]
+            slope = (shifted_rad - resting_rad)[first] / SHIFT_rad
+            shift_rad = float(slope @ rest_rad) / max(float(slope @ slope), 1e-12)
+            if np.sum((rest_rad - slope * shift_rad) ** 2) < np.sum(miss_rad**2):
+                q_rad[j], v_rad_s[j] = rest.q_rad[j] + shift_rad, 0.0
+        started.append(replace(window, q_rad=q_rad, v_rad_s=v_rad_s))
+    return started
+
+
+def _rest(window: Window, shift_rad: float) -> Window:
+    """Return a window in which all joints start at rest, so far from their first samples."""
+    first = zip(window.measured_rad, window.q_rad, strict=True)
+    q_rad = np.array([samples[0] if samples.size else q for samples, q in first])
+    return replace(window, q_rad=q_rad + shift_rad, v_rad_s=np.zeros_like(q_rad))

@@ -52,7 +52,9 @@ DELAY_SAMPLES = 3
 def record_logs(path: Path) -> None:
     """Stand in for the real arm, whose elbow gets its commands late: the model does not say so."""
     model, random = mujoco.MjModel.from_xml_string(MODEL), np.random.default_rng(1)
-    model.opt.timestep = 0.0005  # a real arm has no time step
+    model.opt.timestep = 0.0001  # a real arm has no time step
+    model.dof_solimp[:] = 0.9999, 0.9999, 0.001, 0.5, 2.0  # and its friction holds: that of MuJoCo creeps
+    model.dof_solref[:, 0] = 2.0 * model.opt.timestep
     time_s = 0.01 * np.arange(400)
     rows = []
     for motion in range(8):
@@ -66,7 +68,7 @@ def record_logs(path: Path) -> None:
             shown = data.qpos + 1.5e-3 * random.standard_normal(2)  # a count of a 12-bit encoder
             rows.append((motion, motion // 2, t, *sent, *shown))
             data.ctrl[:] = received
-            mujoco.mj_step(model, data, 20)
+            mujoco.mj_step(model, data, 100)
     head = ",".join(
         ("motion", "repeat", "t", *(f"{what}_{one}" for what in ("command", "position") for one in NAMES))
     )

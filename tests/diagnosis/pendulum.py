@@ -6,11 +6,13 @@ import mujoco
 import numpy as np
 
 from diagnosis.arrays import Array
+from diagnosis.compiled import Models
 from diagnosis.effects.effect import Effect
 from diagnosis.effects.joint import JointEffect, JointScales
+from diagnosis.engine import Engine
 from diagnosis.logs import JointLog, Motion, Signal
 from diagnosis.robot import ControlMode, Robot, RobotJoint
-from diagnosis.simulation_residuals import SimulationResiduals
+from diagnosis.windows import cut_windows
 
 MASS_kg, LENGTH_m, ARMATURE_kgm2, g_m_s2 = 0.5, 0.1, 0.002, 9.81
 XML = """
@@ -78,10 +80,10 @@ def waves(time_s: Array, seed: int) -> Array:
 
 def simulated(robot: Robot, log: Motion, *effects: tuple[Effect, Sequence[float]]) -> Array:
     """Simulate a motion with effects of these sizes, and sample it at the times of its positions, (n,)."""
-    model = SimulationResiduals(robot, [log], spacing_s=0.0, n_threads=1)
+    windows = cut_windows(robot, log, None, 0.0)
     sizes = np.array([[value for _, size in effects for value in size]])
-    residual = model.residuals([effect for effect, _ in effects], sizes)
-    return np.asarray((model.measured_rad - residual)[0])
+    (found,) = Engine(Models(robot), [effect for effect, _ in effects], windows, 1).positions(sizes)
+    return found
 
 
 def scales(torque_Nm: float = 1.0, **others: float) -> JointScales:
