@@ -73,6 +73,7 @@ def select_effects(
     """
     context, first = fit_base(start_context(model, base, catalogue, seed, meter or Meter(), checkpoint))
     present = first
+    finalists: list[Score] = []
     refitted: dict[str, Score] = {}
     competitors: dict[str, tuple[Score, ...]] = {}
     open_joints = {int(j) for j in np.unique(model.joint_of)}
@@ -83,7 +84,8 @@ def select_effects(
         if present is first:  # later rounds screen fewer effects, but all have competed
             context = replace(context, n_distinct=n_distinct)
         context, present = cut_anew(context, present, shortlist)
-        winners, finalists = recall(find_winners, context, present, shortlist)
+        again = list_again(context, present, open_joints, shortlist, finalists)
+        winners, finalists = recall(find_winners, context, present, [*shortlist, *again])
         refitted |= {score.effect.key: score for score in finalists}
         competitors |= {one.effect.key: _list_competitors(context, one, refitted) for one in winners}
         open_joints &= {j for winner in winners for j in winner.joints}
@@ -93,6 +95,38 @@ def select_effects(
         open_joints -= {j for j in open_joints if count_effects(context, present, j) >= MAX_EFFECTS}
     chosen, left_out = drop_needless(context, present)
     return Selection(context, first, chosen, left_out, competitors)
+
+
+def list_again(
+    context: Context,
+    present: FittedModel,
+    open_joints: set[int],
+    shortlist: Sequence[Score],
+    finalists: Sequence[Score],
+) -> list[Score]:
+    """List effects that helped in the round before, but that the screen has not found again.
+
+    Where the present model is far from the motions, the screen ranks worse than a refit.
+
+    Args:
+        context: The context.
+        present: The present model.
+        open_joints: Joints at which effects are still looked for.
+        shortlist: Effects that the screen has found.
+        finalists: Effects of the round before, with their sizes and the share that they removed.
+
+    Returns:
+        Effects of open joints that are not in the present model; each starts at its sizes of that round.
+    """
+    known = {one.effect.key for one in shortlist} | {effect.key for effect in present.effects}
+    again = []
+    for one in finalists:
+        is_open = context.joint_of(one.effect) in {*open_joints, ALL_JOINTS}
+        if one.gain >= MIN_SHARE and is_open and one.effect.key not in known:
+            # its base parameters were fitted with it, and go with it
+            is_own = context.sharing.joint_of_column == context.joint_of(one.effect)
+            again.append(replace(one, start=np.where(is_own & (one.start != 0.0), one.start, present.sizes)))
+    return again
 
 
 def _list_competitors(context: Context, winner: Candidate, refitted: dict[str, Score]) -> tuple[Score, ...]:
