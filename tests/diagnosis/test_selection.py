@@ -6,8 +6,11 @@ from scipy.stats import binom
 
 from diagnosis.assemble import describe_finding, list_remainders, simulate_models
 from diagnosis.chance import FALSE_ALARM
+from diagnosis.context import Score, start_context
 from diagnosis.fit import Hypothesis, Union, fit_hypotheses
-from diagnosis.selection import adjust, select_effects
+from diagnosis.joint_fits import fit_base
+from diagnosis.meter import Meter
+from diagnosis.selection import adjust, list_again, select_effects
 from diagnosis.sharing import Sharing, share_nothing
 from diagnosis.verdict import find_confidence_sets, size_intervals, unexplained_dependence
 from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
@@ -56,6 +59,19 @@ def test_two_effects_that_the_data_cannot_separate_stay_in_the_set() -> None:
     selection = select_effects(model, BASE, (*CATALOGUE, twin), seed=1)
     (one_set,) = find_confidence_sets(selection)
     assert {one.effect.key for one in one_set.alternatives} == {"near: square", "near: twin"}
+
+
+def test_what_helped_in_the_round_before_is_judged_again_from_its_sizes() -> None:
+    context, present = fit_base(start_context(draw_toy(1, TRUTH), BASE, CATALOGUE, 1, Meter()))
+    near, far, none = (one for one in CATALOGUE if one.key in ("near: square", "far: sine", "far: cube"))
+    start = present.sizes + 0.01
+    finalists = [Score(near, start, 0.5), Score(far, start, 0.5), Score(none, start, 0.01)]
+    assert list_again(context, present, {0, 1}, [Score(near, start, 0.2)], finalists[:1]) == []
+    assert list_again(context, present, {0}, [], finalists[1:]) == []
+    (again,) = list_again(context, present, {0, 1}, [], finalists[1:])
+    mine = context.sharing.joint_of_column == 1
+    np.testing.assert_array_equal(again.start[mine], start[mine])
+    np.testing.assert_array_equal(again.start[~mine], present.sizes[~mine])
 
 
 @pytest.mark.slow

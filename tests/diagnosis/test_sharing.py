@@ -61,6 +61,12 @@ def test_an_effect_that_moves_another_joint_of_its_group_does_not_share() -> Non
     np.testing.assert_array_equal(sharing.mixing, [2])
 
 
+def test_sizes_differ_in_one_candidate_only_at_joints_that_do_not_move_one_another() -> None:
+    sharing = Sharing(((0, 1), (2,)), np.array([4]), NONE, np.array([0, 1, 2, ALL_JOINTS, 1]))
+    allowed = {(a, b) for a in range(5) for b in range(5) if sharing.may_share(a, b)}
+    assert allowed == {(0, 1), (1, 0)}
+
+
 def test_reach_is_relative_to_the_joint_itself() -> None:
     np.testing.assert_allclose(relative_reach(1, np.array([1.0, 2.0, 4.0])), [0.5, 0.0, 2.0])
 
