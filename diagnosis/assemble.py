@@ -4,12 +4,16 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from scipy.stats import norm
 
 from diagnosis.arrays import Array, Flags
+from diagnosis.blocks import cut_rows
+from diagnosis.chance import FALSE_ALARM
+from diagnosis.comparison import knows_noise
 from diagnosis.context import Context, FittedModel, Selection
 from diagnosis.effects.actuation import GainError
 from diagnosis.loss import pseudo_huber
-from diagnosis.noise import noise_residuals
+from diagnosis.noise import noise_residuals, repeat_pairs
 from diagnosis.residuals import ResidualModel
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
 from diagnosis.robot import Robot
@@ -97,8 +101,8 @@ def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Arra
 def describe_finding(context: Context, chosen: FittedModel, found: ConfidenceSet) -> Finding:
     """Describe a finding with its sets.
 
-    Where effects explain less than MIN_CLOSURE of a joint, the sets of families and effects are empty: none
-    of the catalogue is the cause of what is at the place.
+    Where effects explain too little of a joint, the sets of families and effects are empty: none of the
+    catalogue is the cause of what is at the place.
 
     Args:
         context: The context.
@@ -110,7 +114,7 @@ def describe_finding(context: Context, chosen: FittedModel, found: ConfidenceSet
     """
     effect, own = found.effect, context.union.columns([found.effect])
     places, families, effects = list_members(found)
-    if closure_at(context, chosen, effect.place) < MIN_CLOSURE:
+    if explains_too_little(context, chosen, effect.place):
         families, effects = (), ()
     size = chosen.sizes[own]
     return Finding(
@@ -129,8 +133,11 @@ def describe_finding(context: Context, chosen: FittedModel, found: ConfidenceSet
     )
 
 
-def closure_at(context: Context, chosen: FittedModel, place: str) -> float:
-    """Return the share of what can be explained at a joint that a model explains, in left-out motions.
+def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bool:
+    """Test whether a model explains less than MIN_CLOSURE of what can be explained in left-out motions.
+
+    The share is (before - after) / (before - noise) in mean losses. Near the noise it is known badly, so its
+    error counts: that of the losses, and that of the noise, which repeats show.
 
     Args:
         context: The context.
@@ -138,19 +145,24 @@ def closure_at(context: Context, chosen: FittedModel, place: str) -> float:
         place: Name of the joint; all joints count for another place.
 
     Returns:
-        Share, at most 1; 1 where the noise is unknown.
+        True if the share is below MIN_CLOSURE by a one-sided test at FALSE_ALARM; False where the noise is
+        unknown.
     """
-    joints = [j for j, name in enumerate(context.model.joints) if name == place] or [
-        *range(len(context.model.joints))
-    ]
-    noise = float(np.mean(context.noise_loss[joints]))
-    if noise == 0.0:
-        return 1.0
-    rows = np.isin(context.model.joint_of, joints)
-    before, after = (
-        float(np.mean(pseudo_huber(left_out[rows]))) for left_out in (context.base_left_out, chosen.left_out)
+    model = context.model
+    joints = [j for j, name in enumerate(model.joints) if name == place] or [*range(len(model.joints))]
+    rows = np.flatnonzero(np.isin(model.joint_of, joints))
+    if not knows_noise(context, rows):
+        return False
+    before, after = (pseudo_huber(left_out[rows]) for left_out in (context.base_left_out, chosen.left_out))
+    noise = context.noise_loss[model.joint_of[rows]]
+    excess = (1.0 - MIN_CLOSURE) * before - after + MIN_CLOSURE * noise
+    block = cut_rows(model, rows, chosen.left_out[rows])
+    n_repeats = sum(first.size for j in joints for first, _ in repeat_pairs(model, j))
+    of_losses, of_noise = (
+        np.sum(np.bincount(block, weights=values - values.mean()) ** 2) for values in (excess, after)
     )
-    return (before - after) / max(before - noise, 1e-12)
+    variance = of_losses + MIN_CLOSURE**2 * of_noise * rows.size / n_repeats
+    return bool(np.sum(excess) < norm.ppf(FALSE_ALARM) * np.sqrt(variance))
 
 
 def find_interval(context: Context, chosen: FittedModel, column: int) -> tuple[float, float]:

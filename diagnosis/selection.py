@@ -232,34 +232,39 @@ def find_winners(
         shortlist: Effects, and the sizes from which they start.
 
     Returns:
-        Effects to accept, and all that were refitted to the end, with their sizes.
+        Effects to accept, and those that compete with them, with their sizes: all that were refitted to the
+        end and, with a gain of 0, those that explain half as much as the best.
     """
-    candidates = judge(context, present, *shorten(context, present, shortlist))
+    starts = [start_refit(context, present, score) for score in shortlist]
+    fits = run(context, starts, "refit", iterations=FEW_ITERATIONS)
+    explained = np.array([explain_loss(context, present, fit) for fit in fits])
+    joint = np.array([fit.joint for fit in fits])
+    kept = [k for k in range(len(fits)) if np.sum(explained[joint == joint[k]] > explained[k]) < FINALISTS]
+    further = [replace(starts[k], start=fits[k].sizes, jacobian=fits[k].jacobian) for k in kept]
+    candidates = judge(context, present, [shortlist[k].effect for k in kept], further)
     finalists = [Score(one.effect, one.fit.sizes, one.gain) for one in candidates]
-    return choose(context, present, candidates), finalists
+    others = [
+        Score(shortlist[k].effect, fits[k].sizes, 0.0)
+        for k in range(len(fits))
+        if k not in kept and explained[k] > 0.5 * np.max(explained[joint == joint[k]])
+    ]
+    return choose(context, present, candidates), [*finalists, *others]
 
 
-def shorten(
-    context: Context, present: FittedModel, shortlist: Sequence[Score]
-) -> tuple[list[Effect], list[Hypothesis]]:
-    """Refit the shortlist for a few iterations, and keep the best effects of each joint.
+def explain_loss(context: Context, present: FittedModel, fit: Fit) -> float:
+    """Return by how much a fit decreases the loss of its joints.
 
     Args:
         context: The context.
         present: The present model.
-        shortlist: Effects, and the sizes from which they start.
+        fit: A fit with an effect more.
 
     Returns:
-        At most FINALISTS of each joint, and as many of those at bodies; and the hypotheses that go on.
+        Decrease of the sum of the pseudo-Huber loss.
     """
-    starts = [start_refit(context, present, score) for score in shortlist]
-    fits = run(context, starts, "refit", iterations=FEW_ITERATIONS)
-    scales = context.scales[context.model.joint_of]
-    loss = np.array([np.sum(pseudo_huber(fit.residuals / scales[fit.rows])) for fit in fits])
-    joint = np.array([fit.joint for fit in fits])
-    kept = [k for k in range(len(fits)) if np.sum(loss[joint == joint[k]] < loss[k]) < FINALISTS]
-    further = [replace(starts[k], start=fits[k].sizes, jacobian=fits[k].jacobian) for k in kept]
-    return [shortlist[k].effect for k in kept], further
+    scale = context.scales[context.model.joint_of[fit.rows]]
+    before = gather_residuals(present.fits, context.model.joint_of.size)[fit.rows]
+    return float(np.sum(pseudo_huber(before / scale) - pseudo_huber(fit.residuals / scale)))
 
 
 def start_refit(context: Context, present: FittedModel, score: Score) -> Hypothesis:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from diagnosis.assemble import describe_finding, list_remainders, simulate_models
+from diagnosis.assemble import describe_finding, explains_too_little, list_remainders, simulate_models
 from diagnosis.chance import FALSE_ALARM
 from diagnosis.context import Score, start_context
 from diagnosis.fit import Hypothesis, Union, fit_hypotheses
@@ -59,6 +59,20 @@ def test_two_effects_that_the_data_cannot_separate_stay_in_the_set() -> None:
     selection = select_effects(model, BASE, (*CATALOGUE, twin), seed=1)
     (one_set,) = find_confidence_sets(selection)
     assert {one.effect.key for one in one_set.alternatives} == {"near: square", "near: twin"}
+
+
+def test_all_that_the_data_cannot_separate_is_in_the_set() -> None:
+    twins = [Toy("near", f"twin {k}", lambda x, k=k: x**2 + 0.002 * k * x**3) for k in range(1, 7)]
+    selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, (*CATALOGUE, *twins), seed=1)
+    (one_set,) = find_confidence_sets(selection)
+    assert {one.effect.key for one in one_set.alternatives} == {"near: square", *(one.key for one in twins)}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_cause_near_the_noise_is_called_a_cause(seed: int) -> None:
+    selection = select_effects(draw_toy(seed, {"near: square": 0.025}), BASE, CATALOGUE, seed=1)
+    assert "near: square" in {one.key for one in selection.chosen.effects}
+    assert not explains_too_little(selection.context, selection.chosen, "near")
 
 
 def test_what_helped_in_the_round_before_is_judged_again_from_its_sizes() -> None:

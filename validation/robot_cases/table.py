@@ -43,7 +43,7 @@ ENTRIES: Final = (
     Entry(inside_friction.Coulomb, "torque", 0.03, 0.2, False, "known"),
     Entry(inside_friction.Stribeck, "torque", 0.03, 0.2),
     Entry(inside_friction.LoadFriction, "1", 0.15, 0.6, False, "loaded"),
-    Entry(inside_friction.AsymmetricFriction, "torque", 0.03, 0.15, True),
+    Entry(inside_friction.AsymmetricFriction, "friction", 0.3, 0.7, True),
     Entry(inside_friction.TemperatureFriction, "friction", 0.4, 2.0),
     Entry(inside_structure.Compliance, "flex", 0.3, 2.0),
     Entry(inside_structure.Backlash, "1", 0.02, 0.1),
