@@ -207,7 +207,8 @@ def start_windows(models: Models, windows: Sequence[Window], n_threads: int) -> 
             miss_rad = measured_rad[:SLOPE_SAMPLES] - moving_rad[first]
             rest_rad = measured_rad[:SLOPE_SAMPLES] - resting_rad[first]
             slope = (shifted_rad - resting_rad)[first] / SHIFT_rad
-            shift_rad = float(slope @ rest_rad) / max(float(slope @ slope), 1e-12)
+            # at the start itself the slope is 1: less of it says little about where the joint started
+            shift_rad = float(slope @ rest_rad) / max(float(slope @ slope), 1.0)
             if np.sum((rest_rad - slope * shift_rad) ** 2) < np.sum(miss_rad**2):
                 q_rad[j], v_rad_s[j] = rest.q_rad[j] + shift_rad, 0.0
         started.append(replace(window, q_rad=q_rad, v_rad_s=v_rad_s))

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -47,30 +46,40 @@ def steps(cache: Path) -> list[Path]:
     return sorted(cache.glob("marsarm/robot-steps/*/*.npz"))
 
 
-def end_after(count: int, number: signal.Signals, folder: Path, cache: Path) -> tuple[int, str]:
-    """Start a diagnosis, and end it by a signal once it has kept some steps; return its status and errors."""
-    command = [sys.executable, "-c", "from ground.cli.start import start; start()", *WORDS]
+ENDING = """
+import os, sys
+from diagnosis.checkpoint import Checkpoint
+from ground.cli.start import start
+
+number, keep = int(sys.argv.pop(1)), Checkpoint._write
+
+def keep_and_end(*args):
+    keep(*args)
+    os.kill(os.getpid(), number)
+
+Checkpoint._write = keep_and_end
+start()
+"""
+
+
+def end_at_step(number: signal.Signals, folder: Path, cache: Path) -> tuple[int, str]:
+    """Start a diagnosis that sends itself a signal once it has kept a step; return its status and errors."""
     env = os.environ | {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(cache)}
-    process = subprocess.Popen(
-        command, cwd=folder, env=env, text=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-    )
-    began_s = time.monotonic()
-    while len(steps(cache)) < count and process.poll() is None and time.monotonic() - began_s < WAIT_s:
-        time.sleep(0.01)
-    process.send_signal(number)
-    _, errors = process.communicate(timeout=WAIT_s)
-    return process.returncode, errors
+    command = [sys.executable, "-c", ENDING, str(int(number)), *WORDS]
+    ended = subprocess.run(command, cwd=folder, env=env, text=True, capture_output=True, timeout=WAIT_s)
+    return ended.returncode, ended.stderr
 
 
 @pytest.mark.slow
 def test_a_killed_command_goes_on_and_prints_the_same_document(folder: Path, tmp_path: Path) -> None:
     whole = marsarm_process(folder, *WORDS, XDG_CACHE_HOME=str(tmp_path / "other"))
     assert whole.returncode == 0, whole.stderr
-    assert end_after(1, signal.SIGKILL, folder, tmp_path)[0] == -signal.SIGKILL
-    first = [(path.name, path.stat().st_mtime_ns) for path in steps(tmp_path)]
-    status, errors = end_after(len(first) + 1, signal.SIGINT, folder, tmp_path)
+    assert end_at_step(signal.SIGKILL, folder, tmp_path)[0] == -signal.SIGKILL
+    (first,) = [(path.name, path.stat().st_mtime_ns) for path in steps(tmp_path)]
+    status, errors = end_at_step(signal.SIGINT, folder, tmp_path)
     assert (status, errors.count(GOES_ON)) == (128 + signal.SIGINT, 1)
-    assert [(path.name, path.stat().st_mtime_ns) for path in steps(tmp_path)][: len(first)] == first
+    kept, _ = [(path.name, path.stat().st_mtime_ns) for path in steps(tmp_path)]
+    assert kept == first
     last = marsarm_process(folder, *WORDS, XDG_CACHE_HOME=str(tmp_path))
     assert json.loads(last.stdout) == json.loads(whole.stdout)
     assert last.stdout == whole.stdout
