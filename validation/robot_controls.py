@@ -4,12 +4,14 @@
 2. Twins: the model with the base parameters that were fitted to one half of a robot's logs is simulated on
    the other half's commands. Residuals of all that was fitted are resampled in blocks and added. At least 17
    of 20 end as none. Findings are left out of the twin, so that the nominal robot has no effect beside it.
-3. The XL330 with 20 ms added to the times of its positions: the delay grows by 20 +- 4 ms, no family is new.
+3. The XL330 with 20 ms added to the times of its positions: a delay is named, 20 +- 4 ms longer than the same
+   model finds in the logs as they are. No other family is new.
 
 Real logs are read where MARSARM_DATA points. With --results, an interrupted campaign goes on.
 """
 
 import json
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -21,10 +23,14 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array
+from diagnosis.context import start_context
 from diagnosis.diagnose import diagnose
 from diagnosis.errors import RobotError
+from diagnosis.joint_fits import fit_base
+from diagnosis.kinds import list_kinds
 from diagnosis.load import load
 from diagnosis.logs import Logs, Motion, Signal
+from diagnosis.meter import Meter
 from diagnosis.residuals import ResidualModel
 from diagnosis.result import Diagnosis
 from diagnosis.robot import Robot
@@ -80,9 +86,16 @@ def delay_positions(motions: Sequence[Motion], added_s: float) -> tuple[Motion, 
     return tuple(found)
 
 
-def total_delay_s(found: Diagnosis) -> float:
-    """Return the sum of the delays of command and measurement that were found."""
-    return float(sum(one.size[0] for one in found.findings if one.effect in DELAYS))
+def fitted_delay_s(robot: Robot, motions: Sequence[Motion], found: Diagnosis) -> float:
+    """Fit the effects that a diagnosis has found to other motions, and return the sum of the delays.
+
+    A delay that is too short for a name is not 0: that of the XL330 is several milliseconds.
+    """
+    (kind, *_) = list_kinds(robot, motions, None)
+    context = start_context(kind.make(motions, math.inf), found.effects, (), found.seed, Meter())
+    context, fitted = fit_base(context)
+    delays = [one for one in found.effects if one.name in DELAYS]
+    return float(np.sum(fitted.sizes[context.union.columns(delays)]))
 
 
 def make_twin(
@@ -156,16 +169,19 @@ def twin_control(named: Sequence[Sequence[str]]) -> Result:
 
 def delay_control(robot: Robot, logs: Logs, seed: int) -> Result:
     """Compare the delays of logs with those of logs whose positions are later."""
-    before = diagnose(robot, logs.motions, seed=seed)
-    after = diagnose(robot, delay_positions(logs.motions, ADDED_S), seed=seed)
-    grown = total_delay_s(after) - total_delay_s(before)
-    new = {one.family for one in after.findings} - {one.family for one in before.findings}
+    later = delay_positions(logs.motions, ADDED_S)
+    before, after = diagnose(robot, logs.motions, seed=seed), diagnose(robot, later, seed=seed)
+    without_s, with_s = (fitted_delay_s(robot, motions, after) for motions in (logs.motions, later))
     names = {one.effect for one in after.findings if one.effect in DELAYS}
+    others = {one.family for one in after.findings if one.effect not in DELAYS}
+    new = others - {one.family for one in before.findings}
+    grown_s = with_s - without_s
     return {
-        "grown_s": grown,
+        "delay_s": {"as logged": without_s, "20 ms later": with_s},
+        "grown_s": grown_s,
         "delays": sorted(names),
-        "new_families": sorted(map(str, new)),
-        "in_bounds": abs(grown - ADDED_S) <= ADDED_TOLERANCE_S and not new,
+        "other_new_families": sorted(map(str, new)),
+        "in_bounds": bool(names) and abs(grown_s - ADDED_S) <= ADDED_TOLERANCE_S and not new,
     }
 
 
