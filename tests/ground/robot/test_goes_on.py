@@ -47,7 +47,7 @@ def steps(cache: Path) -> list[Path]:
 
 
 ENDING = """
-import os, sys
+import os, signal, sys
 from diagnosis.checkpoint import Checkpoint
 from ground.cli.start import start
 
@@ -58,6 +58,7 @@ def keep_and_end(*args):
     os.kill(os.getpid(), number)
 
 Checkpoint._write = keep_and_end
+signal.signal(signal.SIGINT, signal.default_int_handler)  # tests in the background of a shell ignore it
 start()
 """
 
