@@ -42,6 +42,9 @@ SHORTLIST: Final = 8
 """Effects of a joint that are refitted in a round: a third of its catalogue."""
 FINALISTS: Final = 4
 """Effects of a joint that are refitted to the end and judged."""
+RIVAL_SHARE: Final = 0.5
+"""Least decrease of the loss, over that of the best effect of the joint, of one that is tried for its set.
+The test of the set would exclude what explains less of an effect that is strong enough for a name."""
 FEW_ITERATIONS: Final = 3
 """Iterations before the worse half is given up: less than half of what refits need, six to nine."""
 
@@ -233,11 +236,12 @@ def find_winners(
 
     Returns:
         Effects to accept, and those that compete with them, with their sizes: all that were refitted to the
-        end and, with a gain of 0, those that explain half as much as the best.
+        end and, with a gain of 0, those that explain RIVAL_SHARE of what the best explains.
     """
     starts = [start_refit(context, present, score) for score in shortlist]
     fits = run(context, starts, "refit", iterations=FEW_ITERATIONS)
-    explained = np.array([explain_loss(context, present, fit) for fit in fits])
+    without = gather_residuals(present.fits, context.model.joint_of.size)
+    explained = np.array([explain_loss(context, fit, without) for fit in fits])
     joint = np.array([fit.joint for fit in fits])
     kept = [k for k in range(len(fits)) if np.sum(explained[joint == joint[k]] > explained[k]) < FINALISTS]
     further = [replace(starts[k], start=fits[k].sizes, jacobian=fits[k].jacobian) for k in kept]
@@ -246,25 +250,24 @@ def find_winners(
     others = [
         Score(shortlist[k].effect, fits[k].sizes, 0.0)
         for k in range(len(fits))
-        if k not in kept and explained[k] > 0.5 * np.max(explained[joint == joint[k]])
+        if k not in kept and explained[k] > RIVAL_SHARE * np.max(explained[joint == joint[k]])
     ]
     return choose(context, present, candidates), [*finalists, *others]
 
 
-def explain_loss(context: Context, present: FittedModel, fit: Fit) -> float:
+def explain_loss(context: Context, fit: Fit, without: Array) -> float:
     """Return by how much a fit decreases the loss of its joints.
 
     Args:
         context: The context.
-        present: The present model.
         fit: A fit with an effect more.
+        without: Residuals of the present model, (n,), in the unit of the model.
 
     Returns:
         Decrease of the sum of the pseudo-Huber loss.
     """
     scale = context.scales[context.model.joint_of[fit.rows]]
-    before = gather_residuals(present.fits, context.model.joint_of.size)[fit.rows]
-    return float(np.sum(pseudo_huber(before / scale) - pseudo_huber(fit.residuals / scale)))
+    return float(np.sum(pseudo_huber(without[fit.rows] / scale) - pseudo_huber(fit.residuals / scale)))
 
 
 def start_refit(context: Context, present: FittedModel, score: Score) -> Hypothesis:

@@ -17,13 +17,12 @@ from diagnosis.logs import Motion
 from diagnosis.robot import Robot
 from diagnosis.windows import SLOPE_SAMPLES, Window, cut_windows
 
-SHIFT_rad: Final = 1e-3
-"""Shift of a start that shows how its first samples follow: a milliradian is small beside any motion."""
 PENALTY_rad: Final = 100.0
 """Residual of a simulation that blew up: finite, and larger than any that did not."""
 SPACING_s: Final = 0.02
 """Least time between residuals: closer ones repeat each other, because a servo needs longer to move."""
-
+SHIFT_rad: Final = 1e-3
+"""Shift of a start that shows how its first samples follow: a milliradian is small beside any motion."""
 STEP_PARTS: Final = 8
 """Parts of a step in the simulation that shows its error: an eighth of an error of first order is left."""
 PART_s: Final = 10.0
@@ -69,20 +68,18 @@ class SimulationResiduals:
         self._models = Models(robot)
         self._n_threads = n_threads
         most_periods = most_steps / round(robot.control_period_s / robot.model.opt.timestep)
-        refined = _refine(robot)
+        fine_models = Models(_refine(robot))
         coarse, fine = (
-            _cut(one, motions, window_s, spacing_s, keep, most_periods) for one in (robot, refined)
+            _cut(one, motions, window_s, spacing_s, keep, most_periods) for one in (robot, fine_models.robot)
         )
-        fine = start_windows(Models(refined), fine, n_threads)
+        fine = start_windows(fine_models, fine, n_threads)
         coarse = [
             replace(window, q_rad=one.q_rad, v_rad_s=one.v_rad_s)
             for window, one in zip(coarse, fine, strict=True)
         ]
-        found = [
-            Engine(models, [], windows, n_threads).positions(np.zeros((1, 0)))[0]
-            for models, windows in ((self._models, coarse), (Models(refined), fine))
-        ]
-        self._fill(motions, coarse, np.nan_to_num(found[1] - found[0]))
+        fine_rad = _simulate_nominal(fine_models, fine, n_threads)
+        coarse_rad = _simulate_nominal(self._models, coarse, n_threads)
+        self._fill(motions, coarse, np.nan_to_num(fine_rad - coarse_rad))
 
     def _fill(self, motions: Sequence[Motion], windows: Sequence[Window], refined_rad: Array) -> None:
         self._logs, self._windows, self._refined_rad = tuple(motions), tuple(windows), refined_rad
@@ -195,8 +192,7 @@ def start_windows(models: Models, windows: Sequence[Window], n_threads: int) -> 
     resting = [_rest(window, 0.0) for window in windows]
     shifted = [_rest(window, SHIFT_rad) for window in windows]
     moving_rad, resting_rad, shifted_rad = (
-        Engine(models, [], some, n_threads).positions(np.zeros((1, 0)))[0]
-        for some in (windows, resting, shifted)
+        _simulate_nominal(models, some, n_threads) for some in (windows, resting, shifted)
     )
     started, end = [], 0
     for window, rest in zip(windows, resting, strict=True):
@@ -213,6 +209,12 @@ def start_windows(models: Models, windows: Sequence[Window], n_threads: int) -> 
                 q_rad[j], v_rad_s[j] = rest.q_rad[j] + shift_rad, 0.0
         started.append(replace(window, q_rad=q_rad, v_rad_s=v_rad_s))
     return started
+
+
+def _simulate_nominal(models: Models, windows: Sequence[Window], n_threads: int) -> Array:
+    """Return the positions of the model without effects, (n_samples,) [rad]."""
+    (found,) = Engine(models, [], windows, n_threads).positions(np.zeros((1, 0)))
+    return np.asarray(found)
 
 
 def _rest(window: Window, shift_rad: float) -> Window:

@@ -6,6 +6,7 @@ import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
+from diagnosis.compiled import HARD_IMPEDANCE
 from diagnosis.diagnose import diagnose
 from diagnosis.load import load
 from diagnosis.robot import Robot
@@ -53,7 +54,7 @@ def record_logs(path: Path) -> None:
     """Stand in for the real arm, whose elbow gets its commands late: the model does not say so."""
     model, random = mujoco.MjModel.from_xml_string(MODEL), np.random.default_rng(1)
     model.opt.timestep = 0.0001  # a real arm has no time step
-    model.dof_solimp[:] = 0.9999, 0.9999, 0.001, 0.5, 2.0  # and its friction holds: that of MuJoCo creeps
+    model.dof_solimp[:] = HARD_IMPEDANCE  # and its friction holds: that of MuJoCo creeps
     model.dof_solref[:, 0] = 2.0 * model.opt.timestep
     time_s = 0.01 * np.arange(400)
     rows = []
