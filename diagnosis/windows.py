@@ -60,10 +60,12 @@ def cut_windows(
 ) -> list[Window]:
     """Cut a motion into windows.
 
+    A new window begins after a stretch of samples that are not used, if it is longer than LEAD_S.
+
     Args:
         robot: Robot that moved.
         motion: Its log.
-        window_s: Length of a window [s]; None: the whole motion is one window.
+        window_s: Length of a window [s]; None: until the next stretch that is not used.
         spacing_s: Least time between two samples of a joint that are kept [s].
         keep: By names of motion and joint, which position samples are used, (n,); all where it is absent.
 
@@ -78,15 +80,40 @@ def cut_windows(
     end_s = min(log.position.time_s[-1] for log in logs)
     if end_s <= begin_s:
         raise RobotError(f"motion {motion.name}: the positions of its joints have no common time")
-    length_s = end_s - begin_s if window_s is None else window_s
-    n_windows = max(1, round((end_s - begin_s) / length_s))
-    edges_s = begin_s + length_s * np.arange(n_windows + 1)
-    edges_s[-1] = end_s
-    masks = [
-        _spaced(log.position.time_s, spacing_s, (keep or {}).get((motion.name, joint.name)))
+    flags = [
+        (keep or {}).get((motion.name, joint.name), np.ones(log.position.time_s.size, dtype=bool))
         for log, joint in zip(logs, robot.joints, strict=True)
     ]
+    masks = [_spaced(log.position.time_s, spacing_s, one) for log, one in zip(logs, flags, strict=True)]
+    edges_s = _edges(begin_s, _restarts(logs, flags, begin_s, end_s), end_s, window_s)
     return [_window(robot, motion, logs, masks, low, high) for low, high in pairwise(edges_s)]
+
+
+def _edges(begin_s: float, restarts_s: Array, end_s: float, window_s: float | None) -> list[float]:
+    """Return the edges of windows, in which each part between restarts has a whole number of windows [s]."""
+    edges_s = [begin_s]
+    for high_s in np.append(restarts_s, end_s):
+        low_s, length_s = edges_s[-1], window_s or end_s - begin_s
+        edges_s.extend(low_s + length_s * np.arange(1, round((high_s - low_s) / length_s)))
+        edges_s.append(high_s)
+    return edges_s
+
+
+def _restarts(logs: list[JointLog], flags: list[Flags], begin_s: float, end_s: float) -> Array:
+    """Return the ends of stretches of samples that are not used, of all joints [s].
+
+    What makes samples useless for long, as a table does, leaves the joint where friction holds it. No effect
+    of the robot explains this position.
+    """
+    ends_s = []
+    for log, used in zip(logs, flags, strict=True):
+        time_s, k = log.position.time_s, np.flatnonzero(used)
+        last_s = np.append(time_s[0], time_s[k[:-1]])
+        ends_s.extend(time_s[k][(np.diff(k, prepend=-1) > 1) & (time_s[k] - last_s > LEAD_S)])
+    found_s = np.unique(ends_s)
+    # joints that were stopped together are used again within a few samples: the last one counts
+    is_last = np.diff(found_s, append=end_s) > LEAD_S
+    return found_s[is_last & (found_s > begin_s)]
 
 
 def _checked(motion: Motion, joint: str) -> JointLog:

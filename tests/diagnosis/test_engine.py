@@ -226,6 +226,22 @@ def test_windows_begin_at_measured_positions_and_speeds() -> None:
     assert [window.v_rad_s[0] for window in windows] == pytest.approx([0.2] * 3)
 
 
+def test_a_window_begins_where_a_stop_left_the_joint() -> None:
+    position = np.where(TIME_s < 1.0, 0.3, 0.1)
+    log, stopped = motion(TIME_s, position, 0 * TIME_s), (TIME_s > 0.6) & (TIME_s < 0.99)
+    windows = cut_windows(pendulum(), log, None, 0.02, {("m", "swing"): ~stopped})
+    restart_s = TIME_s[TIME_s >= 0.99][0]
+    assert [window.start_s for window in windows] == [0.0, restart_s]
+    assert [window.measured_rad[0][-1] for window in windows] == pytest.approx([0.3, 0.1])
+    kept_s = np.concatenate([window.start_s + window.sample_time_s[0] for window in windows])
+    assert not np.any((kept_s > 0.6) & (kept_s < 0.99))
+
+
+def test_a_short_stretch_without_samples_begins_no_window() -> None:
+    log, stale = motion(TIME_s, 0 * TIME_s, 0 * TIME_s), (TIME_s > 0.6) & (TIME_s < 0.7)
+    assert len(cut_windows(pendulum(), log, None, 0.02, {("m", "swing"): ~stale})) == 1
+
+
 def test_a_step_between_two_periods_counts_in_proportion() -> None:
     means = held_means(Signal(np.array([0.0, 0.0125]), np.array([1.0, 3.0])), np.arange(0, 0.06, 0.01))
     assert means == pytest.approx([1.0, 2.5, 3.0, 3.0, 3.0])
