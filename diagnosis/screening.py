@@ -23,7 +23,7 @@ FACTORS: Final = (0.3, -1.0, 3.0)
 """Sizes at which an effect is tried, over its typical size: half a decade to each side. A size that is not
 negative takes their amounts; a small effect of the other sign is the opposite, and counts by its sign."""
 LEAST_SHARE: Final = 0.3
-"""Least share of a tried size from which a fit starts: to the next smaller one, and a limit still acts."""
+"""Least share of a tried size from which a fit starts: to the next smaller one that is tried."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,8 @@ def score_effect(
                 start = at + (np.array(trial.points) - at).T @ solution
             else:
                 own = np.flatnonzero(start != at)[: 1 if trial.effect.has_shape else None]
-                share = np.sign(solution[0]) * np.clip(abs(solution[0]), LEAST_SHARE, 1.0)
+                least = _least_share(trial, trials, changes, at)
+                share = np.sign(solution[0]) * np.clip(abs(solution[0]), least, 1.0)
                 start = start.copy()
                 start[own] = at[own] + share * (start[own] - at[own])
             best = (gain, start, rest)
@@ -178,6 +179,20 @@ def score_effect(
     gain, start, rest = best
     kept = tuple((white.rows[rows], rest[rows]) for rows in white.joints) if white.is_cut else ()
     return Score(trials[0].effect, start, gain, kept), direction, rest
+
+
+def _least_share(trial: Trial, trials: Sequence[Trial], changes: Sequence[Array], at: Array) -> float:
+    """Return the least share of a tried size from which a fit may start.
+
+    A limit changes nothing while nothing reaches it, and a fit that starts there has no derivative. If a size
+    that was tried changes nothing, the fit starts at the smallest one that does, or above.
+    """
+    amounts = [float(np.linalg.norm(one.points[0] - at)) for one in trials]
+    acting = [amount for amount, change in zip(amounts, changes, strict=True) if np.any(change)]
+    own = float(np.linalg.norm(trial.points[0] - at))
+    if len(acting) == len(trials) or not acting:
+        return LEAST_SHARE
+    return max(LEAST_SHARE, min(acting) / own)
 
 
 def refit_p(fits: Sequence[Fit], own: Integers, without: Array, model: ResidualModel, scales: Array) -> float:
