@@ -94,7 +94,7 @@ class TorqueLimit(JointEffect):
 
 @dataclass(frozen=True, slots=True)
 class BackEmf(JointEffect):
-    """The torque that the supply can drive falls with the speed, to 0 at the no-load speed."""
+    """The largest torque falls with the speed, to 0 at the no-load speed; in braking it grows."""
 
     name: ClassVar[str] = "back-EMF"
     family: ClassVar[Family] = Family.ACTUATION
@@ -106,14 +106,16 @@ class BackEmf(JointEffect):
         return (Size("inverse_no_load_s_rad", 0.0, 2.0 / speed, 0.5 / speed),)
 
     def act(self, size: Array, tick: Tick) -> None:
-        """Lower the limit where the motor drives; where it brakes, the supply does not limit it."""
-        j, state = self.index, tick.state
+        """Lower the limit where the motor drives, and raise it where the motor brakes."""
+        j, joint = self.index, self.joint
+        q_rad, v_rad_s = tick.state.q_rad[:, j], tick.state.v_rad_s[:, j]
+        # only its sign counts, and where the limit acts, nominal gains give that of the torque
         request = tick.command[:, j]
-        if self.joint.mode is ControlMode.POSITION:
-            request = request - state.q_rad[:, j]
-        elif self.joint.mode is ControlMode.VELOCITY:
-            request = request - state.v_rad_s[:, j]
-        driving = np.maximum(np.sign(request) * state.v_rad_s[:, j], 0.0)
+        if joint.mode is ControlMode.POSITION:
+            request = joint.kp_Nm_rad * (request - q_rad) - joint.kd_Nms_rad * v_rad_s
+        elif joint.mode is ControlMode.VELOCITY:
+            request = request - v_rad_s
+        driving = np.sign(request) * v_rad_s
         tick.torque_limit_Nm[:, j] *= np.maximum(1.0 - size[:, 0] * driving, 0.0)
 
     def describe(self, size: Array) -> str:

@@ -177,6 +177,11 @@ def test_stribeck_friction_holds_what_coulomb_friction_lets_go() -> None:
         (TorqueConstant, [-0.4], lambda t, q, v: 0.6 * np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.5, 0.5)),
         (TorqueLimit, [5.0], lambda t, q, v: np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.2, 0.2)),
         (
+            BackEmf,
+            [0.2],
+            lambda t, q, v: np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.2 * (1 + 0.2 * v), 0.2 * (1 - 0.2 * v)),
+        ),
+        (
             DeadZone,
             [0.05],
             lambda t, q, v: 4.0 * np.sign(0.2 - q) * max(abs(0.2 - q) - 0.05, 0.0) - 0.1 * v,
@@ -186,7 +191,7 @@ def test_stribeck_friction_holds_what_coulomb_friction_lets_go() -> None:
 def test_a_position_loop_moves_as_the_law_says(
     kind: type[JointEffect], size: list[float], torque: Torque
 ) -> None:
-    robot = level(ControlMode.POSITION, limit_Nm=0.5 if kind is TorqueConstant else np.inf)
+    robot = level(ControlMode.POSITION, limit_Nm={TorqueConstant: 0.5, BackEmf: 0.2}.get(kind, np.inf))
     found = simulated(robot, held(0.2), (at_swing(kind, robot), size))
     assert np.abs(found - exact(torque)).max() < 3e-3
 
