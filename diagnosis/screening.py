@@ -169,8 +169,9 @@ def score_effect(
             if len(trial.points) > 1:
                 start = at + (np.array(trial.points) - at).T @ solution
             else:
-                own = np.flatnonzero(start != at)[: 1 if trial.effect.has_shape else None]
-                least = _least_share(trial, trials, changes, at)
+                (own, *_) = np.flatnonzero(start != at)  # sizes after it give a form
+                tried = np.abs([one.points[0][own] - at[own] for one in trials])
+                least = _least_share(tried, abs(start[own] - at[own]), changes)
                 share = np.sign(solution[0]) * np.clip(abs(solution[0]), least, 1.0)
                 start = start.copy()
                 start[own] = at[own] + share * (start[own] - at[own])
@@ -181,18 +182,16 @@ def score_effect(
     return Score(trials[0].effect, start, gain, kept), direction, rest
 
 
-def _least_share(trial: Trial, trials: Sequence[Trial], changes: Sequence[Array], at: Array) -> float:
-    """Return the least share of a tried size from which a fit may start.
+def _least_share(tried: Array, size: float, changes: Sequence[Array]) -> float:
+    """Return the least share of a size from which a fit may start.
 
     A limit changes nothing while nothing reaches it, and a fit that starts there has no derivative. If a size
     that was tried changes nothing, the fit starts at the smallest one that does, or above.
     """
-    amounts = [float(np.linalg.norm(one.points[0] - at)) for one in trials]
-    acting = [amount for amount, change in zip(amounts, changes, strict=True) if np.any(change)]
-    own = float(np.linalg.norm(trial.points[0] - at))
-    if len(acting) == len(trials) or not acting:
+    acts = np.array([bool(np.any(change)) for change in changes])
+    if acts.all() or not acts.any():
         return LEAST_SHARE
-    return max(LEAST_SHARE, min(acting) / own)
+    return max(LEAST_SHARE, float(tried[acts].min()) / size)
 
 
 def refit_p(fits: Sequence[Fit], own: Integers, without: Array, model: ResidualModel, scales: Array) -> float:

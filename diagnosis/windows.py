@@ -206,9 +206,9 @@ def local_line(signal: Signal, time_s: float) -> tuple[float, float]:
     return float(signal.value[part].mean() + slope * (time_s - signal.time_s[part].mean())), slope
 
 
-def _spaced(time_s: Array, spacing_s: float, keep: Flags | None) -> Flags:
+def _spaced(time_s: Array, spacing_s: float, keep: Flags) -> Flags:
     """Keep at most one sample in each interval of this length."""
-    chosen = np.ones(time_s.size, dtype=bool) if keep is None else keep.copy()
+    chosen = keep.copy()
     # a hundredth of the spacing is the jitter of stamps at the same rate
     last = -np.inf
     for i in np.flatnonzero(chosen):
