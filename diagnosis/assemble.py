@@ -4,16 +4,12 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from scipy.stats import norm
 
 from diagnosis.arrays import Array, Flags
-from diagnosis.blocks import cut_rows
-from diagnosis.chance import FALSE_ALARM
-from diagnosis.comparison import knows_noise
+from diagnosis.comparison import improvement_share, knows_noise
 from diagnosis.context import Context, FittedModel, Selection
 from diagnosis.effects.actuation import GainError
-from diagnosis.loss import pseudo_huber
-from diagnosis.noise import noise_residuals, repeat_pairs
+from diagnosis.noise import noise_residuals
 from diagnosis.residuals import ResidualModel
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
 from diagnosis.robot import Robot
@@ -134,10 +130,7 @@ def describe_finding(context: Context, chosen: FittedModel, found: ConfidenceSet
 
 
 def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bool:
-    """Test whether a model explains less than MIN_CLOSURE of what can be explained in left-out motions.
-
-    The share is (before - after) / (before - noise) in mean losses. Near the noise it is known badly, so its
-    error counts: that of the losses, and that of the noise, which repeats show.
+    """Check whether a model explains less than MIN_CLOSURE of what can be explained in left-out motions.
 
     Args:
         context: The context.
@@ -145,24 +138,13 @@ def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bo
         place: Name of the joint; all joints count for another place.
 
     Returns:
-        True if the share is below MIN_CLOSURE by a one-sided test at FALSE_ALARM; False where the noise is
-        unknown.
+        True if the share is below MIN_CLOSURE; False where the noise is unknown.
     """
     model = context.model
     joints = [j for j, name in enumerate(model.joints) if name == place] or [*range(len(model.joints))]
     rows = np.flatnonzero(np.isin(model.joint_of, joints))
-    if not knows_noise(context, rows):
-        return False
-    before, after = (pseudo_huber(left_out[rows]) for left_out in (context.base_left_out, chosen.left_out))
-    noise = context.noise_loss[model.joint_of[rows]]
-    excess = (1.0 - MIN_CLOSURE) * before - after + MIN_CLOSURE * noise
-    block = cut_rows(model, rows, chosen.left_out[rows])
-    n_repeats = sum(first.size for j in joints for first, _ in repeat_pairs(model, j))
-    of_losses, of_noise = (
-        np.sum(np.bincount(block, weights=values - values.mean()) ** 2) for values in (excess, after)
-    )
-    variance = of_losses + MIN_CLOSURE**2 * of_noise * rows.size / n_repeats
-    return bool(np.sum(excess) < norm.ppf(FALSE_ALARM) * np.sqrt(variance))
+    pair = context.base_left_out[rows], chosen.left_out[rows]
+    return knows_noise(context, rows) and improvement_share(context, rows, *pair) < MIN_CLOSURE
 
 
 def find_interval(context: Context, chosen: FittedModel, column: int) -> tuple[float, float]:

@@ -48,7 +48,7 @@ def list_trials(union: Union, effect: Effect, at: Array) -> list[Trial]:
     """
     columns = union.columns([effect])
     trials = []
-    for factor in FACTORS:
+    for factor in (1.0,) if effect.is_wave else FACTORS:
         points = []
         for column, size in zip(columns, effect.sizes, strict=True):
             point = at.copy()

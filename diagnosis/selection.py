@@ -196,9 +196,29 @@ def screen(
     for joint, scores in best.items():
         # a misfit that the best effect explains is no memory of the noise
         n = count_independent(context.model, white[joint].rows, rest[joint]) if scores else 0
-        ranked.append(sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n)))
+        ranked.append(
+            keep_best_waves(sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n)))
+        )
     n_distinct = sum(count_distinct(group) for group in directions.values())
     return [score for group in ranked for score in group[:SHORTLIST]], n_distinct
+
+
+def keep_best_waves(ranked: Sequence[Score]) -> list[Score]:
+    """Keep only the best order of each periodic effect of a joint.
+
+    Args:
+        ranked: Scores, the best first.
+
+    Returns:
+        The scores that are kept, in their order.
+    """
+    waves, kept = set[tuple[str, str]](), []
+    for score in ranked:
+        kind = score.effect.place, score.effect.name
+        if kind not in waves:
+            kept.append(score)
+        waves |= {kind} if score.effect.is_wave else set()
+    return kept
 
 
 def adjust(share: float, n_sizes: int, n_independent: int) -> float:

@@ -91,8 +91,8 @@ def alternative(random, n_motions, strength, other):
     cluster = np.repeat(np.arange(n_motions), N)
     cause, wrong = models
     fits_better = wrong[0] @ wrong[0] < cause[0] @ cause[0]
-    is_cause = alternative_p(wrong, cause, cluster, 1) if fits_better else 1.0
-    return is_cause, alternative_p(cause, wrong, cluster, 1)
+    is_cause = alternative_p(cause, [wrong], cluster, 1) if fits_better else 1.0
+    return is_cause, alternative_p(wrong, [cause], cluster, 1)
 
 
 @pytest.mark.parametrize("other", [1, 2])
