@@ -81,7 +81,7 @@ def test_the_best_of_directions_that_are_alike_raises_no_more_false_alarms_than_
 
 
 def alternative(random, n_motions, strength, others):
-    """Return the probability of the square, which is the cause, and of the best of other changes beside it."""
+    """Return the probability of the square, which is the cause, and that of the best of other changes."""
     base, change, noise = draw(random, n_motions)
     residual = noise + strength * change[:, 0]
     models = []
