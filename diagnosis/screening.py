@@ -48,7 +48,7 @@ def list_trials(union: Union, effect: Effect, at: Array) -> list[Trial]:
     """
     columns = union.columns([effect])
     trials = []
-    for factor in (1.0,) if effect.is_wave else FACTORS:
+    for factor in FACTORS:
         points = []
         for column, size in zip(columns, effect.sizes, strict=True):
             point = at.copy()
@@ -180,40 +180,6 @@ def score_effect(
     gain, start, rest = best
     kept = tuple((white.rows[rows], rest[rows]) for rows in white.joints) if white.is_cut else ()
     return Score(trials[0].effect, start, gain, kept), direction, rest
-
-
-def rank(scores: Sequence[Score], n_independent: int) -> list[Score]:
-    """Rank effects by their share, less what so many sizes explain of noise; of waves keep the best order.
-
-    Args:
-        scores: Scores of the effects of a joint.
-        n_independent: Number of independent samples: blocks as long as the correlation time.
-
-    Returns:
-        Scores, the best first.
-    """
-    waves, kept = set[tuple[str, str]](), []
-    for score in sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n_independent)):
-        kind = score.effect.place, score.effect.name
-        if kind not in waves:
-            kept.append(score)
-        waves |= {kind} if score.effect.is_wave else set()
-    return kept
-
-
-def adjust(share: float, n_sizes: int, n_independent: int) -> float:
-    """Clear a share of a residual of what so many sizes explain of noise (Theil's adjusted R squared).
-
-    Args:
-        share: Share that is explained.
-        n_sizes: Number of fitted sizes.
-        n_independent: Number of independent samples: blocks as long as the correlation time.
-
-    Returns:
-        The share, reduced; minus infinity if sizes are as many as samples.
-    """
-    free = n_independent - 1 - n_sizes
-    return 1.0 - (1.0 - share) * (n_independent - 1) / free if free > 0 else -np.inf
 
 
 def _least_share(tried: Array, size: float, changes: Sequence[Array]) -> float:

@@ -24,11 +24,6 @@ SERVO_BACKLASH_RAD: Final = 0.01
 """Backlash of a hobby servo, half a degree. Ten times as much would be felt by hand."""
 SERVO_COUPLING: Final = 0.05
 """Share of a joint's load at its neighbour that is worth a name."""
-SERVO_PERIODIC_RAD: Final = 0.005
-"""Periodic error of a hobby servo: half its backlash."""
-HIGHEST_ORDER: Final = 12
-"""Highest order of a periodic error that is looked for with one encoder. The joint follows what its encoder
-shows; only the torque that this takes is seen. A servo of 5 Hz no longer follows order 12 at 3 rad/s."""
 SEEN_SHARE: Final = 0.5
 """Share of the spread between two encoders that an effect must explain to be worth a name."""
 
@@ -40,7 +35,8 @@ def transmission_effects(
 
     An encoder is taken to be at the motor where a second one looks on, or where the robot file gives torques
     of the motor (gear ratio above 1); else it is at the output, as in servos. Without a second encoder, gears
-    show in a simulation only, so there must be commands.
+    show in a simulation only, so there must be commands. Periodic errors need the second encoder: that of the
+    loop hides its own.
 
     Args:
         robot: Robot.
@@ -58,7 +54,8 @@ def transmission_effects(
             continue
         found += _gear(robot, j, scales[joint.name], spread_rad)
         found += _couplings(robot, j, scales, spread_rad)
-        found += _periodic(joint, spread_rad)
+        if spread_rad > 0:
+            found += _periodic(joint, spread_rad)
     return found
 
 
@@ -103,10 +100,7 @@ def _couplings(robot: Robot, j: int, scales: Mapping[str, JointScales], spread_r
 
 
 def _periodic(joint: RobotJoint, spread_rad: float) -> list[Effect]:
-    """List single orders, and with a second encoder all orders that are smooth."""
-    if spread_rad == 0:
-        return [PeriodicError(joint.name, k, SERVO_PERIODIC_RAD) for k in range(1, HIGHEST_ORDER + 1)]
-    # of an eccentric or tilted encoder, and of the motor
+    """List the orders of an eccentric or tilted encoder, of the motor, and all orders that are smooth."""
     orders = dict.fromkeys((1, 2, max(1, round(joint.gear_ratio))))
     typical_rad = SEEN_SHARE * spread_rad
     single = [PeriodicError(joint.name, order, typical_rad) for order in orders]

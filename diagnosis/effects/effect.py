@@ -142,9 +142,6 @@ class Effect(ABC):
     family: ClassVar[Family]
     has_shape: ClassVar[bool] = False
     """True if all sizes but the first give a form, and mean nothing while the first is 0."""
-    is_wave: ClassVar[bool] = False
-    """True for a sine and a cosine of one order. Residuals follow their sizes in proportion: one trial is
-    enough, and only the best order of a joint is refitted."""
     is_steady: ClassVar[bool] = False
     """True if `friction_Nm` and `torque_Nm` do not change within a window, whatever the joint does."""
     place: str

@@ -96,7 +96,6 @@ class PeriodicTorque(JointEffect):
 
     name: ClassVar[str] = "periodic torque"
     family: ClassVar[Family] = Family.EXTERNAL
-    is_wave: ClassVar[bool] = True
     order: float = 1.0
     """Periods in a turn of the joint."""
 

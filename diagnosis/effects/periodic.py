@@ -21,7 +21,6 @@ class PeriodicError(Effect):
 
     name: ClassVar[str] = "periodic joint error"
     family: ClassVar[Family] = Family.GEOMETRY
-    is_wave: ClassVar[bool] = True
     place: str
     order: int
     typical_rad: float

@@ -6,11 +6,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from diagnosis.context import Score
 from diagnosis.effects.effect import Size
-from diagnosis.effects.periodic import PeriodicError
 from diagnosis.fit import Fit, Union
-from diagnosis.screening import list_trials, rank, score_effect, whiten
+from diagnosis.screening import list_trials, score_effect, whiten
 from tests.diagnosis.toy import NAMES, Toy, ToyResiduals
 
 X = np.linspace(-1.0, 1.0, 50)
@@ -67,19 +65,3 @@ def test_a_fit_begins_no_nearer_to_0_than_a_third_of_a_size_that_was_tried() -> 
 @pytest.mark.parametrize(("silent_below", "first"), [(0.0, 0.2), (0.5, 1.0), (2.0, 3.0)])
 def test_a_fit_of_a_limit_begins_at_a_size_that_changes_something(silent_below: float, first: float) -> None:
     assert start(Limit("near", "limit", np.square), 0.2, silent_below) == pytest.approx([first])
-
-
-def test_of_waves_at_a_joint_only_the_best_order_goes_on() -> None:
-    waves = [PeriodicError(place, order, 1e-3) for place in ("near", "far") for order in (1, 2, 3)]
-    others = [Toy("near", "square", np.square), Toy("near", "cube", np.square)]
-    shares = [0.1, 0.3, 0.2, 0.5, 0.4, 0.6, 0.25, 0.05]
-    scores = [Score(one, np.zeros(1), share) for one, share in zip([*waves, *others], shares, strict=True)]
-    kept = [one.effect.key for one in rank(scores, 100)]
-    best = [waves[5].key, waves[1].key]
-    assert kept == [*best, others[0].key, others[1].key]
-
-
-def test_a_wave_is_tried_at_one_size_in_both_phases() -> None:
-    wave = PeriodicError("near", 3, 1e-3)
-    (trial,) = list_trials(Union((wave,)), wave, np.zeros(2))
-    np.testing.assert_array_equal(trial.points, 1e-3 * np.eye(2))
