@@ -66,8 +66,8 @@ def assemble(
         robot=robot.name,
         kind=context.model.kind,
         seed=0,
-        findings=tuple(describe_finding(context, chosen, one) for one in sets),
-        base=tuple(list_base(robot, context, chosen)),
+        findings=tuple(describe_finding(context, chosen, one, sets) for one in sets),
+        base=tuple(list_base(robot, context, chosen, sets)),
         errors=tuple(list_errors(raw, fitted, held_out, rows)),
         remaining=tuple(list_remainders(raw, fitted, held_out, rows[2])),
         refused=(),
@@ -94,7 +94,9 @@ def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Arra
     return model.residuals(part, points[:, union.columns(part)])
 
 
-def describe_finding(context: Context, chosen: FittedModel, found: ConfidenceSet) -> Finding:
+def describe_finding(
+    context: Context, chosen: FittedModel, found: ConfidenceSet, sets: Sequence[ConfidenceSet]
+) -> Finding:
     """Describe a finding with its sets.
 
     Where effects explain too little of a joint, the sets of families and effects are empty: none of the
@@ -104,6 +106,7 @@ def describe_finding(context: Context, chosen: FittedModel, found: ConfidenceSet
         context: The context.
         chosen: The model with all findings.
         found: The finding with its alternatives.
+        sets: All findings with their alternatives.
 
     Returns:
         The finding.
@@ -119,7 +122,7 @@ def describe_finding(context: Context, chosen: FittedModel, found: ConfidenceSet
         effect=effect.name,
         size=tuple(size.tolist()),
         size_names=tuple(one.name for one in effect.sizes),
-        interval=tuple(find_interval(context, chosen, int(column)) for column in own),
+        interval=tuple(find_interval(context, chosen, sets, int(column)) for column in own),
         text=effect.describe(size),
         share=found.share,
         places=places,
@@ -147,23 +150,32 @@ def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bo
     return knows_noise(context, rows) and improvement_share(context, rows, *pair) < MIN_CLOSURE
 
 
-def find_interval(context: Context, chosen: FittedModel, column: int) -> tuple[float, float]:
+def find_interval(
+    context: Context, chosen: FittedModel, sets: Sequence[ConfidenceSet], column: int
+) -> tuple[float, float]:
     """Return the interval of a size; that of an effect at a body allows for the sizes of all joints.
+
+    It also holds the intervals that the size has where a member of its set stands for another finding.
 
     Args:
         context: The context.
-        chosen: The model.
+        chosen: The model with all findings.
+        sets: All findings with their alternatives.
         column: Column of a size that the model has fitted.
 
     Returns:
         Low and high end, in the unit of the size.
     """
     fit = next(fit for fit in chosen.fits if column in fit.columns)
-    low, high = size_intervals(context, fit)[np.flatnonzero(fit.columns == column)[0]]
-    return float(low), float(high)
+    pairs = [(fit.columns, size_intervals(context, fit))]
+    pairs += [(one.columns, one.intervals) for found in sets for one in found.alternatives[1:]]
+    ends = np.concatenate([intervals[columns == column] for columns, intervals in pairs])
+    return float(ends[:, 0].min()), float(ends[:, 1].max())
 
 
-def list_base(robot: Robot, context: Context, chosen: FittedModel) -> list[Base]:
+def list_base(
+    robot: Robot, context: Context, chosen: FittedModel, sets: Sequence[ConfidenceSet]
+) -> list[Base]:
     """List the base parameters as fitted.
 
     A number counts as unidentifiable if its interval is as wide as the prior allows, or if the gain of its
@@ -173,6 +185,7 @@ def list_base(robot: Robot, context: Context, chosen: FittedModel) -> list[Base]
         robot: The robot.
         context: The context.
         chosen: The model.
+        sets: All findings with their alternatives.
 
     Returns:
         One record a size.
@@ -181,7 +194,7 @@ def list_base(robot: Robot, context: Context, chosen: FittedModel) -> list[Base]
     with_gain = {one.place for one in context.base if isinstance(one, GainError)}
     for effect in context.base:
         for column, size in zip(context.union.columns([effect]), effect.sizes, strict=True):
-            low, high = find_interval(context, chosen, int(column))
+            low, high = find_interval(context, chosen, sets, int(column))
             known = high - low < min(2.0 * size.prior_std, size.high - size.low)
             has_scale = robot.joint(effect.place).is_loaded_by_gravity or effect.place not in with_gain
             nominal = effect.nominal

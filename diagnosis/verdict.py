@@ -34,6 +34,10 @@ class Alternative:
     """(n_sizes,) of the union."""
     p: float
     """Probability that the finding fits so much better, or more, if this is the cause."""
+    columns: Integers
+    """Columns of the union that were fitted with it, (n_free,)."""
+    intervals: Array
+    """Their `size_intervals`, (n_free, 2)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +108,11 @@ def find_layer_sets(
         ]
         tested = [fits[effect.key], *(fits[other.key] for other in others)]
         chances = _cause_p(context, without, joints, tested)
-        members = [Alternative(effect, fits[effect.key].sizes, 1.0)]
-        for other, p in zip(others, chances, strict=True):
-            members += [Alternative(other, fits[other.key].sizes, p)] if p > EXCLUDED else []
+        members = [
+            Alternative(one, fit.sizes, p, fit.columns, size_intervals(context, fit))
+            for one, fit, p in zip((effect, *others), tested, (1.0, *chances), strict=True)
+            if p > EXCLUDED
+        ]
         ranked = (members[0], *sorted(members[1:], key=lambda one: -one.p))
         sets.append(ConfidenceSet(effect, ranked, share))
     return sets
