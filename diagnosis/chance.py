@@ -62,6 +62,34 @@ def wald_p(basis: Array, change: Array, residual: Array, cluster: Integers, n_si
     return float(fisher.sf(ratio, n_sizes, last))
 
 
+def stationary_p(n_base: int, change: Array, residual: Array, cluster: Integers, n_sizes: int) -> float:
+    """Test as `wald_p` where the noise is known to be the same at all times, as motions that repeat show.
+
+    All residuals then tell the noise, also of an effect that acts in few samples. Its correlation counts by
+    the sums over clusters.
+
+    Args:
+        n_base: Number of base parameters that the residuals have followed.
+        change: Change by the fitted sizes, (n_rows,), orthogonal to base changes, without a unit.
+        residual: Residuals before the effect, orthogonal to base changes, (n_rows,), without a unit.
+        cluster: Cluster of each residual, (n_rows,), from 0.
+        n_sizes: Number of fitted sizes.
+
+    Returns:
+        Probability of the statistic, or a larger one, if the sizes are 0.
+    """
+    length = float(np.linalg.norm(change))
+    sums = np.bincount(cluster)
+    freedom = len(sums) - n_base - n_sizes
+    if length == 0.0 or freedom <= 0:
+        return 1.0
+    own = change / length
+    product = float(own @ residual)
+    sums = np.bincount(cluster, weights=residual - own * product)
+    variance = float(sums @ sums) / len(residual) * len(sums) / freedom
+    return float(fisher.sf(product**2 / max(variance, 1e-300) / n_sizes, n_sizes, freedom))
+
+
 def count_distinct(directions: Sequence[Array]) -> float:
     """Count how many independent tests as many false alarms would raise as tests of these directions.
 

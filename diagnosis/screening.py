@@ -12,7 +12,7 @@ import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.blocks import Blocks, cut_rows
-from diagnosis.chance import orthonormal, wald_p
+from diagnosis.chance import orthonormal, stationary_p, wald_p
 from diagnosis.context import Score
 from diagnosis.effects.effect import Effect
 from diagnosis.fit import Fit, Union
@@ -194,7 +194,14 @@ def _least_share(tried: Array, size: float, changes: Sequence[Array]) -> float:
     return max(LEAST_SHARE, float(tried[acts].min()) / size)
 
 
-def refit_p(fits: Sequence[Fit], own: Integers, without: Array, model: ResidualModel, scales: Array) -> float:
+def refit_p(
+    fits: Sequence[Fit],
+    own: Integers,
+    without: Array,
+    model: ResidualModel,
+    scales: Array,
+    is_stationary: bool,
+) -> float:
     """Test whether a fit without an effect is worse by chance.
 
     Args:
@@ -203,9 +210,10 @@ def refit_p(fits: Sequence[Fit], own: Integers, without: Array, model: ResidualM
         without: Residuals of a fit without it, (n,), in the unit of the model.
         model: The residual model.
         scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
+        is_stationary: True if repeats show the noise.
 
     Returns:
-        Probability of such a change, or a larger one, by `wald_p`.
+        Probability of such a change, or a larger one, by `stationary_p` or `wald_p`.
     """
     base = []
     for fit in fits:
@@ -217,4 +225,6 @@ def refit_p(fits: Sequence[Fit], own: Integers, without: Array, model: ResidualM
     (cleared,) = white.clear(change[:, None]).T
     # a misfit that the effect explains is no noise, and would make blocks so long that nothing is rejected
     cluster = cut_rows(model, white.rows, white.residual + cleared)
+    if is_stationary:
+        return stationary_p(white.basis.shape[1], cleared, white.residual, cluster, len(own))
     return wald_p(white.basis, cleared, white.residual, cluster, len(own))

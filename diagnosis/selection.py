@@ -380,9 +380,12 @@ def find_chance(context: Context, fits: Sequence[Fit], effect: Effect, without: 
         without: Residuals of a fit without it, (n,), in the unit of the model.
 
     Returns:
-        Probability by a Wald test, times the number of distinct effects that compete (Bonferroni).
+        Probability by a Wald test, times the number of distinct effects that compete (Bonferroni). The noise
+        counts as stationary where repeats show it.
     """
-    chance = refit_p(fits, context.union.columns([effect]), without, context.model, context.scales)
+    own = context.union.columns([effect])
+    is_stationary = all(knows_noise(context, fit.rows) for fit in fits)
+    chance = refit_p(fits, own, without, context.model, context.scales, is_stationary)
     return min(1.0, context.n_distinct * chance)
 
 

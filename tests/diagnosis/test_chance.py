@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from diagnosis.chance import alternative_p, count_distinct, orthonormal, wald_p
+from diagnosis.chance import alternative_p, count_distinct, orthonormal, stationary_p, wald_p
 
 N, MEMORY = 60, 0.9
 """Samples of a motion, and share of the noise that a sample keeps of the one before."""
@@ -57,6 +57,35 @@ def test_a_strong_effect_is_proven_by_four_motions():
     part = change[:, 0] - basis @ (basis.T @ change[:, 0])
     noise = noise - basis @ (basis.T @ noise)
     assert wald_p(basis, part, 3000.0 * part + noise, np.repeat(np.arange(4), N), 1) < 1e-3
+
+
+def stationary(random, columns, strength=0.0):
+    """Return the probability of an effect in noise that is the same in six motions, by both tests."""
+    base, change, _ = draw(random, 6)
+    fresh = random.standard_normal((6, 3 * N))
+    noise = lfilter([1.0], [1.0, -MEMORY], fresh, axis=1)[:, 2 * N :].ravel()
+    basis, _ = np.linalg.qr(base)
+    change, noise = (part - basis @ (basis.T @ part) for part in (change[:, columns], noise))
+    residual = noise + strength * change[:, 0]
+    best = change @ np.linalg.lstsq(change, residual, rcond=None)[0]
+    cluster = np.arange(6 * N) // 20
+    beside = stationary_p(1, best, residual, cluster, len(columns))
+    return beside, wald_p(basis, best, residual, cluster, len(columns))
+
+
+@pytest.mark.parametrize("columns", [[0], [0, 1], [2]], ids=["one size", "two sizes", "in few samples"])
+def test_in_stationary_noise_an_absent_effect_is_as_rare_as_its_probability_says(columns):
+    random = np.random.default_rng(len(columns))
+    found = np.array([stationary(random, columns)[0] for _ in range(200)])
+    for level in (0.05, 0.01):
+        assert np.sum(found <= level) <= most_of(200, level)
+
+
+def test_in_stationary_noise_an_effect_in_few_samples_is_proven():
+    random = np.random.default_rng(8)
+    found = np.array([stationary(random, [2], 12.0) for _ in range(20)])
+    assert np.median(found[:, 0]) < 1e-3
+    assert np.median(found[:, 0]) < np.median(found[:, 1])
 
 
 def test_directions_that_are_alike_count_once():
