@@ -59,7 +59,9 @@ def _read(path: Path, n_joints: int, names: list[str]) -> tuple[Array, ...]:
         lists = (np.array([json.loads(row[name]) for row in rows], dtype=float) for name in names)
         found = (time_s, *(one.reshape(len(rows), n_joints) for one in lists))
     except (OSError, KeyError, TypeError, ValueError) as error:
-        raise RobotError(f"{path}: is no log of the SO-101 ({error}); name the folder with its motions") from error
+        raise RobotError(
+            f"{path}: is no log of the SO-101 ({error}); name the folder with its motions"
+        ) from error
     return found
 
 

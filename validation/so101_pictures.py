@@ -81,7 +81,7 @@ def draw_fit(traces: Sequence[Trace], figure: Any) -> None:
     axes = figure.subplots(2, len(traces), sharex="col", sharey="row", height_ratios=(2, 1), squeeze=False)
     for (above, below), one in zip(axes.T, traces, strict=True):
         for residual, colour, label in (
-            (one.nominal_rad, NOMINAL, "model as published"),
+            (one.nominal_rad, NOMINAL, "nominal model"),
             (one.fitted_rad, FITTED, "base parameters of the other half"),
         ):
             above.plot(one.time_s, one.measured_rad - residual, color=colour, linewidth=1.0, label=label)
@@ -140,7 +140,9 @@ def main() -> int:
         save_figure(
             options.out / "so101-table.png", (7.5, 3.2), 100, partial(draw_contact, robot, touching, found)
         ),
-        save_figure(options.out / "so101-lift.png", (9.0, 4.6), 100, partial(draw_fit, fit(robot, logs, found))),
+        save_figure(
+            options.out / "so101-lift.png", (9.0, 4.6), 100, partial(draw_fit, fit(robot, logs, found))
+        ),
     ):
         if problem is not None:
             print(f"marsarm: {problem}", file=sys.stderr)

@@ -1,6 +1,6 @@
 """A synthetic twin of the SO-101: its model with errors that are known, logged as the real arm was.
 
-The twin steps plain MuJoCo with another integrator and time step than the diagnosis, and has the servos of MuJoCo.
+The twin steps plain MuJoCo, with another integrator and a shorter time step than the diagnosis.
 """
 
 from collections.abc import Mapping
