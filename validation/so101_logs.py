@@ -21,7 +21,7 @@ from diagnosis.robot import Robot
 from diagnosis.split_file import read_split
 
 EXAMPLE: Final = "example: python -m validation.so101_logs sage/output/real/so101/custom so101.parquet"
-ROBOT: Final = Path("models/robots/so101/robot.toml")
+ROBOT: Final = Path(__file__).parents[1] / "models" / "robots" / "so101" / "robot.toml"
 
 
 def convert(folder: Path, joints: tuple[str, ...], motions: list[str]) -> pa.Table:

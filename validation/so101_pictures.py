@@ -32,7 +32,7 @@ from diagnosis.simulation_residuals import SimulationResiduals
 from ground.render.figures import save_figure
 
 EXAMPLE: Final = "example: python -m validation.so101_pictures so101.parquet --out docs"
-ROBOT: Final = Path("models/robots/so101/robot.toml")
+ROBOT: Final = Path(__file__).parents[1] / "models" / "robots" / "so101" / "robot.toml"
 FIT: Final = ("end_effector", "center_workspace")
 """Motions of half A that do not touch the table."""
 SHOWN_S: Final = 30.0
