@@ -4,16 +4,12 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from scipy.stats import norm
 
 from diagnosis.arrays import Array, Flags
-from diagnosis.blocks import cut_rows
-from diagnosis.chance import FALSE_ALARM
-from diagnosis.comparison import knows_noise
+from diagnosis.comparison import improvement_share, knows_noise
 from diagnosis.context import Context, FittedModel, Selection
 from diagnosis.effects.actuation import GainError
-from diagnosis.loss import pseudo_huber
-from diagnosis.noise import noise_residuals, repeat_pairs
+from diagnosis.noise import noise_residuals
 from diagnosis.residuals import ResidualModel
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
 from diagnosis.robot import Robot
@@ -70,8 +66,8 @@ def assemble(
         robot=robot.name,
         kind=context.model.kind,
         seed=0,
-        findings=tuple(describe_finding(context, chosen, one) for one in sets),
-        base=tuple(list_base(robot, context, chosen)),
+        findings=tuple(describe_finding(context, chosen, one, sets) for one in sets),
+        base=tuple(list_base(robot, context, chosen, sets)),
         errors=tuple(list_errors(raw, fitted, held_out, rows)),
         remaining=tuple(list_remainders(raw, fitted, held_out, rows[2])),
         refused=(),
@@ -98,7 +94,9 @@ def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Arra
     return model.residuals(part, points[:, union.columns(part)])
 
 
-def describe_finding(context: Context, chosen: FittedModel, found: ConfidenceSet) -> Finding:
+def describe_finding(
+    context: Context, chosen: FittedModel, found: ConfidenceSet, sets: Sequence[ConfidenceSet]
+) -> Finding:
     """Describe a finding with its sets.
 
     Where effects explain too little of a joint, the sets of families and effects are empty: none of the
@@ -108,6 +106,7 @@ def describe_finding(context: Context, chosen: FittedModel, found: ConfidenceSet
         context: The context.
         chosen: The model with all findings.
         found: The finding with its alternatives.
+        sets: All findings with their alternatives.
 
     Returns:
         The finding.
@@ -123,7 +122,7 @@ def describe_finding(context: Context, chosen: FittedModel, found: ConfidenceSet
         effect=effect.name,
         size=tuple(size.tolist()),
         size_names=tuple(one.name for one in effect.sizes),
-        interval=tuple(find_interval(context, chosen, int(column)) for column in own),
+        interval=tuple(find_interval(context, chosen, sets, int(column)) for column in own),
         text=effect.describe(size),
         share=found.share,
         places=places,
@@ -134,10 +133,7 @@ def describe_finding(context: Context, chosen: FittedModel, found: ConfidenceSet
 
 
 def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bool:
-    """Test whether a model explains less than MIN_CLOSURE of what can be explained in left-out motions.
-
-    The share is (before - after) / (before - noise) in mean losses. Near the noise it is known badly, so its
-    error counts: that of the losses, and that of the noise, which repeats show.
+    """Check whether a model explains less than MIN_CLOSURE of what can be explained in left-out motions.
 
     Args:
         context: The context.
@@ -145,43 +141,41 @@ def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bo
         place: Name of the joint; all joints count for another place.
 
     Returns:
-        True if the share is below MIN_CLOSURE by a one-sided test at FALSE_ALARM; False where the noise is
-        unknown.
+        True if the share is below MIN_CLOSURE; False where the noise is unknown.
     """
     model = context.model
     joints = [j for j, name in enumerate(model.joints) if name == place] or [*range(len(model.joints))]
     rows = np.flatnonzero(np.isin(model.joint_of, joints))
-    if not knows_noise(context, rows):
-        return False
-    before, after = (pseudo_huber(left_out[rows]) for left_out in (context.base_left_out, chosen.left_out))
-    noise = context.noise_loss[model.joint_of[rows]]
-    excess = (1.0 - MIN_CLOSURE) * before - after + MIN_CLOSURE * noise
-    block = cut_rows(model, rows, chosen.left_out[rows])
-    n_repeats = sum(first.size for j in joints for first, _ in repeat_pairs(model, j))
-    of_losses, of_noise = (
-        np.sum(np.bincount(block, weights=values - values.mean()) ** 2) for values in (excess, after)
-    )
-    variance = of_losses + MIN_CLOSURE**2 * of_noise * rows.size / n_repeats
-    return bool(np.sum(excess) < norm.ppf(FALSE_ALARM) * np.sqrt(variance))
+    pair = context.base_left_out[rows], chosen.left_out[rows]
+    return knows_noise(context, rows) and improvement_share(context, rows, *pair) < MIN_CLOSURE
 
 
-def find_interval(context: Context, chosen: FittedModel, column: int) -> tuple[float, float]:
+def find_interval(
+    context: Context, chosen: FittedModel, sets: Sequence[ConfidenceSet], column: int
+) -> tuple[float, float]:
     """Return the interval of a size; that of an effect at a body allows for the sizes of all joints.
+
+    It also holds the intervals that the size has where a member of its set stands for another finding.
 
     Args:
         context: The context.
-        chosen: The model.
+        chosen: The model with all findings.
+        sets: All findings with their alternatives.
         column: Column of a size that the model has fitted.
 
     Returns:
         Low and high end, in the unit of the size.
     """
     fit = next(fit for fit in chosen.fits if column in fit.columns)
-    low, high = size_intervals(context, fit)[np.flatnonzero(fit.columns == column)[0]]
-    return float(low), float(high)
+    pairs = [(fit.columns, size_intervals(context, fit))]
+    pairs += [(one.columns, one.intervals) for found in sets for one in found.alternatives[1:]]
+    ends = np.concatenate([intervals[columns == column] for columns, intervals in pairs])
+    return float(ends[:, 0].min()), float(ends[:, 1].max())
 
 
-def list_base(robot: Robot, context: Context, chosen: FittedModel) -> list[Base]:
+def list_base(
+    robot: Robot, context: Context, chosen: FittedModel, sets: Sequence[ConfidenceSet]
+) -> list[Base]:
     """List the base parameters as fitted.
 
     A number counts as unidentifiable if its interval is as wide as the prior allows, or if the gain of its
@@ -191,6 +185,7 @@ def list_base(robot: Robot, context: Context, chosen: FittedModel) -> list[Base]
         robot: The robot.
         context: The context.
         chosen: The model.
+        sets: All findings with their alternatives.
 
     Returns:
         One record a size.
@@ -199,7 +194,7 @@ def list_base(robot: Robot, context: Context, chosen: FittedModel) -> list[Base]
     with_gain = {one.place for one in context.base if isinstance(one, GainError)}
     for effect in context.base:
         for column, size in zip(context.union.columns([effect]), effect.sizes, strict=True):
-            low, high = find_interval(context, chosen, int(column))
+            low, high = find_interval(context, chosen, sets, int(column))
             known = high - low < min(2.0 * size.prior_std, size.high - size.low)
             has_scale = robot.joint(effect.place).is_loaded_by_gravity or effect.place not in with_gain
             nominal = effect.nominal

@@ -84,37 +84,44 @@ def count_distinct(directions: Sequence[Array]) -> float:
 
 
 def alternative_p(
-    found: tuple[Array, Array], other: tuple[Array, Array], cluster: Integers, seed: int
+    other: tuple[Array, Array], rivals: Sequence[tuple[Array, Array]], cluster: Integers, seed: int
 ) -> float:
-    """Test whether another model may be right although one fits better (Cox 1961).
+    """Test whether a model may be right although another fits better (Cox 1961).
 
-    Data are drawn from the other model: its prediction with its residuals, whose sign changes at random
-    from cluster to cluster. Both models are refitted to them, along their derivatives.
+    Data are drawn from the model: its prediction with its residuals, whose sign changes at random from
+    cluster to cluster. All models are refitted to them, along their derivatives. The better model is the best
+    of several, so the advantage of the best one counts in each draw.
 
     Args:
-        found: Residuals of the better model, (n_rows,), and an orthonormal basis of the changes that its
-            sizes make, (n_rows, n_sizes), without a unit.
-        other: The same of the other model, with the same weights.
+        other: Residuals of the model, (n_rows,), and an orthonormal basis of the changes that its sizes make,
+            (n_rows, n_sizes), without a unit.
+        rivals: The same of all models that might have been found, with the same weights, better one first.
         cluster: Cluster of each residual, (n_rows,), from 0.
         seed: Seed of the signs.
 
     Returns:
         Probability of so large an advantage, or a larger one, in the sum of squares.
     """
-    (mine, my_basis), (theirs, their_basis) = found, other
-    apart = mine - theirs
-    table = theirs[:, None] * np.column_stack([my_basis, their_basis, apart])
+    theirs, their_basis = other
     n_clusters = int(cluster.max(initial=0)) + 1
-    sums = np.array([np.bincount(cluster, weights=column, minlength=n_clusters) for column in table.T])
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, n_clusters))
     signs[0] = 1.0  # the data themselves
-    drawn = signs @ sums.T
-    n_mine = my_basis.shape[1]
-    to_me = np.sum((my_basis.T @ apart + drawn[:, :n_mine]) ** 2, axis=1)
-    to_them = np.sum(drawn[:, n_mine:-1] ** 2, axis=1)
-    advantage = to_me - to_them - apart @ apart - 2.0 * drawn[:, -1]
+
+    def draw(directions: Array) -> Array:
+        """Return the products of directions, (n_rows, n), with the drawn residuals, (DRAWS, n)."""
+        table = theirs[:, None] * directions
+        sums = np.array([np.bincount(cluster, column, n_clusters) for column in table.T])
+        return np.asarray(signs @ sums.T)
+
+    to_them = np.sum(draw(their_basis) ** 2, axis=1)
+    advantages = []
+    for mine, my_basis in rivals:
+        apart = mine - theirs
+        drawn = draw(np.column_stack([my_basis, apart]))
+        to_me = np.sum((my_basis.T @ apart + drawn[:, :-1]) ** 2, axis=1)
+        advantages.append(to_me - to_them - apart @ apart - 2.0 * drawn[:, -1])
     rounding = 1e-9 * float(theirs @ theirs)
-    return float(np.mean(advantage >= advantage[0] - rounding))
+    return float(np.mean(np.max(advantages, axis=0) >= advantages[0][0] - rounding))
 
 
 def orthonormal(changes: Array) -> Array:

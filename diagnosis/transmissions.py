@@ -55,7 +55,7 @@ def transmission_effects(
         found += _gear(robot, j, scales[joint.name], spread_rad)
         found += _couplings(robot, j, scales, spread_rad)
         if spread_rad > 0:
-            found += _periodic(joint, spread_rad)
+            found += _periodic(joint, scales[joint.name], spread_rad)
     return found
 
 
@@ -99,9 +99,14 @@ def _couplings(robot: Robot, j: int, scales: Mapping[str, JointScales], spread_r
     return found
 
 
-def _periodic(joint: RobotJoint, spread_rad: float) -> list[Effect]:
-    """List the orders of an eccentric or tilted encoder, of the motor, and all orders that are smooth."""
+def _periodic(joint: RobotJoint, scales: JointScales, spread_rad: float) -> list[Effect]:
+    """List the orders of an eccentric or tilted encoder, of the motor, and all orders that are smooth.
+
+    A single order is listed if the joint turns through half a period of it. Less of a wave looks like a
+    compliance or a scale, and its amplitude can be anything.
+    """
+    range_rad = scales.high_rad - scales.low_rad
     orders = dict.fromkeys((1, 2, max(1, round(joint.gear_ratio))))
     typical_rad = SEEN_SHARE * spread_rad
-    single = [PeriodicError(joint.name, order, typical_rad) for order in orders]
+    single = [PeriodicError(joint.name, k, typical_rad) for k in orders if k * range_rad >= np.pi]
     return [*single, SmoothPeriodicError(joint.name, typical_rad)]

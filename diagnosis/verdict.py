@@ -34,6 +34,10 @@ class Alternative:
     """(n_sizes,) of the union."""
     p: float
     """Probability that the finding fits so much better, or more, if this is the cause."""
+    columns: Integers
+    """Columns of the union that were fitted with it, (n_free,)."""
+    intervals: Array
+    """Their `size_intervals`, (n_free, 2)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,37 +99,49 @@ def find_layer_sets(
         joints = list(joints_of(context, effect))
         rows = np.flatnonzero(np.isin(context.model.joint_of, joints))
         share = improvement_share(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
-        members = [Alternative(effect, fits[effect.key].sizes, 1.0)]
-        for other in (one.effect for one in scores if one.effect.key != effect.key):
-            fit = fits[other.key]
-            is_rival = bool(set(joints) & set(joints_of(context, other)))
-            if is_rival and not is_at_bound(context, without.effects, other, fit):
-                p = _cause_p(context, without, joints, fits[effect.key], fit)
-                members += [Alternative(other, fit.sizes, p)] if p > EXCLUDED else []
+        others = [
+            one.effect
+            for one in scores
+            if one.effect.key != effect.key
+            and set(joints) & set(joints_of(context, one.effect))
+            and not is_at_bound(context, without.effects, one.effect, fits[one.effect.key])
+        ]
+        tested = [fits[effect.key], *(fits[other.key] for other in others)]
+        chances = _cause_p(context, without, joints, tested)
+        members = [
+            Alternative(one, fit.sizes, p, fit.columns, size_intervals(context, fit))
+            for one, fit, p in zip((effect, *others), tested, (1.0, *chances), strict=True)
+            if p > EXCLUDED
+        ]
         ranked = (members[0], *sorted(members[1:], key=lambda one: -one.p))
         sets.append(ConfidenceSet(effect, ranked, share))
     return sets
 
 
 def _cause_p(
-    context: Context, without: FittedModel, joints: Sequence[int], finding: Fit, other: Fit
-) -> float:
-    """Return the probability that a finding fits so much better, or more, if the alternative is the cause.
+    context: Context, without: FittedModel, joints: Sequence[int], tested: Sequence[Fit]
+) -> list[float]:
+    """Return for each alternative the probability that a finding fits so much better if it is the cause.
 
     Only the joints of the finding count: findings that were left out at others are no part of the comparison.
+    The first of the fits is that of the finding.
     """
     model = context.model
     rows = np.flatnonzero(np.isin(model.joint_of, joints))
     parts = []
-    for fit in (finding, other):
+    for fit in tested:
         rest = [] if fit.joint == ALL_JOINTS else [j for j in joints if j != fit.joint]
         together = [fit, *(one for j in rest for one in fits_at(context, without, j))]
         parts.append(_join(together, len(model.joint_of)))
     scale = context.scales[model.joint_of[rows]]
     weight = root_weight(parts[0][0][rows] / scale) / scale
-    mine, theirs = ((r[rows] * weight, orthonormal(j[rows] * weight[:, None])) for r, j in parts)
+    models = [(r[rows] * weight, orthonormal(j[rows] * weight[:, None])) for r, j in parts]
     # what the finding explains is no noise, and would make blocks so long that nothing is excluded
-    return alternative_p(mine, theirs, cut_rows(model, rows, mine[0]), context.seed)
+    cluster = cut_rows(model, rows, models[0][0])
+    return [
+        alternative_p(models[k], [*models[:k], *models[k + 1 :]], cluster, context.seed)
+        for k in range(1, len(models))
+    ]
 
 
 def _join(fits: Sequence[Fit], n_rows: int) -> tuple[Array, Array]:

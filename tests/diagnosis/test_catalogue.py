@@ -12,7 +12,7 @@ import pytest
 from diagnosis.catalogue import base_effects, catalogue
 from diagnosis.effects import effect as interface
 from diagnosis.effects.effect import Effect, Family
-from diagnosis.effects.periodic import SmoothPeriodicError
+from diagnosis.effects.periodic import PeriodicError, SmoothPeriodicError
 from diagnosis.effects.transmission import Backlash
 from diagnosis.logs import JointLog, Logs, Motion, Signal
 from tests.diagnosis.effect_lab import ARM_XML, PENDULUM_XML, robot_of, simulate
@@ -129,6 +129,17 @@ def test_a_second_encoder_gives_periodic_errors_and_puts_the_first_at_the_motor(
     assert "periodic joint error" in names(effects)
     assert not any(one.encoder_is_at_output for one in effects if isinstance(one, Backlash))
     assert all(one.encoder_is_at_output for one in catalogue(ARM, arm_logs) if isinstance(one, Backlash))
+
+
+@pytest.mark.parametrize(("share", "orders"), [(1.0, {1, 2}), (0.6, {2}), (0.2, set())])
+def test_a_wave_is_offered_where_the_joint_turns_through_half_a_period(share, orders):
+    command = share * np.pi * (lively() - lively().min(axis=0)) / np.ptp(lively(), axis=0)
+
+    def twisted(j):
+        return Signal(TIME_S, command[:, j] + 1e-3 * np.sin(command[:, j]))
+
+    effects = catalogue(ARM, logs_of(ARM, command, command, secondary=twisted))
+    assert {one.order for one in effects if isinstance(one, PeriodicError)} == orders
 
 
 def test_a_second_encoder_of_zeros_is_none():

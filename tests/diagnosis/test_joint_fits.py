@@ -95,7 +95,7 @@ def test_an_effect_at_a_body_has_an_interval_that_holds_its_size() -> None:
         model = draw_toy(seed, {"near: square": 0.1, "far: square": 0.1})
         selection = select_effects(model, BASE, (body,), seed=1)
         (column,) = selection.context.union.columns([body])
-        low, high = find_interval(selection.context, selection.chosen, int(column))
+        low, high = find_interval(selection.context, selection.chosen, [], int(column))
         held += low < 0.1 < high
         assert high - low < 0.01
     assert held >= 7  # 99 % of a binomial around 9

@@ -67,6 +67,17 @@ def test_each_batch_names_the_compliance_of_axes_2_and_3(batch, axis, request):
     assert (axis, "joint compliance") in {(one.place, one.effect) for one in result.findings}
 
 
+@pytest.mark.parametrize("axis", ["a2", "a3"])
+def test_the_batches_agree_on_the_compliance_of_axes_2_and_3(axis, fitted_a, fitted_b):
+    pair = [
+        one.interval[0]
+        for _, result, _ in (fitted_a, fitted_b)
+        for one in result.findings
+        if (one.place, one.effect) == (axis, "joint compliance")
+    ]
+    assert max(low for low, _ in pair) < min(high for _, high in pair)
+
+
 @pytest.mark.parametrize("batch", ["fitted_a", "fitted_b"])
 def test_backlash_is_named_nowhere(batch, request):
     _, result, _ = request.getfixturevalue(batch)

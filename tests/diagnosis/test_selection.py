@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from diagnosis.assemble import describe_finding, explains_too_little, list_remainders, simulate_models
+from diagnosis.assemble import (
+    describe_finding,
+    explains_too_little,
+    find_interval,
+    list_remainders,
+    simulate_models,
+)
 from diagnosis.chance import FALSE_ALARM
 from diagnosis.context import Score, start_context
 from diagnosis.fit import Hypothesis, Union, fit_hypotheses
@@ -37,8 +43,9 @@ def test_what_explains_little_of_a_residual_is_not_called_its_cause() -> None:
     model = draw_toy(1, {"far: double": 0.05})
     rest = tuple(effect for effect in CATALOGUE if effect.label != "double")
     selection = select_effects(model, BASE, rest, seed=1)
-    for one_set in find_confidence_sets(selection):
-        finding = describe_finding(selection.context, selection.chosen, one_set)
+    sets = find_confidence_sets(selection)
+    for one_set in sets:
+        finding = describe_finding(selection.context, selection.chosen, one_set, sets)
         assert finding.places == ("far",)
         assert finding.families == finding.effects == ()
     residuals = simulate_models(selection.context, model, [selection.chosen.sizes])[0]
@@ -59,6 +66,18 @@ def test_two_effects_that_the_data_cannot_separate_stay_in_the_set() -> None:
     selection = select_effects(model, BASE, (*CATALOGUE, twin), seed=1)
     (one_set,) = find_confidence_sets(selection)
     assert {one.effect.key for one in one_set.alternatives} == {"near: square", "near: twin"}
+
+
+def test_an_interval_holds_the_size_although_a_twin_of_another_cause_takes_a_part_of_it() -> None:
+    twin = Toy("near", "twin", lambda x: x**2 + 0.01 * x**3 + 0.03 * np.sin(9.0 * x))
+    model = draw_toy(1, {"near: square": 0.1, "near: sine": 0.1})
+    selection = select_effects(model, BASE, (*CATALOGUE, twin), seed=1)
+    context, chosen, sets = selection.context, selection.chosen, find_confidence_sets(selection)
+    assert {one.key for one in chosen.effects} == {"near: twin", "near: sine"}
+    (sine,) = context.union.columns([one for one in chosen.effects if one.key == "near: sine"])
+    (_, alone), (low, high) = (find_interval(context, chosen, one, int(sine)) for one in ([], sets))
+    assert alone < 0.1
+    assert low < 0.1 < high
 
 
 def test_all_that_the_data_cannot_separate_is_in_the_set() -> None:
