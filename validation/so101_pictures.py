@@ -58,7 +58,7 @@ def fit(robot: Robot, logs: Logs, found: Audit) -> list[Trace]:
     """Fit base parameters, print them, and simulate the held-out motions of the picture."""
     fitted = SimulationResiduals(robot, logs.fit, keep=found.usable, most_steps=MOST_STEPS)
     context, present = fit_base(start_context(fitted, base_effects(robot, logs), (), 1, Meter()))
-    for one in list_base(robot, context, present):
+    for one in list_base(robot, context, present, ()):
         known = "" if one.is_identifiable else ", not identifiable"
         low, high = one.interval
         print(f"{one.place}: {one.name} {one.value:.3f} ({low:.3f} to {high:.3f}){known}")

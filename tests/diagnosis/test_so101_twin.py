@@ -80,7 +80,7 @@ def test_base_parameters_of_the_twin_are_found():
     raw = SimulationResiduals(unknown, motions, n_threads=1)
     base = base_effects(unknown, Logs(tuple(motions)))
     context, present = fit_base(start_context(raw, base, (), 1, Meter()))
-    found = {(one.place, one.name): one.value for one in list_base(unknown, context, present)}
+    found = {(one.place, one.name): one.value for one in list_base(unknown, context, present, ())}
     for key, value in {
         (LIFT, "gain_ratio"): 0.4,
         (ELBOW, "gain_ratio"): 0.15,
