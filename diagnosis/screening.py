@@ -194,6 +194,21 @@ def _least_share(tried: Array, size: float, changes: Sequence[Array]) -> float:
     return max(LEAST_SHARE, float(tried[acts].min()) / size)
 
 
+def adjust(share: float, n_sizes: int, n_independent: int) -> float:
+    """Clear a share of a residual of what so many sizes explain of noise (Theil's adjusted R squared).
+
+    Args:
+        share: Share that is explained.
+        n_sizes: Number of fitted sizes.
+        n_independent: Number of independent samples: blocks as long as the correlation time.
+
+    Returns:
+        The share, reduced; minus infinity if sizes are as many as samples.
+    """
+    free = n_independent - 1 - n_sizes
+    return 1.0 - (1.0 - share) * (n_independent - 1) / free if free > 0 else -np.inf
+
+
 def refit_p(
     fits: Sequence[Fit],
     own: Integers,

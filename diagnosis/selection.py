@@ -33,7 +33,7 @@ from diagnosis.loss import pseudo_huber
 from diagnosis.meter import Meter
 from diagnosis.reach import expected_change
 from diagnosis.residuals import ResidualModel
-from diagnosis.screening import Trial, list_trials, refit_p, score_effect, whiten
+from diagnosis.screening import Trial, adjust, list_trials, refit_p, score_effect, whiten
 from diagnosis.sharing import ALL_JOINTS
 
 MAX_EFFECTS: Final = 3
@@ -199,21 +199,6 @@ def screen(
         ranked.append(sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n)))
     n_distinct = sum(count_distinct(group) for group in directions.values())
     return [score for group in ranked for score in group[:SHORTLIST]], n_distinct
-
-
-def adjust(share: float, n_sizes: int, n_independent: int) -> float:
-    """Clear a share of a residual of what so many sizes explain of noise (Theil's adjusted R squared).
-
-    Args:
-        share: Share that is explained.
-        n_sizes: Number of fitted sizes.
-        n_independent: Number of independent samples: blocks as long as the correlation time.
-
-    Returns:
-        The share, reduced; minus infinity if sizes are as many as samples.
-    """
-    free = n_independent - 1 - n_sizes
-    return 1.0 - (1.0 - share) * (n_independent - 1) / free if free > 0 else -np.inf
 
 
 def _order(simulated: Sequence[Array], fits: Sequence[Fit]) -> Sequence[Array]:

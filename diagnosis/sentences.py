@@ -1,5 +1,6 @@
 """Sentences about a diagnosis: four lines that answer where, what, how far and what next, then details."""
 
+import math
 from collections.abc import Sequence
 from math import isfinite
 from typing import Final
@@ -178,6 +179,8 @@ def _where(diagnosis: Diagnosis) -> str:
         words.append(NOT_LOCATED)
     elsewhere = [one.joint for one in diagnosis.remaining]
     if not words and not elsewhere:
+        if any(math.isnan(one.noise_floor) for one in diagnosis.errors):
+            return "nowhere; without repeated motions nobody knows if what remains is more than noise."
         return "nowhere; robot and model agree once the base parameters are fitted."
     if not words:
         return f"{join_words(elsewhere, 'and')}."

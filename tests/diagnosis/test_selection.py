@@ -16,7 +16,8 @@ from diagnosis.context import Score, start_context
 from diagnosis.fit import Hypothesis, Union, fit_hypotheses
 from diagnosis.joint_fits import fit_base
 from diagnosis.meter import Meter
-from diagnosis.selection import adjust, list_again, select_effects
+from diagnosis.screening import adjust
+from diagnosis.selection import list_again, select_effects
 from diagnosis.sharing import Sharing, share_nothing
 from diagnosis.verdict import find_confidence_sets, size_intervals, unexplained_dependence
 from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
