@@ -79,6 +79,7 @@ app.command(cls=VerbCommand)(diagnose)
 def main() -> None:
     """Run the command `marsarm`; `ground.cli.start` calls this and reports an interruption."""
     _drop_gl_settings()
+    _do_without_glfw()
     warnings.simplefilter("ignore", RuntimeWarning)  # warnings of numpy are for developers
     with buffer_stdout():
         _run()
@@ -91,6 +92,16 @@ def _drop_gl_settings() -> None:
     """
     if os.environ.get("MUJOCO_GL", "").lower().strip() not in GL_OFF:
         os.environ.pop("MUJOCO_GL", None)
+
+
+def _do_without_glfw() -> None:
+    """Let mujoco do without glfw on Linux, where pictures need no window.
+
+    The import of glfw starts Python once more to look for its library. This takes time, and Ctrl-C would
+    make that process print an error.
+    """
+    if sys.platform == "linux":
+        sys.modules["glfw"] = None  # type: ignore[assignment]
 
 
 def _run() -> NoReturn:

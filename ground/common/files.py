@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from ground.common.errors import BadOutput, BadRequest
+from ground.common.interruption import defer_interrupts
 
 
 def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: str) -> Path:
@@ -191,9 +192,10 @@ def atomic_path(target: Path) -> Iterator[Path]:
         yield part
         os.replace(part, target)
     except BaseException:
-        if part.is_dir():
-            shutil.rmtree(part, ignore_errors=True)
-        else:
-            with suppress(OSError):
-                part.unlink()
+        with defer_interrupts:
+            if part.is_dir():
+                shutil.rmtree(part, ignore_errors=True)
+            else:
+                with suppress(OSError):
+                    part.unlink()
         raise

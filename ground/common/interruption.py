@@ -81,9 +81,34 @@ def report_interruption() -> Iterator[None]:
     raise_on_signals()
     try:
         yield
-    except Interrupted as interrupted:
+    except BaseException as error:
+        interrupted = _find_interruption(error)
+        if interrupted is None:
+            raise
+        _close_generators(interrupted)
         _report(interrupted.sentence, sys.stdout)
         sys.exit(interrupted.exit_status)
+
+
+def _find_interruption(error: BaseException | None) -> Interrupted | None:
+    """Return the interruption that caused an error.
+
+    An extension module that is interrupted while it is imported raises ImportError from the interruption.
+    """
+    while error is not None and not isinstance(error, Interrupted):
+        error = error.__cause__ or error.__context__
+    return error
+
+
+def _close_generators(interrupted: Interrupted) -> None:
+    """Close the context managers whose blocks the signal prevented, so that they delete their files.
+
+    A signal can arrive when a generator has made its file, and before the block of the `with` statement
+    begins. The generator then stays suspended as long as a frame of the traceback holds it.
+    """
+    from traceback import clear_frames  # loaded late: this module is the first that a command loads
+
+    clear_frames(interrupted.__traceback__)
 
 
 def _report(sentence: str, stdout: TextIO | None) -> None:

@@ -17,7 +17,13 @@ import pytest
 from ground.common import files
 from ground.common.errors import BadOutput
 from ground.common.files import reserve
-from ground.common.interruption import END_SIGNALS, Interrupted, defer_interrupts, raise_on_signals
+from ground.common.interruption import (
+    END_SIGNALS,
+    Interrupted,
+    defer_interrupts,
+    raise_on_signals,
+    report_interruption,
+)
 from ground.common.pool import local_runner
 from ground.ik.model import IkModel
 from ground.telemetry.read import read_log
@@ -83,6 +89,51 @@ def test_a_second_signal_does_not_disturb_the_end() -> None:
             signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_signal_while_an_extension_is_imported_is_an_interruption(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def import_extension() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except Interrupted as interrupted:
+            raise ImportError("initialization failed") from interrupted
+
+    with signals_raise(), pytest.raises(SystemExit) as end, report_interruption():
+        import_extension()
+    assert end.value.code == 130
+    assert capsys.readouterr().err == "interrupted by SIGINT before the end\n"
+
+
+def test_another_error_is_no_interruption() -> None:
+    with signals_raise(), pytest.raises(ImportError), report_interruption():
+        raise ImportError("no such module")
+
+
+def test_a_signal_between_a_new_file_and_its_block_leaves_no_file(tmp_path: Path) -> None:
+    def write() -> None:
+        writer = files.atomic_write(tmp_path / "result.json", "out")
+        writer.__enter__()
+        assert [one.suffix for one in tmp_path.iterdir()] == [".part"]
+        signal.raise_signal(signal.SIGINT)
+
+    with signals_raise(), pytest.raises(SystemExit), report_interruption():
+        write()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_import_of_mujoco_starts_no_process_that_ctrl_c_would_reach() -> None:
+    code = """
+from ground.cli.app import main
+try:
+    main()
+except SystemExit:
+    import mujoco, sys
+    print("glfw.library" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code, "--version"], cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.splitlines()[1:] == ["False"], done.stderr
 
 
 def interrupted_log(path: Path) -> Path:
