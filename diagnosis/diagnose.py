@@ -157,7 +157,7 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
                 f"motion {motion.name} is held out and is fitted{copied}; a motion can be one of both"
             )
     if not motions:
-        raise RobotError("no motion is fitted; a diagnosis needs 4 at least, because it leaves motions out")
+        raise RobotError("no motion is fitted; a diagnosis needs one at least, and better four")
     for joint in robot.joints:
         if joint.mode is not ControlMode.POSITION:
             continue

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from diagnosis.effects.effect import Effect, Family
 from diagnosis.errors import RobotError
-from diagnosis.result import Base, Diagnosis, Finding, JointError, Refusal, Remainder
+from diagnosis.result import Base, Diagnosis, Finding, JointError, Refusal, Rejected, Remainder
 from diagnosis.sentences import detail_lines, verdict_lines, verdict_word
 
 FORMAT: Final = "diagnosis 1"
@@ -31,6 +31,9 @@ def to_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "refused": [
             {"motion": one.motion, "reason": one.reason, "n_samples": one.n_samples}
             for one in diagnosis.refused
+        ],
+        "rejected": [
+            {"place": one.place, "effect": one.effect, "reason": one.reason} for one in diagnosis.rejected
         ],
         "fitted_motions": list(diagnosis.fitted_motions),
         "judged_motions": list(diagnosis.judged_motions),
@@ -69,6 +72,7 @@ def from_document(document: Mapping[str, Any], catalogue: Sequence[Effect]) -> D
         errors=tuple(_read_error(one) for one in document["errors"]),
         remaining=tuple(_read_remainder(one) for one in document["remaining"]),
         refused=tuple(Refusal(one["motion"], one["reason"], one["n_samples"]) for one in document["refused"]),
+        rejected=tuple(Rejected(**one) for one in document["rejected"]),
         fitted_motions=tuple(document["fitted_motions"]),
         judged_motions=tuple(document["judged_motions"]),
         effects=tuple(known[one["key"]] for one in document["effects"]),

@@ -23,7 +23,7 @@ class Finding:
     text: str
     """The sizes as `Effect.describe` gives them."""
     share: float
-    """Share of the held-out error of its joint that comes back without it."""
+    """Share of the explainable error of its joint that comes back without it, in motions left out."""
     places: tuple[str, ...]
     """Places that cannot be excluded, the best first."""
     families: tuple[Family, ...]

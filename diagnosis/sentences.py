@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Final
 
+from diagnosis.acceptance import MAX_WORSE
 from diagnosis.effects.effect import Family
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
 
@@ -39,21 +40,32 @@ def verdict_lines(diagnosis: Diagnosis) -> tuple[str, str, str, str]:
 
 def detail_lines(diagnosis: Diagnosis) -> list[str]:
     """Return a sentence for each finding, for what remains, cannot be known, and took no part."""
-    lines = finding_lines(diagnosis)
-    lines += [
+    refused = [
         f"{one.motion}: {count(one.n_samples, 'sample')} took no part: {one.reason}."
-        for one in diagnosis.refused[:MAX_MEMBERS]
+        for one in diagnosis.refused
     ]
-    if (rest := len(diagnosis.refused) - MAX_MEMBERS) > 0:
-        lines.append(f"{count(rest, 'more refusal')} {'is' if rest == 1 else 'are'} in the JSON document.")
-    return lines
+    return finding_lines(diagnosis) + _shorten(refused, "refusal")
 
 
 def finding_lines(diagnosis: Diagnosis) -> list[str]:
-    """Return a sentence for each finding, for what remains, and for what cannot be known."""
+    """Return a sentence for each finding, for what remains, is not named, and cannot be known."""
     found = [finding_sentence(finding) for finding in diagnosis.findings]
     rest = [remainder_sentence(one) for one in diagnosis.remaining]
-    return [*found, *rest, *unknown_sentences(diagnosis.base)]
+    rejected = [
+        f"{one.effect[0].upper()}{one.effect[1:]} at {one.place} is not named: {one.reason}."
+        for one in diagnosis.rejected
+    ]
+    unnamed = _shorten(rejected, "effect that is not named", "effects that are not named")
+    return [*found, *rest, *unnamed, *unknown_sentences(diagnosis.base)]
+
+
+def _shorten(lines: Sequence[str], noun: str, nouns: str = "") -> list[str]:
+    """Return the first sentences of a list, and a sentence that counts the others."""
+    rest = len(lines) - MAX_MEMBERS
+    if rest <= 0:
+        return list(lines)
+    counted = f"1 more {noun} is" if rest == 1 else f"{rest} more {nouns or noun + 's'} are"
+    return [*lines[:MAX_MEMBERS], f"{counted} in the JSON document."]
 
 
 def verdict_word(diagnosis: Diagnosis) -> str:
@@ -99,7 +111,7 @@ def finding_sentence(finding: Finding) -> str:
     sizes = zip(finding.size_names, finding.interval, strict=True)
     intervals = ", ".join(f"{name} from {low:.3g} to {high:.3g}" for name, (low, high) in sizes)
     own = f" With 90 % probability {intervals}." if intervals else ""
-    lost = f" Without it, {percent(finding.share)} of the error of its joint comes back."
+    lost = f" Without it, {percent(finding.share)} of the explainable error of its joint comes back."
     return first + own + (lost if isfinite(finding.share) else "")
 
 
@@ -238,16 +250,26 @@ def _how_far(diagnosis: Diagnosis) -> str:
     if not diagnosis.judged_motions or not diagnosis.errors:
         return "not known, because no motion was held out."
     motions = count(len(diagnosis.judged_motions), "motion")
-    worst = max(diagnosis.errors, key=_fall)
-    fall = (
-        f"on {motions} that took no part, the error of {worst.joint} goes from "
-        f"{quantity(worst.nominal, worst.unit)} to {quantity(worst.explained, worst.unit)}"
-    )
+    best = max(diagnosis.errors, key=_fall)
+    numbers = f"{quantity(best.nominal, best.unit)} to {quantity(best.explained, best.unit)}"
+    fall = f"on {motions} that took no part, the error of {best.joint} goes from {numbers}"
+    fall += _worse(diagnosis.errors)
     if not has_floor(diagnosis):
         return f"{fall}; the noise floor is unknown without repeats, so no share is given."
     if diagnosis.closure is None:
         return f"{fall}; all of it is noise."
+    if diagnosis.closure < 0.0:
+        return f"{fall}; the explainable error of all joints grows by {percent(-diagnosis.closure)}."
     return f"{fall}; {percent(min(diagnosis.closure, 1.0))} of the explainable error is gone."
+
+
+def _worse(errors: Sequence[JointError]) -> str:
+    """Return the joint that the findings make worse most, beside its base parameters alone."""
+    one = max(errors, key=lambda each: each.explained / each.base if each.base > 0.0 else 0.0)
+    if one.explained <= (1.0 + MAX_WORSE) * one.base:
+        return ""
+    numbers = f"{quantity(one.base, one.unit)} to {quantity(one.explained, one.unit)}"
+    return f", but the findings make {one.joint} worse than base parameters alone: {numbers}"
 
 
 def _fall(one: JointError) -> float:

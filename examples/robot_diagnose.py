@@ -6,6 +6,7 @@ import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
+from diagnosis.audit.audit import audit
 from diagnosis.compiled import HARD_IMPEDANCE
 from diagnosis.diagnose import diagnose
 from diagnosis.load import load
@@ -84,7 +85,7 @@ def main() -> None:
 
     robot = Robot.from_toml("robot.toml")
     logs = load(robot, "log.csv", held_out=["6", "7"])
-    result = diagnose(robot, logs.fit, held_out=logs.judged, seed=1)
+    result = diagnose(robot, logs.fit, held_out=logs.judged, audit=audit(robot, logs), seed=1)
     print(*verdict_lines(result), sep="\n")
     for finding in result.findings:
         print(f"{finding.effect} at {finding.place}: {finding.text}")

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 
 from diagnosis.effects.effect import Family
+from diagnosis.result import Rejected
 from diagnosis.sentences import detail_lines, level, verdict_lines, verdict_word
 from tests.diagnosis.verdicts import (
     ARMATURE,
@@ -38,6 +39,24 @@ def test_four_lines_say_where_what_how_far_and_next():
         "100 % of the explainable error is gone.",
         "Next: nothing; these motions leave no question open.",
     )
+
+
+def test_a_joint_that_the_findings_make_worse_is_told():
+    worse = replace(PAN, base=0.0026, explained=0.0032)
+    assert (
+        "but the findings make pan worse than base parameters alone: 2.6 mrad to 3.2 mrad"
+        in lines(errors=(worse, LIFT))[2]
+    )
+
+
+def test_a_share_below_zero_is_told_as_growth():
+    worse = replace(LIFT, explained=2.0 * LIFT.nominal)
+    assert "the explainable error of all joints grows by" in lines(errors=(worse,))[2]
+
+
+def test_an_effect_that_is_not_named_is_told_with_its_reason():
+    said = detail_lines(diagnosis(rejected=(Rejected("a1", "joint compliance", "gravity does not load it"),)))
+    assert "Joint compliance at a1 is not named: gravity does not load it." in said
 
 
 def test_two_effects_that_these_motions_cannot_tell_apart_are_both_named_with_the_next_motion():
@@ -147,7 +166,7 @@ def test_details_give_interval_share_and_what_the_remainder_depends_on():
     said = detail_lines(diagnosis(remaining=(REST,)))
     assert said[0].endswith(
         "With 90 % probability coulomb_Nm from 0.41 to 0.47. "
-        "Without it, 80 % of the error of its joint comes back."
+        "Without it, 80 % of the explainable error of its joint comes back."
     )
     assert said[1] == (
         "Remains at pan, in slow motion: 1.1 mrad that no effect explains; "

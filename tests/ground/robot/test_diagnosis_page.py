@@ -151,7 +151,7 @@ def test_the_screen_has_the_four_lines_then_the_details(tmp_path, capsys):
     print_diagnosis(made(tmp_path))
     shown = " ".join(capsys.readouterr().out.split())
     assert shown.startswith("Where: lift. Something more remains at pan. What: Coulomb friction at lift")
-    assert "Without it, 80 % of the error of its joint comes back." in shown
+    assert "Without it, 80 % of the explainable error of its joint comes back." in shown
 
 
 @pytest.fixture(scope="module")
