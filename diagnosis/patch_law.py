@@ -14,12 +14,12 @@ def law_attributes(
     """Return the attributes of an actuator with a law; its gear scales length and force."""
     gear = 1.0
     if joint.actuator_index >= 0:
-        gear = abs(float(robot.model.actuator_gear[joint.actuator_index, 0]))
+        gear = float(robot.model.actuator_gear[joint.actuator_index, 0])
     position, velocity, gain = {
         ControlMode.POSITION: (kp / gear**2, kd / gear**2, kp / gear**2),
         ControlMode.VELOCITY: (0.0, kd / gear**2, kd / gear**2),
     }.get(joint.mode, (0.0, 0.0, kp / gear))
-    return _attributes(gain, position, velocity, limit / gear)
+    return _attributes(gain, position, velocity, limit / abs(gear))
 
 
 def _attributes(gain: float, position: float, velocity: float, limit: float) -> tuple[tuple[str, str], ...]:

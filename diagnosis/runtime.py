@@ -104,7 +104,7 @@ class RuntimeEffects:
             np.where(is_limited, model.actuator_forcerange[motor], (-np.inf, np.inf)),
             model.actuator_gainprm[motor, 0].copy(),
             model.actuator_biasprm[motor, :3].copy(),
-            np.abs(model.actuator_gear[motor, 0]),
+            model.actuator_gear[motor, 0].copy(),
         )
         of_gear = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in joints]
         self._ctrl_scale = np.where(of_gear, self._nominal.gear, 1.0)
@@ -171,7 +171,7 @@ class RuntimeEffects:
         model.dof_frictionloss[self._motor_dof] = tick.frictionloss_Nm[0]
         model.actuator_gainprm[motor, 0] = nominal.gain * tick.gain[0]
         model.actuator_biasprm[motor, :3] = nominal.bias * tick.gain[0][:, None]
-        limit = np.maximum(tick.torque_limit_Nm[0], 0.0) / nominal.gear
+        limit = np.maximum(tick.torque_limit_Nm[0], 0.0) / np.abs(nominal.gear)
         is_limited = np.isfinite(limit)
         model.actuator_forcelimited[motor] = is_limited
         model.actuator_forcerange[motor[is_limited]] = np.stack((-limit, limit), axis=1)[is_limited]
@@ -261,7 +261,7 @@ class RuntimeEffects:
             command=command[None, :].copy(),
             applied_Nm=np.zeros((1, dof.size)),
             frictionloss_Nm=nominal.friction_Nm[None, :].copy(),
-            torque_limit_Nm=(nominal.limit[:, 1] * nominal.gear)[None, :],
+            torque_limit_Nm=(nominal.limit[:, 1] * np.abs(nominal.gear))[None, :],
             gain=np.ones((1, dof.size)),
             motor_Nm=(data.actuator_force[self._motor] * nominal.gear)[None, :],
             period_s=self._period_s,
