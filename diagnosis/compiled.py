@@ -80,6 +80,7 @@ def compile_for(robot: Robot, effects: Sequence[Effect]) -> Compiled:
         spec.delete(part)
     for name in joints:
         joint = spec.joint(name)
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE  # the torque limit of the motor holds it
         joint.solimp_friction = HARD_IMPEDANCE
         # twice the step is the shortest time constant that MuJoCo keeps
         joint.solref_friction = (2 * robot.model.opt.timestep, 1.0)

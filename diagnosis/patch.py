@@ -185,6 +185,9 @@ def _option_changes(robot: Robot) -> Iterator[Change]:
             yield Change(
                 "joint", _mjcf_joint(robot, joint), hard, "dry friction that does not creep under load"
             )
+        if own.jnt_actfrclimited[own.dof_jntid[dof]]:
+            free = (("actuatorfrclimited", "false"),)
+            yield Change("joint", _mjcf_joint(robot, joint), free, "the actuator has the torque limit")
 
 
 def _effect_changes(

@@ -32,6 +32,7 @@ def _attributes(gain: float, position: float, velocity: float, limit: float) -> 
         ("biastype", "affine"),
         ("gainprm", number_text(gain)),
         ("biasprm", number_text(0.0, -position, -velocity)),
+        ("ctrllimited", "false"),  # as in the engine: logged commands are what the robot took
         ("forcelimited", str(is_limited).lower()),
         *force,
     )
@@ -44,6 +45,6 @@ def model_law(model: mujoco.MjModel, number: int) -> tuple[tuple[str, str], ...]
     bias = model.actuator_biasprm[number]
     low, high = model.actuator_forcerange[number] if model.actuator_forcelimited[number] else (-inf, inf)
     is_fixed = model.actuator_gaintype[number] == mujoco.mjtGain.mjGAIN_FIXED
-    if not is_fixed or bias[0] != 0.0 or low != -high:
+    if model.actuator_ctrllimited[number] or not is_fixed or bias[0] != 0.0 or low != -high:
         return None
     return _attributes(float(model.actuator_gainprm[number, 0]), -bias[1], -bias[2], high)

@@ -108,13 +108,16 @@ def _joint(name: str, table: JointTable, model: mujoco.MjModel, path: Path, grav
         raise RobotError(f"{where}.joint: {in_model!r} is no hinge; only hinges can be diagnosed")
     dof = int(model.jnt_dofadr[number])
     actuator = _actuator(table, model, number, where)
-    kp, kd, limit = _gains(model, actuator)
+    kp, kd = _gains(model, actuator)
     kp = kp if table.kp_Nm_rad is None else table.kp_Nm_rad
     kd = kd if table.kd_Nms_rad is None else table.kd_Nms_rad
     if table.mode == "position" and kp == 0.0:
         raise RobotError(f"{where}.kp_Nm_rad: is 0 or missing, and the model has no gain; give one above 0")
     if table.mode == "velocity" and kd == 0.0:
         raise RobotError(f"{where}.kd_Nms_rad: is 0 or missing, and the model has no gain; give one above 0")
+    limit_Nm = table.torque_limit_Nm
+    if limit_Nm is None:
+        limit_Nm = _torque_limit(model, number, actuator, where)
     threshold_Nm = max(float(model.dof_frictionloss[dof]), ROUNDING * float(np.max(gravity_Nm)))
     return RobotJoint(
         name=name,
@@ -124,7 +127,7 @@ def _joint(name: str, table: JointTable, model: mujoco.MjModel, path: Path, grav
         mode=ControlMode(table.mode),
         kp_Nm_rad=kp,
         kd_Nms_rad=kd,
-        torque_limit_Nm=limit if table.torque_limit_Nm is None else table.torque_limit_Nm,
+        torque_limit_Nm=limit_Nm,
         gear_ratio=table.gear_ratio,
         torque_constant_Nm_A=math.nan if table.torque_constant_Nm_A is None else table.torque_constant_Nm_A,
         is_known=table.is_known,
@@ -146,18 +149,29 @@ def _actuator(table: JointTable, model: mujoco.MjModel, joint: int, where: str) 
     return int(driving[0]) if driving else -1
 
 
-def _gains(model: mujoco.MjModel, actuator: int) -> tuple[float, float, float]:
-    """Return stiffness [N m/rad], damping [N m s/rad] and torque limit [N m] of an actuator at its joint."""
-    if actuator < 0:
-        return 0.0, 0.0, math.inf
-    gear = abs(float(model.actuator_gear[actuator, 0]))
-    bias = model.actuator_biasprm[actuator]
-    is_affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
-    limit = math.inf
-    if model.actuator_forcelimited[actuator]:
-        limit = gear * float(np.min(np.abs(model.actuator_forcerange[actuator])))
+def _gains(model: mujoco.MjModel, actuator: int) -> tuple[float, float]:
+    """Return stiffness [N m/rad] and damping [N m s/rad] of an actuator at its joint."""
+    if actuator < 0 or model.actuator_biastype[actuator] != mujoco.mjtBias.mjBIAS_AFFINE:
+        return 0.0, 0.0
+    gear, bias = float(model.actuator_gear[actuator, 0]), model.actuator_biasprm[actuator]
     # Length and force of an actuator are both scaled by its gear.
-    return (-float(bias[1]) * gear**2, -float(bias[2]) * gear**2, limit) if is_affine else (0.0, 0.0, limit)
+    return -float(bias[1]) * gear**2, -float(bias[2]) * gear**2
+
+
+def _torque_limit(model: mujoco.MjModel, joint: int, actuator: int, where: str) -> float:
+    """Return the smaller limit of an actuator and of its joint [N m], infinite if there is none."""
+    ranges = {}
+    if actuator >= 0 and model.actuator_forcelimited[actuator]:
+        ranges["forcerange"] = model.actuator_forcerange[actuator] * abs(model.actuator_gear[actuator, 0])
+    if model.jnt_actfrclimited[joint]:
+        ranges["actuatorfrcrange"] = model.jnt_actfrcrange[joint]
+    for name, (low, high) in ranges.items():
+        if low != -high:
+            raise RobotError(
+                f"{where}.torque_limit_Nm: {name} of the model is {low:g} to {high:g} N m at the joint; "
+                "give one limit for both directions"
+            )
+    return min((float(high) for _, high in ranges.values()), default=math.inf)
 
 
 def _check_joints(file: RobotFile, joints: tuple[RobotJoint, ...], model: mujoco.MjModel, path: Path) -> None:

@@ -21,7 +21,7 @@ MODEL = """<mujoco model="two links">
   </worldbody>
   <actuator>
     <position name="shoulder" joint="shoulder" kp="30" kv="2" forcerange="-5 5"/>
-    <motor name="elbow" joint="elbow" gear="50" forcerange="-0.1 0.2"/>
+    <motor name="elbow" joint="elbow" gear="50" forcerange="-0.1 0.1"/>
   </actuator>
 </mujoco>
 """

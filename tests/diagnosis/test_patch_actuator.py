@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from diagnosis.errors import RobotError
 from diagnosis.patch import make_patch
 from diagnosis.robot import Robot
 from diagnosis.runtime import RuntimeEffects, RuntimeJoint
@@ -59,3 +60,35 @@ def test_a_gear_that_turns_the_other_way_keeps_its_sign(actuator, mode, tmp_path
     engine = by_engine([], [], robot)
     assert np.ptp(engine) > 0.3
     assert by_patch(robot) == pytest.approx(engine, abs=1e-9)
+
+
+def test_a_range_of_commands_limits_neither_the_engine_nor_the_patch(tmp_path):
+    robot = read(tmp_path, '<position joint="swing" ctrlrange="-0.1 0.1" kp="4" kv="0.1"/>')
+    engine = by_engine([], [], robot)
+    assert np.ptp(engine) > 0.3
+    assert by_patch(robot) == pytest.approx(engine, abs=1e-9)
+
+
+@pytest.mark.parametrize("given_Nm", [None, 1.0])
+def test_the_torque_limit_is_the_smaller_range_or_that_of_the_file(given_Nm, tmp_path):
+    actuator = '<position joint="swing" kp="4" kv="0.1" gear="-2" forcerange="-1 1"/>'
+    robot = read(tmp_path, actuator, of_joint='actuatorfrcrange="-0.3 0.3"')
+    if given_Nm:
+        with (tmp_path / "robot.toml").open("a") as file:
+            file.write(f"torque_limit_Nm = {given_Nm}\n")
+        robot = Robot.from_toml(tmp_path / "robot.toml")
+    assert robot.joints[0].torque_limit_Nm == (given_Nm or 0.3)
+    assert by_patch(robot) == pytest.approx(by_engine([], [], robot), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("of_joint", "range_", "said"),
+    [
+        ("", "0 2", "forcerange of the model is 0 to 4 N m at the joint; give one limit"),
+        ('actuatorfrcrange="-1 3"', "-1 1", "actuatorfrcrange of the model is -1 to 3 N m"),
+    ],
+)
+def test_a_limit_that_differs_by_direction_is_refused(of_joint, range_, said, tmp_path):
+    actuator = f'<position joint="swing" kp="4" gear="2" forcerange="{range_}"/>'
+    with pytest.raises(RobotError, match=f"joints.swing.torque_limit_Nm: {said}"):
+        read(tmp_path, actuator, of_joint=of_joint)
