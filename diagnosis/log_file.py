@@ -1,6 +1,7 @@
 """Log files as columns: Parquet, CSV and npz here, MCAP in `mcap_log`."""
 
 import csv
+import os
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
@@ -66,7 +67,9 @@ def open_log(path: Path, numbers: Sequence[str], texts: Sequence[str], csv_table
     Raises:
         RobotError: the file cannot be read, has no such column, or has no rows.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):  # unlike Path.is_file, False for any bad name
+        if os.path.exists(path):
+            raise RobotError(f"{path}: is no regular file; name a log")
         raise RobotError(f"{path}: there is no such log; name a file that exists")
     if path.stat().st_size == 0:
         raise RobotError(f"{path}: is an empty file; name a log with samples")

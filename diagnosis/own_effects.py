@@ -4,6 +4,7 @@ import hashlib
 import importlib.util
 import inspect
 import math
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -69,7 +70,7 @@ def user_files() -> set[str]:
 
 
 def _module(path: Path) -> ModuleType:
-    if not path.is_file():
+    if not os.path.isfile(path):  # unlike Path.is_file, False for any bad name
         raise RobotError(f"{path}: no such file; give a Python file with effects")
     # dataclasses look up their module by its name; the digest keeps files of one name apart
     name = f"{MODULE_PREFIX}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}"

@@ -202,6 +202,14 @@ def test_a_file_that_is_damaged_absent_or_empty_is_refused(tmp_path, robot, name
         load(robot, path)
 
 
+def test_a_name_that_is_too_long_and_a_folder_are_refused(tmp_path, robot):
+    with pytest.raises(RobotError, match="there is no such log"):
+        load(robot, tmp_path / f"{'a' * 300}.csv")
+    (tmp_path / "log.csv").mkdir()
+    with pytest.raises(RobotError, match=r"log\.csv: is no regular file; name a log"):
+        load(robot, tmp_path / "log.csv")
+
+
 def test_a_file_of_another_kind_and_no_file_at_all_are_refused(tmp_path, robot):
     (tmp_path / "log.mat").write_text("x")
     with pytest.raises(

@@ -118,5 +118,7 @@ def test_a_wrong_file_is_one_sentence(tmp_path, text, sentence):
 def test_a_missing_file_and_another_kind_of_file_are_one_sentence(tmp_path):
     with pytest.raises(RobotError, match="no such file"):
         load_effects(tmp_path / "none.py", ARM, LOGS)
+    with pytest.raises(RobotError, match="no such file"):
+        load_effects(tmp_path / f"{'a' * 300}.py", ARM, LOGS)
     with pytest.raises(RobotError, match=r"its name has to end in \.py"):
         load_effects(write(tmp_path, "x = 1", "mine.txt"), ARM, LOGS)
