@@ -1,6 +1,7 @@
 """Logs in MCAP: messages in JSON, or in the CDR encoding of ROS 2, as columns with times of their own."""
 
 import json
+import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -59,6 +60,8 @@ def open_mcap(path: Path, names: Sequence[str]) -> McapLog:
             found = _collect(path, reader.iter_messages({topic for topic, _ in fields.values()}), fields)
     except (McapError, BadMessage, EOFError, ValueError) as error:
         raise RobotError(f"{path}: cannot be read: {str(error) or 'it is cut short'}") from error
+    except RecursionError as error:
+        raise RobotError(f"{path}: a message is nested too deeply; write fields of a few levels") from error
     start_ns = min((times[0] for times, _ in found.values() if times), default=0)
     return McapLog(path, {name: _column(path, name, *one, start_ns) for name, one in found.items()})
 
@@ -116,13 +119,21 @@ def _number(path: Path, name: str, content: Any, place: Sequence[str | int]) -> 
             there = f"has {', '.join(content)}" if isinstance(content, dict) else "is not so long"
             raise RobotError(f"{path}: {name!r}: there is no {key!r} in a message, which {there}") from None
     if isinstance(content, dict) and "sec" in content:
-        nanoseconds = content["nanosec"] if "nanosec" in content else content.get("nsec", 0)
-        return float(content["sec"]) + 1e-9 * float(nanoseconds)
-    if content is None:
-        return float("nan")
-    if not isinstance(content, int | float):
-        raise RobotError(f"{path}: {name!r} has {type(content).__name__}; name a number in it")
-    return float(content)
+        nanoseconds = content.get("nanosec", content.get("nsec", 0))
+        return _float(path, name, content["sec"]) + 1e-9 * _float(path, name, nanoseconds)
+    return _float(path, name, content)
+
+
+def _float(path: Path, name: str, value: Any) -> float:
+    """Return a value as a number; null is none."""
+    if value is None:
+        return math.nan
+    if not isinstance(value, int | float):
+        raise RobotError(f"{path}: {name!r} has {type(value).__name__}; name a number in it")
+    try:
+        return float(value)
+    except OverflowError:  # an integer of hundreds of digits
+        return math.inf
 
 
 def _column(path: Path, name: str, times_ns: list[int], values: list[float], start_ns: int) -> Column:

@@ -50,21 +50,22 @@ def joint_state(position, current, stamp_s=1.5):
     return b"\x00\x01\x00\x00" + body + struct.pack("<2f", *current) + b"\x01"
 
 
-def write_mcap(path, encoding="ros2msg", n=5):
+def write_mcap(path, encoding="ros2msg", n=5, command=None):
     """Write joint states at 100 Hz and commands at 50 Hz."""
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
         schema = writer.register_schema("sensor_msgs/msg/JointState", encoding, JOINT_STATE.encode())
         joints = writer.register_channel("/joints", "cdr", schema)
-        command = writer.register_channel(
+        channel = writer.register_channel(
             "/command", "json", writer.register_schema("c", "jsonschema", b"{}")
         )
         for k in range(n):
             now = 1_700_000_000_000_000_000 + k * 10_000_000
             writer.add_message(joints, now, joint_state([k, 4096.0 * k], [0.0, k]), now)
             if k % 2 == 0:
-                writer.add_message(command, now, json.dumps({"deg": 9.0 * k, "name": "x"}).encode(), now)
+                text = command or json.dumps({"deg": 9.0 * k, "name": "x"})
+                writer.add_message(channel, now, text.encode(), now)
         writer.finish()
     return path
 
@@ -132,6 +133,21 @@ def test_an_unknown_encoding_and_a_damaged_file_are_refused(tmp_path):
     path.write_bytes(path.read_bytes()[:300])
     with pytest.raises(RobotError, match="cannot be read"):
         load(robot, path)
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ('{"deg": {"sec": null}}', "column '/command.deg', motion 'run': is no finite number at 0 s"),
+        ('{"deg": {"sec": [1]}}', "'/command.deg' has list; name a number in it"),
+        ('{"deg": 1' + 400 * "0" + "}", "column '/command.deg', motion 'run': is no finite number at 0 s"),
+        (100_000 * "[", "a message is nested too deeply; write fields of a few levels"),
+    ],
+)
+def test_a_message_without_a_usable_number_is_refused(tmp_path, command, said):
+    with pytest.raises(RobotError) as error:
+        load(write_robot(tmp_path, *FIELDS), write_mcap(tmp_path / "run.mcap", command=command))
+    assert said in str(error.value)
 
 
 def test_a_log_in_mcap_is_one_motion(tmp_path):
