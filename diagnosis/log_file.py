@@ -128,7 +128,14 @@ class TableLog:
 
     def texts(self, name: str) -> NDArray[np.str_]:
         """Return a column as text."""
-        return np.asarray(pc.fill_null(self.table[name].cast(pa.string()), "").to_numpy(), dtype=np.str_)
+        column = self.table[name]
+        try:
+            text = column.cast(pa.string())
+        except pa.ArrowException as error:
+            raise RobotError(
+                f"{self.path}: column {name!r} has the type {column.type}; give it texts or numbers"
+            ) from error
+        return np.asarray(pc.fill_null(text, "").to_numpy(), dtype=np.str_)
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,6 +150,10 @@ def test_a_share_of_a_range_is_an_angle(tmp_path):
             "column 'gain' changes within motion 'slow'; divide the motion there",
         ),
         ({"gain": [0, 0, 0, 3, 3, 3, 3]}, "column 'gain', motion 'slow': is 0; a gain is above 0"),
+        (
+            {"motion": [["slow"]] * 7},
+            "column 'motion' has the type list<element: string>; give it texts or numbers",
+        ),
         ({name: [] for name in COLUMNS}, "has no rows; name a log with samples"),
     ],
 )
