@@ -157,7 +157,13 @@ class ArrayLog:
 
     def texts(self, name: str) -> NDArray[np.str_]:
         """Return an array as text."""
-        return self.arrays[name].astype(np.str_)
+        array = self.arrays[name]
+        if array.ndim != 1 or array.dtype.kind not in "fiubSU":
+            raise RobotError(
+                f"{self.path}: array {name!r} is {array.dtype} of shape {array.shape}; give it "
+                "texts or numbers in one dimension"
+            )
+        return np.char.decode(array, "utf-8", "replace") if array.dtype.kind == "S" else array.astype(np.str_)
 
 
 def _content(column: pa.Array) -> str:

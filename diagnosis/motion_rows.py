@@ -31,18 +31,32 @@ class MotionRows:
         self._times: dict[str, list[Array]] = {}
         self.names: tuple[str, ...] = (log.path.stem,)
         self._parts: list[Any] = [slice(None)]
+        self._n_rows: int | None = None
         if file.motion.columns:
             self._divide(file.motion.columns)
 
     def _divide(self, columns: Sequence[str]) -> None:
         texts = [self._log.texts(name) for name in columns]
-        joined = texts[0]
-        for text in texts[1:]:
+        joined, self._n_rows = texts[0], texts[0].size
+        for text, name in zip(texts[1:], columns[1:], strict=True):
+            self._check_length(text, name)
             joined = np.char.add(np.char.add(joined, " "), text)
         names, first, number = np.unique(joined, return_index=True, return_inverse=True)
         order = np.argsort(first)
         self.names = tuple(str(names[k]) for k in order)
         self._parts = [_as_slice(np.flatnonzero(number == k)) for k in order]
+
+    def _check_length(self, values: Any, name: str) -> None:
+        """Refuse an array of another length than the column that names the motions.
+
+        Raises:
+            RobotError: it has more values or fewer.
+        """
+        if self._n_rows not in (None, values.size):
+            raise RobotError(
+                f"{self._log.path}: column {name!r} has {values.size} values, "
+                f"{self._file.motion.columns[0]!r} has {self._n_rows}; give both the same length"
+            )
 
     def signals(self, one: SignalColumn, quantity: Quantity, table: JointTable) -> list[Signal]:
         """Return a signal of a joint for each motion.
@@ -107,6 +121,7 @@ class MotionRows:
         if not column:
             return [""] * len(self.names)
         texts = self._log.texts(column)
+        self._check_length(texts, column)
         return [
             str(self._constant(texts[part], column, name))
             for name, part in zip(self.names, self._parts, strict=True)
@@ -119,6 +134,7 @@ class MotionRows:
             RobotError: it changes within a motion, or is not positive.
         """
         values = self._log.numbers(column).value
+        self._check_length(values, column)
         found = [
             float(self._constant(values[part], column, name))
             for name, part in zip(self.names, self._parts, strict=True)
@@ -157,6 +173,7 @@ class MotionRows:
 
     def _split_times(self, time_s: Array | None, name: str) -> list[Array]:
         assert time_s is not None
+        self._check_length(time_s, name)
         found = [time_s[part] for part in self._parts]
         for motion, one in zip(self.names, found, strict=True):
             back = np.flatnonzero(np.diff(one) <= 0.0)

@@ -111,6 +111,7 @@ def write_patch(made: Patch, folder: Path) -> tuple[Path, ...]:
     """Write the files of a patch to a folder, which is made if it is not there, and return them."""
     folder.mkdir(parents=True, exist_ok=True)
     files = {MODEL_FILE: made.model_xml, RUNTIME_FILE: made.runtime}
+    (folder / RUNTIME_FILE).unlink(missing_ok=True)  # that of an earlier patch
     written = [folder / name for name, text in files.items() if text]
     for path in written:
         path.write_text(files[path.name], encoding="utf-8")

@@ -232,5 +232,8 @@ def read_model_file(path: Path) -> RobotFile:
     """
     found = read_robot_file(path)
     if isinstance(found, SerialFile):
-        raise RobotError(f"{path}: serial_arm: has tracker poses and no MJCF model; use the serial engine")
+        raise RobotError(
+            f"{path}: serial_arm: has tracker poses and no MJCF model; "
+            "run marsarm calibrate-serial ARM.toml TABLE MAPPING.toml"
+        )
     return found

@@ -186,6 +186,22 @@ def test_arrays_of_other_lengths_than_their_times_are_refused(tmp_path, robot):
         load(robot, write_npz(tmp_path, m2=np.ones(3)))
 
 
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"again": np.ones(5)}, "column 'again' has 5 values, 'motion' has 7; give both the same length"),
+        ({"gain": np.ones(5)}, "column 'gain' has 5 values, 'motion' has 7; give both the same length"),
+        ({"motion": np.full(8, "a")}, "column 't' has 7 values, 'motion' has 8; give both the same length"),
+        ({"motion": np.full((7, 2), "a")}, "array 'motion' is <U1 of shape (7, 2); give it texts or numbers"),
+    ],
+)
+def test_an_array_of_labels_has_one_dimension_and_the_length_of_the_rows(tmp_path, changes, said):
+    robot = write_robot(tmp_path, ("[motion]", '[motion]\nrepeat_column = "again"'))
+    with pytest.raises(RobotError) as error:
+        load(robot, write_npz(tmp_path, **{"again": np.ones(7)} | changes))
+    assert said in str(error.value)
+
+
 def test_a_motion_in_two_files_is_refused(tmp_path, robot):
     with pytest.raises(
         RobotError, match=r"two\.parquet: motion 'slow' is in one too; give each motion its own"

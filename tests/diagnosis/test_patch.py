@@ -126,6 +126,12 @@ def test_effects_of_the_model_alone_need_no_runtime_file(tmp_path):
     assert model.actuator_forcerange[0].tolist() == [-1.5, 1.5]
 
 
+def test_the_runtime_file_of_an_earlier_patch_is_deleted(tmp_path):
+    (tmp_path / "runtime.toml").write_text("old")
+    save_patch(ROBOT, diagnosis(effects=(), sizes=()), tmp_path)
+    assert [one.name for one in tmp_path.iterdir()] == ["patched.xml"]
+
+
 def test_a_comment_above_each_change_says_the_effect_with_old_and_new_number():
     effects, sizes = made({CoulombFriction: 0.05})
     text = make_patch(ROBOT, effects, sizes).model_xml
