@@ -310,7 +310,7 @@ def _model_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str)
 
 
 def _changed(robot: Robot, text: str, changes: Sequence[Change]) -> str:
-    """Return the text with the changes; MuJoCo writes it anew if an element is in an included file."""
+    """Return the text with the changes; MuJoCo writes it anew if it does not hold each element."""
     try:
         made = change_text(text, changes)
     except RobotError:

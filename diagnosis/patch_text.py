@@ -37,7 +37,7 @@ def change_text(text: str, changes: Sequence[Change]) -> str:
         changes: Changes; an element may have several.
 
     Raises:
-        RobotError: An element is not in this text, as those of included files.
+        RobotError: An element is not in this text, as those that MuJoCo makes from others.
     """
     root = ElementTree.fromstring(text, XMLParser(target=TreeBuilder(insert_comments=True)))
     for change in changes:

@@ -5,6 +5,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
+from xml.etree.ElementTree import TreeBuilder, XMLParser
 
 import mujoco
 import numpy as np
@@ -53,11 +54,48 @@ def read_model_text(path: Path) -> str:
     Raises:
         RobotError: it cannot be read or is no XML.
     """
+    text, root = _read_xml(path)
+    if root.tag != "mujoco":
+        raise RobotError(f"{path}: its root is <{root.tag}>; name an MJCF file, which begins with <mujoco>")
+    if not any(one.tag in (*FILE_ATTRIBUTES, "include") and "file" in one.attrib for one in root.iter()):
+        return text
+    _insert_includes(root, path.parent, (path.resolve(),))
+    settings = {name: value for one in root.iter("compiler") for name, value in one.attrib.items()}
+    for one in root.iter():
+        if one.tag in FILE_ATTRIBUTES and "file" in one.attrib:
+            below = settings.get(FILE_ATTRIBUTES[one.tag], settings.get("assetdir", ""))
+            one.set("file", str((path.parent / below / one.attrib["file"]).resolve()))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _insert_includes(root: ElementTree.Element, folder: Path, within: tuple[Path, ...]) -> None:
+    """Put the elements of included files in the place of each include; as in MuJoCo, paths begin at `folder`.
+
+    Raises:
+        RobotError: a file cannot be read, or includes itself.
+    """
+    for parent in [*root.iter()]:
+        for k, child in reversed([*enumerate(parent)]):
+            if child.tag == "include":
+                path = (folder / child.attrib.get("file", "")).resolve()
+                if path in within:
+                    raise RobotError(f"{path}: includes itself; remove this include")
+                _, included = _read_xml(path)
+                _insert_includes(included, folder, (*within, path))
+                parent[k : k + 1] = [*included]
+
+
+def _read_xml(path: Path) -> tuple[str, ElementTree.Element]:
+    """Read a file of XML as text and as a tree.
+
+    Raises:
+        RobotError: it cannot be read or is no XML.
+    """
     try:
         if path.exists() and not path.is_file():  # a pipe would be waited for
             raise RobotError(f"{path}: is no regular file; name an MJCF file")
         text = path.read_text(encoding="utf-8")
-        root = ElementTree.fromstring(text)
+        return text, ElementTree.fromstring(text, XMLParser(target=TreeBuilder(insert_comments=True)))
     except OSError as error:
         raise RobotError(f"{path}: cannot be read ({error.strerror}); name an MJCF file") from error
     except ElementTree.ParseError as error:
@@ -66,18 +104,6 @@ def read_model_text(path: Path) -> str:
         raise RobotError(f"{path}: is not UTF-8 text; name an MJCF file") from error
     except ValueError as error:  # a zero byte in the name
         raise RobotError(f"{str(path)!r}: is no name of a file; name an MJCF file") from error
-    if root.tag != "mujoco":
-        raise RobotError(f"{path}: its root is <{root.tag}>; name an MJCF file, which begins with <mujoco>")
-    places = [one for one in root.iter() if one.tag in (*FILE_ATTRIBUTES, "include") and "file" in one.attrib]
-    if not places:
-        return text
-    compiler = next(root.iter("compiler"), None)
-    settings = {} if compiler is None else compiler.attrib
-    for one in places:
-        below = settings.get(FILE_ATTRIBUTES.get(one.tag, ""), settings.get("assetdir", ""))
-        below = "" if one.tag == "include" else below
-        one.set("file", str((path.parent / below / one.attrib["file"]).resolve()))
-    return ElementTree.tostring(root, encoding="unicode")
 
 
 def gravity_amplitudes(model: mujoco.MjModel) -> Array:

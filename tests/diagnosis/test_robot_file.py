@@ -72,6 +72,38 @@ def test_the_text_of_a_model_with_files_compiles_from_anywhere(tmp_path, monkeyp
     assert again.opt.gravity[2] == -1.6
 
 
+def test_an_included_file_brings_its_meshes_and_the_folder_of_meshes(tmp_path):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "link.obj").write_text(
+        "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4"
+    )
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><compiler meshdir="parts"/><asset><mesh file="link.obj"/></asset>'
+        '<include file="deep.xml"/></mujoco>'
+    )
+    (tmp_path / "deep.xml").write_text("<mujocoinclude><option gravity='0 0 -1.6'/></mujocoinclude>")
+    model = MODEL.replace("<worldbody>", '<!-- kept --><include file="arm.xml"/><worldbody>')
+    robot = Robot.from_toml(write_robot(tmp_path, model=model))
+    assert robot.model.nmesh == 1
+    assert robot.model.opt.gravity[2] == -1.6
+    assert "<!-- kept -->" in robot.model_xml
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('<mujoco><include file="arm.xml"/></mujoco>', "arm.xml: includes itself; remove this include"),
+        ('<mujoco><include file="none.xml"/></mujoco>', r"none.xml: cannot be read \(No such file"),
+        ("<mujoco>", "arm.xml: is not XML"),
+    ],
+)
+def test_an_include_that_cannot_be_read_is_one_sentence(tmp_path, text, said):
+    (tmp_path / "arm.xml").write_text(text)
+    model = MODEL.replace("<worldbody>", '<include file="arm.xml"/><worldbody>')
+    with pytest.raises(RobotError, match=said):
+        Robot.from_toml(write_robot(tmp_path, model=model))
+
+
 def test_the_file_of_a_tracked_arm_points_to_its_serial_arm(tmp_path):
     (tmp_path / "robot.toml").write_text(
         'name = "arm"\nserial_arm = "arm.toml"\n[poses]\n"poses.csv" = "map.toml"'
