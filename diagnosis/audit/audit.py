@@ -9,7 +9,7 @@ from diagnosis.arrays import Array, Flags
 from diagnosis.audit.collision import find_collisions
 from diagnosis.audit.limits import find_cut_offs, find_saturation
 from diagnosis.audit.plane import chain_joints, find_plane
-from diagnosis.audit.rates import audit_rates, encoder_step_rad, stale_flags
+from diagnosis.audit.rates import audit_rates, encoder_step_rad, find_constant_positions, stale_flags
 from diagnosis.audit.records import Audit, Kind
 from diagnosis.audit.samples import joint_samples
 from diagnosis.audit.static import Rest, find_rest, predict_free
@@ -35,7 +35,7 @@ def audit(robot: Robot, logs: Logs) -> Audit:
     """
     motions = logs.motions
     rates, remarks = audit_rates(motions)
-    remarks += audit_units(robot, motions)
+    remarks += [*audit_units(robot, motions), *find_constant_positions(robot, motions)]
     rest = find_rest(robot, motions)
     held = np.zeros(rest.measured.shape, np.bool_)
     is_below = np.zeros(rest.time_s.size, np.bool_)

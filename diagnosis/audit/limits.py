@@ -100,12 +100,16 @@ def _effort_words(joint: str, motions: Sequence[Motion], rest: Rest, at: Array) 
         own = np.flatnonzero(rest.motion == number)
         size = np.abs(hold(signal, rest.time_s[own]))
         is_at = np.isin(own, at)
-        inside.append(size[is_at])
-        outside.append(size[~is_at])
-    here, usual = float(np.median(np.concatenate(inside))), float(np.median(np.concatenate(outside)))
+        inside.append(size[is_at & np.isfinite(size)])
+        outside.append(size[~is_at & np.isfinite(size)])
+    at_stop, elsewhere = np.concatenate(inside), np.concatenate(outside)
+    if not at_stop.size or not elsewhere.size:
+        return ""
+    here, usual = float(np.median(at_stop)), float(np.median(elsewhere))
     what = "torque" if motions[0].joints[joint].torque is not None else "current"
     if here > PUSHES * usual:
-        return f"; its {what} is {here / usual:.0f} times the usual there, as against a hard stop"
+        much = f"{here / usual:.0f} times the usual there" if usual > 0.0 else "0 elsewhere"
+        return f"; its {what} is {much}, as against a hard stop"
     return f"; its {what} is not larger there"
 
 

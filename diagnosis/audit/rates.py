@@ -10,6 +10,7 @@ from diagnosis.arrays import Array, Flags
 from diagnosis.audit.records import Kind, Remark, SignalRate
 from diagnosis.audit.samples import Samples, joint_samples, runs
 from diagnosis.logs import JointLog, Motion
+from diagnosis.robot import ControlMode, Robot
 
 GAP: Final = 2.5
 """A row is missing where a period exceeds this many medians: two rows and half a period of jitter."""
@@ -19,6 +20,8 @@ REMARK_SHARE: Final = 0.01
 """Share of missing or stale rows that is worth a remark."""
 STEPS: Final = 4.0
 """A joint moves clearly if it goes by this many steps of its encoder in one period."""
+COARSE_RAD: Final = STEPS * 2.0 * math.pi / 2**10
+"""A joint follows a command that spans this: the coarsest encoders of servos have ten bits."""
 REPEATS: Final = 3
 """Same values in a row that count as stale; fewer are usual where a bus is read faster than its servo."""
 
@@ -32,6 +35,26 @@ def audit_rates(motions: Sequence[Motion]) -> tuple[tuple[SignalRate, ...], list
         for name, log in motion.joints.items()
     )
     return rates, list(_remarks(rates))
+
+
+def find_constant_positions(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
+    """Find joints whose position never changes although their commands do."""
+    found: list[Remark] = []
+    for joint in robot.joints:
+        logs = {m.name: joint_samples(m.joints[joint.name]) for m in motions if joint.name in m.joints}
+        positions = np.concatenate([np.zeros(0), *(one.position for one in logs.values())])
+        if joint.mode is not ControlMode.POSITION or not positions.size or np.ptp(positions) > 0.0:
+            continue
+        commands = {name: one.command[np.isfinite(one.command)] for name, one in logs.items()}
+        spans = {name: float(np.ptp(one)) for name, one in commands.items() if one.size}
+        moved = tuple(name for name, span in spans.items() if span > COARSE_RAD)
+        if moved:
+            text = (
+                f"the position stays at {positions[0]:.4g} rad, while the command spans "
+                f"{max(spans.values()):.3g} rad: is the encoder dead, or is it the wrong column?"
+            )
+            found.append(Remark(Kind.CONSTANT, joint.name, moved, text, float(positions[0]), unit="rad"))
+    return found
 
 
 def stale_flags(samples: Samples, step_rad: float) -> Flags:

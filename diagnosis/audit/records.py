@@ -12,10 +12,12 @@ class Kind(StrEnum):
     """Kinds of remarks, the worst first."""
 
     UNIT = "unit looks wrong"
+    CONSTANT = "position is constant"
     CONTACT = "contact with a plane"
     CUT_OFF = "command is cut off"
     SATURATION = "saturation"
     COLLISION = "collision in the model"
+    TURNS = "many turns"
     STALE = "stale samples"
     MISSING = "missing samples"
     JITTER = "uneven rate"

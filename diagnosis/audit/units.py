@@ -16,6 +16,8 @@ FACTORS: Final = {180.0 / math.pi: "degrees", 1000.0: "thousandths"}
 """Factors of units that are mistaken for each other, and the name of the smaller unit."""
 CLOSE: Final = 1.5
 """A ratio is near a factor within this factor: a servo follows its command to better than that."""
+TURNS: Final = 2.0
+"""Usual turns of a joint without limits: those of most such arms go from -360 to 360 degrees."""
 FOLLOWS: Final = 0.8
 """Correlation from which two signals count as the same quantity."""
 
@@ -71,7 +73,8 @@ def _remark(ratio: float, joint: str, motions: tuple[str, ...], what: str, other
     for factor, unit in FACTORS.items():
         for signed, wrong, right in ((factor, what, other), (1.0 / factor, other, what)):
             if math.isfinite(ratio) and abs(math.log(ratio / signed)) < math.log(CLOSE):
-                text = f"{what} is {ratio:.3g} times {other}: is {wrong} in {unit} and {right} not?"
+                text = f"{what} is {ratio:.3g} times {other}: is {wrong} in {unit}, or is the unit "
+                text += f"of {right} in the robot file wrong?"
                 return [Remark(Kind.UNIT, joint, motions, text, ratio)]
     return []
 
@@ -82,8 +85,10 @@ def _beyond_range(
     """Remark positions far beyond the range of the model that would lie within it in another unit."""
     model, number = robot.model, robot.joint(joint).dof_index
     index = int(model.dof_jntid[number])
-    if not model.jnt_limited[index] or not samples:
+    if not samples:
         return []
+    if not model.jnt_limited[index]:
+        return _many_turns(joint, motions, samples)
     allowed = float(np.abs(model.jnt_range[index]).max())
     largest = max(float(np.abs(one.position).max(initial=0.0)) for one in samples)
     for factor, unit in FACTORS.items():
@@ -94,3 +99,13 @@ def _beyond_range(
             )
             return [Remark(Kind.UNIT, joint, motions, text, largest / allowed)]
     return []
+
+
+def _many_turns(joint: str, motions: tuple[str, ...], samples: Sequence[Samples]) -> list[Remark]:
+    """Remark positions of a joint without limits that go over many turns, as degrees would."""
+    positions = np.concatenate([one.position for one in samples])
+    if np.ptp(positions) <= 2.0 * math.pi * TURNS:
+        return []
+    low, high = float(positions.min()), float(positions.max())
+    text = f"the position goes from {low:.4g} to {high:.4g} rad, over many turns: is the log in degrees?"
+    return [Remark(Kind.TURNS, joint, motions, text, high - low, unit="rad")]

@@ -260,3 +260,45 @@ def test_a_motion_of_one_sample_is_audited():
 
     found = audit(planar_arm(), with_joint(with_joint(logs, "elbow", cut), "shoulder", cut))
     assert found.is_usable("motion 0", "elbow").tolist() == [True]
+
+
+def test_a_position_that_never_changes_under_a_moving_command_is_named(clean):
+    def stop(log):
+        return replace(log, position=Signal(log.position.time_s, np.full(log.position.value.size, 0.4)))
+
+    remarks = [one for one in audit(planar_arm(), with_joint(clean, "elbow", stop)).remarks if one.joint]
+    assert [one.kind for one in remarks] == [Kind.CONSTANT]
+    assert "stays at 0.4 rad, while the command spans 0.3 rad" in remarks[0].text
+
+
+def test_a_joint_without_limits_that_turns_often_may_be_in_degrees(clean):
+    def scale(log):
+        return replace(
+            log,
+            position=Signal(log.position.time_s, np.degrees(log.position.value)),
+            command=Signal(log.command.time_s, np.degrees(log.command.value)),
+        )
+
+    robot = planar_arm()
+    robot.model.jnt_limited[1] = False
+    assert (Kind.TURNS, "elbow") in kinds(audit(robot, with_joint(clean, "elbow", scale)))
+    assert audit(robot, clean).remarks == ()
+
+
+@pytest.mark.parametrize(
+    ("elsewhere_A", "said"),
+    [(0.0, "its current is 0 elsewhere, as against a hard stop"), (0.1, "is 10 times the usual there")],
+)
+def test_the_current_at_a_stop_is_compared_with_that_elsewhere(elsewhere_A, said):
+    motions = []
+    for number in range(4):
+        sent = commands(number, -0.6, 0.4)
+        motions.append(record(planar_arm(), number, sent, sent | {"elbow": np.minimum(sent["elbow"], 0.35)}))
+
+    def measure(log):
+        current_A = np.where(log.command.value > 0.35, 1.0, elsewhere_A)
+        return replace(log, current=Signal(log.command.time_s, current_A))
+
+    found = audit(planar_arm(), with_joint(Logs(tuple(motions)), "elbow", measure))
+    texts = [one.text for one in found.remarks]
+    assert any(said in text for text in texts), texts
