@@ -1,10 +1,11 @@
 """Checks of output paths, and files that are written completely or not at all."""
 
 import fcntl
+import hashlib
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import combinations
 from pathlib import Path
@@ -73,6 +74,23 @@ def _same_file(one: Path, other: Path) -> bool:
     if os.path.realpath(one) == os.path.realpath(other):
         return True
     return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
+
+
+def digest_files(files: Mapping[str, Iterable[Path]]) -> dict[str, str]:
+    """Compute the SHA-256 of files.
+
+    Args:
+        files: Files of each kind.
+
+    Returns:
+        Digest by kind and path, as the user gave it.
+    """
+    digests = {}
+    for kind, paths in files.items():
+        for path in paths:
+            with path.open("rb") as file:
+                digests[f"{kind} {path}"] = hashlib.file_digest(file, "sha256").hexdigest()
+    return digests
 
 
 def cache_folder(name: str) -> Path:

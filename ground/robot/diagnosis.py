@@ -1,6 +1,5 @@
 """Execution of a diagnosis: read robot and logs, audit them, find the effects, write the files."""
 
-import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +11,11 @@ from diagnosis.load import load
 from diagnosis.logs import Logs, Motion
 from diagnosis.own_effects import load_effects
 from diagnosis.page.traces import Trace, trace_motions
-from diagnosis.patch import Patch, make_patch, write_patch
+from diagnosis.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, write_patch
 from diagnosis.result import Diagnosis
 from diagnosis.robot import Robot
 from ground.common.errors import BadOutput, BadRequest
-from ground.common.files import cache_folder, check_distinct_files, check_new_path
+from ground.common.files import cache_folder, check_distinct_files, check_new_path, digest_files
 from ground.common.interruption import Interrupted
 from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress
@@ -54,13 +53,11 @@ def diagnose_robot(request: RobotDiagnoseRequest, progress: Progress = no_progre
     _check_folder(request.patch)
     progress(0.0, 0.0, "reading")
     robot = Robot.from_toml(request.robot)
+    if request.patch is not None and robot.file is not None:
+        check_distinct_files({"model": robot.folder / robot.file.model, "patch": request.patch / MODEL_FILE})
     logs = load(robot, request.logs, split=request.split, held_out=request.held_out)
     effects = [one for path in request.effects for one in load_effects(path, robot, logs)]
-    digests = {
-        "robot": _sha256(request.robot),
-        **{f"log {path.name}": _sha256(path) for path in request.logs},
-        **{f"effects {path.name}": _sha256(path) for path in request.effects},
-    }
+    digests = digest_files({"robot": [request.robot], "log": request.logs, "effects": request.effects})
     progress(0.0, 0.0, "auditing")
     found = audit(robot, logs)
     try:
@@ -116,8 +113,6 @@ def _check_folder(folder: Path | None) -> None:
         raise BadOutput(f"patch {folder}: this is a file; give the path of a folder")
     if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
         raise BadOutput(f"patch {folder}: no right to write there")
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    for name in (MODEL_FILE, RUNTIME_FILE):
+        if (folder / name).is_dir():
+            raise BadOutput(f"patch {folder / name}: this is a folder; give another folder for the patch")

@@ -1,19 +1,19 @@
 """Execution of a check: read robot and logs, audit them, simulate the nominal model."""
 
-import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from diagnosis.audit.audit import audit
 from diagnosis.audit.records import Audit
+from diagnosis.diagnose import check_motions, check_remarks
+from diagnosis.errors import RobotError
 from diagnosis.load import load
 from diagnosis.logs import Logs, Motion
 from diagnosis.nominal import NominalModel, NominalMotion
 from diagnosis.robot import Robot
+from ground.common.files import digest_files
 from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress
 from ground.robot.request import CheckRequest
@@ -36,6 +36,8 @@ class CheckReport:
     """The nominal model in each motion, in the order of the logs."""
     digests: dict[str, str]
     """SHA-256 of robot file and logs."""
+    refusal: str
+    """Why a diagnosis refuses these logs; empty if it takes them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +78,8 @@ def check_robot(request: CheckRequest, progress: Progress = no_progress) -> Chec
     for motion, done in zip(logs.motions, ends[:-1], strict=True):
         progress(AUDITED + (1.0 - AUDITED) * float(done), 1.0, f"simulating {motion.name}")
         nominal.append(model.simulate(motion))
-    digests = {"robot": _sha256(request.robot), **_digests(request.logs)}
-    return CheckReport(request, robot, logs, found, tuple(nominal), digests)
+    digests = digest_files({"robot": [request.robot], "log": request.logs})
+    return CheckReport(request, robot, logs, found, tuple(nominal), digests, _refusal(robot, logs, found))
 
 
 def summarize_joints(report: CheckReport) -> list[JointSummary]:
@@ -106,14 +108,15 @@ def _summary(report: CheckReport, joint: str) -> JointSummary:
     )
 
 
+def _refusal(robot: Robot, logs: Logs, found: Audit) -> str:
+    """Return the sentence with which a diagnosis refuses these logs; empty if it takes them."""
+    try:
+        check_motions(robot, logs.fit, logs.judged)
+        check_remarks(found.remarks)
+    except RobotError as error:
+        return str(error)
+    return ""
+
+
 def _duration_s(motion: Motion) -> float:
     return max(float(np.ptp(log.position.time_s)) for log in motion.joints.values())
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _digests(paths: Sequence[Path]) -> dict[str, str]:
-    return {f"log {path.name}": _sha256(path) for path in paths}

@@ -42,7 +42,9 @@ def remark_place(remark: Remark) -> str:
 
 
 def refusal_sentence(report: CheckReport) -> str:
-    """Say how many rows a diagnosis leaves out, and why."""
+    """Say why a diagnosis refuses the logs, or how many rows it leaves out, and why."""
+    if report.refusal:
+        return f"A diagnosis will refuse these logs: {report.refusal}."
     refused = report.audit.refused
     if not refused:
         return "A diagnosis will use all rows."
@@ -106,6 +108,7 @@ def check_json(report: CheckReport) -> dict[str, Any]:
             }
             for one in report.nominal
         ],
+        "refusal": report.refusal or None,
         "sha256": report.digests,
     }
 

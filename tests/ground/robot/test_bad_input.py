@@ -106,6 +106,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (place / f"split_{name}.toml").write_text(text)
     for name, text in EFFECTS.items():
         (place / name).write_text(text)
+    (place / "held" / "runtime.toml").mkdir(parents=True)
+    (place / "patched.toml").write_text(robot.replace("model.xml", "patched.xml"))
+    (place / "patched.xml").write_text((place / "model.xml").read_text())
     (place / "boom.py").write_text(EFFECT.replace("TYPICAL", "0.1"))
     (place / "word.py").write_text(EFFECT.replace("TYPICAL", "'much'"))
     return place
@@ -140,6 +143,7 @@ def write_wrong_logs(place: Path) -> None:
         write(name, position_elbow=changed)
     write("backwards", t=time_s[::-1])
     write("no_column", position_elbow=None)
+    write("still_elbow", position_elbow=np.full(position.size, 0.4))
     of_motion = [columns["motion"] == one.name for one in logs.motions]
     shuffled = {
         name: np.concatenate([columns[name][rows] for rows in (*of_motion[1:], of_motion[0])])
@@ -268,6 +272,9 @@ DIAGNOSE = {
     "robot.toml log.parquet --report nosuch/a.html": "there is no folder nosuch",
     "robot.toml log.parquet --patch nosuch/a": "there is no folder nosuch",
     "robot.toml log.parquet --patch log.parquet": "this is a file; give the path of a folder",
+    "robot.toml log.parquet --patch held": "held/runtime.toml: this is a folder; give another folder",
+    "patched.toml log.parquet --patch .": "this is the file of model too",
+    "robot.toml still_elbow.parquet": "joint elbow: position is constant; the position stays at",
     "robot.toml log.parquet --patch a.html --report a.html": "this is the file of report too",
     # effects
     "robot.toml log.parquet --effects pipe.py": "no such file",

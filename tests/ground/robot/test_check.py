@@ -69,6 +69,20 @@ def test_the_document_has_what_the_screen_has(folder):
     assert document["motions"] == [f"motion {k}" for k in range(4)]
 
 
+def test_a_check_says_that_a_diagnosis_will_refuse_the_logs(folder):
+    logs = slow_logs(planar_arm(), count=2)
+    write_logs(folder / "degrees.parquet", logs, command_elbow=np.degrees(columns_of(logs)["command_elbow"]))
+    done = marsarm(folder, "robot", "check", "robot.toml", "degrees.parquet")
+    assert done.returncode == 0
+    words = " ".join(done.stdout.split())
+    assert (
+        "A diagnosis will refuse these logs: joint elbow: unit looks wrong; the position is 0.0173 times"
+        in words
+    )
+    done = marsarm(folder, "robot", "check", "robot.toml", "degrees.parquet", "--json")
+    assert "unit looks wrong" in json.loads(done.stdout)["refusal"]
+
+
 def test_the_nominal_model_differs_from_the_logs_only_at_the_table(report):
     usable = report.audit.is_usable("motion 0", "elbow")
     nominal, motion = report.nominal[0], report.logs.motions[0]
