@@ -5,10 +5,12 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.arrays import Array, Flags
+from diagnosis.arrays import Array, Integers
+from diagnosis.blocks import cut_rows
 from diagnosis.comparison import improvement_share, knows_noise
 from diagnosis.context import Context, FittedModel, Selection
 from diagnosis.effects.actuation import GainError
+from diagnosis.joint_fits import MIN_MOTIONS
 from diagnosis.noise import noise_residuals
 from diagnosis.residuals import ResidualModel
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
@@ -251,41 +253,40 @@ def list_remainders(
     """
     found = []
     for j, name in enumerate(held_out.joints):
-        ours, theirs = raw.joint_of == j, held_out.joint_of == j
-        if not ours.any() or not theirs.any():
+        rows = np.flatnonzero(held_out.joint_of == j)
+        if not np.any(raw.joint_of == j) or not rows.size:
             continue
-        error = float(np.mean(np.abs(residuals[theirs])))
-        variable, share = find_dependence(raw, fitted, ours, held_out, residuals, theirs)
+        error = float(np.mean(np.abs(residuals[rows])))
+        variable, share = find_dependence(held_out, rows, residuals[rows])
         noise = noise_residuals(raw, fitted, j)
         above = len(noise) and error > MIN_REMAINDER * float(np.mean(np.abs(noise)))
         if above or (not len(noise) and variable):
-            regime = find_regime(held_out.explain("velocity")[theirs], residuals[theirs])
+            regime = find_regime(held_out.explain("velocity")[rows], residuals[rows])
             found.append(Remainder(name, regime, error, held_out.unit, variable, share))
     return found
 
 
-def find_dependence(
-    model: ResidualModel, fitted: Array, ours: Flags, held_out: ResidualModel, residuals: Array, theirs: Flags
-) -> tuple[str, float]:
-    """Find the variable that a residual follows most, also in motions that took no part.
+def find_dependence(model: ResidualModel, rows: Integers, residuals: Array) -> tuple[str, float]:
+    """Find the variable that a residual follows most, from motion to motion.
+
+    Of few motions, blocks as long as the correlation time of the residual count.
 
     Args:
-        model: Motions of the fit.
-        fitted: Their residuals, (n,), in the unit of the model.
-        ours: Rows of the joint in them, (n,) flags.
-        held_out: Motions that judge.
-        residuals: Their residuals, (n_held,), in the unit of the model.
-        theirs: Rows of the joint in them, (n_held,) flags.
+        model: Residuals of the motions that judge.
+        rows: Its rows of one joint, (n_rows,) indices.
+        residuals: Their residuals with the chosen model, (n_rows,), in the unit of the model.
 
     Returns:
         The variable, empty if none explains MIN_DEPENDENCE, and the share that it explains.
     """
+    group = model.motion_of[rows]
+    if len(np.unique(group)) < MIN_MOTIONS:
+        group = cut_rows(model, rows, residuals)
     shares = {}
     for name in VARIABLES:
-        mine, other = model.explain(name)[ours], held_out.explain(name)[theirs]
-        if np.isfinite(mine).all() and np.isfinite(other).all():
-            pair = (fitted[ours], mine), (residuals[theirs], other)
-            shares[name] = unexplained_dependence(*pair)
+        variable = model.explain(name)[rows]
+        if np.isfinite(variable).all():
+            shares[name] = unexplained_dependence(residuals, variable, group)
     most = max(shares.values(), default=0.0)
     best = next((name for name in shares if shares[name] >= most - CLEARLY_MORE), "")
     if not best or shares[best] < MIN_DEPENDENCE:

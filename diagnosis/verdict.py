@@ -220,31 +220,31 @@ def _strongest(values: Array, group: Integers, n_groups: int) -> int:
     return int(np.argmax(squares / np.maximum(np.bincount(group, minlength=n_groups), 1)))
 
 
-def unexplained_dependence(
-    fitted: tuple[Array, Array], held_out: tuple[Array, Array], n_bins: int = 10
-) -> float:
-    """Measure the share of the variance of a residual that follows a variable.
+def unexplained_dependence(residual: Array, variable: Array, group: Integers, n_bins: int = 10) -> float:
+    """Measure the share of a residual that follows a variable.
 
-    Bin means are taken from motions that were fitted, and predict motions that were not.
+    Means of the residual in bins of the variable predict each group from the others. A bin that no other
+    group reaches predicts nothing.
 
     Args:
-        fitted: Residuals and variable, (n,) each, in the unit of the model, of fitted motions.
-        held_out: Residuals and variable, (n,) each, in the unit of the model, of motions that took no part.
+        residual: Residuals, (n,), in any unit.
+        variable: Variable at each of them, (n,), in any unit.
+        group: Motion, or block of a motion, of each of them, (n,), from 0.
         n_bins: Bins with equal counts.
 
     Returns:
-        Share, at most 1; not positive if it predicts nothing.
+        Share of the sum of squares, at most 1; not positive if the variable predicts nothing.
     """
-    residual, variable = fitted
-    if len(residual) < n_bins or len(held_out[0]) < n_bins or np.ptp(variable) == 0.0:
+    total = float(np.sum(residual**2))
+    if len(residual) < n_bins or total == 0.0 or np.ptp(variable) == 0.0:
         return 0.0
     edges = np.unique(np.quantile(variable, np.linspace(0.0, 1.0, n_bins + 1)[1:-1]))
-    place, other = np.searchsorted(edges, variable), np.searchsorted(edges, held_out[1])
-    count = np.maximum(np.bincount(place, minlength=len(edges) + 1), 1)
-    means = np.bincount(place, weights=residual, minlength=len(edges) + 1) / count
-    total = float(np.mean(held_out[0] ** 2))
-    left = float(np.mean((held_out[0] - means[other]) ** 2))
-    return 1.0 - left / total if total > 0.0 else 0.0
+    place, shape = np.searchsorted(edges, variable), (int(group.max()) + 1, len(edges) + 1)
+    count, sums = np.zeros(shape), np.zeros(shape)
+    np.add.at(count, (group, place), 1.0)
+    np.add.at(sums, (group, place), residual)
+    of_others = (sums.sum(axis=0) - sums) / np.maximum(count.sum(axis=0) - count, 1.0)
+    return 1.0 - float(np.sum((residual - of_others[group, place]) ** 2)) / total
 
 
 def list_members(found: ConfidenceSet) -> tuple[tuple[str, ...], tuple[Family, ...], tuple[str, ...]]:

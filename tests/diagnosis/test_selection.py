@@ -137,12 +137,16 @@ def test_problems_that_share_simulations_end_where_they_end_alone() -> None:
 
 def test_a_residual_that_follows_a_variable_is_seen_in_other_motions() -> None:
     rng = np.random.default_rng(1)
-    x = rng.uniform(-1.0, 1.0, (2, 2000))
-    noise = rng.normal(0.0, 1.0, (2, 2000))
-    follows = unexplained_dependence((noise[0] + 2.0 * x[0], x[0]), (noise[1] + 2.0 * x[1], x[1]))
-    alone = unexplained_dependence((noise[0], x[0]), (noise[1], x[1]))
+    x, noise, motion = rng.uniform(-1.0, 1.0, 4000), rng.normal(0.0, 1.0, 4000), np.repeat([0, 1], 2000)
+    follows = unexplained_dependence(noise + 2.0 * x, x, motion)
+    alone = unexplained_dependence(noise, x, motion)
     assert follows == pytest.approx(4.0 / 3.0 / (1.0 + 4.0 / 3.0), abs=0.05)
     assert alone < 0.01
+
+
+def test_where_no_other_motion_goes_nothing_is_predicted() -> None:
+    x = np.linspace(0.0, 1.0, 200)
+    assert unexplained_dependence(1.0 + x, x, np.repeat([0, 1], 100)) == 0.0
 
 
 @pytest.mark.parametrize("n_sizes", [1, 2, 8])
