@@ -15,10 +15,8 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 PACKAGES: Final = ("fsw", "sim", "diagnosis", "ground", "marsarm", "validation", "examples")
 NUMERIC: Final = (
     *("fsw/kinematics", "fsw/estimate", "ground/calibration", "ground/diagnosis"),
-    *("diagnosis/serial_arm", "diagnosis/engine", "diagnosis/fit", "diagnosis/joint_fits"),
-    *("diagnosis/context", "diagnosis/meter"),
-    *("diagnosis/screening", "diagnosis/selection", "diagnosis/verdict", "diagnosis/noise"),
-    *("diagnosis/assemble", "diagnosis/diagnose", "diagnosis/kinds", "diagnosis/comparison"),
+    *("diagnosis/serial_arm", "diagnosis/simulation/engine", "diagnosis/selection"),
+    *("diagnosis/residuals/noise", "diagnosis/residuals/kinds", "diagnosis/assemble", "diagnosis/diagnose"),
 )
 """Folders whose public functions say shapes and units."""
 ARRAYS: Final = re.compile(r"\b(Array|Flags|Integers|Indices|NDArray|Pose)\b")

@@ -6,16 +6,16 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
-from diagnosis.blocks import cut_rows
-from diagnosis.comparison import improvement_share, knows_noise
-from diagnosis.context import Context, FittedModel, Selection
 from diagnosis.effects.actuation import GainError
-from diagnosis.joint_fits import MIN_MOTIONS
-from diagnosis.noise import noise_residuals
-from diagnosis.residuals import ResidualModel
+from diagnosis.residuals.blocks import cut_rows
+from diagnosis.residuals.noise import noise_residuals
+from diagnosis.residuals.residuals import ResidualModel
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
 from diagnosis.robot import Robot
-from diagnosis.verdict import (
+from diagnosis.selection.comparison import improvement_share, knows_noise
+from diagnosis.selection.context import Context, FittedModel, Selection
+from diagnosis.selection.joint_fits import MIN_MOTIONS
+from diagnosis.selection.verdict import (
     ConfidenceSet,
     list_members,
     separating_motion,

@@ -13,18 +13,18 @@ from diagnosis.audit.rates import COARSE_RAD
 from diagnosis.audit.records import Audit, Remark
 from diagnosis.audit.records import Kind as RemarkKind
 from diagnosis.audit.samples import joint_samples
-from diagnosis.catalogue import base_effects, catalogue
-from diagnosis.checkpoint import Checkpoint, digest_inputs
+from diagnosis.catalogue.catalogue import base_effects, catalogue
 from diagnosis.effects.effect import Effect
-from diagnosis.encoder_residuals import why_refused
 from diagnosis.errors import RobotError
-from diagnosis.kinds import Kind, list_kinds
 from diagnosis.logs import Logs, Motion, Signal
-from diagnosis.meter import Meter, Progress
+from diagnosis.residuals.encoder_residuals import why_refused
+from diagnosis.residuals.kinds import Kind, list_kinds
 from diagnosis.result import Diagnosis, Rejected
 from diagnosis.robot import ControlMode, Robot
-from diagnosis.selection import select_effects
-from diagnosis.verdict import find_confidence_sets
+from diagnosis.selection.checkpoint import Checkpoint, digest_inputs
+from diagnosis.selection.meter import Meter, Progress
+from diagnosis.selection.selection import select_effects
+from diagnosis.selection.verdict import find_confidence_sets
 
 MOST_STEPS: Final = 50_000
 """Steps of a candidate that is fitted: at 10 microseconds each, a few thousand candidates take half an hour.

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from diagnosis.errors import RobotError
-from diagnosis.log_file import open_log
+from diagnosis.files.log_file import open_log
+from diagnosis.files.motion_rows import MotionRows
+from diagnosis.files.robot_file import RobotFile
+from diagnosis.files.split_file import Member, choose_motions, read_split
 from diagnosis.logs import JointLog, Logs, Motion, Signal
-from diagnosis.motion_rows import MotionRows
 from diagnosis.robot import Robot
-from diagnosis.robot_file import RobotFile
-from diagnosis.split_file import Member, choose_motions, read_split
 
 
 def load(

@@ -133,14 +133,14 @@ class Diagnosis:
         return 1.0 - after / before if before > 0.0 else None
 
     def patch(self, robot: Robot, folder: str | Path) -> tuple[Path, ...]:
-        """Write the patched model and the runtime file, and return their paths; see `diagnosis.patch`."""
-        from diagnosis.patch import save_patch
+        """Write the patched model and the runtime file, and return the paths; see `diagnosis.patch`."""
+        from diagnosis.patch.patch import save_patch
 
         return save_patch(robot, self, Path(folder))
 
     def report(self, path: str | Path, robot: Robot, motions: Sequence[Motion] = ()) -> None:
-        """Write the page, with interactive traces of these motions before and after; see `diagnosis.page`."""
-        from diagnosis.page.page import save_page
-        from diagnosis.page.traces import trace_motions
+        """Write the page, with interactive traces of these motions; see `diagnosis.report`."""
+        from diagnosis.report.page import save_page
+        from diagnosis.report.traces import trace_motions
 
         save_page(self, trace_motions(robot, motions, self), Path(path))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import mujoco
 
 if TYPE_CHECKING:
-    from diagnosis.robot_file import RobotFile
+    from diagnosis.files.robot_file import RobotFile
 
 # MuJoCo would write its warnings to a file in the current directory; simulations look for bad states
 mujoco.set_mju_user_warning(lambda _: None)
@@ -79,7 +79,7 @@ class Robot:
         Raises:
             RobotError: the file, the model, or what the one says of the other is wrong.
         """
-        from diagnosis.robot_model import build_robot
+        from diagnosis.files.robot_model import build_robot
 
         return build_robot(Path(path))
 

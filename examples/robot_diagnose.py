@@ -7,11 +7,11 @@ import mujoco
 import numpy as np
 
 from diagnosis.audit.audit import audit
-from diagnosis.compiled import HARD_IMPEDANCE
 from diagnosis.diagnose import diagnose
 from diagnosis.load import load
+from diagnosis.report.sentences import verdict_lines
 from diagnosis.robot import Robot
-from diagnosis.sentences import verdict_lines
+from diagnosis.simulation.compiled import HARD_IMPEDANCE
 
 MODEL = """
 <mujoco>

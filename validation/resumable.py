@@ -5,7 +5,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from diagnosis.checkpoint import digest_code
+from diagnosis.selection.checkpoint import digest_code
 from ground.common.checkpoint import Checkpoint
 
 Result = dict[str, Any]

@@ -18,20 +18,20 @@ import numpy as np
 from diagnosis.assemble import simulate_models
 from diagnosis.audit.audit import audit
 from diagnosis.audit.records import Audit
-from diagnosis.catalogue import base_effects, catalogue
-from diagnosis.context import start_context
+from diagnosis.catalogue.catalogue import base_effects, catalogue
 from diagnosis.diagnose import MOST_STEPS, diagnose
 from diagnosis.effects.actuation import GainError
 from diagnosis.effects.effect import Effect
 from diagnosis.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
 from diagnosis.effects.inertia import Armature
 from diagnosis.errors import RobotError
-from diagnosis.joint_fits import fit_base
-from diagnosis.kinds import list_kinds
 from diagnosis.load import load
 from diagnosis.logs import Logs
-from diagnosis.meter import Meter
+from diagnosis.residuals.kinds import list_kinds
 from diagnosis.robot import Robot
+from diagnosis.selection.context import start_context
+from diagnosis.selection.joint_fits import fit_base
+from diagnosis.selection.meter import Meter
 from validation.options import campaign_parser
 
 EXAMPLE: Final = (

@@ -23,18 +23,18 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.context import start_context
 from diagnosis.diagnose import diagnose
 from diagnosis.errors import RobotError
-from diagnosis.joint_fits import fit_base
-from diagnosis.kinds import list_kinds
 from diagnosis.load import load
 from diagnosis.logs import Logs, Motion, Signal
-from diagnosis.meter import Meter
-from diagnosis.residuals import ResidualModel
+from diagnosis.residuals.kinds import list_kinds
+from diagnosis.residuals.residuals import ResidualModel
+from diagnosis.residuals.simulation_residuals import SimulationResiduals
 from diagnosis.result import Diagnosis
 from diagnosis.robot import Robot
-from diagnosis.simulation_residuals import SimulationResiduals
+from diagnosis.selection.context import start_context
+from diagnosis.selection.joint_fits import fit_base
+from diagnosis.selection.meter import Meter
 from ground.common.errors import UserError
 from ground.common.progress import show_progress
 from validation.options import campaign_parser

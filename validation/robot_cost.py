@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from diagnosis.diagnose import diagnose
-from diagnosis.meter import Progress
+from diagnosis.selection.meter import Progress
 from ground.common.errors import UserError
 from ground.common.progress import show_progress
 from ground.render.figures import save_figure

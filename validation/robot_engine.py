@@ -19,14 +19,14 @@ import mujoco.rollout
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.compiled import Models, laws, nominal_gains
 from diagnosis.effects.effect import Effect
 from diagnosis.effects.friction import StribeckFriction
 from diagnosis.effects.joint import joint_scales
-from diagnosis.engine import Engine
 from diagnosis.logs import JointLog, Motion, Signal
 from diagnosis.robot import Robot
-from diagnosis.windows import cut_windows
+from diagnosis.simulation.compiled import Models, laws, nominal_gains
+from diagnosis.simulation.engine import Engine
+from diagnosis.simulation.windows import cut_windows
 
 ROBOT: Final = "models/robots/so101/robot.toml"
 SECONDS: Final = 10.0

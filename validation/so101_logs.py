@@ -17,8 +17,8 @@ import pyarrow.parquet as pq
 
 from diagnosis.arrays import Array
 from diagnosis.errors import RobotError
+from diagnosis.files.split_file import read_split
 from diagnosis.robot import Robot
-from diagnosis.split_file import read_split
 
 EXAMPLE: Final = "example: python -m validation.so101_logs sage/output/real/so101/custom so101.parquet"
 ROBOT: Final = Path(__file__).parents[1] / "models" / "robots" / "so101" / "robot.toml"

@@ -19,16 +19,16 @@ from diagnosis.assemble import list_base, simulate_models
 from diagnosis.audit.audit import audit
 from diagnosis.audit.plane import site_heights
 from diagnosis.audit.records import Audit, Kind
-from diagnosis.catalogue import base_effects
-from diagnosis.context import start_context
+from diagnosis.catalogue.catalogue import base_effects
 from diagnosis.diagnose import MOST_STEPS
 from diagnosis.errors import RobotError
-from diagnosis.joint_fits import fit_base
 from diagnosis.load import load
 from diagnosis.logs import Logs, Motion
-from diagnosis.meter import Meter
+from diagnosis.residuals.simulation_residuals import SimulationResiduals
 from diagnosis.robot import Robot
-from diagnosis.simulation_residuals import SimulationResiduals
+from diagnosis.selection.context import start_context
+from diagnosis.selection.joint_fits import fit_base
+from diagnosis.selection.meter import Meter
 from ground.render.figures import save_figure
 
 EXAMPLE: Final = "example: python -m validation.so101_pictures so101.parquet --out docs"

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Final
 
 from pydantic import ConfigDict, Field, field_validator
 
+from diagnosis.files.toml_record import Record, parse_record, read_toml
 from diagnosis.serial_arm.arm import Link, Repeatability, SerialArm, Uncertainty, UPRIGHT_B_m_s2, Vector
-from diagnosis.toml_record import Record, parse_record, read_toml
 
 MOST_LINKS: Final = 20
 """Most links of an arm: the fit of more would take minutes."""

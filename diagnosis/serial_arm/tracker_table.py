@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.errors import RobotError
-from diagnosis.log_file import LogFile, open_log
-from diagnosis.robot_file import CsvTable, Text
+from diagnosis.files.log_file import LogFile, open_log
+from diagnosis.files.robot_file import CsvTable, Text
+from diagnosis.files.toml_record import Record, parse_record, read_toml
 from diagnosis.serial_arm.arm import SerialArm
 from diagnosis.serial_arm.poses import Pose
 from diagnosis.serial_arm.series import PoseSeries, move_directions
-from diagnosis.toml_record import Record, parse_record, read_toml
 from diagnosis.units import COUNTS, FRACTION, Quantity, Unit, find_unit
 
 MIN_STALE_ROWS: Final = 3

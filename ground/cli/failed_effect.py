@@ -11,7 +11,7 @@ FRAME_PATTERN: Final = re.compile(r'File "(?P<file>[^"]+)", line (?P<line>[0-9]+
 
 def describe_failed_effect(error: Exception) -> str | None:
     """Describe an exception that passed through the file of a user's effect; None for any other exception."""
-    modules = (sys.modules.get(name) for name in ("sim.scenario.effects", "diagnosis.own_effects"))
+    modules = (sys.modules.get(name) for name in ("sim.scenario.effects", "diagnosis.catalogue.own_effects"))
     files = set().union(*(module.user_files() for module in modules if module is not None))
     if not files:
         return None

@@ -39,11 +39,11 @@ def diagnose(request: RobotDiagnoseRequest, progress: Progress) -> VerbResult:
     """Find why a robot and its model differ: where, which effect, how far, and what to record next.
 
     Motions that are held out take no part in the fit, and judge it. docs/robot.md describes the files, and
-    how to read the verdict. The patch holds the changed model, and a file for diagnosis.runtime.
+    how to read the verdict. The patch holds the changed model, and a file for diagnosis.patch.runtime.
 
     Example: marsarm robot diagnose robot.toml logs.parquet --report found.html --patch found
     """
-    from diagnosis.document import to_document
+    from diagnosis.report.document import to_document
     from ground.robot.diagnosis import diagnose_robot, save_diagnosis_files
     from ground.robot.diagnosis_page import print_diagnosis
 

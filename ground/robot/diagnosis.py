@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Final
 
 from diagnosis.audit.audit import audit
+from diagnosis.catalogue.own_effects import load_effects
 from diagnosis.diagnose import diagnose
 from diagnosis.load import load
 from diagnosis.logs import Logs, Motion
-from diagnosis.own_effects import load_effects
-from diagnosis.page.traces import Trace, trace_motions
-from diagnosis.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, write_patch
+from diagnosis.patch.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, write_patch
+from diagnosis.report.traces import Trace, trace_motions
 from diagnosis.result import Diagnosis
 from diagnosis.robot import Robot
 from ground.common.errors import BadOutput, BadRequest

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from diagnosis.document import to_document
-from diagnosis.page.page import page_title
-from diagnosis.page.parts import page_parts
-from diagnosis.sentences import detail_lines, verdict_lines
+from diagnosis.report.document import to_document
+from diagnosis.report.page import page_title
+from diagnosis.report.parts import page_parts
+from diagnosis.report.sentences import detail_lines, verdict_lines
 from ground.common.command_text import command_text
 from ground.common.json_digest import json_sha256
 from ground.render.console import plain_console

@@ -6,12 +6,12 @@ from typing import Final
 import numpy as np
 
 from diagnosis.audit.audit import audit
+from diagnosis.audit.nominal import NominalModel, NominalMotion
 from diagnosis.audit.records import Audit
 from diagnosis.diagnose import check_motions, check_remarks
 from diagnosis.errors import RobotError
 from diagnosis.load import load
 from diagnosis.logs import Logs, Motion
-from diagnosis.nominal import NominalModel, NominalMotion
 from diagnosis.robot import Robot
 from ground.common.files import digest_files
 from ground.common.options import check_options

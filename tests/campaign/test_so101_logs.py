@@ -7,9 +7,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from diagnosis.errors import RobotError
+from diagnosis.files.split_file import read_split
 from diagnosis.load import load
 from diagnosis.robot import Robot
-from diagnosis.split_file import read_split
 from tests.diagnosis.real_robots import robot_path
 from validation.so101_logs import convert
 

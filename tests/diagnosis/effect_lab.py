@@ -8,11 +8,11 @@ import mujoco.batch
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.compiled import Models
 from diagnosis.effects.effect import Effect, Fields
-from diagnosis.engine import Engine
 from diagnosis.robot import ControlMode, Robot, RobotJoint
-from diagnosis.windows import Window
+from diagnosis.simulation.compiled import Models
+from diagnosis.simulation.engine import Engine
+from diagnosis.simulation.windows import Window
 
 ARM_XML = """
 <mujoco model="arm">

@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.compiled import Models
 from diagnosis.effects.effect import Effect
 from diagnosis.effects.joint import JointEffect, JointScales
-from diagnosis.engine import Engine
 from diagnosis.logs import JointLog, Motion, Signal
 from diagnosis.robot import ControlMode, Robot, RobotJoint
-from diagnosis.windows import cut_windows
+from diagnosis.simulation.compiled import Models
+from diagnosis.simulation.engine import Engine
+from diagnosis.simulation.windows import cut_windows
 
 MASS_kg, LENGTH_m, ARMATURE_kgm2, g_m_s2 = 0.5, 0.1, 0.002, 9.81
 XML = """

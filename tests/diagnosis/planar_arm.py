@@ -5,8 +5,8 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from diagnosis.audit.nominal import NominalModel
 from diagnosis.logs import JointLog, Logs, Motion, Signal
-from diagnosis.nominal import NominalModel
 from diagnosis.robot import ControlMode, Robot, RobotJoint
 
 RATE_HZ = 50.0

@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from diagnosis.blocks import Blocks, correlation_time_s, cut_into_blocks, cut_rows
 from diagnosis.effects.friction import CoulombFriction
-from diagnosis.inverse_residuals import InverseResiduals
+from diagnosis.residuals.blocks import Blocks, correlation_time_s, cut_into_blocks, cut_rows
+from diagnosis.residuals.inverse_residuals import InverseResiduals
 from tests.diagnosis.toy import draw_toy
 from tests.diagnosis.two_joint_arm import arm, scales, simulated
 

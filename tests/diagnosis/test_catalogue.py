@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.catalogue import base_effects, catalogue
+from diagnosis.catalogue.catalogue import base_effects, catalogue
 from diagnosis.effects import effect as interface
 from diagnosis.effects.effect import Effect, Family
 from diagnosis.effects.periodic import PeriodicError, SmoothPeriodicError

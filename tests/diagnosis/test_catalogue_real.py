@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from diagnosis.catalogue import base_effects, catalogue
+from diagnosis.catalogue.catalogue import base_effects, catalogue
 from diagnosis.effects.contact import PlaneContact
 from diagnosis.load import load
 from diagnosis.robot import Robot

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from diagnosis.arrays import Array
-from diagnosis.checkpoint import Checkpoint, EXPIRED_s, digest_inputs, pack, unpack
-from diagnosis.context import Selection
 from diagnosis.effects.effect import Effect
-from diagnosis.meter import Meter
-from diagnosis.selection import select_effects
-from diagnosis.verdict import ConfidenceSet, find_confidence_sets
+from diagnosis.selection.checkpoint import Checkpoint, EXPIRED_s, digest_inputs, pack, unpack
+from diagnosis.selection.context import Selection
+from diagnosis.selection.meter import Meter
+from diagnosis.selection.selection import select_effects
+from diagnosis.selection.verdict import ConfidenceSet, find_confidence_sets
 from tests.diagnosis.planar_arm import planar_arm, slow_logs, with_joint
 from tests.diagnosis.toy import BASE, CATALOGUE, Toy, ToyResiduals, draw_toy
 
@@ -166,7 +166,11 @@ def test_a_step_that_contains_steps_is_recalled_as_one(tmp_path: Path) -> None:
 
 
 def test_only_records_of_the_diagnosis_are_made_from_a_file() -> None:
-    for module, name in (("os", "system"), ("diagnosis.checkpoint", "Checkpoint"), ("dataclasses", "field")):
+    for module, name in (
+        ("os", "system"),
+        ("diagnosis.selection.checkpoint", "Checkpoint"),
+        ("dataclasses", "field"),
+    ):
         with pytest.raises(KeyError):
             unpack({"record": [module, name], "fields": []}, [], {})
 
@@ -195,7 +199,7 @@ def test_the_digest_changes_with_the_code(monkeypatch: pytest.MonkeyPatch, tmp_p
     robot = planar_arm()
     before = digest_inputs(robot, (), None, (), 1)
     (tmp_path / "fit.py").write_text("")
-    monkeypatch.setattr("diagnosis.checkpoint.PACKAGE", tmp_path)
+    monkeypatch.setattr("diagnosis.selection.checkpoint.PACKAGE", tmp_path)
     assert digest_inputs(robot, (), None, (), 1) != before
 
 

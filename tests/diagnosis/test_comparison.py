@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.comparison import compare_motions, compare_with_noise
-from diagnosis.context import start_context
 from diagnosis.effects.effect import Effect
-from diagnosis.meter import Meter
-from diagnosis.selection import select_effects
+from diagnosis.selection.comparison import compare_motions, compare_with_noise
+from diagnosis.selection.context import start_context
+from diagnosis.selection.meter import Meter
+from diagnosis.selection.selection import select_effects
 from tests.diagnosis.toy import BASE, NAMES, Toy, ToyResiduals, draw_toy
 
 LIMIT = Toy("near", "limit", lambda x: np.maximum(x - 0.8, 0.0))

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from diagnosis.arrays import Array
-from diagnosis.compiled import Models
-from diagnosis.profiler import profiler_off
 from diagnosis.robot import Robot
+from diagnosis.simulation.compiled import Models
+from diagnosis.simulation.profiler import profiler_off
 from tests.diagnosis.pendulum import pendulum
 from tests.diagnosis.two_joint_arm import arm
 

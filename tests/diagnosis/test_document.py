@@ -6,8 +6,8 @@ from math import inf
 
 import pytest
 
-from diagnosis.document import from_document, to_document
 from diagnosis.errors import RobotError
+from diagnosis.report.document import from_document, to_document
 from tests.diagnosis.verdicts import (
     ARMATURE,
     GAIN,

@@ -32,8 +32,8 @@ from diagnosis.effects.inertia import Armature
 from diagnosis.effects.joint import JointEffect
 from diagnosis.effects.timing import EncoderScale, JointZero, MeasurementDelay
 from diagnosis.logs import Motion, Signal
+from diagnosis.residuals.simulation_residuals import SimulationResiduals
 from diagnosis.robot import ControlMode, Robot
-from diagnosis.simulation_residuals import SimulationResiduals
 from tests.diagnosis.pendulum import (
     ARMATURE_kgm2,
     INERTIA_kgm2,

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.blocks import correlation_time_s
-from diagnosis.catalogue import catalogue
+from diagnosis.catalogue.catalogue import catalogue
 from diagnosis.effects.friction import CoulombFriction
 from diagnosis.effects.timing import EncoderScale, MeasurementDelay
 from diagnosis.effects.transmission import Backlash, JointCompliance
-from diagnosis.encoder_residuals import EncoderResiduals, shows, why_refused
 from diagnosis.errors import RobotError
 from diagnosis.load import load
 from diagnosis.logs import JointLog, Motion, Signal
+from diagnosis.residuals.blocks import correlation_time_s
+from diagnosis.residuals.encoder_residuals import EncoderResiduals, shows, why_refused
 from diagnosis.robot import Robot
 from tests.diagnosis.real_robots import robot_path
 from tests.diagnosis.two_joint_arm import PERIOD_s, arm, rms, scales, simulated

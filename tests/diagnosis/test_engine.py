@@ -17,10 +17,10 @@ from diagnosis.effects.timing import MeasurementDelay
 from diagnosis.effects.transmission import Backlash
 from diagnosis.errors import RobotError
 from diagnosis.logs import JointLog, Motion, Signal
-from diagnosis.residuals import residuals_by_motion
+from diagnosis.residuals.residuals import residuals_by_motion
+from diagnosis.residuals.simulation_residuals import PENALTY_rad, SimulationResiduals
 from diagnosis.robot import ControlMode
-from diagnosis.simulation_residuals import PENALTY_rad, SimulationResiduals
-from diagnosis.windows import cut_windows, held_means
+from diagnosis.simulation.windows import cut_windows, held_means
 from tests.diagnosis.pendulum import (
     INERTIA_kgm2,
     LENGTH_m,
@@ -197,7 +197,7 @@ def test_many_periods_in_one_call_give_the_bits_of_single_ones(
     typical = np.array([one.typical for effect in STEADY for one in effect.sizes])
     sizes = typical * np.array([[1, 1, 1, 1, 1], [0, 0, 0, 0, 0], [0, 2, -1, 0, 0], [1e300, 0, 0, 1, 0]])
     together = model.residuals(STEADY, sizes)
-    monkeypatch.setattr("diagnosis.simulation.SPAN", 1)
+    monkeypatch.setattr("diagnosis.simulation.simulation.SPAN", 1)
     assert np.array_equal(together, model.residuals(STEADY, sizes))
     capfd.readouterr()  # MuJoCo itself prints a warning on the gain of 1e300
 

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.catalogue import catalogue
+from diagnosis.catalogue.catalogue import catalogue
 from diagnosis.effects.external import PositionTorque
 from diagnosis.effects.friction import CoulombFriction, StribeckFriction, ViscousFriction
 from diagnosis.effects.inertia import Armature, LinkMass
 from diagnosis.effects.timing import EncoderScale, JointZero
 from diagnosis.effects.transmission import JointCompliance
 from diagnosis.errors import RobotError
-from diagnosis.inverse_residuals import InverseResiduals, shows
 from diagnosis.load import load
 from diagnosis.logs import JointLog, Motion, Signal
+from diagnosis.residuals.inverse_residuals import InverseResiduals, shows
 from diagnosis.robot import Robot
 from tests.diagnosis.real_robots import robot_path
 from tests.diagnosis.two_joint_arm import arm, rms, scales, simulated

@@ -8,15 +8,15 @@ import pytest
 
 from diagnosis.arrays import Array
 from diagnosis.assemble import find_interval
-from diagnosis.context import start_context
-from diagnosis.cross_validation import step_without
 from diagnosis.effects.effect import Effect, Size
-from diagnosis.fit import Fit, Hypothesis, Union, fit_hypotheses
-from diagnosis.joint_fits import fit_base
-from diagnosis.meter import Meter
-from diagnosis.noise import WhitenedResiduals, whiten_noise
-from diagnosis.selection import select_effects
-from diagnosis.sharing import share_nothing
+from diagnosis.residuals.noise import WhitenedResiduals, whiten_noise
+from diagnosis.selection.context import start_context
+from diagnosis.selection.cross_validation import step_without
+from diagnosis.selection.fit import Fit, Hypothesis, Union, fit_hypotheses
+from diagnosis.selection.joint_fits import fit_base
+from diagnosis.selection.meter import Meter
+from diagnosis.selection.selection import select_effects
+from diagnosis.selection.sharing import share_nothing
 from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 
 

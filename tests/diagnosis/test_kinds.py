@@ -6,15 +6,15 @@ from dataclasses import replace
 import pytest
 
 from diagnosis.assemble import list_base
-from diagnosis.catalogue import base_effects, catalogue
-from diagnosis.context import start_context
+from diagnosis.catalogue.catalogue import base_effects, catalogue
 from diagnosis.effects.actuation import GainError
 from diagnosis.effects.effect import Family
-from diagnosis.joint_fits import fit_base
-from diagnosis.kinds import list_kinds
 from diagnosis.logs import Logs, Motion
-from diagnosis.meter import Meter
+from diagnosis.residuals.kinds import list_kinds
 from diagnosis.robot import Robot
+from diagnosis.selection.context import start_context
+from diagnosis.selection.joint_fits import fit_base
+from diagnosis.selection.meter import Meter
 from tests.diagnosis.two_joint_arm import arm, simulated
 
 

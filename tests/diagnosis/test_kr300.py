@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.catalogue import catalogue
+from diagnosis.catalogue.catalogue import catalogue
 from diagnosis.diagnose import diagnose
 from diagnosis.effects.effect import Family
-from diagnosis.inverse_residuals import InverseResiduals, shows
 from diagnosis.load import load
+from diagnosis.residuals.inverse_residuals import InverseResiduals, shows
 from diagnosis.result import Diagnosis, Finding
 from diagnosis.robot import Robot
 
@@ -69,7 +69,8 @@ def test_batch_b_names_an_external_torque_at_axis_2(fitted_b):
 
 
 @pytest.mark.xfail(
-    reason="on B the spring fits as well as any torque; on A, where axis 2 turns further, it is 1.80 off", strict=True
+    reason="on B the spring fits as well as any torque; on A, where axis 2 turns further, it is 1.80 off",
+    strict=True,
 )
 def test_batch_b_names_a_torque_at_axis_2_that_holds_for_batch_a(fitted_b):
     assert fitted_b[2] < 1.5

@@ -8,8 +8,8 @@ import pytest
 from mcap.writer import Writer
 
 from diagnosis.errors import RobotError
+from diagnosis.files.ros_message import BadMessage, RosReader
 from diagnosis.load import load
-from diagnosis.ros_message import BadMessage, RosReader
 from tests.diagnosis.robot_folder import write_robot
 
 JOINT_STATE = """# joints

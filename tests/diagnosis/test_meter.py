@@ -4,9 +4,9 @@ from itertools import pairwise
 
 import pytest
 
-from diagnosis.meter import Meter
-from diagnosis.selection import select_effects
-from diagnosis.verdict import find_confidence_sets
+from diagnosis.selection.meter import Meter
+from diagnosis.selection.selection import select_effects
+from diagnosis.selection.verdict import find_confidence_sets
 from tests.diagnosis.toy import BASE, CATALOGUE, draw_toy
 
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from diagnosis.audit.nominal import NominalModel
 from diagnosis.logs import Signal
-from diagnosis.nominal import NominalModel
 from tests.diagnosis.planar_arm import COUNT_RAD, commands, planar_arm, record
 
 

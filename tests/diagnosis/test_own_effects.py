@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.catalogue import catalogue
+from diagnosis.catalogue.catalogue import catalogue
+from diagnosis.catalogue.own_effects import load_effects
 from diagnosis.errors import RobotError
 from diagnosis.logs import JointLog, Logs, Motion, Signal
-from diagnosis.own_effects import load_effects
 from tests.diagnosis.effect_lab import ARM_XML, robot_of, simulate
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from diagnosis.arrays import Array
-from diagnosis.context import start_context
 from diagnosis.effects.effect import Effect
-from diagnosis.fit import gather_residuals
-from diagnosis.joint_fits import fit_base, fit_joints
-from diagnosis.meter import Meter
-from diagnosis.selection import find_chance, select_effects
+from diagnosis.selection.context import start_context
+from diagnosis.selection.fit import gather_residuals
+from diagnosis.selection.joint_fits import fit_base, fit_joints
+from diagnosis.selection.meter import Meter
+from diagnosis.selection.selection import find_chance, select_effects
 from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 
 STEP = Toy("near", "step of all", np.sign)

@@ -7,18 +7,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from diagnosis.compiled import Models
 from diagnosis.effects.actuation import BackEmf, DeadZone, GainError, LeakyIntegral
 from diagnosis.effects.command import AccelerationLimit, ClampHigh, CommandDelay, VelocityLimit
 from diagnosis.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
 from diagnosis.effects.inertia import Armature
 from diagnosis.effects.joint import JointScales
 from diagnosis.effects.timing import EncoderScale, JointZero, MeasurementDelay
-from diagnosis.engine import Engine
 from diagnosis.logs import Signal
-from diagnosis.patch import make_patch, save_patch
-from diagnosis.runtime import RuntimeEffects
-from diagnosis.windows import cut_windows
+from diagnosis.patch.patch import make_patch, save_patch
+from diagnosis.patch.runtime import RuntimeEffects
+from diagnosis.simulation.compiled import Models
+from diagnosis.simulation.engine import Engine
+from diagnosis.simulation.windows import cut_windows
 from tests.diagnosis.pendulum import motion, pendulum, waves
 from tests.diagnosis.planar_arm import planar_arm
 from tests.diagnosis.verdicts import diagnosis

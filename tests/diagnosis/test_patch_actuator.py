@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from diagnosis.errors import RobotError
-from diagnosis.patch import make_patch
+from diagnosis.patch.patch import make_patch
+from diagnosis.patch.runtime import RuntimeEffects, RuntimeJoint
 from diagnosis.robot import Robot
-from diagnosis.runtime import RuntimeEffects, RuntimeJoint
 from tests.diagnosis.pendulum import pendulum
 from tests.diagnosis.test_patch import COMMAND, TIME_s, by_engine
 

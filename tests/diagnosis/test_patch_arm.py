@@ -10,9 +10,9 @@ from diagnosis.effects.geometry import GravityDirection, LinkLength
 from diagnosis.effects.inertia import LinkCentre, LinkInertia, LinkMass, Payload
 from diagnosis.effects.transmission import Backlash, JointCompliance
 from diagnosis.logs import Signal
-from diagnosis.patch import make_patch, save_patch
-from diagnosis.runtime import RuntimeEffects
-from diagnosis.windows import held_means
+from diagnosis.patch.patch import make_patch, save_patch
+from diagnosis.patch.runtime import RuntimeEffects
+from diagnosis.simulation.windows import held_means
 from tests.diagnosis.effect_lab import ARM_XML, robot_of, simulate
 from tests.diagnosis.verdicts import diagnosis
 

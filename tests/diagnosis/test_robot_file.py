@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from diagnosis.errors import RobotError
+from diagnosis.files.robot_file import SerialFile, read_robot_file
 from diagnosis.robot import ControlMode, Robot
-from diagnosis.robot_file import SerialFile, read_robot_file
 from tests.diagnosis.robot_folder import MODEL, write_robot
 
 GAIN = 'gain_column = "gain"\nkp_Nm_rad = 15.0\n'

@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from diagnosis.files.robot_file import SerialFile, read_robot_file
+from diagnosis.files.split_file import read_split
 from diagnosis.load import load
 from diagnosis.robot import Robot
-from diagnosis.robot_file import SerialFile, read_robot_file
-from diagnosis.split_file import read_split
 from tests.diagnosis.real_robots import LOADED, LOGS, ROBOTS, robot_path
 
 PUBLISHED = {"so101": "so101/so101.xml", "kr300": "kr300/kr300.xml"}

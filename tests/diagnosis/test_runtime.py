@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
+from diagnosis.catalogue.own_effects import load_effects
 from diagnosis.effects.command import AccelerationLimit, ClampHigh, ClampLow, CommandDelay, VelocityLimit
 from diagnosis.effects.friction import LoadFriction
 from diagnosis.errors import RobotError
 from diagnosis.logs import Logs
-from diagnosis.own_effects import load_effects
-from diagnosis.patch import make_patch
-from diagnosis.runtime import RuntimeEffects
+from diagnosis.patch.patch import make_patch
+from diagnosis.patch.runtime import RuntimeEffects
 from tests.diagnosis.pendulum import motion, pendulum, waves
 from tests.diagnosis.test_patch import SCALES
 

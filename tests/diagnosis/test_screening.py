@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from diagnosis.effects.effect import Size
-from diagnosis.fit import Fit, Union
-from diagnosis.screening import list_trials, score_effect, whiten
+from diagnosis.selection.fit import Fit, Union
+from diagnosis.selection.screening import list_trials, score_effect, whiten
 from tests.diagnosis.toy import NAMES, Toy, ToyResiduals
 
 X = np.linspace(-1.0, 1.0, 50)

@@ -11,15 +11,15 @@ from diagnosis.assemble import (
     list_remainders,
     simulate_models,
 )
-from diagnosis.chance import FALSE_ALARM
-from diagnosis.context import Score, start_context
-from diagnosis.fit import Hypothesis, Union, fit_hypotheses
-from diagnosis.joint_fits import fit_base
-from diagnosis.meter import Meter
-from diagnosis.screening import adjust
-from diagnosis.selection import list_again, select_effects
-from diagnosis.sharing import Sharing, share_nothing
-from diagnosis.verdict import find_confidence_sets, size_intervals, unexplained_dependence
+from diagnosis.selection.chance import FALSE_ALARM
+from diagnosis.selection.context import Score, start_context
+from diagnosis.selection.fit import Hypothesis, Union, fit_hypotheses
+from diagnosis.selection.joint_fits import fit_base
+from diagnosis.selection.meter import Meter
+from diagnosis.selection.screening import adjust
+from diagnosis.selection.selection import list_again, select_effects
+from diagnosis.selection.sharing import Sharing, share_nothing
+from diagnosis.selection.verdict import find_confidence_sets, size_intervals, unexplained_dependence
 from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 
 TRUTH = {"near: square": 0.1, "far: sine": 0.05, "far: step": -0.03}

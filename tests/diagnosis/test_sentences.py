@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from diagnosis.effects.effect import Family
+from diagnosis.report.sentences import detail_lines, level, verdict_lines, verdict_word
 from diagnosis.result import Rejected
-from diagnosis.sentences import detail_lines, level, verdict_lines, verdict_word
 from tests.diagnosis.verdicts import (
     ARMATURE,
     FRICTION,

@@ -7,8 +7,8 @@ import pytest
 
 from diagnosis.arrays import Array
 from diagnosis.effects.effect import Effect
-from diagnosis.selection import select_effects
-from diagnosis.sharing import ALL_JOINTS, Sharing, find_sharing, relative_reach, share_nothing
+from diagnosis.selection.selection import select_effects
+from diagnosis.selection.sharing import ALL_JOINTS, Sharing, find_sharing, relative_reach, share_nothing
 from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, ToyResiduals, draw_toy
 
 NONE = np.empty(0, np.int64)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from diagnosis.arrays import Array
-from diagnosis.simulation_residuals import SimulationResiduals
+from diagnosis.residuals.simulation_residuals import SimulationResiduals
 from tests.diagnosis.pendulum import motion, pendulum, simulated, waves
 
 TIME_s = np.arange(0.0, 2.0, 0.01)

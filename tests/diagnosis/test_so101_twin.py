@@ -8,13 +8,13 @@ import pytest
 from diagnosis.assemble import list_base
 from diagnosis.audit.audit import audit
 from diagnosis.audit.records import Kind
-from diagnosis.catalogue import base_effects
-from diagnosis.context import start_context
+from diagnosis.catalogue.catalogue import base_effects
 from diagnosis.diagnose import diagnose
-from diagnosis.joint_fits import fit_base
 from diagnosis.logs import Logs
-from diagnosis.meter import Meter
-from diagnosis.simulation_residuals import SimulationResiduals
+from diagnosis.residuals.simulation_residuals import SimulationResiduals
+from diagnosis.selection.context import start_context
+from diagnosis.selection.joint_fits import fit_base
+from diagnosis.selection.meter import Meter
 from tests.diagnosis.so101_twin import (
     REST,
     CLAMP_rad,

@@ -9,7 +9,7 @@ import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect, Family, Size
-from diagnosis.residuals import ResidualModel
+from diagnosis.residuals.residuals import ResidualModel
 
 
 @dataclass(frozen=True)

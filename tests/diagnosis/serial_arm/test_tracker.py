@@ -11,7 +11,7 @@ from diagnosis.serial_arm.effects import DirectionHysteresis, JointCompliance, P
 from diagnosis.serial_arm.elimination import BLOCKS, Elimination
 from diagnosis.serial_arm.initial_setup import estimate_setup
 from diagnosis.serial_arm.model import TERMS
-from diagnosis.tracker import diagnose_tracker
+from diagnosis.serial_arm.tracker import diagnose_tracker
 from tests.diagnosis.serial_arm.synthetic import POSITION_M, built_arm, drawn_arm, series, setup
 
 COUNT = 500

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from diagnosis.serial_arm.arm_file import read_arm
+from diagnosis.serial_arm.tracker import diagnose_tracker
 from diagnosis.serial_arm.tracker_table import read_series
-from diagnosis.tracker import diagnose_tracker
 
 MODELS = Path(__file__).parents[3] / "models" / "robots" / "ur10"
 

@@ -15,7 +15,7 @@ import pytest
 
 import diagnosis.diagnose
 import ground.robot.diagnosis
-from diagnosis.nominal import NominalModel
+from diagnosis.audit.nominal import NominalModel
 from tests.diagnosis.planar_arm import planar_arm, slow_logs
 from tests.ground.cli.test_bad_input import LIBRARY_WORDS, snapshot
 from tests.ground.command import marsarm

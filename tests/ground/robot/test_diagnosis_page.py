@@ -8,7 +8,7 @@ import pytest
 
 import ground.robot.diagnosis as execution
 from diagnosis.errors import RobotError
-from diagnosis.page.traces import choose_traces, make_traces
+from diagnosis.report.traces import choose_traces, make_traces
 from ground.common.errors import BadRequest
 from ground.robot.diagnosis import RobotDiagnosis, diagnose_robot, save_diagnosis_files
 from ground.robot.diagnosis_page import print_diagnosis, save_diagnosis_page

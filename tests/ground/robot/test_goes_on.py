@@ -48,7 +48,7 @@ def steps(cache: Path) -> list[Path]:
 
 ENDING = """
 import os, signal, sys
-from diagnosis.checkpoint import Checkpoint
+from diagnosis.selection.checkpoint import Checkpoint
 from ground.cli.start import start
 
 number, keep = int(sys.argv.pop(1)), Checkpoint._write

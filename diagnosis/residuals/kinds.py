@@ -1,0 +1,87 @@
+"""Kinds of residual that the logs of a robot allow: simulation, inverse dynamics, second encoder."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from diagnosis.arrays import Flags
+from diagnosis.effects.actuation import DampingGain, GainError, TorqueConstant, TorqueLimit
+from diagnosis.effects.effect import Effect
+from diagnosis.effects.periodic import PeriodicError, SmoothPeriodicError
+from diagnosis.errors import RobotError
+from diagnosis.logs import Motion
+from diagnosis.residuals import encoder_residuals, inverse_residuals
+from diagnosis.residuals.encoder_residuals import EncoderResiduals
+from diagnosis.residuals.inverse_residuals import InverseResiduals
+from diagnosis.residuals.residuals import ResidualModel
+from diagnosis.residuals.simulation_residuals import SimulationResiduals
+from diagnosis.robot import Robot
+
+SIMULATION_HOOKS = (
+    *("vary", "set_model", "shape_command", "act", "friction_Nm", "torque_Nm"),
+    *("encode", "decode", "sample_delay_s"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """One kind of residual."""
+
+    make: Callable[[Sequence[Motion], float], ResidualModel]
+    """Takes motions and the most steps of a simulation."""
+    shows: Callable[[Effect], bool]
+    """True if the residual can show an effect."""
+    has_base: bool
+    """False if the base parameters of a joint do not move it."""
+
+
+def list_kinds(
+    robot: Robot, motions: Sequence[Motion], usable: Mapping[tuple[str, str], Flags] | None
+) -> list[Kind]:
+    """List the kinds of residual that the logs allow.
+
+    Logged torques are compared with inverse dynamics, which needs no controller. Without them the commands
+    are simulated. A second encoder is always compared with the first.
+
+    Args:
+        robot: The robot.
+        motions: Motions that are fitted.
+        usable: Position samples that take part in a simulation, (n,) flags; all where absent.
+
+    Returns:
+        The kinds.
+
+    Raises:
+        RobotError: There are neither torques nor commands nor a second encoder.
+    """
+    logs = [log for motion in motions for log in motion.joints.values()]
+    found = []
+    if any(log.torque is not None for log in logs):
+        found.append(Kind(lambda part, _: InverseResiduals(robot, part), shows_torque, True))
+    elif any(log.command is not None for log in logs):
+
+        def simulate(part: Sequence[Motion], most_steps: float) -> ResidualModel:
+            return SimulationResiduals(robot, part, keep=usable, most_steps=most_steps)
+
+        found.append(Kind(simulate, shows_simulation, True))
+    if any(log.secondary is not None for log in logs):
+        found.append(Kind(lambda part, _: EncoderResiduals(robot, part), encoder_residuals.shows, False))
+    if not found:
+        raise RobotError("the logs have no command, torque or second encoder; a diagnosis needs one of them")
+    return found
+
+
+def shows_simulation(effect: Effect) -> bool:
+    """Return whether a simulation can show an effect; a smooth error could follow anything."""
+    is_smooth = isinstance(effect, SmoothPeriodicError)
+    return not is_smooth and any(effect.overrides(hook) for hook in SIMULATION_HOOKS)
+
+
+def shows_torque(effect: Effect) -> bool:
+    """Return whether logged torques can show an effect.
+
+    An error of one encoder moves no torque. A change of the controller does not count where its torque is
+    logged.
+    """
+    is_periodic = isinstance(effect, PeriodicError | SmoothPeriodicError)
+    is_controller = isinstance(effect, GainError | DampingGain | TorqueConstant | TorqueLimit)
+    return inverse_residuals.shows(effect) and not is_periodic and not is_controller
