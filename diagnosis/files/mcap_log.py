@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from diagnosis.arrays import Array
 from diagnosis.errors import RobotError
-from diagnosis.files.log_file import Column, check_columns
+from diagnosis.files.columns import Column, check_columns
 from diagnosis.files.ros_message import BadMessage, RosReader
 
 ELEMENT: Final = re.compile(r"\.([A-Za-z_]\w*)|\[(\d+)\]")

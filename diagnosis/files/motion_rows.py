@@ -7,7 +7,7 @@ import numpy as np
 
 from diagnosis.arrays import Array
 from diagnosis.errors import RobotError
-from diagnosis.files.log_file import Column, LogFile
+from diagnosis.files.columns import Column, LogFile
 from diagnosis.files.robot_file import JointTable, RobotFile, SignalColumn
 from diagnosis.logs import Signal
 from diagnosis.units import COUNTS, FRACTION, UNITS, Quantity, find_unit

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.errors import RobotError
-from diagnosis.files.log_file import LogFile, open_log
+from diagnosis.files.columns import LogFile
+from diagnosis.files.log_file import open_log
 from diagnosis.files.robot_file import CsvTable, Text
 from diagnosis.files.toml_record import Record, parse_record, read_toml
 from diagnosis.serial_arm.arm import SerialArm
