@@ -7,11 +7,14 @@ import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.actuation import GainError
+from diagnosis.effects.effect import Effect
 from diagnosis.residuals.blocks import cut_rows
+from diagnosis.residuals.loss import root_weight
 from diagnosis.residuals.noise import noise_residuals
 from diagnosis.residuals.residuals import ResidualModel
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
 from diagnosis.robot import Robot
+from diagnosis.selection.chance import orthonormal
 from diagnosis.selection.comparison import improvement_share, knows_noise
 from diagnosis.selection.context import Context, FittedModel, Selection
 from diagnosis.selection.joint_fits import MIN_MOTIONS
@@ -25,6 +28,9 @@ from diagnosis.selection.verdict import (
 
 MIN_CLOSURE: Final = 0.5
 """Least share of what can be explained at a joint for which effects are called its causes: half."""
+MAX_INFLATION: Final = 10.0
+"""Largest variance inflation of a finding by others for which its name is told: the usual bound of
+regressors that can be separated (Marquardt 1970)."""
 MIN_DEPENDENCE: Final = 0.1
 """Least share of the variance of a remainder that a variable explains to be named."""
 MIN_REMAINDER: Final = 1.2
@@ -101,8 +107,8 @@ def describe_finding(
 ) -> Finding:
     """Describe a finding with its sets.
 
-    Where effects explain too little of a joint, the sets of families and effects are empty: none of the
-    catalogue is the cause of what is at the place.
+    Where effects explain too little of a joint, or one only beside another that it resembles, the sets of
+    families and effects are empty: none of the catalogue is known to be the cause of what is at the place.
 
     Args:
         context: The context.
@@ -115,7 +121,8 @@ def describe_finding(
     """
     effect, own = found.effect, context.union.columns([found.effect])
     places, families, effects = list_members(found)
-    if explains_too_little(context, chosen, effect.place):
+    is_unsure = explains_too_little(context, chosen, effect.place)
+    if is_unsure or find_inflation(context, chosen, effect) > MAX_INFLATION:
         families, effects = (), ()
     size = chosen.sizes[own]
     return Finding(
@@ -150,6 +157,36 @@ def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bo
     rows = np.flatnonzero(np.isin(model.joint_of, joints))
     pair = context.base_left_out[rows], chosen.left_out[rows]
     return knows_noise(context, rows) and improvement_share(context, rows, *pair) < MIN_CLOSURE
+
+
+def find_inflation(context: Context, chosen: FittedModel, effect: Effect) -> float:
+    """Compute the variance inflation of a finding by the others that were fitted with it.
+
+    Several effects that nearly cancel one another can imitate one that the catalogue lacks. With the largest
+    canonical correlation r of their changes with those of the finding, beside the base parameters, the
+    inflation is 1 / (1 - r^2) (Belsley, Kuh and Welsch 1980).
+
+    Args:
+        context: The context.
+        chosen: The model with all findings.
+        effect: The finding.
+
+    Returns:
+        Factor by which the variance of a size, or a combination of sizes, grows; 1 without other findings.
+    """
+    fit = next(fit for fit in chosen.fits if np.isin(context.union.columns([effect]), fit.columns).all())
+    scale = context.scales[context.model.joint_of[fit.rows]]
+    changes = fit.jacobian * (root_weight(fit.residuals / scale) / scale)[:, None]
+    own = np.isin(fit.columns, context.union.columns([effect]))
+    others = np.isin(fit.columns, context.union.columns(chosen.effects)) & ~own
+    if not others.any():
+        return 1.0
+    base = orthonormal(changes[:, ~own & ~others])
+    mine, theirs = (
+        orthonormal(changes[:, part] - base @ (base.T @ changes[:, part])) for part in (own, others)
+    )
+    largest = float(np.linalg.norm(mine.T @ theirs, 2))
+    return 1.0 / max(1.0 - largest**2, 1e-12)
 
 
 def find_interval(

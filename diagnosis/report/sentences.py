@@ -231,7 +231,7 @@ def _certainty(finding: Finding) -> str:
     if found == "effect":
         return "95 % sure that it is one of these; they cannot be told apart"
     if not finding.effects:
-        return "none of the effects in the catalogue explains it"
+        return "no effect in the catalogue is known to cause it"
     if found == "family":
         return "95 % sure of the kind; its effects cannot be told apart"
     return "95 % sure of the place; its kinds of effects cannot be told apart"

@@ -7,14 +7,16 @@ from scipy.stats import binom
 from diagnosis.assemble import (
     describe_finding,
     explains_too_little,
+    find_inflation,
     find_interval,
     list_remainders,
     simulate_models,
 )
+from diagnosis.residuals.loss import root_weight
 from diagnosis.selection.chance import FALSE_ALARM
-from diagnosis.selection.context import Score, start_context
+from diagnosis.selection.context import FittedModel, Score, start_context
 from diagnosis.selection.fit import Hypothesis, Union, fit_hypotheses
-from diagnosis.selection.joint_fits import fit_base
+from diagnosis.selection.joint_fits import fit_base, fit_joints
 from diagnosis.selection.meter import Meter
 from diagnosis.selection.screening import adjust
 from diagnosis.selection.selection import list_again, select_effects
@@ -52,6 +54,34 @@ def test_what_explains_little_of_a_residual_is_not_called_its_cause() -> None:
     residuals = simulate_models(selection.context, model, [selection.chosen.sizes])[0]
     (remainder,) = list_remainders(model, residuals, model, residuals)
     assert (remainder.joint, remainder.depends_on) == ("far", "position")
+
+
+def test_variance_inflation_is_the_ratio_of_variances_with_and_without_the_other_effect() -> None:
+    model = draw_toy(1, {"near: square": 0.1})
+    near_square = Toy("near", "near square", lambda x: x**2 + 0.1 * np.sin(9.0 * x))
+    effects = (CATALOGUE[0], near_square)
+    context, base = fit_base(start_context(model, BASE, effects, 1, Meter()))
+    alone = FittedModel(effects[:1], base.sizes, fit_joints(context, effects[:1], base.sizes), base.left_out)
+    both = FittedModel(effects, base.sizes, fit_joints(context, effects, base.sizes), base.left_out)
+    assert find_inflation(context, alone, effects[0]) == 1.0
+
+    fit = both.fits[0]
+    z = fit.residuals / context.scales[0]
+    changes = fit.jacobian * root_weight(z)[:, None]  # gain, square, near square
+    with_other = np.linalg.inv(changes.T @ changes)[1, 1]
+    without = np.linalg.inv(changes[:, :2].T @ changes[:, :2])[1, 1]
+    assert with_other / without > 10.0
+    assert find_inflation(context, both, effects[0]) == pytest.approx(with_other / without)
+
+
+def test_effects_that_resemble_each_other_are_told_as_their_place() -> None:
+    model = draw_toy(1, {"near: square": 0.1, "near: sine": 0.1})
+    near_square = Toy("near", "near square", lambda x: x**2 + 0.1 * np.sin(9.0 * x))
+    selection = select_effects(model, BASE, (CATALOGUE[0], near_square), seed=1)
+    assert len(selection.chosen.effects) == 2
+    sets = find_confidence_sets(selection)
+    found = [describe_finding(selection.context, selection.chosen, one, sets) for one in sets]
+    assert [(one.places, one.effects) for one in found] == [(("near",), ())] * 2
 
 
 def test_an_effect_of_all_joints_is_named_at_its_body() -> None:

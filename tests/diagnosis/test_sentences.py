@@ -92,7 +92,7 @@ def test_a_set_of_more_than_three_effects_lists_none_of_them():
 def test_an_empty_set_says_none_of_these_and_keeps_the_place():
     where, what, *_ = lines(findings=(NO_EFFECT,))
     assert where == "Where: lift."
-    assert "none of the effects in the catalogue explains it" in what
+    assert "no effect in the catalogue is known to cause it" in what
     assert verdict_word(diagnosis(findings=(NO_EFFECT,))) == "unknown"
 
 
