@@ -48,18 +48,26 @@ class VelocityLimit(JointEffect):
 
     def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
         """Follow the command from its first value."""
-        step = period_s * inverse(size[:, 0])
+        step, last = period_s * inverse(size[:, 0]), command[:, 0]
         followed = command.copy()
         for k in range(1, command.shape[1]):
-            last = followed[:, k - 1]
-            followed[:, k] = np.clip(command[:, k], last - step, last + step)
+            followed[:, k], last = self._follow(command[:, k], last, step)
         return followed
 
     def next_command(self, size: Array, command: Array, period_s: float, memory: dict[str, Array]) -> Array:
-        """Follow the command from the last one that arrived."""
-        step, last = period_s * inverse(size[:, 0]), memory.get("arrived", command)
-        memory["arrived"] = np.clip(command, last - step, last + step)
-        return memory["arrived"]
+        """Follow the command from where the last period ended."""
+        step = period_s * inverse(size[:, 0])
+        followed, memory["end"] = self._follow(command, memory.get("end", command), step)
+        return followed
+
+    def _follow(self, command: Array, last: Array, step: Array) -> tuple[Array, Array]:
+        """Return the mean over a control period, and the end, of a ramp that stops at the command.
+
+        The profile of a servo runs faster than commands come, so a limit acts within a period. A ramp from d
+        that may go by a step s in a period covers r = min(|d|, s), and its mean is r^2 / 2s before its end.
+        """
+        end = np.clip(command, last - step, last + step)
+        return end - (end - last) * np.abs(end - last) / (2.0 * step), end
 
     def describe(self, size: Array) -> str:
         """Return the limit."""

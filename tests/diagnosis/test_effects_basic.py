@@ -270,9 +270,12 @@ def shaped(kind: type[JointEffect], size: float, command: Array, period_s: float
     return at_swing(kind, pendulum()).shape_command(np.array([[size]]), command[None], period_s)[0]
 
 
-def test_a_velocity_limit_follows_a_step_with_its_speed() -> None:
-    found = shaped(VelocityLimit, 1 / 0.5, np.where(TIME_s > 0.095, 0.4, 0.0))
-    assert found == pytest.approx(np.clip(0.5 * (TIME_s - 0.09), 0.0, 0.4))
+@pytest.mark.parametrize("speed_rad_s", [0.5, 30.0, 300.0])
+def test_a_velocity_limit_is_the_mean_of_a_ramp_in_each_control_period(speed_rad_s: float) -> None:
+    found = shaped(VelocityLimit, 1 / speed_rad_s, np.where(TIME_s > 0.095, 0.403, 0.0))
+    fine_s = TIME_s[:, None] + 0.01 * (np.arange(1000) + 0.5) / 1000
+    ramp = np.clip(speed_rad_s * (fine_s - 0.1), 0.0, 0.403)
+    assert found == pytest.approx(ramp.mean(axis=1), abs=1e-6)
 
 
 def test_an_acceleration_limit_follows_a_step_with_a_triangle_of_speed_and_does_not_overshoot() -> None:
