@@ -28,7 +28,7 @@ from diagnosis.selection.verdict import find_confidence_sets
 
 MOST_STEPS: Final = 50_000
 """Steps of a candidate that is fitted: at 10 microseconds each, a few thousand candidates take half an hour.
-Longer motions are simulated in part: the error of a size depends on their number more than on seconds."""
+Longer logs are simulated in windows: an interval depends on the number of motions, less on their length."""
 FOREIGN_SHARE: Final = 0.25
 """Share of motions that follow another command from which commands count as mixed up.
 In the logs of the XL330 and the SO-101 it is at most 2 of 27. With shuffled commands it is at least 8 of 16,
@@ -64,7 +64,8 @@ def diagnose(
 
     Raises:
         RobotError: The motions are too few, are both fitted and held out, or do not follow their commands; a
-            unit looks wrong to the audit, or a position never changes; or two effects have one name.
+            unit looks wrong to the audit, a position never changes, or it refuses all samples; or two effects
+            have one name.
     """
     check_motions(robot, motions, held_out)
     usable = None
@@ -72,6 +73,11 @@ def diagnose(
         check_remarks(audit.remarks)
         names = [(motion.name, joint) for motion in (*motions, *held_out) for joint in motion.joints]
         usable = {(motion, joint): audit.is_usable(motion, joint) for motion, joint in names}
+        if not any(usable[motion.name, joint].any() for motion in motions for joint in motion.joints):
+            reasons = ", ".join(dict.fromkeys(one.reason for one in audit.refused))
+            raise RobotError(
+                f"no sample of the fitted motions can be used ({reasons}); `marsarm robot check` shows where"
+            )
     kinds = list_kinds(robot, motions, usable)
     logs = Logs(tuple(motions))
     known = [*catalogue(robot, logs), *effects]

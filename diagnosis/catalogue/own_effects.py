@@ -22,6 +22,8 @@ HOOKS: Final = (
     *("vary", "set_model", "shape_command", "act", "friction_Nm", "torque_Nm"),
     *("encode", "sample_delay_s", "deflection_rad"),
 )
+BODY_HOOKS: Final = frozenset({"vary", "set_model", "act"})
+"""Hooks that get the whole robot; each other acts at the joint that is the place of its effect."""
 MODULE_PREFIX: Final = "own_effects_"
 
 
@@ -54,7 +56,7 @@ def load_effects(path: str | Path, robot: Robot, logs: Logs) -> tuple[Effect, ..
         raise RobotError(
             f"{place}: no effect; give a subclass of JointEffect or a function effects(robot, logs)"
         )
-    effects = tuple(_checked(place, one) for one in found)
+    effects = tuple(_checked(place, one, robot) for one in found)
     keys = [effect.key for effect in effects]
     for key in keys:
         if keys.count(key) > 1:
@@ -103,8 +105,8 @@ def _run(place: str, problem: str, job: Callable[[], T]) -> T:
         raise RobotError(f"{place}: {problem}, {text}") from error
 
 
-def _checked(place: str, effect: object) -> Effect:
-    """Return an effect that has a name, a family, sizes and a hook."""
+def _checked(place: str, effect: object, robot: Robot) -> Effect:
+    """Return an effect that has a name, a family, sizes, and a hook that can act at its place."""
     if not isinstance(effect, Effect):
         raise RobotError(f"{place}: effects(robot, logs) returned {effect!r}, which is not an Effect")
     kind = type(effect).__name__
@@ -127,4 +129,11 @@ def _checked(place: str, effect: object) -> Effect:
             )
     if not any(effect.overrides(hook) for hook in HOOKS):
         raise RobotError(f"{place}: {kind} changes nothing; override one of {', '.join(HOOKS)}")
+    joints = [joint.name for joint in robot.joints]
+    at_joint = next((hook for hook in HOOKS if hook not in BODY_HOOKS and effect.overrides(hook)), "")
+    if at_joint and effect.place not in joints:
+        raise RobotError(
+            f"{place}: {kind} at {effect.place!r}: {at_joint} acts at a joint; give it one of the places "
+            f"{', '.join(joints)}, or override {' or '.join(sorted(BODY_HOOKS))}"
+        )
     return effect

@@ -7,7 +7,7 @@ that 0 means absence: a velocity limit has the size 1/limit.
 Hooks by kind of residual:
 - simulation: `vary`, `set_model`, `shape_command`, `act`, `friction_Nm`, `torque_Nm`, `encode`, `decode`,
   `sample_delay_s`;
-- inverse dynamics: `set_model`, `friction_Nm`, `torque_Nm` and `encode`, at the measured motion;
+- inverse dynamics: `set_model`, `friction_Nm`, `torque_Nm` and `decode`, at the measured motion;
 - second encoder: `deflection_rad`, `sample_delay_s` and `encode`.
 """
 
@@ -200,7 +200,7 @@ class Effect(ABC):
         raise NotImplementedError
 
     def sample_delay_s(self, size: Array) -> Array:
-        """Return how much later than its time stamp says the position of this joint is old, (n_sims,) [s]."""
+        """Return the age of the position of this joint at its time stamp, (n_sims,) [s]."""
         raise NotImplementedError
 
     def encode(self, size: Array, q_rad: Array) -> Array:

@@ -71,7 +71,7 @@ def _shorten(lines: Sequence[str], noun: str, nouns: str = "") -> list[str]:
 def verdict_word(diagnosis: Diagnosis) -> str:
     """Return "named", "set", "none" or "unknown": one word for programs."""
     if not diagnosis.findings:
-        return "unknown" if diagnosis.remaining or not diagnosis.fitted_motions else "none"
+        return "unknown" if diagnosis.remaining else "none"
     if not all(finding.effects and finding.places for finding in diagnosis.findings):
         return "unknown"
     return "named" if all(len(finding.effects) == 1 for finding in diagnosis.findings) else "set"
@@ -183,8 +183,6 @@ def join_words(words: Sequence[str], last: str, most: int = MAX_MEMBERS) -> str:
 
 
 def _where(diagnosis: Diagnosis) -> str:
-    if not diagnosis.fitted_motions:
-        return "not known: every motion was refused."
     located = [finding for finding in diagnosis.findings if level(finding) != "none"]
     words = [join_words(finding.places or (finding.place,), "or") for finding in located]
     if len(located) < len(diagnosis.findings):
@@ -201,8 +199,6 @@ def _where(diagnosis: Diagnosis) -> str:
 
 
 def _what(diagnosis: Diagnosis) -> str:
-    if not diagnosis.fitted_motions:
-        return f"nothing can be said: {diagnosis.refused[0].reason}." if diagnosis.refused else "no data."
     if not diagnosis.findings:
         explains = " explains it" if diagnosis.remaining else ""
         return f"none of the effects in the catalogue{explains}{_base_words(diagnosis.base)}."
@@ -281,8 +277,6 @@ def _next(diagnosis: Diagnosis) -> str:
     wanted = next((one.next_motion for one in diagnosis.findings if one.next_motion), "")
     if wanted:
         return f"record {wanted}."
-    if not diagnosis.fitted_motions:
-        return "correct the logs, and check them with `marsarm robot check`."
     if not diagnosis.judged_motions:
         return "hold out some motions, so that the result can be judged."
     if not has_floor(diagnosis):

@@ -64,10 +64,14 @@ def trace_motions(
         diagnosis: Diagnosis with its effects and sizes.
         usable: By names of motion and joint, flags over the position samples to show, (n,); all if absent.
 
+    Returns:
+        The traces; none of a motion in which a joint has no command, because it cannot be simulated.
+
     Raises:
         RobotError: A motion cannot be simulated.
     """
-    return make_traces(SimulationResiduals(robot, motions, keep=usable), diagnosis) if motions else ()
+    driven = [one for one in motions if all(log.command is not None for log in one.joints.values())]
+    return make_traces(SimulationResiduals(robot, driven, keep=usable), diagnosis) if driven else ()
 
 
 def _cut(model: ResidualModel, nominal: Array, explained: Array, measured: Array | None) -> Iterator[Trace]:

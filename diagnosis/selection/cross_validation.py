@@ -11,7 +11,7 @@ from diagnosis.selection.fit import STEP, Fit
 
 
 def cross_validate(context: Context, fits: Sequence[Fit]) -> Array:
-    """Leave out each fold of motions, and measure the loss on the fold.
+    """Predict the residuals of each motion by a fit without its fold.
 
     Args:
         context: The context.
@@ -27,7 +27,7 @@ def cross_validate(context: Context, fits: Sequence[Fit]) -> Array:
 
 
 def cross_validate_each(context: Context, fits: Sequence[Fit]) -> list[Array]:
-    """Leave out each fold of motions, and measure the loss on the fold, for each fit by itself.
+    """Predict the residuals of each motion without its fold, for each fit by itself.
 
     A fit without a fold begins at the optimum of all motions and takes one Newton step, with the
     Jacobian of that optimum. It is then simulated, so that nothing of its loss is linearised.

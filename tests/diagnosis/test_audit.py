@@ -8,8 +8,11 @@ import pytest
 from diagnosis.audit.audit import audit
 from diagnosis.audit.records import Kind
 from diagnosis.audit.stops import find_lower_stop, median_interval
+from diagnosis.diagnose import diagnose
+from diagnosis.errors import RobotError
 from diagnosis.load import load
 from diagnosis.logs import Logs, Signal
+from diagnosis.result import Refusal
 from diagnosis.robot import Robot
 from tests.diagnosis.planar_arm import RATE_HZ, TABLE_M, commands, planar_arm, record, slow_logs, with_joint
 from tests.ground.command import ROOT
@@ -302,3 +305,13 @@ def test_the_current_at_a_stop_is_compared_with_that_elsewhere(elsewhere_A, said
     found = audit(planar_arm(), with_joint(Logs(tuple(motions)), "elbow", measure))
     texts = [one.text for one in found.remarks]
     assert any(said in text for text in texts), texts
+
+
+def test_logs_of_which_nothing_is_usable_are_not_diagnosed(clean):
+    found = audit(planar_arm(), clean)
+    nothing = {place: np.zeros_like(flags) for place, flags in found.usable.items()}
+    refused = (Refusal("motion 0", "contact with a plane", 9),)
+    with pytest.raises(
+        RobotError, match="no sample of the fitted motions can be used .contact with a plane."
+    ):
+        diagnose(planar_arm(), clean.motions, audit=replace(found, usable=nothing, refused=refused))

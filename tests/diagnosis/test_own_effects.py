@@ -53,6 +53,14 @@ def test_the_example_is_put_at_each_joint_and_moves_it():
     assert np.abs(moved - rest)[1].max() > 0.01
 
 
+def test_a_torque_at_a_place_that_is_no_joint_is_refused(tmp_path):
+    text = KIND.format(sizes=SIZE, hook=HOOK) + (
+        "def effects(robot, logs): return [Mine('base', 0, robot.joints[0], None)]\n"
+    )
+    with pytest.raises(RobotError, match="Mine at 'base': torque_Nm acts at a joint; give it one of"):
+        load_effects(write(tmp_path, text), ARM, LOGS)
+
+
 def test_own_effects_join_the_catalogue_without_a_clash():
     keys = [one.key for one in (*catalogue(ARM, LOGS), *load_effects(EXAMPLE, ARM, LOGS))]
     assert len(set(keys)) == len(keys)

@@ -178,9 +178,3 @@ def test_three_refusals_are_listed_and_the_others_counted():
     said = detail_lines(diagnosis(refused=REFUSED))
     assert said[1] == "p: 40 samples took no part: the command is cut off at -1.034 rad."
     assert said[-1] == "2 more refusals are in the JSON document."
-
-
-def test_a_diagnosis_of_refused_motions_alone_says_why():
-    where, what, *_ = lines(findings=(), errors=(), refused=REFUSED, fitted_motions=(), effects=(), sizes=())
-    assert where == "Where: not known: every motion was refused."
-    assert what == "What: nothing can be said: the command is cut off at -1.034 rad."
