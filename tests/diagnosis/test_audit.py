@@ -311,7 +311,5 @@ def test_logs_of_which_nothing_is_usable_are_not_diagnosed(clean):
     found = audit(planar_arm(), clean)
     nothing = {place: np.zeros_like(flags) for place, flags in found.usable.items()}
     refused = (Refusal("motion 0", "contact with a plane", 9),)
-    with pytest.raises(
-        RobotError, match="no sample of the fitted motions can be used .contact with a plane."
-    ):
+    with pytest.raises(RobotError, match=r"no sample .* can be used \(contact with a plane\)"):
         diagnose(planar_arm(), clean.motions, audit=replace(found, usable=nothing, refused=refused))
