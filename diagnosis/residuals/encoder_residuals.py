@@ -14,14 +14,14 @@ that depends on position out of the friction; only the first two are subtracted.
 so that the load of held-out motions is as measured as their angles.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from diagnosis.arrays import Array, Integers
+from diagnosis.arrays import Array, Flags, Integers
 from diagnosis.effects.effect import Effect, State
 from diagnosis.errors import RobotError
 from diagnosis.logs import Motion
@@ -31,6 +31,7 @@ from diagnosis.residuals.filtered_motion import (
     LowPass,
     choose_filter,
     filter_motion,
+    find_usable,
     inverse_dynamics,
 )
 from diagnosis.robot import Robot
@@ -79,17 +80,20 @@ class EncoderResiduals:
     unit = "rad"
     by_motion = False
 
-    def __init__(self, robot: Robot, motions: Sequence[Motion]) -> None:
+    def __init__(
+        self, robot: Robot, motions: Sequence[Motion], keep: Mapping[tuple[str, str], Flags] | None = None
+    ) -> None:
         """Compare the encoders, and compute the loads.
 
         Args:
             robot: Robot.
             motions: Motions; joints with a second encoder that moves have residuals.
+            keep: By names of motion and joint, which position samples are used, (n,); all where absent.
 
         Raises:
-            RobotError: there is no second encoder, or a motion is too short for a filter.
+            RobotError: there is no second encoder that can be used, or a motion is too short for a filter.
         """
-        self._robot = robot
+        self._robot, self._keep = robot, keep or {}
         self.joints = tuple(joint.name for joint in robot.joints)
         self.low_pass = choose_filter(robot, motions)
         filtered = [filter_motion(robot, motion, self.low_pass) for motion in motions]
@@ -114,8 +118,11 @@ class EncoderResiduals:
         self._parts: list[_Part] = []
         for m, motion in enumerate(logs):
             for j, name in enumerate(self.joints):
-                if _has_second(motion, name):
-                    self._parts.append(_Part(motion, name, m, j))
+                part = _Part(motion, name, m, j, self._keep) if _has_second(motion, name) else None
+                if part is not None and part.time_s.size:
+                    self._parts.append(part)
+        if not self._parts:
+            raise RobotError(f"robot {self._robot.name}: no sample of a second encoder can be used")
         self.joint_of: Integers = np.concatenate([np.full(one.time_s.size, one.joint) for one in self._parts])
         self.motion_of: Integers = np.concatenate(
             [np.full(one.time_s.size, one.motion) for one in self._parts]
@@ -186,11 +193,16 @@ class EncoderResiduals:
 class _Part:
     """The two encoders of one joint in one motion."""
 
-    def __init__(self, motion: Motion, name: str, m: int, j: int) -> None:
+    def __init__(
+        self, motion: Motion, name: str, m: int, j: int, keep: Mapping[tuple[str, str], Flags]
+    ) -> None:
         log = motion.joints[name]
         assert log.secondary is not None
         position = log.position
         inside = (log.secondary.time_s >= position.time_s[0]) & (log.secondary.time_s <= position.time_s[-1])
+        # the spline between two samples needs both
+        period_s = float(np.median(np.diff(position.time_s)))
+        inside &= find_usable(log, keep.get((motion.name, name)), log.secondary.time_s, period_s)
         self.motion, self.joint = m, j
         self.time_s = log.secondary.time_s[inside]
         self._second_rad = log.secondary.value[inside]

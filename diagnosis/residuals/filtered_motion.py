@@ -23,9 +23,9 @@ import mujoco
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from diagnosis.arrays import Array
+from diagnosis.arrays import Array, Flags
 from diagnosis.errors import RobotError
-from diagnosis.logs import Motion, Signal
+from diagnosis.logs import JointLog, Motion, Signal
 from diagnosis.robot import Robot
 
 NOISE_SHARE: Final = 0.01
@@ -84,6 +84,29 @@ class FilteredMotion:
     """Filtered torques, (n, n_joints); NaN where they are not logged."""
     temperature_degC: Array
     """(n, n_joints); NaN where it is not logged."""
+
+
+def find_usable(log: JointLog, keep: Flags | None, time_s: Array, distance_s: float) -> Flags:
+    """Find the times at which no refused position sample is near.
+
+    Args:
+        log: Log of a joint.
+        keep: Position samples that are used, (n,) flags; None: all are.
+        time_s: Times, (n_times,) [s].
+        distance_s: Times as near as this to a refused sample are not usable.
+
+    Returns:
+        Flags, (n_times,).
+    """
+    if keep is None or keep.all():
+        return np.ones(time_s.size, dtype=bool)
+    refused_s = log.position.time_s[~keep]
+    after = np.searchsorted(refused_s, time_s)
+    gap_s = np.minimum(
+        np.abs(time_s - refused_s[np.maximum(after - 1, 0)]),
+        np.abs(time_s - refused_s[np.minimum(after, refused_s.size - 1)]),
+    )
+    return np.asarray(gap_s > distance_s)
 
 
 def choose_filter(robot: Robot, motions: Sequence[Motion]) -> LowPass:

@@ -8,7 +8,7 @@ speed at which it is certain: tanh(v / v_s), with v_s three times the noise of t
 period of the cut-off are left out, because there the filter guesses what was before and after.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Final
@@ -16,7 +16,7 @@ from typing import Final
 import mujoco.batch
 import numpy as np
 
-from diagnosis.arrays import Array, Integers
+from diagnosis.arrays import Array, Flags, Integers
 from diagnosis.effects.effect import Effect, State
 from diagnosis.errors import RobotError
 from diagnosis.logs import Motion
@@ -26,6 +26,7 @@ from diagnosis.residuals.filtered_motion import (
     choose_filter,
     differentiate,
     filter_motion,
+    find_usable,
     inverse_dynamics,
 )
 from diagnosis.robot import Robot
@@ -75,21 +76,26 @@ class InverseResiduals:
     unit = "N m"
     by_motion = False
 
-    def __init__(self, robot: Robot, motions: Sequence[Motion]) -> None:
+    def __init__(
+        self, robot: Robot, motions: Sequence[Motion], keep: Mapping[tuple[str, str], Flags] | None = None
+    ) -> None:
         """Filter the motions.
 
         Args:
             robot: Robot.
             motions: Motions; joints with a logged torque have residuals.
+            keep: By names of motion and joint, which position samples are used, (n,); all where absent.
+                Nothing is compared within a period of the cut-off from others.
 
         Raises:
-            RobotError: no torque is logged, or a motion is too short for a filter.
+            RobotError: no torque is logged or usable, or a motion is too short for a filter.
         """
         if not any(log.torque is not None for motion in motions for log in motion.joints.values()):
             raise RobotError(f"robot {robot.name}: no log has torques; inverse dynamics needs them")
         self._robot = robot
         self.low_pass = choose_filter(robot, motions)
         samples = 1 / (self.low_pass.cut_off_Hz * self.low_pass.period_s)  # in a period of the cut-off
+        self._keep = keep or {}
         self._kept = slice(int(samples), -int(samples), max(1, int(samples / PER_CUT_OFF)))
         self._fill(motions, [filter_motion(robot, motion, self.low_pass) for motion in motions])
 
@@ -111,16 +117,27 @@ class InverseResiduals:
         self.joints = tuple(joint.name for joint in self._robot.joints)
         self.motions = tuple(motion.name for motion in logs)
         self.repeat_of = tuple(motion.repeat_of for motion in logs)
+        self._usable: dict[str, Flags] = {}
         joint_of, motion_of, time_s = [], [], []
-        for m, one in enumerate(filtered):
-            times = one.time_s[self._kept]
-            for j in self._logged(one):
+        for m, (log, one) in enumerate(zip(logs, filtered, strict=True)):
+            every = one.time_s[self._kept]
+            usable = [self._find_usable(log, j, every) for j in self._logged(one)]
+            self._usable[one.name] = np.concatenate([np.zeros(0, bool), *usable])
+            for j, flags in zip(self._logged(one), usable, strict=True):
+                times = every[flags]
                 joint_of.append(np.full(times.size, j))
                 motion_of.append(np.full(times.size, m))
                 time_s.append(times)
+        if not any(times.size for times in time_s):
+            raise RobotError(f"robot {self._robot.name}: no sample of a torque can be used; correct the logs")
         self.joint_of: Integers = np.concatenate(joint_of)
         self.motion_of: Integers = np.concatenate(motion_of)
         self.time_s: Array = np.concatenate(time_s)
+
+    def _find_usable(self, motion: Motion, j: int, time_s: Array) -> Flags:
+        name = self.joints[j]
+        keep = self._keep.get((motion.name, name))
+        return find_usable(motion.joints[name], keep, time_s, 1.0 / self.low_pass.cut_off_Hz)
 
     @staticmethod
     def _logged(one: FilteredMotion) -> Integers:
@@ -129,7 +146,7 @@ class InverseResiduals:
     def _rows(self, one: FilteredMotion, values: Array) -> Array:
         """Order values, (..., n_times, n_joints), as residuals, (..., n)."""
         thinned = np.moveaxis(values[..., self._kept, :][..., self._logged(one)], -1, -2)
-        return thinned.reshape(*thinned.shape[:-2], -1)
+        return thinned.reshape(*thinned.shape[:-2], -1)[..., self._usable[one.name]]
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates.

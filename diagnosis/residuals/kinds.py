@@ -45,7 +45,7 @@ def list_kinds(
     Args:
         robot: The robot.
         motions: Motions that are fitted.
-        usable: Position samples that take part in a simulation, (n,) flags; all where absent.
+        usable: Position samples that take part, (n,) flags; all where absent.
 
     Returns:
         The kinds.
@@ -56,7 +56,7 @@ def list_kinds(
     logs = [log for motion in motions for log in motion.joints.values()]
     found = []
     if any(log.torque is not None for log in logs):
-        found.append(Kind(lambda part, _: InverseResiduals(robot, part), shows_torque, True))
+        found.append(Kind(lambda part, _: InverseResiduals(robot, part, usable), shows_torque, True))
     elif any(log.command is not None for log in logs):
 
         def simulate(part: Sequence[Motion], most_steps: float) -> ResidualModel:
@@ -64,7 +64,9 @@ def list_kinds(
 
         found.append(Kind(simulate, shows_simulation, True))
     if any(log.secondary is not None for log in logs):
-        found.append(Kind(lambda part, _: EncoderResiduals(robot, part), encoder_residuals.shows, False))
+        found.append(
+            Kind(lambda part, _: EncoderResiduals(robot, part, usable), encoder_residuals.shows, False)
+        )
     if not found:
         raise RobotError("the logs have no command, torque or second encoder; a diagnosis needs one of them")
     return found

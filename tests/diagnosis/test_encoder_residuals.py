@@ -87,6 +87,20 @@ def test_the_offset_between_the_encoders_does_not_count():
     assert here == pytest.approx(there, abs=1e-12)
 
 
+def test_refused_samples_of_the_first_encoder_are_not_compared():
+    motion = second_log()
+    time_s = motion.joints["shoulder"].position.time_s
+    keep = {(motion.name, "shoulder"): (time_s < 1.0) | (time_s > 2.0)}
+    model = EncoderResiduals(arm(), [motion], keep)
+    here_s = model.time_s[model.joint_of == 0]
+    assert here_s.min() < 1.0
+    assert here_s.max() > 2.0
+    assert not np.any((here_s >= 1.0) & (here_s <= 2.0))
+    nothing = {(motion.name, name): np.zeros(time_s.size, bool) for name in motion.joints}
+    with pytest.raises(RobotError, match="no sample of a second encoder can be used"):
+        EncoderResiduals(arm(), [motion], nothing)
+
+
 def test_an_encoder_scale_stretches_the_motion():
     model = EncoderResiduals(arm(), [second_log(late_s=0.0, compliance=0.0, scale=0.01)])
     effect = EncoderScale.at(arm(), "shoulder", scales(arm(), motor_log()))

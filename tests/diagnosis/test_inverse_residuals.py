@@ -57,6 +57,26 @@ def of_joint(model, values, joint):
     return values[..., model.joint_of == model.joints.index(joint)]
 
 
+def test_torques_near_refused_samples_take_no_part():
+    clean, joint = log(), "elbow"
+    one = clean.joints[joint]
+    time_s = one.position.time_s
+    is_pushed = (time_s > 2.0) & (time_s < 3.0)
+    pushed = Signal(one.torque.time_s, one.torque.value + 50.0 * is_pushed)
+    contact = replace(clean, joints={**clean.joints, joint: replace(one, torque=pushed)})
+    whole, nothing = residuals_of(clean), np.zeros((1, 0))
+    part = InverseResiduals(arm(), [contact], {(clean.name, joint): ~is_pushed})
+    margin_s = 1.0 / whole.low_pass.cut_off_Hz
+    first_s, last_s = time_s[is_pushed][[0, -1]]
+    is_near = (whole.time_s > first_s - margin_s) & (whole.time_s < last_s + margin_s)
+    kept = (whole.joint_of != whole.joints.index(joint)) | ~is_near
+    assert 0 < np.sum(~kept) < np.sum(kept)
+    assert part.time_s == pytest.approx(whole.time_s[kept])
+    assert part.residuals([], nothing) == pytest.approx(whole.residuals([], nothing)[:, kept], abs=0.5)
+    assert part.explain("load").shape == part.time_s.shape
+    assert part.select([clean.name]).time_s == pytest.approx(part.time_s)
+
+
 def moving(model, joint):
     """Return the rows of a joint while it moves: at rest, dry friction is anything up to its bound."""
     return (model.joint_of == model.joints.index(joint)) & (np.abs(model.explain("velocity")) > 0.05)
