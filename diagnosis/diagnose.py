@@ -10,15 +10,14 @@ import numpy as np
 
 from diagnosis.assemble import assemble
 from diagnosis.audit.rates import COARSE_RAD
-from diagnosis.audit.records import Audit, Remark
-from diagnosis.audit.records import Kind as RemarkKind
+from diagnosis.audit.records import Audit, Remark, RemarkKind
 from diagnosis.audit.samples import joint_samples
 from diagnosis.catalogue.catalogue import base_effects, catalogue
 from diagnosis.effects.effect import Effect
 from diagnosis.errors import RobotError
 from diagnosis.logs import Logs, Motion, Signal
 from diagnosis.residuals.encoder_residuals import why_refused
-from diagnosis.residuals.kinds import Kind, list_kinds
+from diagnosis.residuals.kinds import ResidualKind, list_kinds
 from diagnosis.result import Diagnosis, Rejected
 from diagnosis.robot import ControlMode, Robot
 from diagnosis.selection.checkpoint import Checkpoint, digest_inputs
@@ -109,7 +108,9 @@ def _part_of(progress: Progress, part: int, parts: int) -> Progress:
     return lambda share, text: progress((part + share) / parts, text)
 
 
-def choose_shown(robot: Robot, kind: Kind, known: Sequence[Effect]) -> tuple[list[Effect], list[Rejected]]:
+def choose_shown(
+    robot: Robot, kind: ResidualKind, known: Sequence[Effect]
+) -> tuple[list[Effect], list[Rejected]]:
     """Choose the effects that a kind of residual can show.
 
     Args:

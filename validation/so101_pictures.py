@@ -18,7 +18,7 @@ from diagnosis.arrays import Array
 from diagnosis.assemble import list_base, simulate_models
 from diagnosis.audit.audit import audit
 from diagnosis.audit.plane import site_heights
-from diagnosis.audit.records import Audit, Kind
+from diagnosis.audit.records import Audit, RemarkKind
 from diagnosis.catalogue.catalogue import base_effects
 from diagnosis.diagnose import MOST_STEPS
 from diagnosis.errors import RobotError
@@ -104,7 +104,7 @@ def draw_contact(robot: Robot, motion: Motion, found: Audit, figure: Any) -> Non
     sent = np.column_stack(
         [np.interp(time_s, log.time_s, log.value) for log in (motion.joints[n].command for n in names) if log]
     )
-    (plane,) = (one for one in found.remarks if one.kind is Kind.CONTACT)
+    (plane,) = (one for one in found.remarks if one.kind is RemarkKind.CONTACT)
     axes = figure.subplots()
     top, bottom = axes.get_xaxis_transform(), ~found.is_usable(motion.name, JOINT)
     axes.fill_between(

@@ -10,7 +10,7 @@ from diagnosis.audit.collision import find_collisions
 from diagnosis.audit.limits import find_cut_offs, find_saturation
 from diagnosis.audit.plane import chain_joints, find_plane
 from diagnosis.audit.rates import audit_rates, encoder_step_rad, find_constant_positions, stale_flags
-from diagnosis.audit.records import Audit, Kind
+from diagnosis.audit.records import Audit, RemarkKind
 from diagnosis.audit.samples import joint_samples
 from diagnosis.audit.static import Rest, find_rest, predict_free
 from diagnosis.audit.units import audit_units
@@ -45,7 +45,7 @@ def audit(robot: Robot, logs: Logs) -> Audit:
         cut_offs, held = find_cut_offs(robot, motions, rest, free)
         contact, is_below = find_plane(robot, motions, rest, free, np.asarray(held.any(axis=1)))
     remarks += [*cut_offs, *contact, *find_saturation(robot, motions), *find_collisions(robot, motions, rest)]
-    ranked = sorted(remarks, key=lambda one: list(Kind).index(one.kind))
+    ranked = sorted(remarks, key=lambda one: list(RemarkKind).index(one.kind))
     reasons = {
         "command is cut off or the joint is too weak": held,
         "contact with a plane": is_below[:, None] & chain,

@@ -7,7 +7,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from diagnosis.audit.records import Kind, Remark
+from diagnosis.audit.records import Remark, RemarkKind
 from diagnosis.audit.static import Rest
 from diagnosis.logs import Motion
 from diagnosis.robot import Robot
@@ -37,7 +37,7 @@ def find_collisions(robot: Robot, motions: Sequence[Motion], rest: Rest) -> list
             where.setdefault(pair, {})[motions[int(rest.motion[row])].name] = None
     return [
         Remark(
-            Kind.COLLISION,
+            RemarkKind.COLLISION,
             "",
             tuple(where[pair]),
             f"{pair[0]} goes into {pair[1]} in {number / len(tried):.1%} of the measured poses",

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Flags
-from diagnosis.audit.records import Kind, Remark
+from diagnosis.audit.records import Remark, RemarkKind
 from diagnosis.audit.samples import hold, joint_samples, runs
 from diagnosis.audit.static import Free, Rest
 from diagnosis.audit.stops import Stop, find_lower_stop
@@ -69,12 +69,12 @@ def _cut_off(
             f"the position stops at {value:.3f} rad, the command goes on to {furthest:.3f} rad, {count}; "
             "gravity is against it, so a torque limit and a command that is cut off look alike"
         )
-        return Remark(Kind.SATURATION, joint.name, names, text, value, interval, "rad")
+        return Remark(RemarkKind.SATURATION, joint.name, names, text, value, interval, "rad")
     text = (
         f"the position stops at {value:.3f} rad ({interval[0]:.3f} to {interval[1]:.3f}), {count}, while the "
         f"command goes on to {furthest:.3f} rad{_effort_words(joint.name, motions, rest, at)}"
     )
-    return Remark(Kind.CUT_OFF, joint.name, names, text, value, interval, "rad")
+    return Remark(RemarkKind.CUT_OFF, joint.name, names, text, value, interval, "rad")
 
 
 def _may_be_too_weak(joint: RobotJoint, rest: Rest, k: int, side: float, at: Array) -> bool:
@@ -134,7 +134,7 @@ def find_saturation(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
         names = tuple(m.name for m, s in zip(own, share, strict=True) if s > REMARK_SHARE)
         if math.isfinite(limit) and names:
             text = f"the {what} is at its limit of {limit:.4g} in {total:.1%} of the samples"
-            found.append(Remark(Kind.SATURATION, joint.name, names, text, limit))
+            found.append(Remark(RemarkKind.SATURATION, joint.name, names, text, limit))
     return found
 
 

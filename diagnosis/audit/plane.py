@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from diagnosis.arrays import Array, Flags
-from diagnosis.audit.records import Kind, Remark
+from diagnosis.audit.records import Remark, RemarkKind
 from diagnosis.audit.static import Free, Rest
 from diagnosis.audit.stops import find_lower_stop, median_interval
 from diagnosis.logs import Motion
@@ -54,7 +54,7 @@ def find_plane(
     )
     with np.errstate(invalid="ignore"):
         is_below = lowered < levels.max()
-    return [Remark(Kind.CONTACT, "", names, text, value, interval, "m")], is_below
+    return [Remark(RemarkKind.CONTACT, "", names, text, value, interval, "m")], is_below
 
 
 def chain_joints(robot: Robot) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array, Flags
-from diagnosis.audit.records import Kind, Remark, SignalRate
+from diagnosis.audit.records import Remark, RemarkKind, SignalRate
 from diagnosis.audit.samples import Samples, joint_samples, runs
 from diagnosis.logs import JointLog, Motion
 from diagnosis.robot import ControlMode, Robot
@@ -53,7 +53,9 @@ def find_constant_positions(robot: Robot, motions: Sequence[Motion]) -> list[Rem
                 f"the position stays at {positions[0]:.4g} rad, while the command spans "
                 f"{max(spans.values()):.3g} rad: is the encoder dead, or is it the wrong column?"
             )
-            found.append(Remark(Kind.CONSTANT, joint.name, moved, text, float(positions[0]), unit="rad"))
+            found.append(
+                Remark(RemarkKind.CONSTANT, joint.name, moved, text, float(positions[0]), unit="rad")
+            )
     return found
 
 
@@ -133,7 +135,7 @@ def _remarks(rates: Sequence[SignalRate]) -> list[Remark]:
         if stale:
             count = sum(rate.n_stale for rate in stale)
             text = f"{count} positions repeat an old value while the joint moves"
-            found.append(Remark(Kind.STALE, joint, _names(stale), text, count / n_samples))
+            found.append(Remark(RemarkKind.STALE, joint, _names(stale), text, count / n_samples))
         gaps = [rate for rate in own if rate.n_missing > REMARK_SHARE * rate.n_samples or rate.n_invalid]
         if gaps:
             missing, invalid = sum(r.n_missing for r in gaps), sum(r.n_invalid for r in gaps)
@@ -141,14 +143,18 @@ def _remarks(rates: Sequence[SignalRate]) -> list[Remark]:
             parts += [f"{invalid} values are no numbers"] * bool(invalid)
             found.append(
                 Remark(
-                    Kind.MISSING, joint, _names(gaps), " and ".join(parts), (missing + invalid) / n_samples
+                    RemarkKind.MISSING,
+                    joint,
+                    _names(gaps),
+                    " and ".join(parts),
+                    (missing + invalid) / n_samples,
                 )
             )
         uneven = [rate for rate in own if rate.jitter_s * rate.rate_Hz > JITTER_SHARE]
         if uneven:
             worst = max(uneven, key=lambda rate: rate.jitter_s)
             text = f"the period varies by +-{worst.jitter_s * 1e3:.1f} ms at {worst.rate_Hz:.0f} Hz"
-            found.append(Remark(Kind.JITTER, joint, _names(uneven), text, worst.jitter_s, unit="s"))
+            found.append(Remark(RemarkKind.JITTER, joint, _names(uneven), text, worst.jitter_s, unit="s"))
     return found
 
 

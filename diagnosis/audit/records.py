@@ -8,7 +8,7 @@ from diagnosis.arrays import Flags
 from diagnosis.result import Refusal
 
 
-class Kind(StrEnum):
+class RemarkKind(StrEnum):
     """Kinds of remarks, the worst first."""
 
     UNIT = "unit looks wrong"
@@ -27,7 +27,7 @@ class Kind(StrEnum):
 class Remark:
     """Something that the logs show and that is not an effect of the catalogue."""
 
-    kind: Kind
+    kind: RemarkKind
     joint: str
     """Name of the joint; empty for the whole robot."""
     motions: tuple[str, ...]

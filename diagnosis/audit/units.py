@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.audit.records import Kind, Remark
+from diagnosis.audit.records import Remark, RemarkKind
 from diagnosis.audit.samples import Samples, hold, joint_samples
 from diagnosis.logs import Motion
 from diagnosis.robot import ControlMode, Robot
@@ -75,7 +75,7 @@ def _remark(ratio: float, joint: str, motions: tuple[str, ...], what: str, other
             if math.isfinite(ratio) and abs(math.log(ratio / signed)) < math.log(CLOSE):
                 text = f"{what} is {ratio:.3g} times {other}: is {wrong} in {unit}, or is the unit "
                 text += f"of {right} in the robot file wrong?"
-                return [Remark(Kind.UNIT, joint, motions, text, ratio)]
+                return [Remark(RemarkKind.UNIT, joint, motions, text, ratio)]
     return []
 
 
@@ -97,7 +97,7 @@ def _beyond_range(
                 f"the position reaches {largest:.4g} rad, the model ends at {allowed:.4g} rad: "
                 f"is the log in {unit}?"
             )
-            return [Remark(Kind.UNIT, joint, motions, text, largest / allowed)]
+            return [Remark(RemarkKind.UNIT, joint, motions, text, largest / allowed)]
     return []
 
 
@@ -108,4 +108,4 @@ def _many_turns(joint: str, motions: tuple[str, ...], samples: Sequence[Samples]
         return []
     low, high = float(positions.min()), float(positions.max())
     text = f"the position goes from {low:.4g} to {high:.4g} rad, over many turns: is the log in degrees?"
-    return [Remark(Kind.TURNS, joint, motions, text, high - low, unit="rad")]
+    return [Remark(RemarkKind.TURNS, joint, motions, text, high - low, unit="rad")]

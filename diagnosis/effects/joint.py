@@ -36,7 +36,6 @@ class JointScales:
     command_low: float
     """In the unit of the control mode; NaN without a command."""
     command_high: float
-    command_speed: float
     torque_Nm: float
     """Torque limit. Where it is unlimited: the largest of logged torque and that of gravity and inertia."""
     hottest_degC: float
@@ -109,7 +108,6 @@ def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScal
             acceleration_rad_s2=acceleration,
             command_low=float(command.min()),
             command_high=float(command.max()),
-            command_speed=_high([_slope(one).value for one in commands]),
             torque_Nm=_torque_Nm(robot, j, q, acceleration, torques),
             hottest_degC=float(heat.max()),
             coldest_degC=float(heat.min()),
@@ -130,8 +128,6 @@ def _slope(signal: Signal) -> Signal:
 
 def _high(values: Sequence[Array]) -> float:
     """Return the largest usual magnitude; not 0, so that it can be a divisor."""
-    if not values:
-        return float("nan")
     return max(float(np.quantile(np.abs(np.concatenate(values)), QUANTILE)), 1e-6)
 
 

@@ -23,7 +23,7 @@ SIMULATION_HOOKS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class ResidualKind:
     """One kind of residual."""
 
     make: Callable[[Sequence[Motion], float], ResidualModel]
@@ -36,7 +36,7 @@ class Kind:
 
 def list_kinds(
     robot: Robot, motions: Sequence[Motion], usable: Mapping[tuple[str, str], Flags] | None
-) -> list[Kind]:
+) -> list[ResidualKind]:
     """List the kinds of residual that the logs allow.
 
     Logged torques are compared with inverse dynamics, which needs no controller. Without them the commands
@@ -56,16 +56,18 @@ def list_kinds(
     logs = [log for motion in motions for log in motion.joints.values()]
     found = []
     if any(log.torque is not None for log in logs):
-        found.append(Kind(lambda part, _: InverseResiduals(robot, part, usable), shows_torque, True))
+        found.append(ResidualKind(lambda part, _: InverseResiduals(robot, part, usable), shows_torque, True))
     elif any(log.command is not None for log in logs):
 
         def simulate(part: Sequence[Motion], most_steps: float) -> ResidualModel:
             return SimulationResiduals(robot, part, keep=usable, most_steps=most_steps)
 
-        found.append(Kind(simulate, shows_simulation, True))
+        found.append(ResidualKind(simulate, shows_simulation, True))
     if any(log.secondary is not None for log in logs):
         found.append(
-            Kind(lambda part, _: EncoderResiduals(robot, part, usable), encoder_residuals.shows, False)
+            ResidualKind(
+                lambda part, _: EncoderResiduals(robot, part, usable), encoder_residuals.shows, False
+            )
         )
     if not found:
         raise RobotError("the logs have no command, torque or second encoder; a diagnosis needs one of them")

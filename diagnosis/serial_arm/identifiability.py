@@ -46,19 +46,6 @@ class Identifiability:
         """Return the condition number of the identified combinations."""
         return float(self.singular_values[0] / self.singular_values[self.rank - 1]) if self.rank else np.inf
 
-    def projected(self, values: Array) -> Array:
-        """Project values onto the identified combinations.
-
-        Args:
-            values: Parameter values in their units, shape (p, ...).
-
-        Returns:
-            Coefficients of the identified combinations in units of the scales, shape (rank, ...).
-        """
-        scale = np.array([parameter.scale for parameter in self.parameters])
-        within: Array = self.combinations[:, : self.rank].T @ (values.T / scale).T
-        return within
-
     def unidentifiable_groups(self) -> tuple[UnidentifiableGroup, ...]:
         """Group the parameters that are confounded or have no effect; none is in two groups."""
         unseen = self.combinations[:, self.rank :]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diagnosis.audit.audit import audit
-from diagnosis.audit.records import Kind
+from diagnosis.audit.records import RemarkKind
 from diagnosis.audit.stops import find_lower_stop, median_interval
 from diagnosis.diagnose import diagnose
 from diagnosis.errors import RobotError
@@ -49,7 +49,7 @@ def test_clean_logs_get_no_remark_and_keep_every_sample(clean):
 def test_a_table_is_named_with_its_height_and_its_samples_are_refused():
     logs = slow_logs(planar_arm(table=True), low=-0.5, high=1.0)
     found = audit(planar_arm(), logs)
-    assert kinds(found) == [(Kind.CONTACT, "")]
+    assert kinds(found) == [(RemarkKind.CONTACT, "")]
     (remark,) = found.remarks
     assert remark.value == pytest.approx(TABLE_M, abs=0.005)
     assert remark.interval[0] <= remark.value <= remark.interval[1]
@@ -69,7 +69,7 @@ def test_a_command_that_is_cut_off_is_named_with_its_value(joint, clamp, sign):
         cut = sign * np.minimum(sign * sent[joint], sign * clamp)
         motions.append(record(planar_arm(), k, sent, {**sent, joint: cut}))
     found = audit(planar_arm(), Logs(tuple(motions)))
-    assert kinds(found) == [(Kind.CUT_OFF, joint)]
+    assert kinds(found) == [(RemarkKind.CUT_OFF, joint)]
     (remark,) = found.remarks
     assert remark.interval[0] <= clamp <= remark.interval[1]
     assert remark.value == pytest.approx(clamp, abs=0.01)
@@ -82,7 +82,7 @@ def test_a_command_that_is_cut_off_is_named_with_its_value(joint, clamp, sign):
 def test_a_motor_that_is_too_weak_is_no_command_that_is_cut_off(limit_Nm):
     weak = planar_arm(torque_limit_Nm=limit_Nm)
     found = audit(planar_arm(), slow_logs(weak, low=-1.2, high=0.4))
-    assert Kind.CUT_OFF not in {one.kind for one in found.remarks}
+    assert RemarkKind.CUT_OFF not in {one.kind for one in found.remarks}
 
 
 def test_a_stop_against_the_largest_load_may_be_a_torque_limit():
@@ -92,7 +92,7 @@ def test_a_stop_against_the_largest_load_may_be_a_torque_limit():
         cut = {**sent, "shoulder": np.maximum(sent["shoulder"], -0.3)}
         motions.append(record(planar_arm(), k, sent, cut))
     (remark,) = audit(planar_arm(), Logs(tuple(motions))).remarks
-    assert (remark.kind, remark.joint) == (Kind.SATURATION, "shoulder")
+    assert (remark.kind, remark.joint) == (RemarkKind.SATURATION, "shoulder")
     assert "look alike" in remark.text
 
 
@@ -102,9 +102,11 @@ def test_a_torque_at_its_limit_is_saturation(clean):
         return replace(log, torque=Signal(log.position.time_s, np.clip(wave, -2.0, 2.0)))
 
     found = audit(planar_arm(torque_limit_Nm=2.0), with_joint(clean, "elbow", add_torque))
-    assert kinds(found) == [(Kind.SATURATION, "elbow")]
+    assert kinds(found) == [(RemarkKind.SATURATION, "elbow")]
     unlimited = planar_arm(torque_limit_Nm=float("inf"))
-    assert kinds(audit(unlimited, with_joint(clean, "elbow", add_torque))) == [(Kind.SATURATION, "elbow")]
+    assert kinds(audit(unlimited, with_joint(clean, "elbow", add_torque))) == [
+        (RemarkKind.SATURATION, "elbow")
+    ]
 
 
 def test_a_torque_with_a_smooth_peak_is_no_saturation(clean):
@@ -124,7 +126,7 @@ def test_positions_that_repeat_while_the_joint_moves_are_stale_and_refused(clean
         return replace(log, position=replace(log.position, value=value))
 
     found = audit(planar_arm(), with_joint(clean, "shoulder", freeze))
-    assert kinds(found) == [(Kind.STALE, "shoulder")]
+    assert kinds(found) == [(RemarkKind.STALE, "shoulder")]
     assert "stale" in reasons(found)
 
 
@@ -141,13 +143,13 @@ def test_missing_rows_and_an_uneven_rate_are_named(clean):
         position = Signal(log.position.time_s[keep], log.position.value[keep])
         return replace(log, position=position)
 
-    assert kinds(audit(planar_arm(), with_joint(clean, "elbow", lose))) == [(Kind.MISSING, "elbow")]
+    assert kinds(audit(planar_arm(), with_joint(clean, "elbow", lose))) == [(RemarkKind.MISSING, "elbow")]
 
     def shake(log):
         late_s = np.where(np.arange(log.position.time_s.size) % 2, 0.008, 0.0)
         return replace(log, position=replace(log.position, time_s=log.position.time_s + late_s))
 
-    assert kinds(audit(planar_arm(), with_joint(clean, "elbow", shake))) == [(Kind.JITTER, "elbow")]
+    assert kinds(audit(planar_arm(), with_joint(clean, "elbow", shake))) == [(RemarkKind.JITTER, "elbow")]
 
 
 def test_positions_that_are_no_numbers_are_refused(clean):
@@ -157,7 +159,7 @@ def test_positions_that_are_no_numbers_are_refused(clean):
         return replace(log, position=replace(log.position, value=value))
 
     found = audit(planar_arm(), with_joint(clean, "elbow", spoil))
-    assert (Kind.MISSING, "elbow") in kinds(found)
+    assert (RemarkKind.MISSING, "elbow") in kinds(found)
     assert not found.is_usable("motion 0", "elbow")[10:20].any()
 
 
@@ -167,8 +169,8 @@ def test_commands_in_another_unit_are_named(clean, factor):
         return replace(log, command=Signal(log.command.time_s, log.command.value * factor))
 
     found = audit(planar_arm(), with_joint(clean, "shoulder", scale))
-    assert (Kind.UNIT, "shoulder") in kinds(found)
-    assert found.remarks[0].kind is Kind.UNIT
+    assert (RemarkKind.UNIT, "shoulder") in kinds(found)
+    assert found.remarks[0].kind is RemarkKind.UNIT
 
 
 def test_degrees_in_place_of_radians_are_named_by_the_range_of_the_model(clean):
@@ -179,7 +181,7 @@ def test_degrees_in_place_of_radians_are_named_by_the_range_of_the_model(clean):
             command=Signal(log.command.time_s, np.degrees(log.command.value)),
         )
 
-    assert (Kind.UNIT, "shoulder") in kinds(audit(planar_arm(), with_joint(clean, "shoulder", scale)))
+    assert (RemarkKind.UNIT, "shoulder") in kinds(audit(planar_arm(), with_joint(clean, "shoulder", scale)))
 
 
 def test_a_velocity_in_degrees_is_named_and_one_in_radians_is_not(clean):
@@ -193,13 +195,13 @@ def test_a_velocity_in_degrees_is_named_and_one_in_radians_is_not(clean):
     right = with_joint(clean, "shoulder", add_velocity(1.0))
     wrong = with_joint(clean, "shoulder", add_velocity(180.0 / np.pi))
     assert audit(planar_arm(), right).remarks == ()
-    assert kinds(audit(planar_arm(), wrong)) == [(Kind.UNIT, "shoulder")]
+    assert kinds(audit(planar_arm(), wrong)) == [(RemarkKind.UNIT, "shoulder")]
 
 
 def test_poses_in_which_the_model_goes_into_its_table_are_named():
     logs = slow_logs(planar_arm(), low=-0.5, high=1.0, count=2)
     found = audit(planar_arm(table=True), logs)
-    assert [one.kind for one in found.remarks] == [Kind.COLLISION]
+    assert [one.kind for one in found.remarks] == [RemarkKind.COLLISION]
     assert "world" in found.remarks[0].text
 
 
@@ -225,10 +227,10 @@ def test_table_and_clamp_of_the_measured_so101_are_named(real_data):
     robot = Robot.from_toml(ROOT / "models/robots/so101/robot.toml")
     found = audit(robot, load(robot, real_data / "so101" / "so101.parquet"))
     contact, cut_off = found.remarks
-    assert contact.kind is Kind.CONTACT
+    assert contact.kind is RemarkKind.CONTACT
     assert contact.text.startswith("gripperframe")
     assert contact.value == pytest.approx(-0.045, abs=0.005)
-    assert (cut_off.kind, cut_off.joint) == (Kind.CUT_OFF, "wrist_roll")
+    assert (cut_off.kind, cut_off.joint) == (RemarkKind.CUT_OFF, "wrist_roll")
     assert cut_off.value == pytest.approx(-1.034, abs=0.005)
     assert len(TABLE_MOTIONS - set(contact.motions)) <= 1  # hover_positions only just touches
     assert {one.motion for one in found.refused if one.reason == "contact with a plane"} >= TABLE_MOTIONS
@@ -270,7 +272,7 @@ def test_a_position_that_never_changes_under_a_moving_command_is_named(clean):
         return replace(log, position=Signal(log.position.time_s, np.full(log.position.value.size, 0.4)))
 
     remarks = [one for one in audit(planar_arm(), with_joint(clean, "elbow", stop)).remarks if one.joint]
-    assert [one.kind for one in remarks] == [Kind.CONSTANT]
+    assert [one.kind for one in remarks] == [RemarkKind.CONSTANT]
     assert "stays at 0.4 rad, while the command spans 0.3 rad" in remarks[0].text
 
 
@@ -284,7 +286,7 @@ def test_a_joint_without_limits_that_turns_often_may_be_in_degrees(clean):
 
     robot = planar_arm()
     robot.model.jnt_limited[1] = False
-    assert (Kind.TURNS, "elbow") in kinds(audit(robot, with_joint(clean, "elbow", scale)))
+    assert (RemarkKind.TURNS, "elbow") in kinds(audit(robot, with_joint(clean, "elbow", scale)))
     assert audit(robot, clean).remarks == ()
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from diagnosis.assemble import list_base
 from diagnosis.audit.audit import audit
-from diagnosis.audit.records import Kind
+from diagnosis.audit.records import RemarkKind
 from diagnosis.catalogue.catalogue import base_effects
 from diagnosis.diagnose import diagnose
 from diagnosis.logs import Logs
@@ -49,7 +49,10 @@ def slow_logs(truth: Truth) -> Logs:
 
 def test_table_and_clamp_of_the_twin_are_named_and_their_samples_are_refused():
     found = audit(so101(), slow_logs(Truth(has_table=True, has_clamp=True)))
-    assert [(one.kind, one.joint) for one in found.remarks] == [(Kind.CONTACT, ""), (Kind.CUT_OFF, ROLL)]
+    assert [(one.kind, one.joint) for one in found.remarks] == [
+        (RemarkKind.CONTACT, ""),
+        (RemarkKind.CUT_OFF, ROLL),
+    ]
     contact, cut_off = found.remarks
     assert contact.value == pytest.approx(TABLE_m, abs=0.005)
     assert contact.motions == ("slow 0", "slow 1")
