@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from ground.diagnosis.report import save_diagnosis_page
+from ground.diagnosis.page import save_diagnosis_page
 
 from ground.accuracy.budget import run_budget
 from ground.accuracy.budget_report import save_budget_page
