@@ -3,7 +3,6 @@
 import re
 
 import pytest
-from ground.diagnosis.page import save_diagnosis_page
 
 from ground.accuracy.budget import run_budget
 from ground.accuracy.budget_report import save_budget_page
@@ -15,6 +14,7 @@ from ground.calibration.execution import run_calibration
 from ground.calibration.report import save_calibration_page
 from ground.calibration.request import CalibrateRequest
 from ground.diagnosis.model import build_model
+from ground.diagnosis.page import save_diagnosis_page
 from ground.render.page import Origin
 from tests.ground.calibration.lab import campaign, quiet
 from tests.ground.diagnosis import results
