@@ -10,7 +10,7 @@ import numpy as np
 
 from diagnosis.assemble import assemble
 from diagnosis.audit.rates import COARSE_RAD
-from diagnosis.audit.records import Audit, Remark, RemarkKind
+from diagnosis.audit.records import Audit, RemarkKind
 from diagnosis.audit.samples import joint_samples
 from diagnosis.catalogue.catalogue import base_effects, catalogue
 from diagnosis.effects.effect import Effect
@@ -69,14 +69,9 @@ def diagnose(
     check_motions(robot, motions, held_out)
     usable = None
     if audit is not None:
-        check_remarks(audit.remarks)
+        check_audit(audit, motions)
         names = [(motion.name, joint) for motion in (*motions, *held_out) for joint in motion.joints]
         usable = {(motion, joint): audit.is_usable(motion, joint) for motion, joint in names}
-        if not any(usable[motion.name, joint].any() for motion in motions for joint in motion.joints):
-            reasons = ", ".join(dict.fromkeys(one.reason for one in audit.refused))
-            raise RobotError(
-                f"no sample of the fitted motions can be used ({reasons}); `marsarm robot check` shows where"
-            )
     kinds = list_kinds(robot, motions, usable)
     logs = Logs(tuple(motions))
     known = [*catalogue(robot, logs), *effects]
@@ -188,18 +183,26 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
             )
 
 
-def check_remarks(remarks: Sequence[Remark]) -> None:
-    """Refuse logs with a wrong unit or a position that never changes: effects would explain either.
+def check_audit(audit: Audit, motions: Sequence[Motion]) -> None:
+    """Refuse logs with a wrong unit or a position that never changes, and logs without a usable sample.
+
+    Effects would explain a wrong unit, or a position that never changes.
 
     Args:
-        remarks: Remarks of an audit.
+        audit: Audit of the motions.
+        motions: Motions that are fitted.
 
     Raises:
-        RobotError: A unit looks wrong, or a position never changes.
+        RobotError: A unit looks wrong, a position never changes, or no sample can be used.
     """
-    for one in remarks:
+    for one in audit.remarks:
         if one.kind in (RemarkKind.UNIT, RemarkKind.CONSTANT):
             raise RobotError(f"joint {one.joint}: {one.kind}; {one.text}")
+    if not any(audit.is_usable(motion.name, joint).any() for motion in motions for joint in motion.joints):
+        reasons = ", ".join(dict.fromkeys(one.reason for one in audit.refused))
+        raise RobotError(
+            f"no sample of the fitted motions can be used ({reasons}); `marsarm robot check` shows where"
+        )
 
 
 def check_names(effects: Sequence[Effect]) -> None:

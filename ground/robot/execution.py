@@ -8,7 +8,7 @@ import numpy as np
 from diagnosis.audit.audit import audit
 from diagnosis.audit.nominal import NominalModel, NominalMotion
 from diagnosis.audit.records import Audit
-from diagnosis.diagnose import check_motions, check_remarks
+from diagnosis.diagnose import check_audit, check_motions
 from diagnosis.errors import RobotError
 from diagnosis.load import load
 from diagnosis.logs import Logs, Motion
@@ -112,7 +112,7 @@ def _refusal(robot: Robot, logs: Logs, found: Audit) -> str:
     """Return the sentence with which a diagnosis refuses these logs; empty if it takes them."""
     try:
         check_motions(robot, logs.fit, logs.judged)
-        check_remarks(found.remarks)
+        check_audit(found, logs.fit)
     except RobotError as error:
         return str(error)
     return ""
