@@ -79,6 +79,7 @@ class EncoderResiduals:
     kind = "second encoder"
     unit = "rad"
     by_motion = False
+    step_s = 0.0
 
     def __init__(
         self, robot: Robot, motions: Sequence[Motion], keep: Mapping[tuple[str, str], Flags] | None = None

@@ -75,6 +75,7 @@ class InverseResiduals:
     kind = "inverse dynamics"
     unit = "N m"
     by_motion = False
+    step_s = 0.0
 
     def __init__(
         self, robot: Robot, motions: Sequence[Motion], keep: Mapping[tuple[str, str], Flags] | None = None

@@ -67,6 +67,7 @@ class SimulationResiduals:
         self._robot = robot
         self._models = Models(robot)
         self._n_threads = n_threads
+        self.step_s = float(robot.model.opt.timestep)
         most_periods = most_steps / round(robot.control_period_s / robot.model.opt.timestep)
         fine_models = Models(_refine(robot))
         coarse, fine = (

@@ -104,7 +104,8 @@ def select_effects(
         if winners:
             effects, fits = [one.effect for one in winners], [one.fit for one in winners]
             context, present = add_effects(context, first, present, effects, fits)
-        open_joints -= {j for j in open_joints if count_effects(context, present, j) >= MAX_EFFECTS}
+        taken = [context.joint_of(one) for one in present.effects]
+        open_joints -= {joint for joint in open_joints if taken.count(joint) >= MAX_EFFECTS}
     chosen, left_out = drop_needless(context, present)
     return Selection(context, first, chosen, left_out, competitors)
 
@@ -306,7 +307,9 @@ def judge(
 
 
 def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit: Fit) -> bool:
-    """Check whether a size of an effect ends at a bound, or is not plausible beside the others.
+    """Check whether a size of an effect ends at a bound, is not plausible, or is below what the model resolves.
+
+    A simulation works in steps: a delay of less than half a step is none in it.
 
     Args:
         context: The context.
@@ -324,9 +327,15 @@ def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit:
         if one.place == effect.place
     }
     bounds = [(size.low, size.high) for size in effect.sizes]
-    return not effect.is_plausible(fit.sizes[own], beside) or any(
-        fit.sizes[c] != 0.0 and min(fit.sizes[c] - low, high - fit.sizes[c]) < 1e-3 * (high - low)
-        for c, (low, high) in zip(own, bounds, strict=True)
+    half_step = [0.5 * context.model.step_s if size.name == "delay_s" else 0.0 for size in effect.sizes]
+    is_none = bool(np.any(np.abs(fit.sizes[own]) < half_step))
+    return (
+        is_none
+        or not effect.is_plausible(fit.sizes[own], beside)
+        or any(
+            fit.sizes[c] != 0.0 and min(fit.sizes[c] - low, high - fit.sizes[c]) < 1e-3 * (high - low)
+            for c, (low, high) in zip(own, bounds, strict=True)
+        )
     )
 
 
@@ -381,17 +390,3 @@ def find_chance(context: Context, fits: Sequence[Fit], effect: Effect, without: 
     is_stationary = all(knows_noise(context, fit.rows) for fit in fits)
     chance = refit_p(fits, own, without, context.model, context.scales, is_stationary)
     return min(1.0, context.n_distinct * chance)
-
-
-def count_effects(context: Context, present: FittedModel, joint: int) -> int:
-    """Count the accepted effects that are judged at a joint alone.
-
-    Args:
-        context: The context.
-        present: The present model.
-        joint: Index of the joint.
-
-    Returns:
-        Number of effects.
-    """
-    return sum(context.joint_of(one) == joint for one in present.effects)

@@ -42,6 +42,18 @@ def test_three_effects_at_two_joints_are_named_and_no_other(seed: int) -> None:
     assert named(draw_toy(seed, TRUTH)) == sorted(TRUTH)
 
 
+@pytest.mark.parametrize("delay_s, expected", [(0.1, ["far: delay_s"]), (0.04, [])])
+def test_a_delay_gets_a_name_from_half_a_step_of_the_simulation_on(
+    delay_s: float, expected: list[str]
+) -> None:
+    late = Toy("far", "delay_s", np.square)
+    model = draw_toy(1, {})
+    model.step_s = 0.1
+    model.measured[1] += delay_s * late.shape(model.commands[1])
+    selection = select_effects(model, BASE, [late], seed=1)
+    assert [effect.key for effect in selection.chosen.effects] == expected
+
+
 def test_what_explains_little_of_a_residual_is_not_called_its_cause() -> None:
     model = draw_toy(1, {"far: double": 0.05})
     rest = tuple(effect for effect in CATALOGUE if effect.label != "double")
