@@ -307,7 +307,7 @@ def judge(
 
 
 def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit: Fit) -> bool:
-    """Check whether a size of an effect ends at a bound, is not plausible, or is below what the model resolves.
+    """Check whether a size of an effect ends at a bound, is not plausible, or is too small to be simulated.
 
     A simulation works in steps: a delay of less than half a step is none in it.
 

@@ -42,7 +42,7 @@ def test_three_effects_at_two_joints_are_named_and_no_other(seed: int) -> None:
     assert named(draw_toy(seed, TRUTH)) == sorted(TRUTH)
 
 
-@pytest.mark.parametrize("delay_s, expected", [(0.1, ["far: delay_s"]), (0.04, [])])
+@pytest.mark.parametrize(("delay_s", "expected"), [(0.1, ["far: delay_s"]), (0.04, [])])
 def test_a_delay_gets_a_name_from_half_a_step_of_the_simulation_on(
     delay_s: float, expected: list[str]
 ) -> None:
