@@ -234,6 +234,6 @@ def read_model_file(path: Path) -> RobotFile:
     if isinstance(found, SerialFile):
         raise RobotError(
             f"{path}: serial_arm: has tracker poses and no MJCF model; "
-            "run marsarm calibrate-serial ARM.toml TABLE MAPPING.toml"
+            "`marsarm robot diagnose` reads it, and `marsarm calibrate-serial ARM.toml TABLE MAPPING.toml`"
         )
     return found

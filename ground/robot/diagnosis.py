@@ -8,12 +8,19 @@ from typing import Final
 from diagnosis.audit.audit import audit
 from diagnosis.catalogue.own_effects import load_effects
 from diagnosis.diagnose import diagnose
+from diagnosis.errors import RobotError
+from diagnosis.files.robot_file import SerialFile, read_robot_file
 from diagnosis.load import load
 from diagnosis.logs import Logs, Motion
 from diagnosis.patch.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, write_patch
 from diagnosis.report.traces import Trace, trace_motions
 from diagnosis.result import Diagnosis
 from diagnosis.robot import Robot
+from diagnosis.serial_arm.arm import SerialArm
+from diagnosis.serial_arm.arm_file import arm_to_toml, read_arm
+from diagnosis.serial_arm.effects import patch_arm
+from diagnosis.serial_arm.tracker import diagnose_tracker
+from diagnosis.serial_arm.tracker_table import read_series
 from ground.common.errors import BadOutput, BadRequest
 from ground.common.files import cache_folder, check_distinct_files, check_new_path, digest_files
 from ground.common.interruption import Interrupted
@@ -23,6 +30,8 @@ from ground.robot.request import RobotDiagnoseRequest
 
 GOES_ON: Final = "the same command goes on after its last complete step"
 """Sentence about an interruption."""
+ARM_FILE: Final = "arm.toml"
+"""File of a serial arm in the folder of a patch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +39,12 @@ class RobotDiagnosis:
     """A diagnosis with what its files need."""
 
     request: RobotDiagnoseRequest
-    robot: Robot
     diagnosis: Diagnosis
     traces: tuple[Trace, ...]
     """Of held-out motions, or of the fitted ones if none is held out; empty without a report."""
-    patch: Patch | None
+    patch: Patch | SerialArm | None
     digests: dict[str, str]
-    """SHA-256 of robot file and logs."""
+    """SHA-256 of the files that were read."""
 
 
 def diagnose_robot(request: RobotDiagnoseRequest, progress: Progress = no_progress) -> RobotDiagnosis:
@@ -52,6 +60,15 @@ def diagnose_robot(request: RobotDiagnoseRequest, progress: Progress = no_progre
     check_distinct_files({"report": request.report, "patch": request.patch})
     _check_folder(request.patch)
     progress(0.0, 0.0, "reading")
+    file = read_robot_file(request.robot)
+    return (
+        _diagnose_tracker(request, file, progress)
+        if isinstance(file, SerialFile)
+        else _diagnose_logs(request, progress)
+    )
+
+
+def _diagnose_logs(request: RobotDiagnoseRequest, progress: Progress) -> RobotDiagnosis:
     robot = Robot.from_toml(request.robot)
     if request.patch is not None and robot.file is not None:
         check_distinct_files({"model": robot.folder / robot.file.model, "patch": request.patch / MODEL_FILE})
@@ -76,7 +93,32 @@ def diagnose_robot(request: RobotDiagnoseRequest, progress: Progress = no_progre
         raise
     patch = None if request.patch is None else make_patch(robot, result.effects, result.sizes)
     traces = () if request.report is None else trace_motions(robot, _shown(logs), result, found.usable)
-    return RobotDiagnosis(request, robot, result, traces, patch, digests)
+    return RobotDiagnosis(request, result, traces, patch, digests)
+
+
+def _diagnose_tracker(request: RobotDiagnoseRequest, file: SerialFile, progress: Progress) -> RobotDiagnosis:
+    given = {"split": request.split, "held-out": request.held_out, "effects": request.effects}
+    wrong = next((name for name, value in given.items() if value), None)
+    if wrong:
+        raise BadRequest(
+            f"{wrong}: is for logs; of poses, the earlier half is fitted and the later one judges"
+        )
+    if len(request.logs) != 1:
+        raise BadRequest(f"logs: {len(request.logs)} tables of poses; give one, for one pose of the tracker")
+    folder, (table,) = request.robot.parent, request.logs
+    if table.name not in file.poses:
+        raise RobotError(
+            f"{request.robot}: poses: has no mapping for {table.name}; has {', '.join(file.poses)}"
+        )
+    path, mapping = folder / file.serial_arm, folder / file.poses[table.name]
+    if request.patch is not None:
+        check_distinct_files({"serial_arm": path, "patch": request.patch / ARM_FILE})
+    arm = read_arm(path)
+    series = read_series(arm, table, mapping)
+    digests = digest_files({"robot": [request.robot, path, mapping], "log": [table]})
+    result = diagnose_tracker(arm, series, progress=progress)
+    patched = None if request.patch is None else patch_arm(arm, result.effects, result.sizes)
+    return RobotDiagnosis(request, result, (), patched, digests)
 
 
 def save_diagnosis_files(made: RobotDiagnosis) -> None:
@@ -89,11 +131,23 @@ def save_diagnosis_files(made: RobotDiagnosis) -> None:
 
     if made.request.report is not None:
         save_diagnosis_page(made, made.request.report)
-    if made.patch is not None and made.request.patch is not None:
+    folder = made.request.patch
+    if made.patch is not None and folder is not None:
         try:
-            write_patch(made.patch, made.request.patch)
+            if isinstance(made.patch, Patch):
+                write_patch(made.patch, folder)
+            else:
+                folder.mkdir(exist_ok=True)
+                (folder / ARM_FILE).write_text(arm_to_toml(made.patch, _origin(made)), encoding="utf-8")
         except OSError as error:
-            raise BadOutput(f"patch {made.request.patch}: cannot be written ({error.strerror})") from error
+            raise BadOutput(f"patch {folder}: cannot be written ({error.strerror})") from error
+
+
+def _origin(made: RobotDiagnosis) -> list[str]:
+    return [
+        f"{made.diagnosis.robot}, with the links and effects that a diagnosis found.",
+        *(f"{name} sha256 {digest}" for name, digest in made.digests.items()),
+    ]
 
 
 def _shown(logs: Logs) -> tuple[Motion, ...]:
@@ -113,6 +167,6 @@ def _check_folder(folder: Path | None) -> None:
         raise BadOutput(f"patch {folder}: this is a file; give the path of a folder")
     if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
         raise BadOutput(f"patch {folder}: no right to write there")
-    for name in (MODEL_FILE, RUNTIME_FILE):
+    for name in (MODEL_FILE, RUNTIME_FILE, ARM_FILE):
         if (folder / name).is_dir():
             raise BadOutput(f"patch {folder / name}: this is a folder; give another folder for the patch")

@@ -13,7 +13,6 @@ from ground.common.errors import BadRequest
 from ground.robot.diagnosis import RobotDiagnosis, diagnose_robot, save_diagnosis_files
 from ground.robot.diagnosis_page import print_diagnosis, save_diagnosis_page
 from ground.robot.request import RobotDiagnoseRequest
-from tests.diagnosis.pendulum import pendulum
 from tests.diagnosis.verdicts import (
     ARMATURE,
     FRICTION,
@@ -44,7 +43,7 @@ needs_chromium = pytest.mark.skipif(find_chromium() is None, reason=MISSING)
 def made(tmp_path, result=FOUND, traces=True):
     request = RobotDiagnoseRequest(tmp_path / "robot.toml", (tmp_path / "log.parquet",))
     shown = make_traces(Drawn(), result) if traces else ()
-    return RobotDiagnosis(request, pendulum(), result, shown, None, {"robot": "0" * 64})
+    return RobotDiagnosis(request, result, shown, None, {"robot": "0" * 64})
 
 
 def text_of(tmp_path, **changes):
