@@ -99,11 +99,15 @@ def _trace_part(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
     chosen = choose_traces(traces)
     if not chosen:
         return []
+    kinds = {kind for _, kind in chosen}
     return [
         _heading("Before and after"),
         _paragraph("Of each joint, the motions with the largest, middle and smallest error are shown."),
         "<noscript><p>The figures here need JavaScript.</p></noscript>",
-        *(_trace_figure(joint, own) for joint, own in chosen.items()),
+        *(
+            _trace_figure(joint if len(kinds) == 1 else f"{joint}, {kind}", own)
+            for (joint, kind), own in chosen.items()
+        ),
         f"<script>{_read('traces.js')}</script>",
     ]
 

@@ -1,13 +1,15 @@
-"""Traces of held-out motions: measured, simulated as the model is, and simulated with the findings."""
+"""Traces of held-out motions: measured, predicted by the model as it is, and predicted with the findings."""
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from diagnosis.arrays import Array, Flags
 from diagnosis.logs import Motion
+from diagnosis.residuals.kinds import list_kinds
 from diagnosis.residuals.residuals import ResidualModel
 from diagnosis.residuals.simulation_residuals import SimulationResiduals
 from diagnosis.result import Diagnosis
@@ -15,8 +17,8 @@ from diagnosis.robot import Robot
 
 MAX_POINTS: Final = 2000
 """Points of a trace on a page: about two for each pixel of a wide screen."""
-MEASURED: Final = {"simulation": "position", "second encoder": "position", "inverse dynamics": "load"}
-"""Variable of a residual model that is what it predicts; a kind that is not here shows residuals alone."""
+SIMULATION: Final = SimulationResiduals.kind
+"""Kind of residual whose traces also show what was measured; of others, the residuals alone are known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +26,8 @@ class Trace:
     """One joint in one motion."""
 
     joint: str
+    kind: str
+    """Kind of residual: `ResidualModel.kind`."""
     motion: str
     unit: str
     time_s: Array
@@ -45,8 +49,7 @@ def make_traces(model: ResidualModel, diagnosis: Diagnosis) -> tuple[Trace, ...]
     """
     found = np.concatenate([np.zeros(0), *(np.asarray(size, float) for size in diagnosis.sizes)])
     nominal, explained = model.residuals(diagnosis.effects, np.stack([np.zeros_like(found), found]))
-    variable = MEASURED.get(model.kind)
-    measured = None if variable is None else model.explain(variable)
+    measured = model.explain("position") if model.kind == SIMULATION else None
     return tuple(_cut(model, nominal, explained, measured))
 
 
@@ -56,7 +59,7 @@ def trace_motions(
     diagnosis: Diagnosis,
     usable: Mapping[tuple[str, str], Flags] | None = None,
 ) -> tuple[Trace, ...]:
-    """Simulate motions without and with what a diagnosis has found.
+    """Predict motions without and with what a diagnosis has found, by each kind of residual that it used.
 
     Args:
         robot: Robot that was diagnosed.
@@ -65,13 +68,24 @@ def trace_motions(
         usable: By names of motion and joint, flags over the position samples to show, (n,); all if absent.
 
     Returns:
-        The traces; none of a motion in which a joint has no command, because it cannot be simulated.
+        The traces; none by simulation of a motion in which a joint has no command.
 
     Raises:
-        RobotError: A motion cannot be simulated.
+        RobotError: A motion cannot be predicted.
     """
     driven = [one for one in motions if all(log.command is not None for log in one.joints.values())]
-    return make_traces(SimulationResiduals(robot, driven, keep=usable), diagnosis) if driven else ()
+    found: list[Trace] = []
+    for kind in list_kinds(robot, motions, usable):
+        part = driven if kind.name == SIMULATION else motions
+        if part and kind.name in diagnosis.kind.split(" and "):
+            own = [k for k, effect in enumerate(diagnosis.effects) if kind.shows(effect)]
+            shown = replace(
+                diagnosis,
+                effects=tuple(diagnosis.effects[k] for k in own),
+                sizes=tuple(diagnosis.sizes[k] for k in own),
+            )
+            found += make_traces(kind.make(part, math.inf), shown)
+    return tuple(found)
 
 
 def _cut(model: ResidualModel, nominal: Array, explained: Array, measured: Array | None) -> Iterator[Trace]:
@@ -81,19 +95,22 @@ def _cut(model: ResidualModel, nominal: Array, explained: Array, measured: Array
             at = np.flatnonzero((model.joint_of == joint) & (model.motion_of == motion))
             if at.size:
                 own = None if measured is None else measured[at]
-                yield Trace(name, title, model.unit, model.time_s[at], own, nominal[at], explained[at])
+                yield Trace(
+                    name, model.kind, title, model.unit, model.time_s[at], own, nominal[at], explained[at]
+                )
 
 
-def choose_traces(traces: Iterable[Trace]) -> dict[str, tuple[Trace, ...]]:
-    """Return the traces of each joint with the largest, the middle and the smallest error with findings.
+def choose_traces(traces: Iterable[Trace]) -> dict[tuple[str, str], tuple[Trace, ...]]:
+    """Return for each joint and kind of residual the traces with the largest, middle and smallest error.
 
-    So a page shows the worst as well as the best, and its size does not grow with the number of motions.
+    The error is that with the findings. So a page shows the worst as well as the best, and its size does not
+    grow with the number of motions.
     """
-    chosen: dict[str, tuple[Trace, ...]] = {}
+    chosen: dict[tuple[str, str], tuple[Trace, ...]] = {}
     every = list(traces)
-    for joint in dict.fromkeys(one.joint for one in every):
-        own = sorted((one for one in every if one.joint == joint), key=_error, reverse=True)
-        chosen[joint] = tuple(own[k] for k in sorted({0, len(own) // 2, len(own) - 1}))
+    for place in dict.fromkeys((one.joint, one.kind) for one in every):
+        own = sorted((one for one in every if (one.joint, one.kind) == place), key=_error, reverse=True)
+        chosen[place] = tuple(own[k] for k in sorted({0, len(own) // 2, len(own) - 1}))
     return chosen
 
 
@@ -103,8 +120,8 @@ def thin(one: Trace) -> Trace:
         return one
     at = np.linspace(0, one.time_s.size - 1, MAX_POINTS).round().astype(int)
     measured = None if one.measured is None else one.measured[at]
-    return Trace(
-        one.joint, one.motion, one.unit, one.time_s[at], measured, one.nominal[at], one.explained[at]
+    return replace(
+        one, time_s=one.time_s[at], measured=measured, nominal=one.nominal[at], explained=one.explained[at]
     )
 
 

@@ -26,6 +26,8 @@ SIMULATION_HOOKS = (
 class ResidualKind:
     """One kind of residual."""
 
+    name: str
+    """`ResidualModel.kind` of what it makes."""
     make: Callable[[Sequence[Motion], float], ResidualModel]
     """Takes motions and the most steps of a simulation."""
     shows: Callable[[Effect], bool]
@@ -56,17 +58,27 @@ def list_kinds(
     logs = [log for motion in motions for log in motion.joints.values()]
     found = []
     if any(log.torque is not None for log in logs):
-        found.append(ResidualKind(lambda part, _: InverseResiduals(robot, part, usable), shows_torque, True))
+        found.append(
+            ResidualKind(
+                InverseResiduals.kind,
+                lambda part, _: InverseResiduals(robot, part, usable),
+                shows_torque,
+                True,
+            )
+        )
     elif any(log.command is not None for log in logs):
 
         def simulate(part: Sequence[Motion], most_steps: float) -> ResidualModel:
             return SimulationResiduals(robot, part, keep=usable, most_steps=most_steps)
 
-        found.append(ResidualKind(simulate, shows_simulation, True))
+        found.append(ResidualKind(SimulationResiduals.kind, simulate, shows_simulation, True))
     if any(log.secondary is not None for log in logs):
         found.append(
             ResidualKind(
-                lambda part, _: EncoderResiduals(robot, part, usable), encoder_residuals.shows, False
+                EncoderResiduals.kind,
+                lambda part, _: EncoderResiduals(robot, part, usable),
+                encoder_residuals.shows,
+                False,
             )
         )
     if not found:

@@ -52,9 +52,9 @@ FAMILIES: Final = {
 }
 """Families that poses at rest cannot tell apart, the likelier first."""
 NEXT_MOTION: Final = {
-    PeriodicJointError: "repeat the poses with another payload: it changes an error of the gear only",
+    PeriodicJointError: "the same poses with another payload, which changes an error of the gear only",
     JointCompliance: "",
-    DirectionHysteresis: "come to the same poses from both sides, with a payload: it changes friction only",
+    DirectionHysteresis: "the same poses from both sides, with a payload, which changes friction only",
 }
 """Motion that would separate these families."""
 

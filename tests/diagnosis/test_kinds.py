@@ -10,12 +10,14 @@ from diagnosis.catalogue.catalogue import base_effects, catalogue
 from diagnosis.effects.actuation import GainError
 from diagnosis.effects.effect import Family
 from diagnosis.logs import Logs, Motion
+from diagnosis.report.traces import trace_motions
 from diagnosis.residuals.kinds import list_kinds
 from diagnosis.robot import Robot
 from diagnosis.selection.context import start_context
 from diagnosis.selection.joint_fits import fit_base
 from diagnosis.selection.meter import Meter
 from tests.diagnosis.two_joint_arm import arm, simulated
+from tests.diagnosis.verdicts import diagnosis
 
 
 def with_commands(robot: Robot) -> list[Motion]:
@@ -48,3 +50,13 @@ def test_logged_torques_give_friction_a_scale_without_gravity(unloaded: tuple[Ro
     base = [one for one in base_effects(robot, Logs(tuple(motions))) if kind.shows(one)]
     context, present = fit_base(start_context(kind.make(motions, math.inf), base, (), 1, Meter()))
     assert all(one.is_identifiable for one in list_base(robot, context, present, []))
+
+
+def test_traces_show_the_residuals_that_the_verdict_is_about(unloaded: tuple[Robot, list[Motion]]) -> None:
+    robot, motions = unloaded
+    found = diagnosis(kind="inverse dynamics", effects=(), sizes=())
+    traces = trace_motions(robot, motions, found)
+    assert {(one.joint, one.kind, one.unit) for one in traces} == {
+        (joint.name, "inverse dynamics", "N m") for joint in robot.joints
+    }
+    assert all(one.measured is None and one.explained.any() for one in traces)

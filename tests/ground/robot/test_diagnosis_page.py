@@ -66,8 +66,8 @@ def test_the_page_asks_for_nothing(tmp_path):
 def test_each_joint_has_a_figure_with_the_worst_the_middle_and_the_best_motion(tmp_path):
     chosen = choose_traces(make_traces(Drawn(), FOUND))
     assert {joint: [one.motion for one in own] for joint, own in chosen.items()} == {
-        "pan": ["g", "e", "d"],
-        "lift": ["g", "e", "d"],
+        ("pan", "simulation"): ["g", "e", "d"],
+        ("lift", "simulation"): ["g", "e", "d"],
     }
     text = text_of(tmp_path)
     assert text.count('<figure class="traces"') == 2
