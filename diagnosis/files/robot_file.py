@@ -41,6 +41,7 @@ class SignalColumn(Record):
     column: Text
     """Name of the column; in MCAP the topic and the field, such as `/joint_states.position[2]`."""
     unit: Text
+    """Unit of the logged values."""
     time_column: str = ""
     """Column of its own times, in the unit of [time]; empty: the time column of the file."""
     side: Literal["joint", "motor"] = "joint"
@@ -76,6 +77,7 @@ class JointTable(Record):
     actuator: str = ""
     """Actuator of the MJCF model; empty: the one that drives this joint."""
     mode: Literal["position", "velocity", "torque", "current"]
+    """What is commanded: position, velocity, torque or current."""
     kp_Nm_rad: NotNegative | None = None
     """Stiffness of the position loop, with a gain column for a value of 1 in it; absent: of the model."""
     kd_Nms_rad: NotNegative | None = None
@@ -91,14 +93,23 @@ class JointTable(Record):
     is_known: bool = False
     """True if friction, damping, armature and gain are measured numbers, so that none is fitted."""
     position: SignalColumn
+    """Angle that the encoder shows."""
     command: SignalColumn | None = None
+    """Command of the mode; without it the logs need torques or a second encoder."""
     velocity: SignalColumn | None = None
+    """Speed; the check compares it with the position."""
     torque: SignalColumn | None = None
+    """Torque of the motor; with it the diagnosis compares torques, without a simulation of the controller."""
     current: SignalColumn | None = None
+    """Current of the motor; the check looks for saturation in it."""
     voltage: SignalColumn | None = None
+    """Voltage of the supply; it limits how far the supply can sag."""
     temperature: SignalColumn | None = None
+    """Temperature of the motor; friction and remainders may depend on it."""
     secondary: SignalColumn | None = None
+    """Angle that a second encoder shows, on the other side of the gear."""
     enabled: SignalColumn | None = None
+    """Whether the motor has power; samples without it take no part."""
 
     def columns(self) -> dict[str, tuple[SignalColumn, Quantity]]:
         """Return the signals that are logged, by name, with their quantities."""
@@ -128,6 +139,7 @@ class TimeTable(Record):
     column: str = ""
     """Time column; only a log in MCAP may leave it out, and has the times of its messages then."""
     unit: Literal["s", "ms", "us", "ns"] = "s"
+    """Unit of all time columns."""
 
 
 class MotionTable(Record):
@@ -145,7 +157,9 @@ class CsvTable(Record):
     """Format of CSV files."""
 
     separator: Annotated[str, Field(min_length=1, max_length=1)] = ","
+    """Character between two columns."""
     decimal: Literal[".", ","] = "."
+    """Character before the decimals of a number."""
 
     @model_validator(mode="after")
     def _check(self) -> "CsvTable":
@@ -158,6 +172,7 @@ class RobotFile(Record):
     """Content of a robot file."""
 
     name: Text
+    """Name of the robot in reports."""
     model: Text
     """MJCF file, relative to the robot file."""
     split: str = ""
@@ -169,9 +184,13 @@ class RobotFile(Record):
     tool_site: str = ""
     """Site of the model that may touch a plane."""
     time: TimeTable = TimeTable()
+    """Times of the rows."""
     motion: MotionTable = MotionTable()
+    """Columns that say which rows belong together."""
     csv: CsvTable = CsvTable()
+    """Format of CSV files."""
     joints: Annotated[dict[Text, JointTable], Field(min_length=1)]
+    """The joints, each a table by its name."""
 
     @model_validator(mode="after")
     def _check(self) -> "RobotFile":
@@ -206,6 +225,7 @@ class SerialFile(Record):
     """Content of the robot file of an arm whose tool poses a tracker measured: it has no MJCF model."""
 
     name: Text
+    """Name of the arm."""
     serial_arm: Text
     """Arm file of the serial engine, relative to the robot file."""
     poses: dict[Text, Text]

@@ -29,6 +29,7 @@ class SplitFile(Record):
     parts: dict[str, Annotated[list[str], Field(min_length=1)]]
     """Part -> its motions, or the conditions or files whose motions it has."""
     splits: dict[str, SplitTable]
+    """Name of a split -> what it fits and what it holds out."""
 
     @model_validator(mode="after")
     def _check(self) -> "SplitFile":

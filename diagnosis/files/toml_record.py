@@ -17,7 +17,9 @@ MAX_BYTES = 1 << 20
 class Record(BaseModel):
     """Table of a TOML file: no unknown keys, no conversion of types, only finite numbers."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 R = TypeVar("R", bound=Record)
