@@ -11,19 +11,13 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final, TypeVar
 
-from diagnosis.effects.effect import Effect, Family, Size
+from diagnosis.effects.effect import BODY_HOOKS, HOOKS, Effect, Family, Size
 from diagnosis.effects.joint import JointEffect, joint_scales
 from diagnosis.errors import RobotError
 from diagnosis.logs import Logs
 from diagnosis.robot import Robot
 
 T = TypeVar("T")
-HOOKS: Final = (
-    *("vary", "set_model", "shape_command", "act", "friction_Nm", "torque_Nm"),
-    *("encode", "sample_delay_s", "deflection_rad"),
-)
-BODY_HOOKS: Final = frozenset({"vary", "set_model", "act"})
-"""Hooks that get the whole robot; each other acts at the joint that is the place of its effect."""
 MODULE_PREFIX: Final = "own_effects_"
 
 
@@ -127,7 +121,7 @@ def _checked(place: str, effect: object, robot: Robot) -> Effect:
                 f"{place}: {size.name} of {kind} has bounds {size.low:g} to {size.high:g} and the typical "
                 f"size {size.typical:g}; right is low <= 0 < typical <= high, all finite"
             )
-    if not any(effect.overrides(hook) for hook in HOOKS):
+    if not effect.overrides(*HOOKS):
         raise RobotError(f"{place}: {kind} changes nothing; override one of {', '.join(HOOKS)}")
     joints = [joint.name for joint in robot.joints]
     at_joint = next((hook for hook in HOOKS if hook not in BODY_HOOKS and effect.overrides(hook)), "")

@@ -131,6 +131,23 @@ class Tick:
     simulations end: the engine cuts the last ones off."""
 
 
+MODEL_HOOKS: Final = ("vary", "set_model")
+"""Hooks of an effect that change the model before a simulation."""
+RUN_HOOKS: Final = (
+    *("shape_command", "act", "friction_Nm", "torque_Nm"),
+    *("encode", "decode", "sample_delay_s"),
+)
+"""Hooks that act while a simulation runs."""
+SIMULATION_HOOKS: Final = (*MODEL_HOOKS, *RUN_HOOKS)
+TORQUE_HOOKS: Final = ("set_model", "friction_Nm", "torque_Nm", "decode")
+"""Hooks that inverse dynamics uses."""
+ENCODER_HOOKS: Final = ("deflection_rad", "sample_delay_s", "encode")
+"""Hooks that a second encoder uses."""
+HOOKS: Final = (*SIMULATION_HOOKS, "deflection_rad")
+BODY_HOOKS: Final = frozenset({*MODEL_HOOKS, "act"})
+"""Hooks that get the whole robot; each other acts at the joint that is the place of its effect."""
+
+
 class Effect(ABC):
     """A physical cause of a difference between a robot and its model.
 
@@ -219,6 +236,6 @@ class Effect(ABC):
         """Add bodies, joints or geoms to the model; at size 0 they do not move or touch."""
         raise NotImplementedError
 
-    def overrides(self, hook: str) -> bool:
-        """Return whether this effect has its own version of a hook."""
-        return getattr(type(self), hook) is not getattr(Effect, hook)
+    def overrides(self, *hooks: str) -> bool:
+        """Return whether this effect has its own version of any of these hooks."""
+        return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in hooks)

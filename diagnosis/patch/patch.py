@@ -13,7 +13,7 @@ import mujoco.batch
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.effects.effect import Effect, Fields, Rotor
+from diagnosis.effects.effect import RUN_HOOKS, Effect, Fields, Rotor
 from diagnosis.errors import RobotError
 from diagnosis.patch.effect_table import effect_table, toml_text
 from diagnosis.patch.patch_law import law_attributes, model_law
@@ -24,16 +24,6 @@ from diagnosis.simulation.compiled import HARD_IMPEDANCE, nominal_fields, step_a
 
 MODEL_FILE: Final = "patched.xml"
 RUNTIME_FILE: Final = "runtime.toml"
-RUNTIME_HOOKS: Final = (
-    "shape_command",
-    "act",
-    "friction_Nm",
-    "torque_Nm",
-    "sample_delay_s",
-    "encode",
-    "decode",
-)
-"""Hooks that act while the model runs."""
 FORMAT: Final = "robot runtime 1"
 ATTRIBUTES: Final = {
     "body_pos": ("body", "pos"),
@@ -153,7 +143,7 @@ def make_patch(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence
     rotors = {one.joint: one for one in fields.rotors if one.rows[0]}
     changes += _rotor_changes(robot, rotors.values(), _numbers(fields, recorder))
     text = _changed(robot, text, changes)
-    runtime = [(effect, size) for effect, size in active if any(map(effect.overrides, RUNTIME_HOOKS))]
+    runtime = [(effect, size) for effect, size in active if effect.overrides(*RUN_HOOKS)]
     said = [f"{one.tag} {one.name}: {one.reason}".replace(" :", ":") for one in changes]
     return Patch(text, tuple(said), _runtime_text(robot, runtime, rotors) if runtime or rotors else "")
 

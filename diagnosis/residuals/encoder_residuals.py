@@ -16,13 +16,12 @@ so that the load of held-out motions is as measured as their angles.
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from typing import Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from diagnosis.arrays import Array, Flags, Integers
-from diagnosis.effects.effect import Effect, State
+from diagnosis.effects.effect import ENCODER_HOOKS, Effect, State
 from diagnosis.errors import RobotError
 from diagnosis.logs import Motion
 from diagnosis.residuals.explain import measured_variable
@@ -36,9 +35,6 @@ from diagnosis.residuals.filtered_motion import (
 )
 from diagnosis.robot import Robot
 
-HOOKS: Final = ("deflection_rad", "sample_delay_s", "encode")
-"""Hooks of effects that a second encoder shows."""
-
 
 def shows(effect: Effect) -> bool:
     """Return whether the difference of two encoders can show an effect.
@@ -46,7 +42,7 @@ def shows(effect: Effect) -> bool:
     Args:
         effect: Effect.
     """
-    return any(effect.overrides(hook) for hook in HOOKS)
+    return effect.overrides(*ENCODER_HOOKS)
 
 
 def why_refused(robot: Robot, effect: Effect) -> str:

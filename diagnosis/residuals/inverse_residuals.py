@@ -17,7 +17,7 @@ import mujoco.batch
 import numpy as np
 
 from diagnosis.arrays import Array, Flags, Integers
-from diagnosis.effects.effect import Effect, State
+from diagnosis.effects.effect import TORQUE_HOOKS, Effect, State
 from diagnosis.errors import RobotError
 from diagnosis.logs import Motion
 from diagnosis.residuals.explain import measured_variable
@@ -34,8 +34,6 @@ from diagnosis.simulation.compiled import nominal_fields
 
 PER_CUT_OFF: Final = 4.0
 """Residuals in a period of the cut-off frequency: twice as many as a signal without higher ones needs."""
-HOOKS: Final = ("set_model", "friction_Nm", "torque_Nm", "decode")
-"""Hooks of effects that torques show."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +64,7 @@ def shows(effect: Effect) -> bool:
     Args:
         effect: Effect.
     """
-    return not effect.overrides("vary") and any(effect.overrides(hook) for hook in HOOKS)
+    return not effect.overrides("vary") and effect.overrides(*TORQUE_HOOKS)
 
 
 class InverseResiduals:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from diagnosis.arrays import Flags
 from diagnosis.effects.actuation import DampingGain, GainError, TorqueConstant, TorqueLimit
-from diagnosis.effects.effect import Effect
+from diagnosis.effects.effect import SIMULATION_HOOKS, Effect
 from diagnosis.effects.periodic import PeriodicError, SmoothPeriodicError
 from diagnosis.errors import RobotError
 from diagnosis.logs import Motion
@@ -15,11 +15,6 @@ from diagnosis.residuals.inverse_residuals import InverseResiduals
 from diagnosis.residuals.residuals import ResidualModel
 from diagnosis.residuals.simulation_residuals import SimulationResiduals
 from diagnosis.robot import Robot
-
-SIMULATION_HOOKS = (
-    *("vary", "set_model", "shape_command", "act", "friction_Nm", "torque_Nm"),
-    *("encode", "decode", "sample_delay_s"),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +84,7 @@ def list_kinds(
 def shows_simulation(effect: Effect) -> bool:
     """Return whether a simulation can show an effect; a smooth error could follow anything."""
     is_smooth = isinstance(effect, SmoothPeriodicError)
-    return not is_smooth and any(effect.overrides(hook) for hook in SIMULATION_HOOKS)
+    return not is_smooth and effect.overrides(*SIMULATION_HOOKS)
 
 
 def shows_torque(effect: Effect) -> bool:

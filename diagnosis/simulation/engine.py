@@ -91,4 +91,4 @@ class Engine:
 
 def _acts(effect: Effect) -> bool:
     hooks = ("act",) if effect.is_steady else ("act", "friction_Nm", "torque_Nm")
-    return any(effect.overrides(hook) for hook in hooks)
+    return effect.overrides(*hooks)
