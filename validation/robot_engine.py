@@ -24,7 +24,7 @@ from diagnosis.effects.friction import StribeckFriction
 from diagnosis.effects.joint import joint_scales
 from diagnosis.logs import JointLog, Motion, Signal
 from diagnosis.robot import Robot
-from diagnosis.simulation.compiled import Models, laws, nominal_gains
+from diagnosis.simulation.compiled import Models, control_laws, nominal_gains
 from diagnosis.simulation.engine import Engine
 from diagnosis.simulation.windows import cut_windows
 
@@ -99,7 +99,7 @@ def _bare_model(models: Models) -> mujoco.MjModel:
     compiled = models.compiled([])
     model = compiled.robot.model
     kp, kd = nominal_gains(models.robot)
-    gain, bias = laws(models.robot, kp[None], kd[None])
+    gain, bias = control_laws(models.robot, kp[None], kd[None])
     limit = np.array([joint.torque_limit_Nm for joint in models.robot.joints])
     model.actuator_gainprm[compiled.actuator, 0] = gain[0]
     model.actuator_biasprm[compiled.actuator, :3] = bias[0]

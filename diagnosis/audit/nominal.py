@@ -12,7 +12,7 @@ from diagnosis.arrays import Array, Flags
 from diagnosis.audit.samples import hold, joint_samples
 from diagnosis.logs import JointLog, Motion
 from diagnosis.robot import Robot
-from diagnosis.simulation.compiled import compile_for, laws, nominal_gains
+from diagnosis.simulation.compiled import compile_for, control_laws, nominal_gains
 
 START_S: Final = 0.1
 """Time over which the first positions give the velocity at the start: several samples of a slow log."""
@@ -90,7 +90,7 @@ class NominalModel:
         joints = self.robot.joints
         kp, kd = nominal_gains(self.robot)
         gains = np.array([motion.gain.get(one.name, 1.0) for one in joints])
-        gain, bias = laws(self.robot, (kp * gains)[None], kd[None])
+        gain, bias = control_laws(self.robot, (kp * gains)[None], kd[None])
         actuators = [one.actuator_index for one in joints]
         self.model.actuator_gainprm[actuators, 0] = gain[0] * is_on
         self.model.actuator_biasprm[actuators, :3] = bias[0] * is_on[:, None]

@@ -85,11 +85,11 @@ class TorqueLimit(JointEffect):
     def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
         """Lower the limit."""
         limit = fields.torque_limit_Nm[:, self.index]
-        fields.torque_limit_Nm[:, self.index] = np.minimum(limit, inverse(size[:, 0]))
+        fields.torque_limit_Nm[:, self.index] = np.minimum(limit, limit_of(size[:, 0]))
 
     def describe(self, size: Array) -> str:
         """Return the limit."""
-        return f"torque limit {float(inverse(size)[0]):.4g} N m"
+        return f"torque limit {float(limit_of(size)[0]):.4g} N m"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ class BackEmf(JointEffect):
 
     def describe(self, size: Array) -> str:
         """Return the no-load speed."""
-        return f"no-load speed {float(inverse(size)[0]):.4g} rad/s"
+        return f"no-load speed {float(limit_of(size)[0]):.4g} rad/s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +227,7 @@ def largest_sag(motions: Sequence[Motion]) -> float:
     return min(max(2.0 * fall, 0.0), 1.0)
 
 
-def inverse(size: Array) -> Array:
+def limit_of(size: Array) -> Array:
     """Return 1/size, (n,), with the unit inverse to that of the size; infinite at 0."""
     with np.errstate(divide="ignore"):
         return np.asarray(1.0 / np.abs(size))

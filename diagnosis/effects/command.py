@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from diagnosis.arrays import Array
-from diagnosis.effects.actuation import inverse
+from diagnosis.effects.actuation import limit_of
 from diagnosis.effects.effect import Family, Size
 from diagnosis.effects.joint import JointEffect
 
@@ -48,7 +48,7 @@ class VelocityLimit(JointEffect):
 
     def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
         """Follow the command from its first value."""
-        step, last = period_s * inverse(size[:, 0]), command[:, 0]
+        step, last = period_s * limit_of(size[:, 0]), command[:, 0]
         followed = command.copy()
         for k in range(1, command.shape[1]):
             followed[:, k], last = self._follow(command[:, k], last, step)
@@ -56,7 +56,7 @@ class VelocityLimit(JointEffect):
 
     def next_command(self, size: Array, command: Array, period_s: float, memory: dict[str, Array]) -> Array:
         """Follow the command from where the last period ended."""
-        step = period_s * inverse(size[:, 0])
+        step = period_s * limit_of(size[:, 0])
         followed, memory["end"] = self._follow(command, memory.get("end", command), step)
         return followed
 
@@ -71,7 +71,7 @@ class VelocityLimit(JointEffect):
 
     def describe(self, size: Array) -> str:
         """Return the limit."""
-        return f"velocity limit {float(inverse(size)[0]):.4g} rad/s"
+        return f"velocity limit {float(limit_of(size)[0]):.4g} rad/s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ class AccelerationLimit(JointEffect):
         followed = command.copy()
         if not limited.size:
             return followed
-        step = period_s * inverse(size[limited, 0])
+        step = period_s * limit_of(size[limited, 0])
         speed = np.zeros(limited.size)
         for k in range(1, command.shape[1]):
             far = command[limited, k] - followed[limited, k - 1]
@@ -108,7 +108,7 @@ class AccelerationLimit(JointEffect):
     def next_command(self, size: Array, command: Array, period_s: float, memory: dict[str, Array]) -> Array:
         """Follow the command from the last one that arrived, with its speed."""
         last, speed = memory.get("arrived", command), memory.get("speed", np.zeros_like(command))
-        memory["speed"] = self._speed(command - last, speed, period_s * inverse(size[:, 0]), period_s)
+        memory["speed"] = self._speed(command - last, speed, period_s * limit_of(size[:, 0]), period_s)
         memory["arrived"] = last + period_s * memory["speed"]
         return memory["arrived"]
 
@@ -121,7 +121,7 @@ class AccelerationLimit(JointEffect):
 
     def describe(self, size: Array) -> str:
         """Return the limit."""
-        return f"acceleration limit {float(inverse(size)[0]):.4g} rad/s2"
+        return f"acceleration limit {float(limit_of(size)[0]):.4g} rad/s2"
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,7 +61,7 @@ def choose(context: Context, present: FittedModel, candidates: Sequence[Candidat
     groups: dict[tuple[int, ...], list[Candidate]] = {}
     for one in good:
         groups.setdefault(one.joints if len(one.joints) == 1 else (ALL_JOINTS,), []).append(one)
-    best = {joints: simplest(context, group) for joints, group in groups.items()}
+    best = {joints: choose_simplest(context, group) for joints, group in groups.items()}
     body = best.pop((ALL_JOINTS,), None)
     local = list(best.values())
     if body is None:
@@ -72,7 +72,7 @@ def choose(context: Context, present: FittedModel, candidates: Sequence[Candidat
     return [body] if _improvement(context, present, body) > enough else local
 
 
-def simplest(context: Context, candidates: Sequence[Candidate]) -> Candidate:
+def choose_simplest(context: Context, candidates: Sequence[Candidate]) -> Candidate:
     """Choose the effect with the fewest sizes among those that do as well as the best.
 
     As well means within one standard error of the best, in pairs (Breiman and others 1984).

@@ -180,7 +180,7 @@ def draw_folds(model: ResidualModel, seed: int) -> tuple[frozenset[int], ...]:
     return tuple(frozenset(order[k::FOLDS]) for k in range(min(FOLDS, len(order))))
 
 
-def recall(
+def resume_step(
     step: Callable[Concatenate[Context, P], T], context: Context, *args: P.args, **kwargs: P.kwargs
 ) -> T:
     """Return what an earlier run with the same inputs found in a step; else carry it out and keep it.
@@ -197,7 +197,7 @@ def recall(
     return context.checkpoint.step(context.meter, step.__name__, lambda: step(context, *args, **kwargs))
 
 
-def run(
+def fit_together(
     context: Context, hypotheses: Sequence[Hypothesis], text: str, iterations: int = MAX_ITERATIONS
 ) -> list[Fit]:
     """Fit hypotheses in this context.

@@ -12,7 +12,15 @@ from diagnosis.errors import RobotError
 from diagnosis.residuals.blocks import Blocks, cut_into_blocks
 from diagnosis.residuals.noise import noise_losses, whiten_noise
 from diagnosis.residuals.residuals import ResidualModel
-from diagnosis.selection.context import Context, FittedModel, Score, draw_folds, recall, run, simulate
+from diagnosis.selection.context import (
+    Context,
+    FittedModel,
+    Score,
+    draw_folds,
+    fit_together,
+    resume_step,
+    simulate,
+)
 from diagnosis.selection.cross_validation import cross_validate
 from diagnosis.selection.fit import (
     Fit,
@@ -98,11 +106,11 @@ def add_effects(
     context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
     context = replace(context, base_left_out=cross_validate(context, base.fits))
     more = (*present.effects, *effects)
-    fits = recall(fit_joints, context, more, sizes, (*present.fits, *found))
+    fits = resume_step(fit_joints, context, more, sizes, (*present.fits, *found))
     return context, FittedModel(more, fits[0].sizes, fits, cross_validate(context, fits))
 
 
-def cut_anew(
+def recut_blocks(
     context: Context, present: FittedModel, shortlist: Sequence[Score]
 ) -> tuple[Context, FittedModel]:
     """Cut the blocks of each joint by the memory of what its best effect leaves.
@@ -139,7 +147,7 @@ def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[
     Returns:
         Sizes, (n_sizes,), residuals of all joints, (n,), and the fits.
     """
-    fits = recall(fit_joints, context, (), sizes)
+    fits = resume_step(fit_joints, context, (), sizes)
     return fits[0].sizes, gather_residuals(fits, len(context.model.joint_of)), fits
 
 
@@ -202,7 +210,7 @@ def fit_joints(
     joints = [*range(len(context.model.joints))]
     if any(context.joint_of(one) == ALL_JOINTS for one in effects):
         joints = [ALL_JOINTS]
-    fits = run(context, [start_fit(context, effects, j, sizes, known) for j in joints], "fit")
+    fits = fit_together(context, [start_fit(context, effects, j, sizes, known) for j in joints], "fit")
     if len(fits) == 1:
         return tuple(fits)
     sizes = merge_sizes(context, sizes, fits)
@@ -269,7 +277,7 @@ def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect])
     rest = tuple(one for one in present.effects if one.key not in gone)
     sizes = present.sizes.copy()
     sizes[context.union.columns(effects)] = 0.0
-    fits = recall(fit_joints, context, rest, sizes, present.fits)
+    fits = resume_step(fit_joints, context, rest, sizes, present.fits)
     return FittedModel(rest, fits[0].sizes, fits, cross_validate(context, fits))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect
 from diagnosis.residuals.residuals import ResidualModel
-from diagnosis.selection.context import Context, list_joints, recall, simulate
+from diagnosis.selection.context import Context, list_joints, resume_step, simulate
 from diagnosis.selection.screening import Trial
 from diagnosis.selection.sharing import ALL_JOINTS, find_sharing, relative_reach
 
@@ -36,7 +36,7 @@ def share_simulations(context: Context, sizes: Array, effects: Sequence[Effect])
     moved = {one.place for one in context.base}
     columns = [union.columns([effect]) for effect in placed]
     typical = [np.array([np.clip(one.typical, one.low, one.high) for one in e.sizes]) for e in placed]
-    reach = recall(measure_reach, context, sizes, list(zip(columns, typical, strict=True)))
+    reach = resume_step(measure_reach, context, sizes, list(zip(columns, typical, strict=True)))
     joints = [model.joints.index(one.place) for one in placed]
     decides = np.array([one.key in base or one.place not in moved for one in placed], bool)
     everywhere = {
@@ -61,7 +61,7 @@ def measure_reach(context: Context, sizes: Array, columns: Sequence[tuple[Intege
     Returns:
         RMS changes over the scales, (n_effects, n_joints), without a unit.
     """
-    model, n_joints = context.model.select(list_lively(context.model)), len(context.scales)
+    model, n_joints = context.model.select(list_fastest_motions(context.model)), len(context.scales)
     count = np.maximum(np.bincount(model.joint_of, minlength=n_joints), 1)
     points = []
     for free, typical in columns:
@@ -78,7 +78,7 @@ def measure_reach(context: Context, sizes: Array, columns: Sequence[tuple[Intege
     return np.array(reach).reshape(-1, n_joints)
 
 
-def list_lively(model: ResidualModel) -> list[str]:
+def list_fastest_motions(model: ResidualModel) -> list[str]:
     """List, for each joint, the motion in which it moves fastest.
 
     Args:

@@ -23,8 +23,8 @@ from diagnosis.selection.context import (
     FittedModel,
     Score,
     Selection,
-    recall,
-    run,
+    fit_together,
+    resume_step,
     simulate,
     start_context,
 )
@@ -32,12 +32,12 @@ from diagnosis.selection.cross_validation import cross_validate_each
 from diagnosis.selection.fit import Fit, Hypothesis, gather_residuals, select_rows
 from diagnosis.selection.joint_fits import (
     add_effects,
-    cut_anew,
     fit_base,
     fits_at,
     joints_of,
     leave_out,
     list_layers,
+    recut_blocks,
     start_fit,
 )
 from diagnosis.selection.meter import Meter
@@ -92,12 +92,12 @@ def select_effects(
     while open_joints:
         # a first finding is expected, a round without another, and half of one to leave findings out
         after = 1.5 if present is first else 0.5
-        shortlist, n_distinct = recall(screen, context, present, open_joints, rounds_after=after)
+        shortlist, n_distinct = resume_step(screen, context, present, open_joints, rounds_after=after)
         if present is first:  # later rounds screen fewer effects, but all have competed
             context = replace(context, n_distinct=n_distinct)
-        context, present = cut_anew(context, present, shortlist)
+        context, present = recut_blocks(context, present, shortlist)
         again = list_again(context, present, open_joints, shortlist, finalists)
-        winners, finalists = recall(find_winners, context, present, [*shortlist, *again])
+        winners, finalists = resume_step(find_winners, context, present, [*shortlist, *again])
         refitted |= {score.effect.key: score for score in finalists}
         competitors |= {one.effect.key: _list_competitors(context, one, refitted) for one in winners}
         open_joints &= {j for winner in winners for j in winner.joints}
@@ -234,7 +234,7 @@ def find_winners(
         end and, with a gain of 0, those that explain RIVAL_SHARE of what the best explains.
     """
     starts = [start_refit(context, present, score) for score in shortlist]
-    fits = run(context, starts, "refit", iterations=FEW_ITERATIONS)
+    fits = fit_together(context, starts, "refit", iterations=FEW_ITERATIONS)
     without = gather_residuals(present.fits, context.model.joint_of.size)
     explained = np.array([explain_loss(context, fit, without) for fit in fits])
     joint = np.array([fit.joint for fit in fits])
@@ -294,7 +294,7 @@ def judge(
     Returns:
         One candidate an effect.
     """
-    fits = run(context, starts, "refit")
+    fits = fit_together(context, starts, "refit")
     candidates, without = [], gather_residuals(present.fits, context.model.joint_of.size)
     for effect, fit, left_out in zip(effects, fits, cross_validate_each(context, fits), strict=True):
         gain = improvement_share(context, fit.rows, present.left_out[fit.rows], left_out)

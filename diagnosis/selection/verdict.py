@@ -13,7 +13,15 @@ from diagnosis.residuals.blocks import cut_rows
 from diagnosis.residuals.loss import half_loss_derivatives, root_weight
 from diagnosis.selection.chance import alternative_p, orthonormal
 from diagnosis.selection.comparison import improvement_share
-from diagnosis.selection.context import Context, FittedModel, Score, Selection, recall, run, simulate
+from diagnosis.selection.context import (
+    Context,
+    FittedModel,
+    Score,
+    Selection,
+    fit_together,
+    resume_step,
+    simulate,
+)
 from diagnosis.selection.fit import Fit, gather_residuals
 from diagnosis.selection.joint_fits import fits_at, joints_of
 from diagnosis.selection.selection import is_at_bound, start_refit
@@ -61,7 +69,7 @@ def find_confidence_sets(selection: Selection) -> list[ConfidenceSet]:
     """
     found: dict[str, ConfidenceSet] = {}
     for layer, without in selection.left_out:
-        sets = recall(find_layer_sets, selection.context, selection, without, layer)
+        sets = resume_step(find_layer_sets, selection.context, selection, without, layer)
         found |= {one.effect.key: one for one in sets}
     return [found[effect.key] for effect in selection.chosen.effects]
 
@@ -93,7 +101,7 @@ def find_layer_sets(
         start[own] = sizes[own]
         scores.append(Score(effect, start, 0.0))
     hypotheses = [start_refit(context, without, score) for score in scores]
-    fits = dict(zip(starts, run(context, hypotheses, "refit"), strict=True))
+    fits = dict(zip(starts, fit_together(context, hypotheses, "refit"), strict=True))
     sets = []
     for effect in layer:
         joints = list(joints_of(context, effect))

@@ -132,7 +132,7 @@ def _actuator(joint: str) -> str:
     return f"motor of {joint}"
 
 
-def laws(robot: Robot, kp: Array, kd: Array) -> tuple[Array, Array]:
+def control_laws(robot: Robot, kp: Array, kd: Array) -> tuple[Array, Array]:
     """Compute the coefficients of the affine actuators.
 
     Args:

@@ -8,7 +8,7 @@ import numpy as np
 
 from diagnosis.arrays import Array
 from diagnosis.effects.effect import Effect, Fields, State, Tick
-from diagnosis.simulation.compiled import Compiled, Places, UNLIMITED_Nm, laws
+from diagnosis.simulation.compiled import Compiled, Places, UNLIMITED_Nm, control_laws
 from diagnosis.simulation.rotors import Rotors
 
 
@@ -72,7 +72,7 @@ class Actuators:
             return
         self._factor[:n] = factor
         kp, kd = self._fields.kp_Nm_rad[:n] * factor, self._fields.kd_Nms_rad[:n] * factor
-        self._gain[:n, self._places, 0], self._bias[:n, self._places, :3] = laws(self._robot, kp, kd)
+        self._gain[:n, self._places, 0], self._bias[:n, self._places, :3] = control_laws(self._robot, kp, kd)
 
 
 class Periods:
