@@ -83,6 +83,7 @@ def assemble(
         judged_motions=(),
         effects=effects,
         sizes=sizes,
+        method=context.model.method,
     )
 
 

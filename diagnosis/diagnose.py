@@ -136,6 +136,7 @@ def join_parts(parts: Sequence[Diagnosis]) -> Diagnosis:
     return replace(
         parts[0],
         kind=" and ".join(part.kind for part in parts),
+        method=" ".join(part.method for part in parts),
         findings=tuple(one for part in parts for one in part.findings),
         base=tuple(one for part in parts for one in part.base),
         errors=tuple(one for part in parts for one in part.errors),

@@ -118,6 +118,8 @@ class Diagnosis:
     sizes: tuple[tuple[float, ...], ...]
     """Their sizes."""
     rejected: tuple[Rejected, ...] = ()
+    method: str = ""
+    """How residuals were made, with the filter: sentences for a report."""
 
     @property
     def closure(self) -> float | None:

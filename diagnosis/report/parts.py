@@ -72,6 +72,7 @@ def _error_part(diagnosis: Diagnosis) -> list[str]:
     return [
         _heading("How far the error shrinks"),
         _paragraph(f"Mean error by joint on {judged}. {mark} the noise floor."),
+        *([_paragraph(diagnosis.method)] if diagnosis.method else []),
         f"<p>{legend}</p>",
         f'<div class="bars">{"".join(map(_error_bars, diagnosis.errors))}</div>',
     ]

@@ -93,6 +93,10 @@ class EncoderResiduals:
         self._robot, self._keep = robot, keep or {}
         self.joints = tuple(joint.name for joint in robot.joints)
         self.low_pass = choose_filter(robot, motions)
+        self.method = (
+            "The second encoder is compared with the first; loads come from positions that pass "
+            f"{self.low_pass.describe()}."
+        )
         filtered = [filter_motion(robot, motion, self.low_pass) for motion in motions]
         if not any(_has_second(motion, name) for motion in motions for name in self.joints):
             raise RobotError(f"robot {robot.name}: no log has a second encoder that moves")

@@ -40,7 +40,7 @@ LEAST_SAMPLES: Final = 20
 
 @dataclass(frozen=True, slots=True)
 class LowPass:
-    """A filter, as a record of a diagnosis states it."""
+    """A filter without a shift in time."""
 
     cut_off_Hz: float
     period_s: float
@@ -52,6 +52,13 @@ class LowPass:
     def friction_speed_rad_s(self) -> Array:
         """Speed over which the sign of a speed is smoothed in dry friction, (n_joints,); never 0."""
         return np.maximum(CERTAIN * self.speed_noise_rad_s, np.finfo(float).tiny)
+
+    def describe(self) -> str:
+        """Return the filter in words, as a diagnosis states it."""
+        return (
+            "a Butterworth filter of second order, forward and backward, with a cut-off of "
+            f"{self.cut_off_Hz:.3g} Hz"
+        )
 
     def __call__(self, values: Array, axis: int = 0) -> Array:
         """Return filtered values.

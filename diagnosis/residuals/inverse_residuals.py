@@ -37,17 +37,6 @@ PER_CUT_OFF: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True)
-class InverseRecord:
-    """Numbers of the filter, for the record of a diagnosis."""
-
-    filter: str
-    cut_off_Hz: float
-    spacing_s: float
-    friction_speed_rad_s: dict[str, float]
-    """Speed over which the sign of the speed is smoothed, by joint."""
-
-
-@dataclass(frozen=True, slots=True)
 class _Acting:
     effect: Effect
     size: Array
@@ -96,19 +85,12 @@ class InverseResiduals:
         samples = 1 / (self.low_pass.cut_off_Hz * self.low_pass.period_s)  # in a period of the cut-off
         self._keep = keep or {}
         self._kept = slice(int(samples), -int(samples), max(1, int(samples / PER_CUT_OFF)))
-        self._fill(motions, [filter_motion(robot, motion, self.low_pass) for motion in motions])
-
-    @property
-    def record(self) -> InverseRecord:
-        """Filter and smoothing, to be stated with a result."""
-        names = [joint.name for joint in self._robot.joints]
-        speeds = self.low_pass.friction_speed_rad_s.tolist()
-        return InverseRecord(
-            "Butterworth of order 2, forward and backward",
-            self.low_pass.cut_off_Hz,
-            self._kept.step * self.low_pass.period_s,
-            dict(zip(names, speeds, strict=True)),
+        spacing_s = self._kept.step * self.low_pass.period_s
+        self.method = (
+            f"Torques are compared with inverse dynamics; both pass {self.low_pass.describe()}. There is a "
+            f"residual every {1e3 * spacing_s:.3g} ms."
         )
+        self._fill(motions, [filter_motion(robot, motion, self.low_pass) for motion in motions])
 
     def _fill(self, logs: Sequence[Motion], filtered: Sequence[FilteredMotion]) -> None:
         self._logs, self._filtered = tuple(logs), tuple(filtered)

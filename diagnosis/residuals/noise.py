@@ -27,7 +27,7 @@ class WhitenedResiduals:
         """
         self.raw, self.correlation = raw, correlation
         self.kind, self.unit, self.joints, self.motions = raw.kind, raw.unit, raw.joints, raw.motions
-        self.by_motion, self.step_s = raw.by_motion, raw.step_s
+        self.by_motion, self.step_s, self.method = raw.by_motion, raw.step_s, raw.method
         self.repeat_of, self.joint_of, self.motion_of = raw.repeat_of, raw.joint_of, raw.motion_of
         self.time_s = raw.time_s
         follows = np.zeros(len(raw.time_s), bool)

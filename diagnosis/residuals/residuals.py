@@ -31,6 +31,8 @@ class ResidualModel(Protocol):
     """Index of the motion of each residual, (n,)."""
     time_s: Array
     """Time of each residual in its motion, (n,)."""
+    method: str
+    """How the residuals are made: a sentence for a report."""
     step_s: float
     """Time step of the simulation; 0 for a kind that simulates nothing."""
     by_motion: bool

@@ -68,6 +68,10 @@ class SimulationResiduals:
         self._models = Models(robot)
         self._n_threads = n_threads
         self.step_s = float(robot.model.opt.timestep)
+        self.method = (
+            f"Positions are simulated from measured starts in steps of {1e3 * self.step_s:g} ms; there is a "
+            f"residual where they are logged, at most every {1e3 * spacing_s:g} ms."
+        )
         most_periods = most_steps / round(robot.control_period_s / robot.model.opt.timestep)
         fine_models = Models(_refine(robot))
         coarse, fine = (

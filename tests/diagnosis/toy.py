@@ -35,7 +35,7 @@ class Toy(Effect):
 class ToyResiduals:
     """Measured minus predicted values of the toys."""
 
-    kind, unit, by_motion, step_s = "simulation", "rad", False, 0.002
+    kind, unit, method, by_motion, step_s = "simulation", "rad", "", False, 0.002
 
     def __init__(self, commands: Array, measured: Array, names: tuple[str, ...]) -> None:
         self.commands, self.measured, self.joints = commands, measured, names
