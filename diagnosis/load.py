@@ -19,7 +19,7 @@ def load(
     robot: Robot | str | Path,
     paths: str | Path | Sequence[str | Path],
     *,
-    split: str | None = "",
+    split: str = "",
     held_out: Sequence[str] = (),
 ) -> Logs:
     """Load logs by the columns that a robot file names.
@@ -27,7 +27,7 @@ def load(
     Args:
         robot: Robot that was read from a file, or the path of its file.
         paths: Log files.
-        split: Name of a split of the split file; empty: its default; None: nothing is held out.
+        split: Name of a split of the split file; empty: its default.
         held_out: Motions, conditions or files to hold out, in place of a split.
 
     Returns:
@@ -53,9 +53,7 @@ def load(
     if not motions:
         raise RobotError("logs: none is given; name at least one log file")
     file = read_split(robot.folder / robot.file.split) if robot.file.split else None
-    if split is None and not held_out:
-        return Logs(tuple(motions))
-    fitted, judged = choose_motions(file, members, split or "", held_out)
+    fitted, judged = choose_motions(file, members, split, held_out)
     return Logs(tuple(motion for motion in motions if motion.name in fitted | judged), judged)
 
 

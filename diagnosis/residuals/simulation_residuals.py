@@ -45,19 +45,16 @@ class SimulationResiduals:
         self,
         robot: Robot,
         motions: Sequence[Motion],
-        window_s: float | None = None,
         spacing_s: float = SPACING_s,
         keep: Mapping[tuple[str, str], Flags] | None = None,
         n_threads: int = 0,
         most_steps: float = math.inf,
     ) -> None:
-        """Cut the motions into windows.
+        """Cut the motions into windows: a motion is one, until a stretch of samples that are not used.
 
         Args:
             robot: Robot.
             motions: Motions, with the commands of all joints.
-            window_s: Length of the windows, each of which begins at a measured state [s]; None: a motion is
-                one window, which suits position-controlled joints.
             spacing_s: Least time between residuals of a joint [s].
             keep: By names of motion and joint, which position samples are used, (n,); all where absent.
             n_threads: Threads of the simulation; 0: as many as there are processors.
@@ -75,7 +72,7 @@ class SimulationResiduals:
         most_periods = most_steps / round(robot.control_period_s / robot.model.opt.timestep)
         fine_models = Models(_refine(robot))
         coarse, fine = (
-            _cut(one, motions, window_s, spacing_s, keep, most_periods) for one in (robot, fine_models.robot)
+            _cut(one, motions, spacing_s, keep, most_periods) for one in (robot, fine_models.robot)
         )
         fine = start_windows(fine_models, fine, n_threads)
         coarse = [
@@ -163,19 +160,18 @@ def _refine(robot: Robot) -> Robot:
 def _cut(
     robot: Robot,
     motions: Sequence[Motion],
-    window_s: float | None,
     spacing_s: float,
     keep: Mapping[tuple[str, str], Flags] | None,
     most_periods: float,
 ) -> list[Window]:
     """Cut motions into windows; of too many control periods, keep evenly spaced windows of each motion."""
-    windows = [one for motion in motions for one in cut_windows(robot, motion, window_s, spacing_s, keep)]
+    windows = [one for motion in motions for one in cut_windows(robot, motion, None, spacing_s, keep)]
     periods = sum(window.n_ticks for window in windows)
     if periods <= most_periods:
         return windows
     kept = []
     for motion in motions:
-        windows = cut_windows(robot, motion, window_s or PART_s, spacing_s, keep)
+        windows = cut_windows(robot, motion, PART_s, spacing_s, keep)
         n = max(1, round(most_periods / periods * len(windows)))
         kept += [windows[int((k + 0.5) * len(windows) / n)] for k in range(n)]
     return kept

@@ -203,7 +203,7 @@ def test_many_periods_in_one_call_give_the_bits_of_single_ones(
 
 
 def test_residuals_are_labelled_by_joint_motion_and_time() -> None:
-    model = SimulationResiduals(pendulum(), MOTIONS, window_s=0.5, n_threads=1)
+    model = SimulationResiduals(pendulum(), MOTIONS, n_threads=1)
     assert model.motions == ("m1", "m2", "m3")
     assert np.bincount(model.motion_of).tolist() == [50, 100, 25]
     assert np.all(model.joint_of == 0)

@@ -61,8 +61,6 @@ def test_a_motion_in_no_part_of_a_split_takes_no_part(tmp_path):
 def test_without_a_split_all_motions_are_fitted(tmp_path):
     found = load(Robot.from_toml(write_robot(tmp_path)), write_parquet(tmp_path))
     assert (names(found.fit), found.held_out) == (["slow", "fast"], frozenset())
-    with_split = logs(tmp_path, split=None)
-    assert (names(with_split.fit), with_split.held_out) == (["slow", "fast"], frozenset())
 
 
 def test_a_split_without_a_split_file_is_an_error(tmp_path):
