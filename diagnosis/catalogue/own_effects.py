@@ -39,7 +39,7 @@ def load_effects(path: str | Path, robot: Robot, logs: Logs) -> tuple[Effect, ..
         RobotError: The file does not exist, fails, or holds no effect that is complete.
     """
     place = str(path)
-    module = _module(Path(path))
+    module = load_module(Path(path))
     function = getattr(module, "effects", None)
 
     def make() -> tuple[object, ...]:
@@ -65,7 +65,18 @@ def user_files() -> set[str]:
     return {str(module.__file__) for name, module in [*sys.modules.items()] if name.startswith(MODULE_PREFIX)}
 
 
-def _module(path: Path) -> ModuleType:
+def load_module(path: Path) -> ModuleType:
+    """Run a file of the user as a module.
+
+    Args:
+        path: Python file.
+
+    Returns:
+        The module, which `sys.modules` has under a name of its own.
+
+    Raises:
+        RobotError: There is no such Python file, or it fails.
+    """
     if not os.path.isfile(path):  # unlike Path.is_file, False for any bad name
         raise RobotError(f"{path}: no such file; give a Python file with effects")
     # dataclasses look up their module by its name; the digest keeps files of one name apart

@@ -1,7 +1,6 @@
 """Effects as tables of a TOML file: the class of an effect, its fields and its sizes."""
 
 import importlib
-import importlib.util
 import json
 import re
 import sys
@@ -15,6 +14,7 @@ from typing import Any, Final, cast, get_args, get_origin, get_type_hints
 import numpy as np
 
 from diagnosis.arrays import Array
+from diagnosis.catalogue.own_effects import load_module
 from diagnosis.effects.effect import Effect
 from diagnosis.errors import RobotError
 
@@ -85,18 +85,8 @@ def _effect_class(table: Mapping[str, Any]) -> type[Effect]:
 
 
 def _module_of_file(file: Path) -> ModuleType:
-    loaded = next(
-        (one for one in list(sys.modules.values()) if getattr(one, "__file__", None) == str(file)), None
-    )
-    if loaded is not None:
-        return loaded
-    spec = importlib.util.spec_from_file_location(f"effects_of_{file.stem}", file)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{file} is no Python file")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+    loaded = (one for one in list(sys.modules.values()) if getattr(one, "__file__", None) == str(file))
+    return next(loaded, None) or load_module(file)
 
 
 def _plain(value: Any) -> Any:
