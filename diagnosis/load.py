@@ -1,10 +1,7 @@
 """Loading of logs: from files to signals in SI units at the joint, by motion."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from diagnosis.errors import RobotError
 from diagnosis.files.log_file import open_log
@@ -12,7 +9,7 @@ from diagnosis.files.motion_rows import MotionRows
 from diagnosis.files.robot_file import RobotFile
 from diagnosis.files.split_file import Member, choose_motions, read_split
 from diagnosis.logs import JointLog, Logs, Motion, Signal
-from diagnosis.robot import ControlMode, Robot
+from diagnosis.robot import Robot
 
 
 def load(
@@ -48,7 +45,7 @@ def load(
                 raise RobotError(
                     f"{path}: motion {motion.name!r} is in {other.file} too; give each motion its own name"
                 )
-            motions.append(_add_commanded_torques(robot, motion))
+            motions.append(motion)
             members.append(Member(motion.name, motion.condition, path.stem))
     if not motions:
         raise RobotError("logs: none is given; name at least one log file")
@@ -94,22 +91,3 @@ def _joint_logs(signals: dict[tuple[str, str], Signal]) -> dict[str, JointLog]:
     for (joint, key), one in signals.items():
         found.setdefault(joint, {})[key] = Signal(moved[id(one.time_s)], one.value)
     return {joint: JointLog(**one) for joint, one in found.items()}
-
-
-def _add_commanded_torques(robot: Robot, motion: Motion) -> Motion:
-    """Take the commanded torque for that of the motor at joints that log none and whose mode commands it.
-
-    A simulation without a loop drifts away within seconds, whatever the model.
-    """
-    joints = dict(motion.joints)
-    for joint in robot.joints:
-        log = joints.get(joint.name)
-        if log is None or log.torque is not None or log.command is None:
-            continue
-        if joint.mode in (ControlMode.TORQUE, ControlMode.CURRENT):
-            per_unit_Nm = 1.0 if joint.mode is ControlMode.TORQUE else joint.torque_constant_Nm_A
-            torque_Nm = np.clip(
-                per_unit_Nm * log.command.value, -joint.torque_limit_Nm, joint.torque_limit_Nm
-            )
-            joints[joint.name] = replace(log, torque=Signal(log.command.time_s, torque_Nm))
-    return replace(motion, joints=joints)

@@ -99,8 +99,7 @@ class JointTable(Record):
     velocity: SignalColumn | None = None
     """Speed; the check compares it with the position."""
     torque: SignalColumn | None = None
-    """Torque of the motor, if it is logged; absent: that which is commanded in the modes torque and current.
-    With it the diagnosis compares torques, and simulates no controller."""
+    """Torque of the motor; with it the diagnosis compares torques, without a simulation of the controller."""
     current: SignalColumn | None = None
     """Current of the motor; the check looks for saturation in it."""
     voltage: SignalColumn | None = None

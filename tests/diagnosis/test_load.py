@@ -38,13 +38,6 @@ def test_values_are_in_si_units_at_the_joint_in_every_format(tmp_path, robot, wr
     assert fast.joints["elbow"].torque.value.size == 4
 
 
-def test_a_commanded_torque_is_that_of_the_motor_up_to_its_limit(tmp_path):
-    robot = Robot.from_toml(write_robot(tmp_path, ("torque = { column", "command = { column")))
-    elbow = load(robot, write_parquet(tmp_path)).motions[0].joints["elbow"]
-    np.testing.assert_allclose(elbow.command.value, [0.0, 5.0, 10.0])
-    np.testing.assert_allclose(elbow.torque.value, [0.0, 5.0, 5.0])
-
-
 def test_a_csv_may_have_semicolons_and_decimal_commas(tmp_path):
     robot = Robot.from_toml(write_robot(tmp_path, GERMAN))
     slow, _ = load(robot, write_csv(tmp_path, ";", ",")).motions
