@@ -7,11 +7,11 @@ import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.actuation import GainError
-from diagnosis.effects.effect import Effect
+from diagnosis.effects.effect import READING_HOOKS, Effect
 from diagnosis.residuals.blocks import cut_rows
 from diagnosis.residuals.loss import root_weight
 from diagnosis.residuals.noise import noise_residuals
-from diagnosis.residuals.residuals import ResidualModel
+from diagnosis.residuals.residuals import SECOND_ENCODER, ResidualModel
 from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
 from diagnosis.robot import Robot
 from diagnosis.selection.chance import orthonormal
@@ -84,6 +84,7 @@ def assemble(
         effects=effects,
         sizes=sizes,
         method=context.model.method,
+        effect_kinds=(context.model.kind,) * len(effects),
     )
 
 
@@ -126,6 +127,7 @@ def describe_finding(
     if is_unsure or find_inflation(context, chosen, effect) > MAX_INFLATION:
         families, effects = (), ()
     size = chosen.sizes[own]
+    is_second = context.model.kind == SECOND_ENCODER and effect.overrides(*READING_HOOKS)
     return Finding(
         place=effect.place,
         family=effect.family,
@@ -133,7 +135,7 @@ def describe_finding(
         size=tuple(size.tolist()),
         size_names=tuple(one.name for one in effect.sizes),
         interval=tuple(find_interval(context, chosen, sets, int(column)) for column in own),
-        text=effect.describe(size),
+        text=effect.describe(size) + (", of the second encoder" if is_second else ""),
         share=found.share,
         places=places,
         families=families,
@@ -271,7 +273,7 @@ def list_errors(raw: ResidualModel, fitted: Array, held_out: ResidualModel, rows
         nominal, base, chosen = np.mean(here, axis=1).tolist()
         noise = noise_residuals(raw, fitted, j)
         level = float(np.mean(np.abs(noise))) if len(noise) else float("nan")
-        found.append(JointError(name, held_out.unit, nominal, base, chosen, level))
+        found.append(JointError(name, held_out.unit, nominal, base, chosen, level, held_out.kind))
     return found
 
 

@@ -20,7 +20,7 @@ from diagnosis.residuals.encoder_residuals import why_refused
 from diagnosis.residuals.kinds import ResidualKind, list_kinds
 from diagnosis.result import Diagnosis, Rejected
 from diagnosis.robot import ControlMode, Robot
-from diagnosis.selection.checkpoint import Checkpoint, digest_inputs
+from diagnosis.selection.checkpoint import STEPS, Checkpoint, digest_inputs
 from diagnosis.selection.meter import Meter, Progress
 from diagnosis.selection.selection import select_effects
 from diagnosis.selection.verdict import find_confidence_sets
@@ -43,7 +43,7 @@ def diagnose(
     audit: Audit | None = None,
     seed: int = 1,
     progress: Progress = lambda share, text: None,
-    cache: Path | None = None,
+    cache: str | Path | None = None,
 ) -> Diagnosis:
     """Find the effects that make a robot differ from its model.
 
@@ -77,15 +77,17 @@ def diagnose(
     known = [*catalogue(robot, logs), *effects]
     check_names(known)
     parts = []
-    digest = None if cache is None else digest_inputs(robot, motions, usable, effects, seed)
-    with Checkpoint(cache / digest if cache and digest else None, known) as checkpoint:
+    steps = None
+    if cache is not None:
+        steps = Path(cache) / f"{STEPS}{digest_inputs(robot, motions, usable, effects, seed)}"
+    with Checkpoint(steps, known) as checkpoint:
         for k, kind in enumerate(kinds):
             meter = Meter(_part_of(progress, k, len(kinds)))
             fitted = kind.make(motions, MOST_STEPS)
+            judge = kind.make(held_out, math.inf) if held_out else fitted  # may refuse: before the long work
             shown, rejected = choose_shown(robot, kind, known)
             base = [one for one in base_effects(robot, logs) if kind.shows(one)] if kind.has_base else []
             selection = select_effects(fitted, base, shown, seed=seed, meter=meter, checkpoint=checkpoint)
-            judge = kind.make(held_out, math.inf) if held_out else fitted
             part = assemble(robot, fitted, selection, find_confidence_sets(selection), judge)
             parts.append(replace(part, rejected=(*part.rejected, *rejected)))
     progress(1.0, "done")
@@ -144,6 +146,7 @@ def join_parts(parts: Sequence[Diagnosis]) -> Diagnosis:
         rejected=tuple(one for part in parts for one in part.rejected),
         effects=tuple(one for part in parts for one in part.effects),
         sizes=tuple(one for part in parts for one in part.sizes),
+        effect_kinds=tuple(one for part in parts for one in part.effect_kinds),
     )
 
 

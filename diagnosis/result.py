@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from diagnosis.effects.effect import Effect, Family
+from diagnosis.effects.effect import READING_HOOKS, Effect, Family
 from diagnosis.logs import Motion
+from diagnosis.residuals.residuals import SECOND_ENCODER
 from diagnosis.robot import Robot
 
 
@@ -63,6 +64,8 @@ class JointError:
     """With base parameters and findings fitted."""
     noise_floor: float
     """From repeats; NaN if unknown."""
+    kind: str = ""
+    """Kind of residual."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +123,30 @@ class Diagnosis:
     rejected: tuple[Rejected, ...] = ()
     method: str = ""
     """How residuals were made, with the filter: sentences for a report."""
+    effect_kinds: tuple[str, ...] = ()
+    """Kind of residual that each of the effects was fitted to; empty if there is one kind."""
+
+    def fitted_to(self, kind: str) -> tuple[tuple[Effect, ...], tuple[tuple[float, ...], ...]]:
+        """Return the effects that were fitted to a kind of residual, and their sizes.
+
+        Args:
+            kind: Kind of residual.
+        """
+        kinds = self.effect_kinds or (self.kind,) * len(self.effects)
+        own = [k for k, one in enumerate(kinds) if one == kind]
+        return tuple(self.effects[k] for k in own), tuple(self.sizes[k] for k in own)
+
+    def of_model(self) -> tuple[tuple[Effect, ...], tuple[tuple[float, ...], ...]]:
+        """Return the effects that change the model, each once, and their sizes.
+
+        What a second encoder reads wrongly is no part of the model: it has one encoder a joint.
+        """
+        chosen: dict[str, tuple[Effect, tuple[float, ...]]] = {}
+        for kind in self.kind.split(" and "):
+            for effect, size in zip(*self.fitted_to(kind), strict=True):
+                if not (kind == SECOND_ENCODER and effect.overrides(*READING_HOOKS)):
+                    chosen.setdefault(effect.key, (effect, size))
+        return tuple(one for one, _ in chosen.values()), tuple(size for _, size in chosen.values())
 
     @property
     def closure(self) -> float | None:

@@ -141,7 +141,9 @@ RUN_HOOKS: Final = (
 SIMULATION_HOOKS: Final = (*MODEL_HOOKS, *RUN_HOOKS)
 TORQUE_HOOKS: Final = ("set_model", "friction_Nm", "torque_Nm", "decode")
 """Hooks that inverse dynamics uses."""
-ENCODER_HOOKS: Final = ("deflection_rad", "sample_delay_s", "encode")
+READING_HOOKS: Final = ("sample_delay_s", "encode")
+"""Hooks of an effect that changes what an encoder shows, and nothing else."""
+ENCODER_HOOKS: Final = ("deflection_rad", *READING_HOOKS)
 """Hooks that a second encoder uses."""
 HOOKS: Final = (*SIMULATION_HOOKS, "deflection_rad")
 BODY_HOOKS: Final = frozenset({*MODEL_HOOKS, "act"})

@@ -99,7 +99,8 @@ class JointTable(Record):
     velocity: SignalColumn | None = None
     """Speed; the check compares it with the position."""
     torque: SignalColumn | None = None
-    """Torque of the motor; with it the diagnosis compares torques, without a simulation of the controller."""
+    """Torque of the motor, as logged. If all joints with a command have it, torques are compared, not
+    positions."""
     current: SignalColumn | None = None
     """Current of the motor; the check looks for saturation in it."""
     voltage: SignalColumn | None = None
@@ -109,7 +110,7 @@ class JointTable(Record):
     secondary: SignalColumn | None = None
     """Angle that a second encoder shows, on the other side of the gear."""
     enabled: SignalColumn | None = None
-    """Whether the motor has power; samples without it take no part."""
+    """Whether the motor has power; without it the simulated motor has no torque."""
 
     def columns(self) -> dict[str, tuple[SignalColumn, Quantity]]:
         """Return the signals that are logged, by name, with their quantities."""

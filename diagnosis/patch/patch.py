@@ -95,7 +95,7 @@ def save_patch(robot: Robot, diagnosis: Diagnosis, folder: Path) -> tuple[Path, 
     Raises:
         RobotError: An effect changes what MJCF cannot say.
     """
-    return write_patch(make_patch(robot, diagnosis.effects, diagnosis.sizes), folder)
+    return write_patch(make_patch(robot, *diagnosis.of_model()), folder)
 
 
 def write_patch(made: Patch, folder: Path) -> tuple[Path, ...]:

@@ -38,9 +38,11 @@ def to_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "effects": [
             {
                 "key": effect.key,
+                "kind": kind,
                 "size": {one.name: number(value) for one, value in zip(effect.sizes, size, strict=True)},
             }
-            for effect, size in zip(diagnosis.effects, diagnosis.sizes, strict=True)
+            for kind in diagnosis.kind.split(" and ")
+            for effect, size in zip(*diagnosis.fitted_to(kind), strict=True)
         ],
     }
 
@@ -89,6 +91,7 @@ def _base(one: Base) -> dict[str, Any]:
 def _error(one: JointError) -> dict[str, Any]:
     return {
         "joint": one.joint,
+        "kind": one.kind,
         "unit": one.unit,
         "nominal": number(one.nominal),
         "base": number(one.base),

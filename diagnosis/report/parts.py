@@ -65,6 +65,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def _error_part(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.errors:
         return []
+    kinds = {one.kind for one in diagnosis.errors}
     is_judged = bool(diagnosis.judged_motions)
     judged = "motions that took no part" if is_judged else "the fitted motions: none was held out"
     legend = "".join(f'<span><i class="swatch {kind}"></i>{words}</span> ' for kind, words in BARS.items())
@@ -74,11 +75,11 @@ def _error_part(diagnosis: Diagnosis) -> list[str]:
         _paragraph(f"Mean error by joint on {judged}. {mark} the noise floor."),
         *([_paragraph(diagnosis.method)] if diagnosis.method else []),
         f"<p>{legend}</p>",
-        f'<div class="bars">{"".join(map(_error_bars, diagnosis.errors))}</div>',
+        f'<div class="bars">{"".join(_error_bars(one, len(kinds) > 1) for one in diagnosis.errors)}</div>',
     ]
 
 
-def _error_bars(one: JointError) -> str:
+def _error_bars(one: JointError, has_kind: bool) -> str:
     values = {"nominal": one.nominal, "base": one.base, "explained": one.explained}
     most = max((value for value in (*values.values(), one.noise_floor) if isfinite(value)), default=0.0)
     most = most or 1.0
@@ -93,7 +94,8 @@ def _error_bars(one: JointError) -> str:
         f"</div><span>{html.escape(quantity(value, one.unit))}</span></div>"
         for kind, value in values.items()
     )
-    return f"<figure><h3>{html.escape(one.joint)}</h3>{rows}</figure>"
+    title = f"{one.joint}, {one.kind}" if has_kind else one.joint
+    return f"<figure><h3>{html.escape(title)}</h3>{rows}</figure>"
 
 
 def _trace_part(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:

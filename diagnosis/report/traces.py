@@ -47,8 +47,9 @@ def make_traces(model: ResidualModel, diagnosis: Diagnosis) -> tuple[Trace, ...]
         model: Residuals of the motions to show.
         diagnosis: Diagnosis with its effects and sizes.
     """
-    found = np.concatenate([np.zeros(0), *(np.asarray(size, float) for size in diagnosis.sizes)])
-    nominal, explained = model.residuals(diagnosis.effects, np.stack([np.zeros_like(found), found]))
+    effects, sizes = diagnosis.fitted_to(model.kind)
+    found = np.concatenate([np.zeros(0), *(np.asarray(size, float) for size in sizes)])
+    nominal, explained = model.residuals(effects, np.stack([np.zeros_like(found), found]))
     measured = model.explain("position") if model.kind == SIMULATION else None
     return tuple(_cut(model, nominal, explained, measured))
 
@@ -78,13 +79,7 @@ def trace_motions(
     for kind in list_kinds(robot, motions, usable):
         part = driven if kind.name == SIMULATION else motions
         if part and kind.name in diagnosis.kind.split(" and "):
-            own = [k for k, effect in enumerate(diagnosis.effects) if kind.shows(effect)]
-            shown = replace(
-                diagnosis,
-                effects=tuple(diagnosis.effects[k] for k in own),
-                sizes=tuple(diagnosis.sizes[k] for k in own),
-            )
-            found += make_traces(kind.make(part, math.inf), shown)
+            found += make_traces(kind.make(part, math.inf), diagnosis)
     return tuple(found)
 
 

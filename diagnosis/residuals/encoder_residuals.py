@@ -33,6 +33,7 @@ from diagnosis.residuals.filtered_motion import (
     find_usable,
     inverse_dynamics,
 )
+from diagnosis.residuals.residuals import SECOND_ENCODER
 from diagnosis.robot import Robot
 
 
@@ -72,7 +73,7 @@ def why_refused(robot: Robot, effect: Effect) -> str:
 class EncoderResiduals:
     """Predict the difference of two encoders; see `ResidualModel`."""
 
-    kind = "second encoder"
+    kind = SECOND_ENCODER
     unit = "rad"
     by_motion = False
     step_s = 0.0

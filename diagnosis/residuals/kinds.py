@@ -36,8 +36,9 @@ def list_kinds(
 ) -> list[ResidualKind]:
     """List the kinds of residual that the logs allow.
 
-    Logged torques are compared with inverse dynamics, which needs no controller. Without them the commands
-    are simulated. A second encoder is always compared with the first.
+    Logged torques are compared with inverse dynamics, which needs no controller. Where a joint has a command
+    and no torque, the commands are simulated instead: else nothing would look at this joint. A second encoder
+    is always compared with the first.
 
     Args:
         robot: The robot.
@@ -51,8 +52,11 @@ def list_kinds(
         RobotError: There are neither torques nor commands nor a second encoder.
     """
     logs = [log for motion in motions for log in motion.joints.values()]
+    named = [(name, log) for motion in motions for name, log in motion.joints.items()]
+    commanded = {name for name, log in named if log.command is not None}
+    measured = {name for name, log in named if log.torque is not None}
     found = []
-    if any(log.torque is not None for log in logs):
+    if measured and (commanded <= measured or commanded < {joint.name for joint in robot.joints}):
         found.append(
             ResidualKind(
                 InverseResiduals.kind,
@@ -61,7 +65,7 @@ def list_kinds(
                 True,
             )
         )
-    elif any(log.command is not None for log in logs):
+    elif commanded:
 
         def simulate(part: Sequence[Motion], most_steps: float) -> ResidualModel:
             return SimulationResiduals(robot, part, keep=usable, most_steps=most_steps)

@@ -94,15 +94,28 @@ def repeat_pairs(model: ResidualModel, joint: int) -> list[tuple[Integers, Integ
         joint: Index of the joint.
 
     Returns:
-        Rows of two motions with equal times, (n_rows,) each.
+        Rows of two motions at the same times, (n_rows,) each.
     """
     groups: dict[str, list[Integers]] = {}
     for k, label in enumerate(model.repeat_of):
         if label:
             rows = np.flatnonzero((model.motion_of == k) & (model.joint_of == joint))
             groups.setdefault(label, []).append(rows)
-    pairs = [pair for group in groups.values() for pair in pairwise(group)]
-    return [(a, b) for a, b in pairs if len(a) == len(b) > 2]
+    pairs = [_pair_times(model.time_s, *pair) for group in groups.values() for pair in pairwise(group)]
+    return [(a, b) for a, b in pairs if len(a) > 2]
+
+
+def _pair_times(time_s: Array, one: Integers, other: Integers) -> tuple[Integers, Integers]:
+    """Return the rows of two motions that are at the same times; some samples may be missing in one."""
+    if len(one) == len(other):
+        return one, other
+    if min(len(one), len(other)) < 2:
+        return one[:0], other[:0]
+    wanted_s, there_s = time_s[one], time_s[other]
+    after = np.clip(np.searchsorted(there_s, wanted_s), 1, len(other) - 1)
+    nearest = after - (wanted_s - there_s[after - 1] < there_s[after] - wanted_s)
+    is_same = np.abs(there_s[nearest] - wanted_s) < 0.5 * float(np.median(np.diff(wanted_s)))
+    return one[is_same], other[nearest[is_same]]
 
 
 def noise_residuals(model: ResidualModel, residuals: Array, joint: int) -> Array:

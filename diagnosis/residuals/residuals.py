@@ -5,12 +5,15 @@ at once. Selection, fit and verdict know no more of them than this.
 """
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
 from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect
+
+SECOND_ENCODER: Final = "second encoder"
+"""Kind of the residual between two encoders."""
 
 
 class ResidualModel(Protocol):

@@ -33,6 +33,8 @@ from diagnosis.robot import Robot
 from diagnosis.selection.meter import Meter
 
 T = TypeVar("T")
+STEPS: Final = "diagnosis-steps-"
+"""Begin of the name of the folder of a diagnosis."""
 PACKAGE: Final = Path(__file__).parents[1]
 EXPIRED_s: Final = 7 * 86400.0
 """Time after which steps are deleted: a user who still wants the result has repeated the command."""
@@ -49,7 +51,7 @@ class Checkpoint:
         """Name the folder, and delete steps of others beside it that nobody wants any more.
 
         Args:
-            folder: Folder of this diagnosis, named by the digest of its inputs; None: nothing is kept.
+            folder: Folder of this diagnosis, STEPS with the digest of its inputs; None: nothing is kept.
             effects: All effects that compete; a step names them by their keys.
         """
         self._folder, self._number, self._is_full = folder, 0, False
@@ -58,7 +60,7 @@ class Checkpoint:
             return
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            for other in folder.parent.iterdir():
+            for other in folder.parent.glob(f"{STEPS}*"):  # beside them may be files of the user
                 if other != folder and time.time() - other.stat().st_mtime > EXPIRED_s:
                     shutil.rmtree(other, ignore_errors=True)
         except OSError:

@@ -231,8 +231,8 @@ def _strongest(values: Array, group: Integers, n_groups: int) -> int:
 def unexplained_dependence(residual: Array, variable: Array, group: Integers, n_bins: int = 10) -> float:
     """Measure the share of a residual that follows a variable.
 
-    Means of the residual in bins of the variable predict each group from the others. A bin that no other
-    group reaches predicts nothing.
+    Means of the residual in bins of the variable predict each group from the others, and are held against
+    the mean of the others. A bin that no other group reaches has that mean.
 
     Args:
         residual: Residuals, (n,), in any unit.
@@ -241,18 +241,22 @@ def unexplained_dependence(residual: Array, variable: Array, group: Integers, n_
         n_bins: Bins with equal counts.
 
     Returns:
-        Share of the sum of squares, at most 1; not positive if the variable predicts nothing.
+        Share of the sum of squares about the mean, at most 1; not positive if the variable predicts nothing.
     """
-    total = float(np.sum(residual**2))
-    if len(residual) < n_bins or total == 0.0 or np.ptp(variable) == 0.0:
+    if len(residual) < n_bins or np.ptp(variable) == 0.0 or np.ptp(group) == 0:
         return 0.0
     edges = np.unique(np.quantile(variable, np.linspace(0.0, 1.0, n_bins + 1)[1:-1]))
     place, shape = np.searchsorted(edges, variable), (int(group.max()) + 1, len(edges) + 1)
-    count, sums = np.zeros(shape), np.zeros(shape)
-    np.add.at(count, (group, place), 1.0)
-    np.add.at(sums, (group, place), residual)
-    of_others = (sums.sum(axis=0) - sums) / np.maximum(count.sum(axis=0) - count, 1.0)
-    return 1.0 - float(np.sum((residual - of_others[group, place]) ** 2)) / total
+    cell = group * shape[1] + place
+    sums, counts = (
+        np.bincount(cell, weights=weights, minlength=shape[0] * shape[1]).reshape(shape)
+        for weights in (residual, np.ones_like(residual))
+    )
+    other_sums, other_counts = sums.sum(axis=0) - sums, counts.sum(axis=0) - counts
+    mean = other_sums.sum(axis=1, keepdims=True) / np.maximum(other_counts.sum(axis=1, keepdims=True), 1.0)
+    predicted = np.where(other_counts > 0.0, other_sums / np.maximum(other_counts, 1.0), mean)
+    total = float(np.sum((residual - mean[group, 0]) ** 2))
+    return 1.0 - float(np.sum((residual - predicted[group, place]) ** 2)) / total if total > 0.0 else 0.0
 
 
 def list_members(found: ConfidenceSet) -> tuple[tuple[str, ...], tuple[Family, ...], tuple[str, ...]]:

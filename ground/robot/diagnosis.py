@@ -91,7 +91,7 @@ def _diagnose_logs(request: RobotDiagnoseRequest, progress: Progress) -> RobotDi
     except Interrupted as error:
         error.add_note(GOES_ON)
         raise
-    patch = None if request.patch is None else make_patch(robot, result.effects, result.sizes)
+    patch = None if request.patch is None else make_patch(robot, *result.of_model())
     traces = () if request.report is None else trace_motions(robot, _shown(logs), result, found.usable)
     return RobotDiagnosis(request, result, traces, patch, digests)
 

@@ -11,7 +11,7 @@ import pytest
 
 from diagnosis.arrays import Array
 from diagnosis.effects.effect import Effect
-from diagnosis.selection.checkpoint import Checkpoint, EXPIRED_s, digest_inputs, pack, unpack
+from diagnosis.selection.checkpoint import STEPS, Checkpoint, EXPIRED_s, digest_inputs, pack, unpack
 from diagnosis.selection.context import Selection
 from diagnosis.selection.meter import Meter
 from diagnosis.selection.selection import select_effects
@@ -146,11 +146,12 @@ def test_a_full_disk_stops_no_diagnosis(
 
 
 def test_steps_that_nobody_went_on_from_for_a_week_are_deleted(tmp_path: Path) -> None:
-    for name, age_s in (("old", EXPIRED_s + 60.0), ("new", EXPIRED_s - 3600.0)):
+    names = [f"{STEPS}old", f"{STEPS}new", "results of the user"]
+    for name, age_s in zip(names, (EXPIRED_s + 60.0, EXPIRED_s - 3600.0, 10 * EXPIRED_s), strict=True):
         (tmp_path / name).mkdir()
         os.utime(tmp_path / name, (time.time() - age_s,) * 2)
-    Checkpoint(tmp_path / "mine")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "new"]
+    Checkpoint(tmp_path / f"{STEPS}mine")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([f"{STEPS}mine", *names[1:]])
 
 
 def test_a_step_that_contains_steps_is_recalled_as_one(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis.effects.effect import Effect
+from diagnosis.residuals.noise import repeat_pairs
 from diagnosis.selection.comparison import compare_motions, compare_with_noise
 from diagnosis.selection.context import start_context
 from diagnosis.selection.meter import Meter
@@ -48,3 +49,15 @@ def test_models_that_do_not_differ_are_equal() -> None:
     context = replace(start_context(toy, BASE, (), 1, Meter()), scales=np.ones(2))
     rows = np.flatnonzero(toy.joint_of == 0)
     assert compare_with_noise(context, rows, toy.commands[0].ravel(), toy.commands[0].ravel()) == 0.0
+
+
+def test_motions_repeat_one_another_also_where_samples_are_missing() -> None:
+    model = draw_toy(1, {})
+    kept = np.ones(model.time_s.size, dtype=bool)
+    last = np.flatnonzero((model.joint_of == 0) & (model.motion_of == len(model.motions) - 1))
+    kept[last[[0, 7, 50]]] = False
+    for name in ("joint_of", "motion_of", "time_s"):
+        setattr(model, name, getattr(model, name)[kept])
+    ((one, other),) = repeat_pairs(model, 0)
+    assert len(one) == last.size - 3
+    np.testing.assert_array_equal(model.time_s[one], model.time_s[other])

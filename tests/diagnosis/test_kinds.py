@@ -9,6 +9,8 @@ from diagnosis.assemble import list_base
 from diagnosis.catalogue.catalogue import base_effects, catalogue
 from diagnosis.effects.actuation import GainError
 from diagnosis.effects.effect import Family
+from diagnosis.effects.joint import joint_scales
+from diagnosis.effects.timing import MeasurementDelay
 from diagnosis.logs import Logs, Motion
 from diagnosis.report.traces import trace_motions
 from diagnosis.residuals.kinds import list_kinds
@@ -17,7 +19,7 @@ from diagnosis.selection.context import start_context
 from diagnosis.selection.joint_fits import fit_base
 from diagnosis.selection.meter import Meter
 from tests.diagnosis.two_joint_arm import arm, simulated
-from tests.diagnosis.verdicts import diagnosis
+from tests.diagnosis.verdicts import Rub, diagnosis
 
 
 def with_commands(robot: Robot) -> list[Motion]:
@@ -60,3 +62,29 @@ def test_traces_show_the_residuals_that_the_verdict_is_about(unloaded: tuple[Rob
         (joint.name, "inverse dynamics", "N m") for joint in robot.joints
     }
     assert all(one.measured is None and one.explained.any() for one in traces)
+
+
+def test_what_a_second_encoder_reads_is_no_part_of_a_patch(unloaded: tuple[Robot, list[Motion]]) -> None:
+    robot, motions = unloaded
+    late, other = MeasurementDelay.at(robot, "shoulder", joint_scales(robot, motions)), Rub("shoulder")
+    kinds = ("simulation", "second encoder", "second encoder")
+    found = diagnosis(
+        kind="simulation and second encoder",
+        effects=(late, late, other),
+        sizes=((0.015,), (0.003,), (0.2,)),
+        effect_kinds=kinds,
+    )
+    assert found.fitted_to("second encoder") == ((late, other), ((0.003,), (0.2,)))
+    assert found.of_model() == ((late, other), ((0.015,), (0.2,)))
+
+
+def test_a_joint_with_a_command_alone_makes_the_commands_simulated(
+    unloaded: tuple[Robot, list[Motion]],
+) -> None:
+    robot, motions = unloaded
+    first = robot.joints[0].name
+    mixed = [
+        replace(one, joints=one.joints | {first: replace(one.joints[first], torque=None)}) for one in motions
+    ]
+    assert [kind.name for kind in list_kinds(robot, mixed, None)] == ["simulation"]
+    assert [kind.name for kind in list_kinds(robot, motions, None)] == ["inverse dynamics"]

@@ -186,6 +186,12 @@ def test_a_residual_that_follows_a_variable_is_seen_in_other_motions() -> None:
     assert alone < 0.01
 
 
+def test_a_constant_residual_follows_no_variable() -> None:
+    rng = np.random.default_rng(1)
+    x, noise, motion = rng.uniform(-1.0, 1.0, 400), rng.normal(0.0, 0.2, 400), np.repeat([0, 1, 2, 3], 100)
+    assert unexplained_dependence(1.0 + noise, x, motion) < 0.05
+
+
 def test_where_no_other_motion_goes_nothing_is_predicted() -> None:
     x = np.linspace(0.0, 1.0, 200)
     assert unexplained_dependence(1.0 + x, x, np.repeat([0, 1], 100)) == 0.0
