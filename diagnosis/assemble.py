@@ -12,7 +12,7 @@ from diagnosis.residuals.blocks import cut_rows
 from diagnosis.residuals.loss import root_weight
 from diagnosis.residuals.noise import noise_residuals
 from diagnosis.residuals.residuals import SECOND_ENCODER, ResidualModel
-from diagnosis.result import Base, Diagnosis, Finding, JointError, Remainder
+from diagnosis.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Remainder
 from diagnosis.robot import Robot
 from diagnosis.selection.chance import orthonormal
 from diagnosis.selection.comparison import improvement_share, knows_noise
@@ -33,8 +33,6 @@ MAX_INFLATION: Final = 10.0
 regressors that can be separated (Marquardt 1970)."""
 MIN_DEPENDENCE: Final = 0.1
 """Least share of the variance of a remainder that a variable explains to be named."""
-MIN_REMAINDER: Final = 1.2
-"""Least error over that of noise that is told to remain: the noise is known from few repeats."""
 VARIABLES: Final = ("position", "velocity", "load", "time", "temperature")
 """The simplest first: it is named where another explains no more. The command of a servo is its position."""
 CLEARLY_MORE: Final = 0.1

@@ -3,11 +3,15 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from diagnosis.effects.effect import READING_HOOKS, Effect, Family
 from diagnosis.logs import Motion
 from diagnosis.residuals.residuals import SECOND_ENCODER
 from diagnosis.robot import Robot
+
+MIN_REMAINDER: Final = 1.2
+"""Least error over that of noise that is told to remain: the noise is known from few repeats."""
 
 
 @dataclass(frozen=True, slots=True)

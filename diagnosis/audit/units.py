@@ -39,15 +39,22 @@ def audit_units(robot: Robot, motions: Sequence[Motion]) -> list[Remark]:
 
 
 def _ratio(pairs: Iterator[tuple[Array, Array]]) -> float:
-    """Return the ratio of the second signals to the first; NaN if they do not vary alike."""
+    """Return the ratio of the second signals to the first; NaN if they do not vary alike.
+
+    It is below 0 if they run against each other in all motions: in a fast one a servo may lag by half a wave.
+    """
     ratios: list[float] = []
     for first, second in pairs:
         use = np.isfinite(first) & np.isfinite(second)
         if use.sum() < 3:
             continue
         spread = float(np.std(first[use])), float(np.std(second[use]))
-        if min(spread) > 0.0 and np.corrcoef(first[use], second[use])[0, 1] > FOLLOWS:
-            ratios.append(spread[1] / spread[0])
+        if min(spread) == 0.0:
+            continue
+        correlation = float(np.corrcoef(first[use], second[use])[0, 1])
+        if abs(correlation) > FOLLOWS:
+            ratios.append(math.copysign(spread[1] / spread[0], correlation))
+    ratios = [one for one in ratios if one > 0.0] or ratios
     return float(np.median(ratios)) if ratios else math.nan
 
 
@@ -70,6 +77,9 @@ def _velocities(
 
 
 def _remark(ratio: float, joint: str, motions: tuple[str, ...], what: str, other: str) -> list[Remark]:
+    if ratio < 0.0:
+        text = f"{what} runs against {other}: is factor = -1 missing at one of them?"
+        return [Remark(RemarkKind.UNIT, joint, motions, text, ratio)]
     for factor, unit in FACTORS.items():
         for signed, wrong, right in ((factor, what, other), (1.0 / factor, other, what)):
             if math.isfinite(ratio) and abs(math.log(ratio / signed)) < math.log(CLOSE):

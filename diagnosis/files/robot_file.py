@@ -64,6 +64,10 @@ class SignalColumn(Record):
         if (self.unit in COUNTS) != (self.counts_per_turn is not None):
             raise ValueError("counts_per_turn is needed for the units count and count/s, and for no other")
         is_fraction = self.unit == FRACTION
+        if is_fraction and (self.side != "joint" or self.factor != 1.0):
+            raise ValueError(
+                "side and factor: with the unit fraction, at_0_rad and at_1_rad say all of it; remove"
+            )
         if (is_fraction, is_fraction) != (self.at_0_rad is not None, self.at_1_rad is not None):
             raise ValueError("at_0_rad and at_1_rad are needed for the unit fraction, and for no other")
         return self

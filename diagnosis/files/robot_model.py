@@ -134,6 +134,11 @@ def _joint(name: str, table: JointTable, model: mujoco.MjModel, path: Path, grav
         raise RobotError(f"{where}.joint: {in_model!r} is no hinge; only hinges can be diagnosed")
     dof = int(model.jnt_dofadr[number])
     actuator = _actuator(table, model, number, where)
+    if actuator >= 0 and model.actuator_dyntype[actuator] != mujoco.mjtDyn.mjDYN_NONE:
+        raise RobotError(
+            f"{where}.actuator: {model.actuator(actuator).name!r} has dynamics of its own (timeconst ..); "
+            "a diagnosis lacks them, so take them out of the model"
+        )
     kp, kd = _gains(model, actuator)
     kp = kp if table.kp_Nm_rad is None else table.kp_Nm_rad
     kd = kd if table.kd_Nms_rad is None else table.kd_Nms_rad

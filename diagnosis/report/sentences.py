@@ -223,6 +223,9 @@ def _certainty(finding: Finding) -> str:
     if found == "none":
         return "its place cannot be told"
     if found == "effect" and len(finding.effects) == 1:
+        if len(finding.families) > 1:
+            kinds = join_words([FAMILY_WORDS[family] for family in finding.families], "or")
+            return f"95 % sure; its cause may be {kinds}"
         return "95 % sure: no other effect explains it"
     if found == "effect":
         return "95 % sure that it is one of these; they cannot be told apart"

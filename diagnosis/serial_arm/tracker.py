@@ -14,7 +14,16 @@ from scipy.stats import t as student
 from diagnosis.arrays import Array
 from diagnosis.effects.effect import Family
 from diagnosis.errors import RobotError
-from diagnosis.result import Base, Diagnosis, Finding, JointError, Refusal, Rejected, Remainder
+from diagnosis.result import (
+    MIN_REMAINDER,
+    Base,
+    Diagnosis,
+    Finding,
+    JointError,
+    Refusal,
+    Rejected,
+    Remainder,
+)
 from diagnosis.serial_arm.arm import SerialArm
 from diagnosis.serial_arm.calibrate import PoseErrors, SerialCalibration, pose_errors
 from diagnosis.serial_arm.effect_tests import (
@@ -116,7 +125,7 @@ def _describe(models: tuple[NestedModel, ...], fresh: PoseSeries) -> Diagnosis:
         findings=tuple(sorted(findings, key=lambda one: -one.share)),
         base=_base(found, chosen),
         errors=_errors(models, explained),
-        remaining=(_remainder(models[-1], temperature, explained),),
+        remaining=_remainders(models[-1], temperature, explained),
         refused=_refused(found),
         fitted_motions=(f"{part.name}: the first {part.count} poses",),
         judged_motions=(f"{part.name}: the last {fresh.count} poses",),
@@ -207,8 +216,10 @@ def _errors(models: tuple[NestedModel, ...], explained: PoseErrors) -> tuple[Joi
     )
 
 
-def _remainder(last: NestedModel, temperature: TemperatureTest | None, explained: PoseErrors) -> Remainder:
-    """Describe the error that is left, and whether it follows the temperature or the time."""
+def _remainders(
+    last: NestedModel, temperature: TemperatureTest | None, explained: PoseErrors
+) -> tuple[Remainder, ...]:
+    """Describe the error that is left if it exceeds the repeatability, or follows temperature or time."""
     found = last.found
     curve = np.linspace(-1.0, 1.0, int(np.count_nonzero(found.fit.used)))
     gain_m, sigma_m, share = drift_gain(found, last.validation, curve)
@@ -216,7 +227,10 @@ def _remainder(last: NestedModel, temperature: TemperatureTest | None, explained
     if temperature is not None and temperature.explains:
         depends_on, share = "temperature", 1.0 - (temperature.with_m / temperature.without_m) ** 2
     mean_m = float(np.mean(explained.position_m))
-    return Remainder(TARGET, "at rest", mean_m, "m", depends_on, share if depends_on else 0.0)
+    floor_m = math.sqrt(3.0) * found.model.arm.repeatability.position_m
+    if not depends_on and explained.rms_m <= MIN_REMAINDER * floor_m:
+        return ()
+    return (Remainder(TARGET, "at rest", mean_m, "m", depends_on, share if depends_on else 0.0),)
 
 
 def _refused(found: SerialCalibration) -> tuple[Refusal, ...]:

@@ -55,7 +55,9 @@ class JointSummary:
     lowest_rad: float
     highest_rad: float
     nominal_mean_abs_rad: float
-    """Of the nominal simulation; NaN if it blew up."""
+    """Of the nominal simulation; NaN if it blew up, or is none."""
+    is_simulated: bool
+    """False without a command in all motions."""
 
 
 def check_robot(request: CheckRequest, progress: Progress = no_progress) -> CheckReport:
@@ -90,7 +92,7 @@ def summarize_joints(report: CheckReport) -> list[JointSummary]:
 def _summary(report: CheckReport, joint: str) -> JointSummary:
     rates = [rate for rate in report.audit.rates if rate.joint == joint]
     weight = np.array([rate.n_samples for rate in rates], float)
-    known = weight * np.isfinite([rate.rate_Hz for rate in rates])
+    is_simulated = all(motion.joints[joint].command is not None for motion in report.logs.motions)
     usable = [report.audit.is_usable(motion.name, joint) for motion in report.logs.motions]
     positions = [motion.joints[joint].position.value for motion in report.logs.motions]
     errors = np.array([one.mean_abs_rad[joint] for one in report.nominal])
@@ -104,7 +106,8 @@ def _summary(report: CheckReport, joint: str) -> JointSummary:
         refused_share=1.0 - sum(int(one.sum()) for one in usable) / max(sum(one.size for one in usable), 1),
         lowest_rad=min(float(np.nanmin(one)) for one in positions),
         highest_rad=max(float(np.nanmax(one)) for one in positions),
-        nominal_mean_abs_rad=float(np.average(errors, weights=weight)) if known.any() else float("nan"),
+        nominal_mean_abs_rad=float(np.average(errors, weights=weight)) if is_simulated else float("nan"),
+        is_simulated=is_simulated,
     )
 
 

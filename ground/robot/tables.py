@@ -84,7 +84,7 @@ def joint_cells(one: JointSummary) -> tuple[str, ...]:
         str(one.n_stale),
         f"{one.lowest_rad:.2f}..{one.highest_rad:.2f}",
         f"{one.refused_share:.1%}",
-        f"{error * 1e3:.1f}" if math.isfinite(error) else "blew up",
+        f"{error * 1e3:.1f}" if math.isfinite(error) else "blew up" if one.is_simulated else "no command",
     )
 
 

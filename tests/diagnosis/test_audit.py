@@ -173,6 +173,14 @@ def test_commands_in_another_unit_are_named(clean, factor):
     assert found.remarks[0].kind is RemarkKind.UNIT
 
 
+def test_a_position_that_counts_the_other_way_is_named(clean):
+    def turn(log):
+        return replace(log, position=Signal(log.position.time_s, -log.position.value))
+
+    found = audit(planar_arm(), with_joint(clean, "shoulder", turn))
+    assert "the position runs against its command" in found.remarks[0].text
+
+
 def test_degrees_in_place_of_radians_are_named_by_the_range_of_the_model(clean):
     def scale(log):
         return replace(
