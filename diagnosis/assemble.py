@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.arrays import Array, Integers
+from diagnosis.arrays import Array, Integers, orthonormal
 from diagnosis.effects.actuation import GainError
 from diagnosis.effects.effect import READING_HOOKS, Effect
 from diagnosis.residuals.blocks import cut_rows
@@ -14,7 +14,6 @@ from diagnosis.residuals.noise import noise_residuals
 from diagnosis.residuals.residuals import SECOND_ENCODER, ResidualModel
 from diagnosis.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Remainder
 from diagnosis.robot import Robot
-from diagnosis.selection.chance import orthonormal
 from diagnosis.selection.comparison import improvement_share, knows_noise
 from diagnosis.selection.context import Context, FittedModel, Selection
 from diagnosis.selection.joint_fits import MIN_MOTIONS

@@ -1,5 +1,6 @@
 """Kinds of residual that the logs of a robot allow: simulation, inverse dynamics, second encoder."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -68,7 +69,8 @@ def list_kinds(
     elif commanded:
 
         def simulate(part: Sequence[Motion], most_steps: float) -> ResidualModel:
-            return SimulationResiduals(robot, part, keep=usable, most_steps=most_steps)
+            is_fitted = most_steps < math.inf  # what judges has its measured starts
+            return SimulationResiduals(robot, part, keep=usable, most_steps=most_steps, fit_starts=is_fitted)
 
         found.append(ResidualKind(SimulationResiduals.kind, simulate, shows_simulation, True))
     if any(log.secondary is not None for log in logs):

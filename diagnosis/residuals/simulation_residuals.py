@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.arrays import Array, Flags, Integers
+from diagnosis.arrays import Array, Flags, Integers, orthonormal
 from diagnosis.effects.effect import Effect
 from diagnosis.logs import Motion
 from diagnosis.residuals.explain import measured_variable
@@ -23,6 +23,8 @@ SPACING_s: Final = 0.02
 """Least time between residuals: closer ones repeat each other, because a servo needs longer to move."""
 SHIFT_rad: Final = 1e-3
 """Shift of a start that shows how its first samples follow: a milliradian is small beside any motion."""
+SHIFT_s: Final = 0.1
+"""Time in which a shifted speed moves a joint by as much: a servo needs about as long to follow."""
 STEP_PARTS: Final = 8
 """Parts of a step in the simulation that shows its error: an eighth of an error of first order is left."""
 PART_s: Final = 10.0
@@ -49,6 +51,7 @@ class SimulationResiduals:
         keep: Mapping[tuple[str, str], Flags] | None = None,
         n_threads: int = 0,
         most_steps: float = math.inf,
+        fit_starts: bool = False,
     ) -> None:
         """Cut the motions into windows: a motion is one, until a stretch of samples that are not used.
 
@@ -60,6 +63,7 @@ class SimulationResiduals:
             n_threads: Threads of the simulation; 0: as many as there are processors.
             most_steps: Steps of a candidate. Where all motions take more, evenly spaced windows of each are
                 simulated instead.
+            fit_starts: Take out of the residuals what another start of a joint would explain.
         """
         self._robot = robot
         self._models = Models(robot)
@@ -81,9 +85,22 @@ class SimulationResiduals:
         ]
         fine_rad = _simulate_nominal(fine_models, fine, n_threads)
         coarse_rad = _simulate_nominal(self._models, coarse, n_threads)
-        self._fill(motions, coarse, np.nan_to_num(fine_rad - coarse_rad))
+        starts = self._start_responses(coarse, coarse_rad) if fit_starts else np.empty((coarse_rad.size, 0))
+        self._fill(motions, coarse, np.nan_to_num(fine_rad - coarse_rad), starts)
 
-    def _fill(self, motions: Sequence[Motion], windows: Sequence[Window], refined_rad: Array) -> None:
+    def _start_responses(self, windows: Sequence[Window], nominal_rad: Array) -> Array:
+        """Return what other positions and speeds of the starts change in each joint itself, (n, 2) [rad]."""
+        shifts = [
+            replace(one, q_rad=one.q_rad + q_rad, v_rad_s=one.v_rad_s + v_rad_s)
+            for q_rad, v_rad_s in ((SHIFT_rad, 0.0), (0.0, SHIFT_rad / SHIFT_s))
+            for one in windows
+        ]
+        both_rad = _simulate_nominal(self._models, shifts, self._n_threads).reshape(2, -1)
+        return np.nan_to_num(both_rad - nominal_rad).T
+
+    def _fill(
+        self, motions: Sequence[Motion], windows: Sequence[Window], refined_rad: Array, starts: Array
+    ) -> None:
         self._logs, self._windows, self._refined_rad = tuple(motions), tuple(windows), refined_rad
         self.joints = tuple(joint.name for joint in self._robot.joints)
         self.motions = tuple(motion.name for motion in motions)
@@ -100,6 +117,10 @@ class SimulationResiduals:
             [q for window in self._windows for q in window.measured_rad]
         )
         """Measured positions, (n,)."""
+        ends = np.cumsum(counts.ravel())
+        self._parts = [slice(end - n, end) for end, n in zip(ends, counts.ravel(), strict=True) if n]
+        self._starts = starts
+        self._bases = [orthonormal(starts[part]) for part in self._parts] if starts.size else []
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates.
@@ -118,6 +139,8 @@ class SimulationResiduals:
         if sizes.ndim == 3:
             sizes = sizes[:, [self.motions.index(window.motion) for window in self._windows]]
         residual = self.measured_rad - engine.positions(sizes) - self._refined_rad
+        for part, basis in zip(self._parts, self._bases, strict=False):
+            residual[:, part] -= (residual[:, part] @ basis) @ basis.T
         return np.where(np.isfinite(residual), residual, PENALTY_rad)
 
     def select(self, motions: Sequence[str]) -> "SimulationResiduals":
@@ -130,10 +153,12 @@ class SimulationResiduals:
             A model with fewer motions.
         """
         chosen, names = copy(self), set(motions)
+        kept = np.isin(self.motion_of, [self.motions.index(name) for name in names])
         chosen._fill(
             [motion for motion in self._logs if motion.name in names],
             [window for window in self._windows if window.motion in names],
-            self._refined_rad[np.isin(self.motion_of, [self.motions.index(name) for name in names])],
+            self._refined_rad[kept],
+            self._starts[kept],
         )
         return chosen
 

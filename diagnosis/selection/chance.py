@@ -151,17 +151,3 @@ def alternative_p(
         advantages.append(to_me - to_them - apart @ apart - 2.0 * drawn[:, -1])
     rounding = 1e-9 * float(theirs @ theirs)
     return float(np.mean(np.max(advantages, axis=0) >= advantages[0][0] - rounding))
-
-
-def orthonormal(changes: Array) -> Array:
-    """Return an orthonormal basis of the changes that sizes make.
-
-    Args:
-        changes: (n_rows, n_sizes), without a unit.
-
-    Returns:
-        (n_rows, rank): changes that are 0, or combinations of others, add no direction.
-    """
-    lengths = np.linalg.norm(changes, axis=0)
-    left, values, _ = np.linalg.svd(changes[:, lengths > 0.0] / lengths[lengths > 0.0], full_matrices=False)
-    return np.asarray(left[:, values > 1e-8 * np.max(values, initial=0.0)])

@@ -10,12 +10,12 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.arrays import Array, Integers
+from diagnosis.arrays import Array, Integers, orthonormal
 from diagnosis.effects.effect import Effect
 from diagnosis.residuals.blocks import Blocks, cut_rows
 from diagnosis.residuals.loss import root_weight
 from diagnosis.residuals.residuals import ResidualModel
-from diagnosis.selection.chance import orthonormal, stationary_p, wald_p
+from diagnosis.selection.chance import stationary_p, wald_p
 from diagnosis.selection.context import Score
 from diagnosis.selection.fit import Fit, Union
 

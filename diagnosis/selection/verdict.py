@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 from scipy.stats import t as student
 
-from diagnosis.arrays import Array, Integers
+from diagnosis.arrays import Array, Integers, orthonormal
 from diagnosis.effects.effect import Effect, Family
 from diagnosis.residuals.blocks import cut_rows
 from diagnosis.residuals.loss import half_loss_derivatives, root_weight
-from diagnosis.selection.chance import alternative_p, orthonormal
+from diagnosis.selection.chance import alternative_p
 from diagnosis.selection.comparison import improvement_share
 from diagnosis.selection.context import (
     Context,

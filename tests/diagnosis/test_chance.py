@@ -5,7 +5,8 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from diagnosis.selection.chance import alternative_p, count_distinct, orthonormal, stationary_p, wald_p
+from diagnosis.arrays import orthonormal
+from diagnosis.selection.chance import alternative_p, count_distinct, stationary_p, wald_p
 
 N, MEMORY = 60, 0.9
 """Samples of a motion, and share of the noise that a sample keeps of the one before."""
