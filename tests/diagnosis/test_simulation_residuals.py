@@ -48,3 +48,22 @@ def test_steps_that_are_too_long_for_the_motor_show_no_residual() -> None:
     truth = simulated(FINE, motion(TIME_s, 0 * TIME_s, command))
     long = np.abs(simulated(pendulum(step_s=0.004, period_s=0.004), motion(TIME_s, truth, command)) - truth)
     assert worst_residual(0.004, truth, command) < 0.2 * long.max()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_start_that_is_measured_wrongly_leaves_nothing_in_a_fit(seed: int) -> None:
+    command = waves(TIME_s, seed)
+    truth = simulated(FINE, motion(TIME_s, 0 * TIME_s, command))
+    measured_rad = measure(truth, seed)
+    measured_rad[:5] += 5e-3
+    log = motion(TIME_s, measured_rad, command)
+    judged, fitted = (
+        np.abs(
+            SimulationResiduals(pendulum(), [log], n_threads=1, fit_starts=fit).residuals(
+                [], np.zeros((1, 0))
+            )
+        )
+        for fit in (False, True)
+    )
+    assert judged[0, 5:15].max() > 10 * NOISE_rad
+    assert np.median(fitted[0, 5:]) < 2 * NOISE_rad
