@@ -10,7 +10,7 @@ import numpy as np
 
 from diagnosis.assemble import assemble
 from diagnosis.audit.rates import COARSE_RAD
-from diagnosis.audit.records import Audit, RemarkKind
+from diagnosis.audit.records import Audit, Remark, RemarkKind
 from diagnosis.audit.samples import joint_samples
 from diagnosis.catalogue.catalogue import base_effects, catalogue
 from diagnosis.effects.effect import Effect
@@ -87,7 +87,9 @@ def diagnose(
             judge = kind.make(held_out, math.inf) if held_out else fitted  # may refuse: before the long work
             shown, rejected = choose_shown(robot, kind, known)
             base = [one for one in base_effects(robot, logs) if kind.shows(one)] if kind.has_base else []
-            selection = select_effects(fitted, base, shown, seed=seed, meter=meter, checkpoint=checkpoint)
+            selection = select_effects(
+                fitted, base, shown, seed=seed, n_kinds=len(kinds), meter=meter, checkpoint=checkpoint
+            )
             part = assemble(robot, fitted, selection, find_confidence_sets(selection), judge)
             parts.append(replace(part, rejected=(*part.rejected, *rejected)))
     progress(1.0, "done")
@@ -95,6 +97,7 @@ def diagnose(
         join_parts(parts),
         seed=seed,
         refused=() if audit is None else audit.refused,
+        remarks=() if audit is None else tuple(map(describe_remark, audit.remarks)),
         fitted_motions=tuple(motion.name for motion in motions),
         judged_motions=tuple(motion.name for motion in held_out),
     )
@@ -161,6 +164,10 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
     Raises:
         RobotError: The motions are too few, are both fitted and held out, or do not follow their commands.
     """
+    names = [motion.name for motion in motions]
+    twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
+    if twice is not None:
+        raise RobotError(f"motion {twice}: is fitted twice; give each motion once, with its own name")
     for motion in held_out:
         same = next((one.name for one in motions if one.name == motion.name or is_copy(one, motion)), None)
         if same is not None:
@@ -207,6 +214,15 @@ def check_audit(audit: Audit, motions: Sequence[Motion]) -> None:
         raise RobotError(
             f"no sample of the fitted motions can be used ({reasons}); `marsarm robot check` shows where"
         )
+
+
+def describe_remark(one: Remark) -> str:
+    """Return a remark of the audit as a sentence.
+
+    Args:
+        one: The remark.
+    """
+    return f"{one.joint or 'robot'}: {one.kind}: {one.text}."
 
 
 def check_names(effects: Sequence[Effect]) -> None:

@@ -78,7 +78,7 @@ class Remainder:
 
     joint: str
     regime: str
-    """"at rest", "slow", "fast", or "all motion"."""
+    """"slow", "fast" or "all motion"; "at rest" for a tracker."""
     mean_abs: float
     unit: str
     depends_on: str
@@ -127,6 +127,8 @@ class Diagnosis:
     rejected: tuple[Rejected, ...] = ()
     method: str = ""
     """How residuals were made, with the filter: sentences for a report."""
+    remarks: tuple[str, ...] = ()
+    """What the audit of the logs remarked, a sentence each."""
     effect_kinds: tuple[str, ...] = ()
     """Kind of residual that each of the effects was fitted to; empty if there is one kind."""
 

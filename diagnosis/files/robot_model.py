@@ -176,7 +176,10 @@ def _actuator(table: JointTable, model: mujoco.MjModel, joint: int, where: str) 
             raise RobotError(f"{where}.actuator: {_unknown('actuator', table.actuator, list(names))}")
         return names[table.actuator]
     if len(driving) > 1:
-        raise RobotError(f"{where}.actuator: {', '.join(names)} drive this joint; name one of them")
+        shown = ", ".join(filter(None, names)) or "without a name in the model,"
+        raise RobotError(
+            f"{where}.actuator: {len(driving)} actuators, {shown} drive this joint; name one of them"
+        )
     return int(driving[0]) if driving else -1
 
 

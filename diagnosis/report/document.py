@@ -17,6 +17,7 @@ def to_document(diagnosis: Diagnosis) -> dict[str, Any]:
         "robot": diagnosis.robot,
         "kind": diagnosis.kind,
         "method": diagnosis.method,
+        "remarks": list(diagnosis.remarks),
         "seed": diagnosis.seed,
         "verdict": verdict_word(diagnosis),
         "lines": list(verdict_lines(diagnosis)),

@@ -44,7 +44,11 @@ def detail_lines(diagnosis: Diagnosis) -> list[str]:
         f"{one.motion}: {count(one.n_samples, 'sample')} took no part: {one.reason}."
         for one in diagnosis.refused
     ]
-    return finding_lines(diagnosis) + _shorten(refused, "refusal")
+    return [
+        *finding_lines(diagnosis),
+        *_shorten(diagnosis.remarks, "remark on the logs", "remarks on the logs"),
+        *_shorten(refused, "refusal"),
+    ]
 
 
 def finding_lines(diagnosis: Diagnosis) -> list[str]:
@@ -109,7 +113,7 @@ def finding_sentence(finding: Finding) -> str:
     if level(finding) != "effect":
         return first
     sizes = zip(finding.size_names, finding.interval, strict=True)
-    intervals = ", ".join(f"{name} from {low:.3g} to {high:.3g}" for name, (low, high) in sizes)
+    intervals = ", ".join(f"{name} from {low:.4g} to {high:.4g}" for name, (low, high) in sizes)
     own = f" With 90 % probability {intervals}." if intervals else ""
     lost = f" Without it, {percent(finding.share)} of the explainable error of its joint comes back."
     return first + own + (lost if isfinite(finding.share) else "")

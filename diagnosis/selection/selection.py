@@ -67,6 +67,7 @@ def select_effects(
     catalogue: Sequence[Effect],
     *,
     seed: int,
+    n_kinds: int = 1,
     meter: Meter | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Selection:
@@ -77,6 +78,7 @@ def select_effects(
         base: Effects that every model has: nuisance parameters with priors.
         catalogue: Effects that compete.
         seed: Seed of the folds.
+        n_kinds: Kinds of residual in which effects are looked for, which share the probability of chance.
         meter: Tells the progress; None: nobody is told.
         checkpoint: Keeps the results of steps; None: nothing is kept.
 
@@ -94,7 +96,7 @@ def select_effects(
         after = 1.5 if present is first else 0.5
         shortlist, n_distinct = resume_step(screen, context, present, open_joints, rounds_after=after)
         if present is first:  # later rounds screen fewer effects, but all have competed
-            context = replace(context, n_distinct=n_distinct)
+            context = replace(context, n_distinct=n_kinds * n_distinct)
         context, present = recut_blocks(context, present, shortlist)
         again = list_again(context, present, open_joints, shortlist, finalists)
         winners, finalists = resume_step(find_winners, context, present, [*shortlist, *again])

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from diagnosis.diagnose import count_foreign_commands
+from diagnosis.diagnose import check_motions, count_foreign_commands
+from diagnosis.errors import RobotError
 from diagnosis.logs import Signal
+from tests.diagnosis.pendulum import motion, pendulum
 
 TIME_s = np.arange(0.0, 8.0, 0.02)
 COMMANDS = [0.5 * np.sin((1.0 + 0.4 * k) * TIME_s) for k in range(6)]
@@ -25,3 +27,10 @@ def test_a_command_that_is_too_short_is_no_rival():
     positions = [Signal(TIME_s, one) for one in COMMANDS[:2]]
     short = [Signal(TIME_s[:100], COMMANDS[1][:100]), Signal(TIME_s[:100], COMMANDS[0][:100])]
     assert count_foreign_commands([*zip(positions, short, strict=True)]) == 0
+
+
+def test_a_motion_that_is_fitted_twice_is_refused():
+    robot = pendulum()
+    one = motion(np.arange(0.0, 1.0, 0.01), np.zeros(100), np.zeros(100))
+    with pytest.raises(RobotError, match="motion m: is fitted twice"):
+        check_motions(robot, [one, one], [])

@@ -178,3 +178,10 @@ def test_three_refusals_are_listed_and_the_others_counted():
     said = detail_lines(diagnosis(refused=REFUSED))
     assert said[1] == "p: 40 samples took no part: the command is cut off at -1.034 rad."
     assert said[-1] == "2 more refusals are in the JSON document."
+
+
+def test_remarks_on_the_logs_stand_beside_the_findings():
+    remarks = ("lift: many turns: it turns 9 times.",) * 5
+    lines = detail_lines(diagnosis(remarks=remarks))
+    assert lines[-4:-1] == list(remarks[:3])
+    assert lines[-1] == "2 more remarks on the logs are in the JSON document."
