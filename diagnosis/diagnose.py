@@ -25,9 +25,6 @@ from diagnosis.selection.meter import Meter, Progress
 from diagnosis.selection.selection import select_effects
 from diagnosis.selection.verdict import find_confidence_sets
 
-MOST_STEPS: Final = 50_000
-"""Steps of a candidate that is fitted: at 10 microseconds each, a few thousand candidates take half an hour.
-Longer logs are simulated in windows: an interval depends on the number of motions, less on their length."""
 FOREIGN_SHARE: Final = 0.25
 """Share of motions that follow another command from which commands count as mixed up.
 In the logs of the XL330 and the SO-101 it is at most 2 of 27. With shuffled commands it is at least 8 of 16,
@@ -83,8 +80,8 @@ def diagnose(
     with Checkpoint(steps, known) as checkpoint:
         for k, kind in enumerate(kinds):
             meter = Meter(_part_of(progress, k, len(kinds)))
-            fitted = kind.make(motions, MOST_STEPS)
-            judge = kind.make(held_out, math.inf) if held_out else fitted  # may refuse: before the long work
+            fitted = kind.make(motions, False)
+            judge = kind.make(held_out, True) if held_out else fitted  # may refuse: before the long work
             shown, rejected = choose_shown(robot, kind, known)
             base = [one for one in base_effects(robot, logs) if kind.shows(one)] if kind.has_base else []
             selection = select_effects(

@@ -5,7 +5,6 @@ The errors are mean absolute residuals of motions that took no part, by joint.
 """
 
 import json
-import math
 import sys
 import time
 from collections.abc import Iterator
@@ -19,7 +18,7 @@ from diagnosis.assemble import simulate_models
 from diagnosis.audit.audit import audit
 from diagnosis.audit.records import Audit
 from diagnosis.catalogue.catalogue import base_effects, catalogue
-from diagnosis.diagnose import MOST_STEPS, diagnose
+from diagnosis.diagnose import diagnose
 from diagnosis.effects.actuation import GainError
 from diagnosis.effects.effect import Effect
 from diagnosis.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
@@ -69,7 +68,7 @@ def fit_baselines(robot: Robot, logs: Logs, found: Audit) -> Iterator[Baseline]:
         The fits of the ladder, then the one with everything free.
     """
     (kind, *_) = list_kinds(robot, logs.fit, found.usable)
-    fitted, judged = kind.make(logs.fit, MOST_STEPS), kind.make(logs.judged, math.inf)
+    fitted, judged = kind.make(logs.fit, False), kind.make(logs.judged, True)
     known = [*base_effects(robot, logs), *catalogue(robot, logs)]
     shown = [one for one in known if kind.shows(one) and one.place in fitted.joints]
     for name in (*LADDER, "everything free"):

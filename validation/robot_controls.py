@@ -11,7 +11,6 @@ Real logs are read where MARSARM_DATA points. With --results, an interrupted cam
 """
 
 import json
-import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -92,7 +91,7 @@ def fitted_delay_s(robot: Robot, motions: Sequence[Motion], found: Diagnosis) ->
     A delay that is too short for a name is not 0: that of the XL330 is several milliseconds.
     """
     (kind, *_) = list_kinds(robot, motions, None)
-    context = start_context(kind.make(motions, math.inf), found.effects, (), found.seed, Meter())
+    context = start_context(kind.make(motions, True), found.effects, (), found.seed, Meter())
     context, fitted = fit_base(context)
     delays = [one for one in found.effects if one.name in DELAYS]
     return float(np.sum(fitted.sizes[context.union.columns(delays)]))

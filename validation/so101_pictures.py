@@ -4,7 +4,6 @@ Half B is fitted, in two minutes; the motions in the pictures are of half A.
 """
 
 import argparse
-import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,10 +19,10 @@ from diagnosis.audit.audit import audit
 from diagnosis.audit.plane import site_heights
 from diagnosis.audit.records import Audit, RemarkKind
 from diagnosis.catalogue.catalogue import base_effects
-from diagnosis.diagnose import MOST_STEPS
 from diagnosis.errors import RobotError
 from diagnosis.load import load
 from diagnosis.logs import Logs, Motion
+from diagnosis.residuals.kinds import list_kinds
 from diagnosis.residuals.simulation_residuals import SimulationResiduals
 from diagnosis.robot import Robot
 from diagnosis.selection.context import start_context
@@ -56,14 +55,15 @@ class Trace:
 
 def fit(robot: Robot, logs: Logs, found: Audit) -> list[Trace]:
     """Fit base parameters, print them, and simulate the held-out motions of the picture."""
-    fitted = SimulationResiduals(robot, logs.fit, keep=found.usable, most_steps=MOST_STEPS)
+    (kind,) = list_kinds(robot, logs.fit, found.usable)
+    fitted = kind.make(logs.fit, False)
     context, present = fit_base(start_context(fitted, base_effects(robot, logs), (), 1, Meter()))
     for one in list_base(robot, context, present, ()):
         known = "" if one.is_identifiable else ", not identifiable"
         low, high = one.interval
         print(f"{one.place}: {one.name} {one.value:.3f} ({low:.3f} to {high:.3f}){known}")
     shown = [one for name in FIT for one in logs.judged if one.name == name]
-    judged = SimulationResiduals(robot, shown, keep=found.usable, most_steps=math.inf)
+    judged = SimulationResiduals(robot, shown, keep=found.usable)
     rows = simulate_models(context, judged, [0.0 * present.sizes, present.sizes])
     traces = []
     for k, name in enumerate(judged.motions):

@@ -1,6 +1,5 @@
 """Traces of held-out motions: measured, predicted by the model as it is, and predicted with the findings."""
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -79,7 +78,7 @@ def trace_motions(
     for kind in list_kinds(robot, motions, usable):
         part = driven if kind.name == SIMULATION else motions
         if part and kind.name in diagnosis.kind.split(" and "):
-            found += make_traces(kind.make(part, math.inf), diagnosis)
+            found += make_traces(kind.make(part, True), diagnosis)
     return tuple(found)
 
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from diagnosis.arrays import Flags
 from diagnosis.effects.actuation import DampingGain, GainError, TorqueConstant, TorqueLimit
@@ -17,6 +18,10 @@ from diagnosis.residuals.residuals import ResidualModel
 from diagnosis.residuals.simulation_residuals import SimulationResiduals
 from diagnosis.robot import Robot
 
+MOST_STEPS: Final = 50_000
+"""Steps of a candidate that is fitted: at 10 microseconds each, a few thousand candidates take half an hour.
+Longer logs are simulated in windows: an interval depends on the number of motions, less on their length."""
+
 
 @dataclass(frozen=True, slots=True)
 class ResidualKind:
@@ -24,8 +29,8 @@ class ResidualKind:
 
     name: str
     """`ResidualModel.kind` of what it makes."""
-    make: Callable[[Sequence[Motion], float], ResidualModel]
-    """Takes motions and the most steps of a simulation."""
+    make: Callable[[Sequence[Motion], bool], ResidualModel]
+    """Takes motions, and whether they judge: then each is simulated whole, from its measured start."""
     shows: Callable[[Effect], bool]
     """True if the residual can show an effect."""
     has_base: bool
@@ -68,9 +73,11 @@ def list_kinds(
         )
     elif commanded:
 
-        def simulate(part: Sequence[Motion], most_steps: float) -> ResidualModel:
-            is_fitted = most_steps < math.inf  # what judges has its measured starts
-            return SimulationResiduals(robot, part, keep=usable, most_steps=most_steps, fit_starts=is_fitted)
+        def simulate(part: Sequence[Motion], is_judge: bool) -> ResidualModel:
+            most_steps = math.inf if is_judge else MOST_STEPS
+            return SimulationResiduals(
+                robot, part, keep=usable, most_steps=most_steps, fit_starts=not is_judge
+            )
 
         found.append(ResidualKind(SimulationResiduals.kind, simulate, shows_simulation, True))
     if any(log.secondary is not None for log in logs):
