@@ -161,8 +161,7 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
     Raises:
         RobotError: The motions are too few, are both fitted and held out, or do not follow their commands.
     """
-    names = [motion.name for motion in motions]
-    twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
+    twice = _find_repeated([motion.name for motion in motions])
     if twice is not None:
         raise RobotError(f"motion {twice}: is fitted twice; give each motion once, with its own name")
     for motion in held_out:
@@ -231,10 +230,14 @@ def check_names(effects: Sequence[Effect]) -> None:
     Raises:
         RobotError: Two have the same key.
     """
-    keys = [effect.key for effect in effects]
-    twice = next((key for k, key in enumerate(keys) if key in keys[:k]), None)
+    twice = _find_repeated([effect.key for effect in effects])
     if twice is not None:
         raise RobotError(f"effects: two have the key {twice!r}; give yours another name, and each file once")
+
+
+def _find_repeated(names: Sequence[str]) -> str | None:
+    """Return the first name that stands there twice, or None."""
+    return next((name for k, name in enumerate(names) if name in names[:k]), None)
 
 
 def is_copy(one: Motion, other: Motion) -> bool:

@@ -132,6 +132,11 @@ class Diagnosis:
     effect_kinds: tuple[str, ...] = ()
     """Kind of residual that each of the effects was fitted to; empty if there is one kind."""
 
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of residual that were used."""
+        return tuple(self.kind.split(" and "))
+
     def fitted_to(self, kind: str) -> tuple[tuple[Effect, ...], tuple[tuple[float, ...], ...]]:
         """Return the effects that were fitted to a kind of residual, and their sizes.
 
@@ -148,7 +153,7 @@ class Diagnosis:
         What a second encoder reads wrongly is no part of the model: it has one encoder a joint.
         """
         chosen: dict[str, tuple[Effect, tuple[float, ...]]] = {}
-        for kind in self.kind.split(" and "):
+        for kind in self.kinds:
             for effect, size in zip(*self.fitted_to(kind), strict=True):
                 if not (kind == SECOND_ENCODER and effect.overrides(*READING_HOOKS)):
                     chosen.setdefault(effect.key, (effect, size))

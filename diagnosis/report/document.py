@@ -42,7 +42,7 @@ def to_document(diagnosis: Diagnosis) -> dict[str, Any]:
                 "kind": kind,
                 "size": {one.name: number(value) for one, value in zip(effect.sizes, size, strict=True)},
             }
-            for kind in diagnosis.kind.split(" and ")
+            for kind in diagnosis.kinds
             for effect, size in zip(*diagnosis.fitted_to(kind), strict=True)
         ],
     }

@@ -77,7 +77,7 @@ def trace_motions(
     found: list[Trace] = []
     for kind in list_kinds(robot, motions, usable):
         part = driven if kind.name == SIMULATION else motions
-        if part and kind.name in diagnosis.kind.split(" and "):
+        if part and kind.name in diagnosis.kinds:
             found += make_traces(kind.make(part, True), diagnosis)
     return tuple(found)
 

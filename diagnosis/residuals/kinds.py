@@ -57,7 +57,6 @@ def list_kinds(
     Raises:
         RobotError: There are neither torques nor commands nor a second encoder.
     """
-    logs = [log for motion in motions for log in motion.joints.values()]
     named = [(name, log) for motion in motions for name, log in motion.joints.items()]
     commanded = {name for name, log in named if log.command is not None}
     measured = {name for name, log in named if log.torque is not None}
@@ -80,7 +79,7 @@ def list_kinds(
             )
 
         found.append(ResidualKind(SimulationResiduals.kind, simulate, shows_simulation, True))
-    if any(log.secondary is not None for log in logs):
+    if any(log.secondary is not None for _, log in named):
         found.append(
             ResidualKind(
                 EncoderResiduals.kind,

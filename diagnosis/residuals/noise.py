@@ -107,8 +107,6 @@ def repeat_pairs(model: ResidualModel, joint: int) -> list[tuple[Integers, Integ
 
 def _pair_times(time_s: Array, one: Integers, other: Integers) -> tuple[Integers, Integers]:
     """Return the rows of two motions that are at the same times; some samples may be missing in one."""
-    if len(one) == len(other):
-        return one, other
     if min(len(one), len(other)) < 2:
         return one[:0], other[:0]
     wanted_s, there_s = time_s[one], time_s[other]

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -117,10 +118,10 @@ class SimulationResiduals:
             [q for window in self._windows for q in window.measured_rad]
         )
         """Measured positions, (n,)."""
-        ends = np.cumsum(counts.ravel())
-        self._parts = [slice(end - n, end) for end, n in zip(ends, counts.ravel(), strict=True) if n]
         self._starts = starts
-        self._bases = [orthonormal(starts[part]) for part in self._parts] if starts.size else []
+        ends = np.cumsum(counts.ravel()).tolist() if starts.size else []
+        parts = [slice(low, high) for low, high in pairwise([0, *ends]) if high > low]
+        self._bases = [(part, orthonormal(starts[part])) for part in parts]
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
         """Return the residuals of candidates.
@@ -139,7 +140,7 @@ class SimulationResiduals:
         if sizes.ndim == 3:
             sizes = sizes[:, [self.motions.index(window.motion) for window in self._windows]]
         residual = self.measured_rad - engine.positions(sizes) - self._refined_rad
-        for part, basis in zip(self._parts, self._bases, strict=False):
+        for part, basis in self._bases:
             residual[:, part] -= (residual[:, part] @ basis) @ basis.T
         return np.where(np.isfinite(residual), residual, PENALTY_rad)
 

@@ -22,7 +22,7 @@ from diagnosis.serial_arm.effects import patch_arm
 from diagnosis.serial_arm.tracker import diagnose_tracker
 from diagnosis.serial_arm.tracker_table import read_series
 from ground.common.errors import BadOutput, BadRequest
-from ground.common.files import cache_folder, check_distinct_files, check_new_path, digest_files
+from ground.common.files import atomic_write, cache_folder, check_distinct_files, check_new_path, digest_files
 from ground.common.interruption import Interrupted
 from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress
@@ -138,7 +138,8 @@ def save_diagnosis_files(made: RobotDiagnosis) -> None:
                 write_patch(made.patch, folder)
             else:
                 folder.mkdir(exist_ok=True)
-                (folder / ARM_FILE).write_text(arm_to_toml(made.patch, _origin(made)), encoding="utf-8")
+                with atomic_write(folder / ARM_FILE, "patch") as file:
+                    file.write(arm_to_toml(made.patch, _origin(made)).encode())
         except OSError as error:
             raise BadOutput(f"patch {folder}: cannot be written ({error.strerror})") from error
 

@@ -106,7 +106,9 @@ def _summary(report: CheckReport, joint: str) -> JointSummary:
         refused_share=1.0 - sum(int(one.sum()) for one in usable) / max(sum(one.size for one in usable), 1),
         lowest_rad=min(float(np.nanmin(one)) for one in positions),
         highest_rad=max(float(np.nanmax(one)) for one in positions),
-        nominal_mean_abs_rad=float(np.average(errors, weights=weight)) if is_simulated else float("nan"),
+        nominal_mean_abs_rad=float(np.average(errors, weights=weight))
+        if is_simulated and weight.any()
+        else float("nan"),
         is_simulated=is_simulated,
     )
 

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from diagnosis.effects.effect import Effect
 from diagnosis.residuals.noise import repeat_pairs
@@ -51,13 +52,18 @@ def test_models_that_do_not_differ_are_equal() -> None:
     assert compare_with_noise(context, rows, toy.commands[0].ravel(), toy.commands[0].ravel()) == 0.0
 
 
-def test_motions_repeat_one_another_also_where_samples_are_missing() -> None:
+@pytest.mark.parametrize(("of_one", "of_other"), [([], [0, 7, 50]), ([0], [9]), ([-1], [0])])
+def test_motions_repeat_one_another_also_where_samples_are_missing(
+    of_one: list[int], of_other: list[int]
+) -> None:
     model = draw_toy(1, {})
     kept = np.ones(model.time_s.size, dtype=bool)
-    last = np.flatnonzero((model.joint_of == 0) & (model.motion_of == len(model.motions) - 1))
-    kept[last[[0, 7, 50]]] = False
+    first, last = (
+        np.flatnonzero((model.joint_of == 0) & (model.motion_of == len(model.motions) - k)) for k in (2, 1)
+    )
+    kept[first[of_one]] = kept[last[of_other]] = False
     for name in ("joint_of", "motion_of", "time_s"):
         setattr(model, name, getattr(model, name)[kept])
     ((one, other),) = repeat_pairs(model, 0)
-    assert len(one) == last.size - 3
+    assert len(one) == last.size - len(of_one) - len(of_other)
     np.testing.assert_array_equal(model.time_s[one], model.time_s[other])
