@@ -307,9 +307,10 @@ def _fill_nulls(array: Any) -> NDArray[Any]:
 
 
 def _is_number(word: str) -> bool:
+    """Return whether Arrow reads a word as a number; unlike Python it refuses 1_000 and other digits."""
     try:
-        float(word)
-    except ValueError:
+        pc.cast(pa.scalar(word), pa.float64())
+    except pa.ArrowInvalid:
         return False
     return True
 

@@ -203,6 +203,8 @@ HEAD = "t,a,b,c,d,e"
 TEXTS = {
     "a word": (text(HEAD, "0,1,2,3,4,x"), "row 1, column 'e': 'x' is no number"),
     "an infinity in digits": (text(HEAD, "0,1,2,3,4,-1e400"), "row 1, column 'e': '-1e400' is too large"),
+    "digits with a line": (text(HEAD, "0,1,2,3,4,1_0"), "row 1, column 'e': '1_0' is no number"),
+    "digits of another script": (text(HEAD, "0,1,2,3,4,٣"), "row 1, column 'e': '٣' is no number"),
     "decimal comma": (text(HEAD, '0,1,2,3,4,"5,5"'), "'5,5' is no number; write decimal = \",\" under [csv]"),
     "separator": (text(HEAD.replace(",", ";"), "0;1;2;3;4;5"), "its separator is ','"),
     "ragged": (text(HEAD, "0,1,2,3,4,5", "1,2,3"), "cannot be read as text in columns"),
