@@ -93,7 +93,10 @@ def test_workers_that_die_together_are_reported_in_one_line(tmp_path, capfd, mon
     wait = LocalWorkers.wait
 
     def wait_for_both(workers: LocalWorkers) -> list:
-        return [one for _ in list(workers._running) for one in wait(workers)]
+        ended = []
+        while workers._running:
+            ended += wait(workers)
+        return ended
 
     monkeypatch.setattr(LocalWorkers, "wait", wait_for_both)
     assert list(local_runner(2)(die_together, [tmp_path] * 2)) == [1, 1]
