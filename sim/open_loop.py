@@ -48,16 +48,22 @@ class OpenLoopArm:
         self, start: RecordedStart, effects: Iterable[Effect], options: SimulationOptions = NOISE_FREE
     ):
         spec = build(start.world)
-        hardware = apply_effects(effects, spec, replace(nominal_hardware(), counter_zero_rad=start.zero_rad))
+        nominal = nominal_hardware()
+        hardware = apply_effects(effects, spec, replace(nominal, counter_zero_rad=start.zero_rad))
         self.plant = Plant(spec.compile())
-        # an error of the assumed hardstop shifted the zero that homing found
+        # an error of the assumed hardstop, or of the scale up to it, shifted the zero that homing found
         hardstop_error_rad = start.hardstop_rad - self.plant.stop_rad()
-        hardware = replace(hardware, counter_zero_rad=hardware.counter_zero_rad - hardstop_error_rad)
+        scale_error = hardware.rad_per_count / nominal.rad_per_count - 1.0
+        scale_shift_rad = scale_error * (start.zero_rad - start.hardstop_rad)
+        zero_rad = hardware.counter_zero_rad - hardstop_error_rad + scale_shift_rad
+        hardware = replace(hardware, counter_zero_rad=zero_rad)
         hardware = hardware if options.seed is not None else _without_noise(hardware)
         self.avionics = Avionics(self.plant, hardware, hardware_rng(options.seed or 0))
-        # counters must read what they read in the recorded run, so the motors shift with the zeros
+        # counters must read what they read in the recorded run, so the motors shift with zeros and scales
         self.plant.place(
-            start.motor_rad + (hardware.counter_zero_rad - start.zero_rad),
+            start.motor_rad
+            + (hardware.counter_zero_rad - start.zero_rad)
+            + scale_error * (start.motor_rad - start.zero_rad),
             options.settle_s,
             self.avionics.act if hardware.each_cycle else None,
         )

@@ -1,4 +1,4 @@
-"""Cables across the joints."""
+"""Cables and springs across the joints."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -39,3 +39,22 @@ class FlexCable(EachCycle):
             share = direction + (share - direction) * float(np.exp(-abs(moved_rad) / self.transition_rad))
         torque_Nm = -self.stiffness_Nm_rad * (now_rad - self.neutral_rad) - self.drag_Nm * share
         return (now_rad, share), Disturbance(output_Nm=at_joint(self.joint, torque_Nm))
+
+
+PeriodicTorque = Annotated[float, ParameterSpec(-100.0, 100.0, unit="N m", typical=2.0, neutral=0.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class Counterbalance(EachCycle):
+    """Torque on an output with one period per turn, as of a counterweight or an off-centre spring."""
+
+    joint: Joint
+    cosine_Nm: PeriodicTorque
+    sine_Nm: PeriodicTorque
+    """Sine part; with the cosine part it gives any amplitude and phase."""
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
+        """Return the torque at the present output angle."""
+        angle_rad = float(plant.output_rad()[self.joint])
+        torque_Nm = self.cosine_Nm * np.cos(angle_rad) + self.sine_Nm * np.sin(angle_rad)
+        return None, Disturbance(output_Nm=at_joint(self.joint, float(torque_Nm)))

@@ -1,10 +1,10 @@
-"""Friction of motors, gears and outputs; hysteresis, efficiency and transmission error of gears.
+"""Friction of motors, gears and outputs; hysteresis, efficiency, errors and coupling of gears.
 
 Torques and speeds are those of the output side.
 """
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 import mujoco
 import numpy as np
@@ -55,6 +55,25 @@ class CoulombFriction(Effect):
         """Add to the friction of the motor hinge; the sum is at least 0."""
         motor = spec.joint(f"{self.joint.name.lower()}_motor")
         motor.frictionloss = max(motor.frictionloss + self.torque_Nm, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class AsymmetricFriction(EachCycle):
+    """Added friction torque of motor and gear in one direction of motion only."""
+
+    joint: Joint
+    direction: Literal["positive", "negative"]
+    torque_Nm: Annotated[float, ParameterSpec(-100.0, 400.0, unit="N m", typical=20.0, neutral=0.0)]
+
+    def begin(self, plant: Plant, hardware: Hardware) -> MotorSample:
+        """Return the first sample of the motor."""
+        return sample_motor(plant, self.joint)
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: MotorSample) -> tuple[MotorSample, Disturbance]:
+        """Return the friction for the direction of the last cycle; none at rest."""
+        now, sign = sample_motor(plant, self.joint), 1.0 if self.direction == "positive" else -1.0
+        acts = sign * mean_speed_rad_s(state, now) > 0.0
+        return now, Disturbance(friction_Nm=at_joint(self.joint, self.torque_Nm * acts))
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,3 +220,24 @@ class TransmissionError(EachCycle):
         angle = self.turns * float(plant.motor_rad()[self.joint])
         ahead_rad = self.cosine_rad * np.cos(angle) + self.sine_rad * np.sin(angle)
         return None, Disturbance(gear_rad=at_joint(self.joint, float(ahead_rad)))
+
+
+@dataclass(frozen=True, slots=True)
+class JointCoupling(EachCycle):
+    """Coupling of a joint to the next one towards the rover, whose motion turns its output too.
+
+    Raises:
+        ValueError: the joint is the first one.
+    """
+
+    joint: Joint
+    ratio: Annotated[float, ParameterSpec(-0.1, 0.1, unit="1", typical=2e-3, neutral=0.0)]
+
+    def __post_init__(self) -> None:
+        if self.joint is Joint.AZIMUTH:
+            raise ValueError("joint: azimuth has no joint between itself and the rover")
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
+        """Return the turn of the output for the present angle of the other motor."""
+        turn_rad = self.ratio * float(plant.motor_rad()[self.joint - 1])
+        return None, Disturbance(gear_rad=at_joint(self.joint, turn_rad))

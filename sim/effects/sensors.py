@@ -11,7 +11,7 @@ from fsw.kinematics.transforms import Array, rotation_x, rotation_y
 from fsw.messages import Sensors
 from sim.disturbance import at_joint
 from sim.effects.effect import Effect, Factor, Hardware, ParameterSpec, SmallAngle, with_element
-from sim.effects.flight_params import link_of, with_link
+from sim.effects.flight_params import joint_of, link_of, with_joint, with_link
 from sim.effects.gears import WaveAmplitude
 
 _ROTATION_ABOUT: Final = {"x": rotation_x, "y": rotation_y}
@@ -57,6 +57,46 @@ class CurrentBias(_ReadingError):
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
         """Shift the reading."""
         return replace(sensors, current_A=sensors.current_A + at_joint(self.joint, self.current_A))
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentCrosstalk(_ReadingError):
+    """Share of the current of the next joint towards the rover in the reading of a current sensor.
+
+    Raises:
+        ValueError: the joint is the first one.
+    """
+
+    joint: Joint
+    share: Annotated[float, ParameterSpec(-0.5, 0.5, unit="1", typical=0.05, neutral=0.0)]
+
+    def __post_init__(self) -> None:
+        if self.joint is Joint.AZIMUTH:
+            raise ValueError("joint: azimuth has no joint between itself and the rover")
+
+    def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
+        """Add the share to the reading."""
+        more_A = self.share * float(sensors.current_A[self.joint - 1])
+        return replace(sensors, current_A=sensors.current_A + at_joint(self.joint, more_A))
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderScale(Effect):
+    """Relative error of the counts of an encoder for a turn of its output."""
+
+    joint: Joint
+    error: Annotated[float, ParameterSpec(-0.05, 0.05, unit="1", typical=1e-3, neutral=0.0)]
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """Change the angle of a count."""
+        scale = 1.0 + at_joint(self.joint, self.error)
+        return replace(hardware, rad_per_count=hardware.rad_per_count / scale)
+
+    def on_params(self, params: Params) -> Params:
+        """Set the true ratio."""
+        joint = joint_of(params, self.joint)
+        ratio = joint.gear_ratio * (1.0 + self.error)
+        return with_joint(params, self.joint, replace(joint, gear_ratio=ratio))
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +153,22 @@ class ResolverEccentricity(Effect):
         """Return the error of each resolver, shape (5,), at output angles of shape (5,)."""
         angle = float(output_rad[self.joint])
         return at_joint(self.joint, float(self.cosine_rad * np.cos(angle) + self.sine_rad * np.sin(angle)))
+
+
+@dataclass(frozen=True, slots=True)
+class ResolverScale(Effect):
+    """Error of a resolver in proportion to its angle."""
+
+    joint: Joint
+    error: Annotated[float, ParameterSpec(-0.05, 0.05, unit="1", typical=3e-4, neutral=0.0)]
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """Add the error to the active ones."""
+        return replace(hardware, resolver_errors=(*hardware.resolver_errors, self))
+
+    def error_rad(self, output_rad: Array) -> Array:
+        """Return the error of each resolver, shape (5,), at output angles of shape (5,)."""
+        return at_joint(self.joint, self.error * float(output_rad[self.joint]))
 
 
 @dataclass(frozen=True, slots=True)

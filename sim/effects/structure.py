@@ -10,10 +10,11 @@ from fsw.dictionary.enums import Frame
 from fsw.dictionary.params import Params, PointMass
 from fsw.dictionary.types import Vector3, vector3
 from fsw.kinematics.transforms import Array
-from sim.effects.effect import Compliance, Effect, Factor, ParameterSpec
+from sim.disturbance import Disturbance
+from sim.effects.effect import Compliance, EachCycle, Effect, Factor, Hardware, ParameterSpec
 from sim.effects.flight_params import add_compliance, link_of, scale_matrix, with_link
 from sim.plant import SCREW_AXES as SPRING_AXES
-from sim.plant import SPRING_NAMES
+from sim.plant import SPRING_NAMES, Plant
 
 MIN_MASS_KG = 1e-4
 """Mass in place of none: MuJoCo refuses a body without mass."""
@@ -25,6 +26,14 @@ _LUMPS_OF = (
     ("link4", "link4_far"),
     ("link5", "turret"),
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Creep:
+    """Time of the last cycle, and angle by which a link has crept."""
+
+    time_s: float
+    angle_rad: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +116,37 @@ class LinkBending(_AddedCompliance):
     def added_compliance(self) -> tuple[Frame, int, float]:
         """Return the axis of the spring."""
         return self.frame, "xyz".index(self.axis), self.compliance_rad_Nm
+
+
+@dataclass(frozen=True, slots=True)
+class LinkCreep(EachCycle):
+    """Bending of a link that grows with the time under load, from none at the begin of a run.
+
+    It approaches compliance times load exponentially.
+    """
+
+    frame: Frame
+    axis: Literal["y", "z"]
+    compliance_rad_Nm: Compliance
+    time_s: Annotated[float, ParameterSpec(0.1, 1e4, unit="s", typical=5.0)] = 5.0
+
+    def __post_init__(self) -> None:
+        _refuse_rigid(self.frame)
+        _refuse_rover(self.frame)
+
+    def begin(self, plant: Plant, hardware: Hardware) -> Creep:
+        """Return a link that has not crept."""
+        return Creep(float(plant.data.time), 0.0)
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: Creep) -> tuple[Creep, Disturbance]:
+        """Turn the rest angle of the spring of the link towards that of the present load."""
+        now_s, at = float(plant.data.time), plant.at.springs[self.frame]["xyz".index(self.axis)]
+        joint = int(np.flatnonzero(plant.model.jnt_qposadr == at)[0])
+        load_Nm = float(plant.model.jnt_stiffness[joint]) * (float(plant.data.qpos[at]) - state.angle_rad)
+        share = -float(np.expm1(-max(now_s - state.time_s, 0.0) / self.time_s))
+        angle_rad = state.angle_rad + share * (self.compliance_rad_Nm * load_Nm - state.angle_rad)
+        plant.model.qpos_spring[at] = angle_rad
+        return Creep(now_s, angle_rad), Disturbance()
 
 
 @dataclass(frozen=True, slots=True)

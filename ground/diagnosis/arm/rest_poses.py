@@ -24,14 +24,16 @@ from sim.disturbance import NO_DISTURBANCE, Disturbance
 from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal_hardware
 from sim.effects.gears import GearHysteresis
 from sim.effects.numerics import Numerics
+from sim.effects.structure import LinkCreep
 from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import World, build
 
 MEAN_TICKS = CYCLE_HZ // 4
 """Number of ticks at the end of a rest over which resolvers are averaged."""
-STEPPED_EFFECTS: Final = (GearHysteresis, Numerics)
-"""Effects that need dynamic simulation: hysteresis inside a gear, and numerics that influence creep."""
+STEPPED_EFFECTS: Final = (GearHysteresis, LinkCreep, Numerics)
+"""Effects that need dynamic simulation: hysteresis inside a gear, creep of a link, and numerics that
+influence creep."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,9 +121,11 @@ def _solve_statics(
 ) -> RestPoses:
     recording = turning_points.recording
     gravity = recording.world.gravity_N_m_s2
-    hardstop_error_rad = recording.start.hardstop_rad - config.hardstop_rad
-    counter_error_rad = nominal_hardware().counter_zero_rad - hardware.counter_zero_rad
-    motor = turning_points.motor_rad - (hardstop_error_rad + counter_error_rad)[:, None]
+    hardstop_rad, nominal = recording.start.hardstop_rad, nominal_hardware()
+    counter_error_rad = nominal.counter_zero_rad - hardware.counter_zero_rad
+    scale_error = hardware.rad_per_count / nominal.rad_per_count - 1.0
+    motor = turning_points.motor_rad - (hardstop_rad - config.hardstop_rad + counter_error_rad)[:, None]
+    motor += scale_error[:, None] * (turning_points.motor_rad - hardstop_rad[:, None])  # 0 at the hardstop
     plant = _plant_with(recording.world, tuple(effects)) if hardware.each_cycle else None
     half_backlash_rad = config.half_backlash_rad
     load = settle_output(config.arm, motor, gravity).torque_Nm

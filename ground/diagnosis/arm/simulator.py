@@ -27,7 +27,7 @@ from sim.effects.environment import Ambient, ContactStiffness, SurfacePosition
 from sim.effects.geometry import FrameError, LinkWarming, Warming
 from sim.effects.joints import HardstopStiffness
 from sim.effects.links import LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
-from sim.effects.structure import LinkBending, LinkStiffness, LinkTorsion, RoverCompliance
+from sim.effects.structure import LinkBending, LinkCreep, LinkStiffness, LinkTorsion, RoverCompliance
 from sim.open_loop import SimulationOptions
 
 SHORT_SETTLING: Final = SimulationOptions(settle_s=4.0)
@@ -36,7 +36,8 @@ LONG_SETTLING: Final = SimulationOptions(settle_s=8.0)
 """Settling time that suffices for comparison with a case."""
 REST_ONLY_EFFECTS: Final = (
     *(LinkLength, LinkAngle, ThermalGradient, LinkWarming, Warming, FrameError, ToolOffset, ToolTurn),
-    *(LinkStiffness, LinkBending, LinkTorsion, RoverCompliance, ContactStiffness, SurfacePosition),
+    *(LinkStiffness, LinkBending, LinkCreep, LinkTorsion, RoverCompliance),
+    *(ContactStiffness, SurfacePosition),
 )
 """Effects that influence rests or nothing; their change of motions is below the noise."""
 

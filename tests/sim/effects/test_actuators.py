@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from sim.effects.cables import FlexCable
+from sim.effects.cables import Counterbalance, FlexCable
 from sim.effects.effect import Effect
 from sim.effects.environment import COLD_C, Ambient
 from sim.effects.gears import (
+    AsymmetricFriction,
     ColdFriction,
     CoulombFriction,
     GearEfficiency,
     GearHysteresis,
+    JointCoupling,
     LoadFriction,
     OutputFriction,
     StribeckFriction,
@@ -50,6 +52,17 @@ def test_coulomb_friction_raises_the_moving_current_by_its_torque_over_the_const
     assert added_torque_Nm(joint, CoulombFriction(joint, 20.0 * times)) == pytest.approx(
         20.0 * times, rel=1e-3
     )
+
+
+@TIMES
+@pytest.mark.parametrize(("direction", "speed"), [("positive", 1.0), ("negative", -1.0)])
+def test_asymmetric_friction_costs_its_torque_in_its_direction_and_nothing_in_the_other(
+    direction: str, speed: float, times: float
+) -> None:
+    joint = Joint.AZIMUTH
+    effect = AsymmetricFriction(joint, direction, 20.0 * times)
+    assert added_torque_Nm(joint, effect, speed=speed) * speed == pytest.approx(20.0 * times, rel=1e-3)
+    assert added_torque_Nm(joint, effect, speed=-speed) == pytest.approx(0.0, abs=0.01)
 
 
 @TIMES
@@ -208,3 +221,26 @@ def test_a_gear_with_hysteresis_comes_back_short_by_its_friction_over_its_stiffn
             plant.step()
         twist.append(float(plant.data.qpos[plant.at.gear[joint]]))
     assert twist[1] - twist[0] == pytest.approx(10.0 * times / lab.STIFFNESS_NM_RAD[joint], rel=0.03)
+
+
+@TIMES
+def test_a_counterbalance_loads_the_motor_by_a_wave_once_a_turn(times: float) -> None:
+    joint, effect = Joint.AZIMUTH, Counterbalance(Joint.AZIMUTH, 10.0 * times, -20.0 * times)
+    # the outer arm swings for a while on the springs of the links
+    angle = turn_nominal(joint, seconds=5.0).output_rad[-64:]
+    expected_Nm = -times * float(np.mean(10.0 * np.cos(angle) - 20.0 * np.sin(angle)))
+    assert added_torque_Nm(joint, effect, seconds=5.0) == pytest.approx(expected_Nm, rel=0.02)
+
+
+@TIMES
+def test_a_coupled_output_turns_with_the_motor_of_the_joint_before(times: float) -> None:
+    moved, other = Joint.ELEVATION, Joint.ELBOW
+    plant, hardware = bench.build_arm(JointCoupling(other, 2e-3 * times))
+    bench.set_angles(plant, lab.READY_RAD)
+    bench.apply_cycle_effects(plant, hardware)
+    turned_rad = plant.disturbance.gear_rad
+    np.testing.assert_allclose(
+        turned_rad, np.where(np.arange(5) == other, 2e-3 * times * lab.READY_RAD[moved], 0.0)
+    )
+    with pytest.raises(ValueError, match="azimuth has no joint between itself and the rover"):
+        JointCoupling(Joint.AZIMUTH, 1e-3)

@@ -29,6 +29,8 @@ ASKED_FOR = (
     *("resolver-eccentricity", "command-delay", "servo-gain", "bus-sag", "link-bending", "link-torsion"),
     *("link-length", "link-angle", "warming", "thermal-gradient", "rover-compliance", "gravity-direction"),
     *("turret-mass", "turret-centre", "tool-offset", "flex-cable", "contact-stiffness", "surface-position"),
+    *("asymmetric-friction", "counterbalance", "joint-coupling", "encoder-scale", "resolver-scale"),
+    *("current-crosstalk", "link-creep"),
 )
 
 

@@ -6,13 +6,22 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveJoints
-from fsw.dictionary.enums import Joint
+from fsw.dictionary.enums import Frame, Joint
 from sim.arms import arm_named
-from sim.effects.cables import FlexCable
+from sim.effects.cables import Counterbalance, FlexCable
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import EachCycle
-from sim.effects.gears import ColdFriction, GearEfficiency, LoadFriction, StribeckFriction, TransmissionError
+from sim.effects.gears import (
+    AsymmetricFriction,
+    ColdFriction,
+    GearEfficiency,
+    JointCoupling,
+    LoadFriction,
+    StribeckFriction,
+    TransmissionError,
+)
 from sim.effects.motors import BusSag, CommandDelay
+from sim.effects.structure import LinkCreep
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.world import World
@@ -26,6 +35,8 @@ EFFECTS = (
     GearEfficiency(JOINT, 0.85),
     TransmissionError(JOINT, 3e-4, 2e-4, turns=60),
     FlexCable(JOINT, 20.0, 6.0, transition_rad=0.02),
+    Counterbalance(JOINT, 20.0, -10.0),
+    LinkCreep(Frame.ARM3, "y", 2e-5, 1.0),
 )
 WHOLE = 8
 """Steps of physics in a control cycle: finer than those of the plant, so that a cycle has halves."""
@@ -64,9 +75,12 @@ def test_looked_at_twice_as_often_it_is_nearer(effect: EachCycle) -> None:
     assert np.all(rms_difference(effect, WHOLE // 2) < 0.8 * rms_difference(effect, WHOLE) + 0.01 * NOISE)
 
 
-def test_every_effect_of_each_cycle_is_looked_at_here_but_for_three() -> None:
-    """Delay and voltage are defined per cycle, and grease keeps its temperature."""
-    left = {CommandDelay, BusSag, ColdFriction}
+def test_every_effect_of_each_cycle_is_looked_at_here_but_for_five() -> None:
+    """Delay and voltage are defined per cycle, and grease keeps its temperature.
+
+    A direction changes at a moment, and the joint that another one turns stands still here.
+    """
+    left = {CommandDelay, BusSag, ColdFriction, AsymmetricFriction, JointCoupling}
     assert {kind for kind in catalogue().values() if issubclass(kind, EachCycle)} == left | {
         type(e) for e in EFFECTS
     }

@@ -3,11 +3,22 @@
 import numpy as np
 import pytest
 
+from fsw.config import configure
 from fsw.dictionary.enums import Joint
 from fsw.messages import Sensors
 from sim.effects.effect import Effect, nominal_hardware
 from sim.effects.joints import ResolverBias
-from sim.effects.sensors import CurrentBias, CurrentGain, EncoderZero, GravityDirection, ResolverEccentricity
+from sim.effects.sensors import (
+    CurrentBias,
+    CurrentCrosstalk,
+    CurrentGain,
+    EncoderScale,
+    EncoderZero,
+    GravityDirection,
+    ResolverEccentricity,
+    ResolverScale,
+)
+from sim.params import nominal_params
 from sim.world import World
 from tests.sim import lab
 from tests.sim.effects import bench
@@ -17,7 +28,9 @@ JOINTS = pytest.mark.parametrize("joint", [Joint.AZIMUTH, Joint.WRIST])
 TIMES = pytest.mark.parametrize("times", [0.5, 1.0, 2.0])
 
 
-def read(*effects: Effect, motor_rad: lab.Array = lab.LEFT_RAD, current_A: float = 0.0) -> Sensors:
+def read(
+    *effects: Effect, motor_rad: lab.Array = lab.LEFT_RAD, current_A: float | lab.Array = 0.0
+) -> Sensors:
     """Read the sensors at these motor angles, undeflected, without noise, at these motor currents."""
     plant, hardware = bench.build_arm(*effects)
     bench.set_angles(plant, motor_rad)
@@ -60,6 +73,35 @@ def test_a_current_sensor_of_another_gain_reads_that_many_times_the_current(join
 def test_a_current_sensor_with_a_bias_reads_that_much_more(joint: Joint) -> None:
     more = read(CurrentBias(joint, -0.2), current_A=1.5).current_A - 1.5
     np.testing.assert_allclose(more, np.where(np.arange(5) == joint, -0.2, 0.0), atol=1e-12)
+
+
+def test_a_current_sensor_with_crosstalk_reads_a_share_of_the_current_of_the_joint_before() -> None:
+    currents_A = np.array([1.0, 2.0, -3.0, 4.0, 5.0])
+    more = read(CurrentCrosstalk(Joint.WRIST, 0.1), current_A=currents_A).current_A - currents_A
+    np.testing.assert_allclose(more, [0.0, 0.0, 0.0, -0.3, 0.0], atol=1e-12)
+    with pytest.raises(ValueError, match="azimuth has no joint between itself and the rover"):
+        CurrentCrosstalk(Joint.AZIMUTH, 0.1)
+
+
+@TIMES
+@JOINTS
+def test_scales_of_resolver_and_encoder_make_them_read_in_proportion_to_the_angle(
+    joint: Joint, times: float
+) -> None:
+    error = 3e-3 * times
+    more = read(ResolverScale(joint, error)).resolver_rad - read().resolver_rad
+    expected = error * np.where(np.arange(5) == joint, lab.LEFT_RAD, 0.0)
+    np.testing.assert_allclose(more, expected, atol=RESOLVER_LSB_RAD)
+    counts = read(EncoderScale(joint, error)).encoder_count - read().encoder_count
+    from_zero = lab.LEFT_RAD - nominal_hardware().counter_zero_rad
+    expected = expected * from_zero / lab.LEFT_RAD / nominal_hardware().rad_per_count
+    np.testing.assert_allclose(counts, expected, atol=1.0)
+
+
+def test_flight_software_that_knows_the_scale_of_an_encoder_has_the_right_angle() -> None:
+    effect = EncoderScale(Joint.ELBOW, 2e-3)
+    known = configure(effect.on_params(nominal_params())).rad_per_count
+    np.testing.assert_allclose(known, effect.on_hardware(nominal_hardware()).rad_per_count, rtol=1e-12)
 
 
 @TIMES

@@ -12,7 +12,14 @@ from sim.effects.effect import Effect
 from sim.effects.geometry import LinkWarming, Warming
 from sim.effects.links import WIDTH_M, LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
 from sim.effects.sensors import EncoderZero
-from sim.effects.structure import LinkBending, LinkTorsion, RoverCompliance, TurretCentre, TurretMass
+from sim.effects.structure import (
+    LinkBending,
+    LinkCreep,
+    LinkTorsion,
+    RoverCompliance,
+    TurretCentre,
+    TurretMass,
+)
 from sim.params import nominal_params
 from tests.sim import lab
 from tests.sim.effects import bench
@@ -196,3 +203,22 @@ def test_a_heavier_turret_weighs_on_the_elevation_by_its_weight_times_its_lever(
     axis, origin = deflected.frames.X_RL.R[:, 2, 2], deflected.frames.X_RL.p[:, 2]
     expected = 2.0 * axis @ np.cross(centre - origin, GRAVITY)
     assert (heavier.torque_Nm - deflected.torque_Nm)[Joint.ELEVATION] == pytest.approx(expected, rel=0.02)
+
+
+def test_a_link_creeps_under_its_load_as_far_as_a_softer_link_bends_and_no_farther() -> None:
+    places = []
+    for effect in (None, LinkCreep(Frame.ARM3, "y", 2e-5, 2.0), LinkBending(Frame.ARM3, "y", 2e-5)):
+        plant, hardware = bench.build_arm(*([effect] if effect else []), world=TILTED)
+        plant.place(lab.READY_RAD, 4.0)
+        seen = []
+        for cycle in range(8 * lab.CYCLE_HZ):
+            hardware = bench.apply_cycle_effects(plant, hardware)
+            if cycle in (0, 2 * lab.CYCLE_HZ):
+                seen.append(plant.truth().p_RoTo_R_m[tool_index(TOOL)])
+            plant.step()
+        places.append([*seen, plant.truth().p_RoTo_R_m[tool_index(TOOL)]])
+    nominal, creeping, soft = np.array(places)
+    way = np.linalg.norm(soft[-1] - nominal[-1])
+    moved = np.linalg.norm(creeping - nominal, axis=1) / way
+    assert way > 1e-4
+    np.testing.assert_allclose(moved, [0.0, 1.0 - np.exp(-1.0), 1.0], atol=0.05)
