@@ -6,7 +6,7 @@ SHA-256. `load_truth` refuses a truth that does not match that digest.
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final, Literal
@@ -27,7 +27,7 @@ from ground.diagnosis.sampling import (
 CaseKind = Literal["none", "single", "pair", "out-of-catalogue"]
 TRUTH: Final = "truth.json"
 DIGEST: Final = "digest.txt"
-KIND_SHARES: Final[dict[CaseKind, float]] = {"none": 0.3, "out-of-catalogue": 0.2, "pair": 0.2}
+KIND_SHARES: Final[dict[CaseKind, float]] = {"none": 0.25, "out-of-catalogue": 0.35, "pair": 0.15}
 """Shares of all cases; the others have one effect of the catalogue."""
 
 
@@ -159,6 +159,8 @@ def plan_cases(
     """Plan blind cases in random order.
 
     Effects are sampled first, then the place of each. The two effects of a pair have different classes.
+    Effects outside the catalogue are dealt: none comes again before all have come. Where there are none of
+    them, their cases have no effect.
 
     Args:
         cases: Number of cases.
@@ -168,19 +170,36 @@ def plan_cases(
     """
     known, unknown = ([one for one in some if can_sample(one)] for some in (catalogue, outside))
     counts = {kind: round(share * cases) for kind, share in KIND_SHARES.items()}
+    if not unknown:
+        counts["none"] += counts.pop("out-of-catalogue")
     kinds: list[CaseKind] = [kind for kind, count in counts.items() for _ in range(count)]
     kinds += ["single"] * (cases - len(kinds))
+    deck = _deal_effects(unknown, kinds.count("out-of-catalogue"), rng)
     return tuple(
-        PlannedCase(kinds[k], _sample_effects(kinds[k], known, unknown, rng)) for k in rng.permutation(cases)
+        PlannedCase(kinds[k], _sample_effects(kinds[k], known, deck, rng)) for k in rng.permutation(cases)
     )
 
 
+def _deal_effects(
+    some: Sequence[DetectableEffect], count: int, rng: np.random.Generator
+) -> Iterator[DetectableEffect]:
+    """Yield so many effects, each at a random place; two effects differ by one case at most."""
+    names = sorted({one.hypothesis.effect for one in some})
+    rounds = -(-count // max(len(names), 1))
+    dealt = [names[k] for _ in range(rounds) for k in rng.permutation(len(names))]
+    for name in dealt[:count]:
+        yield sample_effect([one for one in some if one.hypothesis.effect == name], rng)
+
+
 def _sample_effects(
-    kind: CaseKind, known: list[DetectableEffect], unknown: list[DetectableEffect], rng: np.random.Generator
+    kind: CaseKind,
+    known: Sequence[DetectableEffect],
+    unknown: Iterator[DetectableEffect],
+    rng: np.random.Generator,
 ) -> tuple[SampledEffect, ...]:
     if kind == "none":
         return ()
-    first = sample_amplitude(sample_effect(unknown if kind == "out-of-catalogue" else known, rng), rng)
+    first = sample_amplitude(next(unknown) if kind == "out-of-catalogue" else sample_effect(known, rng), rng)
     if kind != "pair":
         return (first,)
     others = [one for one in known if one.label != first.source.label]

@@ -33,14 +33,14 @@ CATALOGUE = [seen(f"e{k}", f"p{j}", label=k) for k in range(5) for j in range(1 
 OUTSIDE = [seen("o", "p0", label=None), seen("q", "p1", label=None)]
 
 
-def drawn(cases: int = 200, seed: int = 1):
+def drawn(cases: int = 400, seed: int = 1):
     return plan_cases(cases, CATALOGUE, OUTSIDE, np.random.default_rng(seed))
 
 
-def test_of_two_hundred_cases_so_many_are_of_each_kind() -> None:
+def test_of_four_hundred_cases_so_many_are_of_each_kind() -> None:
     kinds = [case.kind for case in drawn()]
     assert {kind: kinds.count(kind) for kind in set(kinds)} == {
-        "none": 60, "out-of-catalogue": 40, "pair": 40, "single": 60,
+        "none": 100, "out-of-catalogue": 140, "pair": 60, "single": 100,
     }  # fmt: skip
     assert kinds != sorted(kinds)
 
@@ -73,6 +73,14 @@ def test_effects_come_equally_often_however_many_places_they_have() -> None:
     ]
     counts = [names.count(f"e{k}") for k in range(5)]
     assert min(counts) > 0.6 * max(counts)
+
+
+def test_effects_outside_the_catalogue_come_equally_often() -> None:
+    outside = [seen(f"o{k}", f"p{j}", label=None) for k in range(22) for j in range(2)]
+    cases = plan_cases(400, CATALOGUE, outside, np.random.default_rng(1))
+    names = [one.source.hypothesis.effect for case in cases for one in case.effects if case.kind[0] == "o"]
+    assert {names.count(name) for name in set(names)} == {6, 7}
+    assert len(names) == 140
 
 
 def test_a_size_stays_within_its_bounds_and_goes_where_there_is_room() -> None:
