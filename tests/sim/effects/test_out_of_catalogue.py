@@ -1,12 +1,12 @@
 """Out-of-catalogue effects: each changes what it claims to change, and nothing at its neutral value."""
 
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fsw.config import CYCLE_HZ
 from sim.arms import BuiltArm, arm_named
 from sim.diagnosis_campaign import campaign_sessions, run_session, start_session
 from sim.effects.catalogue import EffectHypothesis, catalogue, hypotheses
@@ -17,47 +17,83 @@ from tests.marks import slow_but
 from tests.tools import TOOLS
 
 FOLDER = Path(__file__).parents[3] / "validation" / "out_of_catalogue_effects"
-KINDS = {
-    kind.__name__: kind for file in sorted(FOLDER.glob("*.py")) for kind in effect_classes_in_file(str(file))
+FOUND = {
+    f"{file.parent.name}/{file.stem}": effect_classes_in_file(str(file))
+    for file in sorted(FOLDER.rglob("*.py"))
 }
+"""Effects by folder and file."""
+KINDS = {kind.__name__: kind for kinds in FOUND.values() for kind in kinds}
 NOMINAL = arm_named("nominal")
-AT = {"SettlingRover": "y", "RockingLink": "link3.z"}
-"""Joint at which an effect shows in the session below; the elbow if not named."""
-SHOWN: dict[str, tuple[str, ...]] = {
-    "TightSpots": ("current_A",),
-    "DraggingBrake": ("current_A",),
-    "GreaseAside": ("current_A",),
-    "StiffeningGear": ("resolver_rad",),
-    "SnaggingCable": ("resolver_rad",),
-    "LeakyIntegral": ("encoder_count",),
-    "TorqueRipple": ("current_A",),
-    "DeadCurrent": ("current_A",),
-    "SluggishCurrent": ("current_A",),
-    "OvalResolver": ("resolver_rad",),
-    "LateResolver": ("resolver_rad",),
-    "SettlingRover": (),
-    "RockingLink": (),
+AT = {
+    "TwoJointCable": "wrist",
+    "TwistUnderBending": "link3.z",
+    "OpeningFlange": "link3.z.positive",
+    "LiftingWheel": "y",
+    "VibratedImu": "x",
+    "SteadyWind": "link3.x",
+    "SwayingRover": "y",
 }
-"""Readings that an effect changes."""
+"""Place at which an effect shows in the session below; the elbow if not named."""
+SHOWN: dict[str, tuple[str, ...]] = {
+    "ChurningGrease": ("current_A",),
+    "SharedSeal": ("current_A",),
+    "ChippedTooth": ("resolver_rad",),
+    "UnevenMesh": ("resolver_rad",),
+    "TwoJointCable": ("current_A", "resolver_rad"),
+    "FilteredSetpoint": ("encoder_count",),
+    "SaturatingMotor": ("current_A",),
+    "DriftingCurrent": ("current_A",),
+    "MagneticResolver": ("resolver_rad",),
+    "TwistUnderBending": (),
+    "OpeningFlange": (),
+    "LiftingWheel": (),
+    "DeadBand": ("encoder_count",),
+    "Dither": ("current_A", "encoder_count"),
+    "FeedForward": ("current_A", "encoder_count"),
+    "KickingBrake": ("encoder_count",),
+    "SlippingBelt": ("resolver_rad",),
+    "HeaterOnLine": ("current_A",),
+    "RemanentCore": ("current_A",),
+    "WrongBit": ("resolver_rad",),
+    "VibratedImu": ("gravity_R_m_s2",),
+    "ScrewingBearing": (),
+    "SteadyWind": (),
+    "SwayingRover": (),
+}
+"""Readings that an effect changes; none if it moves the turret."""
+SENSORS = (
+    "SaturatingMotor",
+    "DriftingCurrent",
+    "MagneticResolver",
+    "HeaterOnLine",
+    "RemanentCore",
+    "WrongBit",
+    "VibratedImu",
+)
+"""Effects that change readings only."""
+READINGS = ("current_A", "encoder_count", "resolver_rad", "gravity_R_m_s2")
+LEAST = {"current_A": 0.02, "encoder_count": 1, "resolver_rad": 3e-5, "gravity_R_m_s2": 3e-3, "turret": 2e-5}
 EACH = pytest.mark.parametrize("name", KINDS)
-FEW = pytest.mark.parametrize("name", slow_but(KINDS, "TightSpots", "SettlingRover"))
+FEW = pytest.mark.parametrize("name", slow_but(KINDS, "ChurningGrease", "SwayingRover"))
+FILES = pytest.mark.parametrize("file", slow_but(FOUND, "kin/joints", "strangers/structure"))
+EACH_SENSOR = pytest.mark.parametrize("name", SENSORS)
 
 
 def hypothesis_at(name: str) -> EffectHypothesis:
     place = AT.get(name, "elbow")
-    return next(one for one in hypotheses({name: KINDS[name]}) if str(one).endswith(place))
+    return next(one for one in hypotheses({name: KINDS[name]}) if str(one).endswith(f":{place}"))
 
 
 @cache
-def record_session(*effects: Effect) -> dict[str, np.ndarray]:
+def record_session(*effects: Effect, cycles: int = 250) -> dict[str, np.ndarray]:
     """Return the first readings of a session in which all joints move, and the positions of the turret."""
     session = next(one for one in campaign_sessions(NOMINAL.params) if one.name == "poses-level-1")
     loop = start_session(session, BuiltArm("nominal", effects, NOMINAL.params), true_reference(NOMINAL), 3)
-    rows: dict[str, list[np.ndarray]] = {name: [] for name in ("current_A", "encoder_count", "resolver_rad")}
+    rows: dict[str, list[np.ndarray]] = {name: [] for name in READINGS}
     for number, cycle in enumerate(run_session(loop, session)):
         for name, row in rows.items():
             row.append(getattr(cycle.record.sensors, name))
-        if number == 250:
+        if number == cycles:
             break
     return {name: np.array(row) for name, row in rows.items()} | {"turret": loop.truth().p_RoTo_R_m[:, 0]}
 
@@ -66,55 +102,67 @@ def differences(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dic
     return {name: float(np.abs(one[name] - other[name]).max()) for name in one}
 
 
-def test_there_are_a_dozen_and_all_are_tested() -> None:
+def test_there_are_two_dozen_and_all_are_tested() -> None:
+    for folder in ("kin", "strangers"):
+        assert sum(len(kinds) for file, kinds in FOUND.items() if file.startswith(f"{folder}/")) == 12
+    assert sum(map(len, FOUND.values())) == len(KINDS) == 24
     assert set(KINDS) == set(SHOWN)
-    assert len(KINDS) >= 12
 
 
 @EACH
 def test_no_catalogue_has_it_and_it_comes_back_from_what_is_written_of_it(name: str) -> None:
     assert not {str(one).split(":")[0] for one in hypotheses({name: KINDS[name]})} & set(catalogue())
-    for one in hypotheses({name: KINDS[name]}):
+    places = list(hypotheses({name: KINDS[name]}))
+    assert len(places) >= 2
+    for one in places:
         assert len(one.amplitudes) == 1
         assert parse_effect_text(effect_text(one.typical()), TOOLS) == one.typical()
 
 
-@FEW
-def test_where_it_is_neutral_it_changes_nothing(name: str) -> None:
-    assert all(
-        value == 0.0
-        for value in differences(record_session(hypothesis_at(name).effect()), record_session()).values()
-    )
+@FILES
+def test_where_they_are_neutral_they_change_nothing(file: str) -> None:
+    """All effects of a file are neutral at all of their places at once."""
+    everywhere = (one.effect() for one in hypotheses({kind.__name__: kind for kind in FOUND[file]}))
+    assert all(value == 0.0 for value in differences(record_session(*everywhere), record_session()).values())
 
 
 @FEW
 def test_of_its_typical_size_it_shows_and_the_same_each_time(name: str) -> None:
     with_it = record_session(hypothesis_at(name).typical())
     moved = differences(with_it, record_session())
-    for reading in SHOWN[name]:
+    for reading in SHOWN[name] or ("turret",):
         assert moved[reading] > LEAST[reading], reading
-    if not SHOWN[name]:
-        assert moved["turret"] > 2e-5
-    again = record_session.__wrapped__(hypothesis_at(name).typical())
-    assert all(value == 0.0 for value in differences(again, with_it).values())
+    again = record_session.__wrapped__(hypothesis_at(name).typical(), cycles=140)
+    for reading in READINGS:
+        np.testing.assert_array_equal(again[reading], with_it[reading][:141])
 
 
-LEAST = {"current_A": 0.02, "encoder_count": 1, "resolver_rad": 3e-5}
-
-
-@pytest.mark.parametrize("name", ["DeadCurrent", "SluggishCurrent", "OvalResolver", "LateResolver"])
+@EACH_SENSOR
 def test_a_sensor_that_reads_wrong_moves_nothing_at_first(name: str) -> None:
     """Flight software may react to wrong readings later; before the move all else is unchanged."""
     with_it, without = record_session(hypothesis_at(name).typical()), record_session()
-    others = {"current_A", "encoder_count", "resolver_rad"} - set(SHOWN[name])
+    others = set(READINGS) - set(SHOWN[name])
     assert all(np.array_equal(with_it[other][:64], without[other][:64]) for other in others)
 
 
-def shape(name: str) -> Callable[..., np.ndarray]:
-    return lambda **values: record_session(hypothesis_at(name).effect(**values))["current_A"]
+def change(name: str, reading: str, times: float) -> np.ndarray:
+    with_it = record_session(hypothesis_at(name).typical(times))
+    moved: np.ndarray = with_it[reading] - record_session()[reading]
+    return moved
 
 
-def test_twice_the_ripple_is_twice_the_change() -> None:
-    ripple, current = shape("TorqueRipple"), record_session()["current_A"]
-    once, twice = ripple(share=0.05) - current, ripple(share=0.1) - current
+@pytest.mark.parametrize("name", ["SaturatingMotor", "RemanentCore"])
+def test_of_twice_the_size_a_wrong_current_is_twice_as_wrong(name: str) -> None:
+    once, twice = change(name, "current_A", 1.0), change(name, "current_A", 2.0)
     np.testing.assert_allclose(twice[:100], 2.0 * once[:100], atol=1e-12)
+
+
+def test_a_current_drifts_with_time() -> None:
+    drifted_A = change("DriftingCurrent", "current_A", 1.0)[:, 2]
+    np.testing.assert_allclose(drifted_A, 6e-3 * np.arange(1, len(drifted_A) + 1) / CYCLE_HZ, atol=1e-12)
+
+
+def test_a_heater_is_on_or_off() -> None:
+    heater_A = change("HeaterOnLine", "current_A", 1.0)[:, 2]
+    on = np.arange(1, len(heater_A) + 1) >= 2.5 * CYCLE_HZ
+    np.testing.assert_allclose(heater_A, 0.05 * on, atol=1e-12)
