@@ -18,6 +18,7 @@ from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
 from ground.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
 from ground.diagnosis.arm.segments import find_rests, find_segments
+from sim.params import nominal_params
 
 CONTINUOUS: Final = ("resolver_rad", "current_A", "gravity_R_m_s2")
 STALE_TICKS: Final = CYCLE_HZ
@@ -37,26 +38,30 @@ PLAUSIBLE_GRAVITY_M_S2: Final = (1.0, 12.0)
 """Range of gravity on Mars and on Earth."""
 MIN_SEGMENTS: Final = 2
 """Least number of motions of a joint, one each way."""
+MAX_NAMES: Final = 3
+"""Largest number of logs that a sentence names."""
 
 
 def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
     """Return the reasons why recordings cannot be compared with a simulator of these parameters."""
-    foreign = {one.params.model.name for one in recordings} - {base.model.name}
+    known = nominal_params().model.name
+    foreign = {one.params.model.name for one in recordings} - {known}
     if foreign:
         names = ", ".join(sorted(foreign))
-        return (f"logs of the arm {names}: the diagnosis knows the arm {base.model.name} only",)
+        return (f"logs of the arm {names}: the diagnosis knows the arm {known} only",)
     wrong = [
         f"{one.name}: {reason}"
         for one in recordings
         for reason in (*_not_finite(one.sensors), *_not_finite(one.drive), *_time_base(one))
     ]
-    others = [
-        f"{one.name}: was made with other flight parameters ({digest(one.params)[:12]}) than the simulator's "
-        f"({digest(base)[:12]}); give those with --params"
-        for one in recordings
-        if digest(one.params) != digest(base)
-    ]
-    return (*wrong, *others)
+    others = [one.name for one in recordings if digest(one.params) != digest(base)]
+    if others:
+        names = ", ".join(others[:MAX_NAMES]) + (" .." if len(others) > MAX_NAMES else "")
+        wrong.append(
+            f"{len(others)} of {len(recordings)} logs were made with other flight parameters than those "
+            f"of the diagnosis ({digest(base)[:12]}): {names}; diagnose logs of one arm with its parameters"
+        )
+    return tuple(wrong)
 
 
 def load_checked_recordings(paths: Sequence[Path], base: Params | None = None) -> list[Recording]:

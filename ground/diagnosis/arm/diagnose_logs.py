@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -19,15 +20,16 @@ from ground.diagnosis.arm.audit import find_missing_motion, load_checked_recordi
 from ground.diagnosis.arm.campaign_model import load_campaign_model
 from ground.diagnosis.arm.campaign_sensitivities import Logs
 from ground.diagnosis.arm.case import diagnose_case
-from ground.diagnosis.arm.logs import NotForDiagnosis, Recording
-from ground.diagnosis.arm.record import HELD_OUT_FOLDER
+from ground.diagnosis.arm.flight_effects import effects_of_params
+from ground.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
+from ground.diagnosis.arm.record import HELD_OUT_FOLDER, PARAMS_FILE
 from ground.diagnosis.arm.request import DiagnoseRequest
 from ground.diagnosis.arm.simulator import list_candidates
 from ground.diagnosis.result import DiagnosisResult
 from sim.arm_model.load import default_arm
 from sim.effects.catalogue import catalogue, effect_name
 from sim.effects.effect import Effect
-from sim.params import nominal_params, params_over_nominal
+from sim.params import params_over_nominal
 from sim.scenario.names import shorten
 
 CAMPAIGN_SHARE: Final = 0.9
@@ -44,7 +46,7 @@ class DiagnoseJob:
     held_out: tuple[Path, ...] = ()
     """Logs that take no part in fitting or selection."""
     params: Path | None = None
-    """Flight parameters that differ from nominal, as TOML."""
+    """Flight parameters that differ from nominal, as TOML; None for those in the header of the first log."""
     kinds: tuple[str, ...] | None = None
     """Names of the candidate effects; None for the whole catalogue."""
     campaign: Path | None = None
@@ -58,8 +60,14 @@ class DiagnoseJob:
 
     @property
     def base(self) -> Params:
-        """Flight parameters of the arm."""
-        return nominal_params() if self.params is None else params_over_nominal(self.params)
+        """Flight parameters of the arm; NotForDiagnosis if they are in a log that cannot be read."""
+        return _params_of(self.logs[0]) if self.params is None else params_over_nominal(self.params)
+
+
+@cache
+def _params_of(log: Path) -> Params:
+    """Return the flight parameters in the header of a log."""
+    return load_recording(log).params
 
 
 def prepare_diagnosis(request: DiagnoseRequest) -> DiagnoseJob:
@@ -72,14 +80,16 @@ def prepare_diagnosis(request: DiagnoseRequest) -> DiagnoseJob:
     fitted = tuple(_expand_logs(request.logs, "log"))
     held_out = tuple(_expand_logs(request.held_out, "held-out log"))
     _check_different(fitted, held_out)
-    if request.params is not None:
-        load_fitting_params(default_arm(), request.params, request.mismatch)
+    beside = fitted[0].parent / PARAMS_FILE
+    params = request.params or (beside if beside.is_file() else None)
+    if params is not None:
+        load_fitting_params(default_arm(), params, request.mismatch)
     if request.campaign is not None and not os.path.isdir(request.campaign):
         raise BadRequest(f"campaign {request.campaign}: there is no such folder of logs")
     kinds = None if request.catalogue is None else _parse_effects(request.catalogue)
     effects = parse_effects(request.effects, default_arm().params.tool_names)
     run = select_runner(request.workers, request.cluster)
-    return DiagnoseJob(fitted, held_out, request.params, kinds, request.campaign, request.seed, effects, run)
+    return DiagnoseJob(fitted, held_out, params, kinds, request.campaign, request.seed, effects, run)
 
 
 def _expand_logs(given: Sequence[Path], what: str) -> Iterator[Path]:
@@ -175,7 +185,8 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> DiagnosisResult:
         job.kinds,
     )
     progress(CAMPAIGN_SHARE, 1.0, "diagnosing")
-    return diagnose_case(fitted, held_out_recordings, campaign, job.seed, job.patch)
+    patch = (*effects_of_params(base), *job.patch)
+    return diagnose_case(fitted, held_out_recordings, campaign, job.seed, patch)
 
 
 def _check_motion(recordings: Sequence[Recording]) -> None:

@@ -15,6 +15,7 @@ from ground.calibration.survey import TooFewTargets, measure_pose
 from ground.common.errors import BadRequest
 from ground.common.files import atomic_path, check_new_path
 from ground.common.options import check_options
+from ground.common.params_toml import params_toml
 from ground.common.progress import Progress, no_progress
 from ground.common.requests import fit_effects, parse_effects, select_arm
 from ground.diagnosis.arm.request import RecordRequest
@@ -35,12 +36,15 @@ from sim.diagnosis_campaign import (
 from sim.effects.effect import Effect
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop
+from sim.params import nominal_params
 from sim.plant import PlantDiverged
 from sim.scenario.names import did_you_mean
 from sim.tracker import TYPICAL_TRACKER, turret_pose
 
 HELD_OUT_FOLDER: Final = "held-out"
 """Name of the folder of held-out logs, inside the folder of logs."""
+PARAMS_FILE: Final = "flight-params.toml"
+"""Name of the file of flight parameters beside the logs, in the form of --params."""
 
 
 def record_campaign(
@@ -170,6 +174,9 @@ def record_logs(request: RecordRequest, progress: Progress = no_progress) -> lis
     wanted, reference, paths = _choose_sessions(request, arm), true_reference(arm), []
     try:
         with atomic_path(request.out.resolve()) as part:
+            part.mkdir(parents=True, exist_ok=True)
+            comments = ["Flight parameters of these logs; all others are nominal."]
+            (part / PARAMS_FILE).write_text(params_toml(nominal_params(), arm.params, comments))
             for number, session in enumerate(wanted):
                 progress(number, len(wanted), session.name)
                 folder = part / HELD_OUT_FOLDER if session.name in HELD_OUT_SESSIONS else part
