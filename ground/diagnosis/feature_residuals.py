@@ -121,8 +121,8 @@ class FeatureResiduals:
 
         Args:
             effects: Feature effects of all candidates.
-            sizes: Departures from neutral in typical sizes, one effect after the other, (n_candidates,
-                n_sizes).
+            sizes: Departures from neutral over typical sizes, unitless, one effect after the other,
+                (n_candidates, n_sizes).
 
         Returns:
             (n_candidates, m).
@@ -140,7 +140,14 @@ class FeatureResiduals:
         return self
 
     def explain(self, name: str) -> Array:
-        """Return a condition of the features, (m,); NaN for one that they do not have."""
+        """Return a condition of the features; NaN for one that they do not have.
+
+        Args:
+            name: Name of the condition.
+
+        Returns:
+            (m,), in the unit of the condition.
+        """
         return np.asarray(self._condition.get(name, np.full(self._y.size, np.nan)))
 
 

@@ -75,7 +75,7 @@ READINGS = ("current_A", "encoder_count", "resolver_rad", "gravity_R_m_s2")
 LEAST = {"current_A": 0.02, "encoder_count": 1, "resolver_rad": 3e-5, "gravity_R_m_s2": 3e-3, "turret": 2e-5}
 EACH = pytest.mark.parametrize("name", KINDS)
 FEW = pytest.mark.parametrize("name", slow_but(KINDS, "ChurningGrease", "SwayingRover"))
-FILES = pytest.mark.parametrize("file", slow_but(FOUND, "kin/joints", "strangers/structure"))
+FILES = pytest.mark.parametrize("file", slow_but(FOUND, "related/joints", "unrelated/structure"))
 EACH_SENSOR = pytest.mark.parametrize("name", SENSORS)
 
 
@@ -103,7 +103,7 @@ def differences(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dic
 
 
 def test_there_are_two_dozen_and_all_are_tested() -> None:
-    for folder in ("kin", "strangers"):
+    for folder in ("related", "unrelated"):
         assert sum(len(kinds) for file, kinds in FOUND.items() if file.startswith(f"{folder}/")) == 12
     assert sum(map(len, FOUND.values())) == len(KINDS) == 24
     assert set(KINDS) == set(SHOWN)
