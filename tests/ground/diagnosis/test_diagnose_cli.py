@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from ground.cli.app import app
 from ground.diagnosis.arm.logs import NotForDiagnosis
+from ground.diagnosis.arm.record import PARAMS_FILE
 from ground.diagnosis.bootstrap import Alternatives
 from ground.diagnosis.result import to_json
 from ground.diagnosis.sentences import verdict_sentences
@@ -84,6 +85,7 @@ def test_the_document_is_the_json_output(diagnose, results):
 
 
 def test_the_page_is_one_file_with_the_verdict_on_top(diagnose, results, tmp_path):
+    (tmp_path / PARAMS_FILE).write_text("")  # parameters of the drawing, as the log has none
     for name, pictures in (("alike", 4), ("undecided", 4), ("beside", 4), ("nothing", 1), ("unknown", 1)):
         assert diagnose(results[name], "--report", f"{name}.html").exit_code == 0
         page = (tmp_path / f"{name}.html").read_text()

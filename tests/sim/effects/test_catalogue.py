@@ -41,7 +41,7 @@ def test_all_that_was_asked_for_is_there_and_can_be_raced() -> None:
 
 def test_every_effect_of_a_file_is_in_the_catalogue_by_its_name() -> None:
     names = [kind.__name__ for kind in effect_classes_in(sim.effects.gears)]
-    assert names[:2] == ["CoulombFriction", "ViscousFriction"]
+    assert names[:2] == ["CoulombFriction", "AsymmetricFriction"]
     assert set(effect_classes_in(sim.effects.gears)) <= set(catalogue().values())
     assert not [name for name in catalogue() if name.startswith("-") or name != name.lower()]
 

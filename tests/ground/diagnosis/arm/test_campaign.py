@@ -126,9 +126,9 @@ def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording
 
 
 def remembering() -> list[Effect]:
-    """Return out-of-catalogue sensor effects with memory."""
+    """Return the out-of-catalogue effect of a sensor with memory."""
     found = {name: one for (name, place), one in list_uncatalogued().items() if place == "elbow"}
-    values = {"late-resolver": [0.05], "sluggish-current": [0.1]}
+    values = {"remanent-core": [0.1, 0.2]}
     return [
         make_effect(found[name].catalogue_entry, found[name].hypothesis, np.array(of))
         for name, of in values.items()

@@ -97,7 +97,7 @@ def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(folder) -> Non
 
 def test_solved_cases_are_scored(solved) -> None:
     found = score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
-    assert (found.cases, found.false_alarm.of, found.wrong_name.of) == (10, 3, 2)
+    assert (found.cases, found.false_alarm.of, found.wrong_name.of) == (10, 2, 4)
     true = [one for case in solved.truth.cases if case.kind in ("single", "pair") for one in case.effects]
     assert found.found.place.of == sum(one.times_limit >= 1.0 for one in true)
     assert sum(one.found.effect.of for one in found.bins) == len(true)

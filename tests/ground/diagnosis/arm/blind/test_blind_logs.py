@@ -41,7 +41,7 @@ def cases(kinds: tuple[str, ...] = ("single", "out-of-catalogue")) -> dict[str, 
         for number, one in enumerate(make.list_candidates(None))
         if str(one) in ("coulomb-friction:elbow", "backlash-width:wrist")
     ]
-    unknown = [one for (name, _), one in list_uncatalogued().items() if name == "dead-current"]
+    unknown = [one for (name, _), one in list_uncatalogued().items() if name == "drifting-current"]
     outside = [DetectableEffect(one.hypothesis, 0.4, None) for one in unknown]
     truth = make.draw_truth(10, 1, catalogue, outside)
     return {kind: next(case for case in truth.cases if case.kind == kind) for kind in kinds}
@@ -148,9 +148,9 @@ def test_a_case_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest
 
 def test_an_effect_from_outside_is_written_by_its_file_and_switched_on() -> None:
     (effect,) = cases()["out-of-catalogue"].effects
-    assert effect.spec.startswith("sensors.py:DeadCurrent:")
+    assert effect.spec.startswith("related/sensors.py:DriftingCurrent:")
     made = make.true_effects(cases()["out-of-catalogue"])[-1]
-    assert {"dead_A": getattr(made, "dead_A", None)} == effect.values
+    assert {"drift_A_s": getattr(made, "drift_A_s", None)} == effect.values
 
 
 def test_a_session_that_does_not_complete_is_left_out(tmp_path: Path) -> None:
