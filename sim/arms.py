@@ -155,7 +155,7 @@ def draw_tolerances(model: ArmModel, seed: int) -> tuple[Effect, ...]:
     """Draw the manufacturing tolerances of an as-built arm."""
     rng, sigma = np.random.default_rng([seed, 0]), model.description.tolerances.built
     effects: list[Effect] = []
-    for frame, tool in _all_frames(model.params.tool_names):
+    for frame, tool in list_frames(model.params.tool_names):
         effects.append(FrameError(frame, _draw_screw(rng, sigma.frame_rad, sigma.frame_m), tool))
     for joint in Joint:
         effects.append(HardstopAngle(joint, -sigma.hardstop_rad * rng.standard_normal()))
@@ -177,7 +177,7 @@ def draw_calibration_errors(model: ArmModel, seed: int) -> tuple[Effect, ...]:
     """Draw the errors that flight parameters of arm `seed` keep after a calibration."""
     rng, sigma = np.random.default_rng([seed, 1]), model.description.tolerances.calibrated
     effects: list[Effect] = []
-    for frame, tool in _all_frames(model.params.tool_names):
+    for frame, tool in list_frames(model.params.tool_names):
         determined = np.isin(np.arange(6), IDENTIFIABLE_AXES[frame])
         screw = np.where(determined, _draw_screw(rng, sigma.frame_rad, sigma.frame_m), 0.0)
         effects.append(FrameError(frame, row6(screw), tool))
@@ -189,7 +189,8 @@ def draw_calibration_errors(model: ArmModel, seed: int) -> tuple[Effect, ...]:
     return tuple(effects)
 
 
-def _all_frames(tools: Sequence[str]) -> list[tuple[Frame, str | None]]:
+def list_frames(tools: Sequence[str]) -> list[tuple[Frame, str | None]]:
+    """List all frames, that of each tool with its name."""
     inner: list[tuple[Frame, str | None]] = [(frame, None) for frame in Frame if frame is not Frame.TOOL]
     return inner + [(Frame.TOOL, tool) for tool in tools]
 

@@ -41,6 +41,24 @@ class SimulationOptions:
 NOISE_FREE = SimulationOptions()
 
 
+def scale_shift_rad(hardware: Hardware, counted_rad: Array, hardstop_rad: Array) -> Array:
+    """Compute by how much motors are beyond the angles that their counts mean to flight software.
+
+    Homing finds the zero of an encoder at its hardstop, so that an error of its scale is 0 there.
+
+    Args:
+        hardware: Hardware with the true scale of the encoders.
+        counted_rad: Angles by counts, zeros and nominal scale, joints first, shape (5,) or (5, n).
+        hardstop_rad: Angles of the hardstops that homing assumed, shape (5,).
+
+    Returns:
+        Shifts [rad], in the shape of `counted_rad`.
+    """
+    error = hardware.rad_per_count / nominal_hardware().rad_per_count - 1.0
+    shift_rad: Array = (error * (counted_rad.T - hardstop_rad)).T
+    return shift_rad
+
+
 class OpenLoopArm:
     """Arm at the start of a recorded run."""
 
@@ -48,22 +66,20 @@ class OpenLoopArm:
         self, start: RecordedStart, effects: Iterable[Effect], options: SimulationOptions = NOISE_FREE
     ):
         spec = build(start.world)
-        nominal = nominal_hardware()
-        hardware = apply_effects(effects, spec, replace(nominal, counter_zero_rad=start.zero_rad))
+        hardware = apply_effects(effects, spec, replace(nominal_hardware(), counter_zero_rad=start.zero_rad))
         self.plant = Plant(spec.compile())
         # an error of the assumed hardstop, or of the scale up to it, shifted the zero that homing found
         hardstop_error_rad = start.hardstop_rad - self.plant.stop_rad()
-        scale_error = hardware.rad_per_count / nominal.rad_per_count - 1.0
-        scale_shift_rad = scale_error * (start.zero_rad - start.hardstop_rad)
-        zero_rad = hardware.counter_zero_rad - hardstop_error_rad + scale_shift_rad
-        hardware = replace(hardware, counter_zero_rad=zero_rad)
+        zero_rad = hardware.counter_zero_rad - hardstop_error_rad
+        by_scale_rad = scale_shift_rad(hardware, start.zero_rad, start.hardstop_rad)
+        hardware = replace(hardware, counter_zero_rad=zero_rad + by_scale_rad)
         hardware = hardware if options.seed is not None else _without_noise(hardware)
         self.avionics = Avionics(self.plant, hardware, hardware_rng(options.seed or 0))
         # counters must read what they read in the recorded run, so the motors shift with zeros and scales
         self.plant.place(
             start.motor_rad
-            + (hardware.counter_zero_rad - start.zero_rad)
-            + scale_error * (start.motor_rad - start.zero_rad),
+            + (zero_rad - start.zero_rad)
+            + scale_shift_rad(hardware, start.motor_rad, start.hardstop_rad),
             options.settle_s,
             self.avionics.act if hardware.each_cycle else None,
         )

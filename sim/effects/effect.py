@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits, names_tool
 from fsw.kinematics.transforms import Array
@@ -190,6 +191,23 @@ class Effect:
 
 
 @dataclass(frozen=True, slots=True)
+class ReadingError(Effect):
+    """Effect on a reading after its noise."""
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """Add the error to the active ones."""
+        return replace(hardware, sensor_errors=(*hardware.sensor_errors, self))
+
+    def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
+        """Return the wrong readings in place of the right ones."""
+        raise NotImplementedError
+
+    def update(self, sensors: Sensors) -> "ReadingError":
+        """Return the same error, which has no state."""
+        return self
+
+
+@dataclass(frozen=True, slots=True)
 class Timed(Effect):
     """Effect that begins with the first cycle at or after a given time."""
 
@@ -293,6 +311,16 @@ def evaluate_cycle_effects(plant: Plant, hardware: Hardware) -> tuple[Hardware, 
 def draw_move_disturbance(effects: Iterable[EachMove], rng: np.random.Generator) -> MoveDisturbance:
     """Draw the disturbance of one move as the sum over these effects."""
     return sum((effect.draw(rng) for effect in effects), no_move_disturbance())
+
+
+def refuse_first_joint(joint: Joint) -> None:
+    """Refuse the joint that has no other between itself and the rover.
+
+    Raises:
+        ValueError: it is the azimuth.
+    """
+    if joint is Joint.AZIMUTH:
+        raise ValueError("joint: azimuth has no joint between itself and the rover")
 
 
 def with_element(values: Array, index: int, value: float) -> Array:

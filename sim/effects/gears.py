@@ -12,7 +12,7 @@ import numpy as np
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from sim.disturbance import Disturbance, at_joint
-from sim.effects.effect import EachCycle, Effect, Hardware, ParameterSpec
+from sim.effects.effect import EachCycle, Effect, Hardware, ParameterSpec, refuse_first_joint
 from sim.effects.environment import COLD_C, WARM_C
 from sim.effects.flight_params import joint_of, with_joint
 from sim.plant import Plant
@@ -234,8 +234,7 @@ class JointCoupling(EachCycle):
     ratio: Annotated[float, ParameterSpec(-0.1, 0.1, unit="1", typical=2e-3, neutral=0.0)]
 
     def __post_init__(self) -> None:
-        if self.joint is Joint.AZIMUTH:
-            raise ValueError("joint: azimuth has no joint between itself and the rover")
+        refuse_first_joint(self.joint)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
         """Return the turn of the output for the present angle of the other motor."""

@@ -10,7 +10,16 @@ from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, rotation_x, rotation_y
 from fsw.messages import Sensors
 from sim.disturbance import at_joint
-from sim.effects.effect import Effect, Factor, Hardware, ParameterSpec, SmallAngle, with_element
+from sim.effects.effect import (
+    Effect,
+    Factor,
+    Hardware,
+    ParameterSpec,
+    ReadingError,
+    SmallAngle,
+    refuse_first_joint,
+    with_element,
+)
 from sim.effects.flight_params import joint_of, link_of, with_joint, with_link
 from sim.effects.gears import WaveAmplitude
 
@@ -18,24 +27,7 @@ _ROTATION_ABOUT: Final = {"x": rotation_x, "y": rotation_y}
 
 
 @dataclass(frozen=True, slots=True)
-class _ReadingError(Effect):
-    """Effect on a reading after its noise."""
-
-    def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Add the error to the active ones."""
-        return replace(hardware, sensor_errors=(*hardware.sensor_errors, self))
-
-    def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """Return the wrong readings in place of the right ones."""
-        raise NotImplementedError
-
-    def update(self, sensors: Sensors) -> "_ReadingError":
-        """Return the same error, which has no state."""
-        return self
-
-
-@dataclass(frozen=True, slots=True)
-class CurrentGain(_ReadingError):
+class CurrentGain(ReadingError):
     """Factor on the reading of a current sensor."""
 
     joint: Joint
@@ -48,7 +40,7 @@ class CurrentGain(_ReadingError):
 
 
 @dataclass(frozen=True, slots=True)
-class CurrentBias(_ReadingError):
+class CurrentBias(ReadingError):
     """Constant error of a current sensor."""
 
     joint: Joint
@@ -60,7 +52,7 @@ class CurrentBias(_ReadingError):
 
 
 @dataclass(frozen=True, slots=True)
-class CurrentCrosstalk(_ReadingError):
+class CurrentCrosstalk(ReadingError):
     """Share of the current of the next joint towards the rover in the reading of a current sensor.
 
     Raises:
@@ -71,8 +63,7 @@ class CurrentCrosstalk(_ReadingError):
     share: Annotated[float, ParameterSpec(-0.5, 0.5, unit="1", typical=0.05, neutral=0.0)]
 
     def __post_init__(self) -> None:
-        if self.joint is Joint.AZIMUTH:
-            raise ValueError("joint: azimuth has no joint between itself and the rover")
+        refuse_first_joint(self.joint)
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
         """Add the share to the reading."""
@@ -172,7 +163,7 @@ class ResolverScale(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class GravityDirection(_ReadingError):
+class GravityDirection(ReadingError):
     """Misalignment of the IMU of the rover about an axis, which rotates the measured gravity."""
 
     axis: Literal["x", "y"]

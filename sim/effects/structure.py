@@ -141,8 +141,8 @@ class LinkCreep(EachCycle):
     def cycle(self, plant: Plant, hardware: Hardware, state: Creep) -> tuple[Creep, Disturbance]:
         """Turn the rest angle of the spring of the link towards that of the present load."""
         now_s, at = float(plant.data.time), plant.at.springs[self.frame]["xyz".index(self.axis)]
-        joint = int(np.flatnonzero(plant.model.jnt_qposadr == at)[0])
-        load_Nm = float(plant.model.jnt_stiffness[joint]) * (float(plant.data.qpos[at]) - state.angle_rad)
+        stiffness_Nm_rad = float(plant.model.jnt_stiffness[plant.model.dof_jntid[at]])
+        load_Nm = stiffness_Nm_rad * (float(plant.data.qpos[at]) - state.angle_rad)
         share = -float(np.expm1(-max(now_s - state.time_s, 0.0) / self.time_s))
         angle_rad = state.angle_rad + share * (self.compliance_rad_Nm * load_Nm - state.angle_rad)
         plant.model.qpos_spring[at] = angle_rad

@@ -131,9 +131,13 @@ class _Sensitivity:
     """Change of the features per typical size, upwards, shape (m,)."""
 
 
+def _effect_files() -> list[Path]:
+    return sorted(EFFECTS_FOLDER.glob("*/*.py"))
+
+
 def list_uncatalogued() -> dict[tuple[str, str], UncataloguedEffect]:
     """List all out-of-catalogue effects by effect and place; BadRequest if there are no files."""
-    files = sorted(EFFECTS_FOLDER.glob("*/*.py"))
+    files = _effect_files()
     if not files:
         raise BadRequest(f"{EFFECTS_FOLDER}: holds no effects; cases are made in a clone of the repository")
     kinds = {kind.__name__: kind for file in files for kind in effect_classes_in_file(str(file))}
@@ -236,6 +240,6 @@ def _feature_set(logs: tuple[Path, ...]) -> FeatureSet:
 def _inputs_digest(logs: Sequence[Path], equations: NormalEquations) -> str:
     """Return the SHA-256 of the logs, the nuisances and the effect files."""
     total = hashlib.sha256(equations.A[:, : equations.q].tobytes() + equations.whiten.sigma.tobytes())
-    for path in (*sorted(logs), *sorted(EFFECTS_FOLDER.glob("*/*.py"))):
+    for path in (*sorted(logs), *_effect_files()):
         total.update(path.read_bytes())
     return total.hexdigest()

@@ -18,6 +18,7 @@ from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
 from ground.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
 from ground.diagnosis.arm.segments import find_rests, find_segments
+from ground.diagnosis.sentences import join_names
 from sim.params import nominal_params
 
 CONTINUOUS: Final = ("resolver_rad", "current_A", "gravity_R_m_s2")
@@ -38,8 +39,6 @@ PLAUSIBLE_GRAVITY_M_S2: Final = (1.0, 12.0)
 """Range of gravity on Mars and on Earth."""
 MIN_SEGMENTS: Final = 2
 """Least number of motions of a joint, one each way."""
-MAX_NAMES: Final = 3
-"""Largest number of logs that a sentence names."""
 
 
 def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
@@ -56,10 +55,10 @@ def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
     ]
     others = [one.name for one in recordings if digest(one.params) != digest(base)]
     if others:
-        names = ", ".join(others[:MAX_NAMES]) + (" .." if len(others) > MAX_NAMES else "")
         wrong.append(
             f"{len(others)} of {len(recordings)} logs were made with other flight parameters than those "
-            f"of the diagnosis ({digest(base)[:12]}): {names}; diagnose logs of one arm with its parameters"
+            f"of the diagnosis ({digest(base)[:12]}): {join_names(others)}; "
+            "diagnose logs of one arm with its parameters"
         )
     return tuple(wrong)
 

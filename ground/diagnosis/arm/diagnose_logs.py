@@ -5,7 +5,6 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -29,7 +28,6 @@ from ground.diagnosis.result import DiagnosisResult
 from sim.arm_model.load import default_arm
 from sim.effects.catalogue import catalogue, effect_name
 from sim.effects.effect import Effect
-from sim.params import params_over_nominal
 from sim.scenario.names import shorten
 
 CAMPAIGN_SHARE: Final = 0.9
@@ -45,8 +43,8 @@ class DiagnoseJob:
     logs: tuple[Path, ...]
     held_out: tuple[Path, ...] = ()
     """Logs that take no part in fitting or selection."""
-    params: Path | None = None
-    """Flight parameters that differ from nominal, as TOML; None for those in the header of the first log."""
+    base: Params | None = None
+    """Flight parameters of the arm; None for those of the first log."""
     kinds: tuple[str, ...] | None = None
     """Names of the candidate effects; None for the whole catalogue."""
     campaign: Path | None = None
@@ -58,16 +56,10 @@ class DiagnoseJob:
     run: Runner = field(default_factory=lambda: select_runner(None, None), compare=False)
     """Runner of parallel jobs."""
 
-    @property
-    def base(self) -> Params:
-        """Flight parameters of the arm; NotForDiagnosis if they are in a log that cannot be read."""
-        return _params_of(self.logs[0]) if self.params is None else params_over_nominal(self.params)
 
-
-@cache
-def _params_of(log: Path) -> Params:
-    """Return the flight parameters in the header of a log."""
-    return load_recording(log).params
+def flight_params(job: DiagnoseJob) -> Params:
+    """Return the flight parameters of the arm: those of the job, else of its first log."""
+    return job.base or load_recording(job.logs[0]).params
 
 
 def prepare_diagnosis(request: DiagnoseRequest) -> DiagnoseJob:
@@ -81,15 +73,14 @@ def prepare_diagnosis(request: DiagnoseRequest) -> DiagnoseJob:
     held_out = tuple(_expand_logs(request.held_out, "held-out log"))
     _check_different(fitted, held_out)
     beside = fitted[0].parent / PARAMS_FILE
-    params = request.params or (beside if beside.is_file() else None)
-    if params is not None:
-        load_fitting_params(default_arm(), params, request.mismatch)
+    path = request.params or (beside if beside.is_file() else None)
+    base = None if path is None else load_fitting_params(default_arm(), path, request.mismatch)
     if request.campaign is not None and not os.path.isdir(request.campaign):
         raise BadRequest(f"campaign {request.campaign}: there is no such folder of logs")
     kinds = None if request.catalogue is None else _parse_effects(request.catalogue)
     effects = parse_effects(request.effects, default_arm().params.tool_names)
     run = select_runner(request.workers, request.cluster)
-    return DiagnoseJob(fitted, held_out, params, kinds, request.campaign, request.seed, effects, run)
+    return DiagnoseJob(fitted, held_out, base, kinds, request.campaign, request.seed, effects, run)
 
 
 def _expand_logs(given: Sequence[Path], what: str) -> Iterator[Path]:
@@ -168,8 +159,9 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> DiagnosisResult:
         BadRequest: A cached file of the campaign cannot be read.
         BadOutput: A cached file cannot be written.
     """
-    base = job.base
-    fitted, held_out_recordings = (load_checked_recordings(paths, base) for paths in (job.logs, job.held_out))
+    fitted = load_checked_recordings(job.logs, job.base)
+    base = job.base or fitted[0].params
+    held_out_recordings = load_checked_recordings(job.held_out, base)
     _check_sessions((*job.logs, *job.held_out), (*fitted, *held_out_recordings))
     _check_held_out(fitted, held_out_recordings)
     _check_motion(fitted)

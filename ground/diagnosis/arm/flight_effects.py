@@ -10,10 +10,11 @@ import numpy as np
 
 from diagnosis.serial_arm.screws import screw_log
 from fsw.dictionary.enums import Frame, Joint
-from fsw.dictionary.params import LinkParams, Params, Transform6
+from fsw.dictionary.params import LinkParams, Params
 from fsw.dictionary.types import row6, vector3
 from fsw.kinematics.arm import transform6_to_pose
-from fsw.kinematics.transforms import inverse, stack_poses
+from fsw.kinematics.transforms import Pose, inverse, stack_poses
+from sim.arms import list_frames
 from sim.effects.effect import Effect
 from sim.effects.flight_params import joint_of, link_of
 from sim.effects.gears import OutputFriction
@@ -55,18 +56,17 @@ def effects_of_params(params: Params) -> tuple[Effect, ...]:
 
 
 def _frame_errors(nominal: Params, params: Params) -> Iterator[FrameError]:
-    tools = zip(nominal.tools, params.tools, strict=True)
-    frames: list[tuple[Frame, str | None, Transform6, Transform6]] = [
-        (f, None, link_of(nominal, f).transform, link_of(params, f).transform)
-        for f in Frame
-        if f is not Frame.TOOL
-    ]
-    frames += [(Frame.TOOL, old.name, old.transform, new.transform) for old, new in tools]
-    for frame, tool, old, new in frames:
-        X = inverse(transform6_to_pose(old)) @ transform6_to_pose(new)
+    for frame, tool in list_frames(nominal.tool_names):
+        X = inverse(_pose_of(nominal, frame, tool)) @ _pose_of(params, frame, tool)
         screw = screw_log(stack_poses([X]))[:, 0]
         if np.abs(screw).max() > ROUNDING:
             yield FrameError(frame, row6(screw), tool)
+
+
+def _pose_of(params: Params, frame: Frame, tool: str | None) -> Pose:
+    if tool is None:
+        return transform6_to_pose(link_of(params, frame).transform)
+    return transform6_to_pose(params.tools[params.tool_names.index(tool)].transform)
 
 
 def _link_effects(frame: Frame, old: LinkParams, new: LinkParams) -> Iterator[Effect]:

@@ -11,7 +11,7 @@ from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.types import row6
 from ground.diagnosis.problem import LOG_UNIT, Nuisance
 from sim.arm_model.load import default_arm
-from sim.arms import IDENTIFIABLE_AXES, SPRING_FRAMES
+from sim.arms import IDENTIFIABLE_AXES, SPRING_FRAMES, list_frames
 from sim.effects.catalogue import effect_name
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError
@@ -80,8 +80,7 @@ def list_nuisance_effects() -> Iterator[NuisanceEffect]:
 
 def _frame_nuisances() -> Iterator[NuisanceEffect]:
     """Yield rotations and shifts of frames; the last frame has those of every tool."""
-    inner: list[tuple[Frame, str | None]] = [(f, None) for f in Frame if f is not Frame.TOOL]
-    for frame, tool in (*inner, *((Frame.TOOL, tool) for tool in nominal_params().tool_names)):
+    for frame, tool in list_frames(nominal_params().tool_names):
         for axis in IDENTIFIABLE_AXES[frame]:
             named = (frame.name if tool is None else tool).lower()
             unit, sigma = ("rad", LEFT.frame_rad) if axis < 3 else ("m", LEFT.frame_m)

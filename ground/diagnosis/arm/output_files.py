@@ -10,7 +10,7 @@ from ground.common.command_text import command_text
 from ground.common.files import atomic_write
 from ground.common.json_digest import json_sha256
 from ground.common.params_toml import params_toml
-from ground.diagnosis.arm.diagnose_logs import DiagnoseJob, file_sha256
+from ground.diagnosis.arm.diagnose_logs import DiagnoseJob, file_sha256, flight_params
 from ground.diagnosis.arm.request import DiagnoseRequest
 from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
 from ground.diagnosis.page import save_diagnosis_page
@@ -135,7 +135,7 @@ def save_diagnosis_files(
     savers: tuple[tuple[str, Path | None, Callable[[Path], None]], ...] = (
         ("report", request.report, save_page),
         ("patch", request.patch, lambda path: save_patch(result, path)),
-        ("new-params", request.new_params, lambda path: save_new_params(result, job.base, path)),
+        ("new-params", request.new_params, lambda path: save_new_params(result, flight_params(job), path)),
     )
     not_written = []
     for what, path, save in savers:
@@ -152,7 +152,7 @@ def _origin(result: DiagnosisResult, request: DiagnoseRequest, job: DiagnoseJob)
     digests = {
         "logs": _files_sha256(job.logs),
         **({"held-out logs": _files_sha256(job.held_out)} if job.held_out else {}),
-        "parameters": digest(job.base),
+        "parameters": digest(flight_params(job)),
         "result": json_sha256(to_json(result)),
     }
     return Origin(command_text("diagnose", request), digests)

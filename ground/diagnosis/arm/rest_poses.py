@@ -25,6 +25,7 @@ from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal
 from sim.effects.gears import GearHysteresis
 from sim.effects.numerics import Numerics
 from sim.effects.structure import LinkCreep
+from sim.open_loop import scale_shift_rad
 from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import World, build
@@ -121,11 +122,10 @@ def _solve_statics(
 ) -> RestPoses:
     recording = turning_points.recording
     gravity = recording.world.gravity_N_m_s2
-    hardstop_rad, nominal = recording.start.hardstop_rad, nominal_hardware()
-    counter_error_rad = nominal.counter_zero_rad - hardware.counter_zero_rad
-    scale_error = hardware.rad_per_count / nominal.rad_per_count - 1.0
-    motor = turning_points.motor_rad - (hardstop_rad - config.hardstop_rad + counter_error_rad)[:, None]
-    motor += scale_error[:, None] * (turning_points.motor_rad - hardstop_rad[:, None])  # 0 at the hardstop
+    hardstop_error_rad = recording.start.hardstop_rad - config.hardstop_rad
+    counter_error_rad = nominal_hardware().counter_zero_rad - hardware.counter_zero_rad
+    motor = turning_points.motor_rad - (hardstop_error_rad + counter_error_rad)[:, None]
+    motor += scale_shift_rad(hardware, turning_points.motor_rad, recording.start.hardstop_rad)
     plant = _plant_with(recording.world, tuple(effects)) if hardware.each_cycle else None
     half_backlash_rad = config.half_backlash_rad
     load = settle_output(config.arm, motor, gravity).torque_Nm

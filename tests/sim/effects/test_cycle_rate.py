@@ -36,6 +36,7 @@ EFFECTS = (
     TransmissionError(JOINT, 3e-4, 2e-4, turns=60),
     FlexCable(JOINT, 20.0, 6.0, transition_rad=0.02),
     Counterbalance(JOINT, 20.0, -10.0),
+    AsymmetricFriction(JOINT, "positive", 20.0),
     LinkCreep(Frame.ARM3, "y", 2e-5, 1.0),
 )
 WHOLE = 8
@@ -75,12 +76,12 @@ def test_looked_at_twice_as_often_it_is_nearer(effect: EachCycle) -> None:
     assert np.all(rms_difference(effect, WHOLE // 2) < 0.8 * rms_difference(effect, WHOLE) + 0.01 * NOISE)
 
 
-def test_every_effect_of_each_cycle_is_looked_at_here_but_for_five() -> None:
+def test_every_effect_of_each_cycle_is_looked_at_here_but_for_four() -> None:
     """Delay and voltage are defined per cycle, and grease keeps its temperature.
 
-    A direction changes at a moment, and the joint that another one turns stands still here.
+    The joint that would turn another one stands still here.
     """
-    left = {CommandDelay, BusSag, ColdFriction, AsymmetricFriction, JointCoupling}
+    left = {CommandDelay, BusSag, ColdFriction, JointCoupling}
     assert {kind for kind in catalogue().values() if issubclass(kind, EachCycle)} == left | {
         type(e) for e in EFFECTS
     }

@@ -8,7 +8,7 @@ import numpy as np
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from sim.disturbance import Disturbance, at_joint
-from sim.effects.effect import EachCycle, Hardware, ParameterSpec
+from sim.effects.effect import EachCycle, Hardware, ParameterSpec, refuse_first_joint
 from sim.effects.gears import MotorSample, mean_speed_rad_s, sample_motor
 from sim.plant import Plant
 
@@ -51,7 +51,7 @@ class SharedSeal(EachCycle):
     """Friction at a speed of the other output of 0.02 rad/s."""
 
     def __post_init__(self) -> None:
-        _refuse_azimuth(self.joint)
+        refuse_first_joint(self.joint)
 
     def begin(self, plant: Plant, hardware: Hardware) -> MotorSample:
         """Return the first sample of the other motor."""
@@ -115,7 +115,7 @@ class TwoJointCable(EachCycle):
     """Sum of the angles without torque."""
 
     def __post_init__(self) -> None:
-        _refuse_azimuth(self.joint)
+        refuse_first_joint(self.joint)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
         """Return the torque, which is equal on both outputs."""
@@ -150,8 +150,3 @@ class FilteredSetpoint(EachCycle):
     def _present_setpoint(self, plant: Plant) -> Setpoint:
         angle_rad, rate_rad_s = plant.data.ctrl[2 * self.joint : 2 * self.joint + 2]
         return float(angle_rad), float(rate_rad_s)
-
-
-def _refuse_azimuth(joint: Joint) -> None:
-    if joint is Joint.AZIMUTH:
-        raise ValueError("joint: azimuth has no joint between itself and the rover")

@@ -9,28 +9,11 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.messages import Sensors
 from sim.disturbance import at_joint
-from sim.effects.effect import Effect, Hardware, ParameterSpec
+from sim.effects.effect import ParameterSpec, ReadingError
 
 
 @dataclass(frozen=True, slots=True)
-class _Reading(Effect):
-    """Effect that changes the readings of sensors."""
-
-    def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Add the error to the sensors."""
-        return replace(hardware, sensor_errors=(*hardware.sensor_errors, self))
-
-    def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """Return the wrong readings in place of the right ones."""
-        raise NotImplementedError
-
-    def update(self, sensors: Sensors) -> "_Reading":
-        """Return the same error, which has no state."""
-        return self
-
-
-@dataclass(frozen=True, slots=True)
-class SaturatingMotor(_Reading):
+class SaturatingMotor(ReadingError):
     """Motor whose iron saturates: it takes more current for a torque, by a share for each ampere.
 
     Its controller commands torques, so that nothing but the current changes.
@@ -46,7 +29,7 @@ class SaturatingMotor(_Reading):
 
 
 @dataclass(frozen=True, slots=True)
-class DriftingCurrent(_Reading):
+class DriftingCurrent(ReadingError):
     """Current sensor whose zero drifts at a constant rate from the begin of a run."""
 
     joint: Joint
@@ -59,7 +42,7 @@ class DriftingCurrent(_Reading):
 
 
 @dataclass(frozen=True, slots=True)
-class MagneticResolver(_Reading):
+class MagneticResolver(ReadingError):
     """Resolver in the stray field of its motor, which shifts its reading in proportion to the current."""
 
     joint: Joint

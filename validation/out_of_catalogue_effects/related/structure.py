@@ -25,7 +25,7 @@ class TwistUnderBending(EachCycle):
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
         """Turn the rest angle about each axis by the present load about the other one."""
         model, at = plant.model, [spring_address(plant, self.link, axis) for axis in ("x", self.axis)]
-        stiffness_Nm_rad = model.jnt_stiffness[[spring_joint(plant, address) for address in at]]
+        stiffness_Nm_rad = model.jnt_stiffness[model.dof_jntid[at]]
         load_Nm = stiffness_Nm_rad * (plant.data.qpos[at] - model.qpos_spring[at])
         compliance_rad_Nm = self.share / np.sqrt(stiffness_Nm_rad.prod())
         model.qpos_spring[at] = compliance_rad_Nm * load_Nm[::-1]
@@ -45,14 +45,14 @@ class OpeningFlange(EachCycle):
     def begin(self, plant: Plant, hardware: Hardware) -> float:
         """Return the stiffness as built."""
         bend = spring_address(plant, self.link, self.axis)
-        return float(plant.model.jnt_stiffness[spring_joint(plant, bend)])
+        return float(plant.model.jnt_stiffness[plant.model.dof_jntid[bend]])
 
     def cycle(self, plant: Plant, hardware: Hardware, state: float) -> tuple[float, Disturbance]:
         """Set the stiffness for the side to which the link is bent, with the compliance in series."""
         bend, sign = spring_address(plant, self.link, self.axis), 1.0 if self.side == "positive" else -1.0
         opens = sign * float(plant.data.qpos[bend] - plant.model.qpos_spring[bend]) > 0.0
         softer = 1.0 + self.compliance_rad_Nm * state * opens
-        plant.model.jnt_stiffness[spring_joint(plant, bend)] = state / softer
+        plant.model.jnt_stiffness[plant.model.dof_jntid[bend]] = state / softer
         return state, Disturbance()
 
 
@@ -67,9 +67,8 @@ class LiftingWheel(EachCycle):
 
     def begin(self, plant: Plant, hardware: Hardware) -> float:
         """Return the stiffness as built."""
-        return float(
-            plant.model.jnt_stiffness[spring_joint(plant, spring_address(plant, "rover", self.axis))]
-        )
+        at = spring_address(plant, "rover", self.axis)
+        return float(plant.model.jnt_stiffness[plant.model.dof_jntid[at]])
 
     def cycle(self, plant: Plant, hardware: Hardware, state: float) -> tuple[float, Disturbance]:
         """Set stiffness and rest angle for the present load, so that it is continuous at the moment."""
@@ -78,7 +77,7 @@ class LiftingWheel(EachCycle):
         if abs(angle_rad) > self.moment_Nm / state:
             stiffness_Nm_rad = state / (1.0 + self.compliance_rad_Nm * state)
             rest_rad = -self.compliance_rad_Nm * self.moment_Nm * float(np.sign(angle_rad))
-        plant.model.jnt_stiffness[spring_joint(plant, at)] = stiffness_Nm_rad
+        plant.model.jnt_stiffness[plant.model.dof_jntid[at]] = stiffness_Nm_rad
         plant.model.qpos_spring[at] = rest_rad
         return state, Disturbance()
 
@@ -86,8 +85,3 @@ class LiftingWheel(EachCycle):
 def spring_address(plant: Plant, spring: str, axis: str) -> int:
     """Return the index among MuJoCo's positions of the angle of a spring, of a link or the rover."""
     return int(plant.at.springs[SPRING_NAMES.index(spring)]["xyz".index(axis)])
-
-
-def spring_joint(plant: Plant, address: int) -> int:
-    """Return the index of the joint whose position is at an index of positions."""
-    return int(np.flatnonzero(plant.model.jnt_qposadr == address)[0])

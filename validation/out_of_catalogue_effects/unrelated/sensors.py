@@ -10,7 +10,7 @@ from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from sim.disturbance import at_joint
-from sim.effects.effect import Effect, Hardware, ParameterSpec, nominal_hardware
+from sim.effects.effect import Effect, Hardware, ParameterSpec, ReadingError, nominal_hardware
 
 RAD_PER_COUNT: Final = nominal_hardware().rad_per_count
 FULL_RAD_S: Final = 0.02
@@ -18,7 +18,7 @@ FULL_RAD_S: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True)
-class HeaterOnLine(Effect):
+class HeaterOnLine(ReadingError):
     """Heater behind the current sensor of a motor, which a thermostat switches on and off."""
 
     joint: Joint
@@ -26,14 +26,6 @@ class HeaterOnLine(Effect):
     """Current of the heater, which flows through the sensor beside that of the motor."""
     period_s: Annotated[float, ParameterSpec(0.1, 1e4, unit="s", typical=5.0)] = 5.0
     """Time from one switching on to the next; it is off in the first half."""
-
-    def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Add the error to the sensors."""
-        return replace(hardware, sensor_errors=(*hardware.sensor_errors, self))
-
-    def update(self, sensors: Sensors) -> "HeaterOnLine":
-        """Return the same error, which has no state."""
-        return self
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
         """Return readings with the current of the heater while it is on."""

@@ -9,7 +9,7 @@ import pytest
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import transform6_to_pose
 from ground.diagnosis.arm.audit import load_checked_recordings
-from ground.diagnosis.arm.diagnose_logs import prepare_diagnosis
+from ground.diagnosis.arm.diagnose_logs import flight_params, prepare_diagnosis
 from ground.diagnosis.arm.flight_effects import effects_of_params
 from ground.diagnosis.arm.logs import NotForDiagnosis
 from ground.diagnosis.arm.record import PARAMS_FILE, record_logs
@@ -40,7 +40,9 @@ def test_the_parameters_of_a_calibrated_arm_come_back_from_its_effects(seed: int
         largest = np.max(np.abs(other.compliance))
         np.testing.assert_allclose(one.compliance, other.compliance, atol=1e-6 * largest)
         np.testing.assert_allclose(one.far.com_m, other.far.com_m, atol=1e-9)
-        np.testing.assert_allclose(one.near.com_m, other.near.com_m, atol=1e-4)
+        np.testing.assert_allclose(one.near.com_m, other.near.com_m, atol=1e-6)
+        np.testing.assert_allclose(one.near.mass_kg, other.near.mass_kg, rtol=1e-12)
+        np.testing.assert_allclose(one.far.mass_kg, other.far.mass_kg, rtol=1e-12)
     ours, theirs = (numbers(params_table(one)["joints"]) for one in (found, params))
     np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
@@ -64,10 +66,10 @@ def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(
     known = arm_named("calibrated:7").params
     assert params_over_nominal(tmp_path / "logs" / PARAMS_FILE) == known
     job = prepare_diagnosis(DiagnoseRequest(logs=(tmp_path / "logs",)))
-    assert job.params == tmp_path / "logs" / PARAMS_FILE
+    assert job.base == known
     assert load_checked_recordings(logs, job.base)[0].params == known
     (tmp_path / "logs" / PARAMS_FILE).unlink()
-    assert prepare_diagnosis(DiagnoseRequest(logs=(tmp_path / "logs",))).base == known
+    assert flight_params(prepare_diagnosis(DiagnoseRequest(logs=(tmp_path / "logs",)))) == known
     with pytest.raises(NotForDiagnosis) as found:
         load_checked_recordings(logs, nominal_params())
     assert len(str(found.value).splitlines()) == 1
