@@ -16,16 +16,13 @@ from sim.frames import FLIP, P_NR_M
 from sim.record import Truth
 
 JOINT_NAMES = tuple(joint.name.lower() for joint in Joint)
-
 SPRING_NAMES = ("rover", "link1", "link2", "link3", "link4")
 SCREW_AXES = ("rx", "ry", "rz", "tx", "ty", "tz")
 """Axes of screws and springs: rotations, then translations."""
 
 HARD_FRICTION = 1e-4
-"""Factor on the inverse weight of dry friction, as MuJoCo's hardest regularisation is too soft.
-
-An output held by friction then creeps with a time constant of hours, not of four seconds.
-"""
+"""Factor on the inverse weight of dry friction, as MuJoCo's hardest regularisation is too soft. An output
+that friction holds then creeps with a time constant of hours, not of four seconds."""
 
 ALL_ACTUATORS = 0b111110
 """Bits of the actuator groups 1 to 5 of the motors; a set bit means no power."""
@@ -99,11 +96,11 @@ class Plant:
         gear_excess_s = match_reference_damping(model)
         self._rate_share = rate_gain / model.actuator_gainprm[:, RATE_GAIN]
         self._lead_s = (model.opt.timestep - REFERENCE_STEP_S) / 2
+        # the dual solver evaluates a servo at the start of a step: its torque at the end is that of the next
+        self._late_s = model.opt.timestep if model.opt.solver == mujoco.mjtSolver.mjSOL_PGS else 0.0
         self.steps_per_cycle = round(1.0 / (CYCLE_HZ * model.opt.timestep))
         if not np.isclose(self.steps_per_cycle * model.opt.timestep * CYCLE_HZ, 1.0, rtol=1e-12):
-            raise ValueError(
-                f"time step {model.opt.timestep} s does not divide the control cycle of 1/{CYCLE_HZ} s"
-            )
+            raise ValueError(f"time step {model.opt.timestep} s does not divide a cycle of 1/{CYCLE_HZ} s")
         turret = model.body("turret").id
         self.tools = tuple(model.body(k).name.upper() for k in np.flatnonzero(model.body_parentid == turret))
         """Names of the tools: the bodies on the turret."""
@@ -132,10 +129,9 @@ class Plant:
         self._built_quat = model.body_quat[self.at.bodies]
         self._built = Pose(rotation_matrices(self._built_quat), model.body_pos[self.at.bodies].T.copy())
         self._bands_rad = model.tendon_lengthspring[self.at.gear_tendons].copy()
-        damping = model.tendon_damping[self.at.gear_tendons]
-        stiffness = model.tendon_stiffness[self.at.gear_tendons]
-        self._free_damping_Nms_rad = damping.copy()
-        self._flank_damping_Nms_rad = damping - gear_excess_s * stiffness
+        self._free_damping_Nms_rad = model.tendon_damping[self.at.gear_tendons].copy()
+        added_Nms_rad = gear_excess_s * model.tendon_stiffness[self.at.gear_tendons]
+        self._flank_damping_Nms_rad = self._free_damping_Nms_rad - added_Nms_rad
         self._on_flank = np.zeros(len(Joint), bool).tobytes()
         self._friction_Nm = model.dof_frictionloss[self.at.motor].copy()
         self._damping_Nms_rad = model.dof_damping[self.at.motor].copy()
@@ -238,23 +234,30 @@ class Plant:
     def command(self, motor_rad: Array, rate_rad_s: Array) -> None:
         """Set the set-points of the motor controllers, each (5,), converted from those of the reference step.
 
-        A servo compares its set-point with the angle at the start of a step, half a step too early.
-        Only the feedback of its rate is reduced by the damping that the integrator adds.
+        A servo compares its set-point with the angle at the start of a step, half a step too early. Only the
+        feedback of its rate is reduced by the damping that the integrator adds.
         """
         self.data.ctrl[0::2] = motor_rad - self._lead_s * rate_rad_s
         self.data.ctrl[1::2] = self._rate_share * rate_rad_s
 
     def step(self) -> None:
-        """Advance the physics by one control cycle.
+        """Advance the physics by one control cycle; the set-points, of its middle, move on at their rates.
+
+        If they stood still, torques would follow a saw-tooth, and a cold motor would stop in every cycle.
 
         Raises:
             PlantDiverged: MuJoCo counted a warning.
         """
         self.damp_gears()
-        end_s = self.data.time + 1.0 / CYCLE_HZ
-        mujoco.mj_step(self.model, self.data, self.steps_per_cycle)
+        end_s, h = self.data.time + 1.0 / CYCLE_HZ, self.model.opt.timestep
+        angle_rad, rate_rad_s = self.data.ctrl[0::2].copy(), self.data.ctrl[1::2] / self._rate_share
+        for k in range(self.steps_per_cycle):
+            self.data.ctrl[0::2] = angle_rad + rate_rad_s * (h * (k + 0.5 - self.steps_per_cycle / 2))
+            mujoco.mj_step(self.model, self.data)
         self.data.time = end_s  # a cycle is exact in binary, a step need not be
+        self.data.ctrl[0::2] += rate_rad_s * self._late_s
         self.update_motors()
+        self.data.ctrl[0::2] = angle_rad
         self._check()
 
     def damp_gears(self) -> None:
@@ -353,8 +356,7 @@ class Plant:
         )
 
     def _contact_force(self) -> float:
-        force = np.zeros(6)
-        total = 0.0
+        force, total = np.zeros(6), 0.0
         for k in range(self.data.ncon):
             mujoco.mj_contactForce(self.model, self.data, k, force)
             total += float(force[0])

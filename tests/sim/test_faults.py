@@ -191,7 +191,7 @@ EXPECTED = {
     "gravity biased": (SensorFault(NOW_S, "gravity_R_m_s2", "biased", 0, 0.5), TiltChanged),
     "gravity no number": (SensorFault(NOW_S, "gravity_R_m_s2", "nan", 1), SensorNotFinite),
     "seized": (JointSeized(NOW_S, Joint.ELBOW), MotorStalled),
-    "a twentieth of the torque": (WeakMotor(NOW_S, Joint.ELEVATION, 0.05), OverCurrent),
+    "a tenth of the torque": (WeakMotor(NOW_S, Joint.WRIST, 0.1), OverCurrent),
     "hot": (HotMotor(NOW_S, Joint.WRIST, 130.0), OverTemperature),
     "tilted": (TiltStep(NOW_S, 0.05, 0.0), TiltChanged),
     "cycles missed": (MissedCycles(NOW_S, 20), CyclesMissed),
@@ -269,14 +269,14 @@ def test_a_seized_joint_stands_and_the_others_go_on_until_flight_software_notice
 
 
 def test_a_weak_motor_draws_twice_the_current_for_the_same_torque():
-    calm, weak = moving().fork(), moving().fork((WeakMotor(now_s(), Joint.ELEVATION),))
+    calm, weak = moving().fork(), moving().fork((WeakMotor(now_s(), Joint.WRIST),))
     drawn = []
     for loop in (calm, weak):
         currents = [loop.cycle().sensors.current_A for _ in range(60)]
         drawn.append(np.mean(currents[20:], axis=0))
     times = drawn[1] / drawn[0]
-    assert times[Joint.ELEVATION] == pytest.approx(2.0, rel=0.1)
-    np.testing.assert_allclose(np.delete(times, Joint.ELEVATION), 1.0, rtol=0.1)
+    assert times[Joint.WRIST] == pytest.approx(2.0, rel=0.1)
+    np.testing.assert_allclose(np.delete(times, Joint.WRIST), 1.0, rtol=0.1)
 
 
 def test_flight_software_is_not_called_in_missed_cycles_and_the_last_drive_holds():
