@@ -10,7 +10,7 @@ from marsarm import (
     diagnose,
     effects_of_findings,
     record_logs,
-    verdict_sentences,
+    verdict_lines,
 )
 
 LOGS = Path("logs")
@@ -21,7 +21,7 @@ def main() -> None:
     record_logs(RecordRequest(LOGS, effects=("link-length:arm3.x:length_m=0.006",), sessions="poses-level-*"))
     request = DiagnoseRequest((LOGS,), (LOGS / "held-out",), catalogue="link-length", campaign=LOGS)
     result = diagnose(request)
-    print(*verdict_sentences(result), *effects_of_findings(result), sep="\n")
+    print(*verdict_lines(result), *effects_of_findings(result), sep="\n")
 
     figure, (length, tool) = plt.subplots(1, 2, figsize=(8, 4), layout="constrained")
     for finding in result.diagnosis.findings:

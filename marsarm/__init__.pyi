@@ -34,7 +34,7 @@ from ground.diagnosis.arm.output_files import effects_of_findings as effects_of_
 from ground.diagnosis.arm.record import record_logs as record_logs
 from ground.diagnosis.arm.request import DiagnoseRequest as DiagnoseRequest
 from ground.diagnosis.arm.request import RecordRequest as RecordRequest
-from ground.diagnosis.sentences import verdict_sentences as verdict_sentences
+from ground.diagnosis.sentences import verdict_lines as verdict_lines
 from ground.replay.replay import ReplayRequest as ReplayRequest
 from ground.replay.replay import replay as replay
 from ground.runs.place import place as place

@@ -40,6 +40,8 @@ class Family(StrEnum):
     INERTIA = "inertia"
     CONTACT = "contact"
     EXTERNAL = "external torque"
+    STRUCTURE = "structure"
+    """Links and base that bend; no effect of the catalogue of any robot is of this family."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -66,7 +66,7 @@ class Blocks:
     def _fill(self, model: ResidualModel, rows: Integers, block: Integers, names: tuple[str, ...]) -> None:
         self._model, self._rows = model, rows
         self.kind, self.unit, self.joints = model.kind, model.unit, model.joints
-        self.step_s, self.method = model.step_s, model.method
+        self.step_s, self.method, self.noise_std = model.step_s, model.method, model.noise_std
         self.motions = names
         self.repeat_of = ("",) * len(names)  # parts of a motion do not repeat one another
         self.motion_of: Integers = block

@@ -77,6 +77,7 @@ class EncoderResiduals:
     unit = "rad"
     by_motion = False
     step_s = 0.0
+    noise_std = 0.0
 
     def __init__(
         self, robot: Robot, motions: Sequence[Motion], keep: Mapping[tuple[str, str], Flags] | None = None

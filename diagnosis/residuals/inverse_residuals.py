@@ -63,6 +63,7 @@ class InverseResiduals:
     unit = "N m"
     by_motion = False
     step_s = 0.0
+    noise_std = 0.0
 
     def __init__(
         self, robot: Robot, motions: Sequence[Motion], keep: Mapping[tuple[str, str], Flags] | None = None

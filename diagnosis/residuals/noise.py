@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 
@@ -9,6 +10,9 @@ from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect
 from diagnosis.residuals.loss import pseudo_huber
 from diagnosis.residuals.residuals import ResidualModel
+
+NODES: Final = 40
+"""Nodes of the quadrature over a normal distribution, which gives the mean loss to a thousandth."""
 
 
 class WhitenedResiduals:
@@ -28,6 +32,7 @@ class WhitenedResiduals:
         self.raw, self.correlation = raw, correlation
         self.kind, self.unit, self.joints, self.motions = raw.kind, raw.unit, raw.joints, raw.motions
         self.by_motion, self.step_s, self.method = raw.by_motion, raw.step_s, raw.method
+        self.noise_std = raw.noise_std
         self.repeat_of, self.joint_of, self.motion_of = raw.repeat_of, raw.joint_of, raw.motion_of
         self.time_s = raw.time_s
         follows = np.zeros(len(raw.time_s), bool)
@@ -136,6 +141,8 @@ def noise_residuals(model: ResidualModel, residuals: Array, joint: int) -> Array
 def noise_losses(model: ResidualModel, residuals: Array, scales: Array) -> Array:
     """Return the mean pseudo-Huber loss that noise alone leaves at each joint.
 
+    Noise of a known level is normal; otherwise motions that repeat one another show it.
+
     Args:
         model: The residual model.
         residuals: (n,), in the unit of the model.
@@ -144,6 +151,10 @@ def noise_losses(model: ResidualModel, residuals: Array, scales: Array) -> Array
     Returns:
         (n_joints,), without a unit; 0 where no motion was repeated.
     """
+    if model.noise_std:
+        nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+        z = model.noise_std * nodes[:, None] / scales
+        return np.asarray(weights @ pseudo_huber(z) / weights.sum())
     found = np.zeros(len(model.joints))
     for joint, scale in enumerate(scales):
         z = noise_residuals(model, residuals, joint) / scale

@@ -38,6 +38,9 @@ class ResidualModel(Protocol):
     """How the residuals are made: a sentence for a report."""
     step_s: float
     """Time step of the simulation; 0 for a kind that simulates nothing."""
+    noise_std: float
+    """Standard deviation of the noise of all residuals, in their unit, if it is known to be white; 0: only
+    repeats show the noise."""
     by_motion: bool
     """True if `residuals` also takes sizes that differ from motion to motion, (n_candidates, n_motions, total
     sizes)."""

@@ -43,6 +43,7 @@ class SimulationResiduals:
     kind = "simulation"
     unit = "rad"
     by_motion = True
+    noise_std = 0.0
 
     def __init__(
         self,

@@ -40,8 +40,8 @@ class Candidate:
     """True if a size ends at a bound, or is not plausible beside the others."""
     gain: float
     """Share of what can be explained in left-out motions that it removes."""
-    chance: float
-    """Probability of so strong an effect if none is present."""
+    log_chance: float
+    """Natural logarithm of the probability of so strong an effect if none is present."""
 
 
 def choose(context: Context, present: FittedModel, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -55,7 +55,7 @@ def choose(context: Context, present: FittedModel, candidates: Sequence[Candidat
     Returns:
         Effects to accept; no two for one joint.
     """
-    good = [one for one in candidates if one.gain >= MIN_SHARE and one.chance <= FIRST_CHANCE]
+    good = [one for one in candidates if one.gain >= MIN_SHARE and one.log_chance <= np.log(FIRST_CHANCE)]
     good = [one for one in good if not one.at_bound]
     good = [one for one in good if not worsens_another(context, present, one)]
     groups: dict[tuple[int, ...], list[Candidate]] = {}
@@ -75,7 +75,8 @@ def choose(context: Context, present: FittedModel, candidates: Sequence[Candidat
 def choose_simplest(context: Context, candidates: Sequence[Candidate]) -> Candidate:
     """Choose the effect with the fewest sizes among those that do as well as the best.
 
-    As well means within one standard error of the best, in pairs (Breiman and others 1984).
+    As well means within one standard error of the best, in pairs (Breiman and others 1984). Where the noise
+    is known, the chance of an effect counts its sizes.
 
     Args:
         context: The context.
@@ -84,6 +85,8 @@ def choose_simplest(context: Context, candidates: Sequence[Candidate]) -> Candid
     Returns:
         The effect; of several with as few sizes the best.
     """
+    if context.model.noise_std:
+        return min(candidates, key=lambda one: one.log_chance)
     best = max(candidates, key=lambda one: one.gain)
     rows = best.fit.rows
     alike = [

@@ -4,12 +4,16 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from scipy.special import gammaln
+from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 from diagnosis.arrays import Array, Integers
 
 FALSE_ALARM: Final = 0.05
 """Largest probability of a name anywhere if no effect is present."""
+ASYMPTOTIC_FROM: Final = 300.0
+"""Half a chi-square above which its tail is computed by the leading term."""
 DRAWS: Final = 2000
 """Draws of a probability: one of 5 % is then right to half a percent."""
 
@@ -90,6 +94,37 @@ def stationary_p(n_base: int, change: Array, residual: Array, cluster: Integers,
     return float(fisher.sf(product**2 / max(variance, 1e-300) / n_sizes, n_sizes, freedom))
 
 
+def chi_square_log_p(statistic: float, freedom: float) -> float:
+    """Return the natural logarithm of the tail probability of a chi-square.
+
+    Far in the tail the probability underflows; there the leading term of the incomplete gamma function is
+    used, so that the order of strong effects is kept.
+
+    Args:
+        statistic: The statistic, without a unit.
+        freedom: Degrees of freedom.
+    """
+    x, half = max(statistic, 0.0) / 2.0, freedom / 2.0
+    if x <= ASYMPTOTIC_FROM:
+        return float(chi2.logsf(2.0 * x, freedom))
+    return float((half - 1.0) * np.log(x) - x - gammaln(half))
+
+
+def known_noise_log_p(before: Array, after: Array, n_sizes: int) -> float:
+    """Test whether an effect decreases the sum of squares by chance, where the noise is known (Wilks 1938).
+
+    Args:
+        before: Residuals without the effect over the standard deviation of the noise, (n_rows,), without a
+            unit.
+        after: The same with it, (n_rows,), without a unit.
+        n_sizes: Number of fitted sizes.
+
+    Returns:
+        Natural logarithm of the probability of the decrease, or a larger one, if the sizes are 0.
+    """
+    return chi_square_log_p(float(before @ before - after @ after), n_sizes)
+
+
 def count_distinct(directions: Sequence[Array]) -> float:
     """Count how many independent tests as many false alarms would raise as tests of these directions.
 
@@ -112,7 +147,11 @@ def count_distinct(directions: Sequence[Array]) -> float:
 
 
 def alternative_p(
-    other: tuple[Array, Array], rivals: Sequence[tuple[Array, Array]], cluster: Integers, seed: int
+    other: tuple[Array, Array],
+    rivals: Sequence[tuple[Array, Array]],
+    cluster: Integers,
+    seed: int,
+    noise_std: float = 0.0,
 ) -> float:
     """Test whether a model may be right although another fits better (Cox 1961).
 
@@ -126,12 +165,16 @@ def alternative_p(
         rivals: The same of all models that might have been found, (n_rows,) and (n_rows, n_sizes), without a
             unit, with the same weights, better one first.
         cluster: Cluster of each residual, (n_rows,), index from 0.
-        seed: Seed of the signs.
+        seed: Seed of the draws.
+        noise_std: Standard deviation of the noise in the same unit, if it is known; it is then drawn instead
+            of the signs.
 
     Returns:
         Probability of so large an advantage, or a larger one, in the sum of squares.
     """
     theirs, their_basis = other
+    if noise_std:
+        return _known_noise_alternative_p(other, rivals, seed, noise_std)
     n_clusters = int(cluster.max(initial=0)) + 1
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (DRAWS, n_clusters))
     signs[0] = 1.0  # the data themselves
@@ -151,3 +194,24 @@ def alternative_p(
         advantages.append(to_me - to_them - apart @ apart - 2.0 * drawn[:, -1])
     rounding = 1e-9 * float(theirs @ theirs)
     return float(np.mean(np.max(advantages, axis=0) >= advantages[0][0] - rounding))
+
+
+def _known_noise_alternative_p(
+    other: tuple[Array, Array], rivals: Sequence[tuple[Array, Array]], seed: int, noise_std: float
+) -> float:
+    """Test as `alternative_p` with drawn noise: only its products with the directions of the models count."""
+    theirs, their_basis = other
+    parts = [their_basis]
+    for mine, my_basis in rivals:
+        parts += [my_basis, (mine - theirs)[:, None]]
+    triangle = np.linalg.qr(np.column_stack(parts), mode="r")
+    drawn = noise_std * np.random.default_rng(seed).standard_normal((DRAWS, len(triangle))) @ triangle
+    products = np.split(drawn, np.cumsum([part.shape[1] for part in parts])[:-1], axis=1)
+    to_them = np.sum(products[0] ** 2, axis=1)
+    advantages = []
+    for k, (mine, my_basis) in enumerate(rivals):
+        apart = mine - theirs
+        to_me = np.sum((my_basis.T @ apart + products[1 + 2 * k]) ** 2, axis=1)
+        advantages.append(to_me - to_them - apart @ apart - 2.0 * products[2 + 2 * k][:, 0])
+    best = rivals[0][0]
+    return float(np.mean(np.max(advantages, axis=0) >= theirs @ theirs - best @ best))

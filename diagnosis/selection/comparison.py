@@ -47,7 +47,7 @@ def improvement_z(context: Context, rows: Integers, before: Array, after: Array)
 
 
 def knows_noise(context: Context, rows: Integers) -> bool:
-    """Return whether repeated motions show the noise of all joints.
+    """Return whether the noise of all joints is known, or shown by repeated motions.
 
     Args:
         context: The context.
@@ -56,7 +56,9 @@ def knows_noise(context: Context, rows: Integers) -> bool:
     Returns:
         True if they do.
     """
-    return bool(np.all(context.noise_loss[np.unique(context.model.joint_of[rows])] > 0.0))
+    return bool(context.model.noise_std) or bool(
+        np.all(context.noise_loss[np.unique(context.model.joint_of[rows])] > 0.0)
+    )
 
 
 def compare_motions(motion: Integers, before: Array, after: Array) -> float:

@@ -29,6 +29,8 @@ def cross_validate(context: Context, fits: Sequence[Fit]) -> Array:
 def cross_validate_each(context: Context, fits: Sequence[Fit]) -> list[Array]:
     """Predict the residuals of each motion without its fold, for each fit by itself.
 
+    Where the noise is known, nothing is left out: what sizes explain of known noise is known too.
+
     A fit without a fold begins at the optimum of all motions and takes one Newton step, with the
     Jacobian of that optimum. It is then simulated, so that nothing of its loss is linearised.
 
@@ -39,6 +41,9 @@ def cross_validate_each(context: Context, fits: Sequence[Fit]) -> list[Array]:
     Returns:
         The residuals of each fit when their motion was left out, over the scale of their joint, (n_rows,).
     """
+    joint_of = context.model.joint_of
+    if context.model.noise_std:
+        return [fit.residuals / context.scales[joint_of[fit.rows]] for fit in fits]
     points = []
     for fit in fits:
         sizes = np.tile(fit.sizes, (len(context.model.motions), 1))
@@ -46,7 +51,6 @@ def cross_validate_each(context: Context, fits: Sequence[Fit]) -> list[Array]:
             sizes[sorted(fold)] = step_without(context, fit, fold)
         points.append((fit.joint, sizes))
     rows = simulate(context, points, "cross-validation")
-    joint_of = context.model.joint_of
     return [row / context.scales[joint_of[fit.rows]] for fit, row in zip(fits, rows, strict=True)]
 
 

@@ -7,6 +7,8 @@ Hypotheses at different joints share a candidate where one joint scarcely moves 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -24,17 +26,19 @@ DAMPINGS: Final = (0.3, 3.0)
 CONVERGED: Final = 1e-3
 """Relative decrease of the loss below which a fit has converged; selection asks for changes of percents."""
 MAX_ITERATIONS: Final = 12
+SQUARES: Final = 100.0
+"""Scale of the loss over the largest residual at which it is a sum of squares, to 1e-4."""
 AT_ONCE: Final = 100
 """Most candidates in a call of the model: more cost as much each, and no progress would be told meanwhile."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Union:
     """All effects that are fitted in a diagnosis, and the place of their sizes in one vector."""
 
     effects: tuple[Effect, ...]
 
-    @property
+    @cached_property
     def sizes(self) -> tuple[Size, ...]:
         """Sizes of all effects, one after the other."""
         return tuple(size for effect in self.effects for size in effect.sizes)
@@ -60,11 +64,17 @@ class Union:
         Returns:
             Indices, (n_sizes,).
         """
+        return np.concatenate([np.empty(0, np.int64), *(self._columns[effect.key] for effect in effects)])
+
+    @cached_property
+    def _columns(self) -> dict[str, Integers]:
+        """Columns of the sizes of each effect, by its key."""
         starts = np.cumsum([0, *(len(effect.sizes) for effect in self.effects)])
-        where = {effect.key: k for k, effect in enumerate(self.effects)}
-        chosen = [where[effect.key] for effect in effects]
-        ranges = [np.arange(starts[k], starts[k + 1]) for k in chosen]
-        return np.concatenate([np.empty(0, np.int64), *ranges]).astype(np.int64)
+        ranges = pairwise(starts)
+        return {
+            effect.key: np.arange(first, last, dtype=np.int64)
+            for effect, (first, last) in zip(self.effects, ranges, strict=True)
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +127,8 @@ def gather_residuals(fits: Sequence[Fit], n_rows: int) -> Array:
 def scale_residuals(model: ResidualModel, residuals: Array) -> Array:
     """Return a robust standard deviation for the residuals of each joint.
 
+    Known noise is normal, and its loss is a sum of squares: that of a scale which no residual comes near.
+
     Args:
         model: The residual model.
         residuals: (n,), in the unit of the model.
@@ -125,6 +137,8 @@ def scale_residuals(model: ResidualModel, residuals: Array) -> Array:
         Scales by joint, (n_joints,), 1.4826 times the median of the absolute residuals.
     """
     scales = np.ones(len(model.joints))
+    if model.noise_std:
+        return SQUARES * max(model.noise_std, float(np.max(np.abs(residuals), initial=0.0))) * scales
     for joint in range(len(model.joints)):
         chosen = np.abs(residuals[model.joint_of == joint])
         if len(chosen):

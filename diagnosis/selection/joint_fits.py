@@ -53,10 +53,10 @@ def fit_base(context: Context) -> tuple[Context, FittedModel]:
     context = replace(context, scales=scale_residuals(raw, residuals))
     context = share_simulations(context, sizes, [*context.base, *others])
     sizes, residuals, _ = fit_all_joints(context, sizes)
-    if len(raw.motions) < MIN_MOTIONS:
+    if len(raw.motions) < MIN_MOTIONS and not raw.noise_std:
         raw = cut_into_blocks(raw, residuals)
     n_parts = _count_motions(raw)
-    if n_parts < MIN_MOTIONS:
+    if n_parts < MIN_MOTIONS and not raw.noise_std:
         raise RobotError(
             f"{n_parts} motions or independent parts of them are fitted; a diagnosis needs "
             f"{MIN_MOTIONS} at least, because it judges effects by motions that it leaves out"

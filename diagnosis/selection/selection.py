@@ -15,7 +15,7 @@ from diagnosis.residuals.blocks import count_independent
 from diagnosis.residuals.loss import pseudo_huber
 from diagnosis.residuals.residuals import ResidualModel
 from diagnosis.selection.acceptance import MIN_SHARE, MIN_Z, Candidate, choose
-from diagnosis.selection.chance import FALSE_ALARM, count_distinct
+from diagnosis.selection.chance import FALSE_ALARM, count_distinct, known_noise_log_p
 from diagnosis.selection.checkpoint import Checkpoint
 from diagnosis.selection.comparison import improvement_share, improvement_z, knows_noise
 from diagnosis.selection.context import (
@@ -209,7 +209,8 @@ def screen(
         # a misfit that the best effect explains is no memory of the noise
         n = count_independent(context.model, white[joint].rows, rest[joint]) if scores else 0
         ranked.append(sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n)))
-    n_distinct = sum(count_distinct(group) for group in directions.values())
+    count = len if context.model.noise_std else count_distinct  # known noise: exact, and so is Bonferroni
+    n_distinct = float(sum(count(group) for group in directions.values()))
     return [score for group in ranked for score in group[:SHORTLIST]], n_distinct
 
 
@@ -300,10 +301,10 @@ def judge(
     candidates, without = [], gather_residuals(present.fits, context.model.joint_of.size)
     for effect, fit, left_out in zip(effects, fits, cross_validate_each(context, fits), strict=True):
         gain = improvement_share(context, fit.rows, present.left_out[fit.rows], left_out)
-        chance = find_chance(context, [fit], effect, without)
+        log_chance = find_log_chance(context, [fit], effect, without)
         at_bound = is_at_bound(context, present.effects, effect, fit)
         candidates.append(
-            Candidate(effect, joints_of(context, effect), fit, left_out, at_bound, gain, chance)
+            Candidate(effect, joints_of(context, effect), fit, left_out, at_bound, gain, log_chance)
         )
     return candidates
 
@@ -365,9 +366,9 @@ def drop_needless(
                 rows = select_rows(context.model, joint)
                 pair = without.left_out[rows], present.left_out[rows]
                 gain, z = improvement_share(context, rows, *pair), improvement_z(context, rows, *pair)
-                chance = find_chance(context, fits_at(context, present, joint), effect, residuals)
+                chance = find_log_chance(context, fits_at(context, present, joint), effect, residuals)
                 is_sure = z > MIN_Z or knows_noise(context, rows)
-                is_needed = gain >= MIN_SHARE and chance <= FALSE_ALARM and is_sure
+                is_needed = gain >= MIN_SHARE and chance <= np.log(FALSE_ALARM) and is_sure
                 failed += [] if is_needed else [(z, effect)]
         if not failed:
             return present, left_out
@@ -375,8 +376,8 @@ def drop_needless(
         present = leave_out(context, present, weakest)
 
 
-def find_chance(context: Context, fits: Sequence[Fit], effect: Effect, without: Array) -> float:
-    """Return the probability of so strong an effect, beside all others, if none is present.
+def find_log_chance(context: Context, fits: Sequence[Fit], effect: Effect, without: Array) -> float:
+    """Return the logarithm of the probability of so strong an effect, beside all others, if none is present.
 
     Args:
         context: The context.
@@ -385,10 +386,14 @@ def find_chance(context: Context, fits: Sequence[Fit], effect: Effect, without: 
         without: Residuals of a fit without it, (n,), in the unit of the model.
 
     Returns:
-        Probability by a Wald test, times the number of distinct effects that compete (Bonferroni). The noise
-        counts as stationary where repeats show it.
+        Probability by a Wald test, or that of a decrease of known noise, times the number of distinct effects
+        that compete (Bonferroni). The noise counts as stationary where repeats show it.
     """
-    own = context.union.columns([effect])
+    own, std = context.union.columns([effect]), context.model.noise_std
+    if std:
+        rows, after = (np.concatenate([getattr(fit, of) for fit in fits]) for of in ("rows", "residuals"))
+        log_p = known_noise_log_p(without[rows] / std, after / std, len(own))
+        return min(0.0, float(np.log(context.n_distinct)) + log_p)
     is_stationary = all(knows_noise(context, fit.rows) for fit in fits)
     chance = refit_p(fits, own, without, context.model, context.scales, is_stationary)
-    return min(1.0, context.n_distinct * chance)
+    return float(np.log(max(min(1.0, context.n_distinct * chance), np.finfo(float).tiny)))

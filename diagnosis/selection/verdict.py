@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.stats import norm
 from scipy.stats import t as student
 
 from diagnosis.arrays import Array, Integers, orthonormal
@@ -146,8 +147,9 @@ def _cause_p(
     models = [(r[rows] * weight, orthonormal(j[rows] * weight[:, None])) for r, j in parts]
     # what the finding explains is no noise, and would make blocks so long that nothing is excluded
     cluster = cut_rows(model, rows, models[0][0])
+    std = model.noise_std / float(np.max(context.scales[joints]))
     return [
-        alternative_p(models[k], [*models[:k], *models[k + 1 :]], cluster, context.seed)
+        alternative_p(models[k], [*models[:k], *models[k + 1 :]], cluster, context.seed, std)
         for k in range(1, len(models))
     ]
 
@@ -167,6 +169,7 @@ def size_intervals(context: Context, fit: Fit) -> Array:
 
     The covariance is the sandwich with motions as clusters: residuals of one motion may depend on one another
     in any way (Liang and Zeger 1986). The quantile is that of Student's t with one degree less than motions.
+    Where the noise is known, it is that of least squares, and the quantile is normal.
 
     Args:
         context: The context.
@@ -183,17 +186,24 @@ def size_intervals(context: Context, fit: Fit) -> Array:
     slope, curvature = half_loss_derivatives(z)
     prior = (unit / np.array([size.prior_std for size in sizes])) ** 2
     inverse = np.linalg.pinv(a.T @ (a * curvature[:, None]) + np.diag(prior), rcond=1e-12, hermitian=True)
-    motion = context.model.motion_of[fit.rows]
-    n = len(np.unique(motion))
-    slopes = np.array([a[motion == k].T @ slope[motion == k] for k in np.unique(motion)]).reshape(
-        n, len(sizes)
-    )
-    middle = slopes.T @ slopes * (n / max(n - 1, 1)) + np.diag(prior)
-    covariance = inverse @ middle @ inverse
-    sigma = unit * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    half = student.ppf(0.5 + 0.5 * COVERED, max(n - 1, 1)) * sigma
+    n = len(np.unique(context.model.motion_of[fit.rows]))
+    quantile = student.ppf(0.5 + 0.5 * COVERED, max(n - 1, 1))
+    if context.model.noise_std:
+        quantile = norm.ppf(0.5 + 0.5 * COVERED)
+        covariance = inverse * (context.model.noise_std / float(np.max(context.scales))) ** 2
+    else:
+        covariance = inverse @ (_scatter_of_motions(context, fit, a, slope) + np.diag(prior)) @ inverse
+    half = quantile * unit * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     at = fit.sizes[fit.columns]
     return np.column_stack([at - half, at + half])
+
+
+def _scatter_of_motions(context: Context, fit: Fit, a: Array, slope: Array) -> Array:
+    """Return the covariance of the gradient from its sums over motions, (n_free, n_free)."""
+    motion = context.model.motion_of[fit.rows]
+    sums = np.array([a[motion == k].T @ slope[motion == k] for k in np.unique(motion)])
+    n = len(sums)
+    return np.asarray(sums.T @ sums * (n / max(n - 1, 1)))
 
 
 def separating_motion(context: Context, found: ConfidenceSet) -> str:

@@ -1,4 +1,4 @@
-"""Define the verbs of the diagnosis: `gap record` and `diagnose`."""
+"""Define the verbs of the diagnosis: `gap record`, `gap demo` and `diagnose`."""
 
 import sys
 
@@ -7,18 +7,13 @@ import typer
 from ground.cli.verb import VerbResult, verb
 from ground.common.errors import BadRequest
 from ground.common.progress import Progress
-from ground.diagnosis.arm.request import DiagnoseRequest, RecordRequest
+from ground.diagnosis.arm.request import DemoRequest, DiagnoseRequest, RecordRequest
 
 gap_app = typer.Typer(
-    help="Record logs from which `marsarm diagnose` finds why arm and simulation differ.\n\n"
-    "Example: marsarm gap record --out logs",
+    help="Record logs from which `marsarm diagnose` finds why arm and simulation differ, or try it.\n\n"
+    "Example: marsarm gap demo --seed 3",
     no_args_is_help=True,
 )
-
-
-@gap_app.callback()
-def _group() -> None:
-    """Make typer keep `record` as a verb, though it is the only one of the group."""
 
 
 @gap_app.command()
@@ -37,11 +32,42 @@ def record(request: RecordRequest, progress: Progress) -> VerbResult:
     return VerbResult(document, lambda: print(f"{len(paths)} logs in {request.out}"))
 
 
+@gap_app.command()
+@verb
+def demo(request: DemoRequest, progress: Progress) -> VerbResult:
+    """Draw an effect that is not printed, record an arm with it, diagnose the logs, and open the seal.
+
+    In one of four demonstrations the catalogue lacks the effect; in one of ten there is none. The first
+    demonstration computes the sensitivities of the campaign, which takes minutes; later ones take one.
+
+    Example: marsarm gap demo --seed 3
+    """
+    from ground.diagnosis.arm.demo import demo_json, run_demo
+    from ground.diagnosis.tables import print_diagnosis
+    from ground.render.console import plain_console
+
+    def publish(digest: str) -> None:
+        print(f"SHA-256 of the truth: {digest}", file=sys.stderr)
+
+    found = run_demo(request, progress, publish)
+
+    def print_demo() -> None:
+        print_diagnosis(found.result)
+        truth = found.truth
+        on = f"{truth.spec}, {truth.times_limit:.1f} detection limits" if truth.spec else "no effect"
+        plain_console().print(
+            f"{'Truth:':<9}{on}{'; left out of the catalogue' if truth.kind == 'left out' else ''}"
+        )
+        plain_console().print(f"{'Right:':<9}{'yes' if found.is_right else 'no'}: {found.reason}.")
+
+    return VerbResult(demo_json(found), print_demo)
+
+
 @verb
 def diagnose(request: DiagnoseRequest, progress: Progress) -> VerbResult:
     """Find why an arm and its simulation differ: the effect, its place and the residual that remains.
 
-    The verdict is a name, a set of names, none (no effect is detected) or unknown (not in the catalogue).
+    Four lines say where the gap is, its cause and how sure that is, how far it shrinks, and what to record.
 
     Example: marsarm diagnose logs/ --held-out more/ --report gap.html --patch found.toml
     """

@@ -14,7 +14,7 @@ from fsw.kinematics.transforms import Array
 from ground.diagnosis.detectability import noncentrality
 from ground.diagnosis.diagnose import Diagnosis
 from ground.diagnosis.normal_equations import NormalEquations, Whitener, build_whitener
-from ground.diagnosis.problem import INTERVAL_QUANTILES, FeatureLayout, Hypothesis
+from ground.diagnosis.problem import INTERVAL_QUANTILES, FeatureLayout
 from ground.diagnosis.sensitivity import Sensitivities
 
 NOISE_DRAWS: Final = 2000
@@ -234,16 +234,3 @@ def compute_held_out_residuals(
         for fit in (diagnosis.null_fit, diagnosis.effect_fit)
     )
     return HeldOutResiduals(held_out_model, np.asarray(before), np.asarray(after - change))
-
-
-def effect_values(diagnosis: Diagnosis) -> dict[Hypothesis, Array]:
-    """Return the values of the findings in the form that a simulator takes.
-
-    Args:
-        diagnosis: Diagnosis with findings.
-
-    Returns:
-        Values of all p parameters of each effect in their units, shape (p,).
-    """
-    hypotheses = diagnosis.equations.hypotheses
-    return {hypotheses[finding.hypothesis]: finding.values for finding in diagnosis.findings}

@@ -80,7 +80,9 @@ class Detectability:
     """Detection limit in typical sizes, all amplitudes growing together; infinite if it is not
     identifiable."""
     blocks: float
-    """Effective number of blocks that show it; below 2 it cannot be cross-validated."""
+    """Effective number of blocks that show it."""
+    family_wise_limit: float
+    """Detection limit in the race of all hypotheses, whose false alarms together have 5 %."""
 
 
 @cache
@@ -95,21 +97,29 @@ def detection_limits(equations: NormalEquations) -> tuple[Detectability, ...]:
 
     The test against no effect has 5 % false alarm, with nuisances free. Its statistic is a noncentral
     chi-square of k degrees with noncentrality a'R a for amplitudes a. Typical sizes give a = limit * scale.
-    The effective number of blocks is the inverse of the sum of squared shares of information lost with each
+    In the race of all hypotheses each class has its share of half of that (Bonferroni); the test of what
+    remains has the other half. The
+    effective number of blocks is the inverse of the sum of squared shares of information lost with each
     block.
     """
     result = []
     lost = equations.R[-1] - equations.R[:-1]
+    n_classes = np.unique(equivalence_classes(equations)[equations.identifiable]).size
+    false_alarm_of_each = TEST_FALSE_ALARM / 2.0 / max(n_classes, 1)
     for index, seen in enumerate(equations.identifiable):
         at = np.flatnonzero(equations.owner == index)
         typical = equations.scale[at]
         information = float(typical @ equations.R[-1][np.ix_(at, at)] @ typical)
         if not seen or information <= 0.0:
-            result.append(Detectability(np.inf, 0.0))
+            result.append(Detectability(np.inf, 0.0, np.inf))
             continue
         share = np.maximum(np.einsum("i,bij,j->b", typical, lost[:, at[:, None], at], typical), 0.0)
         blocks = float(share.sum() ** 2 / np.sum(share**2))
-        result.append(Detectability(float(np.sqrt(noncentrality(at.size) / information)), blocks))
+        alone, family_wise = (
+            float(np.sqrt(noncentrality(at.size, POWER, by) / information))
+            for by in (TEST_FALSE_ALARM, false_alarm_of_each)
+        )
+        result.append(Detectability(alone, blocks, family_wise))
     return tuple(result)
 
 

@@ -1,41 +1,28 @@
 """Diagnosis of one case, from residuals to verdict.
 
-`diagnose` runs these steps. It selects effects with the linear model (`selection`), and fits them with the
-simulator (`nonlinear_fit`). It linearises the equations at that fit, and selects once more. It tests what
-remains (`residual_analysis`), estimates how sure the choice is (`bootstrap`, `confidence`), and decides.
+`diagnose` runs these steps. It selects effects with the sensitivities, by the engine that diagnoses any robot
+(`diagnosis.selection`). It simulates those that are larger than what the sensitivities were made for, and
+selects again. It tests what remains (`residual_analysis`), and says at which level each effect is known.
 """
 
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
-from scipy.stats import norm
 
+from diagnosis.effects.effect import Family
+from diagnosis.selection.verdict import ConfidenceSet, find_confidence_sets
 from fsw.kinematics.transforms import Array
-from ground.diagnosis.bootstrap import (
-    Alternatives,
-    bootstrap_selections,
-    find_alternatives,
-    replacement_deviances,
+from ground.diagnosis.feature_residuals import (
+    FeatureEffect,
+    WhitenAll,
+    build_full_whitener,
+    parameter_values,
 )
-from ground.diagnosis.confidence import ConfidenceFeatures, compute_confidence_features
 from ground.diagnosis.linear_fit import LinearFit, fit_linear, whitened_residual
 from ground.diagnosis.model import DiagnosisModel
-from ground.diagnosis.nonlinear_fit import (
-    NonlinearFit,
-    QuadraticSurrogate,
-    SimulatorResponse,
-    fit_nonlinear,
-    linearise_at,
-)
-from ground.diagnosis.normal_equations import (
-    NormalEquations,
-    RightHandSide,
-    form_normal_equations,
-    reduce_features,
-    reduce_residuals,
-)
-from ground.diagnosis.problem import INTERVAL_QUANTILES, Hypothesis, Residuals, Simulator
+from ground.diagnosis.normal_equations import NormalEquations, form_normal_equations, reduce_residuals
+from ground.diagnosis.problem import EffectValues, Residuals, Simulator
 from ground.diagnosis.residual_analysis import (
     FeatureGroup,
     LackOfFit,
@@ -43,55 +30,59 @@ from ground.diagnosis.residual_analysis import (
     find_lack_of_fit,
     map_residual,
 )
-from ground.diagnosis.selection import CandidateSet, Selection, Subset, select_effects
+from ground.diagnosis.selection import Selection, select
+from ground.diagnosis.sensitivity import Sensitivities
 
-SHORTLIST: Final = 4
-"""Number of single hypotheses that are linearised again beside those chosen."""
+MAX_SIMULATIONS: Final = 3
+"""Greatest number of times that the selected effects are simulated at their estimates."""
+BEYOND: Final = 1.1
+"""Departure, over the largest that was simulated, from which on an effect is simulated anew: up to there, a
+parabola that is continued as a line is right to a tenth of its curvature."""
+MAX_MEMBERS: Final = 3
+"""Most members of a set: more effects are told as their families, more families as their places."""
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ModelComparison:
-    """Two sets of effects compared by simulation, each with its own nuisances."""
-
-    chosen: Subset
-    """Baseline: the set of effects that explains the case better."""
-    fit: NonlinearFit
-    """Nonlinear fit of the baseline, with its own nuisances."""
-    runner_up: Subset
-    deviance_margin: float
-    """Advantage of the baseline in deviance, parameters counted; infinite if the runner-up is at a bound."""
-
-    def replacement_for(self, one: int, chosen: Subset) -> int | None:
-        """Return the runner-up's hypothesis in place of `one`; None if the baseline is not the choice."""
-        others = set(chosen) - {one}
-        if set(chosen) != set(self.chosen) or one in self.runner_up or not others < set(self.runner_up):
-            return None
-        (other,) = set(self.runner_up) - others
-        return other
+Verdict = Literal["found", "none", "unknown"]
+"""Effects are found; nothing is; or something remains, and no effect explains it."""
+Level = Literal["size", "effect", "family", "place", "unlocated"]
+"""What is known of a cause: one effect with its size, a few effects, only their families, only their places,
+or not even that."""
 
 
-Verdict = Literal["named", "set", "none", "unknown"]
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """Effect that may be the cause in place of a finding, or the finding itself."""
+
+    hypothesis: int
+    """First hypothesis of its equivalence class."""
+    p: float
+    """Probability that the finding fits so much better, or more, if this is the cause."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
-    """Selected effect, with fitted values and alternatives."""
+    """Selected effect, with fitted values, and what may be the cause in its place."""
 
     hypothesis: int
     values: Array
     """Fitted values of all parameters, in their order and units, shape (p,)."""
     least: Array
-    """Lower end of the 90 % intervals within the bounds, shape (p,);
-    NaN for a shape parameter that the data do not determine."""
+    """Lower end of the 90 % intervals within the bounds, shape (p,); NaN for a shape parameter."""
     most: Array
     """Upper end, shape (p,)."""
     share: float
-    """Share of the explained deviance that is lost without this effect."""
-    alternatives: Alternatives
+    """Share of what can be explained that comes back without this effect."""
+    level: Level
+    alternatives: tuple[Alternative, ...]
+    """Effects that cannot be excluded at 5 %, one of each equivalence class, the finding first. They are the
+    causes that are possible if the cause is in the catalogue at all."""
     equivalence_class: tuple[int, ...]
-    """Equivalence class: hypotheses that this campaign cannot distinguish."""
-    at_bound: tuple[str, ...] = ()
-    """Names of the parameters that are at a bound; such an effect is not accepted as a cause."""
+    """Hypotheses that this campaign cannot distinguish from the finding, itself included."""
+    places: tuple[str, ...]
+    """Set of places, the best first; empty if there are more than MAX_MEMBERS."""
+    families: tuple[Family, ...]
+    """Set of families; empty if the level is "place" or "unlocated"."""
+    effects: tuple[int, ...]
+    """Set of effects, one hypothesis of each class; empty if the level is "family" or less."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,15 +91,8 @@ class Diagnosis:
 
     verdict: Verdict
     findings: tuple[Finding, ...]
-    """Selected effects; with verdict "unknown" the nearest ones, which are not accepted."""
-    ranking: Subset
-    """Single hypotheses that explain anything, best first, whether or not there is an effect."""
-    neg_log10_p: float
-    """-log10 p of the best single hypothesis, without effect."""
     unexplained: tuple[LackOfFit, ...]
     """Lack-of-fit tests after the findings, most significant first."""
-    unexplained_neg_log10_p: float
-    """Greatest -log10 p of those tests and, if there are findings, of one more hypothesis."""
     residual_map: tuple[ResidualCell, ...]
     """Map of the residual without effects, nuisances fitted."""
     null_fit: LinearFit
@@ -117,28 +101,20 @@ class Diagnosis:
     """Linear fit of nuisances and findings."""
     equations: NormalEquations
     """Normal equations that `effect_fit` refers to."""
-    log_odds: float = float("nan")
-    """Log-odds that the findings are the causes (see `confidence`); NaN without findings."""
+    has_remainder: bool
+    """True if what is left after the findings has structure."""
 
 
 def diagnose(
-    model: DiagnosisModel,
-    residuals: Residuals,
-    seed: int,
-    simulator: Simulator | None = None,
-    comparison: ModelComparison | None = None,
+    model: DiagnosisModel, residuals: Residuals, seed: int, simulator: Simulator | None = None
 ) -> Diagnosis:
     """Diagnose one case.
-
-    If two models were compared by simulation, the winner is the baseline, and the loser can be reported as an
-    alternative.
 
     Args:
         model: Diagnosis model of the campaign.
         residuals: Residuals of the case.
-        seed: Seed of the bootstrap.
-        simulator: Simulator for the fit of the selected effects; None for the quadratic surrogate.
-        comparison: Two sets of effects that were compared by simulation already, if any.
+        seed: Seed of all random draws.
+        simulator: Simulator for effects beyond the reach of the sensitivities; None to extrapolate these.
 
     Returns:
         Verdict, findings, and what remains unexplained.
@@ -146,189 +122,142 @@ def diagnose(
     rhs, y = reduce_residuals(model.equations, residuals)
     null_fit = fit_linear(model.equations, rhs, model.equations.columns(()))
     cells = map_residual(residuals.layout, whitened_residual(model.equations, null_fit, y), seed)
-    selection = select_effects(model.candidates, rhs)
-    candidates, first = model.candidates, selection.chosen if comparison is None else comparison.chosen
-    if first:
-        fit = fit_subset(model, y, rhs, first, simulator) if comparison is None else comparison.fit
-        candidates = _relinearise(model, candidates, rhs, y, first, selection.ranking, fit)
-        selection = select_effects(candidates, reduce_features(candidates.equations, y))
-    if not selection.chosen:
-        return _no_effect(model, selection, null_fit, y, cells, bool(first))
-    if set(selection.chosen) == set(first):
-        fit = fit.in_order([first.index(one) for one in selection.chosen])
-    else:
-        fit = fit_subset(model, y, rhs, selection.chosen, simulator)
-        candidates = _relinearise(model, candidates, rhs, y, selection.chosen, selection.ranking, fit)
-    equations, refitted_rhs = candidates.equations, reduce_features(candidates.equations, y)
-    effect_fit = fit_linear(equations, refitted_rhs, equations.columns(selection.chosen))
-    remaining = find_lack_of_fit(equations, _project_groups(model, equations), effect_fit, y)
-    features = compute_confidence_features(
-        candidates, model.cosine, refitted_rhs, selection.chosen, selection.shares, remaining[0].neg_log10_p
-    )
-    findings = _make_findings(model, candidates, refitted_rhs, selection, fit, seed, comparison)
-    verdict, structure = _decide(model, findings, features), max(features.lack_of_fit, features.addition)
-    return Diagnosis(
-        verdict, findings, selection.ranking, selection.neg_log10_p, remaining, structure, cells, null_fit,
-        effect_fit, equations, model.thresholds.confidence.log_odds(features),
-    )  # fmt: skip
+    whiten = build_full_whitener(model.sensitivities)
+    selection, sensitivities = select_simulated(model, whiten, residuals.value, seed, simulator)
+    for h, a in zip(selection.chosen, selection.departures, strict=True):
+        sensitivities = sensitivities.linearised(h, a)
+    equations = form_normal_equations(sensitivities) if selection.chosen else model.equations
+    rhs, y = reduce_residuals(equations, residuals)
+    effect_fit = fit_linear(equations, rhs, equations.columns(selection.chosen))
+    unexplained = find_lack_of_fit(equations, _project_groups(model, equations), effect_fit, y)
+    has_remainder = unexplained[0].neg_log10_p >= model.lack_of_fit_limit
+    findings = _describe_findings(model, selection, has_remainder)
+    verdict: Verdict = "found" if findings else "unknown" if has_remainder else "none"
+    return Diagnosis(verdict, findings, unexplained, cells, null_fit, effect_fit, equations, has_remainder)
 
 
-def fit_subset(
-    model: DiagnosisModel, y: Array, rhs: RightHandSide, chosen: Subset, simulator: Simulator | None
-) -> NonlinearFit:
-    """Fit some hypotheses together, starting from their linear estimate.
+def select_simulated(
+    model: DiagnosisModel, whiten: WhitenAll, value: Array, seed: int, simulator: Simulator | None
+) -> tuple[Selection, Sensitivities]:
+    """Select effects; simulate those beyond the reach of their sensitivities, and select again.
 
     Args:
         model: Diagnosis model of the campaign.
-        y: Whitened features, shape (m,).
-        rhs: Right-hand side of the same case.
-        chosen: Hypotheses to fit.
-        simulator: Simulator for the final fit; None to stop at the quadratic surrogate.
+        whiten: Its full whitener.
+        value: Measured minus nominal features in the units of the channels, (m,).
+        seed: Seed of the engine.
+        simulator: Simulator of the case; None to extrapolate.
 
     Returns:
-        Nonlinear fit, effects in the order of `chosen`.
+        The last selection, and the sensitivities that it used.
     """
-    surrogate = QuadraticSurrogate(model.sensitivities)
-    fit = fit_nonlinear(surrogate, model.equations, y, _linear_start(model, rhs, chosen))
-    if simulator is None:
-        return fit
-    near = dict(zip(fit.hypotheses, fit.values, strict=True))
-    return fit_nonlinear(SimulatorResponse(simulator, surrogate), model.equations, y, near)
+    sensitivities, excluded = model.sensitivities, frozenset[int]()
+    selection = select(model, sensitivities, whiten, value, seed)
+    for _ in range(MAX_SIMULATIONS):
+        far = [
+            (h, a)
+            for h, a in zip(selection.chosen, selection.departures, strict=True)
+            if np.any(np.abs(a) > BEYOND * sensitivities.reach[sensitivities.owner == h])
+        ]
+        if simulator is None or not far:
+            break
+        for h, a in far:
+            change = _simulate(model, simulator, h, a)
+            if change is None:
+                excluded |= {h}
+            else:
+                sensitivities = sensitivities.with_simulated(h, a, change)
+        selection = select(model, sensitivities, whiten, value, seed, excluded)
+    return selection, sensitivities
 
 
-def _no_effect(
-    model: DiagnosisModel,
-    selection: Selection,
-    null_fit: LinearFit,
-    y: Array,
-    cells: tuple[ResidualCell, ...],
-    rejected: bool,
-) -> Diagnosis:
-    """Report no effect; "unknown" if structure remains or if selected effects were rejected."""
-    remaining = find_lack_of_fit(model.equations, model.groups, null_fit, y)
-    structure = remaining[0].neg_log10_p
-    verdict: Verdict = "unknown" if rejected or structure >= model.thresholds.structure else "none"
-    return Diagnosis(
-        verdict,
-        (),
-        selection.ranking,
-        selection.neg_log10_p,
-        remaining,
-        structure,
-        cells,
-        null_fit,
-        null_fit,
-        model.equations,
-    )
+def effect_values(diagnosis: Diagnosis) -> EffectValues:
+    """Return the values of the findings in the form that a simulator takes.
+
+    Args:
+        diagnosis: Diagnosis with findings.
+
+    Returns:
+        Values of all p parameters of each effect in their units, shape (p,).
+    """
+    hypotheses = diagnosis.equations.hypotheses
+    return {hypotheses[finding.hypothesis]: finding.values for finding in diagnosis.findings}
 
 
-def _decide(model: DiagnosisModel, findings: tuple[Finding, ...], features: ConfidenceFeatures) -> Verdict:
-    """Withhold the name if structure remains, a bound is reached, or the confidence is too low."""
-    has_structure = max(features.lack_of_fit, features.addition) >= model.thresholds.unexplained
-    if (
-        has_structure
-        or not model.thresholds.confidence.accepts(features)
-        or any(one.at_bound for one in findings)
-    ):
-        return "unknown"
-    alone = all(finding.alternatives.hypotheses == (finding.hypothesis,) for finding in findings)
-    return "named" if alone else "set"
+def _simulate(model: DiagnosisModel, simulator: Simulator, h: int, a: Array) -> Array | None:
+    """Return the change by one hypothesis, (m,); None if no arm with it can be simulated."""
+    hypothesis, zero = model.sensitivities.hypotheses[h], np.zeros(len(simulator.nuisances))
+    changed = simulator.predict({hypothesis: parameter_values(hypothesis, a)}, zero)
+    change = changed - simulator.predict({}, zero)
+    return change if np.all(np.isfinite(change)) and np.any(change) else None
 
 
-def _make_findings(
-    model: DiagnosisModel,
-    candidates: CandidateSet,
-    rhs: RightHandSide,
-    selection: Selection,
-    fit: NonlinearFit,
-    seed: int,
-    comparison: ModelComparison | None,
+def _describe_findings(
+    model: DiagnosisModel, selection: Selection, has_remainder: bool
 ) -> tuple[Finding, ...]:
-    """Return the chosen effects with values, intervals and alternatives."""
-    bootstrapped = find_alternatives(
-        candidates, model.cosine, selection, bootstrap_selections(candidates, rhs, selection, seed)
-    )
-    others = [
-        own.with_likelihoods(one, _replacements(candidates, rhs, selection.chosen, one, comparison))
-        for one, own in zip(selection.chosen, bootstrapped, strict=True)
-    ]
-    result = []
-    for index, hypothesis in enumerate(selection.chosen):
-        values, half = fit.values[index], norm.ppf(INTERVAL_QUANTILES[1]) * fit.sigma[index]
-        ends = [(p.least, p.most) for p in model.sensitivities.hypotheses[hypothesis].parameters]
-        low, high = np.clip([values - half, values + half], *np.transpose(ends))
-        result.append(Finding(
-            hypothesis, values, low, high, selection.shares[index], others[index],
-            model.equivalence_class(hypothesis), fit.at_bound[index],
-        ))  # fmt: skip
-    return tuple(result)
-
-
-def _replacements(
-    candidates: CandidateSet, rhs: RightHandSide, chosen: Subset, one: int, comparison: ModelComparison | None
-) -> dict[int, float]:
-    """Return the extra deviance of each hypothesis in place of `one`: linear, or by model comparison."""
-    found = replacement_deviances(candidates, rhs, chosen, one)
-    other = None if comparison is None else comparison.replacement_for(one, chosen)
-    if comparison is not None and other is not None:
-        found[candidates.class_representative(other)] = comparison.deviance_margin
-    return found
-
-
-def _relinearise(
-    model: DiagnosisModel,
-    candidates: CandidateSet,
-    rhs: RightHandSide,
-    y: Array,
-    chosen: Subset,
-    ranking: Subset,
-    fit: NonlinearFit,
-) -> CandidateSet:
-    """Linearise the chosen at their joint estimate, and the next best single hypotheses at their own.
-
-    Hypotheses at a bound are excluded.
-    """
-    surrogate = QuadraticSurrogate(model.sensitivities)
-    allowed, changed = candidates.allowed.copy(), _joint_columns(surrogate, chosen, fit)
-    allowed[[one for one, at_bound in zip(chosen, fit.at_bound, strict=True) if at_bound]] = False
-    for hypothesis in [one for one in ranking[:SHORTLIST] if one not in chosen]:
-        alone = fit_nonlinear(surrogate, model.equations, y, _linear_start(model, rhs, (hypothesis,)))
-        if alone.at_bound[0]:
-            allowed[hypothesis] = False
-        elif np.any(alone.change):
-            (values,), (slopes,) = alone.values, alone.slopes
-            changed[hypothesis] = linearise_at(
-                model.sensitivities.hypotheses[hypothesis], values, alone.change, slopes
-            )
-    return CandidateSet(
-        form_normal_equations(model.sensitivities, changed), candidates.label, candidates.threshold, allowed
+    sets = find_confidence_sets(selection.engine)
+    places = [_location(model, one) for one in sets]
+    return tuple(
+        # several effects at one place, or one beside which something remains, may be a single unknown one
+        _describe_finding(model, one, selection, is_doubtful=has_remainder or places.count(place) > 1)
+        for one, place in zip(sets, places, strict=True)
     )
 
 
-def _joint_columns(surrogate: QuadraticSurrogate, chosen: Subset, fit: NonlinearFit) -> dict[int, Array]:
-    """Return the columns of jointly fitted effects; their interaction is assigned to the largest effect."""
-    own = [surrogate.change({h: v}) for h, v in zip(fit.hypotheses, fit.values, strict=True)]
-    largest = int(np.argmax([np.linalg.norm(one / surrogate.sensitivities.layout.sigma) for one in own]))
-    own[largest] = fit.change - sum(own[:largest] + own[largest + 1 :], np.zeros(fit.change.size))
-    parts = zip(chosen, fit.hypotheses, fit.values, own, fit.slopes, strict=True)
-    return {one: linearise_at(h, v, change, slopes) for one, h, v, change, slopes in parts if np.any(change)}
+def _location(model: DiagnosisModel, found: ConfidenceSet) -> str:
+    effect = found.effect
+    assert isinstance(effect, FeatureEffect)
+    return model.locations[effect.index]
 
 
-def _linear_start(model: DiagnosisModel, rhs: RightHandSide, chosen: Subset) -> dict[Hypothesis, Array]:
-    """Return the linear estimate of some hypotheses, fitted together."""
-    columns = model.equations.columns(chosen)
-    theta = fit_linear(model.equations, rhs, columns).theta[model.equations.q :]
-    own = {one: theta[model.equations.owner[columns] == one] for one in chosen}
-    return {model.sensitivities.hypotheses[one]: _parameter_values(model, one, a) for one, a in own.items()}
+def _describe_finding(
+    model: DiagnosisModel, found: ConfidenceSet, selection: Selection, is_doubtful: bool
+) -> Finding:
+    (own, *_), effect = found.alternatives, found.effect
+    assert isinstance(effect, FeatureEffect)
+    hypothesis = model.sensitivities.hypotheses[effect.index]
+    union, sizes = selection.engine.context.union, selection.engine.chosen.sizes
+    columns = union.columns([effect])
+    intervals = own.intervals[[int(np.flatnonzero(own.columns == c)[0]) for c in columns]]
+    ends = np.transpose([(one.least, one.most) for one in hypothesis.parameters])
+    is_amplitude = np.array([one.is_amplitude for one in hypothesis.parameters])
+    low, high = (
+        np.where(is_amplitude, np.clip(parameter_values(hypothesis, end), *ends), np.nan)
+        for end in intervals.T
+    )
+    alternatives = tuple(
+        Alternative(one.effect.index, one.p)
+        for one in found.alternatives
+        if isinstance(one.effect, FeatureEffect)
+    )
+    members = [k for one in alternatives for k in model.equivalence_class(one.hypothesis)]
+    places = tuple(dict.fromkeys(model.locations[k] for k in members))
+    families = tuple(dict.fromkeys(model.families[k] for k in members))
+    level = _level(len(alternatives), len(families), len(places), is_doubtful)
+    return Finding(
+        effect.index,
+        parameter_values(hypothesis, sizes[columns]),
+        np.fmin(low, high),
+        np.fmax(low, high),
+        found.share,
+        level,
+        alternatives,
+        model.equivalence_class(effect.index),
+        places if level != "unlocated" else (),
+        families if level in ("size", "effect", "family") else (),
+        tuple(one.hypothesis for one in alternatives) if level in ("size", "effect") else (),
+    )
 
 
-def _parameter_values(model: DiagnosisModel, hypothesis: int, a: Array) -> Array:
-    """Return all parameter values of a hypothesis with amplitudes a in standard errors."""
-    effect = model.sensitivities.hypotheses[hypothesis]
-    scale = model.equations.scale[model.equations.owner == hypothesis]
-    values, at = effect.absent, np.flatnonzero([parameter.is_amplitude for parameter in effect.parameters])
-    values[at] += np.array([effect.parameters[index].typical for index in at]) * a / scale
-    return values
+def _level(n_effects: int, n_families: int, n_places: int, is_doubtful: bool) -> Level:
+    """Return the finest level at which a set has at most MAX_MEMBERS members."""
+    if n_places > MAX_MEMBERS:
+        return "unlocated"
+    if is_doubtful or n_families > MAX_MEMBERS:
+        return "place"
+    if n_effects > MAX_MEMBERS:
+        return "family"
+    return "size" if n_effects == 1 else "effect"
 
 
 def _project_groups(model: DiagnosisModel, equations: NormalEquations) -> tuple[FeatureGroup, ...]:

@@ -55,7 +55,8 @@ def rank_repeats(model: DiagnosisModel, diagnosis: Diagnosis) -> tuple[Candidate
     sizes: dict[int, Array] = {}
     for finding in diagnosis.findings:
         hypothesis = model.sensitivities.hypotheses[finding.hypothesis]
-        alternatives = (*finding.alternatives.hypotheses, *finding.equivalence_class)
+        others = (one.hypothesis for one in finding.alternatives)
+        alternatives = (*others, *finding.equivalence_class)
         if set(alternatives) - {finding.hypothesis}:
             own = hypothesis.departures(finding.values)
             seen = float(np.linalg.norm(own * _scale(model, finding.hypothesis)))

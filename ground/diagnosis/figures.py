@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: residual map, probabilities and amplitudes of effects, closure by channel."""
+"""Figures of a diagnosis: residual map, amplitudes of effects, closure by channel."""
 
 from typing import Any, Final
 
@@ -8,7 +8,7 @@ from ground.diagnosis.closure import Closure
 from ground.diagnosis.diagnose import Finding
 from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.residual_analysis import ResidualCell
-from ground.diagnosis.result import DiagnosisResult, list_alternatives, probability_of
+from ground.diagnosis.result import DiagnosisResult
 from ground.diagnosis.sentences import channel_words, format_number
 from ground.render import svg
 
@@ -36,16 +36,6 @@ def residual_map_figure(cells: tuple[ResidualCell, ...]) -> str:
         "map of the gap: channels by regimes",
         _height(len(rows)),
         lambda figure: _draw_map(figure, rows, columns, ratio),
-    )
-
-
-def probability_figure(result: DiagnosisResult) -> str:
-    """Draw the probabilities of findings and alternatives."""
-    count = sum(1 + len(list_alternatives(finding)) for finding in result.diagnosis.findings)
-    return svg.render_svg(
-        "probabilities of effects",
-        _height(max(count, MIN_ROWS)),
-        lambda figure: _draw_probabilities(figure, result),
     )
 
 
@@ -92,23 +82,6 @@ def _draw_map(figure: Any, rows: list[str], columns: list[str], ratio: Any) -> N
     axes.spines[:].set_visible(False)
     bar = svg.colour_bar(figure, image, axes, "rms over the floor")
     _decimal_ticks(bar.ax.yaxis)
-
-
-def _draw_probabilities(figure: Any, result: DiagnosisResult) -> None:
-    bars, model, row = figure.subplots(), result.model, 0
-    names: list[tuple[int, str]] = []
-    colour = svg.AMBER if result.diagnosis.verdict == "unknown" else svg.BLUE
-    for finding in result.diagnosis.findings:
-        every = [(finding.hypothesis, probability_of(finding.hypothesis, finding.alternatives))]
-        for one, share in (*every, *list_alternatives(finding)):
-            chosen = one == finding.hypothesis
-            bars.barh(row, share, color=colour if chosen else svg.FAINT)
-            names.append((row, model.sensitivities.hypotheses[one].name))
-            row += 1
-    bars.set_yticks(*zip(*names, strict=True), fontsize=8)
-    role = "Nearest (not named)" if result.diagnosis.verdict == "unknown" else "Chosen (blue)"
-    title = f"{role} and alternatives"
-    bars.set(title=title, xlabel="probability", xlim=(0.0, 1.0), ylim=_rows(row))
 
 
 def _draw_amplitudes(axes: Any, model: DiagnosisModel, findings: tuple[Finding, ...]) -> None:

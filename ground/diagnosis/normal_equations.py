@@ -111,8 +111,6 @@ class NormalEquations:
     """Covariance of the nuisances without effects, of each fold, shape (f, q, q)."""
     scale: Array
     """Standard errors per typical size, shape (k,); 0 for a column that is not identifiable."""
-    bounds: Array
-    """Least and greatest amplitude of each column in standard errors, shape (2, k)."""
 
     @property
     def q(self) -> int:
@@ -145,35 +143,24 @@ def residual_deviance(equations: NormalEquations, y: Array) -> float:
     return float(y @ y - along @ equations.C[-1] @ along)
 
 
-def form_normal_equations(
-    sensitivities: Sensitivities, changed: dict[int, Array] | None = None
-) -> NormalEquations:
+def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
     """Form the normal equations of all hypotheses, with nuisances eliminated.
 
     Args:
         sensitivities: Sensitivities of the campaign.
-        changed: Columns that replace those of some hypotheses, by index, each of shape (m, n) in the units of
-            the channels. They are linearised away from neutral: the first column is the whole change at an
-            estimate, so an amplitude of 1 means the estimate.
 
     Returns:
         Normal equations with columns in units of their standard error.
     """
-    layout, changed = sensitivities.layout, changed or {}
-    parts = [
-        changed.get(h, sensitivities.effect[:, sensitivities.owner == h])
-        for h in range(len(sensitivities.hypotheses))
-    ]
-    owner = np.repeat(np.arange(len(parts)), [part.shape[1] for part in parts])
+    layout = sensitivities.layout
     whiten = build_whitener(sensitivities)
     N, prior, unit = _nuisance_columns(sensitivities, whiten)
-    S = whiten(np.hstack([np.zeros((layout.size, 0)), *parts]))
-    A = np.hstack([N, S])
+    A = np.hstack([N, whiten(sensitivities.effect)])
     rows = tuple(np.flatnonzero(layout.block == b) for b in np.unique(layout.block))
     G = np.array([A[of].T @ A[of] for of in rows])
     return _scale_columns(NormalEquations(
-        layout, sensitivities.hypotheses, owner, whiten, A, rows, G, prior, unit,
-        *_eliminate_nuisances(G, prior), np.ones(owner.size), _bounds(sensitivities, changed),
+        layout, sensitivities.hypotheses, sensitivities.owner, whiten, A, rows, G, prior, unit,
+        *_eliminate_nuisances(G, prior), np.ones(sensitivities.owner.size),
     ))  # fmt: skip
 
 
@@ -197,19 +184,6 @@ def _eliminate_nuisances(G: Array, prior: Array) -> tuple[Array, Array, Array]:
     return (R + R.transpose(0, 2, 1)) / 2.0, W, C
 
 
-def _bounds(sensitivities: Sensitivities, changed: dict[int, Array]) -> Array:
-    """Return bounds in typical sizes, (2, k); a changed column has none, as its estimate respects them."""
-    limits: list[tuple[float, float]] = []
-    for index, hypothesis in enumerate(sensitivities.hypotheses):
-        if index in changed:
-            limits += [(-np.inf, np.inf)] * changed[index].shape[1]
-            continue
-        for parameter in hypothesis.amplitudes:
-            ends = [(end - parameter.absent) / parameter.typical for end in (parameter.least, parameter.most)]
-            limits.append((min(ends), max(ends)))
-    return np.array(limits).reshape(-1, 2).T
-
-
 def _scale_columns(raw: NormalEquations) -> NormalEquations:
     """Scale the columns to units of their standard error; set those that are not identifiable to 0."""
     q, of = raw.q, np.diagonal(raw.R[-1])
@@ -220,7 +194,7 @@ def _scale_columns(raw: NormalEquations) -> NormalEquations:
     return NormalEquations(
         raw.layout, raw.hypotheses, raw.owner, raw.whiten, raw.A * all_by, raw.rows,
         raw.G * np.outer(all_by, all_by), raw.prior, raw.nuisance_unit, raw.R * np.outer(by, by),
-        raw.W * by[:, None], raw.C, scale, raw.bounds * np.where(scale > 0.0, scale, 1.0),
+        raw.W * by[:, None], raw.C, scale,
     )  # fmt: skip
 
 

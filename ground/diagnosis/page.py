@@ -1,44 +1,36 @@
-"""HTML page of a diagnosis: verdict, residual map, effects, closure, lack of fit, next motion, thresholds."""
+"""HTML page of a diagnosis: four lines, residual map, effects, closure, lack of fit, next motion."""
 
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from ground.diagnosis.closure import Closure
 from ground.diagnosis.diagnose import Finding
-from ground.diagnosis.figures import amplitude_figure, closure_figure, probability_figure, residual_map_figure
-from ground.diagnosis.result import (
-    MAX_LISTED,
-    DiagnosisResult,
-    has_lack_of_fit,
-    list_alternatives,
-    probability_of,
-)
+from ground.diagnosis.figures import amplitude_figure, closure_figure, residual_map_figure
+from ground.diagnosis.result import MAX_LISTED, DiagnosisResult
 from ground.diagnosis.sentences import (
     channel_words,
     closure_sentence,
+    finding_sentence,
     format_cell_interval,
     format_number,
     format_percent,
     format_quantity,
     format_value_interval,
-    is_doubtful,
-    lack_of_fit_limit,
     next_sentence,
     unexplained_sentence,
-    verdict_sentences,
+    verdict_lines,
 )
 from ground.render.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 
 TITLES: Final = {
-    "named": "The gap has a name",
-    "set": "The gap has one of several names",
-    "none": "No effect is seen",
-    "unknown": "The gap is not in the catalogue",
+    "size": "The gap has a name",
+    "effect": "The gap has one of several names",
+    "family": "The gap has a family",
+    "place": "The gap has a place",
+    "unlocated": "The gap is not located",
 }
-DOUBTFUL_TITLE: Final = "The gap has no sure name"
+"""Title by the coarsest level of the findings."""
 Rows = list[tuple[str, ...]]
 
 
@@ -59,39 +51,36 @@ def save_diagnosis_page(result: DiagnosisResult, origin: Origin, path: Path) -> 
         *_closure_section(result),
         *_lack_of_fit_section(result),
         *_next_section(result),
-        *_threshold_section(result),
     ]
-    title = DOUBTFUL_TITLE if is_doubtful(result) else TITLES[result.diagnosis.verdict]
-    save_page(title, " ".join(verdict_sentences(result)), list_requirements(result), origin, parts, path)
+    summary = "\n".join(f"{label}: {text}" for label, text in verdict_lines(result))
+    save_page(_title(result), summary, list_requirements(result), origin, parts, path)
+
+
+def _title(result: DiagnosisResult) -> str:
+    levels = {one.level for one in result.diagnosis.findings}
+    if not levels:
+        return "The gap is not in the catalogue" if result.diagnosis.has_remainder else "No effect is seen"
+    return next(title for level, title in reversed(TITLES.items()) if level in levels)
 
 
 def list_requirements(result: DiagnosisResult) -> list[Requirement]:
     """List the conditions of a verdict that names a cause, or says that there is none."""
-    diagnosis, limits = result.diagnosis, result.model.thresholds
+    diagnosis = result.diagnosis
+    named = all(one.level == "size" for one in diagnosis.findings)
     rows = [
         Requirement(
-            "one cause is named, or no effect is seen",
-            "named or none",
-            diagnosis.verdict,
-            {"named": True, "none": True, "set": None, "unknown": False}[diagnosis.verdict],
+            "every cause is one effect with its size, or no effect is seen",
+            "size or none",
+            ", ".join(one.level for one in diagnosis.findings) or diagnosis.verdict,
+            named if diagnosis.findings else diagnosis.verdict == "none",
         ),
         Requirement(
             "the residual has no structure, -log10 p",
-            f"below {format_number(lack_of_fit_limit(result))}",
-            format_number(diagnosis.unexplained_neg_log10_p),
-            not has_lack_of_fit(result),
+            f"below {format_number(result.model.lack_of_fit_limit)}",
+            format_number(diagnosis.unexplained[0].neg_log10_p),
+            not diagnosis.has_remainder,
         ),
     ]
-    if diagnosis.findings and np.isfinite(diagnosis.log_odds):
-        least = limits.confidence.least
-        rows.append(
-            Requirement(
-                "log-odds that the effects are the cause",
-                f"{format_number(least)} or more",
-                format_number(diagnosis.log_odds),
-                bool(diagnosis.log_odds >= least),
-            )
-        )
     if result.closure is None:
         rows.append(Requirement("the gap shrinks on held-out motion", "", "nothing was held out", None))
     return rows
@@ -117,71 +106,47 @@ def _residual_section(result: DiagnosisResult) -> Iterator[str]:
 def _effect_section(result: DiagnosisResult) -> Iterator[str]:
     findings = result.diagnosis.findings
     yield heading("Which effect")
-    if findings and result.diagnosis.verdict == "unknown":
-        yield paragraph(
-            "The effects here are the nearest. They do not explain the gap, so no cause is named."
-        )
+    for finding in findings:
+        yield paragraph(finding_sentence(result, finding))
     if findings:
-        yield figures(probability_figure(result), amplitude_figure(result))
-        head = ("effect", "parameter", "value", "90 %", "bounds", "probability", "own share")
+        yield figures(amplitude_figure(result))
+        head = ("effect", "level", "parameter", "value", "90 %", "bounds", "seen from", "named from", "share")
         yield table(head, [row for finding in findings for row in _finding_rows(result, finding)])
-        yield from _remarks(result)
-    yield paragraph("The best as single hypotheses, best first, and from which size on each would be seen:")
-    yield table(("hypothesis", "", "seen from"), _ranking_rows(result))
+        yield paragraph(
+            "An effect is seen, alone and with 90 % power, from the first size on, and in the race of all "
+            "effects from the second on."
+        )
+    for finding in findings:
+        if rest := finding.alternatives[1:]:
+            named = ", ".join(f"{result.hypothesis(one.hypothesis).name} (p {one.p:.2f})" for one in rest)
+            own = result.hypothesis(finding.hypothesis).name
+            yield paragraph(f"Not excluded at 95 % in place of {own}: {named}.")
 
 
 def _finding_rows(result: DiagnosisResult, finding: Finding) -> Rows:
-    hypothesis = result.model.sensitivities.hypotheses[finding.hypothesis]
-    sure = format_percent(probability_of(finding.hypothesis, finding.alternatives))
+    hypothesis, limit = result.hypothesis(finding.hypothesis), result.model.limits[finding.hypothesis]
     numbers = zip(hypothesis.parameters, finding.values, finding.least, finding.most, strict=True)
     return [
         (
             hypothesis.name,
+            finding.level,
             parameter.name,
             format_quantity(value, parameter.unit),
             format_value_interval(least, most, parameter.unit),
-            format_value_interval(parameter.least, parameter.most, parameter.unit)
-            + (", at one" if parameter.name in finding.at_bound else ""),
-            sure,
+            format_value_interval(parameter.least, parameter.most, parameter.unit),
+            format_quantity(abs(limit.limit * parameter.typical), parameter.unit),
+            format_quantity(abs(limit.family_wise_limit * parameter.typical), parameter.unit),
             format_percent(finding.share),
         )
         for parameter, value, least, most in numbers
     ]
 
 
-def _remarks(result: DiagnosisResult) -> Iterator[str]:
-    """Yield the aliases and the alternatives of each finding."""
-    names = [hypothesis.name for hypothesis in result.model.sensitivities.hypotheses]
-    for finding in result.diagnosis.findings:
-        own, alike = names[finding.hypothesis], [names[one] for one in finding.equivalence_class]
-        if len(alike) > 1:
-            yield paragraph(f"These motions cannot distinguish: {', '.join(alike)}.")
-        if rest := list_alternatives(finding):
-            named = ", ".join(f"{names[one]} ({format_percent(share)})" for one, share in rest)
-            yield paragraph(f"Alternatives to {own}: {named}.")
-
-
-def _ranking_rows(result: DiagnosisResult) -> Rows:
-    model, chosen = result.model, {finding.hypothesis for finding in result.diagnosis.findings}
-    alike = {one for finding in result.diagnosis.findings for one in finding.equivalence_class}
-    rows: Rows = []
-    for one in result.diagnosis.ranking[:MAX_LISTED]:
-        hypothesis, limit = model.sensitivities.hypotheses[one], model.limits[one].limit
-        role = "chosen" if one in chosen else "alias" if one in alike else ""
-        seen = " and ".join(format_quantity(abs(limit * p.typical), p.unit) for p in hypothesis.amplitudes)
-        rows.append((hypothesis.name, role, f"{seen} from neutral" if np.isfinite(limit) else "never"))
-    return rows
-
-
 def _closure_section(result: DiagnosisResult) -> Iterator[str]:
     found, tool = result.closure, result.tool
     yield heading("How far the gap shrinks")
-    if not result.diagnosis.findings:
-        yield paragraph("No effect was found, so it does not shrink.")
-    elif found is None:
-        yield paragraph(closure_sentence(result))
-    else:
-        yield paragraph(closure_sentence(result))
+    yield paragraph(closure_sentence(result))
+    if found is not None and result.diagnosis.findings:
         yield figures(closure_figure(found))
         yield table(("on held-out motion", "before", "after", "floor"), _closure_rows(found))
     if tool is not None and result.diagnosis.findings:
@@ -206,7 +171,7 @@ def _closure_rows(found: Closure) -> Rows:
 def _lack_of_fit_section(result: DiagnosisResult) -> Iterator[str]:
     yield heading("What is still unexplained")
     yield paragraph(unexplained_sentence(result))
-    if has_lack_of_fit(result):
+    if result.diagnosis.has_remainder:
         rows = [
             (
                 channel_words(one.channel, one.place),
@@ -235,25 +200,3 @@ def _next_section(result: DiagnosisResult) -> Iterator[str]:
     if result.noise_floor:
         yield paragraph("Origin of the noise floor:")
         yield table(("floor",), [(note,) for note in result.noise_floor])
-
-
-def _threshold_section(result: DiagnosisResult) -> Iterator[str]:
-    limits = result.model.thresholds
-    yield heading("How sure a verdict must be")
-    known = format_percent(limits.withheld)
-    wrong = format_percent(limits.wrong_names) if np.isfinite(limits.wrong_names) else "an unknown share"
-    rows = [
-        (
-            "an effect may be claimed from",
-            format_number(limits.effect),
-            f"{format_percent(limits.false_alarm)} of cases without any are called one, or unknown",
-        ),
-        ("without an effect, structure from", format_number(limits.structure), ""),
-        (
-            "beside effects, structure from",
-            format_number(limits.unexplained),
-            f"{known} of correct choices get no name, "
-            f"{wrong} of {limits.left_out_cases} left-out effects get one",
-        ),
-    ]
-    yield table(("", "-log10 p", f"on {limits.cases} simulated cases of this campaign"), rows)

@@ -234,5 +234,5 @@ class Simulator(Protocol):
                 the same departure in all blocks here.
 
         Returns:
-            Features in the units of their channels, shape (m,).
+            Features in the units of their channels, shape (m,); NaN if no such robot can be simulated.
         """

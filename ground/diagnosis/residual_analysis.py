@@ -14,8 +14,9 @@ from typing import Final
 
 import numpy as np
 
+from diagnosis.selection.chance import FALSE_ALARM, chi_square_log_p
 from fsw.kinematics.transforms import Array
-from ground.diagnosis.linear_fit import LinearFit, neg_log10_p, whitened_residual
+from ground.diagnosis.linear_fit import LinearFit, whitened_residual
 from ground.diagnosis.normal_equations import NormalEquations
 from ground.diagnosis.problem import INTERVAL_QUANTILES, FeatureLayout, Ints
 
@@ -143,18 +144,28 @@ def find_lack_of_fit(
         whole = group.regime is None
         total, freedom = total + statistic * whole, freedom + d * whole
         energy, n = _energy(equations, group, fit, rest)
-        of_direction, of_energy = (
-            float(neg_log10_p(np.array(statistic), d)),
-            float(neg_log10_p(np.array(energy), n)),
-        )
+        of_direction, of_energy = _neg_log10_p(statistic, d), _neg_log10_p(energy, n)
         found.append((max(of_direction, of_energy), of_direction >= of_energy, group))
-    together = float(neg_log10_p(np.array(total), max(freedom, 1)))
+    together = _neg_log10_p(total, max(freedom, 1))
     result = [
         _describe(equations.layout, group, rest, larger, by_direction)
         for larger, by_direction, group in found
     ]
     everywhere = LackOfFit(together, "all", "all", "all", "several")
     return tuple(sorted([*result, everywhere], key=lambda one: -one.neg_log10_p))
+
+
+def lack_of_fit_limit(groups: tuple[FeatureGroup, ...]) -> float:
+    """Return the -log10 p from which on structure counts.
+
+    All tests together share half of the probability of a false alarm (Bonferroni); effects have the rest.
+    """
+    tests = 2 * len(groups) + 1
+    return float(-np.log10(FALSE_ALARM / 2.0 / tests))
+
+
+def _neg_log10_p(statistic: float, freedom: float) -> float:
+    return -chi_square_log_p(statistic, freedom) / float(np.log(10.0))
 
 
 def _directions(layout: FeatureLayout, rows: Ints) -> Array:

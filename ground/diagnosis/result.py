@@ -4,7 +4,6 @@ from dataclasses import asdict, dataclass
 from math import isfinite
 from typing import Any, Final
 
-from ground.diagnosis.bootstrap import Alternatives
 from ground.diagnosis.closure import Closure
 from ground.diagnosis.diagnose import Diagnosis, Finding
 from ground.diagnosis.experiment_design import CandidateMotion
@@ -12,7 +11,7 @@ from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.problem import Hypothesis
 
 MAX_LISTED: Final = 10
-"""Number of ranked hypotheses, and of groups with structure, in the output."""
+"""Number of groups with structure in the output."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +40,10 @@ class DiagnosisResult:
     noise_floor: tuple[str, ...]
     """Notes on the origin of the noise floor."""
 
+    def hypothesis(self, index: int) -> Hypothesis:
+        """Return a hypothesis by its index."""
+        return self.model.sensitivities.hypotheses[index]
+
 
 def finite_or_none(value: float) -> float | None:
     """Return the number; None if it is NaN or infinite, which JSON cannot hold."""
@@ -52,20 +55,14 @@ def to_json(result: DiagnosisResult) -> dict[str, Any]:
     diagnosis, model = result.diagnosis, result.model
     return {
         "verdict": diagnosis.verdict,
-        "effects": [_finding_json(model, finding) for finding in diagnosis.findings],
-        "ranking": [_hypothesis_json(model, one) for one in diagnosis.ranking[:MAX_LISTED]],
+        "effects": [_finding_json(result, finding) for finding in diagnosis.findings],
         "residual_map": [_plain_table(asdict(cell)) for cell in diagnosis.residual_map],
         "closure": None if result.closure is None else _closure_json(result.closure),
-        "equivalence_classes": [
-            [_hypothesis_json(model, one) for one in finding.equivalence_class]
-            for finding in diagnosis.findings
-            if len(finding.equivalence_class) > 1
-        ],
         "next_motion": [_plain_table(asdict(motion)) for motion in result.next_motion],
-        "log_odds": finite_or_none(diagnosis.log_odds),
         "unexplained": {
-            "lack_of_fit": has_lack_of_fit(result),
-            "neg_log10_p": finite_or_none(diagnosis.unexplained_neg_log10_p),
+            "has_remainder": diagnosis.has_remainder,
+            "neg_log10_p": finite_or_none(diagnosis.unexplained[0].neg_log10_p),
+            "limit": finite_or_none(model.lack_of_fit_limit),
             "groups": [
                 {
                     "channel": one.channel,
@@ -86,35 +83,19 @@ def to_json(result: DiagnosisResult) -> dict[str, Any]:
         },
         "notes": list(result.notes),
         "noise_floor": list(result.noise_floor),
-        "thresholds": _plain_table(asdict(model.thresholds)),
     }
 
 
-def has_lack_of_fit(result: DiagnosisResult) -> bool:
-    """Check that structure remains beyond the threshold that applies with or without findings."""
-    diagnosis, limits = result.diagnosis, result.model.thresholds
-    limit = limits.unexplained if diagnosis.findings else limits.structure
-    return diagnosis.unexplained_neg_log10_p >= limit
-
-
-def probability_of(hypothesis: int, alternatives: Alternatives) -> float:
-    """Return the probability of a hypothesis among the alternatives; 0 if it is not one of them."""
-    known = dict(zip(alternatives.hypotheses, alternatives.probability, strict=True))
-    return float(known.get(hypothesis, 0.0))
-
-
-def list_alternatives(finding: Finding) -> tuple[tuple[int, float], ...]:
-    """Return the alternatives of a finding without itself, one of each class, with their probabilities."""
-    known = finding.alternatives
-    every = zip(known.hypotheses, known.probability, strict=True)
-    return tuple((one, share) for one, share in every if one != finding.hypothesis)
-
-
-def _finding_json(model: DiagnosisModel, finding: Finding) -> dict[str, Any]:
-    hypothesis = model.sensitivities.hypotheses[finding.hypothesis]
+def _finding_json(result: DiagnosisResult, finding: Finding) -> dict[str, Any]:
+    hypothesis, limit = result.hypothesis(finding.hypothesis), result.model.limits[finding.hypothesis]
     numbers = zip(hypothesis.parameters, finding.values, finding.least, finding.most, strict=True)
     return {
         **_effect_and_place(hypothesis),
+        "family": str(result.model.families[finding.hypothesis]),
+        "level": finding.level,
+        "places": list(finding.places),
+        "families": list(map(str, finding.families)),
+        "effects": [_effect_and_place(result.hypothesis(one)) for one in finding.effects],
         "parameters": [
             {
                 "name": parameter.name,
@@ -123,19 +104,21 @@ def _finding_json(model: DiagnosisModel, finding: Finding) -> dict[str, Any]:
                 "value": finite_or_none(value),
                 "least": finite_or_none(least),
                 "most": finite_or_none(most),
+                "seen_from": finite_or_none(limit.limit * abs(parameter.typical)),
+                "named_from": finite_or_none(limit.family_wise_limit * abs(parameter.typical)),
             }
             for parameter, value, least, most in numbers
         ],
-        "probability": probability_of(finding.hypothesis, finding.alternatives),
         "share": finite_or_none(finding.share),
         "alternatives": [
-            {**_hypothesis_json(model, one), "probability": finite_or_none(share)}
-            for one, share in list_alternatives(finding)
+            {**_effect_and_place(result.hypothesis(one.hypothesis)), "p": finite_or_none(one.p)}
+            for one in finding.alternatives[1:]
         ],
         "aliases": [
-            _hypothesis_json(model, one) for one in finding.equivalence_class if one != finding.hypothesis
+            _effect_and_place(result.hypothesis(one))
+            for one in finding.equivalence_class
+            if one != finding.hypothesis
         ],
-        "at_bound": list(finding.at_bound),
     }
 
 
@@ -145,22 +128,12 @@ def _closure_json(found: Closure) -> dict[str, Any]:
     return {**numbers, "channels": [_plain_table(asdict(channel)) for channel in found.channels]}
 
 
-def _hypothesis_json(model: DiagnosisModel, hypothesis: int) -> dict[str, str]:
-    return _effect_and_place(model.sensitivities.hypotheses[hypothesis])
-
-
 def _effect_and_place(hypothesis: Hypothesis) -> dict[str, str]:
     return {"name": hypothesis.effect, "place": hypothesis.place}
 
 
 def _plain_table(table: dict[str, Any]) -> dict[str, Any]:
     """Convert the numbers of a table to plain ones."""
-    return {key: _plain_value(value) for key, value in table.items()}
-
-
-def _plain_value(value: Any) -> Any:
-    if isinstance(value, dict):
-        return _plain_table(value)
-    if isinstance(value, tuple):
-        return [_plain_value(one) for one in value]
-    return value if isinstance(value, str | int) else finite_or_none(value)
+    return {
+        key: value if isinstance(value, str | int) else finite_or_none(value) for key, value in table.items()
+    }

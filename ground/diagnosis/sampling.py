@@ -1,4 +1,4 @@
-"""Random effects of detectable size, for the calibration of thresholds and for blind cases."""
+"""Random effects of detectable size, for blind cases."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,12 +33,10 @@ class SampledEffect:
     times_limit: float
 
 
-def can_sample(one: DetectableEffect) -> bool:
+def can_sample(one: DetectableEffect, multiples: tuple[float, float] = LIMIT_MULTIPLES) -> bool:
     """Check that the campaign detects the effect and that its bounds allow the smallest amplitude."""
-    return (
-        bool(np.isfinite(one.limit))
-        and max(_room(one, sign) for sign in (-1, 1)) >= LIMIT_MULTIPLES[0] * one.limit
-    )
+    room = max(_room(one, sign) for sign in (-1, 1))
+    return bool(np.isfinite(one.limit)) and room >= multiples[0] * one.limit
 
 
 def sample_effect(some: Sequence[DetectableEffect], rng: np.random.Generator) -> DetectableEffect:
@@ -49,14 +47,21 @@ def sample_effect(some: Sequence[DetectableEffect], rng: np.random.Generator) ->
     return places[int(rng.integers(len(places)))]
 
 
-def sample_amplitude(one: DetectableEffect, rng: np.random.Generator) -> SampledEffect:
+def sample_amplitude(
+    one: DetectableEffect, rng: np.random.Generator, multiples: tuple[float, float] = LIMIT_MULTIPLES
+) -> SampledEffect:
     """Sample an amplitude log-uniformly, with a random sign, within the bounds.
 
     All amplitude parameters depart from neutral by the same number of typical sizes.
+
+    Args:
+        one: Effect with its detection limit.
+        rng: Random generator.
+        multiples: Least and greatest amplitude in detection limits.
     """
-    times = float(np.exp(rng.uniform(*np.log(LIMIT_MULTIPLES))))
+    times = float(np.exp(rng.uniform(*np.log(multiples))))
     sign = int(rng.choice((-1, 1)))
-    if _room(one, sign) < LIMIT_MULTIPLES[0] * one.limit:
+    if _room(one, sign) < multiples[0] * one.limit:
         sign = -sign
     typical = min(times * one.limit, _room(one, sign))
     values = np.array(

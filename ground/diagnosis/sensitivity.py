@@ -19,7 +19,14 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array
 from ground.common.files import atomic_write
-from ground.diagnosis.problem import FeatureLayout, Hypothesis, Ints, Nuisance, Parameter
+from ground.diagnosis.problem import (
+    EffectValues,
+    FeatureLayout,
+    Hypothesis,
+    Ints,
+    Nuisance,
+    Parameter,
+)
 
 _READ_ERRORS: Final = (
     *(
@@ -75,6 +82,70 @@ class Sensitivities:
     def shared_nuisances(self) -> list[int]:
         """Indices of the nuisances with one value in all blocks."""
         return [index for index, nuisance in enumerate(self.nuisances) if not nuisance.random_per_block]
+
+    def change(self, settings: EffectValues) -> Array:
+        """Compute the change of the features by effects: parabolas, linear beyond the simulated departures.
+
+        Args:
+            settings: Values of all parameters of each effect in their units, shape (p,). Shape parameters
+                have no influence.
+
+        Returns:
+            Change in the units of the channels, shape (m,).
+        """
+        total = np.zeros(self.layout.size)
+        for hypothesis, values in settings.items():
+            columns = np.flatnonzero(self.owner == self.hypotheses.index(hypothesis))
+            a, reach = hypothesis.departures(values), self.reach[columns]
+            inside = np.clip(a, -reach, reach)
+            total += self.effect[:, columns] @ a
+            total += self.curve[:, columns] @ (inside * (2.0 * a - inside))
+        return total
+
+    def with_simulated(self, hypothesis: int, a: Array, change: Array) -> "Sensitivities":
+        """Return the sensitivities with the parabola of one hypothesis through a simulated change.
+
+        The slopes stay. The curvature of its largest amplitude takes what they miss.
+
+        Args:
+            hypothesis: Index of the hypothesis, with n amplitudes.
+            a: Departures in typical sizes, without a unit, shape (n,), not all 0.
+            change: Simulated change there in the units of the channels, shape (m,).
+
+        Returns:
+            Sensitivities with another curvature and reach.
+        """
+        columns = np.flatnonzero(self.owner == hypothesis)
+        curve, reach = self.curve.copy(), self.reach.copy()
+        reach[columns] = np.maximum(reach[columns], np.abs(a))
+        largest = int(np.argmax(np.abs(a)))
+        curve[:, columns[largest]] = 0.0
+        missed = change - self.effect[:, columns] @ a - curve[:, columns] @ a**2
+        curve[:, columns[largest]] = missed / a[largest] ** 2
+        return replace(self, curve=curve, reach=reach)
+
+    def linearised(self, hypothesis: int, a: Array) -> "Sensitivities":
+        """Return the sensitivities with those of one hypothesis linearised at an estimate.
+
+        The column of its largest amplitude makes the whole change there, beside the slopes of the others.
+
+        Args:
+            hypothesis: Index of the hypothesis, with n amplitudes.
+            a: Departures of the estimate in typical sizes, without a unit, shape (n,), not all 0.
+
+        Returns:
+            Sensitivities with other slopes.
+        """
+        columns = np.flatnonzero(self.owner == hypothesis)
+        inside = np.clip(a, -self.reach[columns], self.reach[columns])
+        effect, curve = self.effect.copy(), self.curve.copy()
+        change = effect[:, columns] @ a + curve[:, columns] @ (inside * (2.0 * a - inside))
+        effect[:, columns] += 2.0 * curve[:, columns] * inside
+        largest = int(np.argmax(np.abs(a)))
+        others = np.delete(np.arange(columns.size), largest)
+        effect[:, columns[largest]] = (change - effect[:, columns[others]] @ a[others]) / a[largest]
+        curve[:, columns] = 0.0
+        return replace(self, effect=effect, curve=curve)
 
     def only(self, effects: Collection[str]) -> "Sensitivities":
         """Return the sensitivities for the hypotheses of some effects; the nuisances stay."""

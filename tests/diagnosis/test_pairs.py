@@ -11,7 +11,7 @@ from diagnosis.selection.context import start_context
 from diagnosis.selection.fit import gather_residuals
 from diagnosis.selection.joint_fits import fit_base, fit_joints
 from diagnosis.selection.meter import Meter
-from diagnosis.selection.selection import find_chance, select_effects
+from diagnosis.selection.selection import find_log_chance, select_effects
 from tests.diagnosis.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 
 STEP = Toy("near", "step of all", np.sign)
@@ -51,4 +51,4 @@ def test_an_effect_is_due_to_chance_where_it_is_absent(truth: float, low: float,
     context, base = fit_base(start_context(toy, BASE, CATALOGUE, 1, Meter()))
     fits = fit_joints(context, (square,), base.sizes)
     without = gather_residuals(base.fits, toy.joint_of.size)
-    assert low <= find_chance(context, fits[:1], square, without) <= high
+    assert low <= np.exp(find_log_chance(context, fits[:1], square, without)) <= high

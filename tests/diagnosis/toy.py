@@ -36,6 +36,7 @@ class ToyResiduals:
     """Measured minus predicted values of the toys."""
 
     kind, unit, method, by_motion, step_s = "simulation", "rad", "", False, 0.002
+    noise_std = 0.0
 
     def __init__(self, commands: Array, measured: Array, names: tuple[str, ...]) -> None:
         self.commands, self.measured, self.joints = commands, measured, names

@@ -17,7 +17,7 @@ from ground.common.progress import Progress
 from validation.blind.arm_solver import ARM_SOLVER, load_campaign_sensitivities
 from validation.blind.folder import check_jobs, check_make
 from validation.blind.make import make_cases
-from validation.blind.score import score_folder
+from validation.blind.score_folder import score_folder
 from validation.blind.solve import solve_cases
 from validation.blind.table import save_score, score_json, score_markdown
 

@@ -1,5 +1,6 @@
 """Solver of blind cases of this arm: campaign model and diagnosis of one case."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -66,20 +67,29 @@ def case_features(fitted_case: FittedCase) -> CaseFeatures:
     )
 
 
-def diagnose_folder(case: Path, campaign: Path) -> tuple[dict[str, Any], CaseFeatures]:
+def diagnose_folder(case: Path, campaign: Path, without: str = "") -> tuple[dict[str, Any], CaseFeatures]:
     """Diagnose the logs of a folder with the campaign of another; return result document and residuals.
+
+    Args:
+        case: Folder of the case.
+        campaign: Folder of the campaign.
+        without: Name of an effect that the catalogue does not have; "" for none.
 
     Raises:
         NoDiagnosis: A log cannot be compared, most motions are missing, or the plant diverges.
     """
-    return diagnose_against(case, load_cached_model(campaign))
+    return diagnose_against(case, load_cached_model(campaign), without)
 
 
-def diagnose_against(case: Path, campaign: CampaignModel) -> tuple[dict[str, Any], CaseFeatures]:
+def diagnose_against(
+    case: Path, campaign: CampaignModel, without: str = ""
+) -> tuple[dict[str, Any], CaseFeatures]:
     """Diagnose the logs of a folder with a campaign model; NoDiagnosis as for `diagnose_folder`."""
+    if without:
+        campaign = replace(campaign, model=campaign.model.without(without))
     try:
         fitted, held = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(case))
-        fitted_case = fit_case(fitted, held, campaign)
+        fitted_case = fit_case(fitted, held, campaign, DIAGNOSIS_SEED)
         return to_json(diagnose_fitted_case(fitted_case, campaign, DIAGNOSIS_SEED)), case_features(
             fitted_case
         )

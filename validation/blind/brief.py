@@ -25,7 +25,7 @@ from validation.blind.case_features import CampaignSensitivities, CaseFeatures
 from validation.blind.classes import CLASSES_FILE, classes_json
 from validation.blind.folder import CAMPAIGN_FOLDER, CASES_FOLDER, write_json
 from validation.blind.make import all_sessions, draw_truth, record_case
-from validation.blind.score import score_folder
+from validation.blind.score_folder import score_folder
 from validation.blind.solve import Solver, solve_cases
 from validation.blind.table import score_json
 from validation.options import campaign_parser
@@ -55,9 +55,9 @@ def load_brief_sensitivities(campaign: Path) -> CampaignSensitivities:
     return CampaignSensitivities(found.model.sensitivities, found.held_out)
 
 
-def diagnose_brief_case(case: Path, campaign: Path) -> tuple[dict[str, Any], CaseFeatures]:
+def diagnose_brief_case(case: Path, campaign: Path, without: str = "") -> tuple[dict[str, Any], CaseFeatures]:
     """Diagnose a case; return result document and residuals."""
-    return diagnose_against(case, load_cached_model(campaign))
+    return diagnose_against(case, load_cached_model(campaign), without)
 
 
 def run_brief(folder: Path, seed: int) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def run_brief(folder: Path, seed: int) -> dict[str, Any]:
     model = load_cached_model(campaign).model
     limits = [one.limit for one in model.limits]
     hypotheses, labels = model.sensitivities.hypotheses, model.label
-    write_json(campaign / CLASSES_FILE, classes_json(hypotheses, labels, limits))
+    write_json(campaign / CLASSES_FILE, classes_json(model))
     seen = [DetectableEffect(*one) for one in zip(hypotheses, limits, map(int, labels), strict=True)]
     truth = draw_truth(CASES_MADE, seed, seen, ())
     digest = seal(folder, truth)
@@ -83,12 +83,14 @@ def run_brief(folder: Path, seed: int) -> dict[str, Any]:
         _quiet,
     )
     found = score_folder(folder, load_brief_sensitivities, partial=False)
-    clear = found.found.in_set
+    clear = found.found
     return {
         "digest": digest,
         "kinds": [case.kind for case in truth.cases],
         "times_limit": [effect.times_limit for case in truth.cases for effect in case.effects],
-        "in_bounds": found.false_alarm.hits == 0 and clear.hits == clear.of and found.spurious.hits == 0,
+        "in_bounds": found.false_alarm.hits == 0
+        and clear.covered.hits == clear.reported.of
+        and found.spurious.hits == 0,
         **score_json(found),
     }
 

@@ -1,65 +1,128 @@
-"""Equivalence classes and detection limits of a campaign, published before its cases."""
+"""Equivalence classes, detection limits, families and locations of a campaign, published before its cases."""
 
 import json
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from ground.common.errors import BadRequest
-from ground.diagnosis.problem import Hypothesis, Ints
+from ground.diagnosis.arm.families import locate
+from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.result import finite_or_none
+from validation.blind.out_of_catalogue import EFFECTS_FOLDER
 
 CLASSES_FILE: Final = "classes.json"
-EffectAndPlace = tuple[str, str]
-"""Effect and place."""
+FAMILIES_FILE: Final = EFFECTS_FOLDER / "families.toml"
+LINK_FRAME: Final = {f"link{k}": f"arm{k + 1}" for k in range(1, 5)}
+"""Frame of the spring of each link."""
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedHypothesis:
+    """Published facts of a hypothesis."""
+
+    label: int
+    """Equivalence class."""
+    family_wise_share: float
+    """Detection limit in the race of all hypotheses, over that of a single test."""
+    family: str
+    location: str
 
 
 @dataclass(frozen=True, slots=True)
 class EquivalenceClasses:
-    """Classes of hypotheses that the campaign cannot distinguish."""
+    """Hypotheses of a campaign by effect and place, with the classes that it cannot distinguish."""
 
-    label: Mapping[EffectAndPlace, int]
+    known: Mapping[tuple[str, str], PublishedHypothesis]
 
     def of(self, effect: str, place: str) -> int | None:
         """Return the class of a hypothesis; None if the campaign does not have it."""
-        return self.label.get((effect, place))
+        found = self.known.get((effect, place))
+        return None if found is None else found.label
 
-    def places(self, label: int) -> frozenset[str]:
-        """Return the places of the members."""
-        return frozenset(place for (_, place), one in self.label.items() if one == label)
+    def locations(self, effect: str, place: str) -> frozenset[str]:
+        """Return the locations of a hypothesis and of what is the same in this campaign."""
+        return frozenset(one.location for one in self._alike(effect, place))
 
-    def sizes(self) -> dict[int, int]:
-        """Return the number of classes by number of members."""
-        _, members = np.unique(list(self.label.values()), return_counts=True)
-        return {int(size): int(np.sum(members == size)) for size in np.unique(members)}
+    def families(self, effect: str, place: str) -> frozenset[str]:
+        """Return the families of a hypothesis and of what is the same in this campaign."""
+        return frozenset(one.family for one in self._alike(effect, place))
+
+    def family_wise_share(self, effect: str, place: str) -> float:
+        """Return the limit in the race over that of a single test."""
+        return self.known[effect, place].family_wise_share
+
+    def _alike(self, effect: str, place: str) -> list[PublishedHypothesis]:
+        label = self.of(effect, place)
+        return [one for one in self.known.values() if label is not None and one.label == label]
 
 
-def classes_json(
-    hypotheses: tuple[Hypothesis, ...], label: Ints, limits: list[float]
-) -> list[dict[str, Any]]:
+def classes_json(model: DiagnosisModel) -> list[dict[str, Any]]:
     """Return the JSON document; an infinite limit is None."""
+    rows = zip(
+        model.sensitivities.hypotheses,
+        model.label,
+        model.limits,
+        model.families,
+        model.locations,
+        strict=True,
+    )
     return [
         {
             "name": one.effect,
             "place": one.place,
-            "class": int(number),
-            "limit": finite_or_none(limit),
+            "class": int(label),
+            "limit": finite_or_none(limit.limit),
+            "family_wise_limit": finite_or_none(limit.family_wise_limit),
+            "family": str(family),
+            "location": location,
         }
-        for one, number, limit in zip(hypotheses, label, limits, strict=True)
+        for one, label, limit, family, location in rows
     ]
 
 
 def load_classes(campaign: Path) -> EquivalenceClasses:
-    """Load the published classes; BadRequest if they cannot be read."""
+    """Load what is published; BadRequest if it cannot be read."""
     try:
         document = json.loads((campaign / CLASSES_FILE).read_bytes())
-        return EquivalenceClasses(
-            {(one["name"], one["place"]): one["class"] for one in document if one["limit"] is not None}
-        )
+        return EquivalenceClasses({
+            (one["name"], one["place"]): PublishedHypothesis(
+                one["class"], one["family_wise_limit"] / one["limit"], one["family"], one["location"]
+            )
+            for one in document
+            if one["limit"] is not None
+        })  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadRequest(
             f"{campaign / CLASSES_FILE}: holds no classes ({error}); make the campaign anew"
         ) from error
+
+
+@dataclass(frozen=True, slots=True)
+class OutsideEffect:
+    """Right answers for an effect that is in no catalogue."""
+
+    is_related: bool
+    families: frozenset[str]
+    location: str
+    """Its location where its place is none; else empty."""
+
+
+@cache
+def load_outside_effects() -> Mapping[str, OutsideEffect]:
+    """Load the families and locations of the effects outside the catalogue, by name."""
+    document = tomllib.loads(FAMILIES_FILE.read_text())
+    return {
+        name: OutsideEffect(kind == "related", frozenset(one["families"]), one.get("location", ""))
+        for kind, effects in document.items()
+        for name, one in effects.items()
+    }
+
+
+def locate_outside(effect: str, place: str) -> str:
+    """Return the location of an effect outside the catalogue."""
+    location = locate(effect, place)
+    return load_outside_effects()[effect].location or LINK_FRAME.get(location, location)

@@ -12,7 +12,7 @@ from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 from ground.common.errors import BadOutput, BadRequest
 from ground.common.files import atomic_write, check_new_path
 from ground.diagnosis.blind_case import DIGEST, read_digest
-from ground.diagnosis.diagnose import Verdict
+from ground.diagnosis.diagnose import Level, Verdict
 
 CAMPAIGN_FOLDER: Final = "campaign"
 CASES_FOLDER: Final = "cases"
@@ -42,7 +42,10 @@ class _Shape:
 @dataclass(frozen=True, slots=True)
 class _Finding(_PlacedEffect):
     parameters: list[Annotated[_Size | _Shape, Field(discriminator="is_amplitude")]]
-    alternatives: list[_PlacedEffect]
+    level: Level
+    places: list[str]
+    families: list[str]
+    effects: list[_PlacedEffect]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,26 +54,11 @@ class _Closure:
 
 
 @dataclass(frozen=True, slots=True)
-class _BaselineResult:
-    """Result of a baseline: an effect, a place, or neither."""
-
-    name: str = ""
-    place: str = ""
-    closure: FiniteFloat | None = None
-
-    def __post_init__(self) -> None:
-        if self.name and not self.place:
-            raise ValueError("an effect has a place")
-
-
-@dataclass(frozen=True, slots=True)
 class _ResultFile:
     verdict: Verdict
     effects: list[_Finding]
-    ranking: list[_PlacedEffect]
     closure: _Closure | None
     seconds: FiniteFloat
-    baselines: dict[str, _BaselineResult]
 
 
 _RESULT_ADAPTER: Final = TypeAdapter(_ResultFile)

@@ -12,7 +12,7 @@ from fsw.kinematics.transforms import Array
 from ground.common.errors import BadRequest
 from ground.common.pool import Runner
 from ground.common.progress import Progress
-from ground.diagnosis.arm.blind_case import blind_reference, check_leakage, sample_background
+from ground.diagnosis.arm.blind_case import check_leakage, record_blind, sample_background
 from ground.diagnosis.arm.record import record_campaign
 from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
 from ground.diagnosis.blind_case import (
@@ -25,11 +25,10 @@ from ground.diagnosis.blind_case import (
     seal,
 )
 from ground.diagnosis.sampling import DetectableEffect, SampledEffect
-from sim.arms import arm_named, effects_of_run
-from sim.diagnosis_campaign import DiagnosisSession, SessionFailed, campaign_sessions
+from sim.arms import arm_named
+from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
 from sim.effects.effect import Effect
 from sim.initialisation import true_reference
-from sim.plant import PlantDiverged
 from sim.scenario.effects import effect_text
 from validation.blind.arm_solver import load_model, split_logs
 from validation.blind.classes import CLASSES_FILE, classes_json
@@ -147,7 +146,7 @@ def _list_detectable(
     """List the effects inside and outside the catalogue with their detection limits by the fitted motions."""
     model = load_model(campaign, run, progress).model
     found = [one.limit for one in model.limits]
-    write_json(campaign / CLASSES_FILE, classes_json(model.sensitivities.hypotheses, model.label, found))
+    write_json(campaign / CLASSES_FILE, classes_json(model))
     seen = zip(model.sensitivities.hypotheses, found, model.label, strict=True)
     wanted = sample_uncatalogued(np.random.default_rng([seed, 11]))
     outside = uncatalogued_limits(split_logs(campaign)[0], model.equations, campaign, wanted, run, progress)
@@ -196,17 +195,7 @@ def _record_job(job: _Job) -> str:
 
 def record_case(folder: Path, case: TrueCase, wanted: Sequence[DiagnosisSession]) -> None:
     """Record the sessions of a case; a session whose motion does not complete gets no log."""
-    effects = true_effects(case)
-    nominal = arm_named("nominal")
-    arm = nominal.with_effects(effects)
-    begun = effects_of_run(effects)
-    reference = blind_reference(arm)
-    seeds = np.random.default_rng(case.seed).integers(2**31, size=len(wanted))
-    for session, seed in zip(wanted, seeds, strict=True):
-        try:
-            record_campaign(folder, [session], arm, reference, int(seed), lambda *_: None, begun)
-        except (SessionFailed, PlantDiverged):
-            (folder / f"{session.name}.mcap").unlink(missing_ok=True)
+    record_blind(folder, true_effects(case), wanted, case.seed)
 
 
 def true_effects(case: TrueCase) -> tuple[Effect, ...]:

@@ -1,4 +1,4 @@
-"""Solving of blind cases: the diagnosis and the baselines of every case without a result."""
+"""Solving of blind cases: the diagnosis of every case without a result."""
 
 import time
 from collections.abc import Callable
@@ -8,8 +8,7 @@ from typing import Any, Final
 
 from ground.common.pool import Runner
 from ground.common.progress import Progress
-from validation.blind.baselines import baselines
-from validation.blind.case_features import CampaignSensitivities, CaseFeatures, prepare_trial, split_case
+from validation.blind.case_features import CampaignSensitivities, CaseFeatures
 from validation.blind.folder import CAMPAIGN_FOLDER, list_cases, result_path, write_json
 
 DIAGNOSIS_SEED: Final = 1
@@ -28,8 +27,9 @@ class Solver:
     """Compute what is not cached yet of the campaign in a folder, in parallel."""
     load_sensitivities: Callable[[Path], CampaignSensitivities]
     """Load the sensitivities of the campaign in a folder."""
-    diagnose: Callable[[Path, Path], tuple[dict[str, Any], CaseFeatures]]
-    """Diagnose a case's folder with the campaign's folder; return result document and residuals.
+    diagnose: Callable[[Path, Path, str], tuple[dict[str, Any], CaseFeatures]]
+    """Diagnose a case's folder with the campaign's folder, without the effect of a name in the catalogue, or
+    "" for none; return result document and residuals.
 
     Raises NoDiagnosis if the case cannot be diagnosed.
     """
@@ -68,23 +68,19 @@ def features_path(case: Path) -> Path:
 def _solve_case(job: _Job) -> str:
     """Solve one case; its result is written last, so that an interrupted case is solved again."""
     campaign = job.case.parent.parent / CAMPAIGN_FOLDER
-    sensitivities = job.solver.load_sensitivities(
-        campaign
-    )  # what is known before a case is no part of its time
+    job.solver.load_sensitivities(campaign)  # what is known before a case is no part of its time
     began = time.process_time()
     try:
-        result, features = job.solver.diagnose(job.case, campaign)
+        result, features = job.solver.diagnose(job.case, campaign, "")
     except NoDiagnosis as why:
         write_json(result_path(job.case), _refusal(str(why), time.process_time() - began))
         return job.case.name
     seconds = time.process_time() - began
-    others = baselines(prepare_trial(*split_case(sensitivities, features)), DIAGNOSIS_SEED)
     write_json(features_path(job.case), features.document())
-    write_json(result_path(job.case), {**result, "seconds": seconds, "baselines": others})
+    write_json(result_path(job.case), {**result, "seconds": seconds})
     return job.case.name
 
 
 def _refusal(why: str, seconds: float) -> dict[str, Any]:
     """Return the result of a case that cannot be diagnosed: "unknown", without effects."""
-    nothing: dict[str, Any] = {"effects": [], "ranking": [], "closure": None, "baselines": {}}
-    return {"verdict": "unknown", "refused": why, **nothing, "seconds": seconds}
+    return {"verdict": "unknown", "refused": why, "effects": [], "closure": None, "seconds": seconds}

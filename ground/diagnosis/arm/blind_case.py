@@ -6,6 +6,7 @@ The leakage check unpacks all bytes of a log. It searches them for names, number
 import json
 import re
 import struct
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -18,18 +19,22 @@ from mcap.stream_reader import StreamReader
 from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
 from ground.common.errors import UserError
+from ground.common.progress import no_progress
+from ground.diagnosis.arm.record import record_campaign
 from ground.diagnosis.blind_case import TrueCase
 from ground.telemetry.format import CHANNELS_KEY
 from ground.telemetry.header import SESSION
 from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.read import read_log
 from sim.arm_model.load import default_arm
-from sim.arms import BuiltArm, arm_named, draw_calibration_errors
+from sim.arms import BuiltArm, arm_named, draw_calibration_errors, effects_of_run
+from sim.diagnosis_campaign import DiagnosisSession, SessionFailed
 from sim.effects.effect import Effect
 from sim.effects.joints import GearFriction
 from sim.effects.numerics import Numerics
 from sim.effects.sensors import CounterStart
 from sim.initialisation import DAILY_FRICTION_SIGMA, true_reference
+from sim.plant import PlantDiverged
 
 PLANT_NUMERICS: Final = Numerics("explicit", 7)
 """Numerics of the plant: finer than the solver's, and of a scheme that the solver does not know. With steps
@@ -54,6 +59,34 @@ def sample_background(rng: np.random.Generator) -> tuple[Effect, ...]:
     )
     counters = tuple(CounterStart(joint, float(rng.uniform(-np.pi, np.pi))) for joint in Joint)
     return (PLANT_NUMERICS, *counters, *errors, *friction)
+
+
+def record_blind(
+    folder: Path, effects: tuple[Effect, ...], sessions: Sequence[DiagnosisSession], seed: int
+) -> bool:
+    """Record sessions of an arm with effects; one whose motion does not complete gets no log.
+
+    Args:
+        folder: Folder of the logs.
+        effects: Effects that are switched on, and numerics.
+        sessions: Sessions of the campaign.
+        seed: Seed of the sensor noise.
+
+    Returns:
+        True if all sessions have a log.
+    """
+    arm = arm_named("nominal").with_effects(effects)
+    reference, begun = blind_reference(arm), effects_of_run(effects)
+    is_complete = True
+    for session, number in zip(
+        sessions, np.random.default_rng(seed).integers(2**31, size=len(sessions)), strict=True
+    ):
+        try:
+            record_campaign(folder, [session], arm, reference, int(number), no_progress, begun)
+        except (SessionFailed, PlantDiverged):
+            (folder / f"{session.name}.mcap").unlink(missing_ok=True)
+            is_complete = False
+    return is_complete
 
 
 class TruthLeaked(UserError):

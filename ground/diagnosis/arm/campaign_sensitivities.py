@@ -45,6 +45,7 @@ from ground.diagnosis.arm.finite_differences import (
     step_size,
 )
 from ground.diagnosis.arm.noise_floor import estimate_floor
+from ground.diagnosis.arm.rest_poses import STEP_NUMERICS
 from ground.diagnosis.arm.simulator import ArmSimulator, build_simulator
 from ground.diagnosis.normal_equations import form_normal_equations
 from ground.diagnosis.problem import FeatureLayout
@@ -235,13 +236,20 @@ def _assemble(
 
 
 def _restrict_nuisances(simulator: ArmSimulator, column: Array) -> Array:
-    """Return the nuisance columns (m, q): restricted to their place, and relative to their baseline."""
+    """Return the nuisance columns (m, q): restricted to their place, and relative to their baseline.
+
+    Rests are simulated with STEP_NUMERICS only. Other numerics share their change, and friction has none.
+    """
     uncertain = simulator.nuisance_effects
     plain = {one.effect(1.0): k for k, one in enumerate(uncertain) if one.only_place and not one.baseline}
     cut = column.copy()
+    rests = np.arange(len(cut)) >= sum(len(one.features) for one in simulator.feature_set.motions)
+    for k, one in enumerate(uncertain):
+        if one.only_place:
+            cut[rests, k] = column[rests, plain[STEP_NUMERICS]]
     for k, one in enumerate(uncertain):
         if one.baseline:
-            cut[:, k] -= column[:, plain[one.effect(1.0)]]
+            cut[:, k] = np.where(rests, 0.0, column[:, k] - column[:, plain[one.effect(1.0)]])
         if one.only_place:
             elsewhere = [simulator.layout.places[place] != one.only_place for place in simulator.layout.place]
             cut[elsewhere, k] = 0.0

@@ -22,8 +22,8 @@ from ground.diagnosis.arm.logs import NotForDiagnosis, Recording
 from ground.diagnosis.arm.noise_floor import estimate_floor
 from ground.diagnosis.arm.nuisance_fit import fit_nuisances
 from ground.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_simulator
-from ground.diagnosis.closure import Closure, build_held_out_model, compute_held_out_residuals, effect_values
-from ground.diagnosis.diagnose import Diagnosis, ModelComparison, diagnose
+from ground.diagnosis.closure import Closure, build_held_out_model, compute_held_out_residuals
+from ground.diagnosis.diagnose import Diagnosis, diagnose, effect_values
 from ground.diagnosis.experiment_design import rank_repeats
 from ground.diagnosis.model import DiagnosisModel, build_model
 from ground.diagnosis.problem import Ints, Residuals
@@ -88,8 +88,6 @@ class FittedCase:
     simulator: CaseSimulator
     residual: Array
     """Measured minus simulated, extrapolated linearly to nuisances at 0, shape (m,)."""
-    comparison: ModelComparison | None
-    """Comparison of the best model and the runner-up, if there is one."""
     held_out: CaseSimulator | None
     held_out_residual: Array
     """The same residual for held-out motion, shape (n,)."""
@@ -112,19 +110,20 @@ def diagnose_case(
         recordings: Recordings that are fitted.
         held_out: Recordings that the findings are tested on.
         campaign: Campaign that the recordings repeat.
-        seed: Seed of bootstrap and noise draws.
+        seed: Seed of all random draws.
         patch: Effects that are switched on in the simulator.
 
     Raises:
         TooLittleMotion: Most motions of the campaign are missing.
     """
-    return diagnose_fitted_case(fit_case(recordings, held_out, campaign, patch), campaign, seed)
+    return diagnose_fitted_case(fit_case(recordings, held_out, campaign, seed, patch), campaign, seed)
 
 
 def fit_case(
     recordings: Sequence[Recording],
     held_out: Sequence[Recording],
     campaign: CampaignModel,
+    seed: int,
     patch: tuple[Effect, ...] = (),
 ) -> FittedCase:
     """Fit the nuisances of a case; arguments and errors as for `diagnose_case`."""
@@ -139,12 +138,8 @@ def fit_case(
     )
     _check_motion(first, campaign)
     model = _restrict_model(campaign.model, first)
-    notes = (
-        *audit_recordings(recordings),
-        *_missing_session_notes(first, campaign),
-        *_threshold_notes(model, campaign),
-    )
-    nuisance_fit = fit_nuisances(model, first, patch)
+    notes = (*audit_recordings(recordings), *_missing_session_notes(first, campaign))
+    nuisance_fit = fit_nuisances(model, first, patch, seed)
     held_out_simulator = _held_out_simulator(held_out, campaign, nuisance_fit.simulator.arm.patch)
     held_out_residual = np.zeros(0)
     if held_out_simulator is not None and campaign.held_out is not None:
@@ -156,7 +151,6 @@ def fit_case(
         model,
         nuisance_fit.simulator,
         nuisance_fit.residual,
-        nuisance_fit.comparison,
         held_out_simulator,
         held_out_residual,
         notes,
@@ -167,7 +161,7 @@ def fit_case(
 def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel, seed: int) -> DiagnosisResult:
     """Diagnose a case whose nuisances are fitted."""
     residuals = Residuals(fitted.model.sensitivities.layout, fitted.residual)
-    diagnosis = diagnose(fitted.model, residuals, seed, fitted.simulator, fitted.comparison)
+    diagnosis = diagnose(fitted.model, residuals, seed, fitted.simulator)
     closure, tool_error = _try_held_out(diagnosis, fitted, campaign, seed)
     return DiagnosisResult(
         fitted.model,
@@ -217,7 +211,8 @@ def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisM
     ):
         return campaign
     layout = replace(found.layout, sigma=higher)
-    return build_model(replace(found, layout=layout), 0, thresholds=campaign.thresholds)
+    made = build_model(replace(found, layout=layout), campaign.families, campaign.locations)
+    return replace(made, left_out=campaign.left_out)
 
 
 def _try_held_out(
@@ -229,6 +224,8 @@ def _try_held_out(
         return None, None
     settings, zero = effect_values(diagnosis), np.zeros(len(case.nuisances))
     change = case.predict(settings, zero) - case.predict({}, zero)
+    if not np.all(np.isfinite(change)):  # no arm with these effects can be simulated
+        return None, None
     held_out_model = build_held_out_model(fitted.model.equations, campaign.held_out.select(case.rows))
     residuals = compute_held_out_residuals(diagnosis, held_out_model, fitted.held_out_residual, change)
     keys = [campaign.held_out_keys[row] for row in case.rows]
@@ -255,13 +252,6 @@ def _missing_session_notes(case: CaseSimulator, campaign: CampaignModel) -> list
         if missing
         else []
     )
-
-
-def _threshold_notes(model: DiagnosisModel, campaign: CampaignModel) -> list[str]:
-    """Return a note if thresholds were calibrated for other features, or for a lower noise floor."""
-    if model is campaign.model:
-        return []
-    return ["thresholds are those of the whole campaign with its noise floor, not those of this case"]
 
 
 def _missing_sessions(case: CaseSimulator, campaign: CampaignModel) -> list[str]:

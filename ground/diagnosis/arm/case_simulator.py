@@ -16,6 +16,7 @@ from ground.diagnosis.arm.features import CONDITIONS, MotionFeatures
 from ground.diagnosis.arm.simulator import AffectedMotions, ArmSimulator
 from ground.diagnosis.problem import EffectValues, FeatureLayout, Hypothesis, Ints, Nuisance
 from sim.effects.effect import Effect
+from sim.plant import PlantDiverged
 
 MOTION_CONDITIONS: Final = tuple(
     CONDITIONS.index(name) for name in ("speed_rad_s", "sin_angle", "cos_angle", "direction")
@@ -59,15 +60,16 @@ class CaseSimulator:
             nuisance: Departures from nominal in the units of the nuisances, shape (q,).
 
         Returns:
-            Features in the units of their channels, shape (m,).
-
-        Raises:
-            PlantDiverged: MuJoCo counted a warning.
+            Features in the units of their channels, shape (m,); NaN if MuJoCo counted a warning.
         """
         effects = tuple(self.arm.effects(settings, nuisance))
         if not effects:
             return np.asarray(self.nominal[self.at])
-        return np.asarray((self.nominal + simulate_change(self.arm, effects, self.nominal))[self.at])
+        try:
+            change = simulate_change(self.arm, effects, self.nominal)
+        except PlantDiverged:
+            return np.full(self.at.size, np.nan)
+        return np.asarray((self.nominal + change)[self.at])
 
     def residual(self) -> Array:
         """Subtract the nominal from the measured features.

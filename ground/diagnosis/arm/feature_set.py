@@ -13,7 +13,9 @@ import numpy as np
 from diagnosis.serial_arm.screws import screw_log
 from fsw.config import configure
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.transforms import Array, Pose, inverse
+from fsw.kinematics.chain import joint_jacobian
+from fsw.kinematics.statics import settle_output
+from fsw.kinematics.transforms import Array, Pose, inverse, rotate_back
 from fsw.messages import Sensors
 from ground.diagnosis.arm.features import (
     RESOLVER,
@@ -246,6 +248,38 @@ def _rest_values(one: RestFeatures, resolver_rad: Array, X_RF: Pose) -> Array:
     nominal = _select_poses(one.nominal.X_RF, [r for r, _ in one.tracked_rests])
     screw = screw_log(inverse(nominal) @ X_RF) if one.tracked_rests else np.zeros((6, 0))
     return np.concatenate([resolver_rad.ravel(), screw.ravel()])
+
+
+def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint) -> Array:
+    """Return the change of rests by one joint alone, where all joints turn.
+
+    Args:
+        feature_set: Features of all recordings, m of them.
+        change: Change of the features in the units of the channels, shape (m,).
+        joint: The joint.
+
+    Returns:
+        Change of its resolver, and of the poses to first order by the turn that the resolver shows, shape
+        (m,); 0 elsewhere.
+    """
+    config = configure(nominal_params())
+    found, begin = np.zeros_like(change), sum(len(one.features) for one in feature_set.motions)
+    for one in feature_set.rests:
+        n_rests, n_tracked = len(one.turning_points.rests), len(one.tracked_rests)
+        own = slice(begin + joint * n_rests, begin + (joint + 1) * n_rests)
+        found[own] = change[own]
+        if n_tracked:
+            rests = [r for r, _ in one.tracked_rests]
+            motor_rad = one.turning_points.motor_rad[:, [one.turning_points.rests[r] for r in rests]]
+            gravity = one.turning_points.recording.world.gravity_N_m_s2
+            frames = settle_output(config.arm, motor_rad, gravity).frames
+            X_RF = Pose(frames.X_RF.R[:, :, 5], frames.X_RF.p[:, 5])
+            screw_R = joint_jacobian(frames, X_RF.p)[:, joint] * change[own][rests]
+            parts = [rotate_back(X_RF.R, half) for half in (screw_R[:3], screw_R[3:])]
+            first = begin + len(Joint) * n_rests
+            found[first : first + 6 * n_tracked] = np.concatenate(parts).ravel()
+        begin += len(one.features)
+    return found
 
 
 def _select_poses(X: Pose, rows: list[int]) -> Pose:

@@ -14,8 +14,8 @@ import numpy as np
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Flags
 from ground.diagnosis.arm.case_simulator import simulate_change
-from ground.diagnosis.arm.feature_set import no_motion
-from ground.diagnosis.arm.rest_poses import STEPPED_EFFECTS
+from ground.diagnosis.arm.feature_set import no_motion, rests_moved_by
+from ground.diagnosis.arm.rest_poses import is_stepped
 from ground.diagnosis.arm.simulator import ArmSimulator
 from ground.diagnosis.problem import LOG_UNIT
 from sim.effects.effect import Effect
@@ -145,7 +145,7 @@ def count_sides(simulator: ArmSimulator, column: JacobianColumn) -> int:
 
 def steps_to_rest(simulator: ArmSimulator, column: JacobianColumn) -> bool:
     """Check that the effect needs a dynamic simulation up to the rests."""
-    return any(isinstance(effect, STEPPED_EFFECTS) for effect in _typical_step(simulator, column).effects)
+    return any(map(is_stepped, _typical_step(simulator, column).effects))
 
 
 def group_columns(
@@ -162,7 +162,7 @@ def group_columns(
 def _group_key(simulator: ArmSimulator, column: JacobianColumn) -> tuple[str, int | None] | None:
     """Return kind and parameter of an effect at a joint; None if it must be simulated alone."""
     whole = _typical_step(simulator, column)
-    if steps_to_rest(simulator, column) or _joint_name(whole) is None:
+    if _joint_name(whole) is None:
         return None
     return type(whole.effects[0]).__name__, None if column.hypothesis is None else column.index
 
@@ -211,14 +211,21 @@ def _simulate_alone(
 
 
 def _simulate_together(simulator: ArmSimulator, ends: Sequence[_Perturbation], nominal: Array) -> list[Array]:
-    """Simulate motions once with all effects and rests for each effect; select each joint's features."""
+    """Simulate motions once with all effects and rests for each effect; select each joint's features.
+
+    Rests that have to be stepped are simulated once too: an effect at a joint turns only that joint.
+    """
     every = tuple(effect for end in ends for effect in end.effects)
     moved = simulate_change(simulator, every, nominal)
     moving = np.arange(moved.size) < sum(len(one.features) for one in simulator.feature_set.motions)
     found = []
     for end in ends:
         own = moving & _features_at(simulator, _joint_name(end))
-        found.append(np.where(own, moved, simulate_change(simulator, end.effects, nominal, no_motion)))
+        if any(map(is_stepped, end.effects)):
+            at_rest = rests_moved_by(simulator.feature_set, moved, Joint[(_joint_name(end) or "").upper()])
+        else:
+            at_rest = simulate_change(simulator, end.effects, nominal, no_motion)
+        found.append(np.where(own, moved, at_rest))
     return found
 
 

@@ -14,7 +14,7 @@ from ground.diagnosis.arm.diagnose_logs import DiagnoseJob, file_sha256, flight_
 from ground.diagnosis.arm.request import DiagnoseRequest
 from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
 from ground.diagnosis.page import save_diagnosis_page
-from ground.diagnosis.result import DiagnosisResult, list_alternatives, to_json
+from ground.diagnosis.result import DiagnosisResult, to_json
 from ground.render.page import Origin
 from sim.effects.catalogue import effect_name, has_flight_parameter
 from sim.effects.effect import Effect
@@ -41,7 +41,7 @@ def effects_of_findings(
         NothingToWrite: The verdict names no effect.
     """
     diagnosis = result.diagnosis
-    if diagnosis.verdict in ("none", "unknown"):
+    if diagnosis.verdict != "found":
         raise NothingToWrite(f"the verdict is {diagnosis.verdict}, so there is no effect to switch on")
     made = {to_hypothesis(one): one for one in list_candidates(kinds)}
     named = [
@@ -109,7 +109,7 @@ def _patch_comments(result: DiagnosisResult) -> list[str]:
     for finding in result.diagnosis.findings:
         own = names[finding.hypothesis]
         alike = [names[one] for one in finding.equivalence_class if one != finding.hypothesis]
-        rest = [names[one] for one, _ in list_alternatives(finding)]
+        rest = [names[one.hypothesis] for one in finding.alternatives[1:]]
         lines += [f"{own} cannot be distinguished from {one}." for one in alike]
         lines += [f"{one} is an alternative to {own}." for one in rest]
     return lines

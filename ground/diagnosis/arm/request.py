@@ -1,4 +1,4 @@
-"""Requests of `marsarm diagnose` and `gap record`: their options, with defaults and bounds."""
+"""Requests of `marsarm diagnose`, `gap record` and `gap demo`: their options, with defaults and bounds."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,6 +60,14 @@ class DiagnoseRequest:
         Option("Write flight parameters with these effects, for --params.", "FILE.toml", suffixes=(".toml",)),
     ] = None
     report: ReportOption = None
+
+
+@dataclass(frozen=True, slots=True)
+class DemoRequest:
+    """Request for a demonstration of the diagnosis."""
+
+    seed: SeedOption = 0
+    workers: WorkersOption = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,21 +1,23 @@
 """Rest poses by static equilibrium with any effects: turret poses, and outputs relative to motors.
 
 Motors are at their encoder angles. Friction drags each output within its gear from one turning point of the
-motor to the next (fsw.estimate.gear). No dynamics are simulated, except for STEPPED_EFFECTS.
+motor to the next (fsw.estimate.gear). A link that creeps bends further by a share of its load that follows
+from the times between turning points. No dynamics are simulated, except for what `is_stepped` tells.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
+from diagnosis.serial_arm.screws import screw_log
 from fsw.config import CYCLE_HZ, Config, configure
 from fsw.dictionary.enums import Joint
 from fsw.estimate.gear import bound_gear
 from fsw.kinematics.statics import settle_output
-from fsw.kinematics.transforms import Array, Pose, stack_poses
+from fsw.kinematics.transforms import Array, Pose, inverse, screw_exp, stack_poses
 from ground.diagnosis.arm.logs import Recording
 from ground.diagnosis.arm.open_loop import simulate_open_loop
 from ground.diagnosis.arm.segments import find_rests, find_segments
@@ -24,7 +26,7 @@ from sim.disturbance import NO_DISTURBANCE, Disturbance
 from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal_hardware
 from sim.effects.gears import GearHysteresis
 from sim.effects.numerics import Numerics
-from sim.effects.structure import LinkCreep
+from sim.effects.structure import LinkBending, LinkCreep
 from sim.open_loop import scale_shift_rad
 from sim.params import nominal_params
 from sim.plant import Plant
@@ -32,9 +34,9 @@ from sim.world import World, build
 
 MEAN_TICKS = CYCLE_HZ // 4
 """Number of ticks at the end of a rest over which resolvers are averaged."""
-STEPPED_EFFECTS: Final = (GearHysteresis, LinkCreep, Numerics)
-"""Effects that need dynamic simulation: hysteresis inside a gear, creep of a link, and numerics that
-influence creep."""
+STEP_NUMERICS: Final = Numerics("implicit", 2)
+"""Numerics whose rests are simulated: those of other time steps and schemes agree with them to a hundredth of
+the noise floor, and take three times as long."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +59,11 @@ class RestPoses:
     """Resolvers minus motor angles by encoders, shape (5, r)."""
     X_RF: Pose
     """Pose of the turret interface in RMECH, batch (r,)."""
+
+
+def is_stepped(effect: Effect) -> bool:
+    """Check that rests with an effect need a dynamic simulation: hysteresis inside a gear, or numerics."""
+    return isinstance(effect, GearHysteresis) or effect == STEP_NUMERICS
 
 
 NO_RESTS: Final = RestPoses(np.zeros((len(Joint), 0)), no_tracker_poses().X_RF)
@@ -90,7 +97,10 @@ def read_resolvers(turning_points: TurningPoints) -> Array:
 
 def solve_rests(turning_points: Sequence[TurningPoints], effects: Sequence[Effect]) -> list[RestPoses]:
     """Solve the equilibria of each recording, for the nominal arm with these effects."""
-    if any(isinstance(effect, STEPPED_EFFECTS) for effect in effects):
+    creep = next((effect for effect in effects if isinstance(effect, LinkCreep)), None)
+    if creep is not None:
+        return _solve_creep(turning_points, creep, [effect for effect in effects if effect is not creep])
+    if any(map(is_stepped, effects)):
         return [_simulate_rests(one, effects) if one.rests else NO_RESTS for one in turning_points]
     hardware, params = nominal_hardware(), nominal_params()
     for effect in effects:
@@ -103,6 +113,57 @@ def solve_rests(turning_points: Sequence[TurningPoints], effects: Sequence[Effec
     return [
         _solve_statics(one, config, hardware, effects) if one.rests else NO_RESTS for one in turning_points
     ]
+
+
+def _solve_creep(
+    turning_points: Sequence[TurningPoints], creep: LinkCreep, others: Sequence[Effect]
+) -> list[RestPoses]:
+    """Solve the equilibria with a creeping link: between those of the link and of one that has crept wholly.
+
+    The bending of a link is linear in its load, so that the angle at a rest is a share of the whole one.
+    """
+    whole = LinkBending(creep.frame, creep.axis, creep.compliance_rad_Nm)
+    every = [replace(one, rests=tuple(range(len(one.tick)))) for one in turning_points]
+    before, after = (solve_rests(every, effects) for effects in (others, (*others, whole)))
+    found = []
+    for one, rigid, bent in zip(turning_points, before, after, strict=True):
+        if not one.rests:
+            found.append(NO_RESTS)
+            continue
+        screw, at = screw_log(inverse(rigid.X_RF) @ bent.X_RF), list(one.rests)
+        share = creep_shares(np.array(one.tick) / CYCLE_HZ, screw[:3], creep.time_s)[at]
+        X = Pose(rigid.X_RF.R[:, :, at], rigid.X_RF.p[:, at])
+        resolver_rad = rigid.resolver_rad[:, at]
+        resolver_rad += share * (bent.resolver_rad[:, at] - resolver_rad)
+        found.append(RestPoses(resolver_rad, X @ screw_exp(share * screw[:, at])))
+    return found
+
+
+def creep_shares(time_s: Array, angle_rad: Array, creep_s: float) -> Array:
+    """Compute the share of its whole bending that a creeping link has at each time.
+
+    The angle a follows creep_s a' = whole - a from 0 at time 0. The load, and with it the whole angle, is
+    constant up to the first time and linear between times.
+
+    Args:
+        time_s: Times from the first cycle [s], ascending, shape (k,).
+        angle_rad: Whole rotation by the bending at each time [rad], shape (3, k).
+        creep_s: Time constant [s].
+
+    Returns:
+        Shares, without a unit, shape (k,); 0 where there is no load.
+    """
+    largest = angle_rad[:, int(np.argmax(np.sum(angle_rad**2, axis=0)))]
+    whole = largest @ angle_rad
+    shares, a, last_s, last = np.zeros(time_s.size), 0.0, 0.0, whole[0]
+    for k, (now_s, now) in enumerate(zip(time_s, whole, strict=True)):
+        span_s = now_s - last_s
+        left = float(np.exp(-span_s / creep_s))
+        # solution of the differential equation for a load that changes linearly
+        a = a * left + now - last * left - (now - last) * creep_s / max(span_s, 1e-9) * (1.0 - left)
+        shares[k] = a / now if now else 0.0
+        last_s, last = now_s, now
+    return shares
 
 
 def _simulate_rests(turning_points: TurningPoints, effects: Sequence[Effect]) -> RestPoses:

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from ground.diagnosis.model import build_model
 from tests.ground.diagnosis import results as cases
-from tests.ground.diagnosis.worlds import found, world
+from tests.ground.diagnosis.worlds import found, modelled, world
 
 
 @pytest.fixture(scope="session")
@@ -16,8 +15,8 @@ def made():
 
 @pytest.fixture(scope="session")
 def campaign(made):
-    """Return its diagnosis model, with thresholds from its own simulated cases."""
-    return build_model(found(made), seed=1, cases=80)
+    """Return its diagnosis model."""
+    return modelled(found(made))
 
 
 @pytest.fixture(scope="session")

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ground.diagnosis.closure import build_held_out_model, compute_held_out_residuals, effect_values
-from ground.diagnosis.diagnose import Diagnosis, diagnose
+from ground.diagnosis.closure import build_held_out_model, compute_held_out_residuals
+from ground.diagnosis.diagnose import Diagnosis, diagnose, effect_values
 from ground.diagnosis.experiment_design import rank_motions
-from ground.diagnosis.nonlinear_fit import QuadraticSurrogate
 from ground.diagnosis.normal_equations import form_normal_equations
 from ground.diagnosis.problem import Residuals
 from ground.diagnosis.result import DiagnosisResult, ToolError
@@ -24,7 +23,7 @@ def result_of(made, campaign, seed, t=None, extra=None):
     said = diagnose(campaign, Residuals(made.layout, measured[0]), seed=1)
     apart = replace(made.layout, blocks=tuple(f"other {name}" for name in made.layout.blocks))
     held = build_held_out_model(campaign.equations, replace(found(made), layout=apart))
-    change = QuadraticSurrogate(held.sensitivities).change(effect_values(said))
+    change = held.sensitivities.change(effect_values(said))
     closing = compute_held_out_residuals(said, held, measured[1], change).closure(seed=1)
     return DiagnosisResult(
         campaign, said, closing, ToolError(0.61, 0.12, 0.02), _motions(made, campaign, said), NOTES, FLOOR
@@ -87,7 +86,7 @@ def _motions(made, campaign, said: Diagnosis):
     )
 
 
-def as_of(result, hypothesis, values, verdict="named"):
+def as_of(result, hypothesis, values, verdict="found"):
     """Replace the first finding of a result by a hypothesis with these values."""
     finding = result.diagnosis.findings[0]
     nowhere = np.full(len(values), np.nan)

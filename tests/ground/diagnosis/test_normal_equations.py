@@ -13,11 +13,12 @@ from ground.diagnosis.detectability import (
     equivalence_classes,
     noncentrality,
 )
-from ground.diagnosis.linear_fit import cross_validated_gain, cross_validation_losses, likelihood_ratio
+from ground.diagnosis.feature_residuals import build_full_whitener
+from ground.diagnosis.linear_fit import fit_linear
 from ground.diagnosis.normal_equations import form_normal_equations, reduce_residuals
 from ground.diagnosis.problem import Residuals
-from ground.diagnosis.selection import CandidateSet, select_effects
-from tests.ground.diagnosis.worlds import found, world
+from ground.diagnosis.selection import select
+from tests.ground.diagnosis.worlds import found, modelled, world
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +38,12 @@ def _dense(made):
     return V
 
 
+def likelihood_ratio(equations, case, columns):
+    """Return the deviance that columns explain."""
+    fit = fit_linear(equations, case, columns)
+    return float(fit.theta[equations.q :] @ case.all[columns])
+
+
 def _deviance(V, S, y, t):
     return (y - S @ t) @ np.linalg.solve(V, y - S @ t)
 
@@ -50,26 +57,6 @@ def test_a_fit_is_generalised_least_squares(small, rng):
     t = np.linalg.solve(S.T @ np.linalg.solve(V, S), S.T @ np.linalg.solve(V, y))
     expected = _deviance(V, S, y, 0 * t) - _deviance(V, S, y, t)
     assert float(likelihood_ratio(equations, case, columns)) == pytest.approx(expected, rel=1e-6)
-
-
-def test_a_block_is_predicted_by_the_others(small, rng):
-    equations, V = form_normal_equations(found(small)), _dense(small)
-    y, block = small.measured(rng), small.layout.block
-    case, _ = reduce_residuals(equations, Residuals(small.layout, y))
-    columns = equations.columns((2,))
-    S = small.effect[:, columns]
-    whole = S.T @ np.linalg.solve(V, S)
-    for left_out, loss in enumerate(cross_validation_losses(equations, case, columns[None])[0]):
-        a, b = block != left_out, block == left_out
-        Vaa, Vba = V[np.ix_(a, a)], V[np.ix_(b, a)]
-        t = np.linalg.solve(
-            S[a].T @ np.linalg.solve(Vaa, S[a]) + 0.01 * whole, S[a].T @ np.linalg.solve(Vaa, y[a])
-        )
-        P = V[np.ix_(b, b)] - Vba @ np.linalg.solve(Vaa, Vba.T)
-        rest = [y - S @ x for x in (t, 0 * t)]
-        rest = [r[b] - Vba @ np.linalg.solve(Vaa, r[a]) for r in rest]
-        expected = rest[0] @ np.linalg.solve(P, rest[0]) - rest[1] @ np.linalg.solve(P, rest[1])
-        assert loss == pytest.approx(expected, rel=1e-5, abs=1e-7)
 
 
 def test_units_and_orders_change_nothing(small, rng):
@@ -87,21 +74,16 @@ def test_units_and_orders_change_nothing(small, rng):
     other = replace(kept, layout=layout, hypotheses=tenfold, effect=-10.0 * kept.effect[:, at], owner=owner)
     results = []
     for one, names in ((kept, np.arange(mix.size)), (other, mix)):
-        equations = form_normal_equations(one)
-        case, _ = reduce_residuals(equations, Residuals(one.layout, y))
-        won = select_effects(
-            CandidateSet(equations, equivalence_classes(equations), 2.0, equations.identifiable), case
-        )
-        results.append(
-            (
-                [names[h] for h in won.chosen],
-                [names[h] for h in won.ranking],
-                won.neg_log10_p,
-                won.likelihood_ratio,
-            )
-        )
-    assert results[0][:2] == results[1][:2]
-    assert results[0][2:] == pytest.approx(results[1][2:], rel=1e-6)
+        won = select(modelled(one), one, build_full_whitener(one), y, seed=1)
+        results.append(([names[h] for h in won.chosen], won.null_deviance, won.deviance))
+    assert results[0][0] == results[1][0]
+    assert results[0][1:] == pytest.approx(results[1][1:], rel=1e-4)
+
+
+def test_the_full_whitener_leaves_white_noise(small):
+    """W V W' is the identity, with V the covariance by noise and all nuisances."""
+    W = build_full_whitener(found(small))(np.eye(small.layout.size))
+    np.testing.assert_allclose(W @ _dense(small) @ W.T, np.eye(small.layout.size), atol=1e-6)
 
 
 def test_what_is_alike_shares_a_class_and_nothing_else_does(campaign):
@@ -148,34 +130,3 @@ def test_what_is_no_hypothesis_has_the_limit_that_it_would_have_as_one(made, cam
     for one in (2, int(np.flatnonzero(np.bincount(made.owner) == 2)[0])):
         limit = column_detection_limit(campaign.equations, found(made).effect[:, made.owner == one])
         assert limit == pytest.approx(campaign.limits[one].limit, rel=1e-6)
-
-
-def test_blocks_have_a_say_only_where_they_foretell_each_other(small, rng, monkeypatch):
-    """Of the first effect they do not: each tells as well as all others that a nuisance is at ten sigma.
-
-    Then a loss, which there is only chance, is no veto.
-    """
-    kept = found(small)
-    lasting = next(k for k, nuisance in enumerate(kept.nuisances) if not nuisance.random_per_block)
-    effect, nuisance = kept.effect.copy(), kept.nuisance.copy()
-    nuisance[:, lasting] *= 100.0
-    effect[:, 0] = nuisance[:, lasting] * kept.nuisances[lasting].sigma
-    equations = form_normal_equations(replace(kept, effect=effect, nuisance=nuisance))
-    candidates = CandidateSet(equations, equivalence_classes(equations), 4.0, equations.identifiable)
-    ordinary = int(np.flatnonzero(equations.owner == 2)[0])
-    monkeypatch.setattr(
-        "ground.diagnosis.selection.cross_validation_losses", lambda equations, case, columns: np.ones((1, 5))
-    )
-    for column, size, has_a_say in ((0, 10.0, False), (ordinary, 10.0 / equations.scale[ordinary], True)):
-        y = small.measured(rng) + size * effect[:, column]
-        case, _ = reduce_residuals(equations, Residuals(kept.layout, y))
-        columns = np.array([column])
-        share = cross_validated_gain(equations, case, columns[None])[0] / likelihood_ratio(
-            equations, case, columns
-        )
-        assert (share > 0.5) if has_a_say else (share < 0.01)
-        assert (
-            (select_effects(candidates, case).chosen == ())
-            if has_a_say
-            else (select_effects(candidates, case).chosen == (0,))
-        )

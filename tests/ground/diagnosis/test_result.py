@@ -1,4 +1,4 @@
-"""Result document: its keys, its verdicts, and only values that JSON can hold."""
+"""Result document: its keys, its verdicts and levels, and only values that JSON can hold."""
 
 import json
 from dataclasses import replace
@@ -11,40 +11,43 @@ from ground.diagnosis.result import to_json
 KEYS = {
     "verdict",
     "effects",
-    "ranking",
     "residual_map",
     "closure",
-    "equivalence_classes",
     "next_motion",
-    "log_odds",
     "unexplained",
     "tool_mm",
     "notes",
     "noise_floor",
-    "thresholds",
 }
 EFFECT = {
     "name",
     "place",
+    "family",
+    "level",
+    "places",
+    "families",
+    "effects",
     "parameters",
-    "probability",
     "share",
     "alternatives",
     "aliases",
-    "at_bound",
 }
 
 
-def test_every_case_has_its_verdict(results):
-    verdicts = {name: to_json(result)["verdict"] for name, result in results.items()}
-    assert verdicts == {
-        "named": "named",
-        "alike": "named",
-        "undecided": "set",
+def test_every_case_has_its_verdict_and_level(results):
+    said = {name: to_json(result) for name, result in results.items()}
+    assert {name: one["verdict"] for name, one in said.items()} == {
+        "named": "found",
+        "alike": "found",
+        "undecided": "found",
         "nothing": "none",
         "unknown": "unknown",
-        "beside": "unknown",
+        "beside": "found",
     }
+    levels = {name: {effect["level"] for effect in one["effects"]} for name, one in said.items()}
+    assert levels["named"] == {"size"}
+    assert levels["undecided"] == {"effect"}
+    assert levels["beside"] == {"place"}
 
 
 def test_every_document_has_the_same_keys_and_comes_back_from_json(results):
@@ -55,40 +58,40 @@ def test_every_document_has_the_same_keys_and_comes_back_from_json(results):
         assert json.loads(json.dumps(document, allow_nan=False)) == document
 
 
-def test_none_has_no_effect_but_a_ranking(results):
-    document = to_json(results["nothing"])
-    assert document["effects"] == []
-    assert len(document["ranking"]) == 10
+def test_none_has_no_effect(results):
+    assert to_json(results["nothing"])["effects"] == []
 
 
-def test_an_effect_has_its_interval_and_its_probability(results):
+def test_an_effect_has_its_interval_its_limits_and_its_sets(results):
     (effect,) = to_json(results["named"])["effects"]
     (parameter,) = effect["parameters"]
     assert parameter["least"] < parameter["value"] < parameter["most"]
-    assert effect["probability"] >= 0.95
+    assert 0.0 < parameter["seen_from"] < parameter["named_from"] < parameter["value"]
     assert effect["share"] == pytest.approx(1.0)
     assert effect["alternatives"] == effect["aliases"] == []
+    assert effect["places"] == [effect["place"]]
+    assert effect["families"] == [effect["family"]]
+    assert effect["effects"] == [{key: effect[key] for key in ("name", "place")}]
 
 
-def test_aliased_effects_are_a_class_with_the_motion_that_separates_them(results):
+def test_aliased_effects_have_a_motion_that_separates_them(results):
     document = to_json(results["alike"])
     (effect,) = document["effects"]
-    (together,) = document["equivalence_classes"]
-    assert [{key: effect[key] for key in ("name", "place")}, *effect["aliases"]] == together
+    assert len(effect["aliases"]) == 1
     assert document["next_motion"][0]["name"] == "another"
     assert document["next_motion"][0]["separation"] > document["next_motion"][0]["separation_now"]
 
 
-def test_a_set_holds_others_and_what_they_are_worth(results):
+def test_a_set_holds_others_with_their_probability(results):
     (effect,) = to_json(results["undecided"])["effects"]
     assert effect["alternatives"]
-    worth = effect["probability"] + sum(one["probability"] for one in effect["alternatives"])
-    assert 0.95 <= worth <= 1.0 + 1e-12
+    assert all(0.05 < one["p"] <= 1.0 for one in effect["alternatives"])
+    assert len(effect["effects"]) == 1 + len(effect["alternatives"])
 
 
 def test_structure_is_reported_where_it_is(results, made):
     for name, expected in (("unknown", True), ("beside", True), ("named", False), ("nothing", False)):
-        assert to_json(results[name])["unexplained"]["lack_of_fit"] is expected
+        assert to_json(results[name])["unexplained"]["has_remainder"] is expected
     assert to_json(results["unknown"])["unexplained"]["groups"][0]["channel"] == made.layout.channels[6]
 
 

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diagnosis.effects.effect import Family
+from ground.diagnosis.model import DiagnosisModel, build_model
 from ground.diagnosis.problem import FeatureLayout, Hypothesis, Nuisance, Parameter
 from ground.diagnosis.sensitivity import Sensitivities, fit_parabola
 
@@ -105,6 +107,12 @@ def found(made):
         made.layout, made.hypotheses, made.nuisances, nominal, slope, bend, np.ones(len(sized)),
         np.array([made.hypotheses.index(h) for h, _ in sized], np.intp), np.array(straight).reshape(-1, m).T,
     )  # fmt: skip
+
+
+def modelled(sensitivities) -> DiagnosisModel:
+    """Return the diagnosis model: families by the number of the effect, locations as places."""
+    families = [list(Family)[int(h.effect.split()[-1]) % 4] for h in sensitivities.hypotheses]
+    return build_model(sensitivities, families, [h.place for h in sensitivities.hypotheses])
 
 
 def _centred(made, by):

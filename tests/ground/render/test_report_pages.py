@@ -13,12 +13,11 @@ from ground.calibration.campaign_file import save_campaign
 from ground.calibration.execution import run_calibration
 from ground.calibration.report import save_calibration_page
 from ground.calibration.request import CalibrateRequest
-from ground.diagnosis.model import build_model
 from ground.diagnosis.page import save_diagnosis_page
 from ground.render.page import Origin
 from tests.ground.calibration.lab import campaign, quiet
 from tests.ground.diagnosis import results
-from tests.ground.diagnosis.worlds import found, world
+from tests.ground.diagnosis.worlds import found, modelled, world
 from tests.marks import slow_but
 from validation.browser import LOADED, MISSING, Browser, find_chromium
 
@@ -67,7 +66,7 @@ def save_calibration(path):
 
 def save_diagnosis(path):
     made = world()
-    result = results.beside(made, build_model(found(made), seed=1, cases=80))
+    result = results.beside(made, modelled(found(made)))
     save_diagnosis_page(result, Origin("marsarm diagnose logs", {"logs": "0" * 64}), path)
 
 

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,6 @@ from fsw.kinematics.transforms import IDENTITY, stack_poses
 from ground.common.errors import BadRequest
 from ground.common.progress import Progress
 from ground.diagnosis.arm import diagnose_logs, logs, record
-from ground.diagnosis.arm.campaign_model import load_thresholds, save_thresholds
 from ground.diagnosis.arm.campaign_sensitivities import keys_path, load_keys
 from ground.diagnosis.arm.logs import NotForDiagnosis
 from ground.diagnosis.arm.request import RecordRequest
@@ -23,8 +22,6 @@ from ground.diagnosis.arm.tracker_poses import (
     read_tracker_poses,
     write_tracker_poses,
 )
-from ground.diagnosis.confidence import ConfidenceClassifier, ConfidenceFeatures
-from ground.diagnosis.thresholds import Thresholds
 from sim.diagnosis_campaign import SessionFailed
 
 
@@ -35,43 +32,6 @@ def test_names_of_rows_that_are_not_those_are_refused(tmp_path: Path, text: str 
         keys_path(path).write_text(text)
     with pytest.raises(BadRequest, match=r"s\.keys\.json: .*remove .*s\.npz"):
         load_keys(path, 2)
-
-
-TRUST = ConfidenceClassifier(tuple(range(1 + len(fields(ConfidenceFeatures)))), -np.inf)
-KEPT = Thresholds(3.5, 2.5, np.inf, TRUST, 0.04, 0.02, 0.13, 400, 250)
-
-
-def test_thresholds_come_back_until_other_code_finds_them(tmp_path: Path) -> None:
-    path = tmp_path / "t.json"
-    save_thresholds(KEPT, path)
-    assert load_thresholds(path) == KEPT
-    path.write_text(path.read_text().replace('"code": "', '"code": "0'))
-    assert load_thresholds(path) is None
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('"effect": 3.5', '"effect": "much"'),
-        ('"weights": [0, ', '"weights": ['),
-        ('"effect": 3.5, ', ""),
-        ("}", ""),
-    ],
-)
-def test_thresholds_that_are_damaged_are_refused(tmp_path: Path, old: str, new: str) -> None:
-    path = tmp_path / "t.json"
-    save_thresholds(KEPT, path)
-    assert old in path.read_text()
-    path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(BadRequest, match=r"t\.json: no thresholds .* remove it"):
-        load_thresholds(path)
-
-
-@pytest.mark.parametrize("text", ["", "[]", "3"])
-def test_what_is_no_table_of_thresholds_is_refused(tmp_path: Path, text: str) -> None:
-    (tmp_path / "t.json").write_text(text)
-    with pytest.raises(BadRequest, match=r"t\.json: no thresholds .* remove it"):
-        load_thresholds(tmp_path / "t.json")
 
 
 def test_poses_of_a_tracker_come_back(tmp_path: Path) -> None:

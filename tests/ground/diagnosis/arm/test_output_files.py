@@ -63,7 +63,7 @@ def test_an_effect_without_flight_parameter_gives_no_file(results, tmp_path):
         new_params(nominal_params(), (found,))
 
 
-@pytest.mark.parametrize("name", ["nothing", "unknown", "beside"])
+@pytest.mark.parametrize("name", ["nothing", "unknown"])
 def test_where_no_name_is_given_there_is_no_patch(results, tmp_path, name):
     with pytest.raises(NothingToWrite, match="the verdict is"):
         save_patch(results[name], tmp_path / "found.toml")

@@ -43,12 +43,13 @@ def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
     apart = replace(
         fitted, layout=replace(fitted.layout, blocks=tuple(f"other {b}" for b in fitted.layout.blocks))
     )
-    kept, limits = CampaignSensitivities(fitted, apart), [one.limit for one in campaign.limits]
+    kept = CampaignSensitivities(fitted, apart)
     seen = [
-        DetectableEffect(h, lim, int(k))
-        for h, lim, k in zip(made.hypotheses, limits, campaign.label, strict=True)
+        DetectableEffect(h, one.limit, int(k))
+        for h, one, k in zip(made.hypotheses, campaign.limits, campaign.label, strict=True)
     ]
-    plan = plan_cases(CASES_MADE, seen, [replace(seen[0], label=None)], rng)
+    strange = replace(seen[0].hypothesis, effect="dither")
+    plan = plan_cases(CASES_MADE, seen, [replace(seen[0], hypothesis=strange, label=None)], rng)
     cases, rows = [], np.arange(made.layout.size)
     shape = 2.0 * made.layout.sigma * made.layout.condition[:, 1] * (made.layout.channel == 3)
     for number, case in enumerate(plan):
@@ -68,11 +69,9 @@ def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
         cases.append(TrueCase(case_name(number), case.kind, tuple(effects), (), 1))
     truth = SealedTruth("aa", tuple(cases))
     seal(tmp_path, truth)
-    write_json(
-        tmp_path / CAMPAIGN_FOLDER / CLASSES_FILE, classes_json(made.hypotheses, campaign.label, limits)
-    )
+    write_json(tmp_path / CAMPAIGN_FOLDER / CLASSES_FILE, classes_json(campaign))
 
-    def diagnosed(case: Path, _: Path) -> tuple[dict[str, object], CaseFeatures]:
+    def diagnosed(case: Path, _: Path, without: str) -> tuple[dict[str, object], CaseFeatures]:
         features = read_case_features(case / "log")
         said = diagnose(campaign, Residuals(made.layout, features.fitted.value), 1)
         return to_json(DiagnosisResult(campaign, said, None, None, (), (), ())), features

@@ -1,0 +1,218 @@
+"""Demonstration of the diagnosis: an effect is drawn and sealed, recorded, diagnosed, and then compared."""
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from itertools import count
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final, Literal
+
+import numpy as np
+
+import fsw
+import sim
+from ground.common.files import cache_folder
+from ground.common.options import check_options
+from ground.common.pool import select_runner
+from ground.common.progress import Progress, part_of
+from ground.diagnosis.arm.audit import load_checked_recordings
+from ground.diagnosis.arm.blind_case import record_blind, sample_background
+from ground.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
+from ground.diagnosis.arm.campaign_sensitivities import list_sources
+from ground.diagnosis.arm.case import diagnose_case
+from ground.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs
+from ground.diagnosis.arm.request import DemoRequest, RecordRequest
+from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
+from ground.diagnosis.diagnose import Finding
+from ground.diagnosis.model import DiagnosisModel
+from ground.diagnosis.result import DiagnosisResult, to_json
+from ground.diagnosis.sampling import DetectableEffect, can_sample, sample_amplitude, sample_effect
+from sim.arms import arm_named
+from sim.diagnosis_campaign import HELD_OUT_SESSIONS, campaign_sessions
+from sim.effects.effect import Effect
+from sim.params import nominal_params
+from sim.scenario.effects import effect_text
+
+Kind = Literal["none", "known", "left out"]
+KINDS: Final[tuple[tuple[Kind, float], ...]] = (("none", 0.1), ("known", 0.65), ("left out", 0.25))
+"""What is drawn, with its probability; an effect that is left out is one that the catalogue then lacks."""
+SIZES: Final = (1.0, 4.0)
+"""Range of the drawn sizes, in detection limits of the race of all hypotheses."""
+CAMPAIGN_SHARE: Final = 0.9
+"""Share of the campaign in the time of a demonstration, for the progress, if none is cached."""
+
+
+@dataclass(frozen=True, slots=True)
+class DemoTruth:
+    """Drawn truth; the salt prevents that a guess is confirmed by the digest."""
+
+    salt: str
+    kind: Kind
+    effect: str
+    """Name of the effect; "" for none."""
+    place: str
+    spec: str
+    """Text that switches it on."""
+    times_limit: float
+    """Size over the detection limit of the race."""
+    background: tuple[str, ...]
+    """Calibration errors, friction of the day and numerics of the arm."""
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the truth."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Demo:
+    """Result of a demonstration."""
+
+    truth: DemoTruth
+    result: DiagnosisResult
+    is_right: bool
+    reason: str
+    """Why it is right or wrong, as a sentence."""
+
+
+def run_demo(request: DemoRequest, progress: Progress, publish: Callable[[str], None]) -> Demo:
+    """Draw an effect, record an arm with it, diagnose the logs, and compare.
+
+    Args:
+        request: Seed and workers.
+        progress: Called with done, total and step.
+        publish: Called with the digest of the truth before the logs are diagnosed.
+
+    Raises:
+        BadRequest: The request is wrong.
+        BadOutput: The cache cannot be written.
+    """
+    check_options(request)
+    campaign = load_demo_campaign(request, part_of(progress, 0.0, CAMPAIGN_SHARE))
+    with TemporaryDirectory() as name:
+        progress(CAMPAIGN_SHARE, 1.0, "recording")
+        truth = _record_drawn(Path(name), campaign.model, request.seed)
+        publish(truth.digest())
+        progress((1.0 + CAMPAIGN_SHARE) / 2.0, 1.0, "diagnosing")
+        result = _diagnose(Path(name), campaign, truth, request.seed)
+    is_right, reason = judge(truth, result)
+    return Demo(truth, result, is_right, reason)
+
+
+def demo_json(found: Demo) -> dict[str, Any]:
+    """Return the document of a demonstration."""
+    truth = {**asdict(found.truth), "sha256": found.truth.digest()}
+    right = {"is_right": found.is_right, "reason": found.reason}
+    return {**right, "truth": truth, "diagnosis": to_json(found.result)}
+
+
+def load_demo_campaign(request: DemoRequest, progress: Progress) -> CampaignModel:
+    """Load the campaign of the nominal arm; record and compute what is not cached."""
+    code = hashlib.sha256(b"".join(path.read_bytes() for of in (fsw, sim) for path in list_sources(of)))
+    folder = cache_folder("gap-demo") / code.hexdigest()[:16]
+    if not folder.exists():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        record_logs(RecordRequest(folder), part_of(progress, 0.0, 0.05))
+    logs, held_out = (sorted(of.glob("*.mcap")) for of in (folder, folder / HELD_OUT_FOLDER))
+    run = select_runner(request.workers, None)
+    return load_campaign_model(logs, held_out, folder, run, part_of(progress, 0.05, 1.0))
+
+
+def _record_drawn(folder: Path, model: DiagnosisModel, seed: int) -> DemoTruth:
+    """Draw until the arm can complete its sessions; return what was drawn then."""
+    for attempt in count():
+        rng = np.random.default_rng([seed, attempt, 12])
+        truth, effects = draw_truth(model, rng)
+        sessions = campaign_sessions(arm_named("nominal").params)
+        if record_blind(folder, effects, sessions, int(rng.integers(2**31))):
+            return truth
+    raise AssertionError("count() ends")
+
+
+def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTruth, tuple[Effect, ...]]:
+    """Draw what is on in the arm.
+
+    Args:
+        model: Diagnosis model of the campaign.
+        rng: Random generator.
+
+    Returns:
+        The truth, and all effects of the arm.
+    """
+    kinds, shares = zip(*KINDS, strict=True)
+    kind: Kind = kinds[int(rng.choice(len(kinds), p=shares))]
+    background, salt = sample_background(rng), rng.bytes(16).hex()
+    texts = tuple(effect_text(effect) for effect in background)
+    if kind == "none":
+        return DemoTruth(salt, kind, "", "", "", 0.0, texts), background
+    seen = [
+        DetectableEffect(one, limit.family_wise_limit, int(label))
+        for one, limit, label in zip(model.sensitivities.hypotheses, model.limits, model.label, strict=True)
+    ]
+    drawn = sample_amplitude(sample_effect([one for one in seen if can_sample(one, SIZES)], rng), rng, SIZES)
+    hypothesis = drawn.source.hypothesis
+    made = next(one for one in list_candidates(None) if to_hypothesis(one) == hypothesis)
+    effect = make_effect(made, hypothesis, drawn.values)
+    truth = DemoTruth(
+        salt, kind, hypothesis.effect, hypothesis.place, effect_text(effect), drawn.times_limit, texts
+    )
+    return truth, (*background, effect)
+
+
+def _diagnose(folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int) -> DiagnosisResult:
+    logs = sorted(folder.glob("*.mcap"))
+    fitted, held_out = (
+        load_checked_recordings(
+            [log for log in logs if (log.stem in HELD_OUT_SESSIONS) is held], nominal_params()
+        )
+        for held in (False, True)
+    )
+    if truth.kind == "left out":
+        campaign = replace(campaign, model=campaign.model.without(truth.effect))
+    return diagnose_case(fitted, held_out, campaign, seed)
+
+
+def judge(truth: DemoTruth, result: DiagnosisResult) -> tuple[bool, str]:
+    """Say whether a diagnosis is right, level by level, and why.
+
+    Args:
+        truth: What was drawn.
+        result: What was found.
+    """
+    findings = result.diagnosis.findings
+    if truth.kind == "none":
+        is_right = result.diagnosis.verdict == "none"
+        return is_right, "nothing was on" if is_right else "nothing was on, but something was reported"
+    if truth.kind == "left out":
+        if any(one.effects for one in findings):
+            return False, "the catalogue lacked the effect, but another was named"
+        return True, "the catalogue lacked the effect, and no other was named"
+    if not findings:
+        return False, "the effect was not found"
+    names = [(one.effect, one.place) for one in result.model.sensitivities.hypotheses]
+    true = names.index((truth.effect, truth.place))
+    wrong = [one for one in findings if not holds(result.model, one, true)]
+    if len(wrong) == len(findings):
+        return False, "the effect is in no set that was reported"
+    if any(one.effects for one in wrong):
+        return False, "the effect was found, but another was named beside it"
+    level = next(one.level for one in findings if one not in wrong)
+    return True, f"the {'effect' if level == 'size' else level} was reported"
+
+
+def holds(model: DiagnosisModel, finding: Finding, true: int) -> bool:
+    """Check that the set of a finding, at its level, holds a hypothesis.
+
+    Args:
+        model: Diagnosis model of the campaign.
+        finding: The finding.
+        true: Index of the hypothesis.
+    """
+    alike = model.equivalence_class(true)
+    if finding.effects:
+        return any(model.label[true] == model.label[one] for one in finding.effects)
+    has_place = any(model.locations[one] in finding.places for one in alike)
+    return has_place and (
+        not finding.families or any(model.families[one] in finding.families for one in alike)
+    )

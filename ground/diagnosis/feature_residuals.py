@@ -1,0 +1,187 @@
+"""Features of a campaign as residuals that the shared selection of effects can use.
+
+The features are whitened by their noise floor and by all nuisances with their priors:
+
+    y = N v + S a + e,   W y has unit covariance if a = 0
+
+so that no nuisance is fitted. All features count as one joint: most nuisances, and many effects, move them
+all. The change by an effect is the parabola of the sensitivities.
+"""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from diagnosis.effects.effect import Effect, Family, Size
+from diagnosis.residuals.residuals import ResidualModel
+from fsw.kinematics.transforms import Array
+from ground.diagnosis.model import DiagnosisModel
+from ground.diagnosis.normal_equations import build_whitener
+from ground.diagnosis.problem import Hypothesis, Ints
+from ground.diagnosis.sensitivity import Sensitivities
+
+LIMITS: Final = 2.0
+"""Size from which a fit starts, in detection limits: effects that can be told apart are of this size."""
+BOUND_SHARE: Final = 0.9
+"""Largest share of the way to a bound at which a fit starts."""
+RANK_TOLERANCE: Final = 1e-9
+"""Nuisances whose whitened size is below this have no influence."""
+
+WhitenAll = Callable[[Array], Array]
+"""Function that whitens features, (m, n), by noise and all nuisances."""
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureEffect(Effect):
+    """Hypothesis of a campaign as an effect; its sizes are departures from neutral in typical sizes."""
+
+    place: str
+    index: int
+    """Index of the hypothesis."""
+    effect: str
+    kind: Family
+    departures: tuple[Size, ...]
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Name of the effect."""
+        return self.effect
+
+    @property
+    def family(self) -> Family:  # type: ignore[override]
+        """Family of the effect."""
+        return self.kind
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Amplitudes."""
+        return self.departures
+
+
+def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) -> tuple[FeatureEffect, ...]:
+    """List the effects that a campaign can show, the first of each equivalence class.
+
+    Args:
+        model: Diagnosis model of the campaign.
+        excluded: Indices of hypotheses that do not compete.
+
+    Returns:
+        One effect a class with a finite limit.
+    """
+    found: dict[int, FeatureEffect] = {}
+    for k, (hypothesis, limit) in enumerate(zip(model.sensitivities.hypotheses, model.limits, strict=True)):
+        label = int(model.label[k])
+        if not np.isfinite(limit.limit) or k in {*excluded, *model.left_out} or label in found:
+            continue
+        sizes = []
+        for parameter in hypothesis.amplitudes:
+            ends = [(end - parameter.absent) / parameter.typical for end in (parameter.least, parameter.most)]
+            typical = min(LIMITS * limit.limit, BOUND_SHARE * max(map(abs, ends)))
+            sizes.append(Size(parameter.name, min(ends), max(ends), typical))
+        found[label] = FeatureEffect(hypothesis.place, k, hypothesis.effect, model.families[k], tuple(sizes))
+    return tuple(found.values())
+
+
+class FeatureResiduals:
+    """Whitened features of a case less the change by effects; see `ResidualModel`."""
+
+    kind = "features"
+    unit = "noise floors"
+    method = "Features are compared with those of the simulator, in units of their noise."
+    joints: tuple[str, ...] = ("arm",)
+    step_s = 0.0
+    noise_std = 1.0
+    by_motion = False
+
+    def __init__(self, sensitivities: Sensitivities, whiten: WhitenAll, value: Array) -> None:
+        """Whiten features and sensitivities.
+
+        Args:
+            sensitivities: Sensitivities of the features.
+            whiten: Their `build_full_whitener`.
+            value: Measured minus nominal features in the units of the channels, (m,).
+        """
+        layout = sensitivities.layout
+        self._y = whiten(value[:, None])[:, 0]
+        self._effect = whiten(sensitivities.effect)
+        self._curve = whiten(sensitivities.curve)
+        self._reach = sensitivities.reach
+        self._columns = [
+            np.flatnonzero(sensitivities.owner == h) for h in range(len(sensitivities.hypotheses))
+        ]
+        present, self.motion_of = np.unique(layout.block, return_inverse=True)
+        self.motions = tuple(layout.blocks[block] for block in present)
+        self.repeat_of = ("",) * len(self.motions)
+        self.joint_of: Ints = np.zeros(layout.size, np.intp)
+        self.time_s = np.arange(layout.size, dtype=float)  # whitened features have no memory
+        self._condition = dict(zip(layout.conditions, layout.condition.T, strict=True))
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        """Return the residuals of candidates, in noise floors.
+
+        Args:
+            effects: Feature effects of all candidates.
+            sizes: Departures from neutral in typical sizes, without a unit, one effect after the other,
+                (n_candidates, n_sizes).
+
+        Returns:
+            (n_candidates, m).
+        """
+        own = [self._columns[one.index] for one in effects if isinstance(one, FeatureEffect)]
+        columns = np.concatenate([np.zeros(0, np.intp), *own])
+        reach = self._reach[columns]
+        inside = np.clip(sizes, -reach, reach)
+        change = sizes @ self._effect[:, columns].T
+        return np.asarray(self._y - change - (inside * (2.0 * sizes - inside)) @ self._curve[:, columns].T)
+
+    def select(self, motions: Sequence[str]) -> ResidualModel:
+        """Return all residuals: they cost nothing."""
+        return self
+
+    def explain(self, name: str) -> Array:
+        """Return a condition of the features.
+
+        Args:
+            name: Name of the condition.
+
+        Returns:
+            (m,), in its unit; NaN for a condition that features do not have.
+        """
+        return np.asarray(self._condition.get(name, np.full(self._y.size, np.nan)))
+
+
+def build_full_whitener(sensitivities: Sensitivities) -> WhitenAll:
+    """Build the function that whitens features, (m, n), by noise and all nuisances with their priors.
+
+    Args:
+        sensitivities: Sensitivities of the features.
+    """
+    first, shared = build_whitener(sensitivities), sensitivities.shared_nuisances
+    sigma = np.array([sensitivities.nuisances[index].sigma for index in shared])
+    U, S, _ = np.linalg.svd(first(sensitivities.nuisance[:, shared] * sigma), full_matrices=False)
+    U, S = U[:, S > RANK_TOLERANCE], S[S > RANK_TOLERANCE]
+    shrinkage = 1.0 - 1.0 / np.sqrt(1.0 + S**2)
+
+    def whiten(features: Array) -> Array:
+        white = first(features)
+        return np.asarray(white - (U * shrinkage) @ (U.T @ white))
+
+    return whiten
+
+
+def parameter_values(hypothesis: Hypothesis, departures: Array) -> Array:
+    """Return the values of all parameters of a hypothesis.
+
+    Args:
+        hypothesis: Hypothesis with n amplitudes among p parameters.
+        departures: Departures of the amplitudes in typical sizes, without a unit, (n,).
+
+    Returns:
+        Values in the units of the parameters, (p,).
+    """
+    values, at = hypothesis.absent, [k for k, one in enumerate(hypothesis.parameters) if one.is_amplitude]
+    typical = np.array([hypothesis.parameters[k].typical for k in at])
+    values[at] += typical * departures
+    return values

@@ -1,0 +1,58 @@
+"""Features as residuals of the shared selection: white without effect, changed as sensitivities say."""
+
+import numpy as np
+import pytest
+
+from ground.diagnosis.feature_residuals import (
+    FeatureResiduals,
+    build_full_whitener,
+    list_feature_effects,
+    parameter_values,
+)
+from tests.ground.diagnosis.worlds import found, modelled, world
+
+WORLD = world(bent=0.3)
+SENSITIVITIES = found(WORLD)
+MODEL = modelled(SENSITIVITIES)
+EFFECTS = list_feature_effects(MODEL)
+WHITEN = build_full_whitener(SENSITIVITIES)
+
+
+def residuals(value: np.ndarray) -> FeatureResiduals:
+    return FeatureResiduals(SENSITIVITIES, WHITEN, value)
+
+
+def test_without_effect_features_are_white() -> None:
+    values = [WORLD.measured(np.random.default_rng([1, k])) for k in range(40)]
+    white = np.array([residuals(value).residuals((), np.zeros((1, 0)))[0] for value in values])
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_class_competes_once() -> None:
+    labels = [MODEL.label[one.index] for one in EFFECTS]
+    assert len(set(labels)) == len(labels) == int(MODEL.label.max()) + 1
+
+
+def test_the_change_by_effects_is_that_of_the_sensitivities() -> None:
+    """Also beyond their reach, and for several effects at once."""
+    rng = np.random.default_rng(3)
+    value, some = WORLD.measured(rng), EFFECTS[4:12:3]
+    sizes = rng.uniform(-2.0, 2.0, sum(len(one.sizes) for one in some))
+    parts = np.split(sizes, np.cumsum([len(one.sizes) for one in some])[:-1])
+    hypotheses = [SENSITIVITIES.hypotheses[one.index] for one in some]
+    change = SENSITIVITIES.change({
+        h: parameter_values(h, a) for h, a in zip(hypotheses, parts, strict=True)
+    })  # fmt: skip
+    expected = WHITEN((value - change)[:, None])[:, 0]
+    np.testing.assert_allclose(residuals(value).residuals(some, sizes[None])[0], expected, atol=1e-8)
+
+
+def test_a_parabola_goes_through_what_was_simulated_and_its_secant_too() -> None:
+    rng = np.random.default_rng(4)
+    for h in (3, int(np.flatnonzero(np.bincount(WORLD.owner) == 2)[0])):
+        hypothesis = SENSITIVITIES.hypotheses[h]
+        a = rng.uniform(1.0, 3.0, len(hypothesis.amplitudes))
+        change = rng.normal(size=WORLD.layout.size)
+        simulated = SENSITIVITIES.with_simulated(h, a, change)
+        for one in (simulated, simulated.linearised(h, a)):
+            np.testing.assert_allclose(one.change({hypothesis: parameter_values(hypothesis, a)}), change)
