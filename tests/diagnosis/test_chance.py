@@ -3,10 +3,18 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 
 from diagnosis.arrays import orthonormal
-from diagnosis.selection.chance import alternative_p, count_distinct, stationary_p, wald_p
+from diagnosis.selection.chance import (
+    ASYMPTOTIC_FROM,
+    alternative_p,
+    chi_square_log_p,
+    count_distinct,
+    known_noise_log_p,
+    stationary_p,
+    wald_p,
+)
 
 N, MEMORY = 60, 0.9
 """Samples of a motion, and share of the noise that a sample keeps of the one before."""
@@ -147,3 +155,37 @@ def test_a_basis_leaves_out_what_changes_nothing_and_what_others_can_do():
     assert basis.shape == (40, 3)
     np.testing.assert_allclose(basis.T @ basis, np.eye(3), atol=1e-12)
     assert orthonormal(np.zeros((40, 2))).shape == (40, 0)
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 3.5])
+def test_the_tail_of_a_chi_square_goes_on_where_it_underflows(freedom):
+    for statistic in (0.0, 3.0, 500.0):
+        assert chi_square_log_p(statistic, freedom) == pytest.approx(chi2.logsf(statistic, freedom))
+    near, far = (chi_square_log_p(2.0 * ASYMPTOTIC_FROM + by, freedom) for by in (0.0, 1e-9))
+    assert far == pytest.approx(near, rel=1e-4)
+    assert chi_square_log_p(5000.0, freedom) < chi_square_log_p(4900.0, freedom) - 49.0
+
+
+def test_in_known_noise_an_absent_effect_is_as_rare_as_its_probability_says():
+    rng, n_sizes, found = np.random.default_rng(8), 2, []
+    basis = orthonormal(rng.normal(size=(40, n_sizes)))
+    for _ in range(2000):
+        before = rng.normal(size=40)
+        found.append(np.exp(known_noise_log_p(before, before - basis @ (basis.T @ before), n_sizes)))
+    assert np.mean(np.array(found) <= 0.05) == pytest.approx(0.05, abs=0.015)
+
+
+@pytest.mark.parametrize("apart", [1.0, 4.0])
+def test_in_known_noise_the_cause_is_excluded_as_rarely_as_its_probability_says(apart):
+    """Three models of one size each compete; the cause is the second."""
+    rng, std, excluded, draws = np.random.default_rng(9), 0.3, 0, 600
+    shapes = [orthonormal(one[:, None]) for one in rng.normal(size=(3, 30)) + 1.5 * rng.normal(size=30)]
+    for k in range(draws):
+        data = 10.0 * std * apart * shapes[1][:, 0] + std * rng.normal(size=30)
+        fits = [(data - shape @ (shape.T @ data), shape) for shape in shapes]
+        fits.sort(key=lambda one: one[0] @ one[0])
+        cause = next(one for one in fits if one[1] is shapes[1])
+        rivals = [one for one in fits if one is not cause]
+        if rivals[0][0] @ rivals[0][0] < cause[0] @ cause[0]:
+            excluded += alternative_p(cause, rivals, np.arange(30), k, std) <= 0.05
+    assert excluded <= 0.05 * draws
