@@ -43,6 +43,11 @@ class Union:
         """Sizes of all effects, one after the other."""
         return tuple(size for effect in self.effects for size in effect.sizes)
 
+    @cached_property
+    def owner(self) -> Integers:
+        """Index of the effect of each column, (n_sizes,)."""
+        return np.repeat(np.arange(len(self.effects)), [len(effect.sizes) for effect in self.effects])
+
     def sizes_at(self, columns: Integers) -> list[Size]:
         """Return the sizes in these columns.
 
@@ -359,7 +364,7 @@ class _Evaluator:
         merged = [self.sharing.merge([points[number] for number in numbers]) for numbers in plan]
         sizes = np.array(merged)
         used = np.flatnonzero(np.any(sizes != 0.0, axis=tuple(range(sizes.ndim - 1))))
-        part = [e for e in self.union.effects if np.isin(self.union.columns([e]), used).any()]
+        part = [self.union.effects[k] for k in np.unique(self.union.owner[used])]
         sizes = sizes[..., self.union.columns(part)]
         if sizes.ndim == 3:
             simulated = residuals_by_motion(self.model, part, sizes)

@@ -151,10 +151,15 @@ def steps_to_rest(simulator: ArmSimulator, column: JacobianColumn) -> bool:
 def group_columns(
     simulator: ArmSimulator, columns: Sequence[JacobianColumn], wanted: Sequence[int]
 ) -> list[tuple[int, ...]]:
-    """Group columns that are simulated at once; slow groups come first."""
+    """Group columns that are simulated at once, one at each joint; slow groups come first."""
+    known: list[tuple[Hashable, str | None]] = []
     groups: dict[Hashable, list[int]] = {}
     for k in wanted:
-        groups.setdefault(_group_key(simulator, columns[k]) or k, []).append(k)
+        key, joint = _group_key(simulator, columns[k]), _joint_name(_typical_step(simulator, columns[k]))
+        # effects of one kind at one joint, such as friction in two directions, would add up
+        number = sum(key == of and joint == at for of, at in known)
+        known.append((key, joint))
+        groups.setdefault(k if key is None else (key, number), []).append(k)
     found = sorted(groups.values(), key=lambda of: (not steps_to_rest(simulator, columns[of[0]]), -len(of)))
     return [tuple(of) for of in found]
 
@@ -236,8 +241,7 @@ def _features_at(simulator: ArmSimulator, name: str | None) -> Flags:
 
 def _joint_name(end: _Perturbation) -> str | None:
     """Return the name of the effect's joint; None if it has none."""
-    (effect,) = end.effects
-    joint = getattr(effect, "joint", None)
+    joint = getattr(end.effects[0], "joint", None) if len(end.effects) == 1 else None
     return None if joint is None else Joint(joint).name.lower()
 
 

@@ -14,17 +14,20 @@ from scipy.stats import chi2
 from diagnosis.selection.chance import FALSE_ALARM
 from fsw.kinematics.transforms import Array
 from ground.diagnosis.arm.case_simulator import CaseSimulator, resimulate
-from ground.diagnosis.arm.simulator import AffectedMotions
+from ground.diagnosis.arm.features import MotionFeatures
 from ground.diagnosis.feature_residuals import WhitenAll, build_full_whitener
 from ground.diagnosis.linear_fit import fit_linear
 from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.normal_equations import reduce_residuals
-from ground.diagnosis.problem import Residuals
+from ground.diagnosis.problem import LOG_UNIT, Residuals
 from ground.diagnosis.selection import Selection, select
 from sim.effects.effect import Effect
 
-MIN_CHANGE_SIGMAS: Final = 0.25
-"""Sigmas by which a nuisance must change for a resimulation."""
+MIN_CHANGE_SIGMAS: Final = 0.5
+"""Sigmas by which a nuisance must change for a resimulation: the linear model is exact to second order."""
+MIN_CURVED: Final = 0.25
+"""Second-order change of a feature, in noise floors, for which its motion is simulated again; else it is
+extrapolated. Rests are always solved again."""
 MAX_SIGMAS: Final = 10.0
 """Greatest simulated departure: an effect can push a similar nuisance beyond any real arm."""
 MAX_UPDATES: Final = 3
@@ -90,15 +93,31 @@ def _update(
     model: DiagnosisModel, current: NuisanceFit, beside: tuple[int, ...], patch: tuple[Effect, ...]
 ) -> NuisanceFit:
     """Simulate at the nuisances estimated beside some effects; the same fit if they have converged."""
-    least = MIN_CHANGE_SIGMAS * np.array([nuisance.sigma for nuisance in model.sensitivities.nuisances])
+    sensitivities = model.sensitivities
+    sigma = np.array([nuisance.sigma for nuisance in sensitivities.nuisances])
     arm, estimated = current.simulator.arm, _estimate_nuisances(model, current, beside)
     difference = estimated - current.nuisance
-    moved = arm.effects({}, np.where(np.abs(difference) > least, difference, 0.0))
-    if not moved:
+    if not np.any(np.abs(difference) > MIN_CHANGE_SIGMAS * sigma):
         return current
-    near, otherwise = (*patch, *arm.effects({}, estimated)), model.sensitivities.nuisance @ difference
-    simulator = resimulate(current.simulator, near, AffectedMotions(tuple(moved)), otherwise)
-    return _extrapolate(model, simulator, estimated)
+    blocks = _curved_blocks(model, difference)
+
+    def wanted(one: MotionFeatures) -> bool:
+        return one.recording.block in blocks
+
+    near, otherwise = (*patch, *arm.effects({}, estimated)), sensitivities.nuisance @ difference
+    return _extrapolate(model, resimulate(current.simulator, near, wanted, otherwise), estimated)
+
+
+def _curved_blocks(model: DiagnosisModel, difference: Array) -> set[str]:
+    """Return the blocks in which a change of the nuisances is not linear, to MIN_CURVED noise floors.
+
+    A factor exp(d) changes a feature by its slope times d + d^2 / 2 + ..; all else is nearly linear.
+    """
+    nuisances, layout = model.sensitivities.nuisances, model.sensitivities.layout
+    is_factor = np.array([nuisance.unit == LOG_UNIT for nuisance in nuisances])
+    second_order = model.sensitivities.nuisance @ (np.where(is_factor, difference, 0.0) ** 2 / 2.0)
+    curved = np.abs(second_order) > MIN_CURVED * layout.sigma
+    return {layout.blocks[b] for b in np.unique(layout.block[curved])}
 
 
 def _extrapolate(model: DiagnosisModel, simulator: CaseSimulator, nuisance: Array) -> NuisanceFit:

@@ -204,6 +204,18 @@ def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Re
         assert 0.0 < np.linalg.norm(off) < 0.05 * np.linalg.norm(whole)
 
 
+def test_effects_at_one_joint_are_not_simulated_at_once(recordings: list[Recording]) -> None:
+    """Asymmetric friction has two directions at each joint; together they would be plain friction."""
+    campaign = build_feature_set(recordings)
+    kind = "asymmetric-friction"
+    simulator = build_simulator(campaign, estimate_floor(campaign).sigma, {kind: catalogue()[kind]})
+    columns = list_columns(simulator)
+    wanted = [k for k, column in enumerate(columns) if column.hypothesis is not None]
+    for group in group_columns(simulator, columns, wanted):
+        places = [simulator.hypotheses[columns[k].hypothesis or 0].place.split(".")[0] for k in group]
+        assert len(set(places)) == len(places) == len(Joint)
+
+
 @pytest.mark.slow
 def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: list[Recording]) -> None:
     """The large step of the equal hypothesis is not used; all joints are simulated at once."""
