@@ -45,7 +45,11 @@ class Union:
 
     @cached_property
     def owner(self) -> Integers:
-        """Index of the effect of each column, (n_sizes,)."""
+        """Index of the effect of each column.
+
+        Returns:
+            (n_sizes,).
+        """
         return np.repeat(np.arange(len(self.effects)), [len(effect.sizes) for effect in self.effects])
 
     def sizes_at(self, columns: Integers) -> list[Size]:

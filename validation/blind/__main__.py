@@ -1,6 +1,7 @@
 """Blind cases, whose truth is sealed before they are recorded: make, solve and score them.
 
-`python -m validation.blind make|solve|score`; `python -m validation.blind.brief` does all three in a minute.
+`python -m validation.blind make|solve|score|leave-out`;
+`python -m validation.blind.brief` does all three in a minute.
 """
 
 import sys
@@ -16,10 +17,11 @@ from ground.common.pool import select_runner
 from ground.common.progress import Progress
 from validation.blind.arm_solver import ARM_SOLVER, load_campaign_sensitivities
 from validation.blind.folder import check_jobs, check_make
+from validation.blind.leave_out import score_left_out
 from validation.blind.make import make_cases
 from validation.blind.score_folder import score_folder
 from validation.blind.solve import solve_cases
-from validation.blind.table import save_score, score_json, score_markdown
+from validation.blind.table import plain, save_score, score_json, score_markdown
 
 FolderArgument = Annotated[Path, typer.Argument(help="Folder made by `make`.", metavar="FOLDER")]
 JobsOption = Annotated[int | None, typer.Option(help="Processes; all cores if not given.")]
@@ -103,6 +105,30 @@ def score(
     if out is not None:
         save_score(found, out)
     return VerbResult(score_json(found), lambda: print(score_markdown(found), end=""))
+
+
+@app.command(name="leave-out", cls=VerbCommand)
+@verb
+def leave_out(
+    progress: Progress,
+    folder: FolderArgument,
+    cases: Annotated[int, typer.Option(help="Greatest number of cases.")] = 60,
+    jobs: JobsOption = None,
+    cluster: ClusterOption = None,
+) -> VerbResult:
+    """Diagnose solved cases again with a catalogue that lacks their effect: no other one may be named.
+
+    Example: python -m validation.blind leave-out blind --cases 60
+    """
+    check_jobs(jobs)
+    found = score_left_out(folder, ARM_SOLVER, cases, select_runner(jobs, cluster), progress)
+
+    def print_score() -> None:
+        named = found.named
+        print(f"{named.hits} of {named.of} named as another effect, at most {100 * named.most:.0f} % at 95 %")
+        print(*found.wrong, sep="\n")
+
+    return VerbResult(plain(found), print_score)
 
 
 if __name__ == "__main__":

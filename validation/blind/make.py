@@ -5,13 +5,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array
 from ground.common.errors import BadRequest
 from ground.common.pool import Runner
-from ground.common.progress import Progress
+from ground.common.progress import Progress, part_of
 from ground.diagnosis.arm.blind_case import check_leakage, record_blind, sample_background
 from ground.diagnosis.arm.record import record_campaign
 from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
@@ -39,6 +40,9 @@ from validation.blind.out_of_catalogue import (
     sample_uncatalogued,
     uncatalogued_limits,
 )
+
+CAMPAIGN_SHARES: Final = (0.01, 0.15)
+"""Shares of the time of 400 cases, for the progress: the campaign is recorded; its limits are known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +98,9 @@ def _make_cases(
     folder.mkdir(exist_ok=True)
     truth = load_existing_truth(folder, salt(seed), cases)
     if truth is None:
-        _record_campaign(folder, seed, progress)
-        truth = draw_truth(cases, seed, *_list_detectable(folder / CAMPAIGN_FOLDER, seed, run, progress))
+        _record_campaign(folder, seed, part_of(progress, 0.0, CAMPAIGN_SHARES[0]))
+        rest = part_of(progress, *CAMPAIGN_SHARES)
+        truth = draw_truth(cases, seed, *_list_detectable(folder / CAMPAIGN_FOLDER, seed, run, rest))
         seal(folder, truth)
     publish(truth.digest())
     jobs = [
@@ -103,8 +108,9 @@ def _make_cases(
         for case in truth.cases
         if not (folder / CASES_FOLDER / case.name).exists()
     ]
+    of_cases = part_of(progress, CAMPAIGN_SHARES[1], 1.0)
     for done, name in enumerate(run(_record_job, jobs), 1):
-        progress(done, len(jobs), name)
+        of_cases(done, len(jobs), name)
     return MadeCases(truth.digest(), cases, len(jobs), tuple(left_out(folder, truth, all_sessions())))
 
 
@@ -144,12 +150,14 @@ def _list_detectable(
     campaign: Path, seed: int, run: Runner, progress: Progress
 ) -> tuple[list[DetectableEffect], list[DetectableEffect]]:
     """List the effects inside and outside the catalogue with their detection limits by the fitted motions."""
-    model = load_model(campaign, run, progress).model
+    model = load_model(campaign, run, part_of(progress, 0.0, 0.3)).model
     found = [one.limit for one in model.limits]
     write_json(campaign / CLASSES_FILE, classes_json(model))
     seen = zip(model.sensitivities.hypotheses, found, model.label, strict=True)
     wanted = sample_uncatalogued(np.random.default_rng([seed, 11]))
-    outside = uncatalogued_limits(split_logs(campaign)[0], model.equations, campaign, wanted, run, progress)
+    outside = uncatalogued_limits(
+        split_logs(campaign)[0], model.equations, campaign, wanted, run, part_of(progress, 0.3, 1.0)
+    )
     return [DetectableEffect(one, limit, int(number)) for one, limit, number in seen], outside
 
 

@@ -14,7 +14,7 @@ from validation.blind.score import DetectionRates, Median, OutsideRates, Score
 
 def score_json(score: Score) -> dict[str, Any]:
     """Return the JSON document; NaN and infinity are None."""
-    document: dict[str, Any] = _plain(score)
+    document: dict[str, Any] = plain(score)
     return document
 
 
@@ -101,15 +101,16 @@ def _median_text(middle: Median) -> str:
     return f"{100 * middle.median:.1f} % (of {middle.of}; {between})"
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return a value as JSON holds it: records as tables, NaN and infinity as None."""
     if isinstance(value, Rate):
-        return {**asdict(value), "share": _plain(value.share)}
+        return {**asdict(value), "share": plain(value.share)}
     if is_dataclass(value) and not isinstance(value, type):
-        return {name: _plain(getattr(value, name)) for name in value.__dataclass_fields__}
+        return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__}
     if isinstance(value, dict):
-        return {str(key): _plain(one) for key, one in value.items()}
+        return {str(key): plain(one) for key, one in value.items()}
     if isinstance(value, tuple | list):
-        return [_plain(one) for one in value]
+        return [plain(one) for one in value]
     if isinstance(value, float) and not isfinite(value):
         return None
     return value
