@@ -2,6 +2,7 @@
 
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import IntEnum
+from functools import cache
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -90,7 +91,7 @@ def command_from_json(name: str, arguments: Any, notes: list[str]) -> Command:
 def _decode_record(kind: type, value: Any, place: str, notes: list[str], base: Any) -> Any:
     if not isinstance(value, dict):
         raise BadJson(f"{place}: {value!r:.80} is not the fields of a {kind.__name__}")
-    hints = get_type_hints(kind, include_extras=True)
+    hints = _hints(kind)
     known = {f.name: f for f in fields(kind)}
     notes += [f"{place}.{name} is not known today: left out" for name in value if name not in known]
     values = {}
@@ -102,6 +103,12 @@ def _decode_record(kind: type, value: Any, place: str, notes: list[str], base: A
             values[name] = _default_of(field, inner, place)
             notes.append(f"{place}.{name} was not known then: today's {values[name]!r:.80} is taken")
     return kind(**values)
+
+
+@cache
+def _hints(kind: type) -> dict[str, Any]:
+    """Return the types of the fields of a record, found once: that is most of the time of decoding."""
+    return get_type_hints(kind, include_extras=True)
 
 
 def _default_of(field: Field[Any], base: Any, place: str) -> Any:
