@@ -41,7 +41,7 @@ def page_parts(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
         traces: Traces of held-out motions; of each joint the worst, the middle and the best are shown.
     """
     return [
-        f"<style>{_read('figures.css')}</style>",
+        figure_style(),
         *_error_part(diagnosis),
         *_trace_part(diagnosis, traces),
         *_finding_part(diagnosis),
@@ -49,6 +49,11 @@ def page_parts(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
         *_remaining_part(diagnosis),
         *_refused_part(diagnosis),
     ]
+
+
+def figure_style() -> str:
+    """Return the style of the figures as a part in HTML."""
+    return f"<style>{_read('figures.css')}</style>"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -103,14 +108,26 @@ def _trace_part(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
     if not chosen:
         return []
     kinds = {kind for _, kind in chosen}
+    named = {joint if len(kinds) == 1 else f"{joint}, {kind}": own for (joint, kind), own in chosen.items()}
     return [
         _heading("Before and after"),
         _paragraph("Of each joint, the motions with the largest, middle and smallest error are shown."),
+        *draw_traces(named),
+    ]
+
+
+def draw_traces(traces: Mapping[str, Sequence[Trace]]) -> list[str]:
+    """Draw interactive figures, and the script that they need.
+
+    Args:
+        traces: Traces of each figure, by its title; a reader chooses one of them.
+
+    Returns:
+        Parts in HTML; `figures.css` styles them.
+    """
+    return [
         "<noscript><p>The figures here need JavaScript.</p></noscript>",
-        *(
-            _trace_figure(joint if len(kinds) == 1 else f"{joint}, {kind}", own)
-            for (joint, kind), own in chosen.items()
-        ),
+        *(_trace_figure(title, own) for title, own in traces.items()),
         f"<script>{_read('traces.js')}</script>",
     ]
 

@@ -103,6 +103,8 @@ class Diagnosis:
     """Normal equations that `effect_fit` refers to."""
     has_remainder: bool
     """True if what is left after the findings has structure."""
+    change: Array
+    """Change of the features by the findings, in the units of the channels, shape (m,)."""
 
 
 def diagnose(
@@ -124,7 +126,10 @@ def diagnose(
     cells = map_residual(residuals.layout, whitened_residual(model.equations, null_fit, y), seed)
     whiten = build_full_whitener(model.sensitivities)
     selection, sensitivities = select_simulated(model, whiten, residuals.value, seed, simulator)
-    for h, a in zip(selection.chosen, selection.departures, strict=True):
+    hypotheses = model.sensitivities.hypotheses
+    estimates = list(zip(selection.chosen, selection.departures, strict=True))
+    change = sensitivities.change({hypotheses[h]: parameter_values(hypotheses[h], a) for h, a in estimates})
+    for h, a in estimates:
         sensitivities = sensitivities.linearised(h, a)
     equations = form_normal_equations(sensitivities) if selection.chosen else model.equations
     rhs, y = reduce_residuals(equations, residuals)
@@ -133,7 +138,9 @@ def diagnose(
     has_remainder = unexplained[0].neg_log10_p >= model.lack_of_fit_limit
     findings = _describe_findings(model, selection, has_remainder)
     verdict: Verdict = "found" if findings else "unknown" if has_remainder else "none"
-    return Diagnosis(verdict, findings, unexplained, cells, null_fit, effect_fit, equations, has_remainder)
+    return Diagnosis(
+        verdict, findings, unexplained, cells, null_fit, effect_fit, equations, has_remainder, change
+    )
 
 
 def select_simulated(

@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from diagnosis.report.parts import draw_traces, figure_style
+from diagnosis.report.traces import Trace, choose_traces
 from ground.diagnosis.closure import Closure
 from ground.diagnosis.diagnose import Finding
 from ground.diagnosis.figures import amplitude_figure, closure_figure, residual_map_figure
@@ -31,6 +33,8 @@ TITLES: Final = {
     "unlocated": "The gap is not located",
 }
 """Title by the coarsest level of the findings."""
+MAX_FIGURES: Final = 3
+"""Number of interactive figures of channels."""
 Rows = list[tuple[str, ...]]
 
 
@@ -99,8 +103,22 @@ def _residual_section(result: DiagnosisResult) -> Iterator[str]:
          format_cell_interval(one))
         for one in cells[:MAX_LISTED]
     ]  # fmt: skip
+    if result.traces:
+        yield paragraph(
+            "Means over a quarter of a second, moving, of the channels with the largest residuals: of each "
+            "the sessions with the largest, middle and smallest error with the findings."
+        )
+        yield figure_style()
+        yield from draw_traces(choose_channels(result))
     yield paragraph("The largest:")
     yield table(("channel", "regime", "features", "over the floor", "90 %"), rows)
+
+
+def choose_channels(result: DiagnosisResult) -> dict[str, tuple[Trace, ...]]:
+    """Choose the traces of the channels in motion with the largest residuals without effects, by channel."""
+    chosen = {channel: own for (channel, _), own in choose_traces(result.traces).items()}
+    largest = dict.fromkeys(cell.channel for cell in result.diagnosis.residual_map if cell.channel in chosen)
+    return {channel: chosen[channel] for channel in list(largest)[:MAX_FIGURES]}
 
 
 def _effect_section(result: DiagnosisResult) -> Iterator[str]:

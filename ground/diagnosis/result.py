@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass
 from math import isfinite
 from typing import Any, Final
 
+from diagnosis.report.traces import Trace
 from ground.diagnosis.closure import Closure
 from ground.diagnosis.diagnose import Diagnosis, Finding
 from ground.diagnosis.experiment_design import CandidateMotion
@@ -39,6 +40,8 @@ class DiagnosisResult:
     """Notes of the audit."""
     noise_floor: tuple[str, ...]
     """Notes on the origin of the noise floor."""
+    traces: tuple[Trace, ...] = ()
+    """Features of the fitted motions, measured and predicted without and with the findings."""
 
     def hypothesis(self, index: int) -> Hypothesis:
         """Return a hypothesis by its index."""

@@ -5,22 +5,24 @@
 motion (`ground.diagnosis.closure`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Final
 
 import numpy as np
 
-from fsw.config import configure
+from diagnosis.report.traces import Trace
+from fsw.config import CYCLE_HZ, configure
 from fsw.kinematics.transforms import Array, skew
 from ground.diagnosis.arm.audit import audit_recordings
 from ground.diagnosis.arm.campaign_model import CampaignModel
 from ground.diagnosis.arm.case_simulator import CaseSimulator, build_case_simulator
-from ground.diagnosis.arm.feature_set import build_feature_set
+from ground.diagnosis.arm.feature_set import build_feature_set, measure_features
 from ground.diagnosis.arm.logs import NotForDiagnosis, Recording
 from ground.diagnosis.arm.noise_floor import estimate_floor
 from ground.diagnosis.arm.nuisance_fit import fit_nuisances
+from ground.diagnosis.arm.segments import BIN_TICKS
 from ground.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_simulator
 from ground.diagnosis.closure import Closure, build_held_out_model, compute_held_out_residuals
 from ground.diagnosis.diagnose import Diagnosis, diagnose, effect_values
@@ -171,7 +173,38 @@ def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel, seed: int)
         rank_repeats(fitted.model, diagnosis),
         fitted.notes,
         fitted.noise_floor,
+        tuple(_make_traces(fitted, diagnosis)),
     )
+
+
+def _make_traces(fitted: FittedCase, diagnosis: Diagnosis) -> Iterator[Trace]:
+    """Yield the features of each channel in each session in motion, without and with the findings."""
+    case, sensitivities = fitted.simulator, fitted.model.sensitivities
+    unit = diagnosis.equations.nuisance_unit
+    shared = sensitivities.nuisance[:, sensitivities.shared_nuisances] * unit
+    q = diagnosis.equations.q
+    nominal, explained = (
+        fitted.residual - shared @ fit.theta[:q] for fit in (diagnosis.null_fit, diagnosis.effect_fit)
+    )
+    explained = explained - diagnosis.change
+    features = [case.arm.feature_set.features[k] for k in case.at]
+    sessions = np.array([case.arm.feature_set.sessions[k] for k in case.at])
+    measured = measure_features(case.arm.feature_set)[case.at]
+    is_moving = np.array([feature.key.startswith("motion ") for feature in features])
+    layout = case.layout
+    for channel in np.unique(layout.channel[is_moving]):
+        for session in np.unique(sessions[is_moving & (layout.channel == channel)]):
+            rows = np.flatnonzero(is_moving & (layout.channel == channel) & (sessions == session))
+            yield Trace(
+                layout.channels[channel],
+                "features",
+                str(session),
+                layout.units[channel],
+                np.asarray(np.arange(rows.size) * BIN_TICKS / CYCLE_HZ, np.float64),
+                measured[rows],
+                nominal[rows],
+                explained[rows],
+            )
 
 
 def _held_out_simulator(

@@ -5,9 +5,11 @@ import json
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from diagnosis.report.traces import Trace
 from ground.cli.app import app
 from ground.diagnosis.arm.logs import NotForDiagnosis
 from ground.diagnosis.arm.record import PARAMS_FILE
@@ -104,6 +106,28 @@ def test_the_page_is_one_file_with_the_verdict_on_top(diagnose, results, tmp_pat
         assert page.count("<svg ") == pictures
         assert "<code>marsarm diagnose a.mcap</code>" in page
     assert "may be outside the catalogue" in (tmp_path / "beside.html").read_text()
+
+
+def test_the_page_shows_measured_and_predicted_features_of_the_worst_channels(diagnose, results, tmp_path):
+    (tmp_path / PARAMS_FILE).write_text("")
+    channels = list(dict.fromkeys(cell.channel for cell in results["named"].diagnosis.residual_map))
+    time_s = np.arange(8) / 4.0
+    traces = tuple(
+        Trace(channel, "features", session, "A", time_s, np.sin(time_s), 0.1 * time_s, 0.01 * time_s)
+        for channel in channels
+        for session in ("warm", "cold")
+    )
+    assert diagnose(replace(results["named"], traces=traces), "--report", "gap.html").exit_code == 0
+    page = (tmp_path / "gap.html").read_text()
+    assert page.count('<figure class="traces"') == 3
+    for channel in channels[:3]:
+        assert f"<h3>{channel}</h3>" in page
+    figures = re.findall(r'<script type="application/json">(.*?)</script>', page)
+    motions = json.loads(figures[0])
+    assert [sorted(panel["series"]) for panel in motions[0]["panels"]] == [
+        ["explained", "measured", "nominal"],
+        ["explained", "nominal"],
+    ]
 
 
 def test_a_patch_without_content_is_not_written(diagnose, results, tmp_path):
