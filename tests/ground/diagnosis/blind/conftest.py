@@ -73,7 +73,8 @@ def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
 
     def diagnosed(case: Path, _: Path, without: str) -> tuple[dict[str, object], CaseFeatures]:
         features = read_case_features(case / "log")
-        said = diagnose(campaign, Residuals(made.layout, features.fitted.value), 1)
-        return to_json(DiagnosisResult(campaign, said, None, None, (), (), ())), features
+        model = campaign.without(without) if without else campaign
+        said = diagnose(model, Residuals(made.layout, features.fitted.value), 1)
+        return to_json(DiagnosisResult(model, said, None, None, (), (), ())), features
 
     return Folder(tmp_path, Solver(lambda *_: None, lambda _: kept, diagnosed), truth)
