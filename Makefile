@@ -101,7 +101,7 @@ jobs: $(VENV)/ready
 SEED ?= 1
 OUT ?= blind-$(SEED)
 blind: $(VENV)/ready
-	@$(call say,200 blind cases in $(WORKERS) processes; this takes two and a half hours)
+	@$(call say,200 blind cases in $(WORKERS) processes; this takes three hours)
 	@$(BIN)/python -m validation.blind make --seed $(SEED) --out $(OUT) --jobs $(WORKERS) >&2
 	@$(BIN)/python -m validation.blind solve $(OUT) --jobs $(WORKERS) >&2
 	@$(BIN)/python -m validation.blind score $(OUT) --json $(ARGS)

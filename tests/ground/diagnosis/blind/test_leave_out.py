@@ -38,7 +38,7 @@ def test_a_case_that_cannot_be_diagnosed_without_its_effect_names_nothing(
     def refused(case: Path, campaign: Path, without: str) -> Any:
         raise NoDiagnosis(f"{case.name} without {without}")
 
-    monkeypatch.setattr("validation.blind.leave_out.load_results", lambda _: dict.fromkeys(names, {}))
+    monkeypatch.setattr("validation.blind.leave_out.load_results", lambda _: {name: {} for name in names})
     names = [case.name for case in folder.truth.cases]
     solver = Solver(folder.solver.prepare_campaign, folder.solver.load_sensitivities, refused)
     found = score_left_out(folder.path, solver, 60, RUN, quiet)
