@@ -41,7 +41,7 @@ class Family(StrEnum):
     CONTACT = "contact"
     EXTERNAL = "external torque"
     STRUCTURE = "structure"
-    """Links and base that bend; no effect of the catalogue of any robot is of this family."""
+    """Links and base that bend; only the Mars arm has such effects."""
 
 
 @dataclass(frozen=True, slots=True)

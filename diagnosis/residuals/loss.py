@@ -14,7 +14,8 @@ def pseudo_huber(z: Array) -> Array:
     Returns:
         Losses, (n,).
     """
-    loss: Array = 2.0 * (np.sqrt(1.0 + z * z) - 1.0)
+    square = z * z
+    loss: Array = 2.0 * square / (np.sqrt(1.0 + square) + 1.0)  # exact for small residuals too
     return loss
 
 

@@ -40,7 +40,8 @@ class Context:
     reach: dict[str, float]
     """Change that an effect of typical size makes at its joint, over the scale of the residuals, by key."""
     n_distinct: float
-    """Number of distinct effects that compete, by `chance.count_distinct`."""
+    """Number of tests that share the probability of chance: distinct effects, by `chance.count_distinct`, or
+    all where the noise is known, times the kinds of residual."""
     folds: tuple[frozenset[int], ...]
     seed: int
     meter: Meter

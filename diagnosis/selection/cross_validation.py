@@ -29,7 +29,8 @@ def cross_validate(context: Context, fits: Sequence[Fit]) -> Array:
 def cross_validate_each(context: Context, fits: Sequence[Fit]) -> list[Array]:
     """Predict the residuals of each motion without its fold, for each fit by itself.
 
-    Where the noise is known, nothing is left out: what sizes explain of known noise is known too.
+    Where the noise is known, nothing is left out: the chance of an effect counts what its sizes explain of
+    the noise.
 
     A fit without a fold begins at the optimum of all motions and takes one Newton step, with the
     Jacobian of that optimum. It is then simulated, so that nothing of its loss is linearised.

@@ -209,7 +209,7 @@ def screen(
         # a misfit that the best effect explains is no memory of the noise
         n = count_independent(context.model, white[joint].rows, rest[joint]) if scores else 0
         ranked.append(sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n)))
-    count = len if context.model.noise_std else count_distinct  # known noise: exact, and so is Bonferroni
+    count = len if context.model.noise_std else count_distinct  # probabilities are exact then
     n_distinct = float(sum(count(group) for group in directions.values()))
     return [score for group in ranked for score in group[:SHORTLIST]], n_distinct
 

@@ -38,18 +38,22 @@ def demo(request: DemoRequest, progress: Progress) -> VerbResult:
     """Draw an effect that is not printed, record an arm with it, diagnose the logs, and open the seal.
 
     In one of four demonstrations the catalogue lacks the effect; in one of ten there is none. The first
-    demonstration computes the sensitivities of the campaign, which takes minutes; later ones take one.
+    demonstration computes the sensitivities of the campaign, which takes ten minutes; later ones take two.
 
     Example: marsarm gap demo --seed 3
     """
     from ground.diagnosis.arm.demo import demo_json, run_demo
     from ground.diagnosis.tables import print_diagnosis
     from ground.render.console import plain_console
+    from sim.plant import PlantDiverged
 
     def publish(digest: str) -> None:
         print(f"SHA-256 of the truth: {digest}", file=sys.stderr)
 
-    found = run_demo(request, progress, publish)
+    try:
+        found = run_demo(request, progress, publish)
+    except PlantDiverged as error:
+        raise BadRequest(str(error)) from error
 
     def print_demo() -> None:
         print_diagnosis(found.result)

@@ -90,10 +90,10 @@ def build_held_out_model(equations: NormalEquations, sensitivities: Sensitivitie
     N = whiten(nuisance)
     seen = equations.scale > 0.0
     size = _detectable_amplitudes(equations)[seen]
-    fitted = equations.W[-1][seen] * size[:, None]
+    fitted = equations.W[seen] * size[:, None]
     moved = whiten(sensitivities.effect[:, seen] * (size / equations.scale[seen])) - N @ fitted.T
     U, s, _ = np.linalg.svd(moved, full_matrices=False)
-    doubt = N @ np.linalg.cholesky(equations.C[-1])
+    doubt = N @ np.linalg.cholesky(equations.C)
     sigma = sensitivities.layout.sigma * np.sqrt(1.0 + np.sum(doubt**2, axis=1))
     return HeldOutModel(sensitivities, whiten, nuisance, U[:, s > MIN_MOVED_SIGMAS], doubt, sigma)
 

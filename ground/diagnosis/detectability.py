@@ -38,9 +38,9 @@ def alias_cosines(equations: NormalEquations) -> Array:
         Absolute cosines, shape (h, h).
     """
     of = [np.flatnonzero(equations.owner == h) for h in range(len(equations.hypotheses))]
-    roots = [_inverse_root(equations.R[-1][np.ix_(at, at)]) for at in of]
+    roots = [_inverse_root(equations.R[np.ix_(at, at)]) for at in of]
     whole = block_diag(*roots)
-    cosines = whole.T @ equations.R[-1] @ whole
+    cosines = whole.T @ equations.R @ whole
     ranks = np.array([at.size for at in of])
     result = np.zeros((len(of), len(of)))
     for k in np.unique(ranks):
@@ -53,12 +53,12 @@ def alias_cosines(equations: NormalEquations) -> Array:
     return result
 
 
-def equivalence_classes(equations: NormalEquations, above: float = ALIAS_COSINE) -> Ints:
+def equivalence_classes(equations: NormalEquations) -> Ints:
     """Return the equivalence class of every hypothesis, shape (h,), numbered by its first member.
 
-    Classes are connected components: two members may have a smaller cosine than `above`.
+    Classes are connected components: two members may have a smaller cosine than ALIAS_COSINE.
     """
-    _, label = connected_components(csr_array(alias_cosines(equations) > above), directed=False)
+    _, label = connected_components(csr_array(alias_cosines(equations) > ALIAS_COSINE), directed=False)
     _, first = np.unique(label, return_index=True)
     order = np.empty(first.size, np.intp)
     order[np.argsort(first)] = np.arange(first.size)
@@ -79,10 +79,8 @@ class Detectability:
     limit: float
     """Detection limit in typical sizes, all amplitudes growing together; infinite if it is not
     identifiable."""
-    blocks: float
-    """Effective number of blocks that show it."""
     family_wise_limit: float
-    """Detection limit in the race of all hypotheses, whose false alarms together have 5 %."""
+    """Detection limit in the selection from all hypotheses, whose false alarms together have 5 %."""
 
 
 @cache
@@ -92,34 +90,36 @@ def noncentrality(k: int, power: float = POWER, false_alarm: float = TEST_FALSE_
     return float(brentq(lambda n: ncx2.sf(beyond, k, n) - power, 1e-6, 1e3))
 
 
-def detection_limits(equations: NormalEquations) -> tuple[Detectability, ...]:
+def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Detectability, ...]:
     """Compute the amplitude of every hypothesis that a likelihood-ratio test finds with 90 % power.
 
     The test against no effect has 5 % false alarm, with nuisances free. Its statistic is a noncentral
     chi-square of k degrees with noncentrality a'R a for amplitudes a. Typical sizes give a = limit * scale.
-    In the race of all hypotheses each class has its share of half of that (Bonferroni); the test of what
-    remains has the other half. The
-    effective number of blocks is the inverse of the sum of squared shares of information lost with each
-    block.
+    In the selection from all hypotheses, each class has its share of half of that (Bonferroni); the test of
+    what remains has the other half.
+
+    Args:
+        equations: Normal equations of the campaign, with h hypotheses.
+        label: Equivalence class of every hypothesis, shape (h,).
+
+    Returns:
+        One a hypothesis.
     """
     result = []
-    lost = equations.R[-1] - equations.R[:-1]
-    n_classes = np.unique(equivalence_classes(equations)[equations.identifiable]).size
+    n_classes = np.unique(label[equations.identifiable]).size
     false_alarm_of_each = TEST_FALSE_ALARM / 2.0 / max(n_classes, 1)
     for index, seen in enumerate(equations.identifiable):
         at = np.flatnonzero(equations.owner == index)
         typical = equations.scale[at]
-        information = float(typical @ equations.R[-1][np.ix_(at, at)] @ typical)
+        information = float(typical @ equations.R[np.ix_(at, at)] @ typical)
         if not seen or information <= 0.0:
-            result.append(Detectability(np.inf, 0.0, np.inf))
+            result.append(Detectability(np.inf, np.inf))
             continue
-        share = np.maximum(np.einsum("i,bij,j->b", typical, lost[:, at[:, None], at], typical), 0.0)
-        blocks = float(share.sum() ** 2 / np.sum(share**2))
         alone, family_wise = (
             float(np.sqrt(noncentrality(at.size, POWER, by) / information))
             for by in (TEST_FALSE_ALARM, false_alarm_of_each)
         )
-        result.append(Detectability(alone, blocks, family_wise))
+        result.append(Detectability(alone, family_wise))
     return tuple(result)
 
 
@@ -137,7 +137,7 @@ def column_detection_limit(equations: NormalEquations, columns: Array) -> float:
     whole = S.sum(axis=1)
     along = N.T @ whole
     before = float(whole @ whole)
-    information = before - float(along @ equations.C[-1] @ along)
+    information = before - float(along @ equations.C @ along)
     if information <= ABSORBED_SHARE * before:
         return np.inf
     return float(np.sqrt(noncentrality(columns.shape[1]) / information))

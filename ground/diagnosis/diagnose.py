@@ -21,7 +21,7 @@ from ground.diagnosis.feature_residuals import (
 )
 from ground.diagnosis.linear_fit import LinearFit, fit_linear, whitened_residual
 from ground.diagnosis.model import DiagnosisModel
-from ground.diagnosis.normal_equations import NormalEquations, form_normal_equations, reduce_residuals
+from ground.diagnosis.normal_equations import NormalEquations, form_normal_equations
 from ground.diagnosis.problem import EffectValues, Residuals, Simulator
 from ground.diagnosis.residual_analysis import (
     FeatureGroup,
@@ -121,8 +121,8 @@ def diagnose(
     Returns:
         Verdict, findings, and what remains unexplained.
     """
-    rhs, y = reduce_residuals(model.equations, residuals)
-    null_fit = fit_linear(model.equations, rhs, model.equations.columns(()))
+    y = model.equations.whiten(residuals.value)
+    null_fit = fit_linear(model.equations, y, model.equations.columns(()))
     cells = map_residual(residuals.layout, whitened_residual(model.equations, null_fit, y), seed)
     whiten = build_full_whitener(model.sensitivities)
     selection, sensitivities = select_simulated(model, whiten, residuals.value, seed, simulator)
@@ -132,8 +132,7 @@ def diagnose(
     for h, a in estimates:
         sensitivities = sensitivities.linearised(h, a)
     equations = form_normal_equations(sensitivities) if selection.chosen else model.equations
-    rhs, y = reduce_residuals(equations, residuals)
-    effect_fit = fit_linear(equations, rhs, equations.columns(selection.chosen))
+    effect_fit = fit_linear(equations, y, equations.columns(selection.chosen))
     unexplained = find_lack_of_fit(equations, _project_groups(model, equations), effect_fit, y)
     has_remainder = unexplained[0].neg_log10_p >= model.lack_of_fit_limit
     findings = _describe_findings(model, selection, has_remainder)

@@ -86,7 +86,7 @@ def _information(parts: list[NormalEquations]) -> Array:
     total = np.zeros((q + parts[0].owner.size,) * 2)
     for part in parts:
         by = np.concatenate([1.0 / part.nuisance_unit, part.scale])
-        total += part.G.sum(axis=0) * np.outer(by, by)
+        total += part.G * np.outer(by, by)
     N = total[:q, :q] + np.diag(prior)
     return np.asarray(total[q:, q:] - total[q:, :q] @ np.linalg.solve(N, total[:q, q:]))
 

@@ -18,7 +18,7 @@ from diagnosis.effects.effect import Effect, Family, Size
 from diagnosis.residuals.residuals import ResidualModel
 from fsw.kinematics.transforms import Array
 from ground.diagnosis.model import DiagnosisModel
-from ground.diagnosis.normal_equations import build_whitener
+from ground.diagnosis.normal_equations import build_whitener, nuisance_columns
 from ground.diagnosis.problem import Hypothesis, Ints
 from ground.diagnosis.sensitivity import Sensitivities
 
@@ -78,7 +78,7 @@ def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) 
         sizes = []
         for parameter in hypothesis.amplitudes:
             ends = [(end - parameter.absent) / parameter.typical for end in (parameter.least, parameter.most)]
-            typical = min(LIMITS * limit.limit, BOUND_SHARE * max(map(abs, ends)))
+            typical = min(LIMITS * limit.limit, BOUND_SHARE * (max(ends) or -min(ends)))
             sizes.append(Size(parameter.name, min(ends), max(ends), typical))
         found[label] = FeatureEffect(hypothesis.place, k, hypothesis.effect, model.families[k], tuple(sizes))
     return tuple(found.values())
@@ -158,9 +158,9 @@ def build_full_whitener(sensitivities: Sensitivities) -> WhitenAll:
     Args:
         sensitivities: Sensitivities of the features.
     """
-    first, shared = build_whitener(sensitivities), sensitivities.shared_nuisances
-    sigma = np.array([sensitivities.nuisances[index].sigma for index in shared])
-    U, S, _ = np.linalg.svd(first(sensitivities.nuisance[:, shared] * sigma), full_matrices=False)
+    first = build_whitener(sensitivities)
+    N, prior, _ = nuisance_columns(sensitivities, first)
+    U, S, _ = np.linalg.svd(N / np.sqrt(prior), full_matrices=False)
     U, S = U[:, S > RANK_TOLERANCE], S[S > RANK_TOLERANCE]
     shrinkage = 1.0 - 1.0 / np.sqrt(1.0 + S**2)
 

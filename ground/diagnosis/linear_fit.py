@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from ground.diagnosis.normal_equations import NormalEquations, RightHandSide
+from ground.diagnosis.normal_equations import NormalEquations
 from ground.diagnosis.problem import Ints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearFit:
-    """Nuisances and chosen columns, fitted together to all blocks."""
+    """Nuisances and chosen columns, fitted together."""
 
     active: Ints
     """Indices of the fitted columns of `NormalEquations.A`: all nuisances, then the chosen columns, shape
@@ -22,13 +22,22 @@ class LinearFit:
     """Posterior covariance, shape (n, n)."""
 
 
-def fit_linear(equations: NormalEquations, rhs: RightHandSide, columns: Ints) -> LinearFit:
-    """Fit nuisances and chosen columns by maximum posterior; singular combinations stay at 0."""
+def fit_linear(equations: NormalEquations, y: Array, columns: Ints) -> LinearFit:
+    """Fit nuisances and chosen columns by maximum posterior; singular combinations stay at 0.
+
+    Args:
+        equations: Normal equations of the campaign.
+        y: Whitened features, without a unit, shape (m,).
+        columns: Indices of columns of effects.
+
+    Returns:
+        The fit.
+    """
     active = np.concatenate([np.arange(equations.q), equations.q + columns])
-    information = equations.G[:, active[:, None], active].sum(axis=0)
+    information = equations.G[np.ix_(active, active)]
     information[: equations.q, : equations.q] += np.diag(equations.prior)
     covariance = np.linalg.pinv(information, rcond=1e-13, hermitian=True)
-    return LinearFit(active, covariance @ rhs.c[:, active].sum(axis=0), covariance)
+    return LinearFit(active, covariance @ (equations.A[:, active].T @ y), covariance)
 
 
 def whitened_residual(equations: NormalEquations, fit: LinearFit, y: Array) -> Array:

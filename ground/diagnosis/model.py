@@ -1,11 +1,10 @@
 """Diagnosis model: all that is fixed, and can be published, before a case is measured."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from diagnosis.effects.effect import Family
-from fsw.kinematics.transforms import Array
-from ground.diagnosis.detectability import Detectability, alias_cosines, detection_limits, equivalence_classes
+from ground.diagnosis.detectability import Detectability, detection_limits, equivalence_classes
 from ground.diagnosis.normal_equations import NormalEquations, form_normal_equations
 from ground.diagnosis.problem import Ints
 from ground.diagnosis.residual_analysis import FeatureGroup, group_features, lack_of_fit_limit
@@ -22,33 +21,24 @@ class DiagnosisModel:
     locations: tuple[str, ...]
     """Location of every hypothesis: its place without axis or direction."""
     equations: NormalEquations
-    cosine: Array
-    """Absolute cosine between the sensitivities of every two hypotheses, shape (h, h)."""
     label: Ints
     """Equivalence class of every hypothesis, shape (h,)."""
     limits: tuple[Detectability, ...]
     groups: tuple[FeatureGroup, ...]
-    left_out: frozenset[int] = frozenset()
-    """Hypotheses that do not compete, to see what takes the place of an effect that no catalogue has."""
+    left_out_effect: str = ""
+    """Effect that does not compete, to see what takes the place of one that no catalogue has; "" for none."""
 
     @property
     def lack_of_fit_limit(self) -> float:
         """The -log10 p from which on remaining structure counts."""
         return lack_of_fit_limit(self.groups)
 
-    def without(self, effect: str) -> "DiagnosisModel":
-        """Return the model without an effect at all places, and without what these motions show alike.
-
-        Args:
-            effect: Name of the effect.
-        """
-        labels = {
-            int(k)
-            for k, one in zip(self.label, self.equations.hypotheses, strict=True)
-            if one.effect == effect
-        }
-        gone = frozenset(k for k, label in enumerate(self.label) if int(label) in labels)
-        return replace(self, left_out=gone)
+    @property
+    def left_out(self) -> frozenset[int]:
+        """Hypotheses of the left-out effect at all places, and those that these motions show alike."""
+        named = zip(self.label, self.sensitivities.hypotheses, strict=True)
+        gone = {int(k) for k, one in named if one.effect == self.left_out_effect}
+        return frozenset(k for k, label in enumerate(self.label) if int(label) in gone)
 
     def equivalence_class(self, hypothesis: int) -> tuple[int, ...]:
         """Return the hypotheses of the same equivalence class, itself included."""
@@ -66,13 +56,13 @@ def build_model(
         locations: Location of each.
     """
     equations = form_normal_equations(sensitivities)
+    label = equivalence_classes(equations)
     return DiagnosisModel(
         sensitivities,
         tuple(families),
         tuple(locations),
         equations,
-        alias_cosines(equations),
-        equivalence_classes(equations),
-        detection_limits(equations),
+        label,
+        detection_limits(equations, label),
         group_features(equations),
     )

@@ -1,17 +1,14 @@
-"""Normal equations of the linear model, with nuisances eliminated, and the right-hand sides of cases.
+"""Normal equations of the linear model, with nuisances eliminated.
 
 The whitened model is y = N v + S a + e with A = [N S] and e of unit covariance. The nuisances v have a
-Gaussian prior of precision P. For each block b, G_b = A_b'A_b and c_b = A_b'y_b. Summed over blocks, the
-nuisances are eliminated by the Schur complement:
+Gaussian prior of precision P. With G = A'A and c = A'y, the nuisances are eliminated by the Schur complement:
 
     C = (G_NN + P)^-1
     W = G_SN C
     R = G_SS - W G_NS
     r = c_S - W c_N
 
-The amplitudes a solve R a = r. The folds of the cross-validation leave out one block each; the last fold has
-all blocks. Shapes use m features, q shared nuisances, k columns of h hypotheses, b blocks and f = b + 1
-folds.
+The amplitudes a solve R a = r. Shapes use m features, q shared nuisances and k columns of h hypotheses.
 """
 
 from dataclasses import dataclass
@@ -20,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array, Flags
-from ground.diagnosis.problem import FeatureLayout, Hypothesis, Ints, Residuals
+from ground.diagnosis.problem import FeatureLayout, Hypothesis, Ints
 from ground.diagnosis.sensitivity import Sensitivities
 
 ABSORBED_SHARE: Final = 1e-6
@@ -95,20 +92,18 @@ class NormalEquations:
     whiten: Whitener
     A: Array
     """Whitened nuisances and columns, [N S], shape (m, q + k)."""
-    rows: tuple[Ints, ...]
-    """Indices of the features of each block that has any, b arrays."""
     G: Array
-    """Normal matrix A'A of each block, shape (b, q + k, q + k)."""
+    """Normal matrix A'A, shape (q + k, q + k)."""
     prior: Array
     """Prior precision P of the nuisances, shape (q,)."""
     nuisance_unit: Array
     """Size of 1 of each nuisance in its own unit: its sigma if that is finite, shape (q,)."""
     R: Array
-    """Information of the columns with nuisances eliminated, of each fold, shape (f, k, k)."""
+    """Information of the columns with nuisances eliminated, shape (k, k)."""
     W: Array
-    """Elimination matrix G_SN C of each fold, shape (f, k, q)."""
+    """Elimination matrix G_SN C, shape (k, q)."""
     C: Array
-    """Covariance of the nuisances without effects, of each fold, shape (f, q, q)."""
+    """Covariance of the nuisances without effects, shape (q, q)."""
     scale: Array
     """Standard errors per typical size, shape (k,); 0 for a column that is not identifiable."""
 
@@ -129,20 +124,6 @@ class NormalEquations:
         return np.concatenate([np.flatnonzero(self.owner == h) for h in chosen] or [np.zeros(0, np.intp)])
 
 
-def residual_deviance(equations: NormalEquations, y: Array) -> float:
-    """Compute the deviance that remains when only the nuisances are fitted.
-
-    Args:
-        equations: Normal equations of the campaign.
-        y: Whitened features, shape (m,).
-
-    Returns:
-        Minimum over v of |y - N v|^2 + v'P v.
-    """
-    along = equations.A[:, : equations.q].T @ y
-    return float(y @ y - along @ equations.C[-1] @ along)
-
-
 def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
     """Form the normal equations of all hypotheses, with nuisances eliminated.
 
@@ -152,20 +133,27 @@ def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
     Returns:
         Normal equations with columns in units of their standard error.
     """
-    layout = sensitivities.layout
     whiten = build_whitener(sensitivities)
-    N, prior, unit = _nuisance_columns(sensitivities, whiten)
+    N, prior, unit = nuisance_columns(sensitivities, whiten)
     A = np.hstack([N, whiten(sensitivities.effect)])
-    rows = tuple(np.flatnonzero(layout.block == b) for b in np.unique(layout.block))
-    G = np.array([A[of].T @ A[of] for of in rows])
+    G = A.T @ A
     return _scale_columns(NormalEquations(
-        layout, sensitivities.hypotheses, sensitivities.owner, whiten, A, rows, G, prior, unit,
+        sensitivities.layout, sensitivities.hypotheses, sensitivities.owner, whiten, A, G, prior, unit,
         *_eliminate_nuisances(G, prior), np.ones(sensitivities.owner.size),
     ))  # fmt: skip
 
 
-def _nuisance_columns(sensitivities: Sensitivities, whiten: Whitener) -> tuple[Array, Array, Array]:
-    """Return whitened columns (m, q), prior precisions (q,), and the unit of each nuisance (q,)."""
+def nuisance_columns(sensitivities: Sensitivities, whiten: Whitener) -> tuple[Array, Array, Array]:
+    """Whiten the columns of the shared nuisances.
+
+    Args:
+        sensitivities: Sensitivities of the campaign.
+        whiten: Their whitener.
+
+    Returns:
+        Columns in the units of the nuisances, (m, q), prior precisions, (q,), and these units, (q,): sigma if
+        it is finite.
+    """
     sigma = np.array([sensitivities.nuisances[index].sigma for index in sensitivities.shared_nuisances])
     known = np.isfinite(sigma)
     N = whiten(sensitivities.nuisance[:, sensitivities.shared_nuisances])
@@ -175,82 +163,22 @@ def _nuisance_columns(sensitivities: Sensitivities, whiten: Whitener) -> tuple[A
 
 
 def _eliminate_nuisances(G: Array, prior: Array) -> tuple[Array, Array, Array]:
-    """Return R, W and C of every fold; see the module."""
-    q, total = prior.size, G.sum(axis=0)
-    folds = np.concatenate([total - G, total[None]])
-    C = np.linalg.inv(folds[:, :q, :q] + np.diag(prior))
-    W = folds[:, q:, :q] @ C
-    R = folds[:, q:, q:] - W @ folds[:, :q, q:]
-    return (R + R.transpose(0, 2, 1)) / 2.0, W, C
+    """Return R, W and C; see the module."""
+    q = prior.size
+    C = np.linalg.inv(G[:q, :q] + np.diag(prior))
+    W = G[q:, :q] @ C
+    R = G[q:, q:] - W @ G[:q, q:]
+    return np.asarray((R + R.T) / 2.0), W, np.asarray(C, np.float64)
 
 
 def _scale_columns(raw: NormalEquations) -> NormalEquations:
     """Scale the columns to units of their standard error; set those that are not identifiable to 0."""
-    q, of = raw.q, np.diagonal(raw.R[-1])
-    before = np.einsum("bkk->k", raw.G[:, q:, q:])
-    scale = np.sqrt(np.where(of > ABSORBED_SHARE * before, of, 0.0))
+    q, of = raw.q, np.diagonal(raw.R)
+    scale = np.sqrt(np.where(of > ABSORBED_SHARE * np.diagonal(raw.G)[q:], of, 0.0))
     by = np.where(scale > 0.0, 1.0 / np.where(scale > 0.0, scale, 1.0), 0.0)
     all_by = np.concatenate([np.ones(q), by])
     return NormalEquations(
-        raw.layout, raw.hypotheses, raw.owner, raw.whiten, raw.A * all_by, raw.rows,
+        raw.layout, raw.hypotheses, raw.owner, raw.whiten, raw.A * all_by,
         raw.G * np.outer(all_by, all_by), raw.prior, raw.nuisance_unit, raw.R * np.outer(by, by),
         raw.W * by[:, None], raw.C, scale,
     )  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RightHandSide:
-    """Right-hand side of the normal equations: the data of one case."""
-
-    c: Array
-    """Products A'y of each block, shape (b, q + k)."""
-    r: Array
-    """Products of the columns with nuisances eliminated, of each fold, shape (f, k)."""
-
-    @property
-    def all(self) -> Array:
-        """Products of all blocks together, shape (k,)."""
-        return np.asarray(self.r[-1])
-
-
-def reduce_features(equations: NormalEquations, y: Array) -> RightHandSide:
-    """Form the right-hand side from features.
-
-    Args:
-        equations: Normal equations of the campaign.
-        y: Whitened features, shape (m,).
-
-    Returns:
-        Right-hand side of all folds.
-    """
-    return reduce_block_sums(equations, np.array([y[rows] @ equations.A[rows] for rows in equations.rows]))
-
-
-def reduce_block_sums(equations: NormalEquations, c: Array) -> RightHandSide:
-    """Form the right-hand side from the products of each block.
-
-    Args:
-        equations: Normal equations of the campaign.
-        c: Whitened products A'y of each block, shape (b, n) with n = q + k.
-
-    Returns:
-        Right-hand side of all folds.
-    """
-    q, total = equations.q, c.sum(axis=0)
-    folds = np.concatenate([total - c, total[None]])
-    r = folds[:, q:] - np.einsum("fkq,fq->fk", equations.W, folds[:, :q])
-    return RightHandSide(c, r)
-
-
-def reduce_residuals(equations: NormalEquations, residuals: Residuals) -> tuple[RightHandSide, Array]:
-    """Whiten residuals and form their right-hand side.
-
-    Args:
-        equations: Normal equations of the campaign.
-        residuals: Residuals in the units of the channels.
-
-    Returns:
-        Right-hand side, and whitened features of shape (m,).
-    """
-    y = equations.whiten(residuals.value)
-    return reduce_features(equations, y), y

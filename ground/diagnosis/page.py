@@ -103,15 +103,16 @@ def _residual_section(result: DiagnosisResult) -> Iterator[str]:
          format_cell_interval(one))
         for one in cells[:MAX_LISTED]
     ]  # fmt: skip
+    yield paragraph("The largest:")
+    yield table(("channel", "regime", "features", "over the floor", "90 %"), rows)
     if result.traces:
         yield paragraph(
-            "Means over a quarter of a second, moving, of the channels with the largest residuals: of each "
-            "the sessions with the largest, middle and smallest error with the findings."
+            "Below are the channels with the largest residuals: of each the fitted sessions with the "
+            "largest, middle and smallest error with the findings. Each point is the mean of a quarter of a "
+            "second in motion; rests are left out."
         )
         yield figure_style()
         yield from draw_traces(choose_channels(result))
-    yield paragraph("The largest:")
-    yield table(("channel", "regime", "features", "over the floor", "90 %"), rows)
 
 
 def choose_channels(result: DiagnosisResult) -> dict[str, tuple[Trace, ...]]:

@@ -53,11 +53,6 @@ class Parameter:
         return self.neutral is not None
 
     @property
-    def unit_size(self) -> float:
-        """Scale of the parameter: its typical size, or 1 for a shape parameter with default 0."""
-        return abs(self.typical) or 1.0
-
-    @property
     def absent(self) -> float:
         """Value while the effect is absent: neutral, or the typical value of a shape parameter."""
         return self.typical if self.neutral is None else self.neutral
@@ -136,7 +131,7 @@ class FeatureLayout:
     sigma: Array
     """Noise floor: standard deviation between repeats, in the unit of the channel, shape (m,)."""
     block: Ints
-    """Index of the motion under one condition: the unit of cross-validation and bootstrap, shape (m,)."""
+    """Index of the motion under one condition: the unit of the bootstrap, shape (m,)."""
     channel: Ints
     """Index of the measured quantity, shape (m,)."""
     place: Ints

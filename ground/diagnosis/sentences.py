@@ -65,15 +65,18 @@ def finding_sentence(result: DiagnosisResult, finding: Finding) -> str:
     if finding.level == "size":
         return f"The cause is {own}: {sizes}. All other effects are excluded at 95 %."
     if finding.level == "effect":
-        return f"The cause is one of {len(names)} effects: {own} ({sizes}), {join_names(names[1:], ', or ')}."
+        return (
+            f"The cause is one of {len(names)} effects: {own} ({sizes}), or {join_names(names[1:], ' or ')}."
+        )
     if finding.level == "family":
         return f"The cause is an effect of the family {families}; the best of {len(names)} is {own}."
     if finding.level == "place":
         return (
             f"The cause is at {join_names(finding.places, ' or ')}, and may be outside the catalogue. "
-            f"It is equivalent to {own} ({sizes})."
+            f"In these motions it acts like {own} ({sizes})."
         )
-    return f"The cause is small and not located; {own} would explain it, as would {len(names) - 1} others."
+    others = f", as would {len(names) - 1} others" if names[1:] else ""
+    return f"The cause is not located: {own} would explain it{others}."
 
 
 def name_with_aliases(result: DiagnosisResult, finding: Finding) -> str:
@@ -89,7 +92,7 @@ def closure_sentence(result: DiagnosisResult) -> str:
     if not result.diagnosis.findings:
         return "No effect is switched on, so no gap shrinks."
     if found is None:
-        return "No motion was held out, so how far the gap shrinks is not known."
+        return "No motion was held out that an arm with these effects can do, so no share is given."
     if not isfinite(found.share):
         return "On held-out motion the gap is hardly above the noise, so no share is given."
     at_tool = "" if tool is None else f"; at the tool {tool.before_mm:.2g} mm become {tool.after_mm:.2g}"

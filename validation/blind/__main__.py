@@ -1,7 +1,7 @@
 """Blind cases, whose truth is sealed before they are recorded: make, solve and score them.
 
-`python -m validation.blind make|solve|score|leave-out`;
-`python -m validation.blind.brief` does all three in a minute.
+`python -m validation.blind make|solve|score|leave-out`; `python -m validation.blind.brief` does the first
+three in a minute.
 """
 
 import sys
@@ -21,7 +21,7 @@ from validation.blind.leave_out import score_left_out
 from validation.blind.make import make_cases
 from validation.blind.score_folder import score_folder
 from validation.blind.solve import solve_cases
-from validation.blind.table import plain, save_score, score_json, score_markdown
+from validation.blind.table import plain, rate_text, save_score, score_json, score_markdown
 
 FolderArgument = Annotated[Path, typer.Argument(help="Folder made by `make`.", metavar="FOLDER")]
 JobsOption = Annotated[int | None, typer.Option(help="Processes; all cores if not given.")]
@@ -124,9 +124,11 @@ def leave_out(
     found = score_left_out(folder, ARM_SOLVER, cases, select_runner(jobs, cluster), progress)
 
     def print_score() -> None:
-        named = found.named
-        print(f"{named.hits} of {named.of} named as another effect, at most {100 * named.most:.0f} % at 95 %")
-        print(*found.wrong, sep="\n")
+        print(f"named as another effect: {rate_text(found.named)}")
+        print(f"anything reported: {rate_text(found.reported)}")
+        print(f"right place, of those with places: {rate_text(found.right_place)}")
+        for text in found.wrong:
+            print(text)
 
     return VerbResult(plain(found), print_score)
 

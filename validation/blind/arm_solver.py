@@ -86,7 +86,7 @@ def diagnose_against(
 ) -> tuple[dict[str, Any], CaseFeatures]:
     """Diagnose the logs of a folder with a campaign model; NoDiagnosis as for `diagnose_folder`."""
     if without:
-        campaign = replace(campaign, model=campaign.model.without(without))
+        campaign = replace(campaign, model=replace(campaign.model, left_out_effect=without))
     try:
         fitted, held = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(case))
         fitted_case = fit_case(fitted, held, campaign, DIAGNOSIS_SEED)

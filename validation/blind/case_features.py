@@ -1,7 +1,6 @@
-"""Closure of a case on held-out motion, computed the same way for diagnosis, baselines and truth."""
+"""Features of a case, and the closure of its true effects on held-out motion."""
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,8 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array
 from ground.common.errors import BadRequest
-from ground.diagnosis.closure import Closure, HeldOutModel, build_held_out_model, compute_closure
-from ground.diagnosis.normal_equations import NormalEquations, form_normal_equations
+from ground.diagnosis.closure import Closure, build_held_out_model, compute_closure
+from ground.diagnosis.normal_equations import form_normal_equations
 from ground.diagnosis.problem import Hypothesis, Ints
 from ground.diagnosis.sensitivity import Sensitivities
 
@@ -75,49 +74,27 @@ def read_case_features(path: Path) -> CaseFeatures:
     return CaseFeatures(fitted, held)
 
 
-FeatureChange = Callable[[Sensitivities], Array]
-"""Function that returns the change of the features, shape (m,), by assumed effects."""
+def closure_of_truth(fitted: CasePart, held: CasePart, true: dict[Hypothesis, Array], seed: int) -> Closure:
+    """Return the closure of the true effects with their true sizes, by the parabolas of the sensitivities.
 
+    Args:
+        fitted: Fitted part of a case; the nuisances are fitted to it, without and with the effects.
+        held: Held-out part.
+        true: Values of all parameters of the true effects, in their units, (p,) each.
+        seed: Seed of the noise draws.
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HeldOutTrial:
-    """Case ready for tests of assumed effects on held-out motion."""
+    Returns:
+        The closure, relative to nuisances alone.
 
-    fitted: CasePart
-    held: CasePart
-    equations: NormalEquations
-    """Normal equations of the fitted part."""
-    held_out_model: HeldOutModel
-
-    def left(self, change: FeatureChange) -> tuple[Array, Array]:
-        """Return residuals under assumed effects: of the fitted part whitened, of the held-out part raw.
-
-        The nuisances are refitted beside the assumed effects.
-        """
-        equations = self.equations
-        rest = equations.whiten(self.fitted.value - change(self.fitted.sensitivities))
-        N = equations.A[:, : equations.q]
-        v = equations.C[-1] @ (N.T @ rest)
-        return rest - N @ v, self.held.value - change(
-            self.held.sensitivities
-        ) - self.held_out_model.nuisance @ v
-
-    def closed(self, change: FeatureChange, seed: int) -> Closure:
-        """Return the closure on held-out motion, relative to nuisances alone."""
-        return compute_closure(self.held_out_model, self.left(no_change)[1], self.left(change)[1], seed)
-
-
-def no_change(found: Sensitivities) -> Array:
-    """Return no change, shape (m,)."""
-    return np.zeros(found.layout.size)
-
-
-def prepare_trial(fitted: CasePart, held: CasePart) -> HeldOutTrial:
-    """Prepare a case for tests; ValueError if a motion is in both parts."""
+    Raises:
+        ValueError: A motion is in both parts.
+    """
     equations = form_normal_equations(fitted.sensitivities)
-    return HeldOutTrial(fitted, held, equations, build_held_out_model(equations, held.sensitivities))
+    model, N = build_held_out_model(equations, held.sensitivities), equations.A[:, : equations.q]
 
+    def left(effects: dict[Hypothesis, Array]) -> Array:
+        rest = equations.whiten(fitted.value - fitted.sensitivities.change(effects))
+        change = held.sensitivities.change(effects) + model.nuisance @ (equations.C @ (N.T @ rest))
+        return np.asarray(held.value - change)
 
-def closure_of_truth(case: HeldOutTrial, true: dict[Hypothesis, Array], seed: int) -> Closure:
-    """Return the closure of the true effects with their true sizes, by the parabolas of the sensitivities."""
-    return case.closed(lambda found: found.change(true), seed)
+    return compute_closure(model, left({}), left(true), seed)

@@ -27,7 +27,7 @@ class PublishedHypothesis:
     label: int
     """Equivalence class."""
     family_wise_share: float
-    """Detection limit in the race of all hypotheses, over that of a single test."""
+    """Detection limit in the selection from all hypotheses, over that of a single test."""
     family: str
     location: str
 
@@ -52,7 +52,12 @@ class EquivalenceClasses:
         return frozenset(one.family for one in self._alike(effect, place))
 
     def family_wise_share(self, effect: str, place: str) -> float:
-        """Return the limit in the race over that of a single test."""
+        """Return the limit in the selection over that of a single test; BadRequest if it is not known."""
+        if (effect, place) not in self.known:
+            raise BadRequest(
+                f"{effect} at {place} is not in the catalogue of this campaign; score it with the marsarm "
+                "that made it"
+            )
         return self.known[effect, place].family_wise_share
 
     def _alike(self, effect: str, place: str) -> list[PublishedHypothesis]:

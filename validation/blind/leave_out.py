@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ground.common.errors import BadRequest
-from ground.common.pool import Runner
+from ground.common.pool import Runner, in_order
 from ground.common.progress import Progress
 from ground.common.rates import Rate, estimate_rate
 from ground.diagnosis.blind_case import TrueCase, load_truth
@@ -30,37 +30,35 @@ class LeftOutScore:
     """The effect and what was named in its place, a text a case."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Job:
-    folder: Path
-    case: TrueCase
-    solver: Solver
-
-
 def score_left_out(folder: Path, solver: Solver, cases: int, run: Runner, progress: Progress) -> LeftOutScore:
     """Diagnose cases with one effect without that effect in the catalogue.
 
     Args:
-        folder: Folder of blind cases, all solved.
+        folder: Folder of solved blind cases.
         solver: Solver of the cases.
         cases: Greatest number of cases; those with the largest effects are taken.
         run: Runner of parallel jobs.
         progress: Called with done, total and case.
 
     Raises:
-        BadRequest: A case is not solved yet, or none has one effect of the catalogue.
+        BadRequest: A number is below 1, a case is not solved yet, or none has one clear effect.
     """
+    if cases < 1:
+        raise BadRequest(f"cases: {cases} is not 1 or more")
     truth, results = load_truth(folder), load_results(folder)
+    missing = [case.name for case in truth.cases if case.name not in results]
+    if missing:
+        raise BadRequest(
+            f"{folder}: {missing[0]} is not solved; `python -m validation.blind solve` solves all cases"
+        )
     classes = load_classes(folder / CAMPAIGN_FOLDER)
     chosen = list_clear_cases(truth.cases, classes)[:cases]
-    missing = [case.name for case in chosen if case.name not in results]
-    if missing or not chosen:
-        raise BadRequest(
-            f"{folder}: {missing[0] if missing else 'no case'} is not solved; solve all cases first"
-        )
-    jobs = [_Job(folder.absolute(), case, solver) for case in chosen]
+    if not chosen:
+        raise BadRequest(f"{folder}: no case has one effect of the catalogue above its detection limit")
+    solver.prepare_campaign(folder / CAMPAIGN_FOLDER, run, progress)
+    jobs = [(folder.absolute(), case, solver) for case in chosen]
     documents = []
-    for done, document in enumerate(run(_diagnose_without, jobs), 1):
+    for done, document in enumerate(in_order(run, _diagnose_without, jobs), 1):
         documents.append(document)
         progress(done, len(jobs), "left out")
     return _score(classes, list(zip(chosen, documents, strict=True)))
@@ -77,11 +75,10 @@ def list_clear_cases(cases: Sequence[TrueCase], classes: EquivalenceClasses) -> 
     return sorted((case for case in single if size[case.name] >= 1.0), key=lambda case: -size[case.name])
 
 
-def _diagnose_without(job: _Job) -> dict[str, Any]:
-    (effect,) = job.case.effects
-    case, campaign = job.folder / CASES_FOLDER / job.case.name, job.folder / CAMPAIGN_FOLDER
+def _diagnose_without(folder: Path, case: TrueCase, solver: Solver) -> dict[str, Any]:
+    (effect,) = case.effects
     try:
-        return job.solver.diagnose(case, campaign, effect.name)[0]
+        return solver.diagnose(folder / CASES_FOLDER / case.name, folder / CAMPAIGN_FOLDER, effect.name)[0]
     except NoDiagnosis:
         return {"verdict": "unknown", "effects": []}
 

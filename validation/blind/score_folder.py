@@ -13,7 +13,6 @@ from ground.diagnosis.problem import Hypothesis
 from validation.blind.case_features import (
     CampaignSensitivities,
     closure_of_truth,
-    prepare_trial,
     read_case_features,
     split_case,
 )
@@ -54,11 +53,8 @@ def score_folder(
         progress(done, len(results), case.name)
         done += 1
         features = read_case_features(features_path(folder / CASES_FOLDER / case.name))
-        return closure_of_truth(
-            prepare_trial(*split_case(sensitivities, features)),
-            _true_values(sensitivities, case),
-            DIAGNOSIS_SEED,
-        ).share
+        parts = split_case(sensitivities, features)
+        return closure_of_truth(*parts, _true_values(sensitivities, case), DIAGNOSIS_SEED).share
 
     solved = [(case, results[case.name]) for case in truth.cases if case.name in results]
     for case, result in solved:

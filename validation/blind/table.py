@@ -33,19 +33,19 @@ def save_score(score: Score, path: Path) -> None:
 def _lines(score: Score) -> Iterator[str]:
     found = score.found
     yield f"# {score.cases} blind cases"
-    yield "Intervals are exact, 95 %. Effects count from the limit of the race on, by equivalence class."
+    yield "Intervals are exact, 95 %. Effects count from the limit of the selection on, by equivalence class."
     yield ""
     yield "| | wanted | found |"
     yield "|---|---|---|"
-    yield f"| no effect called one | 9 of 100 or fewer | {_rate_text(score.false_alarm)} |"
-    yield f"| reported | 85 % | {_rate_text(found.reported)} |"
-    yield f"| right place, of those | 95 % | {_rate_text(found.place)} |"
-    yield f"| right effect as first choice, of those | 88 % | {_rate_text(found.effect)} |"
-    yield f"| in the set of the level that was reported | 95 % | {_rate_text(found.covered)} |"
+    yield f"| no effect called one | 9 % or fewer | {rate_text(score.false_alarm)} |"
+    yield f"| reported | 85 % | {rate_text(found.reported)} |"
+    yield f"| right place, of those | 95 % | {rate_text(found.place)} |"
+    yield f"| right effect as first choice, of those | 88 % | {rate_text(found.effect)} |"
+    yield f"| in the set of the level that was reported | 95 % | {rate_text(found.covered)} |"
     yield f"| effects in a set that names effects, mean | | {score.set_size:.2f} |"
     yield f"| members of the largest set | 3 | {score.most_members} |"
-    yield f"| named, but not of the case | | {_rate_text(score.spurious)} |"
-    yield f"| 90 % intervals that cover | 85 to 95 % | {_rate_text(score.interval)} |"
+    yield f"| named, but not of the case | | {rate_text(score.spurious)} |"
+    yield f"| 90 % intervals that cover | 85 to 95 % | {rate_text(score.interval)} |"
     yield f"| closure, median | | {_median_text(score.closure)} |"
     yield f"| what the true effects achieve | | {_median_text(score.true_closure)} |"
     yield f"| lost against that, median | 5 points or fewer | {_median_text(score.closure_lost)} |"
@@ -57,10 +57,10 @@ def _lines(score: Score) -> Iterator[str]:
     yield "| | all | kin of the catalogue | strangers |"
     yield "|---|---|---|---|"
     parts = (score.outside, score.related, score.unrelated)
-    for level, bar in (("place", 11), ("family", 20), ("effect", 28)):
+    for level, bar in (("place", 8), ("family", 14), ("effect", 20)):
         cells = " | ".join(_outside_text(one, level) for one in parts)
-        yield f"| wrong {level}, at most {bar} of 140 | {cells} |"
-    yield f"| something is reported | {' | '.join(_rate_text(one.reported) for one in parts)} |"
+        yield f"| wrong {level}, {bar} % or fewer | {cells} |"
+    yield f"| something is reported | {' | '.join(rate_text(one.reported) for one in parts)} |"
     yield from ("", "## By size", "")
     yield "| detection limits | reported | right place | right effect | in the set |"
     yield "|---|---|---|---|---|"
@@ -75,7 +75,7 @@ def _lines(score: Score) -> Iterator[str]:
 
 
 def _detection_cells(found: DetectionRates) -> str:
-    return " | ".join(_rate_text(one) for one in (found.reported, found.place, found.effect, found.covered))
+    return " | ".join(rate_text(one) for one in (found.reported, found.place, found.effect, found.covered))
 
 
 def _outside_text(found: OutsideRates, level: str) -> str:
@@ -86,7 +86,8 @@ def _outside_text(found: OutsideRates, level: str) -> str:
     return f"{100 * rate.share:.1f} % ({rate.hits} of {rate.of}; {100 * least:.1f} to {100 * most:.1f})"
 
 
-def _rate_text(rate: Rate) -> str:
+def rate_text(rate: Rate) -> str:
+    """Return a rate as text, with its counts and its interval."""
     if not rate.of:
         return "no case"
     between = f"{100 * rate.least:.1f} to {100 * rate.most:.1f}"

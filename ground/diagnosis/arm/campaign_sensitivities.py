@@ -117,7 +117,7 @@ def compute_sensitivities(
     path = kept_in / _cache_name(paths, names)
     if path.exists():
         return CachedSensitivities(_load_cache(path), path)
-    _check_folder(kept_in)
+    check_cache_folder(kept_in)
     whole = kept_in / _cache_name(paths, tuple(catalogue()))
     if whole.exists():
         return _select_effects(CachedSensitivities(_load_cache(whole), whole), names, path)
@@ -289,7 +289,8 @@ def _load_cache(path: Path) -> Sensitivities:
         raise BadRequest(f"{error}; remove it, and they are computed anew") from error
 
 
-def _check_folder(kept_in: Path) -> None:
+def check_cache_folder(kept_in: Path) -> None:
+    """Make the folder of a cache; BadRequest if it cannot be made."""
     try:
         kept_in.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -245,7 +245,7 @@ def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisM
         return campaign
     layout = replace(found.layout, sigma=higher)
     made = build_model(replace(found, layout=layout), campaign.families, campaign.locations)
-    return replace(made, left_out=campaign.left_out)
+    return replace(made, left_out_effect=campaign.left_out_effect)
 
 
 def _try_held_out(

@@ -4,7 +4,6 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final, Literal
@@ -13,14 +12,17 @@ import numpy as np
 
 import fsw
 import sim
+from fsw.config import digest
+from ground.common.errors import BadRequest
 from ground.common.files import cache_folder
 from ground.common.options import check_options
 from ground.common.pool import select_runner
 from ground.common.progress import Progress, part_of
+from ground.diagnosis.arm import record
 from ground.diagnosis.arm.audit import load_checked_recordings
 from ground.diagnosis.arm.blind_case import record_blind, sample_background
 from ground.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
-from ground.diagnosis.arm.campaign_sensitivities import list_sources
+from ground.diagnosis.arm.campaign_sensitivities import check_cache_folder, list_sources
 from ground.diagnosis.arm.case import diagnose_case
 from ground.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs
 from ground.diagnosis.arm.request import DemoRequest, RecordRequest
@@ -29,17 +31,21 @@ from ground.diagnosis.diagnose import Finding
 from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.result import DiagnosisResult, to_json
 from ground.diagnosis.sampling import DetectableEffect, can_sample, sample_amplitude, sample_effect
+from ground.telemetry.header import model_digest
 from sim.arms import arm_named
 from sim.diagnosis_campaign import HELD_OUT_SESSIONS, campaign_sessions
 from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.scenario.effects import effect_text
+from sim.world import World, build
 
 Kind = Literal["none", "known", "left out"]
 KINDS: Final[tuple[tuple[Kind, float], ...]] = (("none", 0.1), ("known", 0.65), ("left out", 0.25))
 """What is drawn, with its probability; an effect that is left out is one that the catalogue then lacks."""
 SIZES: Final = (1.0, 4.0)
-"""Range of the drawn sizes, in detection limits of the race of all hypotheses."""
+"""Range of the drawn sizes, in detection limits of the selection from all hypotheses."""
+MAX_DRAWS: Final = 20
+"""Most draws until the arm can complete its sessions; one in twenty effects stops it."""
 CAMPAIGN_SHARE: Final = 0.9
 """Share of the campaign in the time of a demonstration, for the progress, if none is cached."""
 
@@ -56,7 +62,7 @@ class DemoTruth:
     spec: str
     """Text that switches it on."""
     times_limit: float
-    """Size over the detection limit of the race."""
+    """Size over the detection limit of the selection."""
     background: tuple[str, ...]
     """Calibration errors, friction of the day and numerics of the arm."""
 
@@ -85,8 +91,7 @@ def run_demo(request: DemoRequest, progress: Progress, publish: Callable[[str], 
         publish: Called with the digest of the truth before the logs are diagnosed.
 
     Raises:
-        BadRequest: The request is wrong.
-        BadOutput: The cache cannot be written.
+        BadRequest: The request is wrong, or the cache cannot be written.
     """
     check_options(request)
     campaign = load_demo_campaign(request, part_of(progress, 0.0, CAMPAIGN_SHARE))
@@ -109,25 +114,37 @@ def demo_json(found: Demo) -> dict[str, Any]:
 
 def load_demo_campaign(request: DemoRequest, progress: Progress) -> CampaignModel:
     """Load the campaign of the nominal arm; record and compute what is not cached."""
-    code = hashlib.sha256(b"".join(path.read_bytes() for of in (fsw, sim) for path in list_sources(of)))
-    folder = cache_folder("gap-demo") / code.hexdigest()[:16]
+    folder = cache_folder("gap-demo") / _campaign_digest()[:16]
     if not folder.exists():
-        folder.parent.mkdir(parents=True, exist_ok=True)
+        check_cache_folder(folder.parent)
         record_logs(RecordRequest(folder), part_of(progress, 0.0, 0.05))
     logs, held_out = (sorted(of.glob("*.mcap")) for of in (folder, folder / HELD_OUT_FOLDER))
     run = select_runner(request.workers, None)
     return load_campaign_model(logs, held_out, folder, run, part_of(progress, 0.05, 1.0))
 
 
+def _campaign_digest() -> str:
+    """Return the SHA-256 of all that the recorded campaign depends on: code, parameters and model."""
+    total = hashlib.sha256(Path(record.__file__).read_bytes())
+    for package in (fsw, sim):
+        for path in list_sources(package):
+            total.update(path.read_bytes())
+    total.update(digest(nominal_params()).encode())
+    total.update(model_digest(build(World()).compile()).encode())
+    return total.hexdigest()
+
+
 def _record_drawn(folder: Path, model: DiagnosisModel, seed: int) -> DemoTruth:
     """Draw until the arm can complete its sessions; return what was drawn then."""
-    for attempt in count():
+    for attempt in range(MAX_DRAWS):
         rng = np.random.default_rng([seed, attempt, 12])
         truth, effects = draw_truth(model, rng)
         sessions = campaign_sessions(arm_named("nominal").params)
         if record_blind(folder, effects, sessions, int(rng.integers(2**31))):
             return truth
-    raise AssertionError("count() ends")
+    raise BadRequest(
+        f"seed: {seed} draws {MAX_DRAWS} effects with which the arm cannot complete its sessions"
+    )
 
 
 def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTruth, tuple[Effect, ...]]:
@@ -169,7 +186,7 @@ def _diagnose(folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int
         for held in (False, True)
     )
     if truth.kind == "left out":
-        campaign = replace(campaign, model=campaign.model.without(truth.effect))
+        campaign = replace(campaign, model=replace(campaign.model, left_out_effect=truth.effect))
     return diagnose_case(fitted, held_out, campaign, seed)
 
 

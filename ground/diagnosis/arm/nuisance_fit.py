@@ -18,8 +18,7 @@ from ground.diagnosis.arm.features import MotionFeatures
 from ground.diagnosis.feature_residuals import WhitenAll, build_full_whitener
 from ground.diagnosis.linear_fit import fit_linear
 from ground.diagnosis.model import DiagnosisModel
-from ground.diagnosis.normal_equations import reduce_residuals
-from ground.diagnosis.problem import LOG_UNIT, Residuals
+from ground.diagnosis.problem import LOG_UNIT
 from ground.diagnosis.selection import Selection, select
 from sim.effects.effect import Effect
 
@@ -65,6 +64,7 @@ def fit_nuisances(
     whiten = build_full_whitener(model.sensitivities)
     alone = _fit_alone(model, first, patch)
     selection = _select(model, whiten, alone, seed)
+    null_deviance = selection.null_deviance
     beside, chosen = alone, tuple[int, ...]()
     for _ in range(MAX_UPDATES):
         if set(selection.chosen) == set(chosen):
@@ -75,7 +75,7 @@ def fit_nuisances(
             break
         beside = moved
         selection = _select(model, whiten, beside, seed)
-    is_better = _cost(selection) < _null_deviance(whiten, alone)
+    is_better = _cost(selection) < null_deviance
     return beside if selection.chosen and is_better else alone
 
 
@@ -129,12 +129,6 @@ def _select(model: DiagnosisModel, whiten: WhitenAll, current: NuisanceFit, seed
     return select(model, model.sensitivities, whiten, current.residual, seed)
 
 
-def _null_deviance(whiten: WhitenAll, current: NuisanceFit) -> float:
-    """Return the deviance with nuisances alone."""
-    white = whiten(current.residual[:, None])[:, 0]
-    return float(white @ white)
-
-
 def _cost(selection: Selection) -> float:
     """Return the deviance beside the selected effects, plus the threshold for as many parameters."""
     k = sum(a.size for a in selection.departures)
@@ -148,8 +142,7 @@ def _estimate_nuisances(model: DiagnosisModel, current: NuisanceFit, beside: tup
     Random and one-sided nuisances stay 0.
     """
     equations = model.equations
-    rhs, _ = reduce_residuals(equations, Residuals(model.sensitivities.layout, current.residual))
-    fit = fit_linear(equations, rhs, equations.columns(beside))
+    fit = fit_linear(equations, equations.whiten(current.residual), equations.columns(beside))
     found = np.zeros(len(model.sensitivities.nuisances))
     found[model.sensitivities.shared_nuisances] = fit.theta[: equations.q] * equations.nuisance_unit
     far = MAX_SIGMAS * np.array([nuisance.sigma for nuisance in model.sensitivities.nuisances])

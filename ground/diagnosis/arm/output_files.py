@@ -38,7 +38,7 @@ def effects_of_findings(
         kinds: Classes of the candidate effects; None for the catalogue.
 
     Raises:
-        NothingToWrite: The verdict names no effect.
+        NothingToWrite: No effect was found.
     """
     diagnosis = result.diagnosis
     if diagnosis.verdict != "found":
@@ -54,7 +54,7 @@ def save_patch(result: DiagnosisResult, path: Path) -> None:
     """Write the file that switches on the findings, for --effect and for a scenario.
 
     Raises:
-        NothingToWrite: The verdict names no effect.
+        NothingToWrite: No effect was found.
         BadOutput: The file cannot be written.
     """
     effects = effects_of_findings(result)
@@ -106,6 +106,9 @@ def _patch_comments(result: DiagnosisResult) -> list[str]:
     """Return comment lines: the findings, their aliases and their alternatives."""
     names = [hypothesis.name for hypothesis in result.model.sensitivities.hypotheses]
     lines = ["Findings of a diagnosis; switch them on with --effect and the name of this file."]
+    lines += [
+        f"{names[one.hypothesis]} is known at the level: {one.level}." for one in result.diagnosis.findings
+    ]
     for finding in result.diagnosis.findings:
         own = names[finding.hypothesis]
         alike = [names[one] for one in finding.equivalence_class if one != finding.hypothesis]

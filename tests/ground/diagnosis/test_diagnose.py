@@ -99,7 +99,7 @@ def test_what_is_in_no_catalogue_gets_no_name(made, campaign, rng):
 
 
 def test_an_effect_that_is_left_out_and_what_is_the_same_as_it_are_not_named(made, campaign, rng):
-    left = campaign.without(made.hypotheses[4].effect)
+    left = replace(campaign, left_out_effect=made.hypotheses[4].effect)
     assert {4, *campaign.equivalence_class(4)} <= left.left_out
     y = made.measured(rng, _sized(made, campaign, 4, 6.0))
     diagnosis = diagnose(left, Residuals(made.layout, y), seed=1)

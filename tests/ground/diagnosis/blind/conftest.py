@@ -73,7 +73,7 @@ def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
 
     def diagnosed(case: Path, _: Path, without: str) -> tuple[dict[str, object], CaseFeatures]:
         features = read_case_features(case / "log")
-        model = campaign.without(without) if without else campaign
+        model = replace(campaign, left_out_effect=without)
         said = diagnose(model, Residuals(made.layout, features.fitted.value), 1)
         return to_json(DiagnosisResult(model, said, None, None, (), (), ())), features
 

@@ -1,5 +1,6 @@
 """Leave-one-effect-out: the effect is not in the catalogue, and nothing may be named in its place."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +48,33 @@ def test_a_case_that_cannot_be_diagnosed_without_its_effect_names_nothing(
 
 
 def test_what_is_not_solved_is_refused(folder) -> None:
-    with pytest.raises(BadRequest, match="is not solved; solve all cases first"):
+    with pytest.raises(BadRequest, match="case-000 is not solved; `python -m validation.blind solve`"):
         score_left_out(folder.path, folder.solver, 5, RUN, quiet)
+
+
+@pytest.mark.parametrize("cases", [0, -1])
+def test_a_number_below_one_is_refused(folder, cases: int) -> None:
+    with pytest.raises(BadRequest, match=rf"cases: {cases} is not 1 or more"):
+        score_left_out(folder.path, folder.solver, cases, RUN, quiet)
+
+
+def test_results_in_any_order_belong_to_their_cases(folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = [case.name for case in folder.truth.cases]
+    monkeypatch.setattr("validation.blind.leave_out.load_results", lambda _: {name: {} for name in names})
+
+    def named(case: Path, campaign: Path, without: str) -> Any:
+        effect = {"name": case.name, "place": "x", "level": "size", "places": [], "effects": []}
+        return {"verdict": "found", "effects": [effect]}, None
+
+    def backwards(work: Any, jobs: Any) -> Iterator[Any]:
+        return (work(job) for job in reversed(jobs))
+
+    solver = Solver(folder.solver.prepare_campaign, folder.solver.load_sensitivities, named)
+    found = score_left_out(folder.path, solver, 60, backwards, quiet)
+    assert found.named.hits == found.named.of == len(found.wrong) > 1
+    for text in found.wrong:
+        name, _, others = text.partition(": ")
+        assert others.endswith(f": {name} at x")
 
 
 def test_only_single_effects_from_the_limit_on_are_taken_largest_first(folder) -> None:
