@@ -203,11 +203,14 @@ def _describe_findings(
 ) -> tuple[Finding, ...]:
     sets = find_confidence_sets(selection.engine)
     places = [_location(model, one) for one in sets]
-    return tuple(
-        # several effects at one place, or one beside which something remains, may be a single unknown one
-        _describe_finding(model, one, selection, is_doubtful=has_remainder or places.count(place) > 1)
-        for one, place in zip(sets, places, strict=True)
-    )
+    described = []
+    for one, place in zip(sets, places, strict=True):
+        # several effects at one place, or one beside which something remains, may be a single unknown one;
+        # if something remains beside effects at several places, it may be at another place
+        finest: Level = "place" if has_remainder or places.count(place) > 1 else "size"
+        finest = "unlocated" if has_remainder and len(set(places)) > 1 else finest
+        described.append(_describe_finding(model, one, selection, finest))
+    return tuple(described)
 
 
 def _location(model: DiagnosisModel, found: ConfidenceSet) -> str:
@@ -217,7 +220,7 @@ def _location(model: DiagnosisModel, found: ConfidenceSet) -> str:
 
 
 def _describe_finding(
-    model: DiagnosisModel, found: ConfidenceSet, selection: Selection, is_doubtful: bool
+    model: DiagnosisModel, found: ConfidenceSet, selection: Selection, finest: Level
 ) -> Finding:
     (own, *_), effect = found.alternatives, found.effect
     assert isinstance(effect, FeatureEffect)
@@ -239,7 +242,7 @@ def _describe_finding(
     members = [k for one in alternatives for k in model.equivalence_class(one.hypothesis)]
     places = tuple(dict.fromkeys(model.locations[k] for k in members))
     families = tuple(dict.fromkeys(model.families[k] for k in members))
-    level = _level(len(alternatives), len(families), len(places), is_doubtful)
+    level = _level(len(alternatives), len(families), len(places), finest)
     return Finding(
         effect.index,
         parameter_values(hypothesis, sizes[columns]),
@@ -255,11 +258,11 @@ def _describe_finding(
     )
 
 
-def _level(n_effects: int, n_families: int, n_places: int, is_doubtful: bool) -> Level:
-    """Return the finest level at which a set has at most MAX_MEMBERS members."""
-    if n_places > MAX_MEMBERS:
+def _level(n_effects: int, n_families: int, n_places: int, finest: Level) -> Level:
+    """Return the level, not finer than allowed, at which a set has at most MAX_MEMBERS members."""
+    if n_places > MAX_MEMBERS or finest == "unlocated":
         return "unlocated"
-    if is_doubtful or n_families > MAX_MEMBERS:
+    if n_families > MAX_MEMBERS or finest == "place":
         return "place"
     if n_effects > MAX_MEMBERS:
         return "family"

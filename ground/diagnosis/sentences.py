@@ -76,7 +76,7 @@ def finding_sentence(result: DiagnosisResult, finding: Finding) -> str:
             f"In these motions it acts like {own} ({sizes})."
         )
     others = f", as would {len(names) - 1} others" if names[1:] else ""
-    return f"The cause is not located: {own} would explain it{others}."
+    return f"A cause is not located: {own} would explain a part of the gap{others}."
 
 
 def name_with_aliases(result: DiagnosisResult, finding: Finding) -> str:

@@ -73,6 +73,18 @@ def test_effects_at_one_place_may_be_a_single_unknown_one(made, campaign, rng):
     assert all(one.level == "place" and not one.effects and not one.families for one in findings)
 
 
+def test_what_remains_beside_effects_at_several_places_may_be_at_another(made, campaign, rng):
+    first, second = 10, 16
+    assert made.hypotheses[first].place != made.hypotheses[second].place
+    layout = made.layout
+    strange = 3.0 * layout.sigma * layout.condition[:, 1] * layout.condition[:, 3] * (layout.channel == 12)
+    t = _sized(made, campaign, first, 8.0) + _sized(made, campaign, second, 8.0)
+    diagnosis = _diagnose(made, campaign, rng, t, strange)
+    assert diagnosis.has_remainder
+    assert len({made.hypotheses[one.hypothesis].place for one in diagnosis.findings}) > 1
+    assert all(one.level == "unlocated" and not one.places for one in diagnosis.findings)
+
+
 def test_no_set_has_more_than_three_members(made, campaign, rng):
     for _ in range(10):
         one = int(rng.integers(len(made.hypotheses)))

@@ -71,7 +71,7 @@ def test_three_effects_with_many_alternatives_fit_on_a_screen(diagnose, results)
         ("size", "All other effects are excluded at 95 %"),
         ("family", "is an effect of the family"),
         ("place", "may be outside the catalogue. In these motions it acts like"),
-        ("unlocated", "The cause is not located: "),
+        ("unlocated", "A cause is not located: "),
     ],
 )
 def test_each_level_has_its_sentence(diagnose, results, level, said):
