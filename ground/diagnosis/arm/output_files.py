@@ -1,7 +1,7 @@
 """Output files of a diagnosis: report page, patch of effects, and new flight parameters."""
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fsw.config import digest
@@ -28,14 +28,11 @@ class NothingToWrite(Exception):
     """No content for a file; the message says why."""
 
 
-def effects_of_findings(
-    result: DiagnosisResult, kinds: Mapping[str, type[Effect]] | None = None
-) -> tuple[Effect, ...]:
+def effects_of_findings(result: DiagnosisResult) -> tuple[Effect, ...]:
     """Return the effects of a diagnosis with their fitted values.
 
     Args:
         result: Diagnosis.
-        kinds: Classes of the candidate effects; None for the catalogue.
 
     Raises:
         NothingToWrite: No effect was found.
@@ -43,7 +40,7 @@ def effects_of_findings(
     diagnosis = result.diagnosis
     if diagnosis.verdict != "found":
         raise NothingToWrite(f"the verdict is {diagnosis.verdict}, so there is no effect to switch on")
-    made = {to_hypothesis(one): one for one in list_candidates(kinds)}
+    made = {to_hypothesis(one): one for one in list_candidates(None)}
     named = [
         (result.model.sensitivities.hypotheses[one.hypothesis], one.values) for one in diagnosis.findings
     ]
