@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
+from ground.diagnosis.arm import blind_case
 from ground.diagnosis.arm.blind_case import ALLOWED_KEYS, TruthLeaked, check_leakage, sample_background
 from ground.diagnosis.arm.logs import load_recording
 from ground.diagnosis.arm.record import session_json
@@ -121,7 +122,7 @@ def test_the_plants_own_state_is_refused(tmp_path: Path) -> None:
 
 def test_a_case_with_a_revealing_log_is_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A perfect homing would measure the friction that is the case's effect."""
-    monkeypatch.setattr(make, "blind_reference", true_reference)
+    monkeypatch.setattr(blind_case, "blind_reference", true_reference)
     monkeypatch.setattr(make, "all_sessions", lambda: SESSIONS)
     case = replace(cases()["single"], background=(effect_text(CoulombFriction(Joint.ELEVATION, 12.0)),))
     with pytest.raises(TruthLeaked, match=r"flight software begins with friction_Nm"):
