@@ -21,7 +21,8 @@ def main() -> None:
     record_logs(RecordRequest(LOGS, effects=("link-length:arm3.x:length_m=0.006",), sessions="poses-level-*"))
     request = DiagnoseRequest((LOGS,), (LOGS / "held-out",), catalogue="link-length", campaign=LOGS)
     result = diagnose(request)
-    print(*verdict_lines(result), *effects_of_findings(result), sep="\n")
+    lines = [f"{label}: {text}" for label, text in verdict_lines(result)]
+    print(*lines, *effects_of_findings(result), sep="\n")
 
     figure, (length, tool) = plt.subplots(1, 2, figsize=(8, 4), layout="constrained")
     for finding in result.diagnosis.findings:
