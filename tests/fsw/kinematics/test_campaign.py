@@ -60,8 +60,13 @@ def test_a_joint_vector_clear_of_double_roots_is_among_the_roots_of_its_target(c
 @by_case
 def test_where_two_roots_meet_the_target_is_met_or_named_as_singular(case):
     tally = tally_of(case)
-    assert tally.indistinct > 0
     assert not tally.unanswered, examples(tally, "unanswered")
+
+
+@pytest.mark.slow
+def test_two_roots_meet_at_hundreds_of_vectors_of_the_campaign():
+    """All cases together: the skew tool has none or two in 2,500 vectors, as the processor rounds."""
+    assert sum(tally_of(case).indistinct for case in CASES) > 200
 
 
 @pytest.mark.slow
