@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Final
 
 import numpy as np
 
@@ -10,9 +9,6 @@ from diagnosis.arrays import Array, Integers
 from diagnosis.effects.effect import Effect
 from diagnosis.residuals.loss import pseudo_huber
 from diagnosis.residuals.residuals import ResidualModel
-
-NODES: Final = 40
-"""Nodes of the quadrature over a normal distribution, which gives the mean loss to a thousandth."""
 
 
 class WhitenedResiduals:
@@ -141,7 +137,8 @@ def noise_residuals(model: ResidualModel, residuals: Array, joint: int) -> Array
 def noise_losses(model: ResidualModel, residuals: Array, scales: Array) -> Array:
     """Return the mean pseudo-Huber loss that noise alone leaves at each joint.
 
-    Noise of a known level is normal; otherwise motions that repeat one another show it.
+    Known noise has a loss of squares, as `scale_residuals` chooses.
+    Otherwise the motions that repeat one another show the loss.
 
     Args:
         model: The residual model.
@@ -152,9 +149,7 @@ def noise_losses(model: ResidualModel, residuals: Array, scales: Array) -> Array
         (n_joints,), without a unit; 0 where no motion was repeated.
     """
     if model.noise_std:
-        nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
-        z = model.noise_std * nodes[:, None] / scales
-        return np.asarray(weights @ pseudo_huber(z) / weights.sum())
+        return np.asarray((model.noise_std / scales) ** 2)
     found = np.zeros(len(model.joints))
     for joint, scale in enumerate(scales):
         z = noise_residuals(model, residuals, joint) / scale

@@ -366,9 +366,9 @@ def drop_needless(
                 rows = select_rows(context.model, joint)
                 pair = without.left_out[rows], present.left_out[rows]
                 gain, z = improvement_share(context, rows, *pair), improvement_z(context, rows, *pair)
-                chance = find_log_chance(context, fits_at(context, present, joint), effect, residuals)
+                log_chance = find_log_chance(context, fits_at(context, present, joint), effect, residuals)
                 is_sure = z > MIN_Z or knows_noise(context, rows)
-                is_needed = gain >= MIN_SHARE and chance <= np.log(FALSE_ALARM) and is_sure
+                is_needed = gain >= MIN_SHARE and log_chance <= np.log(FALSE_ALARM) and is_sure
                 failed += [] if is_needed else [(z, effect)]
         if not failed:
             return present, left_out

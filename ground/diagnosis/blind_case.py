@@ -40,7 +40,7 @@ class TrueEffect:
     values: dict[str, float]
     """Values of all its parameters by name, in the units of the diagnosis."""
     times_limit: float
-    """Amplitude as a multiple of the detection limit."""
+    """Amplitude as a multiple of the detection limit; of the typical size outside the catalogue."""
     spec: str
     """Text that switches the effect on in the plant."""
 

@@ -11,15 +11,17 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2, ncx2
 
+from diagnosis.selection.chance import FALSE_ALARM
 from fsw.kinematics.transforms import Array
-from ground.diagnosis.normal_equations import ABSORBED_SHARE, NormalEquations
+from ground.diagnosis.normal_equations import NormalEquations
 from ground.diagnosis.problem import Ints
 
 ALIAS_COSINE: Final = 0.99
 """Absolute cosine of projected sensitivities above which two hypotheses cannot be distinguished."""
 RANK_TOLERANCE: Final = 1e-9
 """Eigenvalues below this share of the greatest count as 0."""
-TEST_FALSE_ALARM: Final = 0.05
+KINDS_OF_TEST: Final = 2
+"""Effects and the test of what remains share the probability of a false alarm."""
 POWER: Final = 0.9
 """Probability that an effect at the detection limit passes the test."""
 
@@ -84,7 +86,7 @@ class Detectability:
 
 
 @cache
-def noncentrality(k: int, power: float = POWER, false_alarm: float = TEST_FALSE_ALARM) -> float:
+def noncentrality(k: int, power: float = POWER, false_alarm: float = FALSE_ALARM) -> float:
     """Compute the noncentrality of a chi-square with k degrees of freedom for this power and false alarm."""
     beyond = chi2.isf(false_alarm, k)
     return float(brentq(lambda n: ncx2.sf(beyond, k, n) - power, 1e-6, 1e3))
@@ -107,7 +109,7 @@ def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Detectabi
     """
     result = []
     n_classes = np.unique(label[equations.identifiable]).size
-    false_alarm_of_each = TEST_FALSE_ALARM / 2.0 / max(n_classes, 1)
+    false_alarm_of_each = FALSE_ALARM / KINDS_OF_TEST / max(n_classes, 1)
     for index, seen in enumerate(equations.identifiable):
         at = np.flatnonzero(equations.owner == index)
         typical = equations.scale[at]
@@ -117,27 +119,7 @@ def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Detectabi
             continue
         alone, family_wise = (
             float(np.sqrt(noncentrality(at.size, POWER, by) / information))
-            for by in (TEST_FALSE_ALARM, false_alarm_of_each)
+            for by in (FALSE_ALARM, false_alarm_of_each)
         )
         result.append(Detectability(alone, family_wise))
     return tuple(result)
-
-
-def column_detection_limit(equations: NormalEquations, columns: Array) -> float:
-    """Compute the detection limit of an effect outside the catalogue.
-
-    Args:
-        equations: Normal equations of the campaign.
-        columns: Change of the features per typical size, in the units of the channels, shape (m, n).
-
-    Returns:
-        Detection limit in typical sizes; infinite if the nuisances absorb the effect.
-    """
-    S, N = equations.whiten(columns), equations.A[:, : equations.q]
-    whole = S.sum(axis=1)
-    along = N.T @ whole
-    before = float(whole @ whole)
-    information = before - float(along @ equations.C @ along)
-    if information <= ABSORBED_SHARE * before:
-        return np.inf
-    return float(np.sqrt(noncentrality(columns.shape[1]) / information))

@@ -13,15 +13,15 @@ import numpy as np
 from diagnosis.effects.effect import Family
 from diagnosis.selection.verdict import ConfidenceSet, find_confidence_sets
 from fsw.kinematics.transforms import Array
-from ground.diagnosis.feature_residuals import (
-    FeatureEffect,
-    WhitenAll,
-    build_full_whitener,
-    parameter_values,
-)
+from ground.diagnosis.feature_residuals import FeatureEffect
 from ground.diagnosis.linear_fit import LinearFit, fit_linear, whitened_residual
 from ground.diagnosis.model import DiagnosisModel
-from ground.diagnosis.normal_equations import NormalEquations, form_normal_equations
+from ground.diagnosis.normal_equations import (
+    NormalEquations,
+    Whitener,
+    build_full_whitener,
+    form_normal_equations,
+)
 from ground.diagnosis.problem import EffectValues, Residuals, Simulator
 from ground.diagnosis.residual_analysis import (
     FeatureGroup,
@@ -108,7 +108,11 @@ class Diagnosis:
 
 
 def diagnose(
-    model: DiagnosisModel, residuals: Residuals, seed: int, simulator: Simulator | None = None
+    model: DiagnosisModel,
+    residuals: Residuals,
+    seed: int,
+    simulator: Simulator | None = None,
+    first: Selection | None = None,
 ) -> Diagnosis:
     """Diagnose one case.
 
@@ -117,6 +121,7 @@ def diagnose(
         residuals: Residuals of the case.
         seed: Seed of all random draws.
         simulator: Simulator for effects beyond the reach of the sensitivities; None to extrapolate these.
+        first: Selection with the sensitivities as they are; None if it is not known yet.
 
     Returns:
         Verdict, findings, and what remains unexplained.
@@ -125,10 +130,11 @@ def diagnose(
     null_fit = fit_linear(model.equations, y, model.equations.columns(()))
     cells = map_residual(residuals.layout, whitened_residual(model.equations, null_fit, y), seed)
     whiten = build_full_whitener(model.sensitivities)
-    selection, sensitivities = select_simulated(model, whiten, residuals.value, seed, simulator)
+    first = first or select(model, model.sensitivities, whiten, residuals.value, seed)
+    selection, sensitivities = select_simulated(model, whiten, residuals.value, seed, simulator, first)
     hypotheses = model.sensitivities.hypotheses
     estimates = list(zip(selection.chosen, selection.departures, strict=True))
-    change = sensitivities.change({hypotheses[h]: parameter_values(hypotheses[h], a) for h, a in estimates})
+    change = sensitivities.change({hypotheses[h]: hypotheses[h].values(a) for h, a in estimates})
     for h, a in estimates:
         sensitivities = sensitivities.linearised(h, a)
     equations = form_normal_equations(sensitivities) if selection.chosen else model.equations
@@ -143,9 +149,14 @@ def diagnose(
 
 
 def select_simulated(
-    model: DiagnosisModel, whiten: WhitenAll, value: Array, seed: int, simulator: Simulator | None
+    model: DiagnosisModel,
+    whiten: Whitener,
+    value: Array,
+    seed: int,
+    simulator: Simulator | None,
+    selection: Selection,
 ) -> tuple[Selection, Sensitivities]:
-    """Select effects; simulate those beyond the reach of their sensitivities, and select again.
+    """Simulate selected effects beyond the reach of their sensitivities, and select again.
 
     Args:
         model: Diagnosis model of the campaign.
@@ -153,12 +164,12 @@ def select_simulated(
         value: Measured minus nominal features in the units of the channels, (m,).
         seed: Seed of the engine.
         simulator: Simulator of the case; None to extrapolate.
+        selection: First selection, with the sensitivities as they are.
 
     Returns:
         The last selection, and the sensitivities that it used.
     """
     sensitivities, excluded = model.sensitivities, frozenset[int]()
-    selection = select(model, sensitivities, whiten, value, seed)
     for _ in range(MAX_SIMULATIONS):
         far = [
             (h, a)
@@ -193,7 +204,7 @@ def effect_values(diagnosis: Diagnosis) -> EffectValues:
 def _simulate(model: DiagnosisModel, simulator: Simulator, h: int, a: Array) -> Array | None:
     """Return the change by one hypothesis, (m,); None if no arm with it can be simulated."""
     hypothesis, zero = model.sensitivities.hypotheses[h], np.zeros(len(simulator.nuisances))
-    changed = simulator.predict({hypothesis: parameter_values(hypothesis, a)}, zero)
+    changed = simulator.predict({hypothesis: hypothesis.values(a)}, zero)
     change = changed - simulator.predict({}, zero)
     return change if np.all(np.isfinite(change)) and np.any(change) else None
 
@@ -231,8 +242,7 @@ def _describe_finding(
     ends = np.transpose([(one.least, one.most) for one in hypothesis.parameters])
     is_amplitude = np.array([one.is_amplitude for one in hypothesis.parameters])
     low, high = (
-        np.where(is_amplitude, np.clip(parameter_values(hypothesis, end), *ends), np.nan)
-        for end in intervals.T
+        np.where(is_amplitude, np.clip(hypothesis.values(end), *ends), np.nan) for end in intervals.T
     )
     alternatives = tuple(
         Alternative(one.effect.index, one.p)
@@ -245,7 +255,7 @@ def _describe_finding(
     level = _level(len(alternatives), len(families), len(places), finest)
     return Finding(
         effect.index,
-        parameter_values(hypothesis, sizes[columns]),
+        hypothesis.values(sizes[columns]),
         np.fmin(low, high),
         np.fmax(low, high),
         found.share,

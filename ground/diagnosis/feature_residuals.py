@@ -8,7 +8,7 @@ so that no nuisance is fitted. All features count as one joint: most nuisances, 
 all. The change by an effect is the parabola of the sensitivities.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,19 +18,14 @@ from diagnosis.effects.effect import Effect, Family, Size
 from diagnosis.residuals.residuals import ResidualModel
 from fsw.kinematics.transforms import Array
 from ground.diagnosis.model import DiagnosisModel
-from ground.diagnosis.normal_equations import build_whitener, nuisance_columns
-from ground.diagnosis.problem import Hypothesis, Ints
-from ground.diagnosis.sensitivity import Sensitivities
+from ground.diagnosis.normal_equations import Whitener
+from ground.diagnosis.problem import Ints
+from ground.diagnosis.sensitivity import Sensitivities, continue_parabola
 
 LIMITS: Final = 2.0
 """Size from which a fit starts, in detection limits: effects that can be told apart are of this size."""
 BOUND_SHARE: Final = 0.9
 """Largest share of the way to a bound at which a fit starts."""
-RANK_TOLERANCE: Final = 1e-9
-"""Nuisances whose whitened size is below this have no influence."""
-
-WhitenAll = Callable[[Array], Array]
-"""Function that whitens features, (m, n), by noise and all nuisances."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +66,10 @@ def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) 
         One effect a class with a finite limit.
     """
     found: dict[int, FeatureEffect] = {}
+    absent = {*excluded, *model.left_out}
     for k, (hypothesis, limit) in enumerate(zip(model.sensitivities.hypotheses, model.limits, strict=True)):
         label = int(model.label[k])
-        if not np.isfinite(limit.limit) or k in {*excluded, *model.left_out} or label in found:
+        if not np.isfinite(limit.limit) or k in absent or label in found:
             continue
         sizes = []
         for parameter in hypothesis.amplitudes:
@@ -95,7 +91,7 @@ class FeatureResiduals:
     noise_std = 1.0
     by_motion = False
 
-    def __init__(self, sensitivities: Sensitivities, whiten: WhitenAll, value: Array) -> None:
+    def __init__(self, sensitivities: Sensitivities, whiten: Whitener, value: Array) -> None:
         """Whiten features and sensitivities.
 
         Args:
@@ -104,7 +100,7 @@ class FeatureResiduals:
             value: Measured minus nominal features in the units of the channels, (m,).
         """
         layout = sensitivities.layout
-        self._y = whiten(value[:, None])[:, 0]
+        self._y = whiten(value)
         self._effect = whiten(sensitivities.effect)
         self._curve = whiten(sensitivities.curve)
         self._reach = sensitivities.reach
@@ -131,10 +127,8 @@ class FeatureResiduals:
         """
         own = [self._columns[one.index] for one in effects if isinstance(one, FeatureEffect)]
         columns = np.concatenate([np.zeros(0, np.intp), *own])
-        reach = self._reach[columns]
-        inside = np.clip(sizes, -reach, reach)
-        change = sizes @ self._effect[:, columns].T
-        return np.asarray(self._y - change - (inside * (2.0 * sizes - inside)) @ self._curve[:, columns].T)
+        parts = self._effect[:, columns], self._curve[:, columns], self._reach[columns]
+        return self._y - continue_parabola(*parts, sizes)
 
     def select(self, motions: Sequence[str]) -> ResidualModel:
         """Return all residuals: they cost nothing."""
@@ -150,38 +144,3 @@ class FeatureResiduals:
             (m,), in its unit; NaN for a condition that features do not have.
         """
         return np.asarray(self._condition.get(name, np.full(self._y.size, np.nan)))
-
-
-def build_full_whitener(sensitivities: Sensitivities) -> WhitenAll:
-    """Build the function that whitens features, (m, n), by noise and all nuisances with their priors.
-
-    Args:
-        sensitivities: Sensitivities of the features.
-    """
-    first = build_whitener(sensitivities)
-    N, prior, _ = nuisance_columns(sensitivities, first)
-    U, S, _ = np.linalg.svd(N / np.sqrt(prior), full_matrices=False)
-    U, S = U[:, S > RANK_TOLERANCE], S[S > RANK_TOLERANCE]
-    shrinkage = 1.0 - 1.0 / np.sqrt(1.0 + S**2)
-
-    def whiten(features: Array) -> Array:
-        white = first(features)
-        return np.asarray(white - (U * shrinkage) @ (U.T @ white))
-
-    return whiten
-
-
-def parameter_values(hypothesis: Hypothesis, departures: Array) -> Array:
-    """Return the values of all parameters of a hypothesis.
-
-    Args:
-        hypothesis: Hypothesis with n amplitudes among p parameters.
-        departures: Departures of the amplitudes in typical sizes, without a unit, (n,).
-
-    Returns:
-        Values in the units of the parameters, (p,).
-    """
-    values, at = hypothesis.absent, [k for k, one in enumerate(hypothesis.parameters) if one.is_amplitude]
-    typical = np.array([hypothesis.parameters[k].typical for k in at])
-    values[at] += typical * departures
-    return values

@@ -28,10 +28,10 @@ FLAT_PRIOR_SHARE: Final = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockCovariance:
-    """Low-rank covariance of the features of one block, from the nuisances that are random per block."""
+    """Low-rank covariance by nuisances: of the features of a block, if random per block, or of all."""
 
     rows: Ints
-    """Indices of the block's features, shape (n,)."""
+    """Indices of the features, shape (n,)."""
     U: Array
     """Orthonormal directions, shape (n, s)."""
     shrinkage: Array
@@ -73,9 +73,22 @@ def build_whitener(sensitivities: Sensitivities) -> Whitener:
     for block in range(len(layout.blocks)):
         rows = np.flatnonzero(layout.block == block)
         if rows.size and np.any(L[rows]):
-            U, S, _ = np.linalg.svd(L[rows], full_matrices=False)
-            scatter.append(BlockCovariance(rows, U, 1.0 - 1.0 / np.sqrt(1.0 + S**2)))
+            scatter.append(_block_covariance(rows, L[rows]))
     return Whitener(layout.sigma, tuple(scatter))
+
+
+def build_full_whitener(sensitivities: Sensitivities) -> Whitener:
+    """Build the whitener from the noise floor and all nuisances with their priors."""
+    first = build_whitener(sensitivities)
+    N, prior, _ = nuisance_columns(sensitivities, first)
+    shared = _block_covariance(np.arange(len(N)), N / np.sqrt(prior))
+    return Whitener(first.sigma, (*first.scatter, shared))
+
+
+def _block_covariance(rows: Ints, L: Array) -> BlockCovariance:
+    """Return the covariance L L' of some features beside unit noise, L (n, s)."""
+    U, S, _ = np.linalg.svd(L, full_matrices=False)
+    return BlockCovariance(rows, U, 1.0 - 1.0 / np.sqrt(1.0 + S**2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

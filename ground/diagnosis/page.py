@@ -132,8 +132,8 @@ def _effect_section(result: DiagnosisResult) -> Iterator[str]:
         head = ("effect", "level", "parameter", "value", "90 %", "bounds", "seen from", "named from", "share")
         yield table(head, [row for finding in findings for row in _finding_rows(result, finding)])
         yield paragraph(
-            "An effect is seen, alone and with 90 % power, from the first size on, and in the race of all "
-            "effects from the second on."
+            "An effect is seen, alone and with 90 % power, from the first size on, and in the "
+            "selection from all effects from the second on."
         )
     for finding in findings:
         if rest := finding.alternatives[1:]:

@@ -100,6 +100,20 @@ class Hypothesis:
             if parameter.is_amplitude
         ])  # fmt: skip
 
+    def values(self, departures: Array) -> Array:
+        """Return the values of all parameters.
+
+        Args:
+            departures: Departures from neutral, without a unit (multiples of typical), shape (n,).
+
+        Returns:
+            All parameters in their units, shape (p,); shape parameters have their typical values.
+        """
+        values = self.absent
+        is_amplitude = np.array([parameter.is_amplitude for parameter in self.parameters])
+        values[is_amplitude] += np.array([parameter.typical for parameter in self.amplitudes]) * departures
+        return values
+
 
 @dataclass(frozen=True, slots=True)
 class Nuisance:

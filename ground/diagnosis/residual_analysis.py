@@ -16,6 +16,7 @@ import numpy as np
 
 from diagnosis.selection.chance import FALSE_ALARM, chi_square_log_p
 from fsw.kinematics.transforms import Array
+from ground.diagnosis.detectability import KINDS_OF_TEST
 from ground.diagnosis.linear_fit import LinearFit, whitened_residual
 from ground.diagnosis.normal_equations import NormalEquations
 from ground.diagnosis.problem import INTERVAL_QUANTILES, FeatureLayout, Ints
@@ -158,10 +159,10 @@ def find_lack_of_fit(
 def lack_of_fit_limit(groups: tuple[FeatureGroup, ...]) -> float:
     """Return the -log10 p from which on structure counts.
 
-    All tests together share half of the probability of a false alarm (Bonferroni); effects have the rest.
+    All tests together have their part of the probability of a false alarm (Bonferroni).
     """
     tests = 2 * len(groups) + 1
-    return float(-np.log10(FALSE_ALARM / 2.0 / tests))
+    return float(-np.log10(FALSE_ALARM / KINDS_OF_TEST / tests))
 
 
 def _neg_log10_p(statistic: float, freedom: float) -> float:

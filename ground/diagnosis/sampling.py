@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from ground.diagnosis.problem import Hypothesis, Parameter
+from ground.diagnosis.problem import Hypothesis, Ints, Parameter
 
 LIMIT_MULTIPLES: Final = (0.5, 4.0)
 """Range of the sampled amplitudes, in detection limits."""
@@ -64,10 +64,16 @@ def sample_amplitude(
     if _room(one, sign) < multiples[0] * one.limit:
         sign = -sign
     typical = min(times * one.limit, _room(one, sign))
-    values = np.array(
-        [p.absent + sign * typical * p.typical * p.is_amplitude for p in one.hypothesis.parameters]
-    )
+    values = one.hypothesis.values(np.full(len(one.hypothesis.amplitudes), sign * typical))
     return SampledEffect(one, values, typical / one.limit)
+
+
+def list_detectable(
+    hypotheses: Sequence[Hypothesis], limits: Sequence[float], label: Ints
+) -> list[DetectableEffect]:
+    """List hypotheses with their detection limits in typical sizes and their equivalence classes."""
+    rows = zip(hypotheses, limits, label, strict=True)
+    return [DetectableEffect(one, limit, int(number)) for one, limit, number in rows]
 
 
 def _room(one: DetectableEffect, sign: int) -> float:

@@ -2,24 +2,21 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from diagnosis.selection.context import Selection as EngineSelection
 from diagnosis.selection.selection import select_effects
 from fsw.kinematics.transforms import Array
+from ground.diagnosis.detectability import KINDS_OF_TEST
 from ground.diagnosis.feature_residuals import (
     FeatureEffect,
     FeatureResiduals,
-    WhitenAll,
     list_feature_effects,
 )
 from ground.diagnosis.model import DiagnosisModel
+from ground.diagnosis.normal_equations import Whitener
 from ground.diagnosis.sensitivity import Sensitivities
-
-KINDS_OF_TEST: Final = 2
-"""Effects and the test of what remains share the probability of a false alarm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,14 +31,14 @@ class Selection:
     null_deviance: float
     """Deviance without effect, nuisances free."""
     n_distinct: float
-    """Number of distinct hypotheses in the race."""
+    """Number of tests that share the probability of a false alarm."""
     engine: EngineSelection
 
 
 def select(
     model: DiagnosisModel,
     sensitivities: Sensitivities,
-    whiten: WhitenAll,
+    whiten: Whitener,
     value: Array,
     seed: int,
     excluded: Collection[int] = (),

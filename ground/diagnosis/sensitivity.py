@@ -96,11 +96,11 @@ class Sensitivities:
         total = np.zeros(self.layout.size)
         for hypothesis, values in settings.items():
             columns = np.flatnonzero(self.owner == self.hypotheses.index(hypothesis))
-            a, reach = hypothesis.departures(values), self.reach[columns]
-            inside = np.clip(a, -reach, reach)
-            total += self.effect[:, columns] @ a
-            total += self.curve[:, columns] @ (inside * (2.0 * a - inside))
+            total += self._change(columns, hypothesis.departures(values))
         return total
+
+    def _change(self, columns: Ints, a: Array) -> Array:
+        return continue_parabola(self.effect[:, columns], self.curve[:, columns], self.reach[columns], a)
 
     def with_simulated(self, hypothesis: int, a: Array, change: Array) -> "Sensitivities":
         """Return the sensitivities with the parabola of one hypothesis through a simulated change.
@@ -139,7 +139,7 @@ class Sensitivities:
         columns = np.flatnonzero(self.owner == hypothesis)
         inside = np.clip(a, -self.reach[columns], self.reach[columns])
         effect, curve = self.effect.copy(), self.curve.copy()
-        change = effect[:, columns] @ a + curve[:, columns] @ (inside * (2.0 * a - inside))
+        change = self._change(columns, a)
         effect[:, columns] += 2.0 * curve[:, columns] * inside
         largest = int(np.argmax(np.abs(a)))
         others = np.delete(np.arange(columns.size), largest)
@@ -207,13 +207,28 @@ def _read_sensitivities(path: Path) -> Sensitivities:
         return Sensitivities(layout, hypotheses, nuisances, *found)
 
 
+def continue_parabola(effect: Array, curve: Array, reach: Array, a: Array) -> Array:
+    """Compute the change by amplitudes: parabolas up to their reach, and straight on beyond.
+
+    Args:
+        effect: First derivatives of the features, shape (m, k).
+        curve: Second-order coefficients, shape (m, k).
+        reach: Largest simulated departures, without a unit (typical sizes), shape (k,).
+        a: Departures, without a unit (typical sizes), shape (k,), or of n candidates, shape (n, k).
+
+    Returns:
+        Changes in the unit of `effect`, shape (m,) or (n, m).
+    """
+    inside = np.clip(a, -reach, reach)
+    return np.asarray(a @ effect.T + (inside * (2.0 * a - inside)) @ curve.T)
+
+
 def fit_parabola(ends: Sequence[tuple[Array, float]]) -> tuple[Array, Array]:
     """Fit a parabola through 0 and two points; through one point, a line.
 
     Args:
-        ends: One or two simulated changes of the features in the units of their channels, shape (m,), each
-            with
-            its step.
+        ends: One or two simulated changes of the features in the units of their channels, shape (m,),
+            each with its step.
 
     Returns:
         First and second-order coefficient at 0, each of shape (m,).

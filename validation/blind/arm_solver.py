@@ -14,20 +14,12 @@ from ground.diagnosis.arm.audit import load_checked_recordings
 from ground.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
 from ground.diagnosis.arm.case import FittedCase, diagnose_fitted_case, fit_case
 from ground.diagnosis.arm.logs import NotForDiagnosis
+from ground.diagnosis.arm.record import split_logs
 from ground.diagnosis.result import to_json
-from sim.diagnosis_campaign import HELD_OUT_SESSIONS
 from sim.params import nominal_params
 from sim.plant import PlantDiverged
 from validation.blind.case_features import CampaignSensitivities, CaseFeatures, CaseResiduals
 from validation.blind.solve import DIAGNOSIS_SEED, NoDiagnosis, Solver
-
-
-def split_logs(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Split the logs of a folder into those that are fitted and those that are held out."""
-    logs = sorted(folder.glob("*.mcap"))
-    return [log for log in logs if log.stem not in HELD_OUT_SESSIONS], [
-        log for log in logs if log.stem in HELD_OUT_SESSIONS
-    ]
 
 
 def load_model(campaign: Path, run: Runner, progress: Progress) -> CampaignModel:

@@ -15,12 +15,12 @@ from ground.common.pool import Runner, local_runner
 from ground.common.progress import Progress
 from ground.diagnosis.arm.blind_case import check_leakage
 from ground.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
-from ground.diagnosis.arm.record import record_campaign
+from ground.diagnosis.arm.record import record_campaign, split_logs
 from ground.diagnosis.blind_case import seal
-from ground.diagnosis.sampling import DetectableEffect
+from ground.diagnosis.sampling import list_detectable
 from sim.arms import arm_named
 from sim.initialisation import true_reference
-from validation.blind.arm_solver import diagnose_against, split_logs
+from validation.blind.arm_solver import diagnose_against
 from validation.blind.case_features import CampaignSensitivities, CaseFeatures
 from validation.blind.classes import CLASSES_FILE, classes_json
 from validation.blind.folder import CAMPAIGN_FOLDER, CASES_FOLDER, write_json
@@ -66,10 +66,9 @@ def run_brief(folder: Path, seed: int) -> dict[str, Any]:
     wanted = [one for one in all_sessions() if one.name in SESSIONS]
     record_campaign(campaign, wanted, arm, true_reference(arm), seed, _quiet)
     model = load_cached_model(campaign).model
-    limits = [one.limit for one in model.limits]
-    hypotheses, labels = model.sensitivities.hypotheses, model.label
     write_json(campaign / CLASSES_FILE, classes_json(model))
-    seen = [DetectableEffect(*one) for one in zip(hypotheses, limits, map(int, labels), strict=True)]
+    limits = [one.limit for one in model.limits]
+    seen = list_detectable(model.sensitivities.hypotheses, limits, model.label)
     truth = draw_truth(CASES_MADE, seed, seen, ())
     digest = seal(folder, truth)
     for case in truth.cases:

@@ -9,13 +9,12 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array
 from ground.common.errors import BadRequest
 from ground.common.pool import Runner
 from ground.common.progress import Progress, part_of
 from ground.diagnosis.arm.blind_case import check_leakage, record_blind, sample_background
 from ground.diagnosis.arm.record import record_campaign
-from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
+from ground.diagnosis.arm.simulator import catalogue_effect
 from ground.diagnosis.blind_case import (
     PlannedCase,
     SealedTruth,
@@ -25,21 +24,16 @@ from ground.diagnosis.blind_case import (
     plan_cases,
     seal,
 )
-from ground.diagnosis.sampling import DetectableEffect, SampledEffect
+from ground.diagnosis.sampling import DetectableEffect, SampledEffect, list_detectable
 from sim.arms import arm_named
 from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
 from sim.effects.effect import Effect
 from sim.initialisation import true_reference
 from sim.scenario.effects import effect_text
-from validation.blind.arm_solver import load_model, split_logs
+from validation.blind.arm_solver import load_model
 from validation.blind.classes import CLASSES_FILE, classes_json
 from validation.blind.folder import CAMPAIGN_FOLDER, CASES_FOLDER, PARTIAL_SUFFIX, case_name, write_json
-from validation.blind.out_of_catalogue import (
-    list_uncatalogued,
-    resolve_effect,
-    sample_uncatalogued,
-    uncatalogued_limits,
-)
+from validation.blind.out_of_catalogue import list_samplable, list_uncatalogued, resolve_effect
 
 CAMPAIGN_SHARES: Final = (0.01, 0.15)
 """Shares of the time of 400 cases, for the progress: the campaign is recorded; its limits are known."""
@@ -100,7 +94,8 @@ def _make_cases(
     if truth is None:
         _record_campaign(folder, seed, part_of(progress, 0.0, CAMPAIGN_SHARES[0]))
         rest = part_of(progress, *CAMPAIGN_SHARES)
-        truth = draw_truth(cases, seed, *_list_detectable(folder / CAMPAIGN_FOLDER, seed, run, rest))
+        catalogue = _list_detectable(folder / CAMPAIGN_FOLDER, run, rest)
+        truth = draw_truth(cases, seed, catalogue, list_samplable())
         seal(folder, truth)
     publish(truth.digest())
     jobs = [
@@ -146,19 +141,12 @@ def _record_campaign(folder: Path, seed: int, progress: Progress) -> None:
         part.rename(folder / CAMPAIGN_FOLDER)
 
 
-def _list_detectable(
-    campaign: Path, seed: int, run: Runner, progress: Progress
-) -> tuple[list[DetectableEffect], list[DetectableEffect]]:
-    """List the effects inside and outside the catalogue with their detection limits by the fitted motions."""
-    model = load_model(campaign, run, part_of(progress, 0.0, 0.3)).model
-    found = [one.limit for one in model.limits]
+def _list_detectable(campaign: Path, run: Runner, progress: Progress) -> list[DetectableEffect]:
+    """List the effects of the catalogue with their detection limits by the fitted motions."""
+    model = load_model(campaign, run, progress).model
     write_json(campaign / CLASSES_FILE, classes_json(model))
-    seen = zip(model.sensitivities.hypotheses, found, model.label, strict=True)
-    wanted = sample_uncatalogued(np.random.default_rng([seed, 11]))
-    outside = uncatalogued_limits(
-        split_logs(campaign)[0], model.equations, campaign, wanted, run, part_of(progress, 0.3, 1.0)
-    )
-    return [DetectableEffect(one, limit, int(number)) for one, limit, number in seen], outside
+    limits = [one.limit for one in model.limits]
+    return list_detectable(model.sensitivities.hypotheses, limits, model.label)
 
 
 def _true_case(number: int, plan: PlannedCase, seed: int) -> TrueCase:
@@ -171,16 +159,12 @@ def _true_case(number: int, plan: PlannedCase, seed: int) -> TrueCase:
 def _true_effect(one: SampledEffect, outside: bool) -> TrueEffect:
     hypothesis = one.source.hypothesis
     name = hypothesis.effect, hypothesis.place
-    spec = list_uncatalogued()[name].spec(one.values) if outside else _spec(name, one.values)
+    if outside:
+        spec = list_uncatalogued()[name].spec(one.values)
+    else:
+        spec = effect_text(catalogue_effect(hypothesis, one.values))
     values = {p.name: float(v) for p, v in zip(hypothesis.parameters, one.values, strict=True)}
     return TrueEffect(*name, values, one.times_limit, spec)
-
-
-def _spec(name: tuple[str, str], values: Array) -> str:
-    made = next(
-        one for one in list_candidates(None) if (to_hypothesis(one).effect, to_hypothesis(one).place) == name
-    )
-    return effect_text(make_effect(made, to_hypothesis(made), values))
 
 
 def _record_job(job: _Job) -> str:

@@ -245,14 +245,13 @@ def _restrict_nuisances(simulator: ArmSimulator, column: Array) -> Array:
     cut = column.copy()
     rests = np.arange(len(cut)) >= sum(len(one.features) for one in simulator.feature_set.motions)
     for k, one in enumerate(uncertain):
-        if one.only_place:
-            cut[rests, k] = column[rests, plain[STEP_NUMERICS]]
-    for k, one in enumerate(uncertain):
+        if not one.only_place:
+            continue
         if one.baseline:
-            cut[:, k] = np.where(rests, 0.0, column[:, k] - column[:, plain[one.effect(1.0)]])
-        if one.only_place:
-            elsewhere = [simulator.layout.places[place] != one.only_place for place in simulator.layout.place]
-            cut[elsewhere, k] = 0.0
+            cut[:, k] -= column[:, plain[one.effect(1.0)]]
+        cut[rests, k] = 0.0 if one.baseline else column[rests, plain[STEP_NUMERICS]]
+        elsewhere = [simulator.layout.places[place] != one.only_place for place in simulator.layout.place]
+        cut[elsewhere, k] = 0.0
     return cut
 
 

@@ -30,6 +30,7 @@ from ground.diagnosis.experiment_design import rank_repeats
 from ground.diagnosis.model import DiagnosisModel, build_model
 from ground.diagnosis.problem import Ints, Residuals
 from ground.diagnosis.result import DiagnosisResult, ToolError
+from ground.diagnosis.selection import Selection
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
 from sim.params import nominal_params
@@ -90,6 +91,8 @@ class FittedCase:
     simulator: CaseSimulator
     residual: Array
     """Measured minus simulated, extrapolated linearly to nuisances at 0, shape (m,)."""
+    selection: Selection
+    """Effects that are selected there with the sensitivities of the campaign."""
     held_out: CaseSimulator | None
     held_out_residual: Array
     """The same residual for held-out motion, shape (n,)."""
@@ -141,7 +144,7 @@ def fit_case(
     _check_motion(first, campaign)
     model = _restrict_model(campaign.model, first)
     notes = (*audit_recordings(recordings), *_missing_session_notes(first, campaign))
-    nuisance_fit = fit_nuisances(model, first, patch, seed)
+    nuisance_fit, selection = fit_nuisances(model, first, patch, seed)
     held_out_simulator = _held_out_simulator(held_out, campaign, nuisance_fit.simulator.arm.patch)
     held_out_residual = np.zeros(0)
     if held_out_simulator is not None and campaign.held_out is not None:
@@ -153,6 +156,7 @@ def fit_case(
         model,
         nuisance_fit.simulator,
         nuisance_fit.residual,
+        selection,
         held_out_simulator,
         held_out_residual,
         notes,
@@ -163,7 +167,7 @@ def fit_case(
 def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel, seed: int) -> DiagnosisResult:
     """Diagnose a case whose nuisances are fitted."""
     residuals = Residuals(fitted.model.sensitivities.layout, fitted.residual)
-    diagnosis = diagnose(fitted.model, residuals, seed, fitted.simulator)
+    diagnosis = diagnose(fitted.model, residuals, seed, fitted.simulator, fitted.selection)
     closure, tool_error = _try_held_out(diagnosis, fitted, campaign, seed)
     return DiagnosisResult(
         fitted.model,

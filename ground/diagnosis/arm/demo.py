@@ -24,16 +24,16 @@ from ground.diagnosis.arm.blind_case import record_blind, sample_background
 from ground.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
 from ground.diagnosis.arm.campaign_sensitivities import check_cache_folder, list_sources
 from ground.diagnosis.arm.case import diagnose_case
-from ground.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs
+from ground.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs, split_logs
 from ground.diagnosis.arm.request import DemoRequest, RecordRequest
-from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
+from ground.diagnosis.arm.simulator import catalogue_effect
 from ground.diagnosis.diagnose import Finding
 from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.result import DiagnosisResult, to_json
-from ground.diagnosis.sampling import DetectableEffect, can_sample, sample_amplitude, sample_effect
+from ground.diagnosis.sampling import can_sample, list_detectable, sample_amplitude, sample_effect
 from ground.telemetry.header import model_digest
 from sim.arms import arm_named
-from sim.diagnosis_campaign import HELD_OUT_SESSIONS, campaign_sessions
+from sim.diagnosis_campaign import campaign_sessions
 from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.scenario.effects import effect_text
@@ -163,14 +163,11 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
     texts = tuple(effect_text(effect) for effect in background)
     if kind == "none":
         return DemoTruth(salt, kind, "", "", "", 0.0, texts), background
-    seen = [
-        DetectableEffect(one, limit.family_wise_limit, int(label))
-        for one, limit, label in zip(model.sensitivities.hypotheses, model.limits, model.label, strict=True)
-    ]
+    limits = [one.family_wise_limit for one in model.limits]
+    seen = list_detectable(model.sensitivities.hypotheses, limits, model.label)
     drawn = sample_amplitude(sample_effect([one for one in seen if can_sample(one, SIZES)], rng), rng, SIZES)
     hypothesis = drawn.source.hypothesis
-    made = next(one for one in list_candidates(None) if to_hypothesis(one) == hypothesis)
-    effect = make_effect(made, hypothesis, drawn.values)
+    effect = catalogue_effect(hypothesis, drawn.values)
     truth = DemoTruth(
         salt, kind, hypothesis.effect, hypothesis.place, effect_text(effect), drawn.times_limit, texts
     )
@@ -178,13 +175,7 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
 
 
 def _diagnose(folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int) -> DiagnosisResult:
-    logs = sorted(folder.glob("*.mcap"))
-    fitted, held_out = (
-        load_checked_recordings(
-            [log for log in logs if (log.stem in HELD_OUT_SESSIONS) is held], nominal_params()
-        )
-        for held in (False, True)
-    )
+    fitted, held_out = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(folder))
     if truth.kind == "left out":
         campaign = replace(campaign, model=replace(campaign.model, left_out_effect=truth.effect))
     return diagnose_case(fitted, held_out, campaign, seed)

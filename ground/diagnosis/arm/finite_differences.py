@@ -5,6 +5,7 @@ kind are simulated at several joints at once, and each takes the motions of its 
 """
 
 import math
+from collections import Counter
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -152,14 +153,14 @@ def group_columns(
     simulator: ArmSimulator, columns: Sequence[JacobianColumn], wanted: Sequence[int]
 ) -> list[tuple[int, ...]]:
     """Group columns that are simulated at once, one at each joint; slow groups come first."""
-    known: list[tuple[Hashable, str | None]] = []
+    count: Counter[Hashable] = Counter()
     groups: dict[Hashable, list[int]] = {}
     for k in wanted:
-        key, joint = _group_key(simulator, columns[k]), _joint_name(_typical_step(simulator, columns[k]))
+        key = _group_key(simulator, columns[k])
         # effects of one kind at one joint, such as friction in two directions, would add up
-        number = sum(key == of and joint == at for of, at in known)
-        known.append((key, joint))
-        groups.setdefault(k if key is None else (key, number), []).append(k)
+        at_joint = key, _joint(_typical_step(simulator, columns[k]))
+        groups.setdefault(k if key is None else (key, count[at_joint]), []).append(k)
+        count[at_joint] += 1
     found = sorted(groups.values(), key=lambda of: (not steps_to_rest(simulator, columns[of[0]]), -len(of)))
     return [tuple(of) for of in found]
 
@@ -167,7 +168,7 @@ def group_columns(
 def _group_key(simulator: ArmSimulator, column: JacobianColumn) -> tuple[str, int | None] | None:
     """Return kind and parameter of an effect at a joint; None if it must be simulated alone."""
     whole = _typical_step(simulator, column)
-    if _joint_name(whole) is None:
+    if _joint(whole) is None:
         return None
     return type(whole.effects[0]).__name__, None if column.hypothesis is None else column.index
 
@@ -225,24 +226,27 @@ def _simulate_together(simulator: ArmSimulator, ends: Sequence[_Perturbation], n
     moving = np.arange(moved.size) < sum(len(one.features) for one in simulator.feature_set.motions)
     found = []
     for end in ends:
-        own = moving & _features_at(simulator, _joint_name(end))
+        joint = _joint(end)
+        assert joint is not None, "only effects at joints are simulated together"
+        own = moving & _features_at(simulator, joint.name.lower())
         if any(map(is_stepped, end.effects)):
-            at_rest = rests_moved_by(simulator.feature_set, moved, Joint[(_joint_name(end) or "").upper()])
+            at_rest = rests_moved_by(simulator.feature_set, moved, joint)
         else:
             at_rest = simulate_change(simulator, end.effects, nominal, no_motion)
         found.append(np.where(own, moved, at_rest))
     return found
 
 
-def _features_at(simulator: ArmSimulator, name: str | None) -> Flags:
+def _features_at(simulator: ArmSimulator, name: str) -> Flags:
     """Return flags of the features at a place, (m,)."""
     return np.array([place == name for place in simulator.layout.places])[simulator.layout.place]
 
 
-def _joint_name(end: _Perturbation) -> str | None:
-    """Return the name of the effect's joint; None if it has none."""
-    joint = getattr(end.effects[0], "joint", None) if len(end.effects) == 1 else None
-    return None if joint is None else Joint(joint).name.lower()
+def _joint(end: _Perturbation) -> Joint | None:
+    """Return the joint of the effect; None if it has none."""
+    (effect,) = end.effects
+    joint = getattr(effect, "joint", None)
+    return None if joint is None else Joint(joint)
 
 
 def _typical_step(simulator: ArmSimulator, column: JacobianColumn) -> _Perturbation:

@@ -15,9 +15,9 @@ from diagnosis.selection.chance import FALSE_ALARM
 from fsw.kinematics.transforms import Array
 from ground.diagnosis.arm.case_simulator import CaseSimulator, resimulate
 from ground.diagnosis.arm.features import MotionFeatures
-from ground.diagnosis.feature_residuals import WhitenAll, build_full_whitener
 from ground.diagnosis.linear_fit import fit_linear
 from ground.diagnosis.model import DiagnosisModel
+from ground.diagnosis.normal_equations import Whitener, build_full_whitener
 from ground.diagnosis.problem import LOG_UNIT
 from ground.diagnosis.selection import Selection, select
 from sim.effects.effect import Effect
@@ -46,7 +46,7 @@ class NuisanceFit:
 
 def fit_nuisances(
     model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effect, ...], seed: int
-) -> NuisanceFit:
+) -> tuple[NuisanceFit, Selection]:
     """Fit the nuisances alone, and if an effect remains, beside the effect.
 
     The nonlinear response of nuisances alone can be the simpler explanation, so the lower deviance wins, in
@@ -59,12 +59,11 @@ def fit_nuisances(
         seed: Seed of the selection.
 
     Returns:
-        Best fit.
+        Best fit, and the effects that are selected there.
     """
     whiten = build_full_whitener(model.sensitivities)
     alone = _fit_alone(model, first, patch)
-    selection = _select(model, whiten, alone, seed)
-    null_deviance = selection.null_deviance
+    before = selection = _select(model, whiten, alone, seed)
     beside, chosen = alone, tuple[int, ...]()
     for _ in range(MAX_UPDATES):
         if set(selection.chosen) == set(chosen):
@@ -75,8 +74,8 @@ def fit_nuisances(
             break
         beside = moved
         selection = _select(model, whiten, beside, seed)
-    is_better = _cost(selection) < null_deviance
-    return beside if selection.chosen and is_better else alone
+    is_better = selection.chosen and _cost(selection) < before.null_deviance
+    return (beside, selection) if is_better else (alone, before)
 
 
 def _fit_alone(model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effect, ...]) -> NuisanceFit:
@@ -125,7 +124,7 @@ def _extrapolate(model: DiagnosisModel, simulator: CaseSimulator, nuisance: Arra
     return NuisanceFit(simulator, nuisance, residual)
 
 
-def _select(model: DiagnosisModel, whiten: WhitenAll, current: NuisanceFit, seed: int) -> Selection:
+def _select(model: DiagnosisModel, whiten: Whitener, current: NuisanceFit, seed: int) -> Selection:
     return select(model, model.sensitivities, whiten, current.residual, seed)
 
 

@@ -12,7 +12,7 @@ from ground.common.json_digest import json_sha256
 from ground.common.params_toml import params_toml
 from ground.diagnosis.arm.diagnose_logs import DiagnoseJob, file_sha256, flight_params
 from ground.diagnosis.arm.request import DiagnoseRequest
-from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
+from ground.diagnosis.arm.simulator import catalogue_effect
 from ground.diagnosis.page import save_diagnosis_page
 from ground.diagnosis.result import DiagnosisResult, to_json
 from ground.render.page import Origin
@@ -40,11 +40,9 @@ def effects_of_findings(result: DiagnosisResult) -> tuple[Effect, ...]:
     diagnosis = result.diagnosis
     if diagnosis.verdict != "found":
         raise NothingToWrite(f"the verdict is {diagnosis.verdict}, so there is no effect to switch on")
-    made = {to_hypothesis(one): one for one in list_candidates(None)}
-    named = [
-        (result.model.sensitivities.hypotheses[one.hypothesis], one.values) for one in diagnosis.findings
-    ]
-    return tuple(make_effect(made[hypothesis], hypothesis, values) for hypothesis, values in named)
+    return tuple(
+        catalogue_effect(result.hypothesis(one.hypothesis), one.values) for one in diagnosis.findings
+    )
 
 
 def save_patch(result: DiagnosisResult, path: Path) -> None:

@@ -122,6 +122,14 @@ def _stack_poses(rows: list[tuple[int, Pose, Array]]) -> TrackerPoses:
     return TrackerPoses(np.array(ticks, np.int64), stack_poses(poses), np.stack(sigmas, -1))
 
 
+def split_logs(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Split the logs of a folder into those that are fitted and those that are held out."""
+    logs = sorted(folder.glob("*.mcap"))
+    return [log for log in logs if log.stem not in HELD_OUT_SESSIONS], [
+        log for log in logs if log.stem in HELD_OUT_SESSIONS
+    ]
+
+
 def check_record_request(request: RecordRequest) -> None:
     """Refuse a request that cannot be carried out; write nothing.
 

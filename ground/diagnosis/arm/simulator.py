@@ -208,6 +208,20 @@ def make_effect(made: catalogue.EffectHypothesis, hypothesis: Hypothesis, values
     return made.effect(**{p.name: _effect_value(made, p.name, float(v)) for p, v in named})
 
 
+def catalogue_effect(hypothesis: Hypothesis, values: Array) -> Effect:
+    """Create the effect of a hypothesis of the catalogue.
+
+    Args:
+        hypothesis: Hypothesis with p parameters.
+        values: Values of the parameters in the units of the diagnosis, shape (p,).
+
+    Returns:
+        Effect with these values.
+    """
+    made = next(one for one in list_candidates(None) if to_hypothesis(one) == hypothesis)
+    return make_effect(made, hypothesis, values)
+
+
 def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
     """Describe the features; every place has its own channels.
 

@@ -8,7 +8,7 @@ from scipy.stats import binom
 
 from ground.common.rates import estimate_rate
 from ground.diagnosis.diagnose import MAX_MEMBERS, diagnose
-from ground.diagnosis.feature_residuals import build_full_whitener
+from ground.diagnosis.normal_equations import build_full_whitener
 from ground.diagnosis.problem import Residuals
 from ground.diagnosis.selection import select
 from tests.ground.diagnosis.worlds import found, modelled, world

@@ -5,10 +5,9 @@ import pytest
 
 from ground.diagnosis.feature_residuals import (
     FeatureResiduals,
-    build_full_whitener,
     list_feature_effects,
-    parameter_values,
 )
+from ground.diagnosis.normal_equations import build_full_whitener
 from tests.ground.diagnosis.worlds import found, modelled, world
 
 WORLD = world(bent=0.3)
@@ -41,9 +40,9 @@ def test_the_change_by_effects_is_that_of_the_sensitivities() -> None:
     parts = np.split(sizes, np.cumsum([len(one.sizes) for one in some])[:-1])
     hypotheses = [SENSITIVITIES.hypotheses[one.index] for one in some]
     change = SENSITIVITIES.change({
-        h: parameter_values(h, a) for h, a in zip(hypotheses, parts, strict=True)
+        h: h.values(a) for h, a in zip(hypotheses, parts, strict=True)
     })  # fmt: skip
-    expected = WHITEN((value - change)[:, None])[:, 0]
+    expected = WHITEN(value - change)
     np.testing.assert_allclose(residuals(value).residuals(some, sizes[None])[0], expected, atol=1e-8)
 
 
@@ -55,4 +54,4 @@ def test_a_parabola_goes_through_what_was_simulated_and_its_secant_too() -> None
         change = rng.normal(size=WORLD.layout.size)
         simulated = SENSITIVITIES.with_simulated(h, a, change)
         for one in (simulated, simulated.linearised(h, a)):
-            np.testing.assert_allclose(one.change({hypothesis: parameter_values(hypothesis, a)}), change)
+            np.testing.assert_allclose(one.change({hypothesis: hypothesis.values(a)}), change)

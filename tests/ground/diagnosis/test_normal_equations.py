@@ -8,14 +8,12 @@ from scipy.stats import chi2
 
 from ground.diagnosis.detectability import (
     alias_cosines,
-    column_detection_limit,
     detection_limits,
     equivalence_classes,
     noncentrality,
 )
-from ground.diagnosis.feature_residuals import build_full_whitener
 from ground.diagnosis.linear_fit import fit_linear
-from ground.diagnosis.normal_equations import form_normal_equations
+from ground.diagnosis.normal_equations import build_full_whitener, form_normal_equations
 from ground.diagnosis.selection import select
 from tests.ground.diagnosis.worlds import found, modelled, world
 
@@ -115,9 +113,3 @@ def test_the_detection_limit_is_found_in_nine_of_ten(made, campaign, rng):
         hits += float(likelihood_ratio(campaign.equations, case, columns)) > chi2.isf(0.05, 2)
     assert 0.86 <= hits / 400 <= 0.94
     assert noncentrality(1) == pytest.approx((1.959964 + 1.281552) ** 2, rel=1e-3)
-
-
-def test_what_is_no_hypothesis_has_the_limit_that_it_would_have_as_one(made, campaign):
-    for one in (2, int(np.flatnonzero(np.bincount(made.owner) == 2)[0])):
-        limit = column_detection_limit(campaign.equations, found(made).effect[:, made.owner == one])
-        assert limit == pytest.approx(campaign.limits[one].limit, rel=1e-6)
