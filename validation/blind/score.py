@@ -84,7 +84,7 @@ class Score:
     outside: OutsideRates
     """Both together."""
     found: DetectionRates
-    """Of effects from the detection limit of the race on."""
+    """Of effects from the detection limit of the selection on."""
     set_size: float
     """Mean number of effects in a set that names effects; NaN if there is none."""
     most_members: int
@@ -109,7 +109,7 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class _Assigned:
-    """A true effect, its share of the race's limit, and the finding that stands for it, if any."""
+    """A true effect, its size in limits of the selection, and the finding that stands for it, if any."""
 
     effect: TrueEffect
     times_family_wise: float
