@@ -217,7 +217,9 @@ class HeldOutResiduals:
 def compute_held_out_residuals(
     diagnosis: Diagnosis, held_out_model: HeldOutModel, residual: Array, change: Array
 ) -> HeldOutResiduals:
-    """Subtract the fitted nuisances, and the change by the findings, from held-out residuals.
+    """Subtract the nuisances that fit beside the findings, then the change by the findings.
+
+    Nuisances that fit alone would imitate a finding, far beyond their priors, and hide the gap.
 
     Args:
         diagnosis: Diagnosis of the fitted motion.
@@ -228,9 +230,5 @@ def compute_held_out_residuals(
     Returns:
         Residuals before and after.
     """
-    q = diagnosis.equations.q
-    before, after = (
-        residual - held_out_model.nuisance @ fit.theta[:q]
-        for fit in (diagnosis.null_fit, diagnosis.effect_fit)
-    )
-    return HeldOutResiduals(held_out_model, np.asarray(before), np.asarray(after - change))
+    before = residual - held_out_model.nuisance @ diagnosis.effect_fit.theta[: diagnosis.equations.q]
+    return HeldOutResiduals(held_out_model, np.asarray(before), np.asarray(before - change))

@@ -14,7 +14,7 @@ from diagnosis.effects.effect import Family
 from diagnosis.selection.verdict import ConfidenceSet, find_confidence_sets
 from fsw.kinematics.transforms import Array
 from ground.diagnosis.feature_residuals import FeatureEffect
-from ground.diagnosis.linear_fit import LinearFit, fit_linear, whitened_residual
+from ground.diagnosis.linear_fit import LinearFit, fit_linear
 from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.normal_equations import (
     NormalEquations,
@@ -53,7 +53,7 @@ class Alternative:
     """Effect that may be the cause in place of a finding, or the finding itself."""
 
     hypothesis: int
-    """First hypothesis of its equivalence class."""
+    """Hypothesis that stands for its equivalence class."""
     p: float
     """Probability that the finding fits so much better, or more, if this is the cause."""
 
@@ -94,9 +94,7 @@ class Diagnosis:
     unexplained: tuple[LackOfFit, ...]
     """Lack-of-fit tests after the findings, most significant first."""
     residual_map: tuple[ResidualCell, ...]
-    """Map of the residual without effects, nuisances fitted."""
-    null_fit: LinearFit
-    """Linear fit of the nuisances alone."""
+    """Map of the residual without effects, at the nuisances that fit beside the findings."""
     effect_fit: LinearFit
     """Linear fit of nuisances and findings."""
     equations: NormalEquations
@@ -127,8 +125,6 @@ def diagnose(
         Verdict, findings, and what remains unexplained.
     """
     y = model.equations.whiten(residuals.value)
-    null_fit = fit_linear(model.equations, y, model.equations.columns(()))
-    cells = map_residual(residuals.layout, whitened_residual(model.equations, null_fit, y), seed)
     whiten = build_full_whitener(model.sensitivities)
     first = first or select(model, model.sensitivities, whiten, residuals.value, seed)
     selection, sensitivities = select_simulated(model, whiten, residuals.value, seed, simulator, first)
@@ -139,13 +135,13 @@ def diagnose(
         sensitivities = sensitivities.linearised(h, a)
     equations = form_normal_equations(sensitivities) if selection.chosen else model.equations
     effect_fit = fit_linear(equations, y, equations.columns(selection.chosen))
+    without = y - equations.A[:, : equations.q] @ effect_fit.theta[: equations.q]
+    cells = map_residual(residuals.layout, without, seed)
     unexplained = find_lack_of_fit(equations, _project_groups(model, equations), effect_fit, y)
     has_remainder = unexplained[0].neg_log10_p >= model.lack_of_fit_limit
     findings = _describe_findings(model, selection, has_remainder)
     verdict: Verdict = "found" if findings else "unknown" if has_remainder else "none"
-    return Diagnosis(
-        verdict, findings, unexplained, cells, null_fit, effect_fit, equations, has_remainder, change
-    )
+    return Diagnosis(verdict, findings, unexplained, cells, effect_fit, equations, has_remainder, change)
 
 
 def select_simulated(

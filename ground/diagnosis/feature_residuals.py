@@ -26,6 +26,8 @@ LIMITS: Final = 2.0
 """Size from which a fit starts, in detection limits: effects that can be told apart are of this size."""
 BOUND_SHARE: Final = 0.9
 """Largest share of the way to a bound at which a fit starts."""
+MORE_ROOM: Final = 1.1
+"""Ratio from which on one range of sizes is wider than another; members of a class differ by their cosine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,10 @@ class FeatureEffect(Effect):
 
 
 def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) -> tuple[FeatureEffect, ...]:
-    """List the effects that a campaign can show, the first of each equivalence class.
+    """List the effects that a campaign can show, one of each equivalence class.
+
+    A class is represented by its first member whose bounds are not within those of another: a link that heat
+    makes longer cannot stand for one that was built too long.
 
     Args:
         model: Diagnosis model of the campaign.
@@ -65,19 +70,39 @@ def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) 
     Returns:
         One effect a class with a finite limit.
     """
-    found: dict[int, FeatureEffect] = {}
     absent = {*excluded, *model.left_out}
-    for k, (hypothesis, limit) in enumerate(zip(model.sensitivities.hypotheses, model.limits, strict=True)):
-        label = int(model.label[k])
-        if not np.isfinite(limit.limit) or k in absent or label in found:
-            continue
-        sizes = []
-        for parameter in hypothesis.amplitudes:
-            ends = [(end - parameter.absent) / parameter.typical for end in (parameter.least, parameter.most)]
-            typical = min(LIMITS * limit.limit, BOUND_SHARE * (max(ends) or -min(ends)))
-            sizes.append(Size(parameter.name, min(ends), max(ends), typical))
-        found[label] = FeatureEffect(hypothesis.place, k, hypothesis.effect, model.families[k], tuple(sizes))
-    return tuple(found.values())
+    members: dict[int, list[int]] = {}
+    for k, limit in enumerate(model.limits):
+        if np.isfinite(limit.limit) and k not in absent:
+            members.setdefault(int(model.label[k]), []).append(k)
+    return tuple(
+        _feature_effect(model, next(k for k in of if not any(_has_more_room(model, one, k) for one in of)))
+        for of in members.values()
+    )
+
+
+def _has_more_room(model: DiagnosisModel, one: int, other: int) -> bool:
+    """Check that the bounds of a hypothesis hold those of another and more, in detection limits."""
+    (least, most), (other_least, other_most) = (_room(model, k) for k in (one, other))
+    is_wider = most - least > MORE_ROOM * (other_most - other_least)
+    return is_wider and least <= other_least and most >= other_most
+
+
+def _room(model: DiagnosisModel, k: int) -> tuple[float, float]:
+    """Return least and greatest common departure of all amplitudes, in detection limits."""
+    ends = np.array([one.departures for one in model.sensitivities.hypotheses[k].amplitudes])
+    limit = model.limits[k].limit
+    return float(ends[:, 0].max() / limit), float(ends[:, 1].min() / limit)
+
+
+def _feature_effect(model: DiagnosisModel, k: int) -> FeatureEffect:
+    hypothesis, limit = model.sensitivities.hypotheses[k], model.limits[k].limit
+    sizes = []
+    for parameter in hypothesis.amplitudes:
+        least, most = parameter.departures
+        typical = min(LIMITS * limit, BOUND_SHARE * (most or -least))
+        sizes.append(Size(parameter.name, least, most, typical))
+    return FeatureEffect(hypothesis.place, k, hypothesis.effect, model.families[k], tuple(sizes))
 
 
 class FeatureResiduals:

@@ -1,8 +1,11 @@
 """HTML page of a diagnosis: four lines, residual map, effects, closure, lack of fit, next motion."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from diagnosis.report.parts import draw_traces, figure_style
 from diagnosis.report.traces import Trace, choose_traces
@@ -95,7 +98,7 @@ def _residual_section(result: DiagnosisResult) -> Iterator[str]:
     yield heading("Where the gap is")
     yield paragraph(
         "Root mean square of measured less simulated, over the noise floor between repeats: 1 means only "
-        "noise. The nuisance parameters are fitted, and no effect is on."
+        "noise. No effect is on; the nuisance parameters are those that fit beside the effects found."
     )
     yield figures(residual_map_figure(cells))
     rows = [
@@ -107,7 +110,7 @@ def _residual_section(result: DiagnosisResult) -> Iterator[str]:
     yield table(("channel", "regime", "features", "over the floor", "90 %"), rows)
     if result.traces:
         yield paragraph(
-            "Below are the channels with the largest residuals: of each the fitted sessions with the "
+            "Below are the channels that the findings change most: of each the fitted sessions with the "
             "largest, middle and smallest error with the findings. Each point is the mean of a quarter of a "
             "second in motion; rests are left out."
         )
@@ -116,10 +119,23 @@ def _residual_section(result: DiagnosisResult) -> Iterator[str]:
 
 
 def choose_channels(result: DiagnosisResult) -> dict[str, tuple[Trace, ...]]:
-    """Choose the traces of the channels in motion with the largest residuals without effects, by channel."""
+    """Choose the traces of the channels in motion that the findings bring closest, by channel.
+
+    Without findings, those with the largest residuals are chosen.
+    """
     chosen = {channel: own for (channel, _), own in choose_traces(result.traces).items()}
     largest = dict.fromkeys(cell.channel for cell in result.diagnosis.residual_map if cell.channel in chosen)
-    return {channel: chosen[channel] for channel in list(largest)[:MAX_FIGURES]}
+    nearest = sorted(largest, key=lambda channel: _error_ratio(chosen[channel]))
+    return {channel: chosen[channel] for channel in nearest[:MAX_FIGURES]}
+
+
+def _error_ratio(traces: Sequence[Trace]) -> float:
+    """Return the squared error with the findings over that without."""
+    after, before = (
+        sum(float(np.sum((one.measured - predicted(one)) ** 2)) for one in traces)
+        for predicted in (attrgetter("explained"), attrgetter("nominal"))
+    )
+    return after / max(before, float(np.finfo(float).tiny))
 
 
 def _effect_section(result: DiagnosisResult) -> Iterator[str]:

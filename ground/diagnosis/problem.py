@@ -57,6 +57,12 @@ class Parameter:
         """Value while the effect is absent: neutral, or the typical value of a shape parameter."""
         return self.typical if self.neutral is None else self.neutral
 
+    @property
+    def departures(self) -> tuple[float, float]:
+        """Least and greatest departure from absent within the bounds, in typical sizes."""
+        ends = [(end - self.absent) / self.typical for end in (self.least, self.most)]
+        return min(ends), max(ends)
+
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:

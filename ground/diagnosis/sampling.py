@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from ground.diagnosis.problem import Hypothesis, Ints, Parameter
+from ground.diagnosis.problem import Hypothesis, Ints
 
 LIMIT_MULTIPLES: Final = (0.5, 4.0)
 """Range of the sampled amplitudes, in detection limits."""
@@ -78,10 +78,5 @@ def list_detectable(
 
 def _room(one: DetectableEffect, sign: int) -> float:
     """Return how many typical sizes all amplitudes together may depart to one side."""
-    return BOUND_SHARE * min(_parameter_room(parameter, sign) for parameter in one.hypothesis.amplitudes)
-
-
-def _parameter_room(parameter: Parameter, sign: int) -> float:
-    upwards = sign * parameter.typical > 0.0
-    end = parameter.most if upwards else parameter.least
-    return abs(end - parameter.absent) / abs(parameter.typical)
+    ends = [parameter.departures for parameter in one.hypothesis.amplitudes]
+    return BOUND_SHARE * min(most if sign > 0 else -least for least, most in ends)

@@ -39,7 +39,7 @@ _READ_ERRORS: Final = (
     *(ValueError, KeyError, TypeError),
 )
 _LAYOUT_ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
-_OWN_ARRAYS: Final = ("nominal", "effect", "curve", "reach", "owner", "nuisance")
+_OWN_ARRAYS: Final = ("effect", "curve", "reach", "owner", "nuisance")
 _LAYOUT_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions")
 
 
@@ -50,8 +50,6 @@ class Sensitivities:
     layout: FeatureLayout
     hypotheses: tuple[Hypothesis, ...]
     nuisances: tuple[Nuisance, ...]
-    nominal: Array
-    """Prediction without effects, shape (m,)."""
     effect: Array
     """Change per typical size of each amplitude parameter, in the order of `owner`, shape (m, k)."""
     curve: Array
@@ -68,7 +66,6 @@ class Sensitivities:
         if not np.array_equal(self.owner, np.repeat(np.arange(len(wanted)), wanted)):
             raise ValueError("owner must list every size parameter of every hypothesis in order")
         shapes = (
-            (self.nominal, (m,)),
             (self.effect, (m, sum(wanted))),
             (self.curve, (m, sum(wanted))),
             (self.reach, (sum(wanted),)),
@@ -158,7 +155,7 @@ class Sensitivities:
 
     def select(self, rows: Ints) -> "Sensitivities":
         """Return the sensitivities of some features, in that order."""
-        arrays = ("nominal", "effect", "curve", "nuisance")
+        arrays = ("effect", "curve", "nuisance")
         return replace(
             self, layout=self.layout.select(rows), **{name: getattr(self, name)[rows] for name in arrays}
         )

@@ -78,13 +78,13 @@ def closure_of_truth(fitted: CasePart, held: CasePart, true: dict[Hypothesis, Ar
     """Return the closure of the true effects with their true sizes, by the parabolas of the sensitivities.
 
     Args:
-        fitted: Fitted part of a case; the nuisances are fitted to it, without and with the effects.
+        fitted: Fitted part of a case; the nuisances are fitted to it beside the effects.
         held: Held-out part.
         true: Values of all parameters of the true effects, in their units, (p,) each.
         seed: Seed of the noise draws.
 
     Returns:
-        The closure, relative to nuisances alone.
+        The closure, relative to the same nuisances without effects.
 
     Raises:
         ValueError: A motion is in both parts.
@@ -92,9 +92,6 @@ def closure_of_truth(fitted: CasePart, held: CasePart, true: dict[Hypothesis, Ar
     equations = form_normal_equations(fitted.sensitivities)
     model, N = build_held_out_model(equations, held.sensitivities), equations.A[:, : equations.q]
 
-    def left(effects: dict[Hypothesis, Array]) -> Array:
-        rest = equations.whiten(fitted.value - fitted.sensitivities.change(effects))
-        change = held.sensitivities.change(effects) + model.nuisance @ (equations.C @ (N.T @ rest))
-        return np.asarray(held.value - change)
-
-    return compute_closure(model, left({}), left(true), seed)
+    rest = equations.whiten(fitted.value - fitted.sensitivities.change(true))
+    before = held.value - model.nuisance @ (equations.C @ (N.T @ rest))
+    return compute_closure(model, before, before - held.sensitivities.change(true), seed)

@@ -226,7 +226,6 @@ def _assemble(
         _raise_floor(simulator, nuisance),
         simulator.hypotheses,
         simulator.nuisances,
-        _nominal_features(paths, names),
         slope[:, :sized],
         curvature[:, :sized],
         reach[:sized],

@@ -137,10 +137,7 @@ def fit_case(
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
     layout = campaign.model.sensitivities.layout
     arm, floor = _case_simulator(recordings, campaign, patch)
-    # without a patch, the nominal prediction of the campaign is valid
-    first = build_case_simulator(
-        arm, layout, campaign.keys, None if patch else campaign.model.sensitivities.nominal
-    )
+    first = build_case_simulator(arm, layout, campaign.keys)
     _check_motion(first, campaign)
     model = _restrict_model(campaign.model, first)
     notes = (*audit_recordings(recordings), *_missing_session_notes(first, campaign))
@@ -186,11 +183,8 @@ def _make_traces(fitted: FittedCase, diagnosis: Diagnosis) -> Iterator[Trace]:
     case, sensitivities = fitted.simulator, fitted.model.sensitivities
     unit = diagnosis.equations.nuisance_unit
     shared = sensitivities.nuisance[:, sensitivities.shared_nuisances] * unit
-    q = diagnosis.equations.q
-    nominal, explained = (
-        fitted.residual - shared @ fit.theta[:q] for fit in (diagnosis.null_fit, diagnosis.effect_fit)
-    )
-    explained = explained - diagnosis.change
+    nominal = fitted.residual - shared @ diagnosis.effect_fit.theta[: diagnosis.equations.q]
+    explained = nominal - diagnosis.change
     features = [case.arm.feature_set.features[k] for k in case.at]
     sessions = np.array([case.arm.feature_set.sessions[k] for k in case.at])
     measured = measure_features(case.arm.feature_set)[case.at]

@@ -80,19 +80,17 @@ class CaseSimulator:
         return np.asarray((measure_features(self.arm.feature_set) - self.nominal)[self.at])
 
 
-def build_case_simulator(
-    arm: ArmSimulator, layout: FeatureLayout, keys: Sequence[str], nominal: Array | None = None
-) -> CaseSimulator:
-    """Bind the simulator to the features that case and campaign share.
+def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout, keys: Sequence[str]) -> CaseSimulator:
+    """Simulate a case, and bind the simulator to the features that case and campaign share.
 
     A feature with the same key is dropped if it belongs to another motion: at another angle or speed.
+    The nominal prediction of the campaign would not do for a case: a placement that begins a few cycles
+    later shifts a start by a part of a bin, and its mean current by many noise floors.
 
     Args:
         arm: Simulator of the arm under the drive of the case.
         layout: Layout of the campaign's features, m of them.
         keys: Keys of the campaign's features.
-        nominal: Nominal prediction for the campaign in the units of the channels, shape (m,); None to
-            simulate the case.
 
     Returns:
         Simulator of the shared features.
@@ -100,9 +98,7 @@ def build_case_simulator(
     number = {key: k for k, key in enumerate(feature_keys(arm.feature_set))}
     rows = np.array([row for row, key in enumerate(keys) if key in number], np.intp)
     at = np.array([number[keys[row]] for row in rows], np.intp)
-    predicted = _simulate_nominal(arm) if nominal is None else np.full(arm.layout.size, np.nan)
-    if nominal is not None:
-        predicted[at] = nominal[rows]
+    predicted = _simulate_nominal(arm)
     difference = np.abs(arm.layout.condition[at] - layout.condition[rows])[:, list(MOTION_CONDITIONS)]
     same = np.all(difference < MOTION_TOLERANCE, axis=1) & _is_simulated(arm.feature_set)[at]
     return CaseSimulator(arm, predicted, at[same], rows[same])

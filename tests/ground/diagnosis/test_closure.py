@@ -14,7 +14,7 @@ from ground.diagnosis.diagnose import diagnose, effect_values
 from ground.diagnosis.experiment_design import rank_motions
 from ground.diagnosis.normal_equations import form_normal_equations
 from ground.diagnosis.problem import Residuals
-from tests.ground.diagnosis.worlds import found
+from tests.ground.diagnosis.worlds import found, modelled, world
 
 pytestmark = pytest.mark.slow
 
@@ -43,6 +43,24 @@ def test_closure_agrees_with_the_truth(made, campaign, held_out, rng):
     assert again.least <= 1.0 <= again.most + 0.05
     assert again.share == pytest.approx(1.0, abs=0.1)
     assert again.after < again.before
+
+
+def test_a_gap_that_a_nuisance_could_imitate_is_not_hidden_by_it(rng):
+    """Twenty sigmas of a nuisance imitate the effect: fitted alone, it would leave no gap to close."""
+    made = world(effects=5, alike=0, two=0, nuisances=4, scatter=1)
+    own, sigma = made.nuisance.copy(), made.nuisances[2].sigma
+    own[:, 2] = made.effect[:, 7] / sigma / 20.0
+    made = replace(made, nuisance=own)
+    campaign, t = modelled(found(made)), np.where(made.owner == 7, 1.0, 0.0)
+    diagnosis = diagnose(campaign, Residuals(made.layout, made.measured(rng, t, robot=1)), seed=1)
+    assert [one.hypothesis for one in diagnosis.findings] == [7]
+    again = build_held_out_model(campaign.equations, elsewhere(made))
+    change = again.sensitivities.change(effect_values(diagnosis))
+    held = compute_held_out_residuals(diagnosis, again, made.measured(rng, t, robot=1), change).closure(
+        seed=1
+    )
+    assert held.share == pytest.approx(1.0, abs=0.1)
+    assert held.before > 3.0 * held.after
 
 
 def explainable(made, held_out, energy):

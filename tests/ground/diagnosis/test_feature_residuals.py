@@ -1,5 +1,7 @@
 """Features as residuals of the shared selection: white without effect, changed as sensitivities say."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -55,3 +57,17 @@ def test_a_parabola_goes_through_what_was_simulated_and_its_secant_too() -> None
         simulated = SENSITIVITIES.with_simulated(h, a, change)
         for one in (simulated, simulated.linearised(h, a)):
             np.testing.assert_allclose(one.change({hypothesis: hypothesis.values(a)}), change)
+
+
+def test_a_class_is_represented_by_the_member_with_the_widest_bounds() -> None:
+    """The bounds of the first members are one typical size; those of their copies are a thousand."""
+    pairs = [of for k in range(len(SENSITIVITIES.hypotheses)) if len(of := MODEL.equivalence_class(k)) == 2]
+    assert pairs
+    hypotheses = list(SENSITIVITIES.hypotheses)
+    for first, _ in pairs:
+        narrow = [replace(one, least=-one.typical, most=one.typical) for one in hypotheses[first].parameters]
+        hypotheses[first] = replace(hypotheses[first], parameters=tuple(narrow))
+    model = replace(MODEL, sensitivities=replace(SENSITIVITIES, hypotheses=tuple(hypotheses)))
+    chosen = {one.index for one in list_feature_effects(model)}
+    assert {second for _, second in pairs} <= chosen
+    assert not {first for first, _ in pairs} & chosen

@@ -104,7 +104,7 @@ def found(made):
     slope, bend = (np.array([one[k] for one in bent]).reshape(-1, m).T for k in (0, 1))
     straight = [_centred(made, by) for by in np.diag([nuisance.sigma for nuisance in made.nuisances])]
     return Sensitivities(
-        made.layout, made.hypotheses, made.nuisances, nominal, slope, bend, np.ones(len(sized)),
+        made.layout, made.hypotheses, made.nuisances, slope, bend, np.ones(len(sized)),
         np.array([made.hypotheses.index(h) for h, _ in sized], np.intp), np.array(straight).reshape(-1, m).T,
     )  # fmt: skip
 

@@ -70,22 +70,15 @@ def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(recordings:
     assert any(note.startswith("current") and "assumed" in note for note in notes)
 
 
-def test_a_case_has_the_same_features_with_a_given_or_a_simulated_nominal(
-    recordings: list[Recording],
-) -> None:
-    """A feature that only a repeat has is not simulated."""
+def test_a_feature_that_only_a_repeat_has_is_not_compared(recordings: list[Recording]) -> None:
     once = next(one for one in recordings if not one.tracker_poses.tick.size)
     campaign = build_feature_set([once, replace(once, name="again")])
     first, again = campaign.motions
     odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
     campaign = replace(campaign, motions=(first, odd))
     arm = build_simulator(campaign, estimate_floor(campaign).sigma, {}, SHORT_SETTLING)
-    given, simulated = (
-        build_case_simulator(arm, arm.layout, feature_keys(campaign), nominal)
-        for nominal in (np.zeros(arm.layout.size), None)
-    )
-    np.testing.assert_array_equal(given.rows, simulated.rows)
-    assert given.rows.size == arm.layout.size - 1
+    found = build_case_simulator(arm, arm.layout, feature_keys(campaign))
+    assert found.rows.size == arm.layout.size - 1
 
 
 def test_motions_that_are_not_resimulated_are_extrapolated(recordings: list[Recording]) -> None:
