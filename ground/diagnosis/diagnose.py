@@ -1,8 +1,7 @@
 """Diagnosis of one case, from residuals to verdict.
 
-`diagnose` runs these steps. It selects effects with the sensitivities, by the engine that diagnoses any robot
-(`diagnosis.selection`). It simulates those that are larger than what the sensitivities were made for, and
-selects again. It tests what remains (`residual_analysis`), and says at which level each effect is known.
+`diagnose` selects effects with the sensitivities (`selection`), by the engine that diagnoses any robot. It
+tests what remains (`residual_analysis`), and says at which level each effect is known.
 """
 
 from dataclasses import dataclass, replace
@@ -18,7 +17,6 @@ from ground.diagnosis.linear_fit import LinearFit, fit_linear
 from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.normal_equations import (
     NormalEquations,
-    Whitener,
     build_full_whitener,
     form_normal_equations,
 )
@@ -30,14 +28,8 @@ from ground.diagnosis.residual_analysis import (
     find_lack_of_fit,
     map_residual,
 )
-from ground.diagnosis.selection import Selection, select
-from ground.diagnosis.sensitivity import Sensitivities
+from ground.diagnosis.selection import Selection, select_simulated
 
-MAX_SIMULATIONS: Final = 3
-"""Greatest number of times that the selected effects are simulated at their estimates."""
-BEYOND: Final = 1.1
-"""Departure, over the largest that was simulated, from which on an effect is simulated anew: up to there, a
-parabola that is continued as a line is right to a tenth of its curvature."""
 MAX_MEMBERS: Final = 3
 """Most members of a set: more effects are told as their families, more families as their places."""
 
@@ -110,7 +102,7 @@ def diagnose(
     residuals: Residuals,
     seed: int,
     simulator: Simulator | None = None,
-    first: Selection | None = None,
+    selection: Selection | None = None,
 ) -> Diagnosis:
     """Diagnose one case.
 
@@ -119,21 +111,21 @@ def diagnose(
         residuals: Residuals of the case.
         seed: Seed of all random draws.
         simulator: Simulator for effects beyond the reach of the sensitivities; None to extrapolate these.
-        first: Selection with the sensitivities as they are; None if it is not known yet.
+        selection: Selected effects; None if they are not known yet.
 
     Returns:
         Verdict, findings, and what remains unexplained.
     """
-    y = model.equations.whiten(residuals.value)
-    whiten = build_full_whitener(model.sensitivities)
-    first = first or select(model, model.sensitivities, whiten, residuals.value, seed)
-    selection, sensitivities = select_simulated(model, whiten, residuals.value, seed, simulator, first)
-    hypotheses = model.sensitivities.hypotheses
+    if selection is None:
+        whiten = build_full_whitener(model.sensitivities)
+        selection = select_simulated(model, whiten, residuals.value, seed, simulator)
+    hypotheses, sensitivities = model.sensitivities.hypotheses, selection.sensitivities
     estimates = list(zip(selection.chosen, selection.departures, strict=True))
     change = sensitivities.change({hypotheses[h]: hypotheses[h].values(a) for h, a in estimates})
     for h, a in estimates:
         sensitivities = sensitivities.linearised(h, a)
     equations = form_normal_equations(sensitivities) if selection.chosen else model.equations
+    y = equations.whiten(residuals.value)
     effect_fit = fit_linear(equations, y, equations.columns(selection.chosen))
     without = y - equations.A[:, : equations.q] @ effect_fit.theta[: equations.q]
     cells = map_residual(residuals.layout, without, seed)
@@ -142,46 +134,6 @@ def diagnose(
     findings = _describe_findings(model, selection, has_remainder)
     verdict: Verdict = "found" if findings else "unknown" if has_remainder else "none"
     return Diagnosis(verdict, findings, unexplained, cells, effect_fit, equations, has_remainder, change)
-
-
-def select_simulated(
-    model: DiagnosisModel,
-    whiten: Whitener,
-    value: Array,
-    seed: int,
-    simulator: Simulator | None,
-    selection: Selection,
-) -> tuple[Selection, Sensitivities]:
-    """Simulate selected effects beyond the reach of their sensitivities, and select again.
-
-    Args:
-        model: Diagnosis model of the campaign.
-        whiten: Its full whitener.
-        value: Measured minus nominal features in the units of the channels, (m,).
-        seed: Seed of the engine.
-        simulator: Simulator of the case; None to extrapolate.
-        selection: First selection, with the sensitivities as they are.
-
-    Returns:
-        The last selection, and the sensitivities that it used.
-    """
-    sensitivities, excluded = model.sensitivities, frozenset[int]()
-    for _ in range(MAX_SIMULATIONS):
-        far = [
-            (h, a)
-            for h, a in zip(selection.chosen, selection.departures, strict=True)
-            if np.any(np.abs(a) > BEYOND * sensitivities.reach[sensitivities.owner == h])
-        ]
-        if simulator is None or not far:
-            break
-        for h, a in far:
-            change = _simulate(model, simulator, h, a)
-            if change is None:
-                excluded |= {h}
-            else:
-                sensitivities = sensitivities.with_simulated(h, a, change)
-        selection = select(model, sensitivities, whiten, value, seed, excluded)
-    return selection, sensitivities
 
 
 def effect_values(diagnosis: Diagnosis) -> EffectValues:
@@ -195,14 +147,6 @@ def effect_values(diagnosis: Diagnosis) -> EffectValues:
     """
     hypotheses = diagnosis.equations.hypotheses
     return {hypotheses[finding.hypothesis]: finding.values for finding in diagnosis.findings}
-
-
-def _simulate(model: DiagnosisModel, simulator: Simulator, h: int, a: Array) -> Array | None:
-    """Return the change by one hypothesis, (m,); None if no arm with it can be simulated."""
-    hypothesis, zero = model.sensitivities.hypotheses[h], np.zeros(len(simulator.nuisances))
-    changed = simulator.predict({hypothesis: hypothesis.values(a)}, zero)
-    change = changed - simulator.predict({}, zero)
-    return change if np.all(np.isfinite(change)) and np.any(change) else None
 
 
 def _describe_findings(

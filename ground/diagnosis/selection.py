@@ -1,7 +1,12 @@
-"""Selection of the effects of a case: the shared engine on whitened features."""
+"""Selection of the effects of a case: the shared engine on whitened features.
+
+`select_simulated` is the entry. It selects with the sensitivities, simulates the effects that are larger than
+what these were made for, and selects again.
+"""
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -15,8 +20,15 @@ from ground.diagnosis.feature_residuals import (
     list_feature_effects,
 )
 from ground.diagnosis.model import DiagnosisModel
-from ground.diagnosis.normal_equations import Whitener
+from ground.diagnosis.normal_equations import Whitener, build_full_whitener
+from ground.diagnosis.problem import Simulator
 from ground.diagnosis.sensitivity import Sensitivities
+
+MAX_SIMULATIONS: Final = 3
+"""Greatest number of times that the selected effects are simulated at their estimates."""
+BEYOND: Final = 1.1
+"""Departure, over the largest that was simulated, from which on an effect is simulated anew: up to there, a
+parabola that is continued as a line is right to a tenth of its curvature."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +44,52 @@ class Selection:
     """Deviance without effect, nuisances free."""
     n_distinct: float
     """Number of tests that share the probability of a false alarm."""
+    sensitivities: Sensitivities
+    """Sensitivities that it was made with."""
     engine: EngineSelection
+
+
+def select_simulated(
+    model: DiagnosisModel, whiten: Whitener, value: Array, seed: int, simulator: Simulator | None
+) -> Selection:
+    """Select effects, simulate those beyond the reach of their sensitivities, and select again.
+
+    Args:
+        model: Diagnosis model of the campaign.
+        whiten: Its full whitener.
+        value: Measured minus nominal features in the units of the channels, (m,).
+        seed: Seed of the engine.
+        simulator: Simulator of the case; None to extrapolate.
+
+    Returns:
+        The last selection.
+    """
+    selection, excluded = select(model, model.sensitivities, whiten, value, seed), frozenset[int]()
+    for _ in range(MAX_SIMULATIONS):
+        sensitivities = selection.sensitivities
+        far = [
+            (h, a)
+            for h, a in zip(selection.chosen, selection.departures, strict=True)
+            if np.any(np.abs(a) > BEYOND * sensitivities.reach[sensitivities.owner == h])
+        ]
+        if simulator is None or not far:
+            break
+        for h, a in far:
+            change = _simulate(model, simulator, h, a)
+            if change is None:
+                excluded |= {h}
+            else:
+                sensitivities = sensitivities.with_simulated(h, a, change)
+        selection = select(model, sensitivities, build_full_whitener(sensitivities), value, seed, excluded)
+    return selection
+
+
+def _simulate(model: DiagnosisModel, simulator: Simulator, h: int, a: Array) -> Array | None:
+    """Return the change by one hypothesis, (m,); None if no arm with it can be simulated."""
+    hypothesis, zero = model.sensitivities.hypotheses[h], np.zeros(len(simulator.nuisances))
+    changed = simulator.predict({hypothesis: hypothesis.values(a)}, zero)
+    change = changed - simulator.predict({}, zero)
+    return change if np.all(np.isfinite(change)) and np.any(change) else None
 
 
 def select(
@@ -48,7 +105,7 @@ def select(
     Args:
         model: Diagnosis model of the campaign.
         sensitivities: Its sensitivities, also with parabolas through simulated changes.
-        whiten: Whitener of the model by noise and nuisances.
+        whiten: Whitener of the sensitivities by noise and nuisances.
         value: Measured minus nominal features in the units of the channels, (m,).
         seed: Seed of the engine.
         excluded: Hypotheses that do not compete.
@@ -68,5 +125,6 @@ def select(
         float(after @ after),
         float(before @ before),
         found.context.n_distinct,
+        sensitivities,
         found,
     )

@@ -40,6 +40,8 @@ _READ_ERRORS: Final = (
 )
 _LAYOUT_ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
 _OWN_ARRAYS: Final = ("effect", "curve", "reach", "owner", "nuisance")
+ROUNDING: Final = 1e-9
+"""Greatest relative difference of two columns that come from the same simulated change."""
 _LAYOUT_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions")
 
 
@@ -102,7 +104,8 @@ class Sensitivities:
     def with_simulated(self, hypothesis: int, a: Array, change: Array) -> "Sensitivities":
         """Return the sensitivities with the parabola of one hypothesis through a simulated change.
 
-        The slopes stay. The curvature of its largest amplitude takes what they miss.
+        The slopes stay. The curvature of its largest amplitude takes what they miss. A nuisance of the same
+        parameter, whose column is parallel, gets the slope of the parabola there.
 
         Args:
             hypothesis: Index of the hypothesis, with n amplitudes.
@@ -110,7 +113,7 @@ class Sensitivities:
             change: Simulated change there in the units of the channels, shape (m,).
 
         Returns:
-            Sensitivities with another curvature and reach.
+            Sensitivities with another curvature and reach, and other slopes of such nuisances.
         """
         columns = np.flatnonzero(self.owner == hypothesis)
         curve, reach = self.curve.copy(), self.reach.copy()
@@ -119,7 +122,13 @@ class Sensitivities:
         curve[:, columns[largest]] = 0.0
         missed = change - self.effect[:, columns] @ a - curve[:, columns] @ a**2
         curve[:, columns[largest]] = missed / a[largest] ** 2
-        return replace(self, curve=curve, reach=reach)
+        slope = self.effect[:, columns[largest]]
+        turn = 2.0 * curve[:, columns[largest]] * a[largest]
+        shares = slope @ self.nuisance / max(float(slope @ slope), float(np.finfo(float).tiny))
+        beside = np.abs(self.nuisance - np.outer(slope, shares)).max(axis=0)
+        is_parallel = beside <= ROUNDING * np.abs(self.nuisance).max(axis=0)
+        nuisance = self.nuisance + np.outer(turn, np.where(is_parallel, shares, 0.0))
+        return replace(self, curve=curve, reach=reach, nuisance=nuisance)
 
     def linearised(self, hypothesis: int, a: Array) -> "Sensitivities":
         """Return the sensitivities with those of one hypothesis linearised at an estimate.

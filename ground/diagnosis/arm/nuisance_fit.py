@@ -17,9 +17,9 @@ from ground.diagnosis.arm.case_simulator import CaseSimulator, resimulate
 from ground.diagnosis.arm.features import MotionFeatures
 from ground.diagnosis.linear_fit import fit_linear
 from ground.diagnosis.model import DiagnosisModel
-from ground.diagnosis.normal_equations import Whitener, build_full_whitener
+from ground.diagnosis.normal_equations import build_full_whitener
 from ground.diagnosis.problem import LOG_UNIT
-from ground.diagnosis.selection import Selection, select
+from ground.diagnosis.selection import Selection, select, select_simulated
 from sim.effects.effect import Effect
 
 MIN_CHANGE_SIGMAS: Final = 0.5
@@ -50,7 +50,8 @@ def fit_nuisances(
     """Fit the nuisances alone, and if an effect remains, beside the effect.
 
     The nonlinear response of nuisances alone can be the simpler explanation, so the lower deviance wins, in
-    which effects have to pay for their parameters.
+    which effects have to pay for their parameters. Large effects are simulated before: their linear response
+    would lose against nuisances beyond any real arm.
 
     Args:
         model: Diagnosis model of the campaign.
@@ -62,9 +63,11 @@ def fit_nuisances(
         Best fit, and the effects that are selected there.
     """
     whiten = build_full_whitener(model.sensitivities)
-    alone = _fit_alone(model, first, patch)
-    before = selection = _select(model, whiten, alone, seed)
-    beside, chosen = alone, tuple[int, ...]()
+    alone = beside = _fit_alone(model, first, patch)
+    before = selection = select(model, model.sensitivities, whiten, alone.residual, seed)
+    if not before.chosen:
+        return alone, before
+    chosen = tuple[int, ...]()
     for _ in range(MAX_UPDATES):
         if set(selection.chosen) == set(chosen):
             break
@@ -73,9 +76,10 @@ def fit_nuisances(
         if moved is beside:
             break
         beside = moved
-        selection = _select(model, whiten, beside, seed)
-    is_better = selection.chosen and _cost(selection) < before.null_deviance
-    return (beside, selection) if is_better else (alone, before)
+        selection = select_simulated(model, whiten, beside.residual, seed, beside.simulator)
+    if beside is not alone and selection.chosen and _cost(selection) < before.null_deviance:
+        return beside, selection
+    return alone, select_simulated(model, whiten, alone.residual, seed, alone.simulator)
 
 
 def _fit_alone(model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effect, ...]) -> NuisanceFit:
@@ -122,10 +126,6 @@ def _curved_blocks(model: DiagnosisModel, difference: Array) -> set[str]:
 def _extrapolate(model: DiagnosisModel, simulator: CaseSimulator, nuisance: Array) -> NuisanceFit:
     residual = simulator.residual() + model.sensitivities.nuisance @ nuisance
     return NuisanceFit(simulator, nuisance, residual)
-
-
-def _select(model: DiagnosisModel, whiten: Whitener, current: NuisanceFit, seed: int) -> Selection:
-    return select(model, model.sensitivities, whiten, current.residual, seed)
 
 
 def _cost(selection: Selection) -> float:

@@ -71,3 +71,16 @@ def test_a_class_is_represented_by_the_member_with_the_widest_bounds() -> None:
     chosen = {one.index for one in list_feature_effects(model)}
     assert {second for _, second in pairs} <= chosen
     assert not {first for first, _ in pairs} & chosen
+
+
+def test_a_nuisance_of_the_same_parameter_bends_with_the_effect() -> None:
+    """At the simulated size it has the slope of the parabola; other nuisances stay."""
+    h, a = 3, np.array([2.0])
+    (column,) = np.flatnonzero(WORLD.owner == h)
+    nuisance = SENSITIVITIES.nuisance.copy()
+    nuisance[:, 5] = 0.1 * SENSITIVITIES.effect[:, column]
+    given = replace(SENSITIVITIES, nuisance=nuisance)
+    slope = given.effect[:, column]
+    bent = given.with_simulated(h, a, 3.0 * slope)  # 2 a by the slope, and a^2 / 4
+    np.testing.assert_allclose(bent.nuisance[:, 5], 0.1 * 2.0 * slope)
+    np.testing.assert_array_equal(np.delete(bent.nuisance, 5, 1), np.delete(nuisance, 5, 1))
