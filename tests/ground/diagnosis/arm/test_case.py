@@ -31,7 +31,8 @@ pytestmark = pytest.mark.slow
 
 FITTED = ("poses-level-1", "poses-level-1-again", "poses-level-2", "poses-rolled-1")
 APART = ("poses-level-3", "poses-rolled-2")
-KINDS = ("resolver-bias", "link-length")
+KINDS = ("resolver-bias", "link-warming", "link-length")
+"""A warm link is as one that is too long, but cannot be as long."""
 Logs = tuple[list[Path], list[Path]]
 
 CALIBRATED_FRAME_SIGMA_M = default_arm().description.tolerances.calibrated.frame_m
@@ -83,7 +84,15 @@ def test_the_effect_is_named_with_its_size_and_closes_the_gap(
     assert hypothesis.name.startswith("resolver-bias" if isinstance(effect, ResolverBias) else "link-length")
     assert finding.values[0] == pytest.approx(size, rel=0.1)
     assert said.closure is not None
-    assert said.closure.share > 0.8
+    assert said.closure.share > 0.95
+
+
+def test_a_link_that_is_3_mm_too_long_moves_the_tool_by_3_mm(case: Callable[..., DiagnosisResult]) -> None:
+    """Fitted alone, nuisances would move it back."""
+    said = case(LinkLength(Frame.ARM3, "x", 3e-3))
+    assert said.tool is not None
+    assert said.tool.before_mm == pytest.approx(3.0, abs=0.5)
+    assert said.tool.after_mm < 2.0 * said.tool.noise_floor_mm
 
 
 def test_nuisances_do_not_take_the_place_of_an_effect_that_they_are_like(
