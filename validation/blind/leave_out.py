@@ -41,20 +41,19 @@ def score_left_out(folder: Path, solver: Solver, cases: int, run: Runner, progre
         progress: Called with done, total and case.
 
     Raises:
-        BadRequest: A number is below 1, a case is not solved yet, or none has one clear effect.
+        BadRequest: A number is below 1, or no solved case has one clear effect.
     """
     if cases < 1:
         raise BadRequest(f"cases: {cases} is not 1 or more")
     truth, results = load_truth(folder), load_results(folder)
-    missing = [case.name for case in truth.cases if case.name not in results]
-    if missing:
-        raise BadRequest(
-            f"{folder}: {missing[0]} is not solved; `python -m validation.blind solve` solves all cases"
-        )
     classes = load_classes(folder / CAMPAIGN_FOLDER)
-    chosen = list_clear_cases(truth.cases, classes)[:cases]
+    solved = [case for case in truth.cases if case.name in results]
+    chosen = list_clear_cases(solved, classes)[:cases]
     if not chosen:
-        raise BadRequest(f"{folder}: no case has one effect of the catalogue above its detection limit")
+        raise BadRequest(
+            f"{folder}: no solved case has one effect of the catalogue above its detection limit; "
+            f"`python -m validation.blind solve` solves all cases"
+        )
     solver.prepare_campaign(folder / CAMPAIGN_FOLDER, run, progress)
     jobs = [(folder.absolute(), case, solver) for case in chosen]
     documents = []
