@@ -74,8 +74,18 @@ class HeldOutModel:
         return self.sensitivities.layout
 
 
-def build_held_out_model(equations: NormalEquations, sensitivities: Sensitivities) -> HeldOutModel:
+def build_held_out_model(
+    equations: NormalEquations, sensitivities: Sensitivities, covariance: Array
+) -> HeldOutModel:
     """Build the model of held-out motion, given the fitted campaign.
+
+    Args:
+        equations: Normal equations of the fitted campaign.
+        sensitivities: Sensitivities of the held-out motion.
+        covariance: Covariance of the fitted nuisances, without a unit (in `nuisance_unit`), shape (q, q).
+
+    Returns:
+        The model, with its explainable directions.
 
     Raises:
         ValueError: A block is in both, or nuisances or hypotheses differ.
@@ -93,7 +103,7 @@ def build_held_out_model(equations: NormalEquations, sensitivities: Sensitivitie
     fitted = equations.W[seen] * size[:, None]
     moved = whiten(sensitivities.effect[:, seen] * (size / equations.scale[seen])) - N @ fitted.T
     U, s, _ = np.linalg.svd(moved, full_matrices=False)
-    doubt = N @ np.linalg.cholesky(equations.C)
+    doubt = N @ np.linalg.cholesky(covariance)
     sigma = sensitivities.layout.sigma * np.sqrt(1.0 + np.sum(doubt**2, axis=1))
     return HeldOutModel(sensitivities, whiten, nuisance, U[:, s > MIN_MOVED_SIGMAS], doubt, sigma)
 

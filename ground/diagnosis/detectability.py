@@ -86,10 +86,10 @@ class Detectability:
 
 
 @cache
-def noncentrality(k: int, power: float = POWER, false_alarm: float = FALSE_ALARM) -> float:
-    """Compute the noncentrality of a chi-square with k degrees of freedom for this power and false alarm."""
+def noncentrality(k: int, false_alarm: float = FALSE_ALARM) -> float:
+    """Compute the noncentrality of a chi-square of k degrees of freedom for 90 % power and a false alarm."""
     beyond = chi2.isf(false_alarm, k)
-    return float(brentq(lambda n: ncx2.sf(beyond, k, n) - power, 1e-6, 1e3))
+    return float(brentq(lambda n: ncx2.sf(beyond, k, n) - POWER, 1e-6, 1e3))
 
 
 def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Detectability, ...]:
@@ -118,7 +118,7 @@ def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Detectabi
             result.append(Detectability(np.inf, np.inf))
             continue
         alone, family_wise = (
-            float(np.sqrt(noncentrality(at.size, POWER, by) / information))
+            float(np.sqrt(noncentrality(at.size, by) / information))
             for by in (FALSE_ALARM, false_alarm_of_each)
         )
         result.append(Detectability(alone, family_wise))

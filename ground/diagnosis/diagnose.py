@@ -93,6 +93,8 @@ class Diagnosis:
     """Normal equations that `effect_fit` refers to."""
     has_remainder: bool
     """True if what is left after the findings has structure."""
+    nuisance: Array
+    """Change of the features by the fitted nuisances, in the units of the channels, shape (m,)."""
     change: Array
     """Change of the features by the findings, in the units of the channels, shape (m,)."""
 
@@ -133,7 +135,11 @@ def diagnose(
     has_remainder = unexplained[0].neg_log10_p >= model.lack_of_fit_limit
     findings = _describe_findings(model, selection, has_remainder)
     verdict: Verdict = "found" if findings else "unknown" if has_remainder else "none"
-    return Diagnosis(verdict, findings, unexplained, cells, effect_fit, equations, has_remainder, change)
+    values = effect_fit.theta[: equations.q] * equations.nuisance_unit
+    nuisance = sensitivities.nuisance[:, sensitivities.shared_nuisances] @ values
+    return Diagnosis(
+        verdict, findings, unexplained, cells, effect_fit, equations, has_remainder, nuisance, change
+    )
 
 
 def effect_values(diagnosis: Diagnosis) -> EffectValues:

@@ -82,8 +82,14 @@ def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) 
 
 
 def _has_more_room(model: DiagnosisModel, one: int, other: int) -> bool:
-    """Check that the bounds of a hypothesis hold those of another and more, in detection limits."""
+    """Check that the bounds of a hypothesis hold those of another and more, in detection limits.
+
+    Where both act in opposite directions, the bounds of the other change sides.
+    """
     (least, most), (other_least, other_most) = (_room(model, k) for k in (one, other))
+    a, b = (np.flatnonzero(model.equations.owner == k)[0] for k in (one, other))
+    if model.equations.R[a, b] < 0.0:
+        other_least, other_most = -other_most, -other_least
     is_wider = most - least > MORE_ROOM * (other_most - other_least)
     return is_wider and least <= other_least and most >= other_most
 

@@ -110,7 +110,8 @@ def _residual_section(result: DiagnosisResult) -> Iterator[str]:
     yield table(("channel", "regime", "features", "over the floor", "90 %"), rows)
     if result.traces:
         yield paragraph(
-            "Below are the channels that the findings change most: of each the fitted sessions with the "
+            "Below are the channels that the findings bring closest to the measurement, or without findings "
+            "those with the largest residuals: of each the fitted sessions with the "
             "largest, middle and smallest error with the findings. Each point is the mean of a quarter of a "
             "second in motion; rests are left out."
         )

@@ -4,7 +4,7 @@
 what these were made for, and selects again.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -26,9 +26,9 @@ from ground.diagnosis.sensitivity import Sensitivities
 
 MAX_SIMULATIONS: Final = 3
 """Greatest number of times that the selected effects are simulated at their estimates."""
-BEYOND: Final = 1.1
-"""Departure, over the largest that was simulated, from which on an effect is simulated anew: up to there, a
-parabola that is continued as a line is right to a tenth of its curvature."""
+MOVED: Final = 0.1
+"""Share of a simulated departure by which another may differ without a simulation of its own: up to there, a
+parabola that is continued as a line misses a hundredth of its curvature."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,12 +65,12 @@ def select_simulated(
         The last selection.
     """
     selection, excluded = select(model, model.sensitivities, whiten, value, seed), frozenset[int]()
+    simulated: dict[int, tuple[Array, Array]] = {}
     for _ in range(MAX_SIMULATIONS):
-        sensitivities = selection.sensitivities
         far = [
             (h, a)
             for h, a in zip(selection.chosen, selection.departures, strict=True)
-            if np.any(np.abs(a) > BEYOND * sensitivities.reach[sensitivities.owner == h])
+            if _is_far(model.sensitivities, h, a, simulated)
         ]
         if simulator is None or not far:
             break
@@ -79,9 +79,21 @@ def select_simulated(
             if change is None:
                 excluded |= {h}
             else:
-                sensitivities = sensitivities.with_simulated(h, a, change)
+                simulated[h] = a, change
+        sensitivities = model.sensitivities
+        for h, (a, change) in simulated.items():
+            sensitivities = sensitivities.with_simulated(h, a, change)
         selection = select(model, sensitivities, build_full_whitener(sensitivities), value, seed, excluded)
     return selection
+
+
+def _is_far(
+    sensitivities: Sensitivities, h: int, a: Array, simulated: Mapping[int, tuple[Array, Array]]
+) -> bool:
+    """Check that a departure is far from that which was simulated, or beyond the reach of the campaign."""
+    if h in simulated:
+        return bool(np.any(np.abs(a - simulated[h][0]) > MOVED * np.abs(simulated[h][0])))
+    return bool(np.any(np.abs(a) > (1.0 + MOVED) * sensitivities.reach[sensitivities.owner == h]))
 
 
 def _simulate(model: DiagnosisModel, simulator: Simulator, h: int, a: Array) -> Array | None:

@@ -152,7 +152,7 @@ def next_sentence(result: DiagnosisResult) -> str:
         if best.separation < MIN_SEPARATION:
             return (
                 "No motion of this campaign would distinguish the possible causes: the best, "
-                f"{best.name}, separates them by {best.separation:.1f} sigmas."
+                f"{best.name}, separates them by less than {MIN_SEPARATION:.0f} sigma."
             )
         return (
             f"Record {best.name}: it would separate the possible causes by "

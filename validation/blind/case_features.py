@@ -90,8 +90,7 @@ def closure_of_truth(fitted: CasePart, held: CasePart, true: dict[Hypothesis, Ar
         ValueError: A motion is in both parts.
     """
     equations = form_normal_equations(fitted.sensitivities)
-    model, N = build_held_out_model(equations, held.sensitivities), equations.A[:, : equations.q]
-
+    model, N = build_held_out_model(equations, held.sensitivities, equations.C), equations.A[:, : equations.q]
     rest = equations.whiten(fitted.value - fitted.sensitivities.change(true))
     before = held.value - model.nuisance @ (equations.C @ (N.T @ rest))
     return compute_closure(model, before, before - held.sensitivities.change(true), seed)

@@ -100,7 +100,7 @@ def load_classes(campaign: Path) -> EquivalenceClasses:
             for one in document
             if one["limit"] is not None
         })  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, ZeroDivisionError) as error:
         raise BadRequest(
             f"{campaign / CLASSES_FILE}: holds no classes ({error}); make the campaign anew"
         ) from error

@@ -92,10 +92,11 @@ def _make_cases(
     folder.mkdir(exist_ok=True)
     truth = load_existing_truth(folder, salt(seed), cases)
     if truth is None:
+        outside = list_samplable()
         _record_campaign(folder, seed, part_of(progress, 0.0, CAMPAIGN_SHARES[0]))
         rest = part_of(progress, *CAMPAIGN_SHARES)
         catalogue = _list_detectable(folder / CAMPAIGN_FOLDER, run, rest)
-        truth = draw_truth(cases, seed, catalogue, list_samplable())
+        truth = draw_truth(cases, seed, catalogue, outside)
         seal(folder, truth)
     publish(truth.digest())
     jobs = [

@@ -1,6 +1,7 @@
 """Out-of-catalogue effects from a folder of Python files."""
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -30,6 +31,7 @@ class UncataloguedEffect:
         return text.removeprefix(f"{EFFECTS_FOLDER}/")
 
 
+@cache
 def list_uncatalogued() -> dict[tuple[str, str], UncataloguedEffect]:
     """List all out-of-catalogue effects by effect and place; BadRequest if there are no files."""
     files = sorted(EFFECTS_FOLDER.glob("*/*.py"))

@@ -92,7 +92,7 @@ class FittedCase:
     residual: Array
     """Measured minus simulated, extrapolated linearly to nuisances at 0, shape (m,)."""
     selection: Selection
-    """Effects that are selected there with the sensitivities of the campaign."""
+    """Effects that are selected there; large ones are simulated."""
     held_out: CaseSimulator | None
     held_out_residual: Array
     """The same residual for held-out motion, shape (n,)."""
@@ -180,10 +180,8 @@ def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel, seed: int)
 
 def _make_traces(fitted: FittedCase, diagnosis: Diagnosis) -> Iterator[Trace]:
     """Yield the features of each channel in each session in motion, without and with the findings."""
-    case, sensitivities = fitted.simulator, fitted.model.sensitivities
-    unit = diagnosis.equations.nuisance_unit
-    shared = sensitivities.nuisance[:, sensitivities.shared_nuisances] * unit
-    nominal = fitted.residual - shared @ diagnosis.effect_fit.theta[: diagnosis.equations.q]
+    case = fitted.simulator
+    nominal = fitted.residual - diagnosis.nuisance
     explained = nominal - diagnosis.change
     features = [case.arm.feature_set.features[k] for k in case.at]
     sessions = np.array([case.arm.feature_set.sessions[k] for k in case.at])
@@ -257,7 +255,12 @@ def _try_held_out(
     change = case.predict(settings, zero) - case.predict({}, zero)
     if not np.all(np.isfinite(change)):  # no arm with these effects can be simulated
         return None, None
-    held_out_model = build_held_out_model(fitted.model.equations, campaign.held_out.select(case.rows))
+    q = diagnosis.equations.q
+    held_out_model = build_held_out_model(
+        fitted.model.equations,
+        campaign.held_out.select(case.rows),
+        diagnosis.effect_fit.covariance[:q, :q],
+    )
     residuals = compute_held_out_residuals(diagnosis, held_out_model, fitted.held_out_residual, change)
     keys = [campaign.held_out_keys[row] for row in case.rows]
     return residuals.closure(seed), compute_tool_error(

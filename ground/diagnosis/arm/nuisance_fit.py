@@ -17,7 +17,7 @@ from ground.diagnosis.arm.case_simulator import CaseSimulator, resimulate
 from ground.diagnosis.arm.features import MotionFeatures
 from ground.diagnosis.linear_fit import fit_linear
 from ground.diagnosis.model import DiagnosisModel
-from ground.diagnosis.normal_equations import build_full_whitener
+from ground.diagnosis.normal_equations import Whitener, build_full_whitener
 from ground.diagnosis.problem import LOG_UNIT
 from ground.diagnosis.selection import Selection, select, select_simulated
 from sim.effects.effect import Effect
@@ -77,7 +77,8 @@ def fit_nuisances(
             break
         beside = moved
         selection = select_simulated(model, whiten, beside.residual, seed, beside.simulator)
-    if beside is not alone and selection.chosen and _cost(selection) < before.null_deviance:
+    cost = _cost(model, whiten, beside, selection)
+    if beside is not alone and selection.chosen and cost < before.null_deviance:
         return beside, selection
     return alone, select_simulated(model, whiten, alone.residual, seed, alone.simulator)
 
@@ -128,11 +129,17 @@ def _extrapolate(model: DiagnosisModel, simulator: CaseSimulator, nuisance: Arra
     return NuisanceFit(simulator, nuisance, residual)
 
 
-def _cost(selection: Selection) -> float:
-    """Return the deviance beside the selected effects, plus the threshold for as many parameters."""
-    k = sum(a.size for a in selection.departures)
+def _cost(model: DiagnosisModel, whiten: Whitener, fit: NuisanceFit, selection: Selection) -> float:
+    """Return the deviance beside the selected effects, plus the threshold for as many parameters.
+
+    The whitener is that of the model, so that deviances of several selections can be compared.
+    """
+    hypotheses, a = model.sensitivities.hypotheses, selection.departures
+    values = {hypotheses[h]: hypotheses[h].values(of) for h, of in zip(selection.chosen, a, strict=True)}
+    rest = whiten(fit.residual - selection.sensitivities.change(values))
+    k = sum(of.size for of in a)
     needed = float(chi2.isf(FALSE_ALARM / max(selection.n_distinct, 1.0), k)) if k else 0.0
-    return selection.deviance + needed
+    return float(rest @ rest) + needed
 
 
 def _estimate_nuisances(model: DiagnosisModel, current: NuisanceFit, beside: tuple[int, ...]) -> Array:

@@ -63,10 +63,9 @@ def simulate_open_loop_cached(
     recording: Recording,
     effects: tuple[Effect, ...],
     options: SimulationOptions,
-    pose_ticks: frozenset[int] = frozenset(),
 ) -> OpenLoopRun:
     """Simulate as `simulate_open_loop`, and cache runs that several effects share."""
-    return simulate_open_loop(recording, effects, options, pose_ticks)
+    return simulate_open_loop(recording, effects, options)
 
 
 def order_effects(recording: Recording, effects: Sequence[Effect]) -> tuple[Effect, ...]:

@@ -22,7 +22,7 @@ def result_of(made, campaign, seed, t=None, extra=None):
     measured = [made.measured(rng, t, extra, robot=seed) for _ in range(2)]
     said = diagnose(campaign, Residuals(made.layout, measured[0]), seed=1)
     apart = replace(made.layout, blocks=tuple(f"other {name}" for name in made.layout.blocks))
-    held = build_held_out_model(campaign.equations, replace(found(made), layout=apart))
+    held = build_held_out_model(campaign.equations, replace(found(made), layout=apart), campaign.equations.C)
     change = held.sensitivities.change(effect_values(said))
     closing = compute_held_out_residuals(said, held, measured[1], change).closure(seed=1)
     return DiagnosisResult(

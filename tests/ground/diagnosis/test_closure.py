@@ -28,7 +28,7 @@ def elsewhere(made):
 @pytest.fixture
 def held_out(made, campaign):
     """Return held-out motion: the same motions, recorded again."""
-    return build_held_out_model(campaign.equations, elsewhere(made))
+    return build_held_out_model(campaign.equations, elsewhere(made), campaign.equations.C)
 
 
 def test_closure_agrees_with_the_truth(made, campaign, held_out, rng):
@@ -54,7 +54,7 @@ def test_a_gap_that_a_nuisance_could_imitate_is_not_hidden_by_it(rng):
     campaign, t = modelled(found(made)), np.where(made.owner == 7, 1.0, 0.0)
     diagnosis = diagnose(campaign, Residuals(made.layout, made.measured(rng, t, robot=1)), seed=1)
     assert [one.hypothesis for one in diagnosis.findings] == [7]
-    again = build_held_out_model(campaign.equations, elsewhere(made))
+    again = build_held_out_model(campaign.equations, elsewhere(made), campaign.equations.C)
     change = again.sensitivities.change(effect_values(diagnosis))
     held = compute_held_out_residuals(diagnosis, again, made.measured(rng, t, robot=1), change).closure(
         seed=1
@@ -103,7 +103,7 @@ def test_an_effect_that_hardly_moves_what_is_held_out_is_shared_out_as_well(made
     blocks = np.isin(made.layout.block, (0, 5))
     kept = found(made)
     equations = form_normal_equations(kept.select(np.flatnonzero(~blocks)))
-    held_out = build_held_out_model(equations, kept.select(np.flatnonzero(blocks)))
+    held_out = build_held_out_model(equations, kept.select(np.flatnonzero(blocks)), equations.C)
     shares, lost = [], 0
     for column in range(0, made.owner.size, 3):
         S = held_out.whiten(held_out.sensitivities.effect[:, column])
@@ -129,12 +129,12 @@ def test_where_there_is_no_gap_no_share_is_claimed(held_out, rng):
 
 def test_motion_that_was_used_for_fitting_is_refused(made, campaign):
     with pytest.raises(ValueError, match=r"also used for fitting: motion 0, motion 1"):
-        build_held_out_model(campaign.equations, found(made))
+        build_held_out_model(campaign.equations, found(made), campaign.equations.C)
 
 
 def test_held_out_motion_of_another_catalogue_is_refused(made, campaign):
     with pytest.raises(ValueError, match="the hypotheses of the campaign"):
-        build_held_out_model(campaign.equations, elsewhere(made).only(["effect 1"]))
+        build_held_out_model(campaign.equations, elsewhere(made).only(["effect 1"]), campaign.equations.C)
 
 
 def test_the_next_motion_is_the_one_that_separates(made, campaign, rng):

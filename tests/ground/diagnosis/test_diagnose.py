@@ -30,7 +30,9 @@ def test_no_effect_is_not_called_one(made, campaign, rng):
 
 
 @pytest.mark.slow
-def test_from_the_limit_of_the_race_on_nine_of_ten_are_reported_and_sets_hold_the_truth(made, campaign, rng):
+def test_from_the_limit_of_the_selection_on_nine_of_ten_are_reported_and_sets_hold_the_truth(
+    made, campaign, rng
+):
     reported, held, covered, cases = 0, 0, [], 60
     for _ in range(cases):
         one = int(rng.integers(len(made.hypotheses)))

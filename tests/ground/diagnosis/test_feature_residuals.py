@@ -10,6 +10,8 @@ from ground.diagnosis.feature_residuals import (
     list_feature_effects,
 )
 from ground.diagnosis.normal_equations import build_full_whitener
+from ground.diagnosis.problem import EffectValues
+from ground.diagnosis.selection import select_simulated
 from tests.ground.diagnosis.worlds import found, modelled, world
 
 WORLD = world(bent=0.3)
@@ -84,3 +86,36 @@ def test_a_nuisance_of_the_same_parameter_bends_with_the_effect() -> None:
     bent = given.with_simulated(h, a, 3.0 * slope)  # 2 a by the slope, and a^2 / 4
     np.testing.assert_allclose(bent.nuisance[:, 5], 0.1 * 2.0 * slope)
     np.testing.assert_array_equal(np.delete(bent.nuisance, 5, 1), np.delete(nuisance, 5, 1))
+
+
+class Steep:
+    """Simulator whose response grows faster than any parabola; it remembers the sizes that it simulated."""
+
+    hypotheses = SENSITIVITIES.hypotheses
+    nuisances = SENSITIVITIES.nuisances
+
+    def __init__(self) -> None:
+        self.sizes: list[np.ndarray] = []
+
+    def predict(self, settings: EffectValues, nuisance: np.ndarray) -> np.ndarray:
+        change = np.zeros(WORLD.layout.size)
+        for hypothesis, values in settings.items():
+            self.sizes.append(hypothesis.departures(values))
+            change += self.respond(self.hypotheses.index(hypothesis), self.sizes[-1])
+        return change
+
+    def respond(self, h: int, a: np.ndarray) -> np.ndarray:
+        (column,) = np.flatnonzero(SENSITIVITIES.owner == h)
+        return SENSITIVITIES.effect[:, column] * float(a[0] + 0.02 * a[0] ** 3)
+
+
+def test_a_second_simulation_does_not_depend_on_the_first() -> None:
+    """A selection that simulates twice begins at the sensitivities of the campaign each time."""
+    simulator, h = Steep(), 3
+    found = select_simulated(MODEL, WHITEN, simulator.respond(h, np.array([6.0])), 1, simulator)
+    assert found.chosen == (h,)
+    assert len(simulator.sizes) > 1
+    last = SENSITIVITIES.with_simulated(h, simulator.sizes[-1], simulator.respond(h, simulator.sizes[-1]))
+    np.testing.assert_array_equal(found.sensitivities.nuisance, last.nuisance)
+    np.testing.assert_array_equal(found.sensitivities.curve, last.curve)
+    np.testing.assert_allclose(found.departures[0], 6.0, rtol=0.02)

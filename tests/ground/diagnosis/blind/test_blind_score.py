@@ -81,7 +81,7 @@ def test_one_of_the_same_class_is_right() -> None:
     assert found.interval.of == 0
 
 
-def test_rates_are_of_what_is_reported_from_the_limit_of_the_race_on() -> None:
+def test_rates_are_of_what_is_reported_from_the_limit_of_the_selection_on() -> None:
     hip = ("rub", "hip")
     found = scored(
         (true("single", hip), said(finding(*hip))),

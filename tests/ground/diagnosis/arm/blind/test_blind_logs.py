@@ -12,6 +12,7 @@ from ground.diagnosis.arm import blind_case
 from ground.diagnosis.arm.blind_case import ALLOWED_KEYS, TruthLeaked, check_leakage, sample_background
 from ground.diagnosis.arm.logs import load_recording
 from ground.diagnosis.arm.record import session_json
+from ground.diagnosis.arm.simulator import list_candidates, to_hypothesis
 from ground.diagnosis.blind_case import SealedTruth, TrueCase
 from ground.diagnosis.sampling import DetectableEffect
 from ground.telemetry.header import SESSION, flight_header, run_header
@@ -38,8 +39,8 @@ SESSIONS = tuple(one for one in make.all_sessions() if one.name == "cold")
 def cases(kinds: tuple[str, ...] = ("single", "out-of-catalogue")) -> dict[str, TrueCase]:
     """Return one case of each kind, with effects that need no campaign."""
     catalogue = [
-        DetectableEffect(make.to_hypothesis(one), 0.4, number)
-        for number, one in enumerate(make.list_candidates(None))
+        DetectableEffect(to_hypothesis(one), 0.4, number)
+        for number, one in enumerate(list_candidates(None))
         if str(one) in ("coulomb-friction:elbow", "backlash-width:wrist")
     ]
     unknown = [one for (name, _), one in list_uncatalogued().items() if name == "drifting-current"]
