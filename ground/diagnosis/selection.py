@@ -83,7 +83,10 @@ def select_simulated(
         sensitivities = model.sensitivities
         for h, (a, change) in simulated.items():
             sensitivities = sensitivities.with_simulated(h, a, change)
-        selection = select(model, sensitivities, build_full_whitener(sensitivities), value, seed, excluded)
+        again = select(model, sensitivities, build_full_whitener(sensitivities), value, seed, excluded)
+        if not again.chosen:  # several large effects that simulations bend one by one may leave none
+            break
+        selection = again
     return selection
 
 

@@ -63,7 +63,7 @@ def fit_nuisances(
         Best fit, and the effects that are selected there.
     """
     whiten = build_full_whitener(model.sensitivities)
-    alone = beside = _fit_alone(model, first, patch)
+    alone = beside = _fit_alone(model, whiten, first, patch)
     before = selection = select(model, model.sensitivities, whiten, alone.residual, seed)
     if not before.chosen:
         return alone, before
@@ -83,14 +83,22 @@ def fit_nuisances(
     return alone, select_simulated(model, whiten, alone.residual, seed, alone.simulator)
 
 
-def _fit_alone(model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effect, ...]) -> NuisanceFit:
+def _fit_alone(
+    model: DiagnosisModel, whiten: Whitener, first: CaseSimulator, patch: tuple[Effect, ...]
+) -> NuisanceFit:
+    """Fit the nuisances alone while the deviance falls: a simulated motor may stall where a real one ran."""
     current = _extrapolate(model, first, np.zeros(len(first.nuisances)))
     for _ in range(MAX_UPDATES):
         moved = _update(model, current, (), patch)
-        if moved is current:
+        if moved is current or _deviance(whiten, moved.residual) > _deviance(whiten, current.residual):
             break
         current = moved
     return current
+
+
+def _deviance(whiten: Whitener, residual: Array) -> float:
+    white = whiten(residual)
+    return float(white @ white)
 
 
 def _update(
@@ -136,10 +144,10 @@ def _cost(model: DiagnosisModel, whiten: Whitener, fit: NuisanceFit, selection: 
     """
     hypotheses, a = model.sensitivities.hypotheses, selection.departures
     values = {hypotheses[h]: hypotheses[h].values(of) for h, of in zip(selection.chosen, a, strict=True)}
-    rest = whiten(fit.residual - selection.sensitivities.change(values))
+    rest = fit.residual - selection.sensitivities.change(values)
     k = sum(of.size for of in a)
     needed = float(chi2.isf(FALSE_ALARM / max(selection.n_distinct, 1.0), k)) if k else 0.0
-    return float(rest @ rest) + needed
+    return _deviance(whiten, rest) + needed
 
 
 def _estimate_nuisances(model: DiagnosisModel, current: NuisanceFit, beside: tuple[int, ...]) -> Array:
