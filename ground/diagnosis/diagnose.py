@@ -1,7 +1,7 @@
 """Diagnosis of one case, from residuals to verdict.
 
-`diagnose` selects effects with the sensitivities (`selection`), by the engine that diagnoses any robot. It
-tests what remains (`residual_analysis`), and says at which level each effect is known.
+`diagnose` takes the effects that `selection` found by the engine that diagnoses any robot. It tests what
+remains (`residual_analysis`), and says at which level each effect is known.
 """
 
 from dataclasses import dataclass, replace
@@ -17,10 +17,9 @@ from ground.diagnosis.linear_fit import LinearFit, fit_linear
 from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.normal_equations import (
     NormalEquations,
-    build_full_whitener,
     form_normal_equations,
 )
-from ground.diagnosis.problem import EffectValues, Residuals, Simulator
+from ground.diagnosis.problem import EffectValues, Residuals
 from ground.diagnosis.residual_analysis import (
     FeatureGroup,
     LackOfFit,
@@ -28,7 +27,7 @@ from ground.diagnosis.residual_analysis import (
     find_lack_of_fit,
     map_residual,
 )
-from ground.diagnosis.selection import Selection, select_simulated
+from ground.diagnosis.selection import Selection
 
 MAX_MEMBERS: Final = 3
 """Most members of a set: more effects are told as their families, more families as their places."""
@@ -99,32 +98,20 @@ class Diagnosis:
     """Change of the features by the findings, in the units of the channels, shape (m,)."""
 
 
-def diagnose(
-    model: DiagnosisModel,
-    residuals: Residuals,
-    seed: int,
-    simulator: Simulator | None = None,
-    selection: Selection | None = None,
-) -> Diagnosis:
-    """Diagnose one case.
+def diagnose(model: DiagnosisModel, residuals: Residuals, selection: Selection, seed: int) -> Diagnosis:
+    """Diagnose one case whose effects are selected.
 
     Args:
         model: Diagnosis model of the campaign.
         residuals: Residuals of the case.
+        selection: Selected effects.
         seed: Seed of all random draws.
-        simulator: Simulator for effects beyond the reach of the sensitivities; None to extrapolate these.
-        selection: Selected effects; None if they are not known yet.
 
     Returns:
         Verdict, findings, and what remains unexplained.
     """
-    if selection is None:
-        whiten = build_full_whitener(model.sensitivities)
-        selection = select_simulated(model, whiten, residuals.value, seed, simulator)
-    hypotheses, sensitivities = model.sensitivities.hypotheses, selection.sensitivities
-    estimates = list(zip(selection.chosen, selection.departures, strict=True))
-    change = sensitivities.change({hypotheses[h]: hypotheses[h].values(a) for h, a in estimates})
-    for h, a in estimates:
+    sensitivities = selection.sensitivities
+    for h, a in zip(selection.chosen, selection.departures, strict=True):
         sensitivities = sensitivities.linearised(h, a)
     equations = form_normal_equations(sensitivities) if selection.chosen else model.equations
     y = equations.whiten(residuals.value)
@@ -138,7 +125,15 @@ def diagnose(
     values = effect_fit.theta[: equations.q] * equations.nuisance_unit
     nuisance = sensitivities.nuisance[:, sensitivities.shared_nuisances] @ values
     return Diagnosis(
-        verdict, findings, unexplained, cells, effect_fit, equations, has_remainder, nuisance, change
+        verdict,
+        findings,
+        unexplained,
+        cells,
+        effect_fit,
+        equations,
+        has_remainder,
+        nuisance,
+        selection.change(),
     )
 
 

@@ -96,7 +96,7 @@ def _has_more_room(model: DiagnosisModel, one: int, other: int) -> bool:
 
 def _room(model: DiagnosisModel, k: int) -> tuple[float, float]:
     """Return least and greatest common departure of all amplitudes, in detection limits."""
-    ends = np.array([one.departures for one in model.sensitivities.hypotheses[k].amplitudes])
+    ends = np.array([one.departure_range for one in model.sensitivities.hypotheses[k].amplitudes])
     limit = model.limits[k].limit
     return float(ends[:, 0].max() / limit), float(ends[:, 1].min() / limit)
 
@@ -105,7 +105,7 @@ def _feature_effect(model: DiagnosisModel, k: int) -> FeatureEffect:
     hypothesis, limit = model.sensitivities.hypotheses[k], model.limits[k].limit
     sizes = []
     for parameter in hypothesis.amplitudes:
-        least, most = parameter.departures
+        least, most = parameter.departure_range
         typical = min(LIMITS * limit, BOUND_SHARE * (most or -least))
         sizes.append(Size(parameter.name, least, most, typical))
     return FeatureEffect(hypothesis.place, k, hypothesis.effect, model.families[k], tuple(sizes))

@@ -58,7 +58,7 @@ class Parameter:
         return self.typical if self.neutral is None else self.neutral
 
     @property
-    def departures(self) -> tuple[float, float]:
+    def departure_range(self) -> tuple[float, float]:
         """Least and greatest departure from absent within the bounds, in typical sizes."""
         ends = [(end - self.absent) / self.typical for end in (self.least, self.most)]
         return min(ends), max(ends)

@@ -78,5 +78,5 @@ def list_detectable(
 
 def _room(one: DetectableEffect, sign: int) -> float:
     """Return how many typical sizes all amplitudes together may depart to one side."""
-    ends = [parameter.departures for parameter in one.hypothesis.amplitudes]
+    ends = [parameter.departure_range for parameter in one.hypothesis.amplitudes]
     return BOUND_SHARE * min(most if sign > 0 else -least for least, most in ends)

@@ -48,6 +48,16 @@ class Selection:
     """Sensitivities that it was made with."""
     engine: EngineSelection
 
+    def change(self) -> Array:
+        """Compute the change of the features by the selected effects.
+
+        Returns:
+            Change in the units of the channels, shape (m,).
+        """
+        hypotheses = [self.sensitivities.hypotheses[h] for h in self.chosen]
+        pairs = zip(hypotheses, self.departures, strict=True)
+        return self.sensitivities.change({one: one.values(a) for one, a in pairs})
+
 
 def select_simulated(
     model: DiagnosisModel, whiten: Whitener, value: Array, seed: int, simulator: Simulator | None

@@ -35,7 +35,7 @@ from validation.blind.classes import CLASSES_FILE, classes_json
 from validation.blind.folder import CAMPAIGN_FOLDER, CASES_FOLDER, PARTIAL_SUFFIX, case_name, write_json
 from validation.blind.out_of_catalogue import list_samplable, list_uncatalogued, resolve_effect
 
-CAMPAIGN_SHARES: Final = (0.01, 0.15)
+CAMPAIGN_SHARES: Final = (0.01, 0.05)
 """Shares of the time of 400 cases, for the progress: the campaign is recorded; its limits are known."""
 
 

@@ -1,5 +1,6 @@
 """Out-of-catalogue effects from a folder of Python files."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -32,7 +33,7 @@ class UncataloguedEffect:
 
 
 @cache
-def list_uncatalogued() -> dict[tuple[str, str], UncataloguedEffect]:
+def list_uncatalogued() -> Mapping[tuple[str, str], UncataloguedEffect]:
     """List all out-of-catalogue effects by effect and place; BadRequest if there are no files."""
     files = sorted(EFFECTS_FOLDER.glob("*/*.py"))
     if not files:

@@ -164,7 +164,7 @@ def fit_case(
 def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel, seed: int) -> DiagnosisResult:
     """Diagnose a case whose nuisances are fitted."""
     residuals = Residuals(fitted.model.sensitivities.layout, fitted.residual)
-    diagnosis = diagnose(fitted.model, residuals, seed, fitted.simulator, fitted.selection)
+    diagnosis = diagnose(fitted.model, residuals, fitted.selection, seed)
     closure, tool_error = _try_held_out(diagnosis, fitted, campaign, seed)
     return DiagnosisResult(
         fitted.model,

@@ -77,7 +77,7 @@ def fit_nuisances(
             break
         beside = moved
         selection = select_simulated(model, whiten, beside.residual, seed, beside.simulator)
-    cost = _cost(model, whiten, beside, selection)
+    cost = _cost(whiten, beside, selection)
     if beside is not alone and selection.chosen and cost < before.null_deviance:
         return beside, selection
     return alone, select_simulated(model, whiten, alone.residual, seed, alone.simulator)
@@ -137,17 +137,14 @@ def _extrapolate(model: DiagnosisModel, simulator: CaseSimulator, nuisance: Arra
     return NuisanceFit(simulator, nuisance, residual)
 
 
-def _cost(model: DiagnosisModel, whiten: Whitener, fit: NuisanceFit, selection: Selection) -> float:
+def _cost(whiten: Whitener, fit: NuisanceFit, selection: Selection) -> float:
     """Return the deviance beside the selected effects, plus the threshold for as many parameters.
 
     The whitener is that of the model, so that deviances of several selections can be compared.
     """
-    hypotheses, a = model.sensitivities.hypotheses, selection.departures
-    values = {hypotheses[h]: hypotheses[h].values(of) for h, of in zip(selection.chosen, a, strict=True)}
-    rest = fit.residual - selection.sensitivities.change(values)
-    k = sum(of.size for of in a)
+    k = sum(a.size for a in selection.departures)
     needed = float(chi2.isf(FALSE_ALARM / max(selection.n_distinct, 1.0), k)) if k else 0.0
-    return _deviance(whiten, rest) + needed
+    return _deviance(whiten, fit.residual - selection.change()) + needed
 
 
 def _estimate_nuisances(model: DiagnosisModel, current: NuisanceFit, beside: tuple[int, ...]) -> Array:

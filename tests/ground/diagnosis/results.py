@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from ground.diagnosis.closure import build_held_out_model, compute_held_out_residuals
-from ground.diagnosis.diagnose import Diagnosis, diagnose, effect_values
+from ground.diagnosis.diagnose import Diagnosis, effect_values
 from ground.diagnosis.experiment_design import rank_motions
 from ground.diagnosis.normal_equations import form_normal_equations
 from ground.diagnosis.problem import Residuals
 from ground.diagnosis.result import DiagnosisResult, ToolError
-from tests.ground.diagnosis.worlds import found
+from tests.ground.diagnosis.worlds import found, select_and_diagnose
 
 NOTES = ("motion 3: encoder stale for 1.2 s from 4 s on",)
 FLOOR = ("place 1.a: 24 pairs of repeats differ by 1.1",)
@@ -20,7 +20,7 @@ def result_of(made, campaign, seed, t=None, extra=None):
     """Diagnose a case of amplitudes t (k,); the same motions, measured again, are held out."""
     rng = np.random.default_rng(seed)
     measured = [made.measured(rng, t, extra, robot=seed) for _ in range(2)]
-    said = diagnose(campaign, Residuals(made.layout, measured[0]), seed=1)
+    said = select_and_diagnose(campaign, Residuals(made.layout, measured[0]), seed=1)
     apart = replace(made.layout, blocks=tuple(f"other {name}" for name in made.layout.blocks))
     held = build_held_out_model(campaign.equations, replace(found(made), layout=apart), campaign.equations.C)
     change = held.sensitivities.change(effect_values(said))

@@ -10,11 +10,11 @@ from ground.diagnosis.closure import (
     compute_held_out_residuals,
     whitened_closure,
 )
-from ground.diagnosis.diagnose import diagnose, effect_values
+from ground.diagnosis.diagnose import effect_values
 from ground.diagnosis.experiment_design import rank_motions
 from ground.diagnosis.normal_equations import form_normal_equations
 from ground.diagnosis.problem import Residuals
-from tests.ground.diagnosis.worlds import found, modelled, world
+from tests.ground.diagnosis.worlds import found, modelled, select_and_diagnose, world
 
 pytestmark = pytest.mark.slow
 
@@ -34,7 +34,7 @@ def held_out(made, campaign):
 def test_closure_agrees_with_the_truth(made, campaign, held_out, rng):
     """Without noise, the closure is 1 - |true - predicted|^2 / |true|^2."""
     t = np.where(made.owner == 4, 1.5, 0.0)
-    diagnosis = diagnose(campaign, Residuals(made.layout, made.measured(rng, t, robot=1)), seed=1)
+    diagnosis = select_and_diagnose(campaign, Residuals(made.layout, made.measured(rng, t, robot=1)), seed=1)
     change = held_out.sensitivities.change(effect_values(diagnosis))
     again = compute_held_out_residuals(diagnosis, held_out, made.measured(rng, t, robot=1), change).closure(
         seed=1
@@ -52,7 +52,7 @@ def test_a_gap_that_a_nuisance_could_imitate_is_not_hidden_by_it(rng):
     own[:, 2] = made.effect[:, 7] / sigma / 20.0
     made = replace(made, nuisance=own)
     campaign, t = modelled(found(made)), np.where(made.owner == 7, 1.0, 0.0)
-    diagnosis = diagnose(campaign, Residuals(made.layout, made.measured(rng, t, robot=1)), seed=1)
+    diagnosis = select_and_diagnose(campaign, Residuals(made.layout, made.measured(rng, t, robot=1)), seed=1)
     assert [one.hypothesis for one in diagnosis.findings] == [7]
     again = build_held_out_model(campaign.equations, elsewhere(made), campaign.equations.C)
     change = again.sensitivities.change(effect_values(diagnosis))

@@ -7,11 +7,11 @@ import pytest
 from scipy.stats import binom
 
 from ground.common.rates import estimate_rate
-from ground.diagnosis.diagnose import MAX_MEMBERS, diagnose
+from ground.diagnosis.diagnose import MAX_MEMBERS
 from ground.diagnosis.normal_equations import build_full_whitener
 from ground.diagnosis.problem import Residuals
 from ground.diagnosis.selection import select
-from tests.ground.diagnosis.worlds import found, modelled, world
+from tests.ground.diagnosis.worlds import found, modelled, select_and_diagnose, world
 
 
 def _sized(made, campaign, one, times):
@@ -19,7 +19,7 @@ def _sized(made, campaign, one, times):
 
 
 def _diagnose(made, campaign, rng, t=None, extra=None):
-    return diagnose(campaign, Residuals(made.layout, made.measured(rng, t, extra)), seed=1)
+    return select_and_diagnose(campaign, Residuals(made.layout, made.measured(rng, t, extra)), seed=1)
 
 
 def test_no_effect_is_not_called_one(made, campaign, rng):
@@ -116,14 +116,14 @@ def test_an_effect_that_is_left_out_and_what_is_the_same_as_it_are_not_named(mad
     left = replace(campaign, left_out_effect=made.hypotheses[4].effect)
     assert {4, *campaign.equivalence_class(4)} <= left.left_out
     y = made.measured(rng, _sized(made, campaign, 4, 6.0))
-    diagnosis = diagnose(left, Residuals(made.layout, y), seed=1)
+    diagnosis = select_and_diagnose(left, Residuals(made.layout, y), seed=1)
     assert diagnosis.verdict != "none"
     assert not {h for one in diagnosis.findings for h in one.effects} & left.left_out
 
 
 def test_the_same_seed_gives_the_same_diagnosis(made, campaign, rng):
     y = Residuals(made.layout, made.measured(rng, _sized(made, campaign, 4, 3.0)))
-    one, two = (diagnose(campaign, y, seed=5) for _ in range(2))
+    one, two = (select_and_diagnose(campaign, y, seed=5) for _ in range(2))
     assert one.verdict == two.verdict
     assert one.findings[0].alternatives == two.findings[0].alternatives
     assert np.array_equal(one.findings[0].values, two.findings[0].values)
@@ -148,7 +148,7 @@ def test_a_nonlinear_effect_is_fitted(rng, times):
     campaign = modelled(found(bent))
     t = np.where(bent.owner == 4, times, 0.0)
     y = Residuals(bent.layout, bent.measured(rng, t))
-    stepped, curved = (diagnose(campaign, y, seed=1, simulator=one) for one in (bent, None))
+    stepped, curved = (select_and_diagnose(campaign, y, seed=1, simulator=one) for one in (bent, None))
     truth = times * bent.hypotheses[4].parameters[0].typical
     assert stepped.findings[0].hypothesis == curved.findings[0].hypothesis == 4
     assert stepped.findings[0].values[0] == pytest.approx(truth, rel=0.1)

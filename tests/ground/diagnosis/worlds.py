@@ -5,8 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.effects.effect import Family
+from ground.diagnosis.diagnose import diagnose
 from ground.diagnosis.model import DiagnosisModel, build_model
+from ground.diagnosis.normal_equations import build_full_whitener
 from ground.diagnosis.problem import FeatureLayout, Hypothesis, Nuisance, Parameter
+from ground.diagnosis.selection import select_simulated
 from ground.diagnosis.sensitivity import Sensitivities, fit_parabola
 
 CONDITIONS = ("temperature", "load", "direction", "speed", "sine", "cosine")
@@ -113,6 +116,12 @@ def modelled(sensitivities) -> DiagnosisModel:
     """Return the diagnosis model: families by the number of the effect, locations as places."""
     families = [list(Family)[int(h.effect.split()[-1]) % 4] for h in sensitivities.hypotheses]
     return build_model(sensitivities, families, [h.place for h in sensitivities.hypotheses])
+
+
+def select_and_diagnose(model, residuals, seed, simulator=None):
+    """Select effects and diagnose; without a simulator, large effects are extrapolated."""
+    whiten = build_full_whitener(model.sensitivities)
+    return diagnose(model, residuals, select_simulated(model, whiten, residuals.value, seed, simulator), seed)
 
 
 def _centred(made, by):

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from ground.diagnosis.blind_case import SealedTruth, TrueCase, TrueEffect, plan_cases, seal
-from ground.diagnosis.diagnose import diagnose
 from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.problem import Residuals
 from ground.diagnosis.result import DiagnosisResult, to_json
 from ground.diagnosis.sampling import DetectableEffect
-from tests.ground.diagnosis.worlds import World, found
+from tests.ground.diagnosis.worlds import World, found, select_and_diagnose
 from validation.blind.case_features import (
     CampaignSensitivities,
     CaseFeatures,
@@ -74,7 +73,7 @@ def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
     def diagnosed(case: Path, _: Path, without: str) -> tuple[dict[str, object], CaseFeatures]:
         features = read_case_features(case / "log")
         model = replace(campaign, left_out_effect=without)
-        said = diagnose(model, Residuals(made.layout, features.fitted.value), 1)
+        said = select_and_diagnose(model, Residuals(made.layout, features.fitted.value), 1)
         return to_json(DiagnosisResult(model, said, None, None, (), (), ())), features
 
     return Folder(tmp_path, Solver(lambda *_: None, lambda _: kept, diagnosed), truth)
