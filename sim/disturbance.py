@@ -1,7 +1,7 @@
 """Disturbances of the plant: those of each control cycle, and those that are drawn for each move."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -52,27 +52,42 @@ def frame_body(frame: Frame, tool: str | None) -> str:
     return tool.lower()
 
 
-def _no_change() -> Array:
-    return np.zeros(len(Joint))
+NO_CHANGE: Final = np.zeros(len(Joint))
+NO_CHANGE.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Disturbance:
-    """Changes of each joint in one cycle against its built state, each of shape (5,); they add up."""
+    """Changes of each joint in one cycle against its built state, each of shape (5,); they add up.
 
-    friction_Nm: Array = field(default_factory=_no_change)
+    An array that is NO_CHANGE itself costs no time.
+    """
+
+    friction_Nm: Array = field(default_factory=lambda: NO_CHANGE)
     """Coulomb friction of motor and gear, output side; the sum with the built one is at least 0."""
-    damping_Nms_rad: Array = field(default_factory=_no_change)
+    damping_Nms_rad: Array = field(default_factory=lambda: NO_CHANGE)
     """Viscous friction of motor and gear, likewise."""
-    gear_rad: Array = field(default_factory=_no_change)
+    gear_rad: Array = field(default_factory=lambda: NO_CHANGE)
     """Output angles beyond backlash and wind-up."""
-    output_Nm: Array = field(default_factory=_no_change)
+    output_Nm: Array = field(default_factory=lambda: NO_CHANGE)
     """Torque on the outputs."""
-    servo: Array = field(default_factory=_no_change)
+    servo: Array = field(default_factory=lambda: NO_CHANGE)
     """Change of the gains of the motor controllers, relative to the built ones."""
 
     def __add__(self, other: "Disturbance") -> "Disturbance":
-        return Disturbance(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+        return Disturbance(
+            _add(self.friction_Nm, other.friction_Nm),
+            _add(self.damping_Nms_rad, other.damping_Nms_rad),
+            _add(self.gear_rad, other.gear_rad),
+            _add(self.output_Nm, other.output_Nm),
+            _add(self.servo, other.servo),
+        )
+
+
+def _add(one: Array, other: Array) -> Array:
+    if other is NO_CHANGE:
+        return one
+    return other if one is NO_CHANGE else one + other
 
 
 NO_DISTURBANCE: Final = Disturbance()

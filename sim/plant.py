@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Pose, screw_exp
-from sim.disturbance import LINK_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, no_move_disturbance
+from sim.disturbance import (
+    LINK_BODIES,
+    NO_CHANGE,
+    NO_DISTURBANCE,
+    Disturbance,
+    MoveDisturbance,
+    no_move_disturbance,
+)
 from sim.frames import FLIP, P_NR_M
 from sim.record import Truth
 
@@ -77,11 +84,14 @@ class StateViews:
     """Output less motor angle when MuJoCo last computed the tendons of the gears."""
     low_flank_rad: Array
     high_flank_rad: Array
+    gear_stiffness_Nm_rad: Array
     servo_angle_rad: Array
     """Motor angles that the motor controllers use."""
     servo_rate_rad_s: Array
     """Motor rates that the motor controllers use."""
     motor_torque_Nm: Array
+    setpoint_rad: Array
+    setpoint_rate_rad_s: Array
     warnings: NDArray[np.int32]
     """Counts of MuJoCo's warnings, by kind."""
 
@@ -101,6 +111,9 @@ class Plant:
         self.steps_per_cycle = round(1.0 / (CYCLE_HZ * model.opt.timestep))
         if not np.isclose(self.steps_per_cycle * model.opt.timestep * CYCLE_HZ, 1.0, rtol=1e-12):
             raise ValueError(f"time step {model.opt.timestep} s does not divide a cycle of 1/{CYCLE_HZ} s")
+        middle = (self.steps_per_cycle - 1) / 2
+        self._middle_s = [model.opt.timestep * (k - middle) for k in range(self.steps_per_cycle)]
+        """Time of the middle of each step from that of the cycle."""
         turret = model.body("turret").id
         self.tools = tuple(model.body(k).name.upper() for k in np.flatnonzero(model.body_parentid == turret))
         """Names of the tools: the bodies on the turret."""
@@ -153,9 +166,12 @@ class Plant:
             gear_length_rad=data.ten_length[gear_tendons],
             low_flank_rad=low_rad,
             high_flank_rad=high_rad,
+            gear_stiffness_Nm_rad=self.model.tendon_stiffness[gear_tendons],
             servo_angle_rad=data.actuator_length[actuators],
             servo_rate_rad_s=data.actuator_velocity[actuators],
             motor_torque_Nm=data.actuator_force[actuators],
+            setpoint_rad=data.ctrl[0::2],
+            setpoint_rate_rad_s=data.ctrl[1::2],
             warnings=data.warning.number,
         )
 
@@ -169,8 +185,7 @@ class Plant:
     @property
     def half_backlash_rad(self) -> Array:
         """Return half the width of the backlash, shape (5,)."""
-        low, high = self.model.tendon_lengthspring[self.at.gear_tendons].T
-        return np.asarray((high - low) / 2)
+        return np.asarray((self._views.high_flank_rad - self._views.low_flank_rad) / 2)
 
     def set_move_disturbance(self, move: MoveDisturbance) -> None:
         """Displace frames and gears from their built positions."""
@@ -186,13 +201,18 @@ class Plant:
 
     def set_disturbance(self, disturbance: Disturbance) -> None:
         """Change the joints against their built state until the next call."""
-        model, at = self.model, self.at
-        model.dof_frictionloss[at.motor] = np.maximum(self._friction_Nm + disturbance.friction_Nm, 0.0)
-        model.dof_damping[at.motor] = np.maximum(self._damping_Nms_rad + disturbance.damping_Nms_rad, 0.0)
-        model.actuator_gainprm[at.actuators, GAINS] = self._gains * (1.0 + disturbance.servo[:, None])
-        self.data.qfrc_applied[at.motor] = self.data.qfrc_applied[at.gear] = disturbance.output_Nm
+        model, at, before = self.model, self.at, self.disturbance
         self.disturbance = disturbance
-        self._shift_gears()
+        if disturbance.friction_Nm is not before.friction_Nm:
+            model.dof_frictionloss[at.motor] = np.maximum(self._friction_Nm + disturbance.friction_Nm, 0.0)
+        if disturbance.damping_Nms_rad is not before.damping_Nms_rad:
+            model.dof_damping[at.motor] = np.maximum(self._damping_Nms_rad + disturbance.damping_Nms_rad, 0.0)
+        if disturbance.servo is not before.servo:
+            model.actuator_gainprm[at.actuators, GAINS] = self._gains * (1.0 + disturbance.servo[:, None])
+        if disturbance.output_Nm is not NO_CHANGE or before.output_Nm is not NO_CHANGE:
+            self.data.qfrc_applied[at.motor] = self.data.qfrc_applied[at.gear] = disturbance.output_Nm
+        if disturbance.gear_rad is not before.gear_rad:
+            self._shift_gears()
 
     def _shift_gears(self) -> None:
         shift_rad = self.move_disturbance.gear_rad + self.disturbance.gear_rad
@@ -249,15 +269,16 @@ class Plant:
             PlantDiverged: MuJoCo counted a warning.
         """
         self.damp_gears()
-        end_s, h = self.data.time + 1.0 / CYCLE_HZ, self.model.opt.timestep
-        angle_rad, rate_rad_s = self.data.ctrl[0::2].copy(), self.data.ctrl[1::2] / self._rate_share
-        for k in range(self.steps_per_cycle):
-            self.data.ctrl[0::2] = angle_rad + rate_rad_s * (h * (k + 0.5 - self.steps_per_cycle / 2))
-            mujoco.mj_step(self.model, self.data)
-        self.data.time = end_s  # a cycle is exact in binary, a step need not be
-        self.data.ctrl[0::2] += rate_rad_s * self._late_s
+        end_s = self.data.time + 1.0 / CYCLE_HZ
+        model, data, setpoint_rad = self.model, self.data, self._views.setpoint_rad
+        angle_rad, rate_rad_s = setpoint_rad.copy(), self._views.setpoint_rate_rad_s / self._rate_share
+        for by_s in self._middle_s:
+            np.add(angle_rad, rate_rad_s * by_s, out=setpoint_rad)
+            mujoco.mj_step(model, data)
+        data.time = end_s  # a cycle is exact in binary, a step need not be
+        setpoint_rad += rate_rad_s * self._late_s
         self.update_motors()
-        self.data.ctrl[0::2] = angle_rad
+        setpoint_rad[:] = angle_rad
         self._check()
 
     def damp_gears(self) -> None:
@@ -293,15 +314,16 @@ class Plant:
 
     def backlash_rad(self) -> Array:
         """Return the true position in the backlash, shape (5,): plus or minus half its width on a flank."""
-        gear = self._gear_rad()
-        return np.asarray(np.clip(gear, -self.half_backlash_rad, self.half_backlash_rad))
+        return self._within_backlash(self._gear_rad())
+
+    def _within_backlash(self, gear_rad: Array) -> Array:
+        half_rad = self.half_backlash_rad
+        return np.asarray(np.minimum(np.maximum(gear_rad, -half_rad), half_rad))
 
     def gear_torque_Nm(self) -> Array:
         """Return the torque in each gear, shape (5,); a load towards positive angles is positive."""
-        torque: Array = self.model.tendon_stiffness[self.at.gear_tendons] * (
-            self._gear_rad() - self.backlash_rad()
-        )
-        return torque
+        gear_rad = self._gear_rad()
+        return np.asarray(self._views.gear_stiffness_Nm_rad * (gear_rad - self._within_backlash(gear_rad)))
 
     def _gear_rad(self) -> Array:
         """Return output less motor angles without the disturbances of the gears, shape (5,)."""

@@ -68,7 +68,7 @@ class World:
 def build(world: World, arm: ArmModel | None = None, for_pictures: bool = False) -> mujoco.MjSpec:
     """Make the MuJoCo specification of this world with the drawing of an arm, None for the default one.
 
-    Without `for_pictures`, geoms without contact are left out: they cost time in every step.
+    Without `for_pictures`, geoms without contact, materials and textures are left out: they cost time.
     The state is the same, so a run can be drawn with the other model.
 
     Raises:
@@ -121,9 +121,14 @@ def _load_scene(scene: Scene, arm_mjcf: str, for_pictures: bool) -> mujoco.MjSpe
 
 
 def _remove_visuals(spec: mujoco.MjSpec) -> None:
+    """Remove geoms without contact, and materials and textures, which cost most of the time to compile."""
     for geom in list(spec.geoms):
         if geom.contype == 0 and geom.conaffinity == 0:
             spec.delete(geom)
+        else:
+            geom.material = ""
+    for look in (*spec.materials, *spec.textures):
+        spec.delete(look)
 
 
 def params_in_world(world: World, params: Params) -> Params:

@@ -15,7 +15,7 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from sim.arm_model.description import ArmDescription
 from sim.arm_model.load import default_arm
-from sim.disturbance import Disturbance, MoveDisturbance, no_move_disturbance
+from sim.disturbance import NO_DISTURBANCE, Disturbance, MoveDisturbance, no_move_disturbance
 from sim.plant import Plant
 
 
@@ -299,13 +299,15 @@ def apply_cycle_effects(plant: Plant, hardware: Hardware) -> Hardware:
 
 def evaluate_cycle_effects(plant: Plant, hardware: Hardware) -> tuple[Hardware, Disturbance]:
     """Compute avionics, sensors and the total disturbance of this cycle; the plant keeps its own."""
-    total, active = Disturbance(), []
+    total, active = NO_DISTURBANCE, []
     for one in hardware.each_cycle:
         before = one.state if one.begun else one.effect.begin(plant, hardware)
         state, disturbance = one.effect.cycle(plant, hardware, before)
         total += disturbance
-        active.append(ActiveEffect(one.effect, state, True))
-    return replace(hardware, each_cycle=tuple(active)), total
+        is_same = one.begun and state is one.state
+        active.append(one if is_same else ActiveEffect(one.effect, state, True))
+    is_same = all(after is before for after, before in zip(active, hardware.each_cycle, strict=True))
+    return hardware if is_same else replace(hardware, each_cycle=tuple(active)), total
 
 
 def draw_move_disturbance(effects: Iterable[EachMove], rng: np.random.Generator) -> MoveDisturbance:
