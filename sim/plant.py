@@ -21,6 +21,7 @@ from sim.disturbance import (
 )
 from sim.frames import FLIP, P_NR_M
 from sim.record import Truth
+from sim.time_step import RATE_GAIN, REFERENCE_STEP_S, match_reference_damping
 
 JOINT_NAMES = tuple(joint.name.lower() for joint in Joint)
 SPRING_NAMES = ("rover", "link1", "link2", "link3", "link4")
@@ -34,12 +35,8 @@ that friction holds then creeps with a time constant of hours, not of four secon
 ALL_ACTUATORS = 0b111110
 """Bits of the actuator groups 1 to 5 of the motors; a set bit means no power."""
 
-RESISTANCE, MOTOR_CONSTANT, POSITION_GAIN, RATE_GAIN, GAINS = 0, 1, 4, 6, slice(4, 7)
+RESISTANCE, MOTOR_CONSTANT, GAINS = 0, 1, slice(4, 7)
 """Indices in MuJoCo's gain parameters of a dcmotor; GAINS are those of position, integral and rate."""
-
-REFERENCE_STEP_S = 1 / 2048
-"""Time step that the dampers of `arm.xml` are made for."""
-
 
 # MuJoCo would write its warnings to a file in the current directory; Plant.step checks their count
 mujoco.set_mju_user_warning(lambda _: None)
@@ -111,9 +108,8 @@ class Plant:
         self.steps_per_cycle = round(1.0 / (CYCLE_HZ * model.opt.timestep))
         if not np.isclose(self.steps_per_cycle * model.opt.timestep * CYCLE_HZ, 1.0, rtol=1e-12):
             raise ValueError(f"time step {model.opt.timestep} s does not divide a cycle of 1/{CYCLE_HZ} s")
-        middle = (self.steps_per_cycle - 1) / 2
-        self._middle_s = [model.opt.timestep * (k - middle) for k in range(self.steps_per_cycle)]
-        """Time of the middle of each step from that of the cycle."""
+        of_steps = np.arange(self.steps_per_cycle) - (self.steps_per_cycle - 1) / 2
+        self._middle_s = (model.opt.timestep * of_steps).tolist()
         turret = model.body("turret").id
         self.tools = tuple(model.body(k).name.upper() for k in np.flatnonzero(model.body_parentid == turret))
         """Names of the tools: the bodies on the turret."""
@@ -148,7 +144,7 @@ class Plant:
         self._on_flank = np.zeros(len(Joint), bool).tobytes()
         self._friction_Nm = model.dof_frictionloss[self.at.motor].copy()
         self._damping_Nms_rad = model.dof_damping[self.at.motor].copy()
-        self._gains = model.actuator_gainprm[self.at.actuators, GAINS].copy()
+        self._gains = model.actuator_gainprm[self.at.actuators, GAINS]
         self.move_disturbance = no_move_disturbance()
         self.disturbance = NO_DISTURBANCE
         self.model.tendon_invweight0[model.tendon_frictionloss > 0] *= HARD_FRICTION
@@ -270,11 +266,11 @@ class Plant:
         """
         self.damp_gears()
         end_s = self.data.time + 1.0 / CYCLE_HZ
-        model, data, setpoint_rad = self.model, self.data, self._views.setpoint_rad
+        data, setpoint_rad = self.data, self._views.setpoint_rad
         angle_rad, rate_rad_s = setpoint_rad.copy(), self._views.setpoint_rate_rad_s / self._rate_share
         for by_s in self._middle_s:
             np.add(angle_rad, rate_rad_s * by_s, out=setpoint_rad)
-            mujoco.mj_step(model, data)
+            mujoco.mj_step(self.model, data)
         data.time = end_s  # a cycle is exact in binary, a step need not be
         setpoint_rad += rate_rad_s * self._late_s
         self.update_motors()
@@ -284,9 +280,8 @@ class Plant:
     def damp_gears(self) -> None:
         """Set the damping of the gears as the reference step does: other on a flank than in the backlash."""
         views = self._views
-        on_flank = (views.gear_length_rad < views.low_flank_rad) | (
-            views.gear_length_rad > views.high_flank_rad
-        )
+        length_rad = views.gear_length_rad
+        on_flank = (length_rad < views.low_flank_rad) | (length_rad > views.high_flank_rad)
         if (flags := on_flank.tobytes()) != self._on_flank:
             self._on_flank = flags
             damping = np.where(on_flank, self._flank_damping_Nms_rad, self._free_damping_Nms_rad)
@@ -383,23 +378,6 @@ class Plant:
             mujoco.mj_contactForce(self.model, self.data, k, force)
             total += float(force[0])
         return total
-
-
-def match_reference_damping(model: mujoco.MjModel) -> float:
-    """Remove added damping from springs and servos, so that it equals that of the reference step.
-
-    `discrete` evaluates a spring at the end of a step h, which adds its stiffness times h to its damping.
-    PROVENANCE.md has the derivation.
-
-    Returns:
-        Time [s] that, times the stiffness of a gear, is its added damping; to be removed on a flank.
-    """
-    excess_s = float(model.opt.timestep) - REFERENCE_STEP_S
-    model.dof_damping[model.jnt_dofadr] -= excess_s * model.jnt_stiffness
-    if model.opt.solver == mujoco.mjtSolver.mjSOL_PGS:
-        excess_s = -REFERENCE_STEP_S  # the dual solver evaluates them at the start of a step
-    model.actuator_gainprm[:, RATE_GAIN] -= excess_s * model.actuator_gainprm[:, POSITION_GAIN]
-    return excess_s
 
 
 def as_slice(addresses: NDArray[np.intp]) -> slice:

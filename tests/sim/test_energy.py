@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from sim.plant import REFERENCE_STEP_S, Plant, PlantDiverged
+from sim.plant import Plant, PlantDiverged
+from sim.time_step import REFERENCE_STEP_S
 from sim.world import World
 from tests.sim import lab
 

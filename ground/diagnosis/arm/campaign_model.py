@@ -55,5 +55,5 @@ def load_campaign_model(
     if not held_out:
         return CampaignModel(made, keys, None, ())
     rest = part_of(progress, share, 1.0)
-    held_out_sensitivities = compute_sensitivities(held_out, kept_in, run, rest, kinds)
+    held_out_sensitivities = compute_sensitivities(held_out, kept_in, run, rest, kinds, steps_of=logs)
     return CampaignModel(made, keys, held_out_sensitivities.sensitivities, held_out_sensitivities.keys())

@@ -1,14 +1,14 @@
 """Sensitivities of a campaign: parallel finite differences of the arm's simulator, cached in files.
 
-`compute_sensitivities` is the entry. It simulates one side of every column, and adapts the steps to the
-noise. Then it simulates the other side with the same steps, and fits a parabola (`finite_differences`). The
-name of the cache file holds a digest of logs, model, parameters, catalogue and code.
+`compute_sensitivities` is the entry. It adapts the step of every column to the noise, in a part of the
+motions. Then it simulates both sides in all motions, and fits a parabola (`finite_differences`). The name of
+the cache file holds a digest of logs, model, parameters, catalogue and code.
 """
 
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
@@ -29,7 +29,8 @@ from ground.common.pool import Runner
 from ground.common.progress import Progress, part_of
 from ground.diagnosis.arm.audit import load_checked_recordings
 from ground.diagnosis.arm.case_simulator import feature_keys
-from ground.diagnosis.arm.feature_set import build_feature_set
+from ground.diagnosis.arm.feature_set import FeatureSet, build_feature_set, every_motion
+from ground.diagnosis.arm.features import MotionFeatures
 from ground.diagnosis.arm.finite_differences import (
     MAX_ROUNDS,
     JacobianColumn,
@@ -67,6 +68,8 @@ COMPARING_MODULES: Final = (
     "ground.diagnosis.sensitivity",
 )
 """Modules outside the simulator and this package that influence the result."""
+STEPS_SHARE: Final = 0.2
+"""Share of the time in which the steps are chosen, for the progress."""
 NUMERICS_SHARE: Final = 0.1
 """Share of the difference to another time step that remains as numerical error after the fit."""
 
@@ -81,6 +84,8 @@ class _Job:
     shares: tuple[float, ...]
     nominal: Array
     """Prediction without effects, shape (m,)."""
+    is_probe: bool
+    """True to simulate only the rests and the motions that move most joints at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +101,12 @@ class CachedSensitivities:
 
 
 def compute_sensitivities(
-    logs: Sequence[Path], kept_in: Path, run: Runner, progress: Progress, kinds: Sequence[str] | None = None
+    logs: Sequence[Path],
+    kept_in: Path,
+    run: Runner,
+    progress: Progress,
+    kinds: Sequence[str] | None = None,
+    steps_of: Sequence[Path] = (),
 ) -> CachedSensitivities:
     """Compute the sensitivities of a campaign, or load them from the cache.
 
@@ -106,27 +116,30 @@ def compute_sensitivities(
         run: Runner of parallel jobs.
         progress: Called with done, total and step.
         kinds: Names of the effects of the catalogue; None for all.
+        steps_of: Logs with cached sensitivities, whose steps are taken; none to adapt the steps.
 
     Raises:
         NotForDiagnosis: A log cannot be compared.
         BadRequest: A cached file cannot be read, or the folder cannot be made.
         BadOutput: A file cannot be written.
     """
-    paths = tuple(path.absolute() for path in sorted(logs))  # a worker may be in another folder
+    paths, others = (tuple(path.absolute() for path in sorted(some)) for some in (logs, steps_of))
     names = tuple(catalogue() if kinds is None else kinds)
-    path = kept_in / _cache_name(paths, names)
+    path = kept_in / _cache_name(paths, names, others)
     if path.exists():
         return CachedSensitivities(_load_cache(path), path)
     check_cache_folder(kept_in)
-    whole = kept_in / _cache_name(paths, tuple(catalogue()))
+    whole = kept_in / _cache_name(paths, tuple(catalogue()), others)
     if whole.exists():
         return _select_effects(CachedSensitivities(_load_cache(whole), whole), names, path)
-    result = _difference_all(paths, names, run, progress)
+    steps = _load_cache(kept_in / _cache_name(others, names, ())).reach if others else None
+    result = _difference_all(paths, names, run, progress, steps)
     return _save_cache(result, feature_keys(_simulator(paths, names).feature_set), path)
 
 
-def _cache_name(logs: Logs, kinds: Names) -> str:
-    return f"sensitivities-{campaign_digest(logs, kinds)[:16]}.npz"
+def _cache_name(logs: Logs, kinds: Names, steps_of: Logs) -> str:
+    digests = [campaign_digest(some, kinds)[:16] for some in (logs, steps_of) if some]
+    return f"sensitivities-{'-'.join(digests)}.npz"
 
 
 def _select_effects(whole: CachedSensitivities, names: Names, path: Path) -> CachedSensitivities:
@@ -141,47 +154,82 @@ def _save_cache(found: Sensitivities, keys: Sequence[str], path: Path) -> Cached
     return CachedSensitivities(found, path)
 
 
-def _difference_all(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensitivities:
-    """Simulate one side of every column with adaptive steps, then the other side with the same steps.
+def _difference_all(
+    paths: Logs, names: Names, run: Runner, progress: Progress, given: Array | None
+) -> Sensitivities:
+    """Simulate every column to both sides, with given steps or with adapted ones.
 
-    A column with its slope from a nuisance keeps its step: another step would not change that slope.
+    Args:
+        paths: Logs of the campaign.
+        names: Names of the effects.
+        run: Runner of parallel jobs.
+        progress: Called with done, total and step.
+        given: Step of each column of a hypothesis in typical sizes, shape (k,); None to adapt the steps.
     """
     simulator = _simulator(paths, names)
     columns = list_columns(simulator)
-    same, given = find_equal_columns(simulator, columns), find_shared_slopes(simulator, columns)
+    same = find_equal_columns(simulator, columns)
+    shares = {k: 1.0 for k in range(len(columns)) if k not in same}
+    if given is None:
+        shares = _choose_steps(paths, names, run, part_of(progress, 0.0, STEPS_SHARE), shares)
+    else:
+        shares |= dict(enumerate(given.tolist()))
+    two_sided = {k: by for k, by in shares.items() if count_sides(simulator, columns[k]) > 1}
+    jobs = [*_list_jobs(paths, names, shares, 0), *_list_jobs(paths, names, two_sided, 1)]
+    sides: tuple[dict[int, OneSidedStep], ...] = {}, {}
+    rest = part_of(progress, STEPS_SHARE if given is None else 0.0, 1.0)
+    for done, (side, found) in enumerate(run(_run_job, jobs), 1):
+        sides[side].update(found)
+        rest(done, len(jobs), "sensitivities")
+    return _assemble(paths, names, *sides)
+
+
+def _list_jobs(
+    paths: Logs, names: Names, shares: Mapping[int, float], side: int, is_probe: bool = False
+) -> list[_Job]:
+    """List the jobs that simulate one side of columns with these steps."""
+    simulator = _simulator(paths, names)
+    at_once = group_columns(simulator, list_columns(simulator), sorted(shares))
     nominal = _nominal_features(paths, names)
+    return [_Job(paths, names, of, side, tuple(shares[k] for k in of), nominal, is_probe) for of in at_once]
 
-    def simulated(
-        shares: Mapping[int, float], side: int, what: str, begin: float, end: float
-    ) -> dict[int, OneSidedStep]:
-        update = part_of(progress, begin, end)
-        at_once = group_columns(simulator, columns, sorted(shares))
-        jobs = [_Job(paths, names, of, side, tuple(shares[k] for k in of), nominal) for of in at_once]
-        found: dict[int, OneSidedStep] = {}
-        for done, some in enumerate(run(_run_job, jobs), 1):
-            found |= some
-            update(done, len(jobs), what)
-        return found
 
-    up = simulated({k: 1.0 for k in range(len(columns)) if k not in same}, 0, "sensitivities", 0.0, 0.4)
-    last, best = up, dict.fromkeys(up, math.inf)
+def _choose_steps(
+    paths: Logs, names: Names, run: Runner, progress: Progress, first: Mapping[int, float]
+) -> dict[int, float]:
+    """Adapt the steps to the noise: in the rests, and in the motions that move most joints at once.
+
+    A column with its slope from a nuisance keeps its step: another step would not change that slope.
+    Numerical errors keep theirs too. They are left out, as their rests take long.
+
+    Returns:
+        Step of each column as a share of its typical size.
+    """
+    simulator = _simulator(paths, names)
+    columns = list_columns(simulator)
+    fixed = find_shared_slopes(simulator, columns)
+    last: dict[int, OneSidedStep] = {}
+    wanted = {k: by for k, by in first.items() if not _is_numerical(simulator, columns[k])}
+    chosen, best = dict(first), dict.fromkeys(first, math.inf)
     for attempt in range(MAX_ROUNDS + 1):
+        update = part_of(progress, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
+        jobs = _list_jobs(paths, names, wanted, 0, is_probe=True)
+        for done, (_, found) in enumerate(run(_run_job, jobs), 1):
+            last |= found
+            update(done, len(jobs), "steps")
         scale = form_normal_equations(_assemble(paths, names, last, {})).scale
-        seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in given}
+        seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in fixed}
         nearer = [k for k in seen if step_error(seen[k]) < best[k]]
-        up |= {k: last[k] for k in nearer}
+        chosen |= {k: last[k].share for k in nearer}
         best |= {k: step_error(seen[k]) for k in nearer}
-        better = _adapt_steps(simulator, columns, last, seen) if attempt < MAX_ROUNDS else {}
-        if not better:
+        wanted = _adapt_steps(simulator, columns, last, seen)
+        if not wanted:
             break
-        last = {**last, **simulated(better, 0, "better steps", *_round_shares(attempt))}
-    down = {k: side.share for k, side in up.items() if count_sides(simulator, columns[k]) > 1}
-    return _assemble(paths, names, up, simulated(down, 1, "other sides", 0.6, 1.0))
+    return chosen
 
 
-def _round_shares(attempt: int) -> tuple[float, float]:
-    """Return the shares of all work before and after a round of better steps; each has half of the rest."""
-    return 0.6 - 0.2 * 0.5**attempt, 0.6 - 0.2 * 0.5 ** (attempt + 1)
+def _is_numerical(simulator: ArmSimulator, column: JacobianColumn) -> bool:
+    return column.hypothesis is None and bool(simulator.nuisance_effects[column.index].only_place)
 
 
 def _adapt_steps(
@@ -235,22 +283,19 @@ def _assemble(
 
 
 def _restrict_nuisances(simulator: ArmSimulator, column: Array) -> Array:
-    """Return the nuisance columns (m, q): restricted to their place, and relative to their baseline.
+    """Return the nuisance columns (m, q), each restricted to its place.
 
-    Rests are simulated with STEP_NUMERICS only. Other numerics share their change, and friction has none.
+    Rests are simulated with STEP_NUMERICS only; other numerics share their change.
     """
-    uncertain = simulator.nuisance_effects
-    plain = {one.effect(1.0): k for k, one in enumerate(uncertain) if one.only_place and not one.baseline}
     cut = column.copy()
     rests = np.arange(len(cut)) >= sum(len(one.features) for one in simulator.feature_set.motions)
+    uncertain = simulator.nuisance_effects
+    stepped = next(k for k, one in enumerate(uncertain) if one.effect(1.0) == STEP_NUMERICS)
     for k, one in enumerate(uncertain):
-        if not one.only_place:
-            continue
-        if one.baseline:
-            cut[:, k] -= column[:, plain[one.effect(1.0)]]
-        cut[rests, k] = 0.0 if one.baseline else column[rests, plain[STEP_NUMERICS]]
-        elsewhere = [simulator.layout.places[place] != one.only_place for place in simulator.layout.place]
-        cut[elsewhere, k] = 0.0
+        if one.only_place:
+            cut[rests, k] = column[rests, stepped]
+            elsewhere = [simulator.layout.places[place] != one.only_place for place in simulator.layout.place]
+            cut[elsewhere, k] = 0.0
     return cut
 
 
@@ -332,8 +377,21 @@ def _nominal_features(logs: Logs, kinds: Names) -> Array:
     return _simulator(logs, kinds).predict_effects(())
 
 
-def _run_job(job: _Job) -> dict[int, OneSidedStep]:
+def _run_job(job: _Job) -> tuple[int, dict[int, OneSidedStep]]:
+    """Simulate the columns of a job; return its side, and the step of each column."""
     simulator = _simulator(job.logs, job.kinds)
     every = list_columns(simulator)
-    sides = simulate_side(simulator, [every[k] for k in job.columns], job.nominal, job.side, job.shares)
-    return dict(zip(job.columns, sides, strict=True))
+    only = _moves_most_joints(simulator.feature_set) if job.is_probe else every_motion
+    columns = [every[k] for k in job.columns]
+    sides = simulate_side(simulator, columns, job.nominal, job.side, job.shares, only)
+    return job.side, dict(zip(job.columns, sides, strict=True))
+
+
+def _moves_most_joints(feature_set: FeatureSet) -> Callable[[MotionFeatures], bool]:
+    """Return the predicate of the motions that move as many joints as any, away from a surface."""
+
+    def count(one: MotionFeatures) -> int:
+        return len({segment.joint for segment in one.segments}) if one.recording.world.surface is None else 0
+
+    most = max(map(count, feature_set.motions), default=0)
+    return lambda one: count(one) == most

@@ -129,11 +129,6 @@ def every_motion(_: MotionFeatures) -> bool:
     return True
 
 
-def no_motion(_: MotionFeatures) -> bool:
-    """Return False: simulate only rests."""
-    return False
-
-
 def simulate_features(
     feature_set: FeatureSet,
     effects: Sequence[Effect],
@@ -250,13 +245,14 @@ def _rest_values(one: RestFeatures, resolver_rad: Array, X_RF: Pose) -> Array:
     return np.concatenate([resolver_rad.ravel(), screw.ravel()])
 
 
-def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint) -> Array:
+def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: bool = True) -> Array:
     """Return the change of rests by one joint alone, where all joints turn.
 
     Args:
         feature_set: Features of all recordings, m of them.
         change: Change of the features in the units of the channels, shape (m,).
         joint: The joint.
+        turns: False if only the reading of its resolver changes.
 
     Returns:
         Change of its resolver, and of the poses to first order by the turn that the resolver shows, shape
@@ -268,7 +264,7 @@ def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint) -> Arra
         n_rests, n_tracked = len(one.turning_points.rests), len(one.tracked_rests)
         own = slice(begin + joint * n_rests, begin + (joint + 1) * n_rests)
         found[own] = change[own]
-        if n_tracked:
+        if n_tracked and turns:
             rests = [r for r, _ in one.tracked_rests]
             motor_rad = one.turning_points.motor_rad[:, [one.turning_points.rests[r] for r in rests]]
             gravity = one.turning_points.recording.world.gravity_N_m_s2

@@ -6,7 +6,7 @@ kind are simulated at several joints at once, and each takes the motions of its 
 
 import math
 from collections import Counter
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,7 +15,8 @@ import numpy as np
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Flags
 from ground.diagnosis.arm.case_simulator import simulate_change
-from ground.diagnosis.arm.feature_set import no_motion, rests_moved_by
+from ground.diagnosis.arm.feature_set import changes_readings_only, every_motion, rests_moved_by
+from ground.diagnosis.arm.features import MotionFeatures
 from ground.diagnosis.arm.rest_poses import is_stepped
 from ground.diagnosis.arm.simulator import ArmSimulator
 from ground.diagnosis.problem import LOG_UNIT
@@ -184,6 +185,7 @@ def simulate_side(
     nominal: Array,
     number: int,
     shares: Sequence[float],
+    only: Callable[[MotionFeatures], bool] = every_motion,
 ) -> list[OneSidedStep]:
     """Simulate one side of columns that are simulated at once. Repeats of a motion are not simulated.
 
@@ -193,6 +195,7 @@ def simulate_side(
         nominal: Prediction without effects in the units of the channels, shape (m,).
         number: 0 for the first side, 1 for the second.
         shares: Step of each column as a share of its typical size.
+        only: Predicate of the motions to simulate; others do not change.
 
     Returns:
         Step of each column.
@@ -201,38 +204,29 @@ def simulate_side(
         _perturb_both_sides(simulator, column, by)[number] for column, by in zip(columns, shares, strict=True)
     ]
     if _group_key(simulator, columns[0]) is None:
-        changes = [_simulate_alone(simulator, columns[0], ends[0], nominal)]
+        changes = [simulate_change(simulator, ends[0].effects, nominal, only)]
     else:
-        changes = _simulate_together(simulator, ends, nominal)
+        changes = _simulate_together(simulator, ends, nominal, only)
     return [OneSidedStep(by, end.size, change) for by, end, change in zip(shares, ends, changes, strict=True)]
 
 
-def _simulate_alone(
-    simulator: ArmSimulator, column: JacobianColumn, end: _Perturbation, nominal: Array
-) -> Array:
-    if column.hypothesis is None and (beside := simulator.nuisance_effects[column.index].baseline):
-        simulator = simulator.with_patch(beside)
-        nominal = simulator.predict_effects(())
-    return simulate_change(simulator, end.effects, nominal)
-
-
-def _simulate_together(simulator: ArmSimulator, ends: Sequence[_Perturbation], nominal: Array) -> list[Array]:
-    """Simulate motions once with all effects and rests for each effect; select each joint's features.
-
-    Rests that have to be stepped are simulated once too: an effect at a joint turns only that joint.
-    """
+def _simulate_together(
+    simulator: ArmSimulator,
+    ends: Sequence[_Perturbation],
+    nominal: Array,
+    only: Callable[[MotionFeatures], bool],
+) -> list[Array]:
+    """Simulate once with all effects; select the motions and the rests that each joint changes."""
     every = tuple(effect for end in ends for effect in end.effects)
-    moved = simulate_change(simulator, every, nominal)
+    moved = simulate_change(simulator, every, nominal, only)
     moving = np.arange(moved.size) < sum(len(one.features) for one in simulator.feature_set.motions)
     found = []
     for end in ends:
         joint = _joint(end)
         assert joint is not None, "only effects at joints are simulated together"
         own = moving & _features_at(simulator, joint.name.lower())
-        if any(map(is_stepped, end.effects)):
-            at_rest = rests_moved_by(simulator.feature_set, moved, joint)
-        else:
-            at_rest = simulate_change(simulator, end.effects, nominal, no_motion)
+        turns = not all(map(changes_readings_only, end.effects))
+        at_rest = rests_moved_by(simulator.feature_set, moved, joint, turns)
         found.append(np.where(own, moved, at_rest))
     return found
 

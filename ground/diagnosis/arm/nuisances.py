@@ -9,6 +9,7 @@ import numpy as np
 
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.types import row6
+from ground.diagnosis.arm.rest_poses import STEP_NUMERICS
 from ground.diagnosis.problem import LOG_UNIT, Nuisance
 from sim.arm_model.load import default_arm
 from sim.arms import IDENTIFIABLE_AXES, SPRING_FRAMES, list_frames
@@ -23,16 +24,12 @@ from sim.initialisation import DAILY_FRICTION_SIGMA
 from sim.params import nominal_params
 from sim.plant import SCREW_AXES
 
-NUMERICS: Final = {
-    "time step": Numerics("implicit", 2),
-    "scheme": Numerics("explicit", 6),
-    "scheme and time step": Numerics("explicit", 8),
-}
-"""Other numerics of the plant; the explicit scheme diverges in steps that are not much finer."""
+NUMERICS: Final = {"time step": STEP_NUMERICS, "scheme": Numerics("explicit", 6)}
+"""Other numerics of the plant. The integrator is of first order, so that twice the change by half the time
+step is the change to the limit of short steps; the explicit scheme, whose steps cannot be as long, has an
+error of its own at 21 steps, which looks like friction at the elbow."""
 LEFT: Final = default_arm().description.tolerances.calibrated
 """Errors that a calibration leaves."""
-FRICTION_STEP_LN: Final = 2.0 * DAILY_FRICTION_SIGMA
-"""Change of friction, as a logarithm to both sides, at which other numerics are compared again."""
 COUNT_RAD: Final = 3.3e-6
 """Encoder count: the position of a set-point within a count is random but constant."""
 NUMERICS_SIGMA: Final = 2.0
@@ -54,12 +51,10 @@ class NuisanceEffect:
     """One-sided nuisance: it departs only to positive values."""
     only_place: str = ""
     """Place of the only features that it influences; empty for all."""
-    baseline: tuple[Effect, ...] = ()
-    """Effects that stay on; the column is the additional change beside them."""
 
 
 def list_nuisance_effects() -> Iterator[NuisanceEffect]:
-    """Yield calibration errors (sim.arms), friction of the day, and numerics of the plant."""
+    """Yield calibration errors (sim.arms), friction of the day, and numerical errors."""
     yield from _frame_nuisances()
     for joint in Joint:
         yield _joint_nuisance(joint, "zero", "rad", LEFT.hardstop_rad, HardstopAngle)
@@ -69,12 +64,8 @@ def list_nuisance_effects() -> Iterator[NuisanceEffect]:
         yield _joint_nuisance(frame, "link stiffness", LOG_UNIT, LEFT.stiffness_share, LinkStiffness)
     for joint in Joint:
         yield _joint_nuisance(joint, "counter", "rad", COUNT_RAD, EncoderZero)
-        name = joint.name.lower()
         for word, numerics in NUMERICS.items():
-            yield _numerics_nuisance(word, numerics, name)
-        for more, stickier in (("more", FRICTION_STEP_LN), ("less", -FRICTION_STEP_LN)):
-            friction = tuple(_scaled_effect(GearFriction, one, stickier) for one in Joint)
-            yield _numerics_nuisance(f"scheme under {more} friction", NUMERICS["scheme"], name, friction)
+            yield _numerics_nuisance(word, numerics, joint.name.lower())
     yield from _session_nuisances()
 
 
@@ -101,14 +92,10 @@ def _session_nuisances() -> Iterator[NuisanceEffect]:
         yield _joint_nuisance(joint, "resolver", "rad", 6e-6, ResolverBias, random_per_block=True)
 
 
-def _numerics_nuisance(
-    word: str, numerics: Numerics, name: str, beside: tuple[Effect, ...] = ()
-) -> NuisanceEffect:
+def _numerics_nuisance(word: str, numerics: Numerics, place: str) -> NuisanceEffect:
     """Return other numerics at one joint, on or off."""
-    nuisance = Nuisance(f"{word} {name}", "1", NUMERICS_SIGMA)
-    return NuisanceEffect(
-        nuisance, lambda _: numerics, word, one_sided=True, only_place=name, baseline=beside
-    )
+    nuisance = Nuisance(f"{word} {place}", "1", NUMERICS_SIGMA)
+    return NuisanceEffect(nuisance, lambda _: numerics, word, one_sided=True, only_place=place)
 
 
 def _joint_nuisance(
