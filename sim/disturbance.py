@@ -60,7 +60,7 @@ NO_CHANGE.setflags(write=False)
 class Disturbance:
     """Changes of each joint in one cycle against its built state, each of shape (5,); they add up.
 
-    An array that is NO_CHANGE itself costs no time.
+    An array that is NO_CHANGE itself is neither added nor set.
     """
 
     friction_Nm: Array = field(default_factory=lambda: NO_CHANGE)

@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Pose, screw_exp
-from sim.disturbance import (
-    LINK_BODIES,
-    NO_CHANGE,
-    NO_DISTURBANCE,
-    Disturbance,
-    MoveDisturbance,
-    no_move_disturbance,
-)
+from sim.disturbance import LINK_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, no_move_disturbance
 from sim.frames import FLIP, P_NR_M
 from sim.record import Truth
 from sim.time_step import RATE_GAIN, REFERENCE_STEP_S, match_reference_damping
@@ -196,7 +189,10 @@ class Plant:
         self._shift_gears()
 
     def set_disturbance(self, disturbance: Disturbance) -> None:
-        """Change the joints against their built state until the next call."""
+        """Change the joints against their built state until the next call.
+
+        An array that is the same object as before is not set again.
+        """
         model, at, before = self.model, self.at, self.disturbance
         self.disturbance = disturbance
         if disturbance.friction_Nm is not before.friction_Nm:
@@ -205,8 +201,8 @@ class Plant:
             model.dof_damping[at.motor] = np.maximum(self._damping_Nms_rad + disturbance.damping_Nms_rad, 0.0)
         if disturbance.servo is not before.servo:
             model.actuator_gainprm[at.actuators, GAINS] = self._gains * (1.0 + disturbance.servo[:, None])
-        if disturbance.output_Nm is not NO_CHANGE or before.output_Nm is not NO_CHANGE:
-            self.data.qfrc_applied[at.motor] = self.data.qfrc_applied[at.gear] = disturbance.output_Nm
+        # set always: a reset of MuJoCo's data removes it
+        self.data.qfrc_applied[at.motor] = self.data.qfrc_applied[at.gear] = disturbance.output_Nm
         if disturbance.gear_rad is not before.gear_rad:
             self._shift_gears()
 
@@ -253,8 +249,8 @@ class Plant:
         A servo compares its set-point with the angle at the start of a step, half a step too early. Only the
         feedback of its rate is reduced by the damping that the integrator adds.
         """
-        self.data.ctrl[0::2] = motor_rad - self._lead_s * rate_rad_s
-        self.data.ctrl[1::2] = self._rate_share * rate_rad_s
+        self._views.setpoint_rad[:] = motor_rad - self._lead_s * rate_rad_s
+        self._views.setpoint_rate_rad_s[:] = self._rate_share * rate_rad_s
 
     def step(self) -> None:
         """Advance the physics by one control cycle; the set-points, of its middle, move on at their rates.

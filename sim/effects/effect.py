@@ -304,10 +304,11 @@ def evaluate_cycle_effects(plant: Plant, hardware: Hardware) -> tuple[Hardware, 
         before = one.state if one.begun else one.effect.begin(plant, hardware)
         state, disturbance = one.effect.cycle(plant, hardware, before)
         total += disturbance
-        is_same = one.begun and state is one.state
-        active.append(one if is_same else ActiveEffect(one.effect, state, True))
-    is_same = all(after is before for after, before in zip(active, hardware.each_cycle, strict=True))
-    return hardware if is_same else replace(hardware, each_cycle=tuple(active)), total
+        is_kept = one.begun and state is one.state
+        active.append(one if is_kept else ActiveEffect(one.effect, state, True))
+    if any(after is not before for after, before in zip(active, hardware.each_cycle, strict=True)):
+        hardware = replace(hardware, each_cycle=tuple(active))  # costs as much time as an effect
+    return hardware, total
 
 
 def draw_move_disturbance(effects: Iterable[EachMove], rng: np.random.Generator) -> MoveDisturbance:

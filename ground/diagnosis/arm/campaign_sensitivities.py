@@ -123,6 +123,7 @@ def compute_sensitivities(
         BadRequest: A cached file cannot be read, or the folder cannot be made.
         BadOutput: A file cannot be written.
     """
+    # absolute, as a worker may be in another folder
     paths, others = (tuple(path.absolute() for path in sorted(some)) for some in (logs, steps_of))
     names = tuple(catalogue() if kinds is None else kinds)
     path = kept_in / _cache_name(paths, names, others)
@@ -209,7 +210,8 @@ def _choose_steps(
     columns = list_columns(simulator)
     fixed = find_shared_slopes(simulator, columns)
     last: dict[int, OneSidedStep] = {}
-    wanted = {k: by for k, by in first.items() if not _is_numerical(simulator, columns[k])}
+    begin, numerical = len(columns) - len(simulator.nuisances), _list_numerical(simulator)
+    wanted = {k: by for k, by in first.items() if k - begin not in numerical}
     chosen, best = dict(first), dict.fromkeys(first, math.inf)
     for attempt in range(MAX_ROUNDS + 1):
         update = part_of(progress, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
@@ -228,8 +230,9 @@ def _choose_steps(
     return chosen
 
 
-def _is_numerical(simulator: ArmSimulator, column: JacobianColumn) -> bool:
-    return column.hypothesis is None and bool(simulator.nuisance_effects[column.index].only_place)
+def _list_numerical(simulator: ArmSimulator) -> list[int]:
+    """List the indices of the nuisances of numerics."""
+    return [k for k, one in enumerate(simulator.nuisance_effects) if one.only_place]
 
 
 def _adapt_steps(
@@ -289,19 +292,18 @@ def _restrict_nuisances(simulator: ArmSimulator, column: Array) -> Array:
     """
     cut = column.copy()
     rests = np.arange(len(cut)) >= sum(len(one.features) for one in simulator.feature_set.motions)
-    uncertain = simulator.nuisance_effects
-    stepped = next(k for k, one in enumerate(uncertain) if one.effect(1.0) == STEP_NUMERICS)
-    for k, one in enumerate(uncertain):
-        if one.only_place:
-            cut[rests, k] = column[rests, stepped]
-            elsewhere = [simulator.layout.places[place] != one.only_place for place in simulator.layout.place]
-            cut[elsewhere, k] = 0.0
+    effects, numerical = simulator.nuisance_effects, _list_numerical(simulator)
+    stepped = next(k for k in numerical if effects[k].effect(1.0) == STEP_NUMERICS)
+    for k in numerical:
+        cut[rests, k] = column[rests, stepped]
+        own = effects[k].only_place
+        cut[[simulator.layout.places[place] != own for place in simulator.layout.place], k] = 0.0
     return cut
 
 
 def _raise_floor(simulator: ArmSimulator, nuisance: Array) -> FeatureLayout:
     """Add a share of the numerical errors to the noise floor: the fit removes them only in part."""
-    own = nuisance[:, [k for k, one in enumerate(simulator.nuisance_effects) if one.only_place]]
+    own = nuisance[:, _list_numerical(simulator)]
     sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
     return replace(simulator.layout, sigma=sigma)
 

@@ -95,6 +95,13 @@ def test_a_link_that_is_3_mm_too_long_moves_the_tool_by_3_mm(case: Callable[...,
     assert said.tool.after_mm < 2.0 * said.tool.noise_floor_mm
 
 
+def test_held_out_motions_have_the_steps_of_the_fitted_ones(against: CampaignModel) -> None:
+    assert against.held_out is not None
+    fitted = against.model.sensitivities.reach
+    assert np.any(fitted != 1.0)
+    np.testing.assert_array_equal(against.held_out.reach, fitted)
+
+
 def test_nuisances_do_not_take_the_place_of_an_effect_that_they_are_like(
     against: CampaignModel, tmp_path: Path
 ) -> None:
