@@ -183,10 +183,10 @@ def _make_traces(fitted: FittedCase, diagnosis: Diagnosis) -> Iterator[Trace]:
     case = fitted.simulator
     nominal = fitted.residual - diagnosis.nuisance
     explained = nominal - diagnosis.change
-    features = [case.arm.feature_set.features[k] for k in case.at]
-    sessions = np.array([case.arm.feature_set.sessions[k] for k in case.at])
+    all_features = case.arm.feature_set.list_features()
+    sessions = np.array(case.arm.feature_set.list_sessions())[case.at]
     measured = measure_features(case.arm.feature_set)[case.at]
-    is_moving = np.array([feature.key.startswith("motion ") for feature in features])
+    is_moving = np.array([all_features[k].key.startswith("motion ") for k in case.at])
     layout = case.layout
     for channel in np.unique(layout.channel[is_moving]):
         for session in np.unique(sessions[is_moving & (layout.channel == channel)]):

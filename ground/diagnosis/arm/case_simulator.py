@@ -169,7 +169,7 @@ def _simulate_nominal(arm: ArmSimulator) -> Array:
 
 def feature_keys(feature_set: FeatureSet) -> list[str]:
     """Return a unique key of each feature, equal in every recording of the session."""
-    named = zip(feature_set.sessions, feature_set.features, strict=True)
+    named = zip(feature_set.list_sessions(), feature_set.list_features(), strict=True)
     return [f"{session}/{feature.key}" for session, feature in named]
 
 
@@ -195,9 +195,11 @@ def copy_repeats(feature_set: FeatureSet, first: set[str], values: Array, otherw
     """
     known = {
         (feature.block, feature.key): value
-        for session, feature, value in zip(feature_set.sessions, feature_set.features, values, strict=True)
+        for session, feature, value in zip(
+            feature_set.list_sessions(), feature_set.list_features(), values, strict=True
+        )
         if session in first and np.isfinite(value)
     }
-    named = zip(feature_set.features, values, strict=True)
+    named = zip(feature_set.list_features(), values, strict=True)
     filled = [v if np.isfinite(v) else known.get((f.block, f.key), otherwise) for f, v in named]
     return np.array(filled)

@@ -67,17 +67,15 @@ class FeatureSet:
     motions: tuple[MotionFeatures, ...]
     rests: tuple[RestFeatures, ...]
 
-    @property
-    def features(self) -> tuple[Feature, ...]:
-        """Features of the motions, then of the rests."""
+    def list_features(self) -> tuple[Feature, ...]:
+        """List the features of the motions, then of the rests."""
         return (
             *(feature for one in self.motions for feature in one.features),
             *(feature for one in self.rests for feature in one.features),
         )
 
-    @property
-    def sessions(self) -> tuple[str, ...]:
-        """Name of the recording of each feature."""
+    def list_sessions(self) -> tuple[str, ...]:
+        """List the name of the recording of each feature."""
         return (
             *(one.recording.name for one in self.motions for _ in one.features),
             *(one.turning_points.recording.name for one in self.rests for _ in one.features),
@@ -150,7 +148,7 @@ def simulate_features(
         PlantDiverged: MuJoCo counted a warning.
     """
     values = [
-        evaluate_features(one, simulate_motion(one.recording, effects, options))
+        evaluate_features(one, simulate_motion(one, effects, options))
         if wanted(one)
         else np.full(len(one.features), np.nan)
         for one in feature_set.motions
@@ -161,14 +159,16 @@ def simulate_features(
 
 
 def simulate_motion(
-    recording: Recording, effects: Sequence[Effect], options: SimulationOptions
+    motion: MotionFeatures, effects: Sequence[Effect], options: SimulationOptions
 ) -> SensorColumns:
-    """Simulate the sensors of an arm with these effects under the recorded drive, without noise, by tick."""
+    """Simulate the sensors of an arm with these effects under the recorded drive, without noise, by tick.
+
+    What follows the last compared bin is left out: the end of every motion, and all from a touch on.
+    """
     readers = [effect for effect in effects if changes_readings_only(effect)]
     acting = tuple(effect for effect in effects if effect not in readers)
-    readings = (simulate_open_loop_cached if readers else simulate_open_loop)(
-        recording, acting, options
-    ).readings
+    simulate = simulate_open_loop_cached if readers else simulate_open_loop
+    readings = simulate(motion.recording, acting, options, ticks=motion.compared_ticks).readings
     return stack_readings(list(_apply_readers(readings, readers)) if readers else readings)
 
 

@@ -78,6 +78,13 @@ class MotionFeatures:
     segments: tuple[Segment, ...]
     features: tuple[Feature, ...]
 
+    @property
+    def compared_ticks(self) -> int:
+        """Number of ticks up to the end of the last bin that is compared; at least one."""
+        touch = _touch_tick(self.recording)
+        ends = (end for segment in self.segments for _, end in segment.bins() if end <= touch)
+        return max(ends, default=1)
+
 
 def list_motion_features(recording: Recording, config: Config) -> MotionFeatures:
     """List the features of a recording: three channels of every moving joint by bin, and the IMU.
@@ -129,9 +136,8 @@ def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
 
     Args:
         motion: Segments and features of the recording, m of them.
-        sensors: Readings by field, recorded or simulated, each of shape (n, ...) with n ticks, in the units
-            of
-            their names.
+        sensors: Readings by field, recorded or simulated, each of shape (n, ...) with n ticks, at least
+            `compared_ticks`, in the units of their names.
 
     Returns:
         Features in the units of their channels, shape (m,).
@@ -139,7 +145,8 @@ def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
     recording, values = motion.recording, []
     touch = _touch_tick(recording)
     encoder = sensors["encoder_count"].T * recording.rad_per_count[:, None]
-    setpoint = recording.drive["setpoint_count"].T * recording.rad_per_count[:, None]
+    setpoint_count = recording.drive["setpoint_count"][: encoder.shape[1]]
+    setpoint = setpoint_count.T * recording.rad_per_count[:, None]
     resolver = sensors["resolver_rad"].T - encoder - recording.start.zero_rad[:, None]
     for segment in motion.segments:
         j = segment.joint

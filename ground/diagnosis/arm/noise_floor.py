@@ -25,7 +25,7 @@ class NoiseFloor:
 
 def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
     """Estimate the noise floor by channel from repeats; it is never below the assumed sensor noise."""
-    features, values = feature_set.features, measure_features(feature_set)
+    features, values = feature_set.list_features(), measure_features(feature_set)
     sigma = np.array([assumed_sigma(feature) for feature in features])
     sigma = np.where(np.isfinite(tracker := _tracker_sigma(feature_set)), tracker, sigma)
     known: dict[tuple[str, str], int] = {}

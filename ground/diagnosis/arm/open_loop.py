@@ -34,6 +34,7 @@ def simulate_open_loop(
     effects: Sequence[Effect],
     options: SimulationOptions = NOISE_FREE,
     pose_ticks: frozenset[int] = frozenset(),
+    ticks: int | None = None,
 ) -> OpenLoopRun:
     """Simulate an arm with these effects under the recorded drive.
 
@@ -42,6 +43,7 @@ def simulate_open_loop(
         effects: Effects that are switched on.
         options: Simulation options.
         pose_ticks: Numbers of cycles after which the turret pose is taken.
+        ticks: Number of ticks from the start that are simulated; None for all.
 
     Raises:
         PlantDiverged: MuJoCo counted a warning.
@@ -49,7 +51,7 @@ def simulate_open_loop(
     arm = OpenLoopArm(recording.start, order_effects(recording, effects), options)
     readings: list[Sensors] = []
     poses: dict[int, Pose] = {}
-    for reading in arm.readings(recording.drives):
+    for reading in arm.readings(recording.drives[:ticks]):
         if len(readings) in pose_ticks:
             poses[len(readings)] = _turret(arm)
         readings.append(reading)
@@ -63,9 +65,10 @@ def simulate_open_loop_cached(
     recording: Recording,
     effects: tuple[Effect, ...],
     options: SimulationOptions,
+    ticks: int,
 ) -> OpenLoopRun:
     """Simulate as `simulate_open_loop`, and cache runs that several effects share."""
-    return simulate_open_loop(recording, effects, options)
+    return simulate_open_loop(recording, effects, options, ticks=ticks)
 
 
 def order_effects(recording: Recording, effects: Sequence[Effect]) -> tuple[Effect, ...]:

@@ -170,7 +170,7 @@ def _simulate_rests(turning_points: TurningPoints, effects: Sequence[Effect]) ->
     """Simulate the rests under the recorded drive, without noise."""
     recording = turning_points.recording
     ticks = [turning_points.tick[k] for k in turning_points.rests]
-    found = simulate_open_loop(recording, effects, pose_ticks=frozenset(ticks))
+    found = simulate_open_loop(recording, effects, pose_ticks=frozenset(ticks), ticks=max(ticks) + 1)
     differences_rad = []
     for reading in (found.readings[tick] for tick in ticks):
         motor = reading.encoder_count * recording.rad_per_count + recording.start.zero_rad

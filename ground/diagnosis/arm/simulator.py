@@ -232,7 +232,7 @@ def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
     Returns:
         Layout of the m features.
     """
-    features = feature_set.features
+    features = feature_set.list_features()
     named = [feature_channel(feature) for feature in features]
     blocks, places, regimes = (
         tuple(dict.fromkeys(getattr(f, name) for f in features)) for name in ("block", "place", "regime")

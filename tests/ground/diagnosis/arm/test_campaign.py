@@ -18,7 +18,14 @@ from ground.diagnosis.arm.feature_set import (
     simulate_features,
     simulate_motion,
 )
-from ground.diagnosis.arm.features import CHANNELS, CURRENT, IMU, ROTATION, TRANSLATION
+from ground.diagnosis.arm.features import (
+    CHANNELS,
+    CURRENT,
+    IMU,
+    ROTATION,
+    TRANSLATION,
+    evaluate_features,
+)
 from ground.diagnosis.arm.finite_differences import (
     find_equal_columns,
     find_shared_slopes,
@@ -56,7 +63,7 @@ def test_a_nominal_arm_leaves_its_sensors_noise(recordings: list[Recording]) -> 
     campaign = build_feature_set(recordings)
     rest = measure_features(campaign) - simulate_features(campaign, (), SHORT_SETTLING)
     whitened = rest / estimate_floor(campaign).sigma
-    channels = np.array([feature.channel for feature in campaign.features])
+    channels = np.array([feature.channel for feature in campaign.list_features()])
     for channel in sorted(set(channels)):
         mine = whitened[channels == channel]
         assert np.sqrt(np.mean(mine**2)) < 1.5, CHANNELS[channel]
@@ -64,7 +71,7 @@ def test_a_nominal_arm_leaves_its_sensors_noise(recordings: list[Recording]) -> 
 
 def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(recordings: list[Recording]) -> None:
     campaign = build_feature_set(recordings)
-    assert {f.block for f in campaign.features} == {"poses-level-1", "place-apxs"}
+    assert {f.block for f in campaign.list_features()} == {"poses-level-1", "place-apxs"}
     notes = estimate_floor(campaign).notes
     assert any("pairs of repeats" in note for note in notes)
     assert any(note.startswith("current") and "assumed" in note for note in notes)
@@ -90,8 +97,8 @@ def test_motions_that_are_not_resimulated_are_extrapolated(recordings: list[Reco
         build_case_simulator(one, arm.layout, feature_keys(campaign)) for one in (arm, arm.with_patch(patch))
     )
     everything, nothing = (resimulate(before, patch, only, by) for only in (every_motion, lambda _: False))
-    rests = np.array([feature.regime in ("rest", "pose") for feature in campaign.features])
-    rests &= np.array([feature.channel not in (IMU,) for feature in campaign.features])
+    rests = np.array([feature.regime in ("rest", "pose") for feature in campaign.list_features()])
+    rests &= np.array([feature.channel not in (IMU,) for feature in campaign.list_features()])
     np.testing.assert_array_equal(everything.nominal, after.nominal)
     np.testing.assert_array_equal(nothing.nominal[rests], after.nominal[rests])
     np.testing.assert_allclose((nothing.nominal - before.nominal)[~rests], 1e-3, rtol=1e-9)
@@ -103,7 +110,7 @@ def test_a_longer_link_moves_the_turret_by_as_much(recordings: list[Recording]) 
     campaign = build_feature_set(poses)
     moved = simulate_features(campaign, (LinkLength(Frame.ARM3, "x", 1e-3),), SHORT_SETTLING)
     moved -= simulate_features(campaign, (), SHORT_SETTLING)
-    channels = np.array([feature.channel for feature in campaign.features])
+    channels = np.array([feature.channel for feature in campaign.list_features()])
     shift = moved[channels == TRANSLATION].reshape(len(poses), 3, -1)
     np.testing.assert_allclose(np.linalg.norm(shift, axis=1), 1e-3, rtol=0.02)
     assert np.abs(moved[channels == ROTATION]).max() < 1e-5
@@ -116,6 +123,16 @@ def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording
     assert AffectedMotions((TurretMass(1.0),))(touch)
     assert not AffectedMotions((LinkLength(Frame.ARM3, "x", 1e-3),))(touch)
     assert not AffectedMotions((ToolOffset("DRILL", "x", 1e-3),))(touch)
+
+
+def test_no_tick_after_the_last_bin_influences_a_feature(recordings: list[Recording]) -> None:
+    (touch,) = build_feature_set(recordings).motions
+    whole = stack_readings(simulate_open_loop(touch.recording, (), SHORT_SETTLING).readings)
+    part = simulate_motion(touch, (), SHORT_SETTLING)
+    assert len(part["cycle"]) == touch.compared_ticks < touch.recording.ticks / 2
+    np.testing.assert_allclose(
+        evaluate_features(touch, part), evaluate_features(touch, whole), rtol=1e-12, atol=0.0
+    )
 
 
 def remembering() -> list[Effect]:
@@ -138,12 +155,13 @@ def test_what_only_reads_is_read_as_avionics_do_without_another_step(recordings:
     assert all(changes_readings_only(effect) for effect in readers)
     assert not changes_readings_only(EncoderZero(Joint.ELBOW, 1e-3))
     assert not changes_readings_only(GearStiffness(Joint.ELBOW, 1.1))
-    recording = recordings[0]
+    (motion,) = build_feature_set(recordings).motions
+    ticks = motion.compared_ticks
     anew, again = (
-        stack_readings(simulate_open_loop(recording, readers, SHORT_SETTLING).readings),
-        simulate_motion(recording, readers, SHORT_SETTLING),
+        stack_readings(simulate_open_loop(motion.recording, readers, SHORT_SETTLING, ticks=ticks).readings),
+        simulate_motion(motion, readers, SHORT_SETTLING),
     )
-    plain = simulate_motion(recording, (), SHORT_SETTLING)
+    plain = simulate_motion(motion, (), SHORT_SETTLING)
     for name, values in anew.items():
         np.testing.assert_allclose(again[name], values, rtol=1e-12, atol=1e-12)
         assert np.array_equal(values, plain[name]) == (name not in ("resolver_rad", "current_A"))
