@@ -11,6 +11,7 @@ from ground.diagnosis.result import DiagnosisResult
 
 MIN_SEPARATION: Final = 1.0
 """Separation in sigmas from which on a motion is worth recording."""
+IF_LISTED: Final = "If the cause is in the catalogue, it is"
 DEPENDS: Final = {"nothing": "a constant offset", "noise": "no condition, as if it were noise"}
 
 
@@ -63,13 +64,13 @@ def finding_sentence(result: DiagnosisResult, finding: Finding) -> str:
     sizes = ", ".join(size_words(result.hypothesis(finding.hypothesis), finding))
     families = join_names([str(one) for one in finding.families], " or ")
     if finding.level == "size":
-        return f"The cause is {own}: {sizes}. All other effects are excluded at 95 %."
+        return f"{IF_LISTED} {own}: {sizes}. All other effects in it are excluded at 95 %."
     if finding.level == "effect":
         return (
-            f"The cause is one of {len(names)} effects: {own} ({sizes}), or {join_names(names[1:], ' or ')}."
+            f"{IF_LISTED} one of {len(names)} effects: {own} ({sizes}), or {join_names(names[1:], ' or ')}."
         )
     if finding.level == "family":
-        return f"The cause is an effect of the family {families}; the best of {len(names)} is {own}."
+        return f"{IF_LISTED} of the family {families}; the best of {len(names)} effects is {own}."
     if finding.level == "place":
         return (
             f"The cause is at {join_names(finding.places, ' or ')}, and may be outside the catalogue. "

@@ -61,15 +61,15 @@ def test_three_effects_with_many_alternatives_fit_on_a_screen(diagnose, results)
     said = replace(result.diagnosis, findings=(coarse,) * 3)
     done = diagnose(replace(result, diagnosis=said))
     assert done.exit_code == 0
-    assert "the best of 12 is" in " ".join(done.stdout.split())
+    assert "the best of 12 effects is" in " ".join(done.stdout.split())
     assert len(done.stdout.splitlines()) <= SCREEN
 
 
 @pytest.mark.parametrize(
     ("level", "said"),
     [
-        ("size", "All other effects are excluded at 95 %"),
-        ("family", "is an effect of the family"),
+        ("size", "All other effects in it are excluded at 95 %"),
+        ("family", "it is of the family"),
         ("place", "may be outside the catalogue. In these motions it acts like"),
         ("unlocated", "A cause is not located: "),
     ],
