@@ -54,24 +54,43 @@ class CasePart:
     value: Array
 
 
-def split_case(sensitivities: CampaignSensitivities, case: CaseFeatures) -> tuple[CasePart, CasePart]:
-    """Return the fitted and the held-out part of a case."""
-    fitted = CasePart(sensitivities.fitted.select(case.fitted.rows), case.fitted.value)
-    return fitted, CasePart(sensitivities.held.select(case.held.rows), case.held.value)
+def read_case_parts(path: Path, sensitivities: CampaignSensitivities) -> tuple[CasePart, CasePart]:
+    """Read the fitted and the held-out part of a case; BadRequest if the campaign has not its features."""
+    case = read_case_features(path)
+    parts = (sensitivities.fitted, case.fitted), (sensitivities.held, case.held)
+    for campaign, residuals in parts:
+        if residuals.rows.size and residuals.rows.max() >= campaign.layout.size:
+            raise BadRequest(
+                f"{path}: row {residuals.rows.max()} is not among the {campaign.layout.size} features of the "
+                f"campaign; {_solve_again(path)}"
+            )
+    fitted, held = (
+        CasePart(campaign.select(residuals.rows), residuals.value) for campaign, residuals in parts
+    )
+    return fitted, held
 
 
 def read_case_features(path: Path) -> CaseFeatures:
     """Read residuals from a file; BadRequest if they cannot be read."""
     try:
         document = json.loads(path.read_bytes())
-        fitted, held = (
-            CaseResiduals(np.array(document[name]["rows"], np.intp), np.array(document[name]["value"], float))
-            for name in ("fitted", "held")
-        )
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        solved = path.name.replace(".features", "")
-        raise BadRequest(f"{path}: holds no features ({error}); remove {solved} and solve again") from error
+        fitted, held = (_parse_residuals(document[name]) for name in ("fitted", "held"))
+    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
+        raise BadRequest(f"{path}: holds no features ({error}); {_solve_again(path)}") from error
     return CaseFeatures(fitted, held)
+
+
+def _parse_residuals(document: Any) -> CaseResiduals:
+    found = CaseResiduals(np.array(document["rows"], np.intp), np.array(document["value"], float))
+    if found.rows.ndim != 1 or found.rows.shape != found.value.shape:
+        raise ValueError(f"{found.rows.size} rows have {found.value.size} values")
+    if np.any(found.rows < 0) or np.any(np.diff(found.rows) <= 0) or not np.all(np.isfinite(found.value)):
+        raise ValueError("rows must ascend from 0, and values be finite")
+    return found
+
+
+def _solve_again(path: Path) -> str:
+    return f"remove {path.name.replace('.features', '')} and solve again"
 
 
 def closure_of_truth(fitted: CasePart, held: CasePart, true: dict[Hypothesis, Array], seed: int) -> Closure:

@@ -13,10 +13,9 @@ from ground.diagnosis.problem import Hypothesis
 from validation.blind.case_features import (
     CampaignSensitivities,
     closure_of_truth,
-    read_case_features,
-    split_case,
+    read_case_parts,
 )
-from validation.blind.classes import load_classes
+from validation.blind.classes import load_classes, load_outside_effects
 from validation.blind.folder import CAMPAIGN_FOLDER, CASES_FOLDER, load_results
 from validation.blind.score import ResultDocument, Score, score
 from validation.blind.solve import DIAGNOSIS_SEED, features_path
@@ -52,14 +51,24 @@ def score_folder(
         nonlocal done
         progress(done, len(results), case.name)
         done += 1
-        features = read_case_features(features_path(folder / CASES_FOLDER / case.name))
-        parts = split_case(sensitivities, features)
+        parts = read_case_parts(features_path(folder / CASES_FOLDER / case.name), sensitivities)
         return closure_of_truth(*parts, _true_values(sensitivities, case), DIAGNOSIS_SEED).share
 
     solved = [(case, results[case.name]) for case in truth.cases if case.name in results]
     for case, result in solved:
+        _check_outside(case)
         _check_sizes(case, result)
     return score(load_classes(folder / CAMPAIGN_FOLDER), solved, true_closure)
+
+
+def _check_outside(case: TrueCase) -> None:
+    """Raise BadRequest if today's effects outside the catalogue lack that of a case."""
+    for effect in case.effects if case.kind == "out-of-catalogue" else ():
+        if effect.name not in load_outside_effects():
+            raise BadRequest(
+                f"{case.name}: {effect.name} is none of today's effects outside the catalogue; score it with "
+                f"the marsarm that made it"
+            )
 
 
 def _check_sizes(case: TrueCase, result: ResultDocument) -> None:

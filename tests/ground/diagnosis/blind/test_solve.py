@@ -9,11 +9,11 @@ import pytest
 
 from ground.common.errors import BadRequest
 from ground.common.pool import local_runner
-from ground.diagnosis.blind_case import TRUTH
-from validation.blind.case_features import read_case_features
+from ground.diagnosis.blind_case import TRUTH, seal
+from validation.blind.case_features import read_case_features, read_case_parts
 from validation.blind.folder import SOLVED_FOLDER, load_results, result_path, write_json
 from validation.blind.score_folder import score_folder
-from validation.blind.solve import NoDiagnosis, solve_cases
+from validation.blind.solve import NoDiagnosis, features_path, solve_cases
 from validation.blind.table import score_json, score_markdown
 
 pytestmark = pytest.mark.slow
@@ -169,12 +169,51 @@ def test_a_size_that_an_effect_has_not_is_refused(solved) -> None:
     path.write_bytes(before)
 
 
-@pytest.mark.parametrize("text", [None, "", "[]", '{"fitted": {"rows": [0]}}'])
+WHOLE = {"rows": [0, 2], "value": [1.0, 2.0]}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [None, "", "[]", '{"fitted": {"rows": [0]}}']
+    + [
+        json.dumps({"fitted": WHOLE | bad, "held": WHOLE})
+        for bad in (
+            {"rows": [0]},
+            {"rows": [2, 0]},
+            {"rows": [-1, 0]},
+            {"rows": [0, 10**30]},
+            {"value": [[1.0, 2.0]]},
+            {"value": [1.0, float("nan")]},
+        )
+    ],
+)
 def test_features_that_are_none_are_refused(tmp_path: Path, text: str | None) -> None:
     if text is not None:
         (tmp_path / "f.json").write_text(text)
     with pytest.raises(BadRequest, match=r"f\.json: holds no features"):
         read_case_features(tmp_path / "f.json")
+
+
+def test_a_row_that_the_campaign_has_not_is_refused(solved) -> None:
+    case = next(case for case in solved.truth.cases if case.kind == "single")
+    path = features_path(solved.path / "cases" / case.name)
+    sensitivities = solved.solver.load_sensitivities(solved.path)
+    document = json.loads(path.read_bytes())
+    document["held"]["rows"][-1] = sensitivities.held.layout.size
+    path.write_text(json.dumps(document))
+    with pytest.raises(
+        BadRequest, match=rf"{case.name}\.features\.json: row \d+ is not among the \d+ features"
+    ):
+        read_case_parts(path, sensitivities)
+
+
+def test_an_effect_of_another_version_is_refused(solved) -> None:
+    cases = list(solved.truth.cases)
+    at = next(k for k, case in enumerate(cases) if case.kind == "out-of-catalogue")
+    cases[at] = replace(cases[at], effects=(replace(cases[at].effects[0], name="old-wobble"),))
+    seal(solved.path, replace(solved.truth, cases=tuple(cases)))
+    with pytest.raises(BadRequest, match=f"{cases[at].name}: old-wobble is none of today's effects"):
+        score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
 
 
 def test_a_changed_truth_is_not_scored_against(solved) -> None:
