@@ -38,7 +38,7 @@ def demo(request: DemoRequest, progress: Progress) -> VerbResult:
     """Draw an effect that is not printed, record an arm with it, diagnose the logs, and open the seal.
 
     In one of four demonstrations the catalogue lacks the effect; in one of ten there is none. The first
-    demonstration computes the sensitivities of the campaign, which takes ten minutes; later ones take two.
+    demonstration computes the sensitivities of the campaign, which takes five minutes; later ones take one.
 
     Example: marsarm gap demo --seed 3
     """

@@ -6,6 +6,7 @@ SHA-256. `load_truth` refuses a truth that does not match that digest.
 
 import hashlib
 import json
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -29,6 +30,8 @@ TRUTH: Final = "truth.json"
 DIGEST: Final = "digest.txt"
 KIND_SHARES: Final[dict[CaseKind, float]] = {"none": 0.25, "out-of-catalogue": 0.35, "pair": 0.15}
 """Shares of all cases; the others have one effect of the catalogue."""
+EFFECTS_OF_KIND: Final[dict[CaseKind, int]] = {"none": 0, "single": 1, "pair": 2, "out-of-catalogue": 1}
+CASE_NAME: Final = re.compile(r"case-\d{3,}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +61,7 @@ class TrueCase:
 
 @dataclass(frozen=True, slots=True)
 class SealedTruth:
-    """Truth of all cases; the salt prevents that a guessed truth is confirmed by the digest."""
+    """Truth of all cases; without the seed, the salt prevents that the digest confirms a guess."""
 
     salt: str
     cases: tuple[TrueCase, ...]
@@ -135,11 +138,39 @@ def load_truth(folder: Path) -> SealedTruth:
             f"nothing is scored against a truth that was changed"
         )
     try:
-        return _TRUTH_ADAPTER.validate_json(raw)
-    except ValidationError as error:
-        first = error.errors()[0]
-        why = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-        raise BadRequest(f"{folder / TRUTH}: was sealed, but is no truth ({why})") from error
+        truth = _TRUTH_ADAPTER.validate_json(raw)
+        _check_cases(truth.cases)
+    except (ValidationError, ValueError) as error:
+        raise BadRequest(f"{folder / TRUTH}: was sealed, but is no truth ({first_problem(error)})") from error
+    return truth
+
+
+def first_problem(error: ValueError) -> str:
+    """Return the first problem of a document in one line: where it is, and what it is."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors()[0]
+    where = ".".join(map(str, first["loc"]))
+    return f"{where}: {first['msg']}" if where else str(first["msg"])
+
+
+def _check_cases(cases: Sequence[TrueCase]) -> None:
+    """Raise ValueError if a case contradicts its kind or itself, or comes twice."""
+    if not cases:
+        raise ValueError("it has no case")
+    if len({case.name for case in cases}) < len(cases):
+        raise ValueError("two cases have one name")
+    for case in cases:
+        if CASE_NAME.fullmatch(case.name) is None:
+            raise ValueError(f"{case.name!r} is no name of a case; case-000 is one")
+        if len(case.effects) != EFFECTS_OF_KIND[case.kind]:
+            raise ValueError(f"{case.name}: {len(case.effects)} effects do not make it {case.kind!r}")
+        if len({(effect.name, effect.place) for effect in case.effects}) < len(case.effects):
+            raise ValueError(f"{case.name}: the same effect comes twice")
+        for effect in case.effects:
+            numbers = [*effect.values.values(), effect.times_limit]
+            if not np.all(np.isfinite(numbers)) or effect.times_limit <= 0.0:
+                raise ValueError(f"{case.name}: {effect.name} has a size that no effect can have")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,14 +1,15 @@
 """Features of a case, and the closure of its true effects on held-out motion."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Final
 
 import numpy as np
+from pydantic import Field, FiniteFloat, TypeAdapter
 
 from fsw.kinematics.transforms import Array
 from ground.common.errors import BadRequest
+from ground.diagnosis.blind_case import first_problem
 from ground.diagnosis.closure import Closure, build_held_out_model, compute_closure
 from ground.diagnosis.normal_equations import form_normal_equations
 from ground.diagnosis.problem import Hypothesis, Ints
@@ -54,6 +55,21 @@ class CasePart:
     value: Array
 
 
+@dataclass(frozen=True, slots=True)
+class _PartFile:
+    rows: Annotated[list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=1)]
+    value: list[FiniteFloat]
+
+
+@dataclass(frozen=True, slots=True)
+class _FeaturesFile:
+    fitted: _PartFile
+    held: _PartFile
+
+
+_FEATURES_ADAPTER: Final = TypeAdapter(_FeaturesFile)
+
+
 def read_case_parts(path: Path, sensitivities: CampaignSensitivities) -> tuple[CasePart, CasePart]:
     """Read the fitted and the held-out part of a case; BadRequest if the campaign has not its features."""
     case = read_case_features(path)
@@ -73,20 +89,22 @@ def read_case_parts(path: Path, sensitivities: CampaignSensitivities) -> tuple[C
 def read_case_features(path: Path) -> CaseFeatures:
     """Read residuals from a file; BadRequest if they cannot be read."""
     try:
-        document = json.loads(path.read_bytes())
-        fitted, held = (_parse_residuals(document[name]) for name in ("fitted", "held"))
-    except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
-        raise BadRequest(f"{path}: holds no features ({error}); {_solve_again(path)}") from error
-    return CaseFeatures(fitted, held)
+        file = _FEATURES_ADAPTER.validate_json(path.read_bytes(), strict=True)
+        return CaseFeatures(_check_residuals(file.fitted), _check_residuals(file.held))
+    except OSError as error:
+        raise BadRequest(f"{path}: cannot be read ({error.strerror}); {_solve_again(path)}") from error
+    except ValueError as error:
+        raise BadRequest(
+            f"{path}: holds no features ({first_problem(error)}); {_solve_again(path)}"
+        ) from error
 
 
-def _parse_residuals(document: Any) -> CaseResiduals:
-    found = CaseResiduals(np.array(document["rows"], np.intp), np.array(document["value"], float))
-    if found.rows.ndim != 1 or found.rows.shape != found.value.shape:
-        raise ValueError(f"{found.rows.size} rows have {found.value.size} values")
-    if np.any(found.rows < 0) or np.any(np.diff(found.rows) <= 0) or not np.all(np.isfinite(found.value)):
-        raise ValueError("rows must ascend from 0, and values be finite")
-    return found
+def _check_residuals(part: _PartFile) -> CaseResiduals:
+    """Return the residuals of a part; ValueError if rows do not ascend, or have not a value each."""
+    rows = np.array(part.rows, np.intp)
+    if rows.size != len(part.value) or np.any(np.diff(rows) <= 0):
+        raise ValueError(f"{rows.size} rows, which must ascend, have {len(part.value)} values")
+    return CaseResiduals(rows, np.array(part.value))
 
 
 def _solve_again(path: Path) -> str:

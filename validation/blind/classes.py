@@ -1,15 +1,17 @@
 """Equivalence classes, detection limits, families and locations of a campaign, published before its cases."""
 
-import json
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+from pydantic import Field, TypeAdapter, ValidationError
 
 from ground.common.errors import BadRequest
 from ground.diagnosis.arm.families import locate
+from ground.diagnosis.blind_case import first_problem
 from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.result import finite_or_none
 from validation.blind.out_of_catalogue import EFFECTS_FOLDER
@@ -30,6 +32,23 @@ class PublishedHypothesis:
     """Detection limit in the selection from all hypotheses, over that of a single test."""
     family: str
     location: str
+
+
+_Limit = Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    name: str
+    place: str
+    label: Annotated[int, Field(validation_alias="class")]
+    limit: _Limit
+    family_wise_limit: _Limit
+    family: str
+    location: str
+
+
+_CLASSES_ADAPTER: Final = TypeAdapter(Annotated[list[_Entry], Field(min_length=1)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,19 +110,22 @@ def classes_json(model: DiagnosisModel) -> list[dict[str, Any]]:
 
 def load_classes(campaign: Path) -> EquivalenceClasses:
     """Load what is published; BadRequest if it cannot be read."""
+    path = campaign / CLASSES_FILE
     try:
-        document = json.loads((campaign / CLASSES_FILE).read_bytes())
-        return EquivalenceClasses({
-            (one["name"], one["place"]): PublishedHypothesis(
-                one["class"], one["family_wise_limit"] / one["limit"], one["family"], one["location"]
-            )
-            for one in document
-            if one["limit"] is not None
-        })  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError, ZeroDivisionError) as error:
+        document = _CLASSES_ADAPTER.validate_json(path.read_bytes(), strict=True)
+    except OSError as error:
+        raise BadRequest(f"{path}: cannot be read ({error.strerror}); make the campaign anew") from error
+    except ValidationError as error:
         raise BadRequest(
-            f"{campaign / CLASSES_FILE}: holds no classes ({error}); make the campaign anew"
+            f"{path}: holds no classes ({first_problem(error)}); make the campaign anew"
         ) from error
+    return EquivalenceClasses({
+        (one.name, one.place): PublishedHypothesis(
+            one.label, one.family_wise_limit / one.limit, one.family, one.location
+        )
+        for one in document
+        if one.limit is not None and one.family_wise_limit is not None
+    })  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

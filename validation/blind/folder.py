@@ -11,7 +11,7 @@ from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 
 from ground.common.errors import BadOutput, BadRequest
 from ground.common.files import atomic_write, check_new_path
-from ground.diagnosis.blind_case import DIGEST, read_digest
+from ground.diagnosis.blind_case import DIGEST, first_problem, read_digest
 from ground.diagnosis.diagnose import Level, Verdict
 
 CAMPAIGN_FOLDER: Final = "campaign"
@@ -69,9 +69,7 @@ def parse_result(raw: bytes) -> dict[str, Any]:
     try:
         _RESULT_ADAPTER.validate_json(raw, strict=True)
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(step) for step in first["loc"])
-        raise ValueError(f"{where}: {first['msg']}" if where else first["msg"]) from error
+        raise ValueError(first_problem(error)) from error
     document: dict[str, Any] = json.loads(raw)
     return document
 
@@ -102,6 +100,8 @@ def result_path(case: Path) -> Path:
 def load_results(folder: Path) -> dict[str, dict[str, Any]]:
     """Load the results of all solved cases by name; BadRequest if one cannot be read."""
     found = {}
+    if (folder / SOLVED_FOLDER).is_file():
+        raise BadRequest(f"{folder / SOLVED_FOLDER}: is a file; a folder of solved cases would be right")
     for path in sorted((folder / SOLVED_FOLDER).glob("case-*[0-9].json")):
         try:
             found[path.stem] = parse_result(path.read_bytes())

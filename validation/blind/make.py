@@ -11,7 +11,7 @@ import numpy as np
 
 from ground.common.errors import BadRequest
 from ground.common.pool import Runner
-from ground.common.progress import Progress, part_of
+from ground.common.progress import Progress, no_progress, part_of
 from ground.diagnosis.arm.blind_case import check_leakage, record_blind, sample_background
 from ground.diagnosis.arm.record import record_campaign
 from ground.diagnosis.arm.simulator import catalogue_effect
@@ -127,7 +127,7 @@ def draw_truth(
 
 
 def salt(seed: int) -> str:
-    """Return the salt of a seed; it does not reveal the seed."""
+    """Return the salt of a seed; only who knows the seed can compute it."""
     return np.random.default_rng([seed, 9]).bytes(16).hex()
 
 
@@ -188,7 +188,7 @@ def _record_job(job: _Job) -> str:
 
 def record_case(folder: Path, case: TrueCase, wanted: Sequence[DiagnosisSession]) -> None:
     """Record the sessions of a case; a session whose motion does not complete gets no log."""
-    record_blind(folder, true_effects(case), wanted, case.seed)
+    record_blind(folder, true_effects(case), wanted, case.seed, no_progress)
 
 
 def true_effects(case: TrueCase) -> tuple[Effect, ...]:

@@ -92,4 +92,9 @@ def _true_values(sensitivities: CampaignSensitivities, case: TrueCase) -> dict[H
             f"score it with the marsarm that made it"
         )
     found = [(known[effect.name, effect.place], effect.values) for effect in case.effects]
+    for one, values in found:
+        if missing := {p.name for p in one.parameters} - values.keys():
+            raise BadRequest(
+                f"{case.name}: {one.name} has no {min(missing)} in the truth, so nothing is compared"
+            )
     return {one: np.array([values[p.name] for p in one.parameters]) for one, values in found}

@@ -19,7 +19,7 @@ from mcap.stream_reader import StreamReader
 from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
 from ground.common.errors import UserError
-from ground.common.progress import no_progress
+from ground.common.progress import Progress, no_progress
 from ground.diagnosis.arm.record import record_campaign
 from ground.diagnosis.blind_case import TrueCase
 from ground.telemetry.format import CHANNELS_KEY
@@ -62,7 +62,11 @@ def sample_background(rng: np.random.Generator) -> tuple[Effect, ...]:
 
 
 def record_blind(
-    folder: Path, effects: tuple[Effect, ...], sessions: Sequence[DiagnosisSession], seed: int
+    folder: Path,
+    effects: tuple[Effect, ...],
+    sessions: Sequence[DiagnosisSession],
+    seed: int,
+    progress: Progress,
 ) -> bool:
     """Record sessions of an arm with effects; one whose motion does not complete gets no log.
 
@@ -71,6 +75,7 @@ def record_blind(
         effects: Effects that are switched on, and numerics.
         sessions: Sessions of the campaign.
         seed: Seed of the sensor noise.
+        progress: Called with done, total and step.
 
     Returns:
         True if all sessions have a log.
@@ -78,9 +83,9 @@ def record_blind(
     arm = arm_named("nominal").with_effects(effects)
     reference, begun = blind_reference(arm), effects_of_run(effects)
     is_complete = True
-    for session, number in zip(
-        sessions, np.random.default_rng(seed).integers(2**31, size=len(sessions)), strict=True
-    ):
+    numbers = np.random.default_rng(seed).integers(2**31, size=len(sessions))
+    for done, (session, number) in enumerate(zip(sessions, numbers, strict=True)):
+        progress(done, len(sessions), "recording")
         try:
             record_campaign(folder, [session], arm, reference, int(number), no_progress, begun)
         except (SessionFailed, PlantDiverged):

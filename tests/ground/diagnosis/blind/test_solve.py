@@ -1,6 +1,7 @@
 """Blind cases solved without their truth and scored with it."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,8 +10,9 @@ import pytest
 
 from ground.common.errors import BadRequest
 from ground.common.pool import local_runner
-from ground.diagnosis.blind_case import TRUTH, seal
+from ground.diagnosis.blind_case import TRUTH, TrueCase, load_truth, seal
 from validation.blind.case_features import read_case_features, read_case_parts
+from validation.blind.classes import CLASSES_FILE, load_classes
 from validation.blind.folder import SOLVED_FOLDER, load_results, result_path, write_json
 from validation.blind.score_folder import score_folder
 from validation.blind.solve import NoDiagnosis, features_path, solve_cases
@@ -174,7 +176,7 @@ WHOLE = {"rows": [0, 2], "value": [1.0, 2.0]}
 
 @pytest.mark.parametrize(
     "text",
-    [None, "", "[]", '{"fitted": {"rows": [0]}}']
+    ["", "[]", "[" * 200_000, '{"fitted": {"rows": [0]}}']
     + [
         json.dumps({"fitted": WHOLE | bad, "held": WHOLE})
         for bad in (
@@ -184,12 +186,14 @@ WHOLE = {"rows": [0, 2], "value": [1.0, 2.0]}
             {"rows": [0, 10**30]},
             {"value": [[1.0, 2.0]]},
             {"value": [1.0, float("nan")]},
+            {"rows": [0.0, 2.5]},
+            {"rows": ["0", "2"]},
+            {"rows": [], "value": []},
         )
     ],
 )
-def test_features_that_are_none_are_refused(tmp_path: Path, text: str | None) -> None:
-    if text is not None:
-        (tmp_path / "f.json").write_text(text)
+def test_features_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "f.json").write_text(text)
     with pytest.raises(BadRequest, match=r"f\.json: holds no features"):
         read_case_features(tmp_path / "f.json")
 
@@ -214,6 +218,33 @@ def test_an_effect_of_another_version_is_refused(solved) -> None:
     seal(solved.path, replace(solved.truth, cases=tuple(cases)))
     with pytest.raises(BadRequest, match=f"{cases[at].name}: old-wobble is none of today's effects"):
         score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
+
+
+def contradict(case: TrueCase) -> Iterator[TrueCase]:
+    (effect,) = case.effects
+    yield replace(case, name="../case-000")
+    yield replace(case, kind="none")
+    yield replace(case, effects=())
+    yield replace(case, kind="pair", effects=(effect, effect))
+    for by in (float("nan"), -3.0):
+        yield replace(case, effects=(replace(effect, times_limit=by),))
+    yield replace(case, effects=(replace(effect, values=dict.fromkeys(effect.values, float("inf"))),))
+
+
+def test_a_truth_that_contradicts_itself_is_refused(folder) -> None:
+    cases = folder.truth.cases
+    single = next(case for case in cases if case.kind == "single")
+    for wrong in ((), (*cases, single), *((one,) for one in contradict(single))):
+        seal(folder.path, replace(folder.truth, cases=wrong))
+        with pytest.raises(BadRequest, match=r"truth\.json: was sealed, but is no truth \("):
+            load_truth(folder.path)
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", '[{"name": 1}]', "[" * 200_000])
+def test_classes_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / CLASSES_FILE).write_text(text)
+    with pytest.raises(BadRequest, match=r"classes\.json: holds no classes \("):
+        load_classes(tmp_path)
 
 
 def test_a_changed_truth_is_not_scored_against(solved) -> None:
