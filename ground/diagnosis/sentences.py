@@ -1,7 +1,7 @@
 """Sentences about a diagnosis, used by its page and by the console."""
 
 from collections.abc import Sequence
-from math import exp, inf, isfinite
+from math import expm1, inf, isfinite
 from typing import Final
 
 from ground.diagnosis.diagnose import MAX_MEMBERS, Finding
@@ -181,9 +181,9 @@ def format_number(value: float) -> str:
 
 
 def format_quantity(value: float, unit: str) -> str:
-    """Format a number with three digits and its unit; a logarithm becomes a factor."""
+    """Format a number with three digits and its unit; the logarithm of a factor becomes percent."""
     if unit == LOG_UNIT:
-        return f"times {exp(value):.3g}"
+        return f"{100.0 * expm1(value):+.3g} %"
     return f"{value:.3g}" if unit in ("", "1") else f"{value:.3g} {unit}"
 
 
@@ -193,8 +193,10 @@ def format_interval(least: float, most: float, without: str = "assumed") -> str:
 
 
 def format_value_interval(least: float, most: float, unit: str) -> str:
-    """Format the interval of a parameter; a logarithm becomes a factor."""
-    return format_interval(exp(least), exp(most)) if unit == LOG_UNIT else format_interval(least, most)
+    """Format the interval of a parameter; the logarithm of a factor becomes a change in percent."""
+    if unit == LOG_UNIT and isfinite(least) and isfinite(most):
+        return f"{100.0 * expm1(least):+.3g} to {100.0 * expm1(most):+.3g} %"
+    return format_interval(least, most)
 
 
 def format_cell_interval(cell: ResidualCell) -> str:
