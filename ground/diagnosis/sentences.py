@@ -97,8 +97,10 @@ def closure_sentence(result: DiagnosisResult) -> str:
     if not isfinite(found.share):
         return "On held-out motion the gap is hardly above the noise, so no share is given."
     at_tool = "" if tool is None else f"; at the tool {tool.before_mm:.2g} mm become {tool.after_mm:.2g}"
-    closed = f"{format_percent(found.share)} {_format_percent_interval(found.least, found.most)}"
-    return f"On held-out motion {closed} of the explainable gap closes{at_tool}."
+    # noise of held-out motion can make the share more than 1
+    closed = "all" if found.share >= 1.0 else format_percent(found.share)
+    interval = _format_percent_interval(found.least, found.most)
+    return f"On held-out motion {closed} of the explainable gap closes {interval}{at_tool}."
 
 
 def join_names(names: Sequence[str], between: str = ", ") -> str:
@@ -207,4 +209,4 @@ def format_cell_interval(cell: ResidualCell) -> str:
 def _format_percent_interval(least: float, most: float) -> str:
     if not (isfinite(least) and isfinite(most)):
         return "(anything is possible)"
-    return f"({100.0 * least:.0f} to {100.0 * most:.0f})"
+    return f"({100.0 * least:.0f} to {100.0 * most:.0f} %)"
