@@ -54,7 +54,7 @@ def _lines(score: Score) -> Iterator[str]:
     yield from ("", "## Outside the catalogue", "")
     yield "In brackets counts, then 95 % by a bootstrap over effects."
     yield ""
-    yield "| | all | kin of the catalogue | strangers |"
+    yield "| | all | related | unrelated |"
     yield "|---|---|---|---|"
     parts = (score.outside, score.related, score.unrelated)
     for level, bar in (("place", 8), ("family", 14), ("effect", 20)):
