@@ -17,6 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from ground.common.errors import BadRequest
 from ground.common.files import atomic_write
+from ground.common.json_file import describe_first_problem
 from ground.diagnosis.sampling import (
     DetectableEffect,
     SampledEffect,
@@ -139,38 +140,32 @@ def load_truth(folder: Path) -> SealedTruth:
         )
     try:
         truth = _TRUTH_ADAPTER.validate_json(raw)
-        _check_cases(truth.cases)
-    except (ValidationError, ValueError) as error:
-        raise BadRequest(f"{folder / TRUTH}: was sealed, but is no truth ({first_problem(error)})") from error
+    except ValidationError as error:
+        raise BadRequest(
+            f"{folder / TRUTH}: was sealed, but is no truth ({describe_first_problem(error)})"
+        ) from error
+    if contradiction := next(_find_contradictions(truth.cases), None):
+        raise BadRequest(f"{folder / TRUTH}: was sealed, but is no truth ({contradiction})")
     return truth
 
 
-def first_problem(error: ValueError) -> str:
-    """Return the first problem of a document in one line: where it is, and what it is."""
-    if not isinstance(error, ValidationError):
-        return str(error)
-    first = error.errors()[0]
-    where = ".".join(map(str, first["loc"]))
-    return f"{where}: {first['msg']}" if where else str(first["msg"])
-
-
-def _check_cases(cases: Sequence[TrueCase]) -> None:
-    """Raise ValueError if a case contradicts its kind or itself, or comes twice."""
+def _find_contradictions(cases: Sequence[TrueCase]) -> Iterator[str]:
+    """Yield how cases contradict their kind or themselves, and which come twice."""
     if not cases:
-        raise ValueError("it has no case")
+        yield "it has no case"
     if len({case.name for case in cases}) < len(cases):
-        raise ValueError("two cases have one name")
+        yield "two cases have one name"
     for case in cases:
         if CASE_NAME.fullmatch(case.name) is None:
-            raise ValueError(f"{case.name!r} is no name of a case; case-000 is one")
+            yield f"{case.name!r} is no name of a case; case-000 is one"
         if len(case.effects) != EFFECTS_OF_KIND[case.kind]:
-            raise ValueError(f"{case.name}: {len(case.effects)} effects do not make it {case.kind!r}")
+            yield f"{case.name}: {len(case.effects)} effects do not make it {case.kind!r}"
         if len({(effect.name, effect.place) for effect in case.effects}) < len(case.effects):
-            raise ValueError(f"{case.name}: the same effect comes twice")
+            yield f"{case.name}: the same effect comes twice"
         for effect in case.effects:
             numbers = [*effect.values.values(), effect.times_limit]
             if not np.all(np.isfinite(numbers)) or effect.times_limit <= 0.0:
-                raise ValueError(f"{case.name}: {effect.name} has a size that no effect can have")
+                yield f"{case.name}: {effect.name} has a size that no effect can have"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

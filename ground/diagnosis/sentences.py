@@ -185,7 +185,7 @@ def format_number(value: float) -> str:
 def format_quantity(value: float, unit: str) -> str:
     """Format a number with three digits and its unit; the logarithm of a factor becomes percent."""
     if unit == LOG_UNIT:
-        return f"{100.0 * expm1(value):+.3g} %"
+        return f"{_format_change(value)} %"
     return f"{value:.3g}" if unit in ("", "1") else f"{value:.3g} {unit}"
 
 
@@ -197,8 +197,13 @@ def format_interval(least: float, most: float, without: str = "assumed") -> str:
 def format_value_interval(least: float, most: float, unit: str) -> str:
     """Format the interval of a parameter; the logarithm of a factor becomes a change in percent."""
     if unit == LOG_UNIT and isfinite(least) and isfinite(most):
-        return f"{100.0 * expm1(least):+.3g} to {100.0 * expm1(most):+.3g} %"
+        return f"{_format_change(least)} to {_format_change(most)} %"
     return format_interval(least, most)
+
+
+def _format_change(logarithm: float) -> str:
+    """Format the change in percent by a factor, with its sign, from the logarithm of the factor."""
+    return f"{100.0 * expm1(logarithm):+.3g}"
 
 
 def format_cell_interval(cell: ResidualCell) -> str:

@@ -9,7 +9,7 @@ from pydantic import Field, FiniteFloat, TypeAdapter
 
 from fsw.kinematics.transforms import Array
 from ground.common.errors import BadRequest
-from ground.diagnosis.blind_case import first_problem
+from ground.common.json_file import read_json
 from ground.diagnosis.closure import Closure, build_held_out_model, compute_closure
 from ground.diagnosis.normal_equations import form_normal_equations
 from ground.diagnosis.problem import Hypothesis, Ints
@@ -68,6 +68,7 @@ class _FeaturesFile:
 
 
 _FEATURES_ADAPTER: Final = TypeAdapter(_FeaturesFile)
+NO_FEATURES: Final = "holds no features"
 
 
 def read_case_parts(path: Path, sensitivities: CampaignSensitivities) -> tuple[CasePart, CasePart]:
@@ -75,9 +76,9 @@ def read_case_parts(path: Path, sensitivities: CampaignSensitivities) -> tuple[C
     case = read_case_features(path)
     parts = (sensitivities.fitted, case.fitted), (sensitivities.held, case.held)
     for campaign, residuals in parts:
-        if residuals.rows.size and residuals.rows.max() >= campaign.layout.size:
+        if residuals.rows[-1] >= campaign.layout.size:
             raise BadRequest(
-                f"{path}: row {residuals.rows.max()} is not among the {campaign.layout.size} features of the "
+                f"{path}: row {residuals.rows[-1]} is not among the {campaign.layout.size} features of the "
                 f"campaign; {_solve_again(path)}"
             )
     fitted, held = (
@@ -88,22 +89,18 @@ def read_case_parts(path: Path, sensitivities: CampaignSensitivities) -> tuple[C
 
 def read_case_features(path: Path) -> CaseFeatures:
     """Read residuals from a file; BadRequest if they cannot be read."""
-    try:
-        file = _FEATURES_ADAPTER.validate_json(path.read_bytes(), strict=True)
-        return CaseFeatures(_check_residuals(file.fitted), _check_residuals(file.held))
-    except OSError as error:
-        raise BadRequest(f"{path}: cannot be read ({error.strerror}); {_solve_again(path)}") from error
-    except ValueError as error:
-        raise BadRequest(
-            f"{path}: holds no features ({first_problem(error)}); {_solve_again(path)}"
-        ) from error
+    file = read_json(path, _FEATURES_ADAPTER, NO_FEATURES, _solve_again(path))
+    return CaseFeatures(_check_residuals(path, file.fitted), _check_residuals(path, file.held))
 
 
-def _check_residuals(part: _PartFile) -> CaseResiduals:
-    """Return the residuals of a part; ValueError if rows do not ascend, or have not a value each."""
+def _check_residuals(path: Path, part: _PartFile) -> CaseResiduals:
+    """Return the residuals of a part; BadRequest if rows do not ascend, or have not a value each."""
     rows = np.array(part.rows, np.intp)
     if rows.size != len(part.value) or np.any(np.diff(rows) <= 0):
-        raise ValueError(f"{rows.size} rows, which must ascend, have {len(part.value)} values")
+        raise BadRequest(
+            f"{path}: {NO_FEATURES} ({rows.size} rows, which must ascend, have {len(part.value)} values); "
+            f"{_solve_again(path)}"
+        )
     return CaseResiduals(rows, np.array(part.value))
 
 

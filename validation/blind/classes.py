@@ -7,11 +7,11 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Final
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 
 from ground.common.errors import BadRequest
+from ground.common.json_file import read_json
 from ground.diagnosis.arm.families import locate
-from ground.diagnosis.blind_case import first_problem
 from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.result import finite_or_none
 from validation.blind.out_of_catalogue import EFFECTS_FOLDER
@@ -111,14 +111,7 @@ def classes_json(model: DiagnosisModel) -> list[dict[str, Any]]:
 def load_classes(campaign: Path) -> EquivalenceClasses:
     """Load what is published; BadRequest if it cannot be read."""
     path = campaign / CLASSES_FILE
-    try:
-        document = _CLASSES_ADAPTER.validate_json(path.read_bytes(), strict=True)
-    except OSError as error:
-        raise BadRequest(f"{path}: cannot be read ({error.strerror}); make the campaign anew") from error
-    except ValidationError as error:
-        raise BadRequest(
-            f"{path}: holds no classes ({first_problem(error)}); make the campaign anew"
-        ) from error
+    document = read_json(path, _CLASSES_ADAPTER, "holds no classes", "make the campaign anew")
     return EquivalenceClasses({
         (one.name, one.place): PublishedHypothesis(
             one.label, one.family_wise_limit / one.limit, one.family, one.location

@@ -11,7 +11,8 @@ from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 
 from ground.common.errors import BadOutput, BadRequest
 from ground.common.files import atomic_write, check_new_path
-from ground.diagnosis.blind_case import DIGEST, first_problem, read_digest
+from ground.common.json_file import describe_first_problem
+from ground.diagnosis.blind_case import DIGEST, read_digest
 from ground.diagnosis.diagnose import Level, Verdict
 
 CAMPAIGN_FOLDER: Final = "campaign"
@@ -69,7 +70,7 @@ def parse_result(raw: bytes) -> dict[str, Any]:
     try:
         _RESULT_ADAPTER.validate_json(raw, strict=True)
     except ValidationError as error:
-        raise ValueError(first_problem(error)) from error
+        raise ValueError(describe_first_problem(error)) from error
     document: dict[str, Any] = json.loads(raw)
     return document
 

@@ -14,6 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from ground.common.errors import BadRequest
 from ground.common.files import atomic_write
+from ground.common.json_file import describe_first_problem
 from ground.diagnosis.blind_case import DIGEST, TRUTH, read_digest
 from validation.robot_cases.draw import Kind, Truth
 
@@ -108,4 +109,4 @@ def load_truth(folder: Path) -> SealedTruth:
     try:
         return _ADAPTER.validate_json(raw)
     except ValidationError as error:
-        raise BadRequest(f"{path}: was sealed, but is no truth ({error.errors()[0]['msg']})") from error
+        raise BadRequest(f"{path}: was sealed, but is no truth ({describe_first_problem(error)})") from error

@@ -17,7 +17,7 @@ from types import ModuleType
 from typing import Final
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 import fsw
 import sim
@@ -25,6 +25,7 @@ from fsw.config import digest
 from fsw.kinematics.transforms import Array
 from ground.common.errors import BadRequest
 from ground.common.files import atomic_write
+from ground.common.json_file import read_json
 from ground.common.pool import Runner
 from ground.common.progress import Progress, part_of
 from ground.diagnosis.arm.audit import load_checked_recordings
@@ -316,12 +317,7 @@ def keys_path(path: Path) -> Path:
 def load_keys(path: Path, rows: int) -> Names:
     """Load the keys of the rows of a sensitivity file; BadRequest if there are not `rows` of them."""
     keys, advice = keys_path(path), f"remove {path}, and both are made anew"
-    try:
-        names = _NAMES.validate_json(keys.read_bytes(), strict=True)
-    except OSError as error:
-        raise BadRequest(f"{keys}: cannot be read ({error.strerror}); {advice}") from error
-    except ValidationError as error:
-        raise BadRequest(f"{keys}: cannot be read ({error.errors()[0]['msg']}); {advice}") from error
+    names = read_json(keys, _NAMES, "cannot be read", advice)
     if len(names) != rows:
         raise BadRequest(f"{keys}: names {len(names)} of {rows} rows; {advice}")
     return names

@@ -193,13 +193,12 @@ def copy_repeats(feature_set: FeatureSet, first: set[str], values: Array, otherw
     Returns:
         Filled features, shape (n,).
     """
+    features = feature_set.list_features()
     known = {
         (feature.block, feature.key): value
-        for session, feature, value in zip(
-            feature_set.list_sessions(), feature_set.list_features(), values, strict=True
-        )
+        for session, feature, value in zip(feature_set.list_sessions(), features, values, strict=True)
         if session in first and np.isfinite(value)
     }
-    named = zip(feature_set.list_features(), values, strict=True)
+    named = zip(features, values, strict=True)
     filled = [v if np.isfinite(v) else known.get((f.block, f.key), otherwise) for f, v in named]
     return np.array(filled)

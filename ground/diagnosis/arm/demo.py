@@ -46,7 +46,8 @@ SIZES: Final = (1.0, 4.0)
 """Range of the drawn sizes, in detection limits of the selection from all hypotheses."""
 MAX_DRAWS: Final = 20
 """Most draws until the arm can complete its sessions; one in twenty effects stops it."""
-RECORDING_BEGINS, DIAGNOSIS_BEGINS = 0.8, 0.95
+RECORDING_BEGINS: Final = 0.8
+DIAGNOSIS_BEGINS: Final = 0.95
 """Shares of a demonstration's time, for the progress: a campaign that is not cached takes some 200 s on two
 cores, the recording 40 s, and the diagnosis 12 s."""
 
@@ -214,8 +215,7 @@ def _judge_left_out(result: DiagnosisResult, true: int) -> tuple[bool, str]:
         return False, "the catalogue lacked the effect, but another was named"
     if result.diagnosis.verdict == "none":
         return False, "the catalogue lacked the effect, and nothing was reported"
-    right = {result.model.locations[one] for one in result.model.equivalence_class(true)}
-    if any(one.places and right.isdisjoint(one.places) for one in findings):
+    if any(one.places and not _has_place(result.model, one, true) for one in findings):
         return False, "the catalogue lacked the effect, and a wrong place was reported"
     return True, "the catalogue lacked the effect, and no other was named"
 
@@ -231,7 +231,11 @@ def holds(model: DiagnosisModel, finding: Finding, true: int) -> bool:
     alike = model.equivalence_class(true)
     if finding.effects:
         return any(model.label[true] == model.label[one] for one in finding.effects)
-    has_place = any(model.locations[one] in finding.places for one in alike)
-    return has_place and (
+    return _has_place(model, finding, true) and (
         not finding.families or any(model.families[one] in finding.families for one in alike)
     )
+
+
+def _has_place(model: DiagnosisModel, finding: Finding, true: int) -> bool:
+    """Check that a place of a finding is that of a hypothesis, or of one that is the same here."""
+    return any(model.locations[one] in finding.places for one in model.equivalence_class(true))

@@ -81,9 +81,10 @@ class MotionFeatures:
     @property
     def compared_ticks(self) -> int:
         """Number of ticks up to the end of the last bin that is compared; at least one."""
-        touch = _touch_tick(self.recording)
-        ends = (end for segment in self.segments for _, end in segment.bins() if end <= touch)
-        return max(ends, default=1)
+        recording, touch = self.recording, _touch_tick(self.recording)
+        # every bin that is compared in a channel is compared in that of the resolver
+        bins = (_compared_bins(recording, segment, RESOLVER, touch) for segment in self.segments)
+        return max((end for of in bins for _, _, end in of), default=1)
 
 
 def list_motion_features(recording: Recording, config: Config) -> MotionFeatures:

@@ -14,6 +14,7 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Sensors
 from ground.common.errors import BadRequest
+from ground.common.json_file import describe_first_problem
 from ground.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, read_tracker_poses
 from ground.replay.inputs import NotReplayable, inputs_from_log
 from ground.telemetry.errors import LogError
@@ -143,7 +144,7 @@ def _read_session(text: str, path: Path) -> _SessionHeader:
     try:
         session = _SESSION_ADAPTER.validate_json(text)
     except ValidationError as error:
-        raise NotForDiagnosis(f"{where}: {error.errors()[0]['msg']}") from error
+        raise NotForDiagnosis(f"{where}: {describe_first_problem(error)}") from error
     if session.temperature_C is not None and not np.isfinite(session.temperature_C):
         raise NotForDiagnosis(f"{where}: temperature_C is {session.temperature_C}; it must be finite")
     world = session.world or World()

@@ -55,8 +55,6 @@ def simulate_open_loop(
         if len(readings) in pose_ticks:
             poses[len(readings)] = _turret(arm)
         readings.append(reading)
-    if len(readings) in pose_ticks:
-        poses[len(readings)] = _turret(arm)
     return OpenLoopRun(tuple(readings), poses)
 
 

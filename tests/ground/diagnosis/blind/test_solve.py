@@ -198,6 +198,13 @@ def test_features_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
         read_case_features(tmp_path / "f.json")
 
 
+def test_features_that_are_missing_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(
+        BadRequest, match=r"f\.features\.json: cannot be read .*remove f\.json and solve again"
+    ):
+        read_case_features(tmp_path / "f.features.json")
+
+
 def test_a_row_that_the_campaign_has_not_is_refused(solved) -> None:
     case = next(case for case in solved.truth.cases if case.kind == "single")
     path = features_path(solved.path / "cases" / case.name)
