@@ -251,6 +251,20 @@ class MotionParams:
 
 
 @dataclass(frozen=True, slots=True)
+class HeatParams:
+    """Compensation of the thermal growth of links and tools."""
+
+    calibration_C: Annotated[float, Limits(-100.0, 60.0)]
+    """Temperature of the structure at which the transforms of links and tools hold."""
+    compensated_share: Annotated[float, Limits(0.0, 1.0)]
+    """Share of the growth that flight software compensates; 0 turns the compensation off."""
+    filter_s: Annotated[float, Limits(0.1, 3600.0)]
+    """Time constant of the filter of the temperature."""
+    step_K: Annotated[float, Limits(0.01, 50.0)]
+    """Change of the filtered temperature at which flight software builds the arm anew."""
+
+
+@dataclass(frozen=True, slots=True)
 class PreloadParams:
     """Parameters of pressing a tool on a surface."""
 
@@ -321,6 +335,10 @@ class MonitorParams:
     """Highest temperature of a winding."""
     winding_persistence: Annotated[int, Limits(1, 640)]
     """Cycles of a winding outside these temperatures."""
+    structure_min_C: Annotated[float, Limits(-150.0, 50.0)]
+    """Lowest plausible temperature of the structure."""
+    structure_max_C: Annotated[float, Limits(0.0, 100.0)]
+    """Highest plausible temperature of the structure."""
     frozen_persistence: Annotated[int, Limits(2, 6400)]
     """Cycles in which a reading stays the same to the last bit."""
     missed_cycles: Annotated[int, Limits(0, 64)]
@@ -365,6 +383,7 @@ class Params:
     hardstop: HardstopParams
     poses: PoseParams
     motion: MotionParams
+    heat: HeatParams
     preload: PreloadParams
     collision: CollisionParams
     monitors: MonitorParams
