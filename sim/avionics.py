@@ -60,13 +60,9 @@ class Avionics:
         self._next_s = min((effect.at_s for effect in self._hardware.timed), default=np.inf)
         self._gravity_R = FLIP * self._plant.model.opt.gravity + self._hardware.gravity_bias_R_m_s2
         hardware = self._hardware
-        sigma = (
-            hardware.resolver_noise_rad,
-            hardware.current_noise_A,
-            hardware.gravity_noise_m_s2,
-            hardware.structure_noise_K,
-        )
-        self._noise_sigma = np.repeat(sigma, (5, 5, 3, 1))
+        joint_sigma = (hardware.resolver_noise_rad, hardware.current_noise_A)
+        rover_sigma = (hardware.gravity_noise_m_s2, hardware.structure_noise_K)
+        self._noise_sigma = np.repeat((*joint_sigma, *rover_sigma), (5, 5, 3, 1))
         self._winding_K_A2 = self._resistance_Ohm * hardware.winding_K_W
 
     def for_plant(self, plant: Plant) -> "Avionics":

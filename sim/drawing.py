@@ -23,7 +23,7 @@ WARM_C: Final = 20.0
 
 
 def attach_drawing(spec: mujoco.MjSpec, params: Params) -> None:
-    """Add the temperature of the drawing, and expansion and length of each link and tool, to a specification."""
+    """Add the temperature of the drawing, and expansion and length of its parts, to a specification."""
     expansion = {tool.name.lower(): tool.expansion_1_K for tool in params.tools}
     length = {}
     for body, link in zip(LINK_BODIES, params.links.in_order(), strict=True):
