@@ -10,12 +10,12 @@ from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Pose, inverse
+from sim.drawing import WARM_C
 from sim.effects.effect import Effect, nominal_hardware, params_with_effects
 from sim.effects.environment import (
     COLD_C,
     COULOMB_COLD,
     VISCOUS_COLD,
-    WARM_C,
     Ambient,
     CurrentNoise,
     NothingToTouch,
