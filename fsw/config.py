@@ -57,8 +57,9 @@ def digest(params: Params) -> str:
 def _canonical_text(value: object) -> str:
     """Convert a value to the one text that all equal values share."""
     if is_dataclass(value):
-        names = _field_names(type(value))
-        return "".join([f"{name}={_canonical_text(getattr(value, name))};" for name in names])
+        return "".join(
+            [f"{name}={_canonical_text(getattr(value, name))};" for name in _field_names(value.__class__)]
+        )
     if isinstance(value, tuple):
         return f"({','.join(_canonical_text(item) for item in value)})"
     return float(value).hex() if isinstance(value, float) else str(value)
