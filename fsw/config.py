@@ -1,14 +1,14 @@
 """Configuration of flight software: the parameters, and what is computed from them once."""
 
 import hashlib
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 
 import numpy as np
 
 from fsw.collision.geometry import CollisionGeometry, build_collision_geometry
 from fsw.dictionary.params import Params
-from fsw.kinematics.arm import Arm, build_arm
+from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.transforms import Array
 from fsw.protect.bounds import ProtectionBounds, compute_bounds
 
@@ -18,10 +18,14 @@ CYCLE_S = 1.0 / CYCLE_HZ
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Config:
-    """Values that are constant during a run; joint arrays (5,) in the order of Joint."""
+    """Values that are constant during a move; joint arrays (5,) in the order of Joint."""
 
     params: Params
+    structure_C: float
+    """Temperature of the structure for which `arm` is built."""
     arm: Arm
+    calibrated_arm: Arm
+    """Arm at the calibration temperature."""
     farthest_tool: str
     """Tool at the greatest distance from the turret axis."""
     collision_geometry: CollisionGeometry
@@ -71,11 +75,13 @@ def _field_names(record: type) -> tuple[str, ...]:
 
 
 def configure(params: Params) -> Config:
-    """Build the configuration from parameters."""
+    """Build the configuration from parameters, with the arm at its calibration temperature."""
     joints, motion, arm = params.joints.in_order(), params.motion, build_arm(params)
     return Config(
         params=params,
+        structure_C=params.heat.calibration_C,
         arm=arm,
+        calibrated_arm=arm,
         farthest_tool=max(arm.X_FT, key=lambda name: float(np.hypot(*arm.X_FT[name].p[:2]))),
         collision_geometry=build_collision_geometry(params, arm),
         protection=compute_bounds(params, arm, CYCLE_S),
@@ -92,6 +98,22 @@ def configure(params: Params) -> Config:
         brake_ticks=ticks(motion.brake_delay_s),
         settle_ticks=ticks(motion.settle_time_s),
         settle_timeout_ticks=ticks(motion.settle_timeout_s),
+    )
+
+
+def configure_at(config: Config, structure_C: float) -> Config:
+    """Build the configuration with the arm that has grown to this temperature of its structure.
+
+    Everything that flight software computes from the arm uses it: solutions, estimates, collisions, monitors.
+    """
+    heat = config.params.heat
+    arm = heat_arm(config.calibrated_arm, heat.compensated_share * (structure_C - heat.calibration_C))
+    return replace(
+        config,
+        structure_C=structure_C,
+        arm=arm,
+        collision_geometry=build_collision_geometry(config.params, arm),
+        protection=replace(config.protection, arm=arm),
     )
 
 

@@ -28,6 +28,8 @@ class Sensors:
     """Currents of the motors, positive for forward torque."""
     winding_C: Annotated[Floats, Limits(-130.0, 150.0)]
     """Temperatures of the motor windings."""
+    structure_C: Annotated[float, Limits(-150.0, 100.0)]
+    """Temperature of the structure of the arm."""
     switch_closed: Flags
     """True for contact switches that are closed."""
     gravity_R_m_s2: Annotated[Floats, Limits(-20.0, 20.0)]

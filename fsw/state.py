@@ -1,6 +1,7 @@
 """State of flight software: the record that a cycle leaves for the next, its first value, its channels."""
 
 from dataclasses import dataclass
+from math import nan
 
 import numpy as np
 
@@ -59,8 +60,10 @@ class State:
     fault: StandingFault | None
     monitors: MonitorState
     drive: ActuatorCommand
+    structure_C: float = nan
+    """Filtered temperature of the structure; NaN before the first usable reading."""
     changed_config: Config | None = None
-    """Configuration with the parameters that were set since boot; None if none was set."""
+    """Configuration with the present temperature and parameters; None if it is that at boot."""
 
 
 def boot(config: Config, mode: Mode, reference: Reference | None = None) -> State:

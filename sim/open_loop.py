@@ -101,5 +101,10 @@ class OpenLoopArm:
 
 def _without_noise(hardware: Hardware) -> Hardware:
     return replace(
-        hardware, resolver_noise_rad=0.0, resolver_step_rad=0.0, current_noise_A=0.0, gravity_noise_m_s2=0.0
+        hardware,
+        resolver_noise_rad=0.0,
+        resolver_step_rad=0.0,
+        current_noise_A=0.0,
+        gravity_noise_m_s2=0.0,
+        structure_noise_K=0.0,
     )

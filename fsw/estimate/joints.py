@@ -256,7 +256,8 @@ def update_load(
         push_Nm = push_torque(arm, frames, push)
         uncertainty_Nm = _force_uncertainty(config, push_Nm, push)
     X_RT = tool_pose(arm, frames, tool)
-    channels = ToolChannels(tick, config.params.tool_names.index(tool), X_RT.p, X_RT.R, output, torque)
+    index = config.params.tool_names.index(tool)
+    channels = ToolChannels(tick, index, X_RT.p, X_RT.R, output, config.structure_C, torque)
     return (
         LoadEstimate(True, strain, torque, push_Nm),
         apply_load(config, joints, torque, uncertainty_Nm),

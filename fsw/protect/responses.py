@@ -33,6 +33,7 @@ from fsw.dictionary.faults import (
     SetpointUnsafe,
     SoftLimitPassed,
     StalledEarly,
+    StructureTemperatureImplausible,
     TiltChanged,
     UnderTemperature,
 )
@@ -55,6 +56,7 @@ RESPONSE_TO: Final[dict[type[Fault], Response]] = {
     SensorNotFinite: Response.BRAKE_AND_REFUSE,
     SensorFrozen: Response.BRAKE_AND_REFUSE,
     GravityImplausible: Response.BRAKE_AND_REFUSE,
+    StructureTemperatureImplausible: Response.BRAKE_AND_REFUSE,
     CyclesMissed: Response.STOP_AND_BRAKE,
     TiltChanged: Response.BRAKE_AND_REFUSE,
     SetpointUnsafe: Response.BRAKE_AND_REFUSE,

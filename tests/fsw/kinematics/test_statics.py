@@ -206,10 +206,12 @@ def test_a_strain_is_rotation_first_and_the_links_come_second():
     arm = replace(config.arm, compliance=compliance)
     here = settle_output(arm, np.zeros(5), MARS_R_m_s2)
     assert set(zip(*np.nonzero(here.strain), strict=True)) == {(2, 2)}
-    # beyond the spring: half the upper arm's own mass 0.2132 m out, and all that it carries
+    # beyond the spring: half the upper arm's structure, the actuator of the elbow, and all that they carry
     beyond_m = 0.827 - 0.4135
-    lever_kg_m = 7.5 * (0.62675 - 0.4135) + 11 * (beyond_m + 0.33) + 9.5 * (beyond_m + 0.785 - 0.08)
-    lever_kg_m += 35.5 * (beyond_m + 0.785 - 0.144 + 0.02)
+    lever_kg_m = 3.4 * (0.62675 - 0.4135) + 7.8 * beyond_m
+    lever_kg_m += 6.4 * (beyond_m + 0.33) + 4.24 * (beyond_m + 0.785)
+    lever_kg_m += 4.92 * (beyond_m + 0.785 - 0.08) + 4.24 * (beyond_m + 0.785 - 0.144)
+    lever_kg_m += 31.4 * (beyond_m + 0.785 - 0.144 + 0.02)
     assert here.strain[2, 2] == pytest.approx(1e-9 * 3.711 * lever_kg_m, rel=1e-6)
 
 
@@ -217,8 +219,9 @@ def test_straight_out_on_mars_the_elevation_joint_carries_what_the_mass_table_sa
     arm = rigid(config_of().arm)
     q = np.zeros(5)
     # mass [kg] times horizontal distance from the elevation axis [m], from the table of links
-    lever_kg_m = 15 * 0.42 + 11 * (0.827 + 0.33) + 9.5 * (0.827 + 0.785 - 0.08)
-    lever_kg_m += 35.5 * (0.827 + 0.785 - 0.144 + 0.02)
+    lever_kg_m = 6.8 * 0.42 + 7.8 * 0.827 + 6.4 * (0.827 + 0.33) + 4.24 * (0.827 + 0.785)
+    lever_kg_m += 4.92 * (0.827 + 0.785 - 0.08) + 4.24 * (0.827 + 0.785 - 0.144)
+    lever_kg_m += 31.4 * (0.827 + 0.785 - 0.144 + 0.02)
     torque = settle_output(arm, q, MARS_R_m_s2).torque_Nm[1]
     # positive elevation pitches the straight arm down, as gravity does
     assert torque == pytest.approx(3.711 * lever_kg_m, rel=1e-6)
