@@ -9,6 +9,7 @@ from fsw.config import Config
 from fsw.dictionary.channels import JointChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
+from fsw.dictionary.types import cycle_record
 from fsw.estimate.joints import JointEstimate, LoadEstimate, no_load, uninitialised_estimate
 from fsw.estimate.reference import Reference, no_reference
 from fsw.kinematics.transforms import Array
@@ -38,7 +39,7 @@ class Sequence:
     remaining: tuple[SequenceStep, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class State:
     """Everything that a cycle leaves for the next one."""
 

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.types import Limits, ToolMark
+from fsw.dictionary.types import Limits, ToolMark, cycle_record
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class JointChannels:
     """State and commands of the joints in each cycle, on the output side, in the order of Joint."""
 

@@ -11,6 +11,7 @@ import numpy as np
 from fsw.config import CYCLE_HZ, Config
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.enums import Joint
+from fsw.dictionary.types import cycle_record
 from fsw.estimate.gear import (
     LIKELY,
     GearBounds,
@@ -38,7 +39,7 @@ PER_S: Final = np.array(float(CYCLE_HZ))
 """Cycles per second."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class JointEstimate:
     """Estimate of the joints on the output side, in the order of Joint."""
 
