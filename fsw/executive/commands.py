@@ -62,11 +62,11 @@ from fsw.executive.modes import EVENT_OF, TRANSITIONS, ModeEvent, is_stowed, nex
 from fsw.executive.planning import SingleMoveCommand, check_steps, plan_command
 from fsw.executive.settings import set_param, set_tilt
 from fsw.motion import homing
+from fsw.motion.force_fit import ForceFit
 from fsw.motion.move import Move, stop_early
 from fsw.motion.paths import HoldPath, Setpoint
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import (
-    ForceFit,
     PreloadState,
     holding_force_N,
     model_contact,
@@ -325,7 +325,7 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         _new_move(config, context, command, TRANSITIONS[Mode.PRELOAD, done]),
         paths=plan.paths,
         preload_change=change,
-        force_fit=ForceFit() if change.change_N > 0 else None,
+        force_fit=ForceFit(preload) if change.change_N > 0 else None,
         current_limit_A=preload_limit_A(config, state.joints, change),
     )
     state = replace(

@@ -12,31 +12,44 @@ import numpy as np
 
 from fsw.config import CYCLE_S, Config
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, ForceEstimated, Preloaded
+from fsw.dictionary.evrs import (
+    CommandAborted,
+    CommandCompleted,
+    ContactMade,
+    Evr,
+    ForceEstimated,
+    Preloaded,
+    PreloadMissed,
+)
 from fsw.dictionary.faults import NoContact, NotSettled
 from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Flags, Sensors
-from fsw.motion.homing import Homing, advance_homing, homing_limit_A
-from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
-from fsw.motion.plan import Refusal, estimate_at
-from fsw.motion.preload import (
-    ESTIMATED_RATIO_STD,
+from fsw.motion.force_fit import (
+    MAX_CORRECTIONS,
     ForceFit,
-    PreloadChange,
-    PreloadState,
     correct_preload,
     estimate_force_ratio,
+    update_force_fit,
+)
+from fsw.motion.homing import Homing, advance_homing, homing_limit_A
+from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
+from fsw.motion.plan import Plan, Refusal, estimate_at
+from fsw.motion.preload import (
+    ESTIMATED_RATIO_STD,
+    PreloadChange,
+    PreloadState,
     holding_force_N,
     model_contact,
     plan_preload,
     preload_limit_A,
-    update_force_fit,
 )
 
 MIN_CORRECTION_N: Final = 3.0
 """Least correction of a preload that is worth a further path."""
+MAX_ERROR_SHARE: Final = 0.1
+"""Error of a preload, as a share of the commanded force, beyond which its end is reported as a miss."""
 
 
 class Phase(IntEnum):
@@ -271,17 +284,14 @@ def _correct_force(
     ratio = estimate_force_ratio(config, fit, joints, planned_for)
     preload = replace(planned_for, force_ratio_std=ESTIMATED_RATIO_STD)
     if ratio is not None:
-        preload = correct_preload(change, ratio)
+        preload = correct_preload(change, fit.start, ratio)
         evrs = (ForceEstimated(change.start.tool, ratio.along, ratio.across),)
     completed = replace(change, start=preload, end_model_N=preload.model_N)
-    near = abs(change.target_N - preload.force_N) < MIN_CORRECTION_N
-    # the next leg starts at the end of the plan: from the estimate, a backlash on which the two differ would
-    # be crossed to and fro; the wind-up of the gears is that of the corrected force
-    extra_Nm = change.torque_per_N * (preload.force_N - planned_for.force_N)
-    end = replace(change.end, gear_rad=change.end.gear_rad + extra_Nm / config.arm.gear_stiffness_Nm_rad)
-    start = estimate_at(joints, end)
-    planned = None if near else plan_preload(config, start, preload, change.target_N)
+    planned = _plan_correction(config, change, fit, joints, preload, planned_for)
     if planned is None or isinstance(planned, Refusal):
+        missed = abs(change.target_N - preload.force_N) > MAX_ERROR_SHARE * change.target_N
+        if isinstance(planned, Refusal) and missed:
+            evrs = (*evrs, PreloadMissed(preload.tool, preload.force_N, change.target_N, planned.reason))
         return MoveUpdate(replace(move, preload_change=completed, force_fit=None), evrs)
     plan, next_change = planned
     next_leg = replace(
@@ -289,11 +299,33 @@ def _correct_force(
         phase=Phase.RUN,
         paths=plan.paths,
         preload_change=next_change,
-        force_fit=ForceFit(fit.legs_left - 1) if fit.legs_left > 0 else None,
+        force_fit=fit.next_leg(),
         ticks=0,
         travelled=0.0,
     )
     return MoveUpdate(next_leg, evrs, backlash_rad=plan.backlash_rad)
+
+
+def _plan_correction(
+    config: Config,
+    change: PreloadChange,
+    fit: ForceFit,
+    joints: JointEstimate,
+    preload: PreloadState,
+    planned_for: PreloadState,
+) -> tuple[Plan, PreloadChange] | Refusal | None:
+    """Plan a further leg of a press; None if the estimated force is near the target.
+
+    The leg starts at the end of the plan: from the estimate, a backlash on which the two differ would be
+    crossed to and fro. The wind-up of the gears is that of the corrected force.
+    """
+    if abs(change.target_N - preload.force_N) < MIN_CORRECTION_N:
+        return None
+    if fit.legs_left == 0:
+        return Refusal(f"{MAX_CORRECTIONS} corrections did not reach the force")
+    extra_Nm = change.torque_per_N * (preload.force_N - planned_for.force_N)
+    end = replace(change.end, gear_rad=change.end.gear_rad + extra_Nm / config.arm.gear_stiffness_Nm_rad)
+    return plan_preload(config, estimate_at(joints, end), preload, change.target_N)
 
 
 def distance_travelled(move: Move) -> float:
