@@ -68,7 +68,9 @@ from fsw.motion.paths import HoldPath, Setpoint
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import (
     PreloadState,
+    anchor_contact,
     holding_force_N,
+    locate_by_resolvers,
     model_contact,
     plan_preload,
     preload_limit_A,
@@ -316,7 +318,10 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         return _finish_release(context, command, preload)
     if abs(command.force_N - preload.force_N) < config.params.preload.step_N:
         return refuse(context, command, f"{command.tool} is pressed with {preload.force_N:.1f} N as it is")
-    planned = plan_preload(config, state.joints, preload, command.force_N)
+    located = locate_by_resolvers(state.joints, preload)
+    if state.mode is Mode.GUARDED:
+        preload = anchor_contact(config, located, preload)
+    planned = plan_preload(config, located, preload, command.force_N)
     if isinstance(planned, Refusal):
         return refuse(context, command, planned.reason)
     plan, change = planned

@@ -13,14 +13,20 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
+from fsw.dictionary.evrs import Evr, PreloadMissed
 from fsw.estimate.joints import JointEstimate, LoadEstimate
 from fsw.kinematics.chain import joint_jacobian, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
 from fsw.motion.paths import Setpoint
-from fsw.motion.preload import PRIOR_RATIO_STD, PreloadChange, PreloadState
+from fsw.motion.plan import Plan, Refusal, estimate_at
+from fsw.motion.preload import PRIOR_RATIO_STD, PreloadChange, PreloadState, plan_preload
 
+MIN_CORRECTION_N: Final = 3.0
+"""Least correction of a preload that is worth a further path."""
+MAX_ERROR_SHARE: Final = 0.1
+"""Error of a preload, as a share of the commanded force, beyond which its end is reported as a miss."""
 MAX_CORRECTIONS: Final = 3
 """Legs of a press after its first one."""
 MIN_RATE_SHARE: Final = 0.75
@@ -204,3 +210,44 @@ def correct_preload(change: PreloadChange, start: PreloadState, ratio: ForceRati
     force_N = start.force_N + ratio.along * (change.end_model_N - start.model_N)
     done = replace(change.start, model_N=change.end_model_N)
     return replace(done, force_ratio=force_N / change.end_model_N, force_ratio_std=ratio.std)
+
+
+def plan_correction(
+    config: Config,
+    change: PreloadChange,
+    fit: ForceFit,
+    joints: JointEstimate,
+    preload: PreloadState,
+    planned_for: PreloadState,
+) -> tuple[Plan, PreloadChange] | Refusal | None:
+    """Plan a further leg of a press.
+
+    The leg starts at the end of the plan: from the estimate, a backlash on which the two differ would be
+    crossed to and fro. The wind-up of the gears is that of the corrected force.
+
+    Args:
+        config: Configuration of flight software.
+        change: Change of force that has ended.
+        fit: Fit of the press.
+        joints: Estimate of the joints.
+        preload: Preload at the end, by the fit.
+        planned_for: Preload at the end, as planned.
+
+    Returns:
+        The plan and its change of force, the reason for none, or None if the force is near the target.
+    """
+    if abs(change.target_N - preload.force_N) < MIN_CORRECTION_N:
+        return None
+    if fit.legs_left == 0:
+        return Refusal(f"{MAX_CORRECTIONS} corrections did not reach the force")
+    extra_Nm = change.torque_per_N * (preload.force_N - planned_for.force_N)
+    end = replace(change.end, gear_rad=change.end.gear_rad + extra_Nm / config.arm.gear_stiffness_Nm_rad)
+    return plan_preload(config, estimate_at(joints, end), preload, change.target_N)
+
+
+def report_miss(target_N: float, preload: PreloadState, refused: Refusal | None) -> tuple[Evr, ...]:
+    """Report a press that ends far from its target, with the reason for which it is not corrected."""
+    is_near = abs(target_N - preload.force_N) <= MAX_ERROR_SHARE * target_N
+    if refused is None or is_near:
+        return ()
+    return (PreloadMissed(preload.tool, preload.force_N, target_N, refused.reason),)

@@ -19,7 +19,6 @@ from fsw.dictionary.evrs import (
     Evr,
     ForceEstimated,
     Preloaded,
-    PreloadMissed,
 )
 from fsw.dictionary.faults import NoContact, NotSettled
 from fsw.estimate.hardstop import HardstopFit
@@ -27,15 +26,16 @@ from fsw.estimate.joints import JointEstimate, LoadEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Flags, Sensors
 from fsw.motion.force_fit import (
-    MAX_CORRECTIONS,
     ForceFit,
     correct_preload,
     estimate_force_ratio,
+    plan_correction,
+    report_miss,
     update_force_fit,
 )
 from fsw.motion.homing import Homing, advance_homing, homing_limit_A
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
-from fsw.motion.plan import Plan, Refusal, estimate_at
+from fsw.motion.plan import Refusal
 from fsw.motion.preload import (
     ESTIMATED_RATIO_STD,
     PreloadChange,
@@ -45,11 +45,6 @@ from fsw.motion.preload import (
     plan_preload,
     preload_limit_A,
 )
-
-MIN_CORRECTION_N: Final = 3.0
-"""Least correction of a preload that is worth a further path."""
-MAX_ERROR_SHARE: Final = 0.1
-"""Error of a preload, as a share of the commanded force, beyond which its end is reported as a miss."""
 
 
 class Phase(IntEnum):
@@ -266,19 +261,15 @@ def _advance_preload(
     done = _follow_paths(config, move, joints, sensors)
     if done.move is None or done.move.phase is not Phase.SETTLE or fit is None or move.stopped:
         return done
-    return _correct_force(config, done.move, preload_change, fit, joints) or done
+    if preload_change.change_N <= 0:  # a release is not corrected
+        return done
+    return _correct_force(config, done.move, preload_change, fit, joints)
 
 
 def _correct_force(
     config: Config, move: Move, change: PreloadChange, fit: ForceFit, joints: JointEstimate
-) -> MoveUpdate | None:
-    """Correct the estimated force by the fit of a leg, and plan another leg if the target is not near.
-
-    Returns:
-        The update, or None if the force falls: a release is not corrected.
-    """
-    if change.change_N <= 0:
-        return None
+) -> MoveUpdate:
+    """Correct the estimated force by the fit of a leg, and plan another leg if the target is not near."""
     evrs: tuple[Evr, ...] = ()
     planned_for = change.state_after(distance_travelled(move))
     ratio = estimate_force_ratio(config, fit, joints, planned_for)
@@ -287,11 +278,9 @@ def _correct_force(
         preload = correct_preload(change, fit.start, ratio)
         evrs = (ForceEstimated(change.start.tool, ratio.along, ratio.across),)
     completed = replace(change, start=preload, end_model_N=preload.model_N)
-    planned = _plan_correction(config, change, fit, joints, preload, planned_for)
+    planned = plan_correction(config, change, fit, joints, preload, planned_for)
     if planned is None or isinstance(planned, Refusal):
-        missed = abs(change.target_N - preload.force_N) > MAX_ERROR_SHARE * change.target_N
-        if isinstance(planned, Refusal) and missed:
-            evrs = (*evrs, PreloadMissed(preload.tool, preload.force_N, change.target_N, planned.reason))
+        evrs = (*evrs, *report_miss(change.target_N, preload, planned))
         return MoveUpdate(replace(move, preload_change=completed, force_fit=None), evrs)
     plan, next_change = planned
     next_leg = replace(
@@ -304,28 +293,6 @@ def _correct_force(
         travelled=0.0,
     )
     return MoveUpdate(next_leg, evrs, backlash_rad=plan.backlash_rad)
-
-
-def _plan_correction(
-    config: Config,
-    change: PreloadChange,
-    fit: ForceFit,
-    joints: JointEstimate,
-    preload: PreloadState,
-    planned_for: PreloadState,
-) -> tuple[Plan, PreloadChange] | Refusal | None:
-    """Plan a further leg of a press; None if the estimated force is near the target.
-
-    The leg starts at the end of the plan: from the estimate, a backlash on which the two differ would be
-    crossed to and fro. The wind-up of the gears is that of the corrected force.
-    """
-    if abs(change.target_N - preload.force_N) < MIN_CORRECTION_N:
-        return None
-    if fit.legs_left == 0:
-        return Refusal(f"{MAX_CORRECTIONS} corrections did not reach the force")
-    extra_Nm = change.torque_per_N * (preload.force_N - planned_for.force_N)
-    end = replace(change.end, gear_rad=change.end.gear_rad + extra_Nm / config.arm.gear_stiffness_Nm_rad)
-    return plan_preload(config, estimate_at(joints, end), preload, change.target_N)
 
 
 def distance_travelled(move: Move) -> float:

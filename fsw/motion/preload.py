@@ -23,6 +23,7 @@ from fsw.motion.plan import (
     Plan,
     Refusal,
     describe_worst_limit,
+    estimate_at,
     plan_over_knots,
     worst_limit_excess,
 )
@@ -129,6 +130,29 @@ def model_contact(config: Config, joints: JointEstimate, tool: str) -> PreloadSt
     push = ToolForce(tool, -free.R[:, 0] * force_N)
     pushed = tool_pose(arm, settle_output(arm, joints.output_rad, gravity, push).frames, tool)
     return PreloadState(tool, pushed.p, pushed.R[:, 0], force_N, joints.resolver_error_rad)
+
+
+def anchor_contact(config: Config, joints: JointEstimate, preload: PreloadState) -> PreloadState:
+    """Return the preload of a tool that rests where it is now, under the same force.
+
+    A tool that hardly presses may slide before the press begins. A press to the place of the touch would then
+    push it aside.
+    """
+    settled = settle_output(config.arm, joints.output_rad, joints.gravity_R_m_s2, preload.reaction)
+    X_RT = tool_pose(config.arm, settled.frames, preload.tool)
+    return replace(preload, p_RoTo_R_m=X_RT.p, axis_R=X_RT.R[:, 0])
+
+
+def locate_by_resolvers(joints: JointEstimate, preload: PreloadState) -> JointEstimate:
+    """Return the estimate with the outputs where the resolvers have moved to since the contact.
+
+    An output that is elsewhere than planned pushes the tool aside. A resolver is believed as far as the
+    uncertainty of the gear angle.
+    """
+    lowest, likely, highest = joints.gear_rad.T
+    error_rad = joints.resolver_error_rad - preload.resolver_offset_rad
+    gear = np.clip(likely + error_rad, lowest, highest)
+    return estimate_at(joints, JointPositions(joints.motor_rad, gear))
 
 
 def plan_preload(
