@@ -74,16 +74,33 @@ def _plan_motion(
 
 def check_steps(config: Config, state: State, steps: tuple[SequenceStep, ...]) -> str | None:
     """Return the reason that a step cannot be planned from the end of the step before it, or None."""
-    joints, tool = state.joints, state.tool
+    ended = plan_steps(config, state.joints, state.tool, steps)
+    return ended.reason if isinstance(ended, Refusal) else None
+
+
+def plan_steps(
+    config: Config, joints: JointEstimate, tool: str, steps: tuple[SequenceStep, ...]
+) -> tuple[JointEstimate, str] | Refusal:
+    """Plan each step from the end of the step before it.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints, from which the first step starts.
+        tool: Tool of the last tool command.
+        steps: Steps, of which those that are no single move are left out.
+
+    Returns:
+        The joints at the end and the tool of the last tool command, or the reason for a refusal.
+    """
     for step in steps:
         if not isinstance(step, SingleMoveCommand):
             continue
         problem = check_arguments(config.params, step)
         if problem is not None:
-            return f"{type(step).__name__}: {problem}"
+            return Refusal(f"{type(step).__name__}: {problem}")
         plan = plan_command(config, joints, tool, step)
         if isinstance(plan, Refusal):
-            return f"{type(step).__name__}: {plan.reason}"
+            return Refusal(f"{type(step).__name__}: {plan.reason}")
         joints = estimate_at(joints, plan.end)
         tool = step.tool if isinstance(step, MoveTool | GuardedMove | Retract) else tool
-    return None
+    return joints, tool
