@@ -104,13 +104,15 @@ def read_command(
     rest = {key: value for key, value in table.items() if key != TYPE_KEY}
     frame = rest.pop("frame", RNAV) if positions else None
     command = read_record(kind, rest, place, findings, {"branch": (AUTO, *BRANCHES), "point": tuple(points)})
-    if frame is not None and frame not in frames:
+    words = {name.lower(): name for name in frames}
+    if frame is not None and str(frame).lower() not in words:
         findings.report(
             (*place, "frame"), f"frame: {frame!r} is not known; {did_you_mean(str(frame), frames)}"
         )
         return None
     if command is None:
         return None
+    frame = None if frame is None else words[str(frame).lower()]
     changed: dict[str, Any] = {}
     if frame == RNAV:
         changed = {name: vector3(p_R_from_N(np.array(getattr(command, name)))) for name in positions}
