@@ -60,8 +60,9 @@ class Avionics:
         self._next_s = min((effect.at_s for effect in self._hardware.timed), default=np.inf)
         self._gravity_R = FLIP * self._plant.model.opt.gravity + self._hardware.gravity_bias_R_m_s2
         hardware = self._hardware
-        sigma = (hardware.resolver_noise_rad, hardware.current_noise_A, hardware.gravity_noise_m_s2)
-        self._noise_sigma = np.repeat(sigma, (5, 5, 3))
+        joint_sigma = (hardware.resolver_noise_rad, hardware.current_noise_A)
+        rover_sigma = (hardware.gravity_noise_m_s2, hardware.structure_noise_K)
+        self._noise_sigma = np.repeat((*joint_sigma, *rover_sigma), (5, 5, 3, 1))
         self._winding_K_A2 = self._resistance_Ohm * hardware.winding_K_W
 
     def for_plant(self, plant: Plant) -> "Avionics":
@@ -97,7 +98,7 @@ class Avionics:
         if self._plant.data.time >= self._next_s:
             self._start_due_effects()
         plant, hardware, data = self._plant, self._hardware, self._plant.data
-        noise = self._rng.standard_normal(13) * self._noise_sigma
+        noise = self._rng.standard_normal(14) * self._noise_sigma
         current = plant.motor_current_A()
         resolver = plant.output_rad() + hardware.resolver_bias_rad + noise[:5]
         for error in hardware.resolver_errors:
@@ -110,8 +111,9 @@ class Avionics:
             resolver_rad=np.rint(resolver / step_rad) * step_rad if step_rad else resolver,
             current_A=current + noise[5:10],
             winding_C=hardware.ambient_C + self._update_winding_rise(current),
+            structure_C=hardware.structure_C + hardware.structure_offset_K + float(noise[13]),
             switch_closed=self._update_switches(data.sensordata[self._touch]),
-            gravity_R_m_s2=self._gravity_R + noise[10:],
+            gravity_R_m_s2=self._gravity_R + noise[10:13],
         )
         if hardware.sensor_errors:
             sensors, updated = apply_sensor_errors(hardware.sensor_errors, sensors, self._rng)

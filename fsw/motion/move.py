@@ -4,7 +4,7 @@ A move follows paths, homes a joint, or changes a preload. A guarded move and a 
 while they run: a contact is preloaded, and a preload is corrected by the motor currents.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import IntEnum
 from typing import Final
 
@@ -21,6 +21,7 @@ from fsw.dictionary.evrs import (
     Preloaded,
 )
 from fsw.dictionary.faults import NoContact, NotSettled
+from fsw.dictionary.types import cycle_record
 from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
 from fsw.kinematics.transforms import Array
@@ -56,7 +57,7 @@ class Phase(IntEnum):
     BRAKE = 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class Move:
     """Move: paths in sequence, each from rest to rest, or the homing of a joint."""
 
@@ -88,7 +89,7 @@ class Move:
     """Travel along the completed paths over knots, in metres, or in newtons of a preload."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class MoveUpdate:
     """Move after a cycle, None if it has ended, with its events and its final mode."""
 

@@ -16,6 +16,7 @@ from fsw.kinematics.transforms import Array
 from ground.accuracy.placements import (
     MeasuredPlacement,
     closed_loop_model,
+    configure_believed,
     measure_placements,
     random_placements,
     statics_model,
@@ -140,7 +141,7 @@ def run_sampled_trial(
         if move_model == "statics"
         else closed_loop_model(arm, _exact_reference(arm), backlash)
     )
-    return measure_placements(move, random_placements(params, tool, places, placement_seed))
+    return measure_placements(move, random_placements(configure_believed(arm), tool, places, placement_seed))
 
 
 def run_built_trial(
@@ -165,14 +166,16 @@ def run_built_trial(
     added = {name: factor for name, factor in case.sources.items() if name not in ARM_SOURCES}
     cold = Ambient(float(rng.uniform(*RANDOM_TEMPERATURE_C)))
     arm = arm_named(name, params)
-    effects = (cold, *sample_effects(model, replace(case, sources=added), tool, rng))
+    effects = (*sample_effects(model, replace(case, sources=added), tool, rng), cold)
     tested = replace(arm, effects=(*arm.effects, *effects))
     move = (
         statics_model(tested, "on")
         if move_model == "statics"
         else closed_loop_model(tested, initial_reference(arm), "on")
     )
-    return measure_placements(move, random_placements(arm.params, tool, places, placement_seed))
+    return measure_placements(
+        move, random_placements(configure_believed(tested), tool, places, placement_seed)
+    )
 
 
 def _exact_reference(arm: BuiltArm) -> Reference:
