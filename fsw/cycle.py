@@ -11,7 +11,7 @@ from fsw.dictionary.evrs import Booted, Evr, ModeChanged
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
-from fsw.executive.commands import continue_sequence, handle
+from fsw.executive.commands import continue_sequence, receive
 from fsw.executive.context import CommandContext
 from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
 from fsw.kinematics.transforms import Array
@@ -123,7 +123,7 @@ def _decide(
         return state, joints, ()
     context = CommandContext(replace(state, joints=joints, load=load), usable, closed=sensors.switch_closed)
     for command in commands:
-        context = handle(context.state.changed_config or config, context, command)
+        context = receive(context.state.changed_config or config, context, command)
     context = continue_sequence(context.state.changed_config or config, context)
     return context.state, context.state.joints, context.evrs
 

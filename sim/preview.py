@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from fsw.config import Config, configure
+from fsw.dictionary.commands import AUTO
 from fsw.estimate.joints import JointEstimate, uninitialised_estimate
 from fsw.estimate.reference import Reference, no_reference
 from fsw.executive.planning import plan_command
@@ -21,7 +22,7 @@ from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import Compensation
 from fsw.motion.paths import Path
 from fsw.motion.plan import Plan, Refusal, estimate_at, plan_poses
-from fsw.motion.plan_tool import AUTO, plan_tool
+from fsw.motion.plan_tool import plan_tool
 from sim.arms import BuiltArm
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementResult, PlacementRun, placement_moves

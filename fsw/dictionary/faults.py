@@ -241,6 +241,15 @@ class CyclesMissed(Fault):
 
 
 @dataclass(frozen=True, slots=True)
+class CycleCountWrong(Fault):
+    """The cycle count of the avionics did not rise: the readings are old, or the avionics restarted."""
+
+    text = "cycle count {e.cycle} after {e.before}, it must rise"
+    cycle: int
+    before: int
+
+
+@dataclass(frozen=True, slots=True)
 class TiltChanged(Fault):
     """Gravity turned while the arm moved, or disagrees with the tilt that the ground set."""
 

@@ -9,10 +9,12 @@ from typing import assert_never
 import numpy as np
 
 from fsw.config import Config
+from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import (
     Calibrate,
     CalibrateAll,
     ClearFault,
+    Command,
     Dock,
     GuardedMove,
     MoveJoint,
@@ -44,7 +46,7 @@ from fsw.dictionary.evrs import (
 from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.types import vector3
 from fsw.estimate.reference import forget_joint
-from fsw.executive.checks import check_arguments, check_bounds
+from fsw.executive.checks import check_arguments, check_force, known_names
 from fsw.executive.context import (
     CommandContext,
     check_calibrated,
@@ -78,8 +80,20 @@ from fsw.motion.preload import (
 from fsw.state import Hold, Sequence, SequenceStep
 
 
+def receive(config: Config, context: CommandContext, command: Command) -> CommandContext:
+    """Handle a command that arrives from the ground, or refuse it for a wrong argument.
+
+    Returns:
+        The context with what the command changed, or with the event that gives the reason for a refusal.
+    """
+    received = read_arguments(command, known_names(config.params))
+    if isinstance(received, Wrong):
+        return refuse(context, command, received.text)
+    return handle(config, context, received)
+
+
 def handle(config: Config, context: CommandContext, command: SequenceStep) -> CommandContext:
-    """Handle a command or a step of a sequence.
+    """Handle a command whose arguments have their types and limits, or a step of a sequence.
 
     Returns:
         The context with what the command changed, or with the event that gives the reason for a refusal.
@@ -308,7 +322,7 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         check_ready(context) or check_calibrated(context, command) or check_arguments(config.params, command)
     )
     problem = problem or check_mode(context, ModeEvent.PRESS) or _check_other_tool(context, command.tool)
-    problem = problem or check_bounds(config.params, command)
+    problem = problem or check_force(config.params, command)
     if problem is None and command.force_N > 0 and not in_contact(config, context, command.tool):
         problem = f"{command.tool} touches nothing: there is nothing to press on"
     if problem is not None:

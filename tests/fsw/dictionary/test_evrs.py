@@ -73,6 +73,7 @@ SENTENCES = {
     faults.UnderTemperature(Joint.WRIST, -75.0, -70.0): "WRIST: winding at -75.0 degC, bound -70.0 degC",
     faults.SensorFrozen("current_A", 64): "current_A reads the same for 64 cycles",
     faults.CyclesMissed(9, 4): "9 cycles missed, at most 4 are tolerated",
+    faults.CycleCountWrong(7, 57): "cycle count 7 after 57, it must rise",
     faults.TiltChanged(0.0123, 0.01): "gravity turned by 0.0123 rad, bound 0.0100 rad",
     faults.ContactLost("DRILL"): "DRILL lost contact",
     faults.PreloadOutside("DRILL", 300.0, -120.04, 100.0): (

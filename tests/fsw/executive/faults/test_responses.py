@@ -13,6 +13,7 @@ from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused
 from fsw.dictionary.faults import (
     ContactInFreeSpace,
+    CycleCountWrong,
     CyclesMissed,
     Fault,
     FollowingErrorHigh,
@@ -91,6 +92,7 @@ PERSISTENT = {
     GravityImplausible: (1, lambda rig: {"gravity_R_m_s2": np.zeros(3)}),
     SensorFrozen: (BOUNDS.frozen_persistence, lambda rig: {"current_A": np.full(5, 0.3)}),
     CyclesMissed: (1, lambda rig: MISSED),
+    CycleCountWrong: (1, lambda rig: {"cycle": rig.cycles - 51}),
     TiltChanged: (
         BOUNDS.tilt_persistence,
         lambda rig: {"gravity_R_m_s2": [2.0, 0.0, 3.0 + alive(rig.cycles)]},
