@@ -46,7 +46,7 @@ def read_arguments(command: C, names: Names) -> C | Wrong:
     Returns:
         The command with plain values, or the first problem.
     """
-    kind: type[Any] = type(command)
+    kind: Any = type(command)  # mypy takes no class of a union for hashable
     if kind not in COMMAND_TYPES:
         return Wrong(f"is no command; there are {', '.join(sorted(one.__name__ for one in COMMAND_TYPES))}")
     values: dict[str, Any] = {}
