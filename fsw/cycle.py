@@ -64,6 +64,7 @@ def step(
         fault=after.fault,
         monitors=monitors,
         drive=command_actuators(config, after.move, joints, state.drive),
+        surface=state.surface,
         changed_config=state.changed_config,
     )
     return state, _make_outputs(config, before, state, backlash_state, tool_channels, decided + after.evrs)

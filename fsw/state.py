@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fsw.collision.geometry import Surface
 from fsw.config import Config
 from fsw.dictionary.channels import JointChannels
 from fsw.dictionary.commands import Command
@@ -58,6 +59,8 @@ class State:
     fault: StandingFault | None
     monitors: MonitorState
     drive: ActuatorCommand
+    surface: Surface | None = None
+    """Surface of the last target, from the last touch if there was one; None after an unstow."""
     changed_config: Config | None = None
     """Configuration with the parameters that were set since boot; None if none was set."""
 

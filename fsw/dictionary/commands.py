@@ -100,19 +100,27 @@ class GuardedMove:
     """Position at which the tool stops at the latest."""
     approach_R: Vector3
     """Direction of the tool's x axis, of any length."""
+    normal_R: Vector3 | None = None
+    """Normal out of the surface, of any length; None for against the approach."""
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"
 
 
 @dataclass(frozen=True, slots=True)
 class PlaceTool:
-    """Move to a standoff in front of a target, then straight on until a contact switch closes."""
+    """Move to a standoff in front of a target, then straight on until a contact switch closes.
+
+    All parts of the turret stay above the surface. If a direct way is not clear, the way leads from farther
+    away.
+    """
 
     tool: ToolName
     p_RoTo_R_m: Vector3
     """Position of the target."""
     approach_R: Vector3
     """Direction of the tool's x axis, of any length."""
+    normal_R: Vector3 | None = None
+    """Normal out of the surface, of any length; None for against the approach."""
     standoff_m: float = 0.10
     """Distance before the target at which the guarded move begins."""
     overtravel_m: float = 0.05
@@ -136,13 +144,15 @@ class Preload:
 class ToolChange:
     """Put another tool on the touched spot: retreat, turn the turret, touch again.
 
+    The tools retreat farther if another part of the turret would not stay above the surface.
+
     The spot is the estimated position of the touching tool. Only the difference of deflection, backlash and
     kinematics between the two poses matters. Absolute and relative compensation therefore agree.
     """
 
     tool: ToolName
     standoff_m: float = 0.10
-    """Distance by which the tools retreat."""
+    """Least distance by which the tools retreat."""
     overtravel_m: float = 0.03
     """Distance beyond the spot up to which contact may occur."""
     hover_m: float = 0.0

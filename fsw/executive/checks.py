@@ -71,11 +71,13 @@ def check_arguments(params: Params, command: Command) -> str | None:
             problem = _check_switch(params, command.tool) or _check_target(
                 command.end_p_RoTo_R_m, command.approach_R
             )
+            problem = problem or _check_normal(command)
             return problem or _check_compensation(command)
         case PlaceTool():
             problem = _check_switch(params, command.tool) or _check_target(
                 command.p_RoTo_R_m, command.approach_R
             )
+            problem = problem or _check_normal(command)
             problem = problem or _check_lengths(command) or _check_compensation(command)
             return problem or _check_branch_name(command.branch)
         case ToolChange():
@@ -176,6 +178,15 @@ def _check_target(p_m: Vector3, approach: Vector3) -> str | None:
     if max(map(abs, p_m)) > MAX_POSITION_M:
         return f"the position is farther than {MAX_POSITION_M:g} m away"
     return check_vector("the approach", approach)
+
+
+def _check_normal(command: GuardedMove | PlaceTool) -> str | None:
+    if command.normal_R is None:
+        return None
+    problem = check_vector("normal_R", command.normal_R)
+    if problem is None and np.dot(command.normal_R, command.approach_R) >= 0:
+        return "normal_R points along the approach, not out of the surface"
+    return problem
 
 
 def check_vector(name: str, direction: Vector3) -> str | None:
