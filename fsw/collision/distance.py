@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from fsw.collision.geometry import GROUND, SURFACE, SURFACE_FRAME, CollisionGeometry, Surface
 from fsw.kinematics.chain import Frames
-from fsw.kinematics.transforms import Array, Pose, dot, inverse, norm, rotate_back
+from fsw.kinematics.transforms import Array, Pose, dot, inverse, rotate_back
 
 ROUNDING_M: Final = 1e-5
 """Rounding error: a part that starts too close may come this much closer."""
 
 BELOW_M: Final = 0.02
-"""Depth below a surface that estimates of the arm do not explain."""
+"""Depth below a surface that errors of surface and arm do not explain."""
+LEAST_ROCK_M: Final = 0.1
+"""Least radius of a rock to touch: twice the distance from a tip to the ends of its contact switches."""
 UP: Final = np.array([0.0, 0.0, -1.0])
 """Normal of level ground in RMECH."""
 
@@ -75,7 +77,8 @@ def find_violation(
 ) -> ClearanceViolation | None:
     """Find the first pose of a path at which a part of the arm is too close to an obstacle.
 
-    A part that starts closer than the padding may stay as close or move away, so that the arm can leave.
+    A part that starts closer than the padding may stay as close or move away, so that the arm can leave. It
+    may not start deeper below a surface than errors explain.
 
     Args:
         geometry: Shapes of arm and rover.
@@ -87,8 +90,17 @@ def find_violation(
     Returns:
         The violation, or None if there is none.
     """
-    clearance = compute_clearances(geometry, frames, padding_m, touching, surface)
+    return judge_clearances(
+        geometry, compute_clearances(geometry, frames, padding_m, touching, surface), padding_m
+    )
+
+
+def judge_clearances(
+    geometry: CollisionGeometry, clearance: Array, padding_m: float
+) -> ClearanceViolation | None:
+    """Find the first pose that is too close, as `find_violation`, from distances (parts, obstacles, n)."""
     least = np.minimum(padding_m, clearance[..., :1] - ROUNDING_M)
+    least[:, SURFACE] = np.maximum(least[:, SURFACE], -BELOW_M)
     bad = clearance < least
     if not bad.any():
         return None
@@ -190,9 +202,9 @@ def _compute_surface_distances(geometry: CollisionGeometry, X_RS: Pose, surface:
 
 
 def _compute_distances_beside(geometry: CollisionGeometry, X_RS: Pose, surface: Surface) -> Array:
-    """Bound the distances of the shapes of the arm, (m, n), to the point of a surface."""
-    to_centre: Array = norm(X_RS.p - surface.p_R_m.reshape(3, 1, -1))
-    return to_centre - geometry.arm.bounding_radius_m[:, None]
+    """Compute the distances of the shapes of the arm, (m, n), to the point of a surface."""
+    p_S = rotate_back(X_RS.R, surface.p_R_m.reshape(3, 1, -1) - X_RS.p)
+    return point_distance(p_S, geometry.arm.half_m[:, :, None]) - geometry.arm.radius_m[:, None]
 
 
 def limit_surface(geometry: CollisionGeometry, frames: Frames, surface: Surface) -> Surface:
@@ -210,7 +222,7 @@ def limit_surface(geometry: CollisionGeometry, frames: Frames, surface: Surface)
     height = _compute_heights(geometry, X_RS, surface)[:, 0]
     is_below = (geometry.arm.carrier >= SURFACE_FRAME) & (height < -BELOW_M)
     nearest_m = _compute_distances_beside(geometry, X_RS, surface)[is_below, 0].min(initial=np.inf)
-    return replace(surface, radius_m=min(surface.radius_m, 0.5 * max(float(nearest_m), 0.0)))
+    return replace(surface, radius_m=min(surface.radius_m, max(0.5 * float(nearest_m), LEAST_ROCK_M)))
 
 
 def _find_neighbours(geometry: CollisionGeometry, p_RS: Array, within_m: float) -> tuple[Indices, ...]:

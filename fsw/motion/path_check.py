@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.collision.distance import compute_clearances, find_violation, limit_surface
+from fsw.collision.distance import compute_clearances, find_violation, judge_clearances, limit_surface
 from fsw.collision.geometry import SURFACE, Surface
 from fsw.config import Config
 from fsw.estimate.gear import bound_gear
@@ -47,16 +47,19 @@ def check_paths(
     Returns:
         The reason for a refusal, or None if the paths are clear.
     """
-    coarse = compute_deflected_frames(config, joints, sample_paths(config, paths, COARSE_STEP_M))
+    motor = sample_paths(config, paths, COARSE_STEP_M)
+    coarse = compute_deflected_frames(config, joints, motor)
     if surface is not None:
         surface = limit_surface(config.collision_geometry, coarse, surface)
     near_m = padding_m + 0.5 * COARSE_STEP_M + DEFLECTION_CHANGE_M
     near = compute_clearances(config.collision_geometry, coarse, near_m, touching, surface)
     if not np.isfinite(near).any():
         return None
-    motor = sample_paths(config, paths, FINE_STEP_M)
-    frames = compute_deflected_frames(config, joints, motor)
-    violation = find_violation(config.collision_geometry, frames, padding_m, touching, surface)
+    violation = judge_clearances(config.collision_geometry, near, padding_m)
+    if violation is None:
+        motor = sample_paths(config, paths, FINE_STEP_M)
+        frames = compute_deflected_frames(config, joints, motor)
+        violation = find_violation(config.collision_geometry, frames, padding_m, touching, surface)
     if violation is None:
         return None
     clear_share = _compute_share(config, motor, violation.first)
