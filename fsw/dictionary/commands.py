@@ -100,10 +100,10 @@ class GuardedMove:
     """Position at which the tool stops at the latest."""
     approach_R: Vector3
     """Direction of the tool's x axis, of any length."""
-    normal_R: Vector3 | None = None
-    """Normal out of the surface, of any length; None for against the approach."""
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"
+    normal_R: Vector3 | None = None
+    """Normal out of the surface, of any length; None for against the approach."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +119,6 @@ class PlaceTool:
     """Position of the target."""
     approach_R: Vector3
     """Direction of the tool's x axis, of any length."""
-    normal_R: Vector3 | None = None
-    """Normal out of the surface, of any length; None for against the approach."""
     standoff_m: float = 0.10
     """Distance before the target at which the guarded move begins."""
     overtravel_m: float = 0.05
@@ -129,6 +127,8 @@ class PlaceTool:
     deflection: DeflectionMode = "absolute"
     branch: str = "AUTO"
     """AUTO, or one of the names in kinematics.branches.BRANCHES."""
+    normal_R: Vector3 | None = None
+    """Normal out of the surface, of any length; None for against the approach."""
 
 
 @dataclass(frozen=True, slots=True)

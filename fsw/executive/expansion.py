@@ -112,7 +112,7 @@ def _expand_place(
     p, approach = _locate_target(config, joints, tool, command)
     deflection: DeflectionMode = "off" if command.deflection == "off" else "absolute"
     end = vector3(p + command.overtravel_m * approach)
-    touch = GuardedMove(command.tool, end, vector3(approach), command.normal_R, command.backlash, deflection)
+    touch = GuardedMove(command.tool, end, vector3(approach), command.backlash, deflection, command.normal_R)
     return *_standoff_moves(command, p, approach, command.overtravel_m, deflection, farther_m), touch
 
 
@@ -185,7 +185,7 @@ def _expand_tool_change(
     back = Retract(touching, command.standoff_m + farther_m, command.backlash, deflection)
     to_standoff = _standoff_moves(command, contact.p_m, contact.axis, beyond_m, deflection, farther_m)
     normal = None if surface is None else vector3(surface.normal_R)
-    last: SequenceStep = GuardedMove(command.tool, end, approach, normal, command.backlash, deflection)
+    last: SequenceStep = GuardedMove(command.tool, end, approach, command.backlash, deflection, normal)
     if command.hover_m > 0:
         last = MoveTool(
             command.tool, end, approach, straight=True, backlash=command.backlash, deflection=deflection
