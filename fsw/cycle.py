@@ -71,6 +71,7 @@ def step(
         monitors=monitors,
         drive=command_actuators(config, after.move, joints, state.drive),
         structure_C=structure_C,
+        surface=state.surface,
         changed_config=state.changed_config,
     )
     return state, _make_outputs(config, before, state, backlash_state, tool_channels, decided + after.evrs)

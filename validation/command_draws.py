@@ -40,7 +40,7 @@ BAD_NUMBERS: Final = (
     np.bool_(True), np.float64(0.1),
 )  # fmt: skip
 BAD_TEXTS: Final = ("", "drill", "DRILL", "Elbow", "\ud800", "a\nb", "\0", "x" * 101, "é" * 50, "{e}", "%s")
-BAD_OTHERS: Final = (
+BAD_OTHERS: Final[tuple[Any, ...]] = (
     None, b"drill", 1j, Decimal("1e999"), object(), dict, len, {"a": 1}, {1.0}, range(3), (), [],
     ((1.0,),) * 3, (1.0, 2.0), [1.0, 2.0, 3.0], (1.0,) * 6, (1e306,) * 5, ("1", "2", "3"),
     [None] * 5, (True, False, True),
@@ -48,7 +48,16 @@ BAD_OTHERS: Final = (
     np.array([1, 2, None]), np.zeros(10_000), (0.0, 0.0, 0.0), (1e-300, 0.0, 0.0), (1e200, 1e200, -1e200),
 )  # fmt: skip
 BAD_VALUES: Final = (*BAD_NUMBERS, *BAD_TEXTS, *BAD_OTHERS)
-NO_COMMANDS: Final = (None, 3, "Stop", Stop, {}, (Stop(),), Hold(1.0, vibrate=True), np.zeros(5))
+NO_COMMANDS: Final[tuple[Any, ...]] = (
+    None,
+    3,
+    "Stop",
+    Stop,
+    {},
+    (Stop(),),
+    Hold(1.0, vibrate=True),
+    np.zeros(5),
+)
 
 
 def draw_command(random: Random, params: Params) -> Any:
