@@ -70,15 +70,19 @@ MoveModel = Callable[[Placement], tuple[Pose, Array]]
 
 def configure_believed(arm: BuiltArm) -> Config:
     """Configure flight software of an arm for the temperature that its sensor reads."""
-    hardware = hardware_with_effects(arm.effects, nominal_hardware(arm.model.description))
-    return configure_at(configure(arm.params), hardware.structure_C + hardware.structure_offset_K)
+    return configure_at(configure(arm.params), _structure_reading_C(arm))
 
 
 def configure_true(arm: BuiltArm) -> Config:
     """Configure flight software that knows an arm and its temperature exactly."""
-    hardware = hardware_with_effects(arm.effects, nominal_hardware(arm.model.description))
     exact = configure(params_with_effects(arm.effects, arm.model.params))
-    return configure_at(exact, hardware.structure_C)
+    return configure_at(exact, _structure_reading_C(arm))
+
+
+def _structure_reading_C(arm: BuiltArm) -> float:
+    """Return what the sensor of the structure reads, without noise."""
+    hardware = hardware_with_effects(arm.effects, nominal_hardware(arm.model.description))
+    return hardware.structure_C + hardware.structure_offset_K
 
 
 def random_placements(
