@@ -61,7 +61,9 @@ def test_a_sensor_that_reads_a_kelvin_too_much_costs_what_the_arm_grows_in_a_kel
 
 
 def test_what_statics_know_of_an_arm_has_its_temperature_and_coefficients() -> None:
-    arm = replace(NOMINAL, effects=(*HALF, Ambient(-55.0)))
-    true = configure_true(arm)
-    np.testing.assert_allclose(true.calibrated_arm.expansion_F, 0.5 * CONFIG.arm.expansion_F)
-    assert true.structure_C == -55.0
+    warmed = configure_at(CONFIG, CONFIG.params.heat.calibration_C + 0.5 * 30.0).arm
+    true = configure_true(replace(NOMINAL, effects=(*HALF, Ambient(50.0)))).arm
+    pose_rad = np.array(NOMINAL.params.poses.ready_rad)
+    for tool in NOMINAL.params.tool_names:
+        one, other = (tool_pose(arm, forward(arm, pose_rad), tool) for arm in (true, warmed))
+        np.testing.assert_allclose(one.p, other.p, atol=1e-6)
