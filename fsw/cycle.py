@@ -40,7 +40,7 @@ def step(
     before, config = state, state.changed_config or config
     unusable = check_readings(config.protection, sensors)
     usable = not unusable
-    structure_C = _filter_structure(config, state.structure_C, sensors.structure_C, usable)
+    structure_C = _filter_structure(config, state, sensors.structure_C, usable)
     # a move and its protection keep the arm that the move was planned with
     if before.move is None and _has_arm_grown(config, structure_C):
         config = configure_at(config, structure_C)
@@ -77,13 +77,18 @@ def step(
     return state, _make_outputs(config, before, state, backlash_state, tool_channels, decided + after.evrs)
 
 
-def _filter_structure(config: Config, last_C: float, reading_C: float, usable: bool) -> float:
-    """Filter the temperature of the structure from its first reading on; an unusable reading is left out."""
+def _filter_structure(config: Config, state: State, reading_C: float, usable: bool) -> float:
+    """Filter the temperature of the structure; until the filter has its time, take the mean since boot.
+
+    An unusable reading is left out.
+    """
+    last_C = state.structure_C
     if not usable:
         return last_C
     if isnan(last_C):
         return reading_C
-    return last_C + CYCLE_S / config.params.heat.filter_s * (reading_C - last_C)
+    share = max(CYCLE_S / config.params.heat.filter_s, 1.0 / (state.tick + 1))
+    return last_C + share * (reading_C - last_C)
 
 
 def _has_arm_grown(config: Config, structure_C: float) -> bool:

@@ -73,6 +73,17 @@ class Ambient(Effect):
         return replace(hardware, ambient_C=ambient_C, structure_C=self.temperature_C)
 
 
+@dataclass(frozen=True, slots=True)
+class StructureTemperature(Effect):
+    """Temperature of links and tools, where heaters keep the actuators at another."""
+
+    temperature_C: Annotated[float, ParameterSpec(-130.0, 70.0, unit="degC", typical=-30.0, neutral=WARM_C)]
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """Set the temperature of the structure."""
+        return replace(hardware, structure_C=self.temperature_C)
+
+
 def default_ambient(effects: Iterable[Effect], temperature_C: float) -> tuple[Effect, ...]:
     """Return an ambient of this temperature, or nothing if the effects contain one."""
     return () if any(isinstance(effect, Ambient) for effect in effects) else (Ambient(temperature_C),)
