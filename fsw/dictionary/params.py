@@ -335,6 +335,8 @@ class MonitorParams:
     """Largest difference between commanded force and force estimated from the wind-up of the joints."""
     preload_persistence: Annotated[int, Limits(1, 640)]
     """Cycles of a larger force error."""
+    resolver_noise_rad: Annotated[float, Limits(1e-6, 1e-2)]
+    """Noise of a resolver reading, one sigma, rounding included."""
     guarded_force_N: Annotated[float, Limits(1.0, 500.0)]
     """Largest force on a guarded tool, estimated from wind-up, while none of its switches is closed."""
 

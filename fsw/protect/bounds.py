@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import sqrt
 from typing import Final
 
 import numpy as np
@@ -12,6 +13,16 @@ from fsw.kinematics.transforms import Array
 
 LOAD_ERROR_FACTOR: Final = 5.0
 """On an approach, a gear counts if its torque exceeds this many times the error of its modelled load."""
+
+
+FAST_GAIN: Final = 0.125
+"""Smoothing per cycle of the wind-up in a free move: a force rises by newtons a cycle, as large as the noise."""
+SIGMAS: Final = 6.0
+"""Noise passes this many sigmas once in 1e9 independent readings."""
+LEAST_READINGS: Final = 16
+"""Readings from which a mean without a force is known: its noise is then that of the fast mean."""
+MOST_READINGS: Final = 256
+"""Readings in that mean, 4 s: the force of a slow straight move reaches its bound in 1 s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +50,10 @@ class ProtectionBounds:
     """Current that is nearly all that a motor may draw, (5,)."""
     approach_wind_up_rad: Array
     """Wind-up beyond the backlash from which a gear counts on an approach, (5,)."""
+    free_noise_rad: tuple[float, ...]
+    """Wind-up in a free move that noise explains, by the number of readings in the slow mean."""
+    free_step_rad: tuple[float, ...]
+    """Change of the wind-up in a cycle that noise and speed explain, (5,)."""
     monitored_lowest: tuple[float, ...]
     """Lower bounds of the values that `motors.exceed_any_bound` compares, in its order, (25,)."""
     monitored_highest: tuple[float, ...]
@@ -79,6 +94,10 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         setpoint_step_rad=np.array([monitors.setpoint_step_factor * cycle_s * j.speed_rad_s for j in joints]),
         over_current_A=over_current,
         approach_wind_up_rad=LOAD_ERROR_FACTOR * load_error / arm.gear_stiffness_Nm_rad,
+        free_noise_rad=_compute_free_noise(monitors.resolver_noise_rad),
+        free_step_rad=tuple(
+            cycle_s * j.speed_rad_s + SIGMAS * sqrt(2.0) * monitors.resolver_noise_rad for j in joints
+        ),
         monitored_lowest=tuple(
             np.concatenate((lowest, -lag, -over_current, coldest, -resolver_error)).tolist()
         ),
@@ -86,3 +105,9 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
             np.concatenate((highest, lag, over_current, hottest, resolver_error)).tolist()
         ),
     )
+
+
+def _compute_free_noise(noise_rad: float) -> tuple[float, ...]:
+    """Compute the wind-up that noise explains, by the number of readings in the slow mean."""
+    fast = FAST_GAIN / (2.0 - FAST_GAIN)
+    return tuple(SIGMAS * noise_rad * sqrt(fast + 1.0 / max(n, 1)) for n in range(MOST_READINGS + 1))

@@ -29,6 +29,7 @@ from fsw.protect.readings import (
     check_tilt,
     noisy_readings,
 )
+from fsw.protect.resistance import Resistance, monitor_free_move
 from fsw.protect.status import ArmStatus
 
 
@@ -63,6 +64,8 @@ class MonitorState:
     planned_gravity_R: Array | None = None
     """Gravity when the move under way began, (3,)."""
     approach: ApproachState | None = None
+    resistance: Resistance | None = None
+    """That of a free move."""
 
 
 def run_monitors(
@@ -83,8 +86,9 @@ def run_monitors(
     unchanged, frozen = check_frozen(bounds, last.unchanged, last.readings, readings)
     counts, found = _monitor_arm(bounds, last.counts, arm, sensors, planned)
     approach, force = monitor_approach(bounds, last.approach, arm, sensors)
-    state = MonitorState(counts, sensors.cycle, readings, unchanged, planned, approach)
-    return state, evrs + frozen + found + force
+    resistance, contact = monitor_free_move(bounds, last.resistance, arm, readings, unchanged)
+    state = MonitorState(counts, sensors.cycle, readings, unchanged, planned, approach, resistance)
+    return state, evrs + frozen + found + force + contact
 
 
 def _monitor_arm(
