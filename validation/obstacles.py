@@ -26,6 +26,7 @@ from fsw.kinematics.transforms import Array
 from ground.common.pool import Runner, in_order
 from sim.arms import arm_named
 from sim.effects.environment import Ambient
+from sim.effects.faults import SensorFault
 from sim.frames import FLIP, P_NR_M
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
@@ -135,8 +136,11 @@ def fly(seed: int, index: int) -> Met | None:
     one = draw(seed, index)
     arm = arm_named(one.arm)
     world = World(surface=Surface(one.p_N_m, one.normal_N))
+    dead = tuple(
+        SensorFault(0.0, "switch_closed", "biased", k, -1.0) for k in range(len(arm.params.switches))
+    )
     setup = Setup(
-        arm, world, joints5(one.start_rad), index, true_reference(arm), (Ambient(one.temperature_C),)
+        arm, world, joints5(one.start_rad), index, true_reference(arm), (Ambient(one.temperature_C), *dead)
     )
     loop = ClosedLoop(setup, with_truth=True)
     if loop.plant.data.ncon:
@@ -153,6 +157,7 @@ def fly(seed: int, index: int) -> Met | None:
     force = np.array(force_N)
     faults = [evr for evr in evrs if isinstance(evr, Fault)]
     if not force.any():
+        print(index, one.kind, [e.message for e in evrs if e.severity.name.startswith('WARN')])
         return None
     found = next((e for e in faults if isinstance(e, UnexpectedContact)), None)
     return Met(

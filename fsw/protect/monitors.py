@@ -29,7 +29,7 @@ from fsw.protect.readings import (
     check_tilt,
     noisy_readings,
 )
-from fsw.protect.resistance import Resistance, monitor_free_move
+from fsw.protect.resistance import FreeMove, monitor_free_move
 from fsw.protect.status import ArmStatus
 
 
@@ -64,8 +64,7 @@ class MonitorState:
     planned_gravity_R: Array | None = None
     """Gravity when the move under way began, (3,)."""
     approach: ApproachState | None = None
-    resistance: Resistance | None = None
-    """That of a free move."""
+    free_move: FreeMove | None = None
 
 
 def run_monitors(
@@ -86,8 +85,8 @@ def run_monitors(
     unchanged, frozen = check_frozen(bounds, last.unchanged, last.readings, readings)
     counts, found = _monitor_arm(bounds, last.counts, arm, sensors, planned)
     approach, force = monitor_approach(bounds, last.approach, arm, sensors)
-    resistance, contact = monitor_free_move(bounds, last.resistance, arm, readings, unchanged)
-    state = MonitorState(counts, sensors.cycle, readings, unchanged, planned, approach, resistance)
+    free_move, contact = monitor_free_move(bounds, last.free_move, arm, readings, unchanged)
+    state = MonitorState(counts, sensors.cycle, readings, unchanged, planned, approach, free_move)
     return state, evrs + frozen + found + force + contact
 
 

@@ -1,27 +1,34 @@
-"""Monitor of free moves: resistance that winds up the gears is an unexpected contact.
+"""Monitor of free moves: resistance of several joints at once is an unexpected contact.
 
-An obstacle holds back an output whose motor turns on. Resolver less motor and estimated gear angle then moves
-against the motion. Constant errors, such as those of zeros, biases and weights, are in its slow mean as well,
-and cancel. A joint shows resistance if
+Two signals show the torque of an obstacle. Both are compared with their own mean since the joint began to turn,
+so that constant errors of weights, friction, biases and zeros cancel.
 
-    fast mean - slow mean  >  6 sigma of the noise of both  +  uncertainty of the gear angle
+- The motor current, every cycle: it is quiet, but friction changes with the speed. It counts for motors that turn.
+- The wind-up, resolver less estimated output, every UPDATE_CYCLES: it is slower, but counts at any speed and for
+  joints on their brakes.
 
-The noise has variance s2 g / (2 - g) for the fast mean with gain g, and s2 / n for the mean of n readings. Six
-sigma are passed once in 1e9 independent readings. Five joints have 64 / 8 of them a second, so that noise alone
-raises a false alarm in ten months of motion. The uncertainty is that of the modelled load and of a backlash that
-may have been crossed.
+An obstacle acts on several joints, with unknown levers. The statistic is therefore the sum of squares
 
-In these cases a joint shows nothing, and its slow mean begins anew:
+    S = sum over joints of (excess of the mean over its expectation and slack, against the motion, in sigmas)^2
 
-- The side of the backlash is not certain. A crossing looks like any torque up to backlash times stiffness.
-- The angle jumps farther than noise and the joint's greatest speed explain: that is a sensor.
-- The resolver reads the same as before: it may be frozen.
+With noise alone, S has at most the chi-square distribution of five degrees of freedom. It passes CONTACT once in
+1e9 independent readings: with nine of them a second, once in three years of motion. The noise of a fast mean with
+gain g over a slow mean of n readings has the variance s^2 (g / (2 - g) + 1 / n).
 
-The least torque that is found is K (6 s sqrt(g / (2 - g)) + u): 20 N m at the large joints and 10 N m at the
-small ones of Curiosity. Along a joint with lever r the least force is this over r. The force still rises by
-stiffness times speed times reaction time, see `docs/faults.md`.
+The slack is what is not noise. For the current it is the viscous friction in the cold times the change of speed. For
+the wind-up it is the uncertainty of the gear angle: that of the modelled load, and of its side of the backlash.
+
+A joint shows nothing, and its slow means begin anew, in these cases:
+
+- The side of the backlash is uncertain or changes: a crossing looks like a torque.
+- The motor turns by less than an encoder count a cycle, or turns back: its friction may have any value.
+- A reading jumps farther than noise and the stiffness of the gear at full speed explain: that is a sensor.
+
+docs/faults.md derives the force that remains after noise, speed and reaction time.
 """
 
+from math import sqrt
+from operator import gt, sub
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -31,47 +38,80 @@ from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import UnexpectedContact
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Array
-from fsw.protect.bounds import FAST_GAIN, LEAST_READINGS, MOST_READINGS, ProtectionBounds
-from fsw.protect.status import ArmStatus
+from fsw.protect.bounds import (
+    CURRENT_GAIN,
+    CURRENT_UPDATES,
+    UPDATE_CYCLES,
+    WIND_UP_UPDATES,
+    ProtectionBounds,
+)
+from fsw.protect.status import ArmStatus, MoveStatus
 
-SLOWEST_RAD_S: Final = 1e-9
-"""Speed of a tool below which its direction is not computed."""
+CONTACT: Final = 50.7
+"""Value that chi-square with five degrees of freedom passes with a probability of 1e-9."""
+LEAST_UPDATES: Final = 3
+"""Updates from which a slow mean is known."""
 LEAST_LEVER_M: Final = 0.05
-"""Lever of the motion on the joints below which no force is computed from their torques."""
+"""Lever of the tool's motion on the joints below which no force is computed from their torques."""
+NONE: Final = (0.0,) * len(Joint)
 
 
-class JointResistance(NamedTuple):
-    """Resistance of one joint from cycle to cycle."""
+class Means(NamedTuple):
+    """Slow means of a joint since it began to turn on one flank of its backlash."""
 
-    wound_rad: float
-    """Resolver less motor and estimated gear angle, of the last cycle."""
-    slow_rad: float
-    """Slow mean of it."""
-    fast_rad: float
-    """Fast mean of it, less the slow mean."""
-    readings: int
-    """Number of readings in the slow mean, at most MOST_READINGS; 0 begins it anew."""
+    updates: int = 0
+    """Updates of friction and speed; 0 begins them anew."""
+    friction_A: float = 0.0
+    """Current beyond that of the modelled load."""
+    rate_rad_s: float = 0.0
+    """Measured rate of the motor."""
+    last_rate_rad_s: float = 0.0
+    last_motor_rad: float = 0.0
+    wound_updates: int = 0
+    """Updates of the wind-up; 0 begins it anew."""
+    wound_rad: float = 0.0
+    """Resolver less estimated output."""
+    last_wound_rad: float = 0.0
+    side: float = 0.0
+    """Side of the backlash."""
 
 
-UNKNOWN: Final = JointResistance(0.0, 0.0, 0.0, 0)
-Resistance = tuple[JointResistance, ...]
+class FreeMove(NamedTuple):
+    """Monitor of a free move from cycle to cycle; values in the order of Joint."""
+
+    cycles: int
+    """Cycles since the last update of the slow means."""
+    read_A: tuple[float, ...]
+    """Current readings of the cycle before."""
+    fast_A: tuple[float, ...]
+    """Fast means of the currents."""
+    expected_A: tuple[float, ...]
+    """Currents without a contact."""
+    per_A: tuple[float, ...]
+    """Sigmas per ampere, positive for a motor that turns forward; 0 for a joint that shows nothing."""
+    slack: tuple[float, ...]
+    """Excess in sigmas that a change of speed explains."""
+    means: tuple[Means, ...]
+
+
+UNKNOWN: Final = (Means(),) * len(Joint)
 
 
 def monitor_free_move(
     bounds: ProtectionBounds,
-    last: Resistance | None,
+    last: FreeMove | None,
     arm: ArmStatus,
-    resolver_rad: tuple[float, ...],
+    readings: tuple[float, ...],
     unchanged: tuple[int, ...],
-) -> tuple[Resistance | None, tuple[Evr, ...]]:
+) -> tuple[FreeMove | None, tuple[Evr, ...]]:
     """Check that nothing resists a free move.
 
     Args:
         bounds: Bounds of protection.
         last: State of the cycle before; None if no free move was under way.
         arm: Arm with its joints and move.
-        resolver_rad: Resolver readings, first five of the noisy readings.
-        unchanged: For how many cycles each noisy reading has been the same.
+        readings: Noisy readings, in the order of `readings.NOISY`.
+        unchanged: For how many cycles each of them has been the same.
 
     Returns:
         The state for the next cycle, None unless a free move is under way, and the fault.
@@ -81,74 +121,146 @@ def monitor_free_move(
         return None, ()
     if move.homing is not None:
         return None, ()
-    now: list[JointResistance] = []
-    worst, found = 1.0, -1
-    for joint, (before, read, motor, gear, unsure, side, rate, step, same) in enumerate(
-        zip(
-            (UNKNOWN,) * len(Joint) if last is None else last,
-            resolver_rad,
-            arm.motor_rad.tolist(),
-            arm.gear_rad.tolist(),
-            arm.gear_uncertainty_rad.tolist(),
-            arm.side.tolist(),
-            move.setpoint_rate_rad_s.tolist(),
-            bounds.free_step_rad,
-            unchanged,
-            strict=False,
+    read_A = readings[5:10]
+    if last is None:
+        return FreeMove(0, read_A, read_A, read_A, NONE, NONE, UNKNOWN), ()
+    cycles, before_A, fast_A, expected_A, per_A, slack, means = last
+    fast_A = tuple([mean + CURRENT_GAIN * (now - mean) for now, mean in zip(read_A, fast_A, strict=True)])
+    if any(map(gt, map(abs, map(sub, read_A, before_A)), bounds.current_step_A)):
+        jumped = [abs(a - b) > c for a, b, c in zip(read_A, before_A, bounds.current_step_A, strict=True)]
+        per_A = tuple([0.0 if is_jump else one for is_jump, one in zip(jumped, per_A, strict=True)])
+        means = tuple(
+            [one._replace(updates=0) if is_jump else one for is_jump, one in zip(jumped, means, strict=True)]
         )
+    total, worst, joint = 0.0, 0.0, 0
+    for k, (mean, expected, per, less) in enumerate(zip(fast_A, expected_A, per_A, slack, strict=True)):
+        excess = (mean - expected) * per - less
+        if excess > 0.0:
+            total += excess * excess
+            if excess > worst:
+                worst, joint = excess, k
+    found: tuple[Evr, ...] = ()
+    if total > CONTACT:
+        torque_Nm = [
+            (mean - expected) * constant if per else 0.0
+            for mean, expected, per, constant in zip(
+                fast_A, expected_A, per_A, bounds.torque_constant_Nm_A, strict=True
+            )
+        ]
+        found = (describe_contact(bounds, arm, move, -np.array(torque_Nm), joint),)
+    cycles += 1
+    if cycles < UPDATE_CYCLES:
+        return FreeMove(cycles, read_A, fast_A, expected_A, per_A, slack, means), found
+    means, by_wind_up = update_means(bounds, means, arm, move, fast_A, unchanged)
+    expected_A, per_A, slack = expect_currents(bounds, means, arm)
+    return FreeMove(0, read_A, fast_A, expected_A, per_A, slack, means), found or by_wind_up
+
+
+def load_current_A(bounds: ProtectionBounds, arm: ArmStatus) -> list[float]:
+    """Compute the currents that the estimated wind-up of the gears takes, (5,)."""
+    wound_rad = arm.gear_rad - arm.side * arm.half_backlash_rad
+    current: list[float] = (-wound_rad * bounds.stiffness_A_rad).tolist()
+    return current
+
+
+def update_means(
+    bounds: ProtectionBounds,
+    means: tuple[Means, ...],
+    arm: ArmStatus,
+    move: MoveStatus,
+    fast_A: tuple[float, ...],
+    unchanged: tuple[int, ...],
+) -> tuple[tuple[Means, ...], tuple[Evr, ...]]:
+    """Update the slow means, and check the wind-up against its own.
+
+    Returns:
+        The means, and the fault that the wind-up shows.
+    """
+    after: list[Means] = []
+    excess = [0.0] * len(Joint)
+    each = zip(
+        means,
+        fast_A,
+        load_current_A(bounds, arm),
+        arm.motor_rad.tolist(),
+        arm.resolver_error_rad.tolist(),
+        arm.side.tolist(),
+        bounds.turning_rad_s,
+        bounds.wind_up_step_rad,
+        arm.gear_uncertainty_rad.tolist(),
+        strict=True,
+    )
+    for joint, (last, mean_A, load_A, motor, wound, side, turning, step, unsure) in enumerate(each):
+        n, friction_A, slow_rate, last_rate, last_motor, m, slow, before, last_side = last
+        rate = (motor - last_motor) * bounds.updates_Hz
+        sure = side != 0.0 and side == last_side
+        if sure and abs(rate) > turning and rate * last_rate > 0.0:
+            n = min(n + 1, CURRENT_UPDATES)
+            friction_A += (mean_A - load_A - friction_A) / n
+            slow_rate += (rate - slow_rate) / n
+        else:
+            n = 0
+        if not sure or abs(wound - before) > step:
+            m, slow = 0, wound
+        elif not unchanged[joint]:
+            off = wound - slow
+            if m >= LEAST_UPDATES and off * rate <= 0.0:
+                excess[joint] = max((abs(off) - unsure) / bounds.wind_up_sigma_rad[m], 0.0)
+            m = min(m + 1, WIND_UP_UPDATES)
+            slow += off / m
+        after.append(Means(n, friction_A, slow_rate, rate, motor, m, slow, wound, side))
+    if sum([one * one for one in excess]) <= CONTACT:
+        return tuple(after), ()
+    off_rad = [x.last_wound_rad - y.wound_rad if one else 0.0 for x, y, one in zip(after, means, excess, strict=True)]
+    torque_Nm = compute_torque(bounds, arm, np.array(off_rad))
+    return tuple(after), (
+        describe_contact(bounds, arm, move, torque_Nm, int(np.argmax(excess))),
+    )
+
+
+def expect_currents(
+    bounds: ProtectionBounds, means: tuple[Means, ...], arm: ArmStatus
+) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Expect the currents until the next update.
+
+    Returns:
+        Expected currents, sigmas per ampere and slack, as in FreeMove.
+    """
+    expected, per, slack = [], [], []
+    for one, load_A, damping, jerk in zip(
+        means, load_current_A(bounds, arm), bounds.damping_As_rad, bounds.rate_step_rad_s, strict=True
     ):
-        if same:
-            now.append(before)
-            continue
-        wound = read - motor - gear
-        last_rad, slow, fast, n = before
-        if n == 0 or side == 0.0 or not -step < wound - last_rad < step:
-            now.append(JointResistance(wound, wound, 0.0, 1))
-            continue
-        off = wound - slow
-        fast += FAST_GAIN * (off - fast)
-        if n < MOST_READINGS:
-            n += 1
-        now.append(JointResistance(wound, slow + off / n, fast, n))
-        if n > LEAST_READINGS and fast * rate <= 0.0:
-            share = abs(fast) / (bounds.free_noise_rad[n] + unsure)
-            if share > worst:
-                worst, found = share, joint
-    if found < 0:
-        return tuple(now), ()
-    return tuple(now), (describe_contact(bounds, arm, tuple(now), Joint(found)),)
+        is_known = one.updates >= LEAST_UPDATES
+        sigma_A = bounds.current_sigma_A[one.updates]
+        expected.append(one.friction_A + load_A)
+        per.append((1.0 if one.last_rate_rad_s > 0.0 else -1.0) / sigma_A if is_known else 0.0)
+        # until the next update the speed changes by no more than its lag, and what the jerk adds
+        change_rad_s = 2 * abs(one.last_rate_rad_s - one.rate_rad_s) + jerk
+        slack.append(damping * change_rad_s / sigma_A)
+    return tuple(expected), tuple(per), tuple(slack)
 
 
 def describe_contact(
-    bounds: ProtectionBounds, arm: ArmStatus, resistance: Resistance, joint: Joint
+    bounds: ProtectionBounds, arm: ArmStatus, move: MoveStatus, torque_Nm: Array, joint: int
 ) -> UnexpectedContact:
-    """Describe a contact: torque of the joint that shows it best, and force against the motion of the tool.
+    """Describe a contact by the joint that shows it best, and by a force against the motion of the tool.
 
-    The force is the least-squares fit to the torques of the joints that are sure of their backlash.
+    The force is the least-squares fit to the torques of the joints that show something.
     """
-    torque_Nm = compute_torque(bounds, arm, np.array([one.fast_rad for one in resistance]))
-    known = np.array([one.readings > LEAST_READINGS for one in resistance])
-    per_N = np.where(known, _compute_torque_per_N(bounds, arm), 0.0)
+    frames = forward(bounds.arm, arm.motor_rad + arm.gear_rad)
+    J = joint_jacobian(frames, tool_pose(bounds.arm, frames, arm.tool).p)[3:]
+    velocity = J @ move.setpoint_rate_rad_s
+    speed = sqrt(float(velocity @ velocity))
+    per_N = np.where(torque_Nm == 0.0, 0.0, -J.T @ velocity / max(speed, 1e-9))
     square = float(per_N @ per_N)
     force_N = float(per_N @ torque_Nm) / square if square > LEAST_LEVER_M**2 else 0.0
-    return UnexpectedContact(joint, abs(float(torque_Nm[joint])), abs(force_N))
+    return UnexpectedContact(Joint(joint), abs(float(torque_Nm[joint])), abs(force_N))
 
 
-def compute_torque(bounds: ProtectionBounds, arm: ArmStatus, resisted_rad: Array) -> Array:
-    """Compute the torques, (5,), that turn the outputs this far; in its backlash a gear carries none."""
+def compute_torque(bounds: ProtectionBounds, arm: ArmStatus, off_rad: Array) -> Array:
+    """Compute the torques on the outputs, (5,), that turn them this far; in its backlash a gear carries none."""
     half = arm.half_backlash_rad
-    before, after = arm.gear_rad, arm.gear_rad + resisted_rad
+    before, after = arm.gear_rad, arm.gear_rad + off_rad
     wound_rad = (after - np.clip(after, -half, half)) - (before - np.clip(before, -half, half))
     torque_Nm: Array = bounds.arm.gear_stiffness_Nm_rad * wound_rad
     return torque_Nm
-
-
-def _compute_torque_per_N(bounds: ProtectionBounds, arm: ArmStatus) -> Array:
-    """Compute the torque of a newton on the tool against its motion, (5,); zero if it does not move."""
-    frames = forward(bounds.arm, arm.motor_rad + arm.gear_rad)
-    J = joint_jacobian(frames, tool_pose(bounds.arm, frames, arm.tool).p)[3:]
-    rate = np.zeros(len(Joint)) if arm.move is None else arm.move.setpoint_rate_rad_s
-    velocity = J @ rate
-    speed = float(np.linalg.norm(velocity))
-    per_N: Array = -J.T @ velocity / speed if speed > SLOWEST_RAD_S else np.zeros(len(Joint))
-    return per_N
