@@ -54,10 +54,10 @@ class ProtectionBounds:
     """Current that is nearly all that a motor may draw, (5,)."""
     approach_wind_up_rad: Array
     """Wind-up beyond the backlash from which a gear counts on an approach, (5,)."""
-    torque_constant_Nm_A: tuple[float, ...]
-    """Torque constants, (5,)."""
     stiffness_A_rad: Array
     """Stiffness of the gears over the torque constants, (5,)."""
+    load_error_A: tuple[float, ...]
+    """Errors of the modelled loads over the torque constants, (5,)."""
     damping_As_rad: tuple[float, ...]
     """Viscous friction in the cold over the torque constants, (5,)."""
     updates_Hz: float
@@ -116,8 +116,8 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         setpoint_step_rad=np.array([monitors.setpoint_step_factor * cycle_s * j.speed_rad_s for j in joints]),
         over_current_A=over_current,
         approach_wind_up_rad=LOAD_ERROR_FACTOR * load_error / arm.gear_stiffness_Nm_rad,
-        torque_constant_Nm_A=tuple(constant.tolist()),
         stiffness_A_rad=arm.gear_stiffness_Nm_rad / constant,
+        load_error_A=tuple((load_error / constant).tolist()),
         damping_As_rad=tuple(j.damping_Nms_rad / j.torque_constant_Nm_A for j in joints),
         updates_Hz=1.0 / (UPDATE_CYCLES * cycle_s),
         turning_rad_s=tuple(
