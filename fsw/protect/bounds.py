@@ -22,7 +22,7 @@ WIND_UP_GAIN: Final = 1 / 16
 UPDATE_CYCLES: Final = 8
 """Cycles from one update of the slow means to the next; fast means of currents are then independent."""
 CURRENT_UPDATES: Final = 8
-"""Updates in the slow mean of a current, 1 s: longer than an obstacle takes, shorter than speeds take to change."""
+"""Updates in the slow mean of a current, 1 s: longer than a contact takes to be found."""
 WIND_UP_UPDATES: Final = 32
 """Updates in the slow mean of a wind-up, 4 s, sixteen times as long as its fast mean."""
 SIGMAS: Final = 6.0
@@ -65,7 +65,7 @@ class ProtectionBounds:
     turning_rad_s: tuple[float, ...]
     """Rates of one encoder count a cycle, (5,)."""
     rate_step_rad_s: tuple[float, ...]
-    """Largest change of the acceleration in an update of slow means, over which the rate changes again, (5,)."""
+    """Change of a rate between two updates by the jerk alone, (5,)."""
     current_step_A: tuple[float, ...]
     """Change of a current in a cycle that noise, stiffness and speed explain, (5,)."""
     wind_up_step_rad: tuple[float, ...]
@@ -120,12 +120,20 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         load_error_A=tuple((load_error / constant).tolist()),
         damping_As_rad=tuple(j.damping_Nms_rad / j.torque_constant_Nm_A for j in joints),
         updates_Hz=1.0 / (UPDATE_CYCLES * cycle_s),
-        turning_rad_s=tuple(
-            2 * pi / (j.encoder_counts_per_turn * j.gear_ratio * cycle_s) for j in joints
-        ),
+        turning_rad_s=tuple(2 * pi / (j.encoder_counts_per_turn * j.gear_ratio * cycle_s) for j in joints),
         rate_step_rad_s=tuple(j.jerk_rad_s3 * (UPDATE_CYCLES * cycle_s) ** 2 for j in joints),
-        current_step_A=tuple((arm.gear_stiffness_Nm_rad * speed / constant * cycle_s + SIGMAS * sqrt(2.0) * monitors.current_noise_A).tolist()),
-        wind_up_step_rad=tuple((UPDATE_CYCLES * cycle_s * speed + SIGMAS * sqrt(2.0) * monitors.resolver_noise_rad * sqrt(WIND_UP_GAIN)).tolist()),
+        current_step_A=tuple(
+            (
+                arm.gear_stiffness_Nm_rad * speed / constant * cycle_s
+                + SIGMAS * sqrt(2.0) * monitors.current_noise_A
+            ).tolist()
+        ),
+        wind_up_step_rad=tuple(
+            (
+                UPDATE_CYCLES * cycle_s * speed
+                + SIGMAS * sqrt(2.0) * monitors.resolver_noise_rad * sqrt(WIND_UP_GAIN)
+            ).tolist()
+        ),
         current_sigma_A=_compute_sigmas(monitors.current_noise_A, CURRENT_GAIN, CURRENT_UPDATES),
         wind_up_sigma_rad=_compute_sigmas(monitors.resolver_noise_rad, WIND_UP_GAIN, WIND_UP_UPDATES),
         monitored_lowest=tuple(

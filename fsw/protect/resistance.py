@@ -1,22 +1,22 @@
 """Monitor of free moves: resistance of the joints together is an unexpected contact.
 
-Two signals show the torque of an obstacle. Both are compared with their own slow mean since the joint began to turn,
-so that constant errors of weights, friction, biases and zeros cancel.
+Two signals show the torque of an obstacle. Both are compared with their own slow mean since the joint began
+to turn, so that constant errors of weights, friction, biases and zeros cancel.
 
-- The motor current, in every cycle: it is quiet, but its friction changes with the speed. It counts for motors that turn.
-- The wind-up, resolver less estimated output, in every update: it is slower, but counts at any speed and on brakes.
+- The motor current, in every cycle: it is quiet, and counts for motors that turn. Friction varies with speed.
+- The wind-up, resolver less estimated output, in every update: it is slower, but counts at any speed.
 
 An obstacle acts on several joints, with unknown levers. The statistic is therefore a sum of squares
 
     S = sum over the joints of (excess against the motion, less its slack, in sigmas)^2
 
-Noise alone gives S at most the chi-square distribution of five degrees of freedom. S passes CONTACT once in 1e9
-independent readings: at nine a second, once in three years of motion. A fast mean with gain g less the slow mean of
-n readings has the variance s^2 (g / (2 - g) + 1 / n).
+Noise alone gives S at most the chi-square distribution of five degrees of freedom. S passes CONTACT once in
+1e9 independent readings: at nine a second, once in three years of motion. A fast mean with gain g less the
+slow mean of n readings has the variance s^2 (g / (2 - g) + 1 / n).
 
-The slack is what is not noise. For a current it is the viscous friction in the cold times the change of speed, and
-the error of the modelled load while the side of the backlash is uncertain. For a wind-up it is the uncertainty of the
-gear angle.
+The slack is what is not noise. For a current it is the viscous friction in the cold times the change of
+speed, and the error of the modelled load while the side of the backlash is uncertain. For a wind-up it is the
+uncertainty of the gear angle.
 
 A joint shows nothing, and its slow means begin anew, in these cases:
 
@@ -128,15 +128,15 @@ def monitor_free_move(
         return FreeMove(0, read_A, read_A, read_A, NOTHING, NOTHING, NO_MEANS), ()
     cycles, before_A, fast_A, expected_A, per_A, slack, means = last
     means_A, total, jumped = [], 0.0, False
-    for now, before, mean, expected, per, less, step in zip(
+    for reading, before, mean, expected, per, less, step in zip(
         read_A, before_A, fast_A, expected_A, per_A, slack, bounds.current_step_A, strict=True
     ):
-        mean += CURRENT_GAIN * (now - mean)
+        mean += CURRENT_GAIN * (reading - mean)
         means_A.append(mean)
         excess = (mean - expected) * per - less
         if excess > 0.0:
             total += excess * excess
-        if not -step <= now - before <= step:
+        if not -step <= reading - before <= step:
             jumped = True
     now = FreeMove(cycles + 1, read_A, tuple(means_A), expected_A, per_A, slack, means)
     if jumped:
@@ -156,7 +156,9 @@ def _forget_jumps(bounds: ProtectionBounds, before_A: tuple[float, ...], now: Fr
     jumped = [abs(a - b) > c for a, b, c in zip(now.read_A, before_A, bounds.current_step_A, strict=True)]
     return now._replace(
         per_A=tuple([0.0 if jump else per for jump, per in zip(jumped, now.per_A, strict=True)]),
-        means=tuple([m._replace(updates=0) if jump else m for jump, m in zip(jumped, now.means, strict=True)]),
+        means=tuple(
+            [m._replace(updates=0) if jump else m for jump, m in zip(jumped, now.means, strict=True)]
+        ),
     )
 
 
@@ -244,7 +246,9 @@ def check_wind_up(
     excess, off_rad = [], []
     for last, one, unsure in zip(before, now, arm.gear_uncertainty_rad.tolist(), strict=True):
         off = one.last_wind_up_rad - last.wind_up_rad
-        resists = last.wind_up_updates >= LEAST_UPDATES < one.wind_up_updates and off * one.last_rate_rad_s <= 0.0
+        resists = (
+            last.wind_up_updates >= LEAST_UPDATES < one.wind_up_updates and off * one.last_rate_rad_s <= 0.0
+        )
         off_rad.append(off if resists else 0.0)
         excess.append(max((abs(off_rad[-1]) - unsure) / bounds.wind_up_sigma_rad[last.wind_up_updates], 0.0))
     if sum([one * one for one in excess]) <= CONTACT:
@@ -260,7 +264,9 @@ def _describe_currents(
     """Describe a contact that currents show."""
     off_A = np.array(now.fast_A) - now.expected_A
     per_A = np.array(now.per_A)
-    torque_Nm = np.where(per_A == 0.0, 0.0, -off_A * bounds.arm.gear_stiffness_Nm_rad / bounds.stiffness_A_rad)
+    torque_Nm = np.where(
+        per_A == 0.0, 0.0, -off_A * bounds.arm.gear_stiffness_Nm_rad / bounds.stiffness_A_rad
+    )
     return describe_contact(bounds, arm, move, torque_Nm, int(np.argmax(off_A * per_A - now.slack)))
 
 

@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from fsw.dictionary.params import Params, Transform6
-from sim.arm_model.description import LINK_PARTS, VISCOUS_COLD, ArmDescription, BadArm, LinkDescription, Lump, Shape
+from sim.arm_model.description import (
+    LINK_PARTS,
+    VISCOUS_COLD,
+    ArmDescription,
+    BadArm,
+    LinkDescription,
+    Lump,
+    Shape,
+)
 from sim.arm_model.validity import reserved_of_flight
 from sim.params_table import merge_tables, params_from_table
 
