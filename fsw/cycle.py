@@ -51,7 +51,7 @@ def step(
     last_rad = joints.motor_rad if before.move is None else before.move.setpoint.motor_rad
     moved, joints, preload, planned_backlash_rad = _move(config, state, joints, load, sensors, usable)
     backlash_state = joints.backlash_state
-    arm = describe_arm(moved.mode, state.tool, joints, backlash_state[2], moved.move, preload)
+    arm = describe_arm(moved.mode, state.tool, joints, backlash_state, moved.move, preload)
     monitors, decision = protect(
         config.protection, state.monitors, moved.fault, arm, sensors, last_rad, unusable, moved.evrs
     )
