@@ -71,13 +71,15 @@ from fsw.executive.modes import EVENT_OF, TRANSITIONS, ModeEvent, is_stowed, nex
 from fsw.executive.planning import SingleMoveCommand, plan_command, plan_sequence
 from fsw.executive.settings import set_param, set_tilt
 from fsw.motion import homing
+from fsw.motion.force_fit import ForceFit
 from fsw.motion.move import Move, stop_early
 from fsw.motion.paths import HoldPath, Setpoint
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import (
-    ForceFit,
     PreloadState,
+    anchor_contact,
     holding_force_N,
+    locate_by_resolvers,
     model_contact,
     plan_preload,
     preload_limit_A,
@@ -346,7 +348,10 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         return _finish_release(context, command, preload)
     if abs(command.force_N - preload.force_N) < config.params.preload.step_N:
         return refuse(context, command, f"{command.tool} is pressed with {preload.force_N:.1f} N as it is")
-    planned = plan_preload(config, state.joints, preload, command.force_N)
+    located = locate_by_resolvers(state.joints, preload)
+    if state.mode is Mode.GUARDED:
+        preload = anchor_contact(config, located, preload)
+    planned = plan_preload(config, located, preload, command.force_N)
     if isinstance(planned, Refusal):
         return refuse(context, command, planned.reason)
     plan, change = planned
@@ -355,7 +360,7 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         _new_move(config, context, command, TRANSITIONS[Mode.PRELOAD, done]),
         paths=plan.paths,
         preload_change=change,
-        force_fit=ForceFit() if change.change_N > 0 else None,
+        force_fit=ForceFit(preload) if change.change_N > 0 else None,
         current_limit_A=preload_limit_A(config, state.joints, change),
     )
     state = replace(

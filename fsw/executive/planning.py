@@ -41,6 +41,12 @@ class PlannedSequence:
 
     steps: tuple[SequenceStep, ...]
     plans: tuple[Plan, ...]
+    joints: JointEstimate
+    """Estimate of the joints at the end."""
+    tool: str
+    """Tool of the last tool command."""
+    surface: Surface | None
+    """Surface of the last target."""
 
     @property
     def duration_s(self) -> float:
@@ -195,4 +201,4 @@ def plan_steps(
         plans.append(plan)
         joints = estimate_at(joints, plan.end)
         tool = step.tool if isinstance(step, MoveTool | GuardedMove | Retract) else tool
-    return PlannedSequence(steps, tuple(plans))
+    return PlannedSequence(steps, tuple(plans), joints, tool, surface)

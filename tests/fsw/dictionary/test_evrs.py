@@ -86,6 +86,9 @@ SENTENCES = {
     evrs.FaultResponse("BRAKE_AND_REFUSE"): "response BRAKE_AND_REFUSE",
     evrs.FaultCleared(): "fault cleared",
     evrs.Preloaded("DRILL", 300.0): "DRILL pressed with 300.0 N",
+    evrs.PreloadMissed("DRILL", 262.04, 300.0, "3 corrections did not reach the force"): (
+        "DRILL is pressed with 262.0 N, not 300.0 N: 3 corrections did not reach the force"
+    ),
     evrs.ForceEstimated("DRILL", 0.9123, 0.1): (
         "DRILL: a newton of the model is 0.912 N along its axis, 0.100 N across"
     ),
