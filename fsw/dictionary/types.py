@@ -3,7 +3,18 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, TypeVar, dataclass_transform, get_args
+
+Record = TypeVar("Record")
+
+
+@dataclass_transform(frozen_default=True, eq_default=False)
+def cycle_record(record: type[Record]) -> type[Record]:
+    """Make a class a record of which every cycle makes a new one.
+
+    The type checker holds it frozen. To freeze it at run time as well takes five times as long.
+    """
+    return dataclass(slots=True, eq=False)(record)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.config import Config, configure
+from fsw.config import Config, configure, configure_at
 from fsw.dictionary.commands import SetParam, SetTilt
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, ParamSet, TiltSet
@@ -46,7 +46,7 @@ def set_param(config: Config, context: CommandContext, command: SetParam) -> Com
     changed = replace_param(config.params, command)
     if isinstance(changed, str):
         return refuse(context, command, changed)
-    changed_config = configure(changed)
+    changed_config = configure_at(configure(changed), config.structure_C)
     state = replace(context.state, changed_config=changed_config)
     group, *middle, leaf = command.name.split(".")
     if group == "joints" and leaf in ENCODER_ZERO_PARAMS:

@@ -11,8 +11,8 @@ from typing import Annotated, Final, Literal
 from fsw.dictionary.commands import Command
 from fsw.dictionary.types import Direction, Limits, Position, ToolName
 from sim.arms import BuiltArm
+from sim.drawing import WARM_C
 from sim.effects.effect import Effect, check_effects
-from sim.effects.environment import WARM_C
 from sim.effects.faults import InjectedFault
 from sim.world import World
 

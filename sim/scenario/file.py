@@ -16,8 +16,8 @@ from fsw.dictionary.types import Limits
 from fsw.executive.checks import check_force
 from fsw.executive.settings import replace_param
 from sim.arms import UnknownArm, arm_named
+from sim.drawing import WARM_C
 from sim.effects.effect import Effect
-from sim.effects.environment import WARM_C
 from sim.params import nominal_params
 from sim.scenario.data import Check, Done, Faulted, Injection, Recovered, Scenario, StartPose, TaughtPoint
 from sim.scenario.mode_check import find_refusals

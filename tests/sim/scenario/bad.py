@@ -69,7 +69,7 @@ BAD = {
         'type = "RETRACT"\ntool = "apxs"\ndistance_mm = 100',
         'type = "PRELOAD"\ntool = "apxs"\nforce_N = 5000',
         29,
-        "force 5000 N is outside 0 .. 350 N",
+        "force_N: 5000 is outside 0 .. 1000",
     ),
     "an unknown key": (
         "tilt_roll_deg = 5",
