@@ -4,6 +4,7 @@ from dataclasses import replace
 from math import isnan
 
 from fsw.config import CYCLE_S, Config, configure_at
+from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Joint
@@ -11,8 +12,9 @@ from fsw.dictionary.evrs import Booted, Evr, ModeChanged
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
-from fsw.executive.commands import continue_sequence, receive
-from fsw.executive.context import CommandContext
+from fsw.executive.checks import known_names
+from fsw.executive.commands import continue_sequence, handle
+from fsw.executive.context import CommandContext, refuse
 from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
 from fsw.kinematics.transforms import Array
 from fsw.messages import Outputs, Sensors
@@ -129,9 +131,21 @@ def _decide(
         return state, joints, ()
     context = CommandContext(replace(state, joints=joints, load=load), usable, closed=sensors.switch_closed)
     for command in commands:
-        context = receive(context.state.changed_config or config, context, command)
+        context = _receive(context.state.changed_config or config, context, command)
     context = continue_sequence(context.state.changed_config or config, context)
     return context.state, context.state.joints, context.evrs
+
+
+def _receive(config: Config, context: CommandContext, command: Command) -> CommandContext:
+    """Handle a command that arrives from the ground, or refuse it for a wrong argument.
+
+    Returns:
+        The context with what the command changed, or with the event that gives the reason for a refusal.
+    """
+    received = read_arguments(command, known_names(config.params))
+    if isinstance(received, Wrong):
+        return refuse(context, command, received.text)
+    return handle(config, context, received)
 
 
 def _move(

@@ -4,7 +4,6 @@ The annotations of a command say all that is checked here. A new field needs not
 """
 
 import math
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -22,6 +21,8 @@ MAX_TEXT_LENGTH: Final = 100
 """Greatest length of a text; twice that of the longest name of a parameter."""
 MAX_SHOWN_LENGTH: Final = 40
 """Longest part of a text in a sentence."""
+
+MAX_FLOAT: Final = float(np.finfo(float).max)
 
 Names = Mapping[NameMark, tuple[str, ...]]
 """Names that the arm and the flight software know, by the mark of the fields that hold one of them."""
@@ -166,6 +167,6 @@ def _describe(value: object) -> str:
 
 def _to_float(value: Any) -> float:
     """Convert a number; one beyond all floats is infinite."""
-    if isinstance(value, int) and abs(value) > sys.float_info.max:
+    if isinstance(value, int) and abs(value) > MAX_FLOAT:
         return math.inf if value > 0 else -math.inf
     return float(value)

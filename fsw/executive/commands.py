@@ -10,12 +10,10 @@ import numpy as np
 
 from fsw.collision.geometry import Surface
 from fsw.config import Config
-from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import (
     Calibrate,
     CalibrateAll,
     ClearFault,
-    Command,
     Dock,
     GuardedMove,
     MoveJoint,
@@ -47,7 +45,7 @@ from fsw.dictionary.evrs import (
 from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.types import vector3
 from fsw.estimate.reference import forget_joint
-from fsw.executive.checks import check_arguments, check_force, known_names
+from fsw.executive.checks import check_arguments, check_force
 from fsw.executive.context import (
     CommandContext,
     check_calibrated,
@@ -85,18 +83,6 @@ from fsw.motion.preload import (
     preload_limit_A,
 )
 from fsw.state import Hold, Sequence, SequenceStep
-
-
-def receive(config: Config, context: CommandContext, command: Command) -> CommandContext:
-    """Handle a command that arrives from the ground, or refuse it for a wrong argument.
-
-    Returns:
-        The context with what the command changed, or with the event that gives the reason for a refusal.
-    """
-    received = read_arguments(command, known_names(config.params))
-    if isinstance(received, Wrong):
-        return refuse(context, command, received.text)
-    return handle(config, context, received)
 
 
 def handle(config: Config, context: CommandContext, command: SequenceStep) -> CommandContext:

@@ -43,6 +43,7 @@ SAMPLES = {
     "tool": "apxs",
     "first_tool": "drill",
     "joint": "elbow",
+    "normal_R": [0.1, 0.2, 0.3],
     "backlash": "off",
     "deflection": "off",
     "branch": "shoulder-out elbow-up wrist-down",
