@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
 from decimal import Decimal
 from enum import IntEnum
-from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -79,6 +80,9 @@ def draw_command(random: Random, params: Params) -> Any:
 def _draw_value(random: Random, params: Params, name: str, hint: Any) -> Any:
     if random.random() < BAD_SHARE:
         return _choose(random, BAD_VALUES)
+    if get_origin(hint) in (Union, UnionType):
+        option = _choose(random, get_args(hint))
+        return None if option is NoneType else _draw_value(random, params, name, option)
     marks = getattr(hint, "__metadata__", ())
     bare = hint.__origin__ if marks else hint
     for mark in marks:
