@@ -165,8 +165,8 @@ def _forget_jumps(bounds: ProtectionBounds, before_A: tuple[float, ...], now: Fr
 
 def compute_load_current(bounds: ProtectionBounds, arm: ArmStatus) -> list[float]:
     """Compute the currents that the estimated wind-up of the gears takes, (5,), without friction."""
-    current: list[float] = (-bounds.stiffness_A_rad * _wind_up(arm, arm.gear_rad)).tolist()
-    return current
+    each = zip(arm.gear_rad.tolist(), arm.half_backlash_rad.tolist(), bounds.stiffness_A_rad, strict=True)
+    return [stiffness * (min(max(gear, -half), half) - gear) for gear, half, stiffness in each]
 
 
 def _wind_up(arm: ArmStatus, gear_rad: Array) -> Array:
@@ -246,7 +246,7 @@ def check_wind_up(
     move: MoveStatus,
 ) -> tuple[Evr, ...]:
     """Check the wind-up in an update against the slow means before it."""
-    excess, off_rad = [], []
+    total, excess, off_rad = 0.0, [], []
     each = zip(
         before,
         now,
@@ -260,8 +260,10 @@ def check_wind_up(
         # the rate is the commanded one: an encoder that is stuck makes the output run ahead
         resists = is_known and off * rate <= 0.0
         off_rad.append(off if resists else 0.0)
-        excess.append(max((abs(off_rad[-1]) - unsure) / bounds.wind_up_sigma_rad[last.wind_up_updates], 0.0))
-    if sum([one * one for one in excess]) <= CONTACT:
+        beyond = abs(off) - unsure if resists else 0.0
+        excess.append(beyond / bounds.wind_up_sigma_rad[last.wind_up_updates] if beyond > 0.0 else 0.0)
+        total += excess[-1] * excess[-1]
+    if total <= CONTACT:
         return ()
     wound_rad = _wind_up(arm, arm.gear_rad + np.array(off_rad)) - _wind_up(arm, arm.gear_rad)
     torque_Nm = bounds.arm.gear_stiffness_Nm_rad * wound_rad
