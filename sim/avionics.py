@@ -40,6 +40,7 @@ class Avionics:
         self._hardware = hardware
         self._rng = rng
         self._move_rng = move_rng(rng)
+        self._structure_rng = rng.spawn(1)[0]  # so that the noise of other sensors is what it was without it
         self._motors = motors
         self._integral = model.actuator_actadr[motors]
         self._resistance_Ohm = model.actuator_gainprm[motors, RESISTANCE].copy()
@@ -69,6 +70,7 @@ class Avionics:
         other = copy(self)
         other._plant, other._pending = plant, dict(self._pending)
         other._rng, other._move_rng = deepcopy(self._rng), deepcopy(self._move_rng)
+        other._structure_rng = deepcopy(self._structure_rng)
         return other
 
     def inject(self, effect: Effect) -> None:
@@ -110,6 +112,7 @@ class Avionics:
             resolver_rad=np.rint(resolver / step_rad) * step_rad if step_rad else resolver,
             current_A=current + noise[5:10],
             winding_C=hardware.ambient_C + self._update_winding_rise(current),
+            structure_C=self._read_structure_C(),
             switch_closed=self._update_switches(data.sensordata[self._touch]),
             gravity_R_m_s2=self._gravity_R + noise[10:],
         )
@@ -138,6 +141,11 @@ class Avionics:
         hardware = self._hardware
         self._closed = force_N > np.where(self._closed, hardware.switch_release_N, hardware.switch_force_N)
         return self._closed
+
+    def _read_structure_C(self) -> float:
+        hardware = self._hardware
+        noise_K = hardware.structure_noise_K * self._structure_rng.standard_normal()
+        return hardware.structure_C + hardware.structure_offset_K + noise_K
 
     def _update_winding_rise(self, current_A: Array) -> Array:
         """Update the rise of the windings over ambient [K], shape (5,).

@@ -116,6 +116,16 @@ class GravityImplausible(Fault):
 
 
 @dataclass(frozen=True, slots=True)
+class StructureTemperatureImplausible(Fault):
+    """The temperature reading of the structure is outside the range in which an arm can be."""
+
+    text = "structure reads {e.structure_C:.1f} degC, bounds {e.min_C:.1f} .. {e.max_C:.1f} degC"
+    structure_C: float
+    min_C: float
+    max_C: float
+
+
+@dataclass(frozen=True, slots=True)
 class SetpointUnsafe(Fault):
     """A set-point was held back: not finite, beyond the limits, or too far from the last one."""
 
@@ -243,6 +253,15 @@ class CyclesMissed(Fault):
     text = "{e.cycles} cycles missed, at most {e.bound} are tolerated"
     cycles: int
     bound: int
+
+
+@dataclass(frozen=True, slots=True)
+class CycleCountWrong(Fault):
+    """The cycle count of the avionics did not rise: the readings are old, or the avionics restarted."""
+
+    text = "cycle count {e.cycle} after {e.last_cycle}, it must rise"
+    cycle: int
+    last_cycle: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from fsw.dictionary.collision_params import CollisionParams, PartGeometry
+from fsw.dictionary.heat_params import HeatParams
 from fsw.dictionary.types import Angle, Joints5, Length, Limits, Matrix6, Row6, Vector3
 
 _ZERO_ROW: Row6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -323,6 +324,10 @@ class MonitorParams:
     """Highest temperature of a winding."""
     winding_persistence: Annotated[int, Limits(1, 640)]
     """Cycles of a winding outside these temperatures."""
+    structure_min_C: Annotated[float, Limits(-150.0, 50.0)]
+    """Lowest plausible temperature of the structure."""
+    structure_max_C: Annotated[float, Limits(0.0, 100.0)]
+    """Highest plausible temperature of the structure."""
     frozen_persistence: Annotated[int, Limits(2, 6400)]
     """Cycles in which a reading stays the same to the last bit."""
     missed_cycles: Annotated[int, Limits(0, 64)]
@@ -371,6 +376,7 @@ class Params:
     hardstop: HardstopParams
     poses: PoseParams
     motion: MotionParams
+    heat: HeatParams
     preload: PreloadParams
     collision: CollisionParams
     monitors: MonitorParams

@@ -1,6 +1,6 @@
 """Interface to protection: describe the arm in plain values, and apply the decision to the move."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import assert_never
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from fsw.config import Config
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAborted, Evr
+from fsw.dictionary.types import cycle_record
 from fsw.estimate.gear import LIKELY
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.modes import TRANSITIONS, ModeEvent, stop_event
@@ -20,7 +21,7 @@ from fsw.protect.status import ArmStatus, MoveStatus, PressStatus
 from fsw.state import Sequence
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class MoveOutcome:
     """Mode, move, sequence and standing fault after a move has advanced, and its events."""
 

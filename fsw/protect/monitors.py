@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from fsw.dictionary.evrs import Evr
+from fsw.dictionary.types import cycle_record
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from fsw.protect import motors
@@ -50,7 +51,7 @@ class Counts:
 ALL_ZERO: Final = Counts()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class MonitorState:
     """Memory of the monitors from cycle to cycle."""
 

@@ -207,6 +207,8 @@ class BuiltTolerances:
     mass_share: Share
     friction_share: Share
     com_m: SmallLength
+    expansion_share: Share
+    structure_sensor_K: Annotated[float, Limits(0.0, 20.0)]
 
 
 @dataclass(frozen=True, slots=True)
