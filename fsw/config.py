@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -20,7 +21,6 @@ class Config:
     """Values that are constant during a move; joint arrays (5,) in the order of Joint."""
 
     params: Params
-    params_sha256: str
     structure_C: float
     """Temperature of the structure for which `arm` is built."""
     arm: Arm
@@ -47,6 +47,11 @@ class Config:
     settle_ticks: int
     settle_timeout_ticks: int
 
+    @property
+    def params_sha256(self) -> str:
+        """Return the SHA-256 of the parameter values; few configurations are asked for it."""
+        return digest(self.params)
+
 
 def digest(params: Params) -> str:
     """Compute the SHA-256 of the parameter values; equal values give equal digests."""
@@ -56,10 +61,17 @@ def digest(params: Params) -> str:
 def _canonical_text(value: object) -> str:
     """Convert a value to the one text that all equal values share."""
     if is_dataclass(value):
-        return "".join(f"{f.name}={_canonical_text(getattr(value, f.name))};" for f in fields(value))
+        return "".join(
+            [f"{name}={_canonical_text(getattr(value, name))};" for name in _field_names(value.__class__)]
+        )
     if isinstance(value, tuple):
         return f"({','.join(_canonical_text(item) for item in value)})"
     return float(value).hex() if isinstance(value, float) else str(value)
+
+
+@cache
+def _field_names(record: type) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(record))
 
 
 def configure(params: Params) -> Config:
@@ -67,7 +79,6 @@ def configure(params: Params) -> Config:
     joints, motion, arm = params.joints.in_order(), params.motion, build_arm(params)
     return Config(
         params=params,
-        params_sha256=digest(params),
         structure_C=params.heat.calibration_C,
         arm=arm,
         calibrated_arm=arm,

@@ -11,7 +11,7 @@ from fsw.dictionary.evrs import Booted, Evr, ModeChanged
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
-from fsw.executive.commands import continue_sequence, handle
+from fsw.executive.commands import continue_sequence, receive
 from fsw.executive.context import CommandContext
 from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
 from fsw.kinematics.transforms import Array
@@ -53,7 +53,7 @@ def step(
     last_rad = joints.motor_rad if before.move is None else before.move.setpoint.motor_rad
     moved, joints, preload, planned_backlash_rad = _move(config, state, joints, load, sensors, usable)
     backlash_state = joints.backlash_state
-    arm = describe_arm(moved.mode, state.tool, joints, backlash_state[2], moved.move, preload)
+    arm = describe_arm(moved.mode, state.tool, joints, backlash_state, moved.move, preload)
     monitors, decision = protect(
         config.protection, state.monitors, moved.fault, arm, sensors, last_rad, unusable, moved.evrs
     )
@@ -73,6 +73,7 @@ def step(
         monitors=monitors,
         drive=command_actuators(config, after.move, joints, state.drive),
         structure_C=structure_C,
+        surface=state.surface,
         changed_config=state.changed_config,
     )
     return state, _make_outputs(config, before, state, backlash_state, tool_channels, decided + after.evrs)
@@ -120,7 +121,7 @@ def _decide(
         return state, joints, ()
     context = CommandContext(replace(state, joints=joints, load=load), usable, closed=sensors.switch_closed)
     for command in commands:
-        context = handle(context.state.changed_config or config, context, command)
+        context = receive(context.state.changed_config or config, context, command)
     context = continue_sequence(context.state.changed_config or config, context)
     return context.state, context.state.joints, context.evrs
 

@@ -5,10 +5,12 @@ from math import nan
 
 import numpy as np
 
+from fsw.collision.geometry import Surface
 from fsw.config import Config
 from fsw.dictionary.channels import JointChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
+from fsw.dictionary.types import cycle_record
 from fsw.estimate.joints import JointEstimate, LoadEstimate, no_load, uninitialised_estimate
 from fsw.estimate.reference import Reference, no_reference
 from fsw.kinematics.transforms import Array
@@ -38,7 +40,7 @@ class Sequence:
     remaining: tuple[SequenceStep, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class State:
     """Everything that a cycle leaves for the next one."""
 
@@ -61,6 +63,8 @@ class State:
     drive: ActuatorCommand
     structure_C: float = nan
     """Filtered temperature of the structure; NaN before the first usable reading."""
+    surface: Surface | None = None
+    """Surface of the last target, from the last touch if there was one; None after an unstow."""
     changed_config: Config | None = None
     """Configuration with the present temperature and parameters; None if it is that at boot."""
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
+from sim.arm_model.description import VISCOUS_COLD
 from sim.drawing import WARM_C
 from sim.effects.effect import Effect, Hardware, ParameterSpec, StartTime
 
 COLD_C = -55.0
 COULOMB_COLD = 2.5
 """Factor on the friction at WARM_C that gives that at COLD_C."""
-VISCOUS_COLD = 8.0
 NO_PADDING_M = 1e3
 
 

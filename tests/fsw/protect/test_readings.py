@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from fsw.dictionary.evrs import CyclesSkipped
 from fsw.dictionary.faults import (
+    CycleCountWrong,
     CyclesMissed,
     GravityImplausible,
     SensorFrozen,
@@ -166,10 +167,14 @@ def test_as_many_readings_are_compared_as_there_are_and_none_is_left_out():
         check_frozen(BOUNDS, (10_000,) * 13, BEFORE[:13], BEFORE[:13])
 
 
-def test_cycles_are_counted_from_the_second_call_on_and_may_begin_again():
-    assert check_cycle_count(BOUNDS, None, 12345) == ()
-    for before, now in ((7, 8), (7, 7), (7, -100), (-2, -1)):
+def test_cycles_are_counted_from_the_second_call_on():
+    for before, now in ((None, 12345), (7, 8), (-2, -1)):
         assert check_cycle_count(BOUNDS, before, now) == ()
+
+
+@pytest.mark.parametrize("now", [7, 6, -43, -(10**9)])
+def test_a_count_that_repeats_or_goes_back_is_a_fault(now):
+    assert check_cycle_count(BOUNDS, 7, now) == (CycleCountWrong(now, 7),)
 
 
 @pytest.mark.parametrize("before", [-5, 0, 1000])
