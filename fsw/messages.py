@@ -19,7 +19,7 @@ class Sensors:
     """Readings of the avionics at the start of a cycle; arrays in the order of joints and switches."""
 
     cycle: int
-    """Cycle counter of the avionics, with any start; a step of more than one means missed cycles."""
+    """Cycle counter of the avionics, with any start; it rises by one; a step of more means missed cycles."""
     encoder_count: Counts
     """Counts of the motor encoders, with any zero."""
     resolver_rad: Annotated[Floats, Limits(-6.5, 6.5)]

@@ -31,6 +31,9 @@ ALL_ACTUATORS = 0b111110
 RESISTANCE, MOTOR_CONSTANT, GAINS = 0, 1, slice(4, 7)
 """Indices in MuJoCo's gain parameters of a dcmotor; GAINS are those of position, integral and rate."""
 
+LEAST_GAIN_SHARE = 1e-9
+"""Gains of a servo without power, as a share: MuJoCo fails at 0, where a dcmotor would have no integral."""
+
 # MuJoCo would write its warnings to a file in the current directory; Plant.step checks their count
 mujoco.set_mju_user_warning(lambda _: None)
 
@@ -200,7 +203,8 @@ class Plant:
         if disturbance.damping_Nms_rad is not before.damping_Nms_rad:
             model.dof_damping[at.motor] = np.maximum(self._damping_Nms_rad + disturbance.damping_Nms_rad, 0.0)
         if disturbance.servo is not before.servo:
-            model.actuator_gainprm[at.actuators, GAINS] = self._gains * (1.0 + disturbance.servo[:, None])
+            share = np.maximum(1.0 + disturbance.servo[:, None], LEAST_GAIN_SHARE)
+            model.actuator_gainprm[at.actuators, GAINS] = self._gains * share
         # set always: a reset of MuJoCo's data removes it
         self.data.qfrc_applied[at.motor] = self.data.qfrc_applied[at.gear] = disturbance.output_Nm
         if disturbance.gear_rad is not before.gear_rad:

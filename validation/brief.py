@@ -48,6 +48,7 @@ BRIEFS: Final = (
     Brief("hardstops", "--arms 1 --repeats 2 --joint ELBOW --workers 1"),
     Brief("calibration", "--arms 1 --without-speed --workers 1"),
     Brief("kinematics", "--targets 4000 --vectors 4000 --workers 1"),
+    Brief("commands", "--cycles 10000 --workers 1"),
     Brief("damage", "--tries 50 --cycles 128"),
     Brief("killed", "--kills 3"),
     Brief("interrupt", "--moments 3 --only ik --only reach --only monte-carlo --only 'gap record'"),

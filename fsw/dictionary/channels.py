@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.types import Limits, ToolMark, cycle_record
+from fsw.dictionary.types import Limits, NameMark, cycle_record
 
 
 @cycle_record
@@ -51,7 +51,7 @@ class ToolChannels:
 
     tick: int
     """Number of the cycle since boot."""
-    tool: Annotated[int, ToolMark()]
+    tool: Annotated[int, NameMark.TOOL]
     """Tool of the last tool command: its index among the tools of the parameters."""
     p_RoTo_R_m: Annotated[NDArray[np.float64], Limits(-5.0, 5.0)]
     """Origin of the tool in the rover frame RMECH."""

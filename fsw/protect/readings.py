@@ -8,6 +8,7 @@ import numpy as np
 
 from fsw.dictionary.evrs import CyclesSkipped, Evr
 from fsw.dictionary.faults import (
+    CycleCountWrong,
     CyclesMissed,
     GravityImplausible,
     SensorFrozen,
@@ -85,9 +86,11 @@ def check_frozen(
 
 
 def check_cycle_count(bounds: ProtectionBounds, before: int | None, now: int) -> tuple[Evr, ...]:
-    """Find cycles of the avionics in which flight software was not called; a few are only reported."""
-    if before is None or now <= before + 1:
+    """Check that the cycle count of the avionics rises by one; a few missed cycles are only reported."""
+    if before is None or now == before + 1:
         return ()
+    if now <= before:
+        return (CycleCountWrong(now, before),)
     cycles, bound = now - before - 1, bounds.monitors.missed_cycles
     return (CyclesSkipped(cycles),) if cycles <= bound else (CyclesMissed(cycles, bound),)
 

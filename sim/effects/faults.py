@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Annotated, Final, Literal
 
+import mujoco
 import numpy as np
 
 from fsw.dictionary.enums import Joint
@@ -207,9 +208,10 @@ class RockGone(Timed):
     """Loss of the rock face, which no longer makes contact."""
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """Exclude the face from the contacts."""
-        face = plant.model.geom("rock_face").id
-        plant.model.geom_contype[face] = plant.model.geom_conaffinity[face] = 0
+        """Exclude the face from the contacts, if there is one."""
+        face = mujoco.mj_name2id(plant.model, mujoco.mjtObj.mjOBJ_GEOM, "rock_face")
+        if face >= 0:
+            plant.model.geom_contype[face] = plant.model.geom_conaffinity[face] = 0
         return hardware
 
 

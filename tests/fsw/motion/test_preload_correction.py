@@ -8,7 +8,8 @@ import pytest
 from fsw.dictionary.commands import Preload
 from fsw.dictionary.evrs import ForceEstimated, Preloaded
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
-from fsw.motion.move import MIN_CORRECTION_N, Phase
+from fsw.motion.force_fit import MIN_CORRECTION_N
+from fsw.motion.move import Phase
 from fsw.motion.preload import ForceFit, estimate_force_ratio, model_contact, plan_preload
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
 

@@ -202,7 +202,7 @@ BAD = {
         "distance_mm = 100",
         "distance_mm = 5000",
         29,
-        "RETRACT: distance_m 5.0 m must be more than 0 and at most 1 m",
+        "distance_m: 5 is outside 0.001 .. 1",
     ),
     "a frame that does not exist": (
         'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
