@@ -54,7 +54,7 @@ class ProtectionBounds:
     """Current that is nearly all that a motor may draw, (5,)."""
     approach_wind_up_rad: Array
     """Wind-up beyond the backlash from which a gear counts on an approach, (5,)."""
-    stiffness_A_rad: Array
+    stiffness_A_rad: tuple[float, ...]
     """Stiffness of the gears over the torque constants, (5,)."""
     load_error_A: tuple[float, ...]
     """Errors of the modelled loads over the torque constants, (5,)."""
@@ -116,7 +116,7 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         setpoint_step_rad=np.array([monitors.setpoint_step_factor * cycle_s * j.speed_rad_s for j in joints]),
         over_current_A=over_current,
         approach_wind_up_rad=LOAD_ERROR_FACTOR * load_error / arm.gear_stiffness_Nm_rad,
-        stiffness_A_rad=arm.gear_stiffness_Nm_rad / constant,
+        stiffness_A_rad=tuple((arm.gear_stiffness_Nm_rad / constant).tolist()),
         load_error_A=tuple((load_error / constant).tolist()),
         damping_As_rad=tuple(j.damping_Nms_rad / j.torque_constant_Nm_A for j in joints),
         updates_Hz=1.0 / (UPDATE_CYCLES * cycle_s),

@@ -155,6 +155,7 @@ def _forget_jumps(bounds: ProtectionBounds, before_A: tuple[float, ...], now: Fr
     """Begin the means of currents that jumped anew; until they are known these joints show nothing."""
     jumped = [abs(a - b) > c for a, b, c in zip(now.read_A, before_A, bounds.current_step_A, strict=True)]
     return now._replace(
+        fast_A=tuple([a if jump else b for jump, a, b in zip(jumped, now.read_A, now.fast_A, strict=True)]),
         per_A=tuple([0.0 if jump else per for jump, per in zip(jumped, now.per_A, strict=True)]),
         means=tuple(
             [m._replace(updates=0) if jump else m for jump, m in zip(jumped, now.means, strict=True)]
@@ -164,8 +165,8 @@ def _forget_jumps(bounds: ProtectionBounds, before_A: tuple[float, ...], now: Fr
 
 def compute_load_current(bounds: ProtectionBounds, arm: ArmStatus) -> list[float]:
     """Compute the currents that the estimated wind-up of the gears takes, (5,), without friction."""
-    current: list[float] = (-bounds.stiffness_A_rad * _wind_up(arm, arm.gear_rad)).tolist()
-    return current
+    each = zip(arm.gear_rad.tolist(), arm.half_backlash_rad.tolist(), bounds.stiffness_A_rad, strict=True)
+    return [stiffness * (min(max(gear, -half), half) - gear) for gear, half, stiffness in each]
 
 
 def _wind_up(arm: ArmStatus, gear_rad: Array) -> Array:
@@ -208,9 +209,11 @@ def update_means(
             slow_rate += (rate - slow_rate) / n
         else:
             n, friction_A, slow_rate = 0, 0.0, 0.0
-        if side == 0.0 or side != last_side or abs(wound - last_wound) > step:
+        if same:
+            wound = last_wound
+        elif side == 0.0 or side != last_side or abs(wound - last_wound) > step:
             m, slow = 0, wound
-        elif not same:
+        else:
             m = m + 1 if m < WIND_UP_UPDATES else m
             slow += (wound - slow) / m
         after.append(JointMeans(n, friction_A, slow_rate, m, slow, motor, rate, wound, side))
@@ -243,15 +246,24 @@ def check_wind_up(
     move: MoveStatus,
 ) -> tuple[Evr, ...]:
     """Check the wind-up in an update against the slow means before it."""
-    excess, off_rad = [], []
-    for last, one, unsure in zip(before, now, arm.gear_uncertainty_rad.tolist(), strict=True):
+    total, excess, off_rad = 0.0, [], []
+    each = zip(
+        before,
+        now,
+        arm.gear_uncertainty_rad.tolist(),
+        move.setpoint_rate_rad_s.tolist(),
+        strict=True,
+    )
+    for last, one, unsure, rate in each:
         off = one.last_wind_up_rad - last.wind_up_rad
-        resists = (
-            last.wind_up_updates >= LEAST_UPDATES < one.wind_up_updates and off * one.last_rate_rad_s <= 0.0
-        )
+        is_known = min(last.wind_up_updates, one.wind_up_updates) > LEAST_UPDATES
+        # the rate is the commanded one: an encoder that is stuck makes the output run ahead
+        resists = is_known and off * rate <= 0.0
         off_rad.append(off if resists else 0.0)
-        excess.append(max((abs(off_rad[-1]) - unsure) / bounds.wind_up_sigma_rad[last.wind_up_updates], 0.0))
-    if sum([one * one for one in excess]) <= CONTACT:
+        beyond = abs(off) - unsure if resists else 0.0
+        excess.append(beyond / bounds.wind_up_sigma_rad[last.wind_up_updates] if beyond > 0.0 else 0.0)
+        total += excess[-1] * excess[-1]
+    if total <= CONTACT:
         return ()
     wound_rad = _wind_up(arm, arm.gear_rad + np.array(off_rad)) - _wind_up(arm, arm.gear_rad)
     torque_Nm = bounds.arm.gear_stiffness_Nm_rad * wound_rad
