@@ -7,6 +7,7 @@ from copy import copy, deepcopy
 from dataclasses import replace
 from typing import Final
 
+import mujoco
 import numpy as np
 
 from fsw.config import CYCLE_HZ
@@ -201,6 +202,7 @@ class Avionics:
     def _shake(self, on: bool) -> None:
         """Turn the unbalance of the vibration motor by a quarter turn; remove its force once it is off."""
         data, turret = self._plant.data, self._turret
+        mujoco.mj_kinematics(self._plant.model, data)  # a step leaves the axes of its start
         R_WB = data.xmat[turret].reshape(3, 3)
         data.xfrc_applied[turret, :3] = VIBRATION_N * on * (R_WB @ VIBRATION_AXES[self._cycle % 4])
         self._shaken = on
