@@ -27,7 +27,7 @@ from fsw.dictionary.params import TeachPoint
 from fsw.dictionary.types import vector3
 from fsw.estimate.joints import JointEstimate, uninitialised_estimate
 from fsw.estimate.reference import no_reference
-from fsw.executive.checks import check_arguments, check_bounds
+from fsw.executive.checks import check_arguments, check_force
 from fsw.executive.expansion import CompoundCommand, expand_command
 from fsw.executive.planning import SingleMoveCommand, plan_steps
 from fsw.executive.settings import replace_param
@@ -115,7 +115,7 @@ def _plan_motion(before: Rehearsed, command: MotionCommand) -> Rehearsed | Refus
 
 def _refuse_preload(before: Rehearsed, command: Preload) -> Refusal | None:
     """Return the reason that the force cannot be reached from a touch; a release is always possible."""
-    problem = check_bounds(before.config.params, command)
+    problem = check_force(before.config.params, command)
     if problem is not None:
         return Refusal(problem)
     touch = model_contact(before.config, before.joints, command.tool)
