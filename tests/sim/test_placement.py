@@ -17,7 +17,7 @@ from sim.preview import Preview, preview_placement
 from sim.sequence import Outcome
 from sim.world import Surface, World
 from tests.sim import lab
-from tests.tools import TOOL_SWITCHES, TOOLS
+from tests.tools import TOOL_SWITCHES
 
 NOMINAL = arm_named("nominal")
 OPEN: tuple[Vector3, Vector3] = ((2.1, 0.2, -0.3), (-0.3, 0.0, -1.0))
