@@ -56,13 +56,15 @@ def test_a_surface_that_comes_nearer_takes_as_much_from_every_height():
 
 def test_what_is_clear_of_a_surface_is_clear_of_a_plane_in_mujoco():
     spec = build(World())
-    spec.worldbody.add_geom(
+    plane = spec.worldbody.add_geom(
         name="plane", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1), contype=2, conaffinity=1
     )
+    # a geom in the frame of its body would stay there
+    plane.pos, plane.quat = (1, 1, 1), (0.8, 0.6, 0, 0)
     for geom in spec.geoms:
         geom.margin = FAR_M
     plant = Plant(spec.compile())
-    model, data, plane = plant.model, plant.data, spec.compile().geom("plane").id
+    model, data, plane = plant.model, plant.data, plant.model.geom("plane").id
     poses = in_limits(CONFIG, np.random.default_rng(4), 40)
     at_rest = settle_output(CONFIG.arm, poses, MARS_R_m_s2)
     for k, surface in enumerate(random_surfaces(5, 40)):
@@ -70,7 +72,8 @@ def test_what_is_clear_of_a_surface_is_clear_of_a_plane_in_mujoco():
         mujoco.mju_quatZ2Vec(model.geom_quat[plane], FLIP * surface.normal_R)
         plant.show(poses[:, k], at_rest.strain[:, :, k])
         mujoco.mj_collision(model, data)
-        ours = heights(forward(CONFIG.arm, poses[:, k : k + 1], at_rest.strain[:, :, k : k + 1]), surface)
+        frames = settle_output(CONFIG.arm, poses[:, k : k + 1], MARS_R_m_s2).frames
+        ours = heights(frames, surface)
         touched = [contact for contact in data.contact if plane in contact.geom]
         assert touched
         for contact in touched:
