@@ -4,6 +4,7 @@ from dataclasses import replace
 from math import isnan
 
 from fsw.config import CYCLE_S, Config, configure_at
+from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Joint
@@ -11,8 +12,9 @@ from fsw.dictionary.evrs import Booted, Evr, ModeChanged
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
-from fsw.executive.commands import continue_sequence, receive
-from fsw.executive.context import CommandContext
+from fsw.executive.checks import known_names
+from fsw.executive.commands import continue_sequence, handle
+from fsw.executive.context import CommandContext, refuse
 from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
 from fsw.kinematics.transforms import Array
 from fsw.messages import Outputs, Sensors
@@ -40,7 +42,7 @@ def step(
     before, config = state, state.changed_config or config
     unusable = check_readings(config.protection, sensors)
     usable = not unusable
-    structure_C = _filter_structure(config, state.structure_C, sensors.structure_C, usable)
+    structure_C = _filter_structure(config, state, sensors.structure_C, usable)
     # a move and its protection keep the arm that the move was planned with
     if before.move is None and _has_arm_grown(config, structure_C):
         config = configure_at(config, structure_C)
@@ -51,7 +53,7 @@ def step(
     last_rad = joints.motor_rad if before.move is None else before.move.setpoint.motor_rad
     moved, joints, preload, planned_backlash_rad = _move(config, state, joints, load, sensors, usable)
     backlash_state = joints.backlash_state
-    arm = describe_arm(moved.mode, state.tool, joints, backlash_state[2], moved.move, preload)
+    arm = describe_arm(moved.mode, state.tool, joints, backlash_state, moved.move, preload)
     monitors, decision = protect(
         config.protection, state.monitors, moved.fault, arm, sensors, last_rad, unusable, moved.evrs
     )
@@ -71,18 +73,24 @@ def step(
         monitors=monitors,
         drive=command_actuators(config, after.move, joints, state.drive),
         structure_C=structure_C,
+        surface=state.surface,
         changed_config=state.changed_config,
     )
     return state, _make_outputs(config, before, state, backlash_state, tool_channels, decided + after.evrs)
 
 
-def _filter_structure(config: Config, last_C: float, reading_C: float, usable: bool) -> float:
-    """Filter the temperature of the structure from its first reading on; an unusable reading is left out."""
+def _filter_structure(config: Config, state: State, reading_C: float, usable: bool) -> float:
+    """Filter the temperature of the structure; until the filter has its time, take the mean since boot.
+
+    An unusable reading is left out.
+    """
+    last_C = state.structure_C
     if not usable:
         return last_C
     if isnan(last_C):
         return reading_C
-    return last_C + CYCLE_S / config.params.heat.filter_s * (reading_C - last_C)
+    share = max(CYCLE_S / config.params.heat.filter_s, 1.0 / (state.tick + 1))
+    return last_C + share * (reading_C - last_C)
 
 
 def _has_arm_grown(config: Config, structure_C: float) -> bool:
@@ -123,9 +131,21 @@ def _decide(
         return state, joints, ()
     context = CommandContext(replace(state, joints=joints, load=load), usable, closed=sensors.switch_closed)
     for command in commands:
-        context = receive(context.state.changed_config or config, context, command)
+        context = _receive(context.state.changed_config or config, context, command)
     context = continue_sequence(context.state.changed_config or config, context)
     return context.state, context.state.joints, context.evrs
+
+
+def _receive(config: Config, context: CommandContext, command: Command) -> CommandContext:
+    """Handle a command that arrives from the ground, or refuse it for a wrong argument.
+
+    Returns:
+        The context with what the command changed, or with the event that gives the reason for a refusal.
+    """
+    received = read_arguments(command, known_names(config.params))
+    if isinstance(received, Wrong):
+        return refuse(context, command, received.text)
+    return handle(config, context, received)
 
 
 def _move(

@@ -5,6 +5,7 @@ from math import nan
 
 import numpy as np
 
+from fsw.collision.geometry import Surface
 from fsw.config import Config
 from fsw.dictionary.channels import JointChannels
 from fsw.dictionary.commands import Command
@@ -62,6 +63,8 @@ class State:
     drive: ActuatorCommand
     structure_C: float = nan
     """Filtered temperature of the structure; NaN before the first usable reading."""
+    surface: Surface | None = None
+    """Surface of the last target, from the last touch if there was one; None after an unstow."""
     changed_config: Config | None = None
     """Configuration with the present temperature and parameters; None if it is that at boot."""
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.commands import Command, GuardedMove, MoveTool, Retract, Unstow
+from fsw.dictionary.commands import Command, PlaceTool, Retract, Unstow
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import BranchChosen, CommandCompleted, ContactMade, Evr
 from fsw.dictionary.types import Vector3, vector3
@@ -28,8 +28,6 @@ class Placement:
     overtravel_m: float = 0.05
     """Distance beyond the target at which the guarded move ends without contact."""
     branch: str = "AUTO"
-    via_m: float = 0.0
-    """Height above the standoff of a way point on the normal; 0 means none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,29 +59,24 @@ class PlacementResult:
     """Time [s] and event."""
 
 
-def placement_moves(placement: Placement) -> tuple[tuple[MoveTool, ...], GuardedMove]:
-    """Make the moves to the standoff, and the guarded move along the inward normal."""
+def place_command(placement: Placement) -> PlaceTool:
+    """Make the command of a placement, along the inward normal."""
     normal = normalize(placement.normal_N)
     target = p_R_from_N(np.array(placement.target_N_m))
-    tool, approach, branch = placement.tool, vector3(-normal), placement.branch
-    travel = placement.standoff_m + placement.overtravel_m
-    heights = (
-        [placement.standoff_m]
-        if placement.via_m == 0
-        else [placement.standoff_m + placement.via_m, placement.standoff_m]
+    return PlaceTool(
+        placement.tool,
+        vector3(target),
+        vector3(-normal),
+        standoff_m=placement.standoff_m,
+        overtravel_m=placement.overtravel_m,
+        branch=placement.branch,
     )
-    moves = tuple(
-        MoveTool(tool, vector3(target + height * normal), approach, line_m=travel, branch=branch)
-        for height in heights
-    )
-    return moves, GuardedMove(tool, vector3(target - placement.overtravel_m * normal), approach)
 
 
 def placement_commands(placement: Placement, stowed: bool) -> tuple[Command, ...]:
     """Make the command sequence of a placement."""
-    moves, touch = placement_moves(placement)
     unstow = (Unstow(),) if stowed else ()
-    return (*unstow, *moves, touch, Retract(placement.tool, placement.standoff_m))
+    return (*unstow, place_command(placement), Retract(placement.tool, placement.standoff_m))
 
 
 class PlacementRun:

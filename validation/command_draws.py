@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
 from decimal import Decimal
 from enum import IntEnum
-from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -40,7 +41,7 @@ BAD_NUMBERS: Final = (
     np.bool_(True), np.float64(0.1),
 )  # fmt: skip
 BAD_TEXTS: Final = ("", "drill", "DRILL", "Elbow", "\ud800", "a\nb", "\0", "x" * 101, "é" * 50, "{e}", "%s")
-BAD_OTHERS: Final = (
+BAD_OTHERS: Final[tuple[Any, ...]] = (
     None, b"drill", 1j, Decimal("1e999"), object(), dict, len, {"a": 1}, {1.0}, range(3), (), [],
     ((1.0,),) * 3, (1.0, 2.0), [1.0, 2.0, 3.0], (1.0,) * 6, (1e306,) * 5, ("1", "2", "3"),
     [None] * 5, (True, False, True),
@@ -48,7 +49,16 @@ BAD_OTHERS: Final = (
     np.array([1, 2, None]), np.zeros(10_000), (0.0, 0.0, 0.0), (1e-300, 0.0, 0.0), (1e200, 1e200, -1e200),
 )  # fmt: skip
 BAD_VALUES: Final = (*BAD_NUMBERS, *BAD_TEXTS, *BAD_OTHERS)
-NO_COMMANDS: Final = (None, 3, "Stop", Stop, {}, (Stop(),), Hold(1.0, vibrate=True), np.zeros(5))
+NO_COMMANDS: Final[tuple[Any, ...]] = (
+    None,
+    3,
+    "Stop",
+    Stop,
+    {},
+    (Stop(),),
+    Hold(1.0, vibrate=True),
+    np.zeros(5),
+)
 
 
 def draw_command(random: Random, params: Params) -> Any:
@@ -70,6 +80,9 @@ def draw_command(random: Random, params: Params) -> Any:
 def _draw_value(random: Random, params: Params, name: str, hint: Any) -> Any:
     if random.random() < BAD_SHARE:
         return _choose(random, BAD_VALUES)
+    if get_origin(hint) in (Union, UnionType):
+        option = _choose(random, get_args(hint))
+        return None if option is NoneType else _draw_value(random, params, name, option)
     marks = getattr(hint, "__metadata__", ())
     bare = hint.__origin__ if marks else hint
     for mark in marks:

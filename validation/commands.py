@@ -8,7 +8,7 @@ import json
 import sys
 import warnings
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +18,7 @@ from fsw.cycle import step
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAccepted, CommandRefused
 from fsw.dictionary.params import TeachPoint
-from fsw.messages import Sensors
+from fsw.messages import ActuatorCommand, Sensors
 from fsw.state import State
 from ground.common.pool import Runner
 from sim.arms import arm_named
@@ -35,6 +35,7 @@ COMMAND_SHARE: Final = {True: 0.1, False: 0.6}
 MOST_COMMANDS: Final = 3
 LONGEST_REASON: Final = 400
 """Longest reason of a refusal; lists of names have up to 300 characters."""
+DRIVE_FIELDS: Final = tuple(field.name for field in fields(ActuatorCommand))
 HERE: Final = TeachPoint("here", "apxs", (1.4, 0.0, -0.3), (0.0, 0.0, 1.0))
 
 
@@ -101,7 +102,7 @@ def _find_change(config: Config, before: State, sensors: Sensors, record: CycleR
     left = [evr for evr in record.outputs.evrs if not isinstance(evr, CommandRefused)]
     same_events = left == [evr for evr in quiet.evrs if not isinstance(evr, CommandRefused)]
     drive, still = record.outputs.drive, quiet.drive
-    same_drive = all(np.array_equal(getattr(drive, name), getattr(still, name)) for name in drive.__slots__)
+    same_drive = all(np.array_equal(getattr(drive, name), getattr(still, name)) for name in DRIVE_FIELDS)
     if same_events and same_drive and state.mode is Mode(record.outputs.joint.mode):
         return []
     return [f"refused commands changed the cycle: {record.commands!r:.2000}"]

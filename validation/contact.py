@@ -21,10 +21,11 @@ from sim.arms import arm_named
 from sim.contact import tool_forces
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
+from sim.placement import place_command
 from sim.preview import random_placement
 from sim.sequence import run_sequence
 from validation.options import campaign_parser, campaign_runner
-from validation.tool_change import FIRST, MOST_DRAWS, SECOND, TILT_RAD, not_completed, place_command
+from validation.tool_change import FIRST, MOST_DRAWS, SECOND, TILT_RAD, not_completed
 
 SOON_S, LATER_S, HELD_S = 0.5, 2.0, 4.0
 SOON, LATER = 0.20, 0.05
@@ -100,7 +101,7 @@ def one_arm(seed: int) -> list[ContactRest]:
     for draw in range(1, MOST_DRAWS + 1):
         world, preview = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
         loop = ClosedLoop(Setup(arm, world, joints5(preview.standoff_rad), draw, true_reference(arm)))
-        first = rest_after(loop, (place_command(preview),), FIRST, name)
+        first = rest_after(loop, (place_command(preview.placement),), FIRST, name)
         second = (
             rest_after(loop, (ToolChange(SECOND),), SECOND, name) if isinstance(first, ContactRest) else first
         )

@@ -1,6 +1,6 @@
 """Campaign of tool changes: distance of the second tool from the spot of the first, against absolute moves.
 
-Calibrated arms are 50 K warmer or colder than flight software assumes, and all their springs are a fifth
+Calibrated arms are 50 K warmer or colder than their sensor tells, and all their springs are a fifth
 softer or stiffer. The APXS is placed, and the tool changed to MAHLI. On the same arm and target, MAHLI is
 also placed by coordinates alone. As-built arms are flown with the nominal parameters.
 """
@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fsw.dictionary.commands import Command, PlaceTool, Retract, ToolChange
+from fsw.dictionary.commands import Command, Retract, ToolChange
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
-from fsw.dictionary.types import joints5, vector3
+from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from ground.common.pool import Runner, in_order
@@ -24,10 +24,10 @@ from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError, Warming
 from sim.effects.joints import GearStiffness
 from sim.effects.structure import LinkStiffness
-from sim.frames import p_R_from_N
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop, Setup
-from sim.preview import Preview, random_placement
+from sim.placement import place_command
+from sim.preview import random_placement
 from sim.sequence import run_sequence
 from validation.options import campaign_parser, campaign_runner
 
@@ -92,7 +92,7 @@ def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors |
     world, preview = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
     effects = unknown_to_flight(seed) if name.startswith("calibrated") else ()
     loop = ClosedLoop(Setup(arm, world, joints5(preview.standoff_rad), draw, reference, effects))
-    place = place_command(preview)
+    place = place_command(preview.placement)
     target, axis = np.array(place.p_RoTo_R_m), np.array(place.approach_R)
     first = _touch(loop, (place,))
     if isinstance(first, str):
@@ -113,14 +113,6 @@ def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors |
         tool_frames_mm=_lateral_mm(frames, axis),
         residual_mm=_lateral_mm(second - spot - frames, axis),
     )
-
-
-def place_command(preview: Preview) -> PlaceTool:
-    """Return the command of a previewed placement."""
-    placement = preview.placement
-    target = p_R_from_N(np.array(placement.target_N_m))
-    axis = -np.array(placement.normal_N) / np.linalg.norm(placement.normal_N)
-    return PlaceTool(placement.tool, vector3(target), vector3(axis), branch=placement.branch)
 
 
 def not_completed(command: Command, evrs: Sequence[Evr]) -> str | None:

@@ -1,21 +1,28 @@
-"""Distances between rounded boxes, and the clearances of the arm to the rover and to level ground.
+"""Distances between rounded boxes, and the clearances of the arm to rover, level ground and a surface.
 
 A distance is exact for the shapes. Each shape encloses the part that it stands for, so a part is never closer
 than its shape. Batches are on the trailing axes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.collision.geometry import GROUND, CollisionGeometry
+from fsw.collision.geometry import GROUND, SURFACE, SURFACE_FRAME, CollisionGeometry, Surface
 from fsw.kinematics.chain import Frames
 from fsw.kinematics.transforms import Array, Pose, dot, inverse, rotate_back
 
 ROUNDING_M: Final = 1e-5
 """Rounding error: a part that starts too close may come this much closer."""
+
+BELOW_M: Final = 0.02
+"""Depth below a surface that errors of surface and arm do not explain."""
+LEAST_ROCK_M: Final = 0.1
+"""Least radius of a rock to touch: twice the distance from a tip to the ends of its contact switches."""
+UP: Final = np.array([0.0, 0.0, -1.0])
+"""Normal of level ground in RMECH."""
 
 Indices = NDArray[np.intp]
 
@@ -50,6 +57,8 @@ class ClearanceViolation:
     @property
     def reason(self) -> str:
         """Return the sentence for a refusal."""
+        if self.distance_m <= 0 and self.obstacle == "surface":
+            return f"the {self.part_title} would be {-1e3 * self.distance_m:.0f} mm below the surface"
         if self.distance_m <= 0:
             return f"the {self.part_title} meets the {self.obstacle_title}"
         return (
@@ -60,23 +69,38 @@ class ClearanceViolation:
 
 
 def find_violation(
-    geometry: CollisionGeometry, frames: Frames, padding_m: float, touching: str | None = None
+    geometry: CollisionGeometry,
+    frames: Frames,
+    padding_m: float,
+    touching: str | None = None,
+    surface: Surface | None = None,
 ) -> ClearanceViolation | None:
     """Find the first pose of a path at which a part of the arm is too close to an obstacle.
 
-    A part that starts closer than the padding may stay as close or move away, so that the arm can leave.
+    A part that starts closer than the padding may stay as close or move away, so that the arm can leave. It
+    may not start deeper below a surface than errors explain.
 
     Args:
         geometry: Shapes of arm and rover.
         frames: Frames of the links in RMECH along the path, batch (n).
         padding_m: Distance to be kept.
         touching: Tool that is to touch; no distance is required of it.
+        surface: Surface of a target; None if there is none.
 
     Returns:
         The violation, or None if there is none.
     """
-    clearance = compute_clearances(geometry, frames, padding_m, touching)
+    return judge_clearances(
+        geometry, compute_clearances(geometry, frames, padding_m, touching, surface), padding_m
+    )
+
+
+def judge_clearances(
+    geometry: CollisionGeometry, clearance: Array, padding_m: float
+) -> ClearanceViolation | None:
+    """Find the first pose that is too close, as `find_violation`, from distances (parts, obstacles, n)."""
     least = np.minimum(padding_m, clearance[..., :1] - ROUNDING_M)
+    least[:, SURFACE] = np.maximum(least[:, SURFACE], -BELOW_M)
     bad = clearance < least
     if not bad.any():
         return None
@@ -95,7 +119,11 @@ def find_violation(
 
 
 def compute_clearances(
-    geometry: CollisionGeometry, frames: Frames, within_m: float, touching: str | None = None
+    geometry: CollisionGeometry,
+    frames: Frames,
+    within_m: float,
+    touching: str | None = None,
+    surface: Surface | None = None,
 ) -> Array:
     """Compute the distance of each part of the arm to each obstacle.
 
@@ -104,15 +132,20 @@ def compute_clearances(
         frames: Frames of the links in RMECH, batch (n).
         within_m: Distances beyond this are infinite in the result.
         touching: Tool whose distances are infinite in the result.
+        surface: Surface of a target; without one, distances to it are infinite.
 
     Returns:
         Distances in metres, shape (parts, obstacles, n).
     """
     arm, rover, X_RS = geometry.arm, geometry.rover, place_shapes(geometry, frames)
     clearance = np.full((len(geometry.parts), len(geometry.obstacles), X_RS.p.shape[-1]), np.inf)
-    height = _compute_heights(geometry, X_RS)
-    shape, pose = np.nonzero(height < within_m)
-    np.minimum.at(clearance[:, GROUND], (arm.part[shape], pose), height[shape, pose])
+    ground = Surface(np.array([0.0, 0.0, geometry.ground_z_m]), UP)
+    planes = {GROUND: _compute_heights(geometry, X_RS, ground)}
+    if surface is not None:
+        planes[SURFACE] = _compute_surface_distances(geometry, X_RS, surface)
+    for plane, height in planes.items():
+        shape, pose = np.nonzero(height < within_m)
+        np.minimum.at(clearance[:, plane], (arm.part[shape], pose), height[shape, pose])
     shape, obstacle, pose = _find_neighbours(geometry, X_RS.p, within_m)
     distance = _compute_distances(geometry, X_RS[shape, pose], shape, obstacle)
     np.minimum.at(clearance, (arm.part[shape], rover.part[obstacle], pose), distance)
@@ -147,12 +180,49 @@ def _collect_carriers(frames: Frames) -> Pose:
     )
 
 
-def _compute_heights(geometry: CollisionGeometry, X_RS: Pose) -> Array:
-    """Compute the height of the lowest point of each shape of the arm above level ground, (m, n)."""
-    arm = geometry.arm
-    lowest = X_RS.p[2] + np.einsum("kmn,km->mn", np.abs(X_RS.R[2]), arm.half_m) + arm.radius_m[:, None]
-    height: Array = geometry.ground_z_m - lowest
+def _compute_heights(geometry: CollisionGeometry, X_RS: Pose, plane: Surface) -> Array:
+    """Compute the height of the lowest point of each shape of the arm above a plane, (m, n)."""
+    arm, down = geometry.arm, -plane.normal_R
+    extent = np.abs(np.einsum("i,ikmn->kmn", down, X_RS.R))
+    lowest = (
+        np.einsum("i,imn->mn", down, X_RS.p)
+        + np.einsum("kmn,km->mn", extent, arm.half_m)
+        + arm.radius_m[:, None]
+    )
+    height: Array = down @ plane.p_R_m - lowest
     return height
+
+
+def _compute_surface_distances(geometry: CollisionGeometry, X_RS: Pose, surface: Surface) -> Array:
+    """Bound the distances of the shapes of the arm, (m, n), to the half ball of rock below a surface."""
+    beside = _compute_distances_beside(geometry, X_RS, surface) - surface.radius_m
+    distance = np.maximum(_compute_heights(geometry, X_RS, surface), beside)
+    distance[geometry.arm.carrier < SURFACE_FRAME] = np.inf
+    return distance
+
+
+def _compute_distances_beside(geometry: CollisionGeometry, X_RS: Pose, surface: Surface) -> Array:
+    """Compute the distances of the shapes of the arm, (m, n), to the point of a surface."""
+    p_S = rotate_back(X_RS.R, surface.p_R_m.reshape(3, 1, -1) - X_RS.p)
+    return point_distance(p_S, geometry.arm.half_m[:, :, None]) - geometry.arm.radius_m[:, None]
+
+
+def limit_surface(geometry: CollisionGeometry, frames: Frames, surface: Surface) -> Surface:
+    """Limit the radius of a surface by the parts of the arm that start below it, where no rock can be.
+
+    Args:
+        geometry: Shapes of the arm.
+        frames: Frames of the links in RMECH at the start of a path, batch (1).
+        surface: Surface of a target.
+
+    Returns:
+        The surface; its half ball ends half-way to the nearest of these parts.
+    """
+    X_RS = place_shapes(geometry, frames)
+    height = _compute_heights(geometry, X_RS, surface)[:, 0]
+    is_below = (geometry.arm.carrier >= SURFACE_FRAME) & (height < -BELOW_M)
+    nearest_m = _compute_distances_beside(geometry, X_RS, surface)[is_below, 0].min(initial=np.inf)
+    return replace(surface, radius_m=min(surface.radius_m, max(0.5 * float(nearest_m), LEAST_ROCK_M)))
 
 
 def _find_neighbours(geometry: CollisionGeometry, p_RS: Array, within_m: float) -> tuple[Indices, ...]:

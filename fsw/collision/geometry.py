@@ -18,8 +18,10 @@ from fsw.kinematics.transforms import IDENTITY, Array, Flags, Pose, cross, norm,
 
 LINK_PARTS: Final = tuple(field.name for field in fields(ArmGeometry))
 """Parts of the arm but its tools, from the shoulder outward."""
-GROUND: Final = -1
-"""Index of level ground among the obstacles: the last."""
+GROUND: Final = -2
+"""Index of level ground among the obstacles."""
+SURFACE: Final = -1
+"""Index of the surface of a target among the obstacles: the last."""
 LINK_TITLES: Final = {
     "link2": "upper arm",
     "link3": "forearm",
@@ -30,6 +32,20 @@ LINK_TITLES: Final = {
 TURRET_FRAME: Final = 5
 FRAME_OF: Final = {"link2": 1, "link3": 2, "link4": 3, "link5": 4}
 """Index of the link that carries a part, 0 for link 1; the other parts are on the turret, in frame Arm6."""
+SURFACE_FRAME: Final = FRAME_OF["link4"]
+"""First frame whose parts keep away from a surface: from the wrist outward."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """Plane surface of a target in RMECH; the rock is below it."""
+
+    p_R_m: Array
+    """Point of the surface, (3,), or one for each pose of a batch, (3, n)."""
+    normal_R: Array
+    """Unit normal, out of the rock, (3,)."""
+    radius_m: float = np.inf
+    """Radius of the half ball of rock about the point."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,12 +79,14 @@ class CollisionGeometry:
     parts: tuple[str, ...]
     """Parts of the arm, from the shoulder outward: links, turret, tools."""
     obstacles: tuple[str, ...]
-    """Parts of the rover, and the ground."""
+    """Parts of the rover, the ground, and the surface of a target."""
     titles: Mapping[str, str]
     """Names of parts and obstacles in sentences."""
     arm: RoundedBoxes
     rover: RoundedBoxes
     ground_z_m: float
+    surface_radius_m: float
+    """Radius within which a surface counts: no part of the turret is farther from the tip of a tool."""
     lever_m: Array
     """Upper bound of the distance of any point of the arm from each joint axis, (5,)."""
 
@@ -88,7 +106,7 @@ def build_collision_geometry(params: Params, arm: Arm) -> CollisionGeometry:
         for obstacle, part in enumerate(shapes.rover)
         for shape in _shapes_of(part)
     )
-    obstacles = (*(part.name for part in shapes.rover), "ground")
+    obstacles = (*(part.name for part in shapes.rover), "ground", "surface")
     titles = {name: name.replace("_", " ") for name in obstacles} | LINK_TITLES
     titles |= {tool.name: tool.title for tool in params.tools}
     return CollisionGeometry(
@@ -98,6 +116,7 @@ def build_collision_geometry(params: Params, arm: Arm) -> CollisionGeometry:
         arm=arm_boxes,
         rover=rover_boxes,
         ground_z_m=shapes.ground_z_m,
+        surface_radius_m=_bound_turret(arm, arm_boxes),
         lever_m=_bound_levers(arm, arm_boxes),
     )
 
@@ -142,6 +161,13 @@ def _rotation_along(v: Array) -> Array:
     y = cross(np.eye(3)[int(np.abs(x).argmin())], x)
     y /= np.linalg.norm(y)
     return np.stack([x, y, cross(x, y)], axis=1)
+
+
+def _bound_turret(arm: Arm, boxes: RoundedBoxes) -> float:
+    """Bound the distance of any part of the turret from the tip of any tool."""
+    on_turret = boxes.carrier == TURRET_FRAME
+    p_m, radius_m = boxes.X_CS.p[:, on_turret], boxes.bounding_radius_m[on_turret]
+    return float(max(np.max(norm(p_m - X_FT.p[:, None]) + radius_m) for X_FT in arm.X_FT.values()))
 
 
 def _bound_levers(arm: Arm, boxes: RoundedBoxes) -> Array:

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
-from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
+from types import UnionType
+from typing import Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -20,6 +21,8 @@ MAX_TEXT_LENGTH: Final = 100
 """Greatest length of a text; twice that of the longest name of a parameter."""
 MAX_SHOWN_LENGTH: Final = 40
 """Longest part of a text in a sentence."""
+
+MAX_FLOAT: Final = float(np.finfo(float).max)
 
 Names = Mapping[NameMark, tuple[str, ...]]
 """Names that the arm and the flight software know, by the mark of the fields that hold one of them."""
@@ -46,7 +49,7 @@ def read_arguments(command: C, names: Names) -> C | Wrong:
     Returns:
         The command with plain values, or the first problem.
     """
-    kind: type[Any] = type(command)
+    kind: type = type(command)
     if kind not in COMMAND_TYPES:
         return Wrong(f"is no command; there are {', '.join(sorted(one.__name__ for one in COMMAND_TYPES))}")
     values: dict[str, Any] = {}
@@ -68,6 +71,9 @@ def _read_value(hint: Any, value: object, names: Names) -> Any:
     """Return a value as its annotation wants it, or what is wrong with it."""
     marks = getattr(hint, "__metadata__", ())
     bare = hint.__origin__ if marks else hint
+    if get_origin(bare) in (Union, UnionType):
+        wanted, _ = get_args(bare)  # a value or None
+        return None if value is None else _read_value(wanted, value, names)
     for mark in marks:
         if isinstance(mark, NameMark):
             return _read_name(names[mark], value)
@@ -161,7 +167,6 @@ def _describe(value: object) -> str:
 
 def _to_float(value: Any) -> float:
     """Convert a number; one beyond all floats is infinite."""
-    try:
-        return float(value)
-    except OverflowError:
+    if isinstance(value, int) and abs(value) > MAX_FLOAT:
         return math.inf if value > 0 else -math.inf
+    return float(value)

@@ -126,11 +126,17 @@ class GuardedMove:
     """Direction of the tool's x axis, of any length."""
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"
+    normal_R: Direction | None = None
+    """Normal out of the surface, of any length; None for against the approach."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlaceTool:
-    """Move to a standoff in front of a target, then straight on until a contact switch closes."""
+    """Move to a standoff in front of a target, then straight on until a contact switch closes.
+
+    All parts of the turret stay above the surface. If a direct way is not clear, the way leads from farther
+    away.
+    """
 
     tool: ToolName
     p_RoTo_R_m: Position
@@ -145,6 +151,8 @@ class PlaceTool:
     deflection: DeflectionMode = "absolute"
     branch: BranchName = AUTO
     """AUTO, or the name of a branch."""
+    normal_R: Direction | None = None
+    """Normal out of the surface, of any length; None for against the approach."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,13 +168,15 @@ class Preload:
 class ToolChange:
     """Put another tool on the touched spot: retreat, turn the turret, touch again.
 
+    The tools retreat farther if another part of the turret would not stay above the surface.
+
     The spot is the estimated position of the touching tool. Only the difference of deflection, backlash and
     kinematics between the two poses matters. Absolute and relative compensation therefore agree.
     """
 
     tool: ToolName
     standoff_m: Distance = 0.10
-    """Distance by which the tools retreat."""
+    """Least distance by which the tools retreat."""
     overtravel_m: Distance = 0.03
     """Distance beyond the spot up to which contact may occur."""
     hover_m: DistanceOrZero = 0.0

@@ -174,6 +174,21 @@ class ContactInFreeSpace(Fault):
 
 
 @dataclass(frozen=True, slots=True)
+class UnexpectedContact(Fault):
+    """A free move meets resistance, which winds up the gears."""
+
+    text = (
+        "unexpected contact: {e.joint.name} resists with {e.torque_Nm:.0f} N m, "
+        "about {e.force_N:.0f} N at the tool"
+    )
+    joint: Joint
+    torque_Nm: float
+    """Change of the torque on the joint since the move was free."""
+    force_N: float
+    """Force against the motion of the tool that explains the torques of all joints; 0 without a lever."""
+
+
+@dataclass(frozen=True, slots=True)
 class NoContact(Fault):
     """A guarded move ended without contact."""
 
@@ -244,9 +259,9 @@ class CyclesMissed(Fault):
 class CycleCountWrong(Fault):
     """The cycle count of the avionics did not rise: the readings are old, or the avionics restarted."""
 
-    text = "cycle count {e.cycle} after {e.before}, it must rise"
+    text = "cycle count {e.cycle} after {e.last_cycle}, it must rise"
     cycle: int
-    before: int
+    last_cycle: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -121,6 +121,8 @@ class JointParams:
     """Stiffness of the gear between motor and output."""
     output_friction_Nm: Annotated[float, Limits(0.0, 200.0)]
     """Static friction of the output."""
+    damping_Nms_rad: Annotated[float, Limits(0.0, 1e5)]
+    """Viscous friction of motor and gear at the lowest temperature of a move."""
     load_error_Nm: Annotated[float, Limits(0.0, 100.0)]
     """Largest error of the modelled load, less the friction of the output, on Mars."""
     torque_constant_Nm_A: Annotated[float, Limits(1.0, 1e4)]
@@ -340,6 +342,10 @@ class MonitorParams:
     """Largest difference between commanded force and force estimated from the wind-up of the joints."""
     preload_persistence: Annotated[int, Limits(1, 640)]
     """Cycles of a larger force error."""
+    current_noise_A: Annotated[float, Limits(1e-4, 1.0)]
+    """Noise of a current reading, one sigma."""
+    resolver_noise_rad: Annotated[float, Limits(1e-6, 1e-2)]
+    """Noise of a resolver reading, one sigma, rounding included."""
     guarded_force_N: Annotated[float, Limits(1.0, 500.0)]
     """Largest force on a guarded tool, estimated from wind-up, while none of its switches is closed."""
 

@@ -3,6 +3,8 @@
 The types and limits of single arguments are checked where a command arrives (dictionary/arguments.py).
 """
 
+import numpy as np
+
 from fsw.dictionary.arguments import Names
 from fsw.dictionary.commands import (
     AUTO,
@@ -41,9 +43,9 @@ def check_arguments(params: Params, command: Command) -> str | None:
         case MoveTool(straight=True, branch=branch) if branch != AUTO:
             return f"a straight move stays on the branch that the arm is on; leave branch {AUTO}"
         case GuardedMove(tool=tool) | PlaceTool(tool=tool) | ToolChange(tool=tool, hover_m=0.0):
-            return (
-                None if params.tool_switches[tool] else f"{tool} has no contact switch to end a guarded move"
-            )
+            if not params.tool_switches[tool]:
+                return f"{tool} has no contact switch to end a guarded move"
+            return None if isinstance(command, ToolChange) else _check_normal(command)
         case ToolChange(hover_m=hover_m, standoff_m=standoff_m) if hover_m >= standoff_m:
             return f"hover_m {hover_m:g} m is not below the standoff, {standoff_m:g} m"
         case _:
@@ -56,3 +58,9 @@ def check_force(params: Params, command: Preload) -> str | None:
     if command.force_N <= max_force_N:
         return None
     return f"force {command.force_N:g} N is outside 0 .. {max_force_N:g} N"
+
+
+def _check_normal(command: GuardedMove | PlaceTool) -> str | None:
+    if command.normal_R is None or np.dot(command.normal_R, command.approach_R) < 0:
+        return None
+    return "normal_R points along the approach, not out of the surface"

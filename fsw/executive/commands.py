@@ -8,13 +8,12 @@ from typing import assert_never
 
 import numpy as np
 
+from fsw.collision.geometry import Surface
 from fsw.config import Config
-from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import (
     Calibrate,
     CalibrateAll,
     ClearFault,
-    Command,
     Dock,
     GuardedMove,
     MoveJoint,
@@ -46,7 +45,7 @@ from fsw.dictionary.evrs import (
 from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.types import vector3
 from fsw.estimate.reference import forget_joint
-from fsw.executive.checks import check_arguments, check_force, known_names
+from fsw.executive.checks import check_arguments, check_force
 from fsw.executive.context import (
     CommandContext,
     check_calibrated,
@@ -58,10 +57,16 @@ from fsw.executive.context import (
     tool_preload,
     with_events,
 )
-from fsw.executive.expansion import CompoundCommand, expand_calibrate_all, expand_command, locate_spot
+from fsw.executive.expansion import (
+    CompoundCommand,
+    expand_calibrate_all,
+    locate_spot,
+    locate_surface,
+    locate_touched_surface,
+)
 from fsw.executive.homing_poses import check_homing, check_homing_all
 from fsw.executive.modes import EVENT_OF, TRANSITIONS, ModeEvent, is_stowed, next_mode, stop_event
-from fsw.executive.planning import SingleMoveCommand, check_steps, plan_command
+from fsw.executive.planning import SingleMoveCommand, plan_command, plan_sequence
 from fsw.executive.settings import set_param, set_tilt
 from fsw.motion import homing
 from fsw.motion.force_fit import ForceFit
@@ -78,18 +83,6 @@ from fsw.motion.preload import (
     preload_limit_A,
 )
 from fsw.state import Hold, Sequence, SequenceStep
-
-
-def receive(config: Config, context: CommandContext, command: Command) -> CommandContext:
-    """Handle a command that arrives from the ground, or refuse it for a wrong argument.
-
-    Returns:
-        The context with what the command changed, or with the event that gives the reason for a refusal.
-    """
-    received = read_arguments(command, known_names(config.params))
-    if isinstance(received, Wrong):
-        return refuse(context, command, received.text)
-    return handle(config, context, received)
 
 
 def handle(config: Config, context: CommandContext, command: SequenceStep) -> CommandContext:
@@ -212,20 +205,26 @@ def _begin_sequence(config: Config, context: CommandContext, command: CompoundCo
         problem = problem or _check_other_tool(context, None)
     if problem is not None:
         return refuse(context, command, problem)
-    steps = expand_command(config, state.joints, state.tool, command)
-    if isinstance(steps, Refusal):
-        return refuse(context, command, steps.reason)
-    problem = check_steps(config, state, steps)
-    if problem is not None:
-        return refuse(context, command, problem)
+    surface = locate_surface(config, state.joints, state.tool, command, known_surface(config, context))
+    planned = plan_sequence(config, state.joints, state.tool, command, surface)
+    if isinstance(planned, Refusal):
+        return refuse(context, command, planned.reason)
     evrs: tuple[Evr, ...] = (CommandAccepted(command_name(command)),)
     if isinstance(command, ToolChange):
         evrs = (
             *evrs,
             SpotSet(state.tool, *vector3(locate_spot(config, state.joints, state.tool, command).p_m)),
         )
-    sequence = Sequence(command_name(command), steps)
-    return with_events(replace(context, state=replace(state, sequence=sequence)), *evrs)
+    sequence = Sequence(command_name(command), planned.steps)
+    return with_events(replace(context, state=replace(state, sequence=sequence, surface=surface)), *evrs)
+
+
+def known_surface(config: Config, context: CommandContext) -> Surface | None:
+    """Return the surface of the last target; through the tip of the tool if that touches now."""
+    state = context.state
+    if not in_contact(config, context, state.tool):
+        return state.surface
+    return locate_touched_surface(config, state.joints, state.tool, state.surface)
 
 
 def _check_tool_change(config: Config, context: CommandContext, command: ToolChange) -> str | None:
@@ -286,7 +285,9 @@ def _begin_move(config: Config, context: CommandContext, command: SingleMoveComm
         problem = problem or _check_other_tool(context, command.tool)
     if problem is not None:
         return refuse(context, command, problem)
-    plan = plan_command(config, context.state.joints, context.state.tool, command)
+    joints, tool = context.state.joints, context.state.tool
+    surface = locate_surface(config, joints, tool, command, known_surface(config, context))
+    plan = plan_command(config, joints, tool, command, surface)
     if isinstance(plan, Refusal):
         return refuse(context, command, plan.reason)
     mode = TRANSITIONS[context.state.mode, EVENT_OF[type(command)]]
@@ -312,6 +313,7 @@ def _begin_move(config: Config, context: CommandContext, command: SingleMoveComm
         move=move,
         preload=preload,
         planned_backlash_rad=plan.backlash_rad,
+        surface=surface,
     )
     return with_events(replace(context, state=state), *evrs)
 

@@ -4,6 +4,7 @@ from typing import Final, assert_never
 
 import numpy as np
 
+from fsw.collision.geometry import Surface
 from fsw.config import Config
 from fsw.dictionary.commands import (
     Calibrate,
@@ -18,6 +19,7 @@ from fsw.dictionary.commands import (
     Process,
     Retract,
     ToolChange,
+    Unstow,
 )
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params, TeachPoint
@@ -38,7 +40,12 @@ UNPARK_ORDER: Final = (Joint.AZIMUTH, Joint.TURRET, Joint.WRIST, Joint.ELBOW, Jo
 
 
 def expand_command(
-    config: Config, joints: JointEstimate, tool: str, command: CompoundCommand
+    config: Config,
+    joints: JointEstimate,
+    tool: str,
+    command: CompoundCommand,
+    surface: Surface | None = None,
+    farther_m: float = 0.0,
 ) -> tuple[SequenceStep, ...] | Refusal:
     """Expand a compound command into single moves from the present joint angles.
 
@@ -47,15 +54,17 @@ def expand_command(
         joints: Estimate of the joints.
         tool: Tool of the last tool command.
         command: Compound command.
+        surface: Surface of `locate_surface`; None if there is none.
+        farther_m: Distance from the standoff to a way point farther from the surface; 0 for none.
 
     Returns:
         The steps, or the reason for a refusal.
     """
     match command:
         case PlaceTool():
-            return _expand_place(config, joints, tool, command)
+            return _expand_place(config, joints, tool, command, farther_m)
         case ToolChange():
-            return _expand_tool_change(config, joints, tool, command)
+            return _expand_tool_change(config, joints, tool, command, surface, farther_m)
         case MoveTeachPoint():
             return _expand_teach_point(config, joints, command)
         case Dock():
@@ -94,24 +103,74 @@ def locate_spot(config: Config, joints: JointEstimate, touching: str, command: T
 
 
 def _expand_place(
-    config: Config, joints: JointEstimate, tool: str, command: PlaceTool
+    config: Config, joints: JointEstimate, tool: str, command: PlaceTool, farther_m: float
 ) -> tuple[SequenceStep, ...]:
-    """Expand a placement into a move to the standoff and a guarded move.
+    """Expand a placement into moves to the standoff and a guarded move.
 
     Relative compensation refers to the present deflection for both moves, so both have the same target.
     """
-    compensation = Compensation(command.backlash, command.deflection)
-    p, approach = compensation.target(
-        config, joints, tool, np.array(command.p_RoTo_R_m), normalize(np.array(command.approach_R))
-    )
+    p, approach = _locate_target(config, joints, tool, command)
     deflection: DeflectionMode = "off" if command.deflection == "off" else "absolute"
     end = vector3(p + command.overtravel_m * approach)
-    touch = GuardedMove(command.tool, end, vector3(approach), command.backlash, deflection)
-    return _standoff_move(command, p, approach, command.overtravel_m, deflection), touch
+    touch = GuardedMove(command.tool, end, vector3(approach), command.backlash, deflection, command.normal_R)
+    return *_standoff_moves(command, p, approach, command.overtravel_m, deflection, farther_m), touch
+
+
+def _locate_target(
+    config: Config, joints: JointEstimate, tool: str, command: PlaceTool
+) -> tuple[Array, Array]:
+    """Return the target and the approach of a placement, with relative compensation added."""
+    compensation = Compensation(command.backlash, command.deflection)
+    return compensation.target(
+        config, joints, tool, np.array(command.p_RoTo_R_m), normalize(np.array(command.approach_R))
+    )
+
+
+def locate_surface(
+    config: Config, joints: JointEstimate, tool: str, command: SequenceStep, known: Surface | None
+) -> Surface | None:
+    """Return the surface that a command is to keep away from.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints.
+        tool: Tool of the last tool command.
+        command: Command or step of a sequence.
+        known: Surface of the last target.
+
+    Returns:
+        That of the target of the command; without a target, the known one.
+    """
+    match command:
+        case PlaceTool():
+            p, approach = _locate_target(config, joints, tool, command)
+            normal = -approach if command.normal_R is None else normalize(command.normal_R)
+        case GuardedMove():
+            p, approach = np.array(command.end_p_RoTo_R_m), normalize(np.array(command.approach_R))
+            normal = -approach if command.normal_R is None else normalize(command.normal_R)
+        case Unstow():
+            return None
+        case _:
+            return known
+    return Surface(p, normal, config.collision_geometry.surface_radius_m)
+
+
+def locate_touched_surface(
+    config: Config, joints: JointEstimate, touching: str, known: Surface | None
+) -> Surface:
+    """Return the surface through the tip of a touching tool, with the normal of the known one."""
+    contact = start_line(config, joints, touching, Compensation())
+    normal = -contact.axis if known is None else known.normal_R
+    return Surface(contact.p_m, normal, config.collision_geometry.surface_radius_m)
 
 
 def _expand_tool_change(
-    config: Config, joints: JointEstimate, touching: str, command: ToolChange
+    config: Config,
+    joints: JointEstimate,
+    touching: str,
+    command: ToolChange,
+    surface: Surface | None,
+    farther_m: float,
 ) -> tuple[SequenceStep, ...]:
     """Expand a tool change: retract, and place the other tool at the estimated contact point of this one.
 
@@ -123,28 +182,37 @@ def _expand_tool_change(
     deflection = contact.compensation.deflection
     beyond_m = -command.hover_m if command.hover_m > 0 else command.overtravel_m
     end, approach = vector3(contact.p_m + beyond_m * contact.axis), vector3(contact.axis)
-    back = Retract(touching, command.standoff_m, command.backlash, deflection)
-    to_standoff = _standoff_move(command, contact.p_m, contact.axis, beyond_m, deflection)
-    last: SequenceStep = GuardedMove(command.tool, end, approach, command.backlash, deflection)
+    back = Retract(touching, command.standoff_m + farther_m, command.backlash, deflection)
+    to_standoff = _standoff_moves(command, contact.p_m, contact.axis, beyond_m, deflection, farther_m)
+    normal = None if surface is None else vector3(surface.normal_R)
+    last: SequenceStep = GuardedMove(command.tool, end, approach, command.backlash, deflection, normal)
     if command.hover_m > 0:
         last = MoveTool(
             command.tool, end, approach, straight=True, backlash=command.backlash, deflection=deflection
         )
-    return back, to_standoff, last
+    return back, *to_standoff, last
 
 
-def _standoff_move(
-    command: PlaceTool | ToolChange, p_m: Array, approach: Array, beyond_m: float, deflection: DeflectionMode
-) -> MoveTool:
-    """Build the move to the standoff, from where a straight line to `beyond_m` past the target fits."""
-    return MoveTool(
-        command.tool,
-        vector3(p_m - command.standoff_m * approach),
-        vector3(approach),
-        line_m=command.standoff_m + beyond_m,
-        backlash=command.backlash,
-        deflection=deflection,
-        branch=command.branch,
+def _standoff_moves(
+    command: PlaceTool | ToolChange,
+    p_m: Array,
+    approach: Array,
+    beyond_m: float,
+    deflection: DeflectionMode,
+    farther_m: float,
+) -> tuple[MoveTool, ...]:
+    """Build the moves to the standoff, from where a straight line to `beyond_m` past the target fits."""
+    return tuple(
+        MoveTool(
+            command.tool,
+            vector3(p_m - distance_m * approach),
+            vector3(approach),
+            line_m=distance_m + beyond_m,
+            backlash=command.backlash,
+            deflection=deflection,
+            branch=command.branch,
+        )
+        for distance_m in dict.fromkeys((command.standoff_m + farther_m, command.standoff_m))
     )
 
 
@@ -176,7 +244,7 @@ def _expand_dock(config: Config, command: Dock) -> tuple[SequenceStep, ...] | Re
         return point
     approach = normalize(np.array(point.approach_R))
     end = np.array(point.p_RoTo_R_m) + command.overtravel_m * approach
-    return (GuardedMove(teach_point_tool(point), vector3(end), vector3(approach), command.backlash),)
+    return (GuardedMove(teach_point_tool(point), vector3(end), vector3(approach), backlash=command.backlash),)
 
 
 def expand_calibrate_all(params: Params, accept_moved: bool = False) -> Sequence:

@@ -1,21 +1,57 @@
 """Planning of single moves: the plan of one command, and a check that all steps of a sequence have one."""
 
-from typing import assert_never
+from dataclasses import dataclass, replace
+from typing import Final, assert_never
 
 import numpy as np
 
+from fsw.collision.geometry import Surface
 from fsw.config import Config
-from fsw.dictionary.commands import GuardedMove, MoveJoint, MoveJoints, MoveTool, Retract, Stow, Unstow
+from fsw.dictionary.commands import (
+    AUTO,
+    GuardedMove,
+    MoveJoint,
+    MoveJoints,
+    MoveTool,
+    PlaceTool,
+    Retract,
+    Stow,
+    ToolChange,
+    Unstow,
+)
 from fsw.dictionary.enums import Joint
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.checks import check_arguments
+from fsw.executive.expansion import CompoundCommand, expand_command, locate_surface
 from fsw.motion.compensation import Compensation
-from fsw.motion.path_check import check_paths
+from fsw.motion.path_check import check_paths, check_touch
 from fsw.motion.plan import Plan, Refusal, estimate_at, plan_joint, plan_poses
-from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
-from fsw.state import SequenceStep, State
+from fsw.motion.plan_tool import find_branches, plan_guarded, plan_retract, plan_tool
+from fsw.state import SequenceStep
 
 SingleMoveCommand = Unstow | Stow | MoveJoint | MoveJoints | MoveTool | GuardedMove | Retract
+
+FARTHER_M: Final = (0.0, 0.1, 0.25, 0.4)
+"""Distances from the standoff to a way point, or that a tool change retreats beyond it, in order of trial."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedSequence:
+    """Steps of a compound command, with the plan of each step that moves."""
+
+    steps: tuple[SequenceStep, ...]
+    plans: tuple[Plan, ...]
+    joints: JointEstimate
+    """Estimate of the joints at the end."""
+    tool: str
+    """Tool of the last tool command."""
+    surface: Surface | None
+    """Surface of the last target."""
+
+    @property
+    def duration_s(self) -> float:
+        """Return the duration of all paths, without brakes and settling."""
+        return sum(path.duration_s for plan in self.plans for path in plan.paths)
 
 
 def plan_command(
@@ -23,29 +59,39 @@ def plan_command(
     joints: JointEstimate,
     tool: str,
     command: SingleMoveCommand,
+    surface: Surface | None,
 ) -> Plan | Refusal:
-    """Plan the move of a command, and check its paths for collisions with rover and ground.
+    """Plan the move of a command, and check its paths for collisions with rover, ground and surface.
 
     Args:
         config: Configuration of flight software.
         joints: Estimate of the joints, from which the move starts.
         tool: Tool of the last tool command.
         command: Command of a single move.
+        surface: Surface of `locate_surface`; None if there is none.
 
     Returns:
         The plan, or the reason for a refusal.
     """
-    plan = _plan_motion(config, joints, tool, command)
+    plan = _plan_motion(config, joints, tool, command, surface)
     # the paths of a MoveTool are checked while its branch is chosen
     if isinstance(plan, Refusal) or isinstance(command, MoveTool):
         return plan
-    touching = command.tool if isinstance(command, GuardedMove | Retract) else None
-    collision = check_paths(config, joints, plan.paths, config.params.collision.padding_m, touching)
+    padding_m = config.params.collision.padding_m
+    match command:
+        case GuardedMove(tool=touching):
+            collision = check_paths(config, joints, plan.paths, padding_m, touching)
+            if collision is None and surface is not None:
+                collision = check_touch(config, joints, plan.paths, touching, surface.normal_R)
+        case Retract(tool=touching):
+            collision = check_paths(config, joints, plan.paths, padding_m, touching, surface)
+        case _:
+            collision = check_paths(config, joints, plan.paths, padding_m, surface=surface)
     return plan if collision is None else Refusal(collision)
 
 
 def _plan_motion(
-    config: Config, joints: JointEstimate, tool: str, command: SingleMoveCommand
+    config: Config, joints: JointEstimate, tool: str, command: SingleMoveCommand, surface: Surface | None
 ) -> Plan | Refusal:
     match command:
         case Unstow():
@@ -63,7 +109,7 @@ def _plan_motion(
             pose = np.array(command.angle_rad) + (joints.output_rad if command.relative else 0.0)
             return plan_poses(config, joints, [pose], Compensation(command.backlash, command.deflection))
         case MoveTool():
-            return plan_tool(config, joints, command, tool)
+            return plan_tool(config, joints, command, tool, surface)
         case GuardedMove():
             return plan_guarded(config, joints, command)
         case Retract():
@@ -72,35 +118,87 @@ def _plan_motion(
             assert_never(command)
 
 
-def check_steps(config: Config, state: State, steps: tuple[SequenceStep, ...]) -> str | None:
-    """Return the reason that a step cannot be planned from the end of the step before it, or None."""
-    ended = plan_steps(config, state.joints, state.tool, steps)
-    return ended.reason if isinstance(ended, Refusal) else None
-
-
-def plan_steps(
-    config: Config, joints: JointEstimate, tool: str, steps: tuple[SequenceStep, ...]
-) -> tuple[JointEstimate, str] | Refusal:
-    """Plan each step from the end of the step before it.
+def plan_sequence(
+    config: Config, joints: JointEstimate, tool: str, command: CompoundCommand, surface: Surface | None
+) -> PlannedSequence | Refusal:
+    """Plan a compound command; each step is planned from the end of the step before it.
 
     Args:
         config: Configuration of flight software.
         joints: Estimate of the joints, from which the first step starts.
         tool: Tool of the last tool command.
-        steps: Steps, of which those that are no single move are left out.
+        command: Compound command.
+        surface: Surface that the steps keep away from; None if there is none.
 
     Returns:
-        The joints at the end and the tool of the last tool command, or the reason for a refusal.
+        The steps and their plans, or the reason for a refusal.
     """
+    steps = expand_command(config, joints, tool, command)
+    if isinstance(steps, Refusal):
+        return steps
+    if isinstance(command, PlaceTool | ToolChange):
+        standoff = next(step for step in steps if isinstance(step, MoveTool))
+        return _plan_fastest(config, joints, tool, command, surface, standoff)
+    return plan_steps(config, joints, tool, steps, surface)
+
+
+def _plan_fastest(
+    config: Config,
+    joints: JointEstimate,
+    tool: str,
+    command: PlaceTool | ToolChange,
+    surface: Surface | None,
+    standoff: MoveTool,
+) -> PlannedSequence | Refusal:
+    """Plan a placement or tool change on the fastest branch on which every step is clear.
+
+    On each branch, the way leads from as little farther away as is clear.
+    """
+    branches = find_branches(config, joints, standoff)
+    if isinstance(branches, Refusal):
+        return Refusal(f"MoveTool: {branches.reason}")
+    fastest: PlannedSequence | None = None
+    reasons = []
+    for branch in branches:
+        if fastest is not None and fastest.duration_s <= branch.least_s:
+            break
+        for farther_m in FARTHER_M:
+            on_branch = replace(command, branch=branch.name)
+            steps = expand_command(config, joints, tool, on_branch, surface, farther_m)
+            if isinstance(steps, Refusal):
+                return steps
+            planned = plan_steps(config, joints, tool, steps, surface)
+            if isinstance(planned, PlannedSequence):
+                fastest = min(fastest or planned, planned, key=lambda one: one.duration_s)
+                break
+            reasons.append(planned.reason)
+    if fastest is not None:
+        return fastest
+    most_m = command.standoff_m + FARTHER_M[-1]
+    which = "no" if command.branch == AUTO else f"on branch {command.branch}, no"
+    return Refusal(f"{reasons[0]}; {which} way from up to {most_m:.2g} m above the surface is clear")
+
+
+def plan_steps(
+    config: Config,
+    joints: JointEstimate,
+    tool: str,
+    steps: tuple[SequenceStep, ...],
+    surface: Surface | None,
+) -> PlannedSequence | Refusal:
+    """Plan each step from the end of the step before it, or return the reason that one is refused."""
+    plans = []
     for step in steps:
         if not isinstance(step, SingleMoveCommand):
             continue
         problem = check_arguments(config.params, step)
         if problem is not None:
             return Refusal(f"{type(step).__name__}: {problem}")
-        plan = plan_command(config, joints, tool, step)
+        surface = locate_surface(config, joints, tool, step, surface)
+        plan = plan_command(config, joints, tool, step, surface)
         if isinstance(plan, Refusal):
             return Refusal(f"{type(step).__name__}: {plan.reason}")
+        plans.append(plan)
         joints = estimate_at(joints, plan.end)
         tool = step.tool if isinstance(step, MoveTool | GuardedMove | Retract) else tool
-    return joints, tool
+    return PlannedSequence(steps, tuple(plans), joints, tool, surface)

@@ -36,7 +36,7 @@ def describe_arm(
     mode: Mode,
     tool: str,
     joints: JointEstimate,
-    uncertainty_rad: Array,
+    backlash_state: Array,
     move: Move | None,
     preload: PreloadState | None,
 ) -> ArmStatus:
@@ -46,7 +46,7 @@ def describe_arm(
         mode: Mode of the arm.
         tool: Tool of the last tool command.
         joints: Estimate of the joints.
-        uncertainty_rad: Greatest error of the likely gear angles of that estimate, shape (5,).
+        backlash_state: That of the estimate, shape (3, 5).
         move: Move under way.
         preload: Preload of the tool in contact.
 
@@ -64,7 +64,8 @@ def describe_arm(
         joints.gear_rad[:, LIKELY],
         joints.bounds.lowest_rad[:, LIKELY],
         joints.bounds.highest_rad[:, LIKELY],
-        uncertainty_rad,
+        backlash_state[2],
+        backlash_state[1],
         reference.half_backlash_rad,
         joints.resolver_error_rad,
         reference.resolver_bias_rad,

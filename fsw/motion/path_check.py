@@ -1,14 +1,15 @@
-"""Path collision check: the clearance of the deflected arm to rover and ground along paths."""
+"""Path collision check: the clearance of the deflected arm to rover, ground and a surface along paths."""
 
 from typing import Final
 
 import numpy as np
 
-from fsw.collision.distance import compute_clearances, find_violation
+from fsw.collision.distance import compute_clearances, find_violation, judge_clearances, limit_surface
+from fsw.collision.geometry import SURFACE, Surface
 from fsw.config import Config
 from fsw.estimate.gear import bound_gear
 from fsw.estimate.joints import JointEstimate
-from fsw.kinematics.chain import Frames, forward
+from fsw.kinematics.chain import Frames, forward, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from fsw.motion.paths import Path
@@ -29,8 +30,9 @@ def check_paths(
     paths: tuple[Path, ...],
     padding_m: float,
     touching: str | None = None,
+    surface: Surface | None = None,
 ) -> str | None:
-    """Check that the deflected arm stays clear of rover and ground along paths.
+    """Check that the deflected arm stays clear of rover, ground and surface along paths.
 
     Too close is closer than the padding, or closer than at the start if the start is within the padding.
 
@@ -40,22 +42,55 @@ def check_paths(
         paths: Paths of the motors, one after the other.
         padding_m: Distance to be kept.
         touching: Tool that is to touch; no distance is required of it.
+        surface: Surface of a target; None if there is none.
 
     Returns:
         The reason for a refusal, or None if the paths are clear.
     """
-    coarse = compute_deflected_frames(config, joints, sample_paths(config, paths, COARSE_STEP_M))
+    motor = sample_paths(config, paths, COARSE_STEP_M)
+    coarse = compute_deflected_frames(config, joints, motor)
+    if surface is not None:
+        surface = limit_surface(config.collision_geometry, coarse, surface)
     near_m = padding_m + 0.5 * COARSE_STEP_M + DEFLECTION_CHANGE_M
-    if not np.isfinite(compute_clearances(config.collision_geometry, coarse, near_m, touching)).any():
+    near = compute_clearances(config.collision_geometry, coarse, near_m, touching, surface)
+    if not np.isfinite(near).any():
         return None
-    motor = sample_paths(config, paths, FINE_STEP_M)
-    violation = find_violation(
-        config.collision_geometry, compute_deflected_frames(config, joints, motor), padding_m, touching
-    )
+    violation = judge_clearances(config.collision_geometry, near, padding_m)
+    if violation is None:
+        motor = sample_paths(config, paths, FINE_STEP_M)
+        frames = compute_deflected_frames(config, joints, motor)
+        violation = find_violation(config.collision_geometry, frames, padding_m, touching, surface)
     if violation is None:
         return None
     clear_share = _compute_share(config, motor, violation.first)
     return f"{violation.reason}; {100 * clear_share:.0f} % of the way are clear"
+
+
+def check_touch(
+    config: Config, joints: JointEstimate, paths: tuple[Path, ...], touching: str, normal_R: Array
+) -> str | None:
+    """Check that a tool touches alone, wherever on a guarded line the surface is.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints, of which gravity and backlash are used.
+        paths: Paths of the motors on the line, one after the other.
+        touching: Tool that is to touch.
+        normal_R: Unit normal of the surface, (3,).
+
+    Returns:
+        The reason for a refusal, or None if all other parts stay above the surface.
+    """
+    geometry, padding_m = config.collision_geometry, config.params.collision.padding_m
+    frames = compute_deflected_frames(config, joints, sample_paths(config, paths, COARSE_STEP_M))
+    surface = Surface(tool_pose(config.arm, frames, touching).p, normal_R)
+    height_m = compute_clearances(geometry, frames, padding_m, touching, surface)[:, SURFACE].min(axis=1)
+    part = int(height_m.argmin())
+    if height_m[part] >= padding_m:
+        return None
+    title, depth_mm = geometry.titles[geometry.parts[part]], -1e3 * height_m[part]
+    where = f"{abs(depth_mm):.0f} mm {'below' if depth_mm > 0 else 'above'}"
+    return f"the {title} would be {where} the surface where the {geometry.titles[touching]} touches it"
 
 
 def sample_paths(config: Config, paths: tuple[Path, ...], step_m: float) -> Array:

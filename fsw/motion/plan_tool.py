@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fsw.collision.geometry import Surface
 from fsw.config import Config
 from fsw.dictionary.commands import AUTO, ROVER, GuardedMove, MoveTool, Retract
 from fsw.dictionary.enums import Frame
@@ -34,6 +35,17 @@ MAX_KNOT_STEP_RAD = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Branch:
+    """Branch of the inverse kinematics at a target."""
+
+    name: str
+    output_rad: Array
+    """Outputs at the target, (5,)."""
+    least_s: float
+    """Lower bound of the duration of a move there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Line:
     """Straight tool move; it starts at the modelled pose of the motor angles."""
 
@@ -57,7 +69,11 @@ class Line:
 
 
 def plan_tool(
-    config: Config, joints: JointEstimate, command: MoveTool, reference: str | None = None
+    config: Config,
+    joints: JointEstimate,
+    command: MoveTool,
+    reference: str | None = None,
+    surface: Surface | None = None,
 ) -> Plan | Refusal:
     """Plan a move to a target: straight, or a joint move to the fastest valid branch with a clear path.
 
@@ -68,23 +84,48 @@ def plan_tool(
         joints: Estimate of the joints, from which the move starts.
         command: Command with the target, the branch and the compensation.
         reference: Tool whose present deflection relative compensation uses; None for that of the command.
+        surface: Surface of a target to keep away from; None if there is none.
 
     Returns:
         The plan, or the reason for a refusal.
     """
-    compensation = Compensation(command.backlash, command.deflection)
-    p_m, approach = _target_in_rover(config, joints, command, compensation)
-    travel_m = np.array([0.0, command.line_m])
-    targets, approaches = compensation.target(
-        config,
-        joints,
-        command.tool if reference is None else reference,
-        p_m[:, None] + approach[:, None] * travel_m,
-        np.tile(approach[:, None], 2),
-    )
     if command.straight:
-        plan = plan_straight(config, joints, command, targets[:, 0], approaches[:, 0])
-        return plan if isinstance(plan, Refusal) else _refuse_blocked(config, joints, plan)
+        plan = _plan_straight(config, joints, command, reference)
+        return plan if isinstance(plan, Refusal) else _refuse_blocked(config, joints, plan, surface)
+    branches = find_branches(config, joints, command, reference)
+    if isinstance(branches, Refusal):
+        return branches
+    reasons = []
+    for branch in branches:
+        pose = branch.output_rad
+        load_Nm = settle_output(config.arm, pose, joints.gravity_R_m_s2).torque_Nm
+        compensation = Compensation(command.backlash, command.deflection)
+        move = plan_joint_move(config, joints, likely_positions(joints), pose, load_Nm, compensation)
+        plan = _refuse_blocked(config, joints, move, surface)
+        if not isinstance(plan, Refusal):
+            return replace(plan, branch=branch.name)
+        reasons.append(f"{branch.name}: {plan.reason}")
+    return Refusal(f"{command.tool}: {reasons[0]}")
+
+
+def find_branches(
+    config: Config, joints: JointEstimate, command: MoveTool, reference: str | None = None
+) -> list[Branch] | Refusal:
+    """Find the valid branches of a joint move to a target, the fastest first.
+
+    A branch is valid if the target and the end of the straight travel after it are within limits.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints, from which the move starts.
+        command: Command with the target, the branch and the compensation.
+        reference: Tool whose present deflection relative compensation uses; None for that of the command.
+
+    Returns:
+        The branches, or the reason that there is none.
+    """
+    compensation = Compensation(command.backlash, command.deflection)
+    targets, approaches = _target(config, joints, command, reference, np.array([0.0, command.line_m]))
     result = inverse_kinematics(
         config.arm, command.tool, targets, approaches, compensation.gravity(joints), joints.motor_rad
     )
@@ -94,35 +135,28 @@ def plan_tool(
     if not np.any(valid & wanted):
         return Refusal(_explain_refusal(config, command.tool, result, wanted))
     output = np.where(valid & wanted, result.output_rad[..., 0], np.nan)
-    return _plan_first_clear(config, joints, command, compensation, output, names)
+    duration_s = np.max(np.abs(output - joints.output_rad[:, None]) / config.speed_rad_s[:, None], axis=0)
+    fastest = np.argsort(duration_s)[: np.count_nonzero(valid & wanted)]
+    return [Branch(names[slot], output[:, slot], float(duration_s[slot])) for slot in fastest]
 
 
-def _plan_first_clear(
-    config: Config,
-    joints: JointEstimate,
-    command: MoveTool,
-    compensation: Compensation,
-    output_rad: Array,
-    names: list[str],
+def _refuse_blocked(
+    config: Config, joints: JointEstimate, plan: Plan, surface: Surface | None
 ) -> Plan | Refusal:
-    """Plan a move to the fastest of the poses (5, slots) with a clear path; an invalid slot is NaN."""
-    duration_s = np.max(np.abs(output_rad - joints.output_rad[:, None]) / config.speed_rad_s[:, None], axis=0)
-    reasons = []
-    for slot in np.argsort(duration_s)[: np.count_nonzero(np.isfinite(duration_s))]:
-        pose = output_rad[:, slot]
-        load_Nm = settle_output(config.arm, pose, joints.gravity_R_m_s2).torque_Nm
-        move = plan_joint_move(config, joints, likely_positions(joints), pose, load_Nm, compensation)
-        plan = _refuse_blocked(config, joints, move)
-        if not isinstance(plan, Refusal):
-            return replace(plan, branch=names[slot])
-        reasons.append(f"{names[slot]}: {plan.reason}")
-    return Refusal(f"{command.tool}: {reasons[0]}")
-
-
-def _refuse_blocked(config: Config, joints: JointEstimate, plan: Plan) -> Plan | Refusal:
     """Return the plan, or a refusal if its paths are not clear."""
-    collision = check_paths(config, joints, plan.paths, config.params.collision.padding_m)
+    collision = check_paths(config, joints, plan.paths, config.params.collision.padding_m, surface=surface)
     return plan if collision is None else Refusal(collision)
+
+
+def _target(
+    config: Config, joints: JointEstimate, command: MoveTool, reference: str | None, travel_m: Array
+) -> tuple[Array, Array]:
+    """Return positions and approaches at distances (k,) beyond the target, shape (3, k) each."""
+    compensation = Compensation(command.backlash, command.deflection)
+    p_m, approach = _target_in_rover(config, joints, command, compensation)
+    tool = command.tool if reference is None else reference
+    ahead = p_m[:, None] + approach[:, None] * travel_m
+    return compensation.target(config, joints, tool, ahead, np.tile(approach[:, None], travel_m.size))
 
 
 def _target_in_rover(
@@ -171,23 +205,13 @@ def plan_guarded(config: Config, joints: JointEstimate, command: GuardedMove) ->
     return _plan_line(config, joints, line, config.params.motion.guarded_speed_m_s)
 
 
-def plan_straight(
-    config: Config, joints: JointEstimate, command: MoveTool, p_RoTo_R_m: Array, approach_R: Array
+def _plan_straight(
+    config: Config, joints: JointEstimate, command: MoveTool, reference: str | None
 ) -> Plan | Refusal:
-    """Plan a straight line to a position, while the tool turns evenly to an approach.
-
-    Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints.
-        command: Command with the tool and its compensation.
-        p_RoTo_R_m: Position at the end in RMECH, shape (3,).
-        approach_R: Unit direction of the tool axis at the end, shape (3,).
-
-    Returns:
-        The plan, or the reason for a refusal.
-    """
+    """Plan a straight line to a target, while the tool turns evenly to its approach."""
     line = start_line(config, joints, command.tool, Compensation(command.backlash, command.deflection))
-    line = replace(line, end_p_m=p_RoTo_R_m, end_axis=approach_R)
+    p_m, approach = _target(config, joints, command, reference, np.zeros(1))
+    line = replace(line, end_p_m=p_m[:, 0], end_axis=approach[:, 0])
     problem = _check_line_length(config, line)
     if problem is not None:
         return Refusal(problem)

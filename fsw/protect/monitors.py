@@ -30,6 +30,7 @@ from fsw.protect.readings import (
     check_tilt,
     noisy_readings,
 )
+from fsw.protect.resistance import FreeMove, monitor_free_move
 from fsw.protect.status import ArmStatus
 
 
@@ -64,6 +65,7 @@ class MonitorState:
     planned_gravity_R: Array | None = None
     """Gravity when the move under way began, (3,)."""
     approach: ApproachState | None = None
+    free_move: FreeMove | None = None
 
 
 def run_monitors(
@@ -84,8 +86,9 @@ def run_monitors(
     unchanged, frozen = check_frozen(bounds, last.unchanged, last.readings, readings)
     counts, found = _monitor_arm(bounds, last.counts, arm, sensors, planned)
     approach, force = monitor_approach(bounds, last.approach, arm, sensors)
-    state = MonitorState(counts, sensors.cycle, readings, unchanged, planned, approach)
-    return state, evrs + frozen + found + force
+    free_move, contact = monitor_free_move(bounds, last.free_move, arm, readings, unchanged)
+    state = MonitorState(counts, sensors.cycle, readings, unchanged, planned, approach, free_move)
+    return state, evrs + frozen + found + force + contact
 
 
 def _monitor_arm(

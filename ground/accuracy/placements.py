@@ -18,11 +18,13 @@ from sim.arms import BuiltArm
 from sim.avionics import move_rng
 from sim.effects.effect import (
     EachMove,
+    Hardware,
     draw_move_disturbance,
     hardware_with_effects,
     nominal_hardware,
     params_with_effects,
 )
+from sim.effects.geometry import Warming
 from sim.loop import Setup, hardware_rng
 from sim.pose_sequence import free_air_loop, run_and_rest
 from sim.quasi_static import StaticArm, solve_quasi_static_move
@@ -70,15 +72,19 @@ MoveModel = Callable[[Placement], tuple[Pose, Array]]
 
 def configure_believed(arm: BuiltArm) -> Config:
     """Configure flight software of an arm for the temperature that its sensor reads."""
-    hardware = hardware_with_effects(arm.effects, nominal_hardware(arm.model.description))
+    hardware = _hardware(arm)
     return configure_at(configure(arm.params), hardware.structure_C + hardware.structure_offset_K)
 
 
 def configure_true(arm: BuiltArm) -> Config:
-    """Configure flight software that knows an arm and its temperature exactly."""
-    hardware = hardware_with_effects(arm.effects, nominal_hardware(arm.model.description))
-    exact = configure(params_with_effects(arm.effects, arm.model.params))
-    return configure_at(exact, hardware.structure_C)
+    """Configure flight software that knows an arm exactly, as it is at its temperature."""
+    drawn = arm.model.params
+    growth = Warming(_hardware(arm).structure_C - drawn.heat.calibration_C)
+    return configure(params_with_effects((*arm.effects, growth), drawn))
+
+
+def _hardware(arm: BuiltArm) -> Hardware:
+    return hardware_with_effects(arm.effects, nominal_hardware(arm.model.description))
 
 
 def random_placements(

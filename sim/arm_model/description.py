@@ -256,6 +256,8 @@ class ArmDescription:
         return self.actuators[self.joints.by_name()[joint].actuator]
 
 
+VISCOUS_COLD: Final = 8.0
+"""Factor on the viscous friction at 20 degC that gives that at -55 degC."""
 LINK_PARTS: Final = ("link2", "link3", "link4", "link5", "turret")
 """Parts with shapes, beside the tools."""
 _ADAPTER: Final = TypeAdapter(ArmDescription)

@@ -9,13 +9,13 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
+from sim.arm_model.description import VISCOUS_COLD
 from sim.drawing import WARM_C
 from sim.effects.effect import Effect, Hardware, ParameterSpec, StartTime
 
 COLD_C = -55.0
 COULOMB_COLD = 2.5
 """Factor on the friction at WARM_C that gives that at COLD_C."""
-VISCOUS_COLD = 8.0
 NO_PADDING_M = 1e3
 
 
@@ -71,6 +71,17 @@ class Ambient(Effect):
         """Set the temperature of the structure, and the initial one of the windings."""
         ambient_C = np.full(len(Joint), self.temperature_C)
         return replace(hardware, ambient_C=ambient_C, structure_C=self.temperature_C)
+
+
+@dataclass(frozen=True, slots=True)
+class StructureTemperature(Effect):
+    """Temperature of links and tools, where heaters keep the actuators at another."""
+
+    temperature_C: Annotated[float, ParameterSpec(-130.0, 70.0, unit="degC", typical=-30.0, neutral=WARM_C)]
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """Set the temperature of the structure."""
+        return replace(hardware, structure_C=self.temperature_C)
 
 
 def default_ambient(effects: Iterable[Effect], temperature_C: float) -> tuple[Effect, ...]:

@@ -184,3 +184,8 @@ class StructureSensor(Effect):
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """Add the offset."""
         return replace(hardware, structure_offset_K=hardware.structure_offset_K + self.offset_K)
+
+    def on_params(self, params: Params) -> Params:
+        """Set what the sensor reads at the temperature of the calibration."""
+        calibration_C = params.heat.calibration_C + self.offset_K
+        return replace(params, heat=replace(params.heat, calibration_C=calibration_C))

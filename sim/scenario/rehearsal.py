@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fsw.collision.geometry import Surface as TargetSurface
 from fsw.config import Config, configure
 from fsw.dictionary.commands import (
     Calibrate,
@@ -28,8 +29,8 @@ from fsw.dictionary.types import vector3
 from fsw.estimate.joints import JointEstimate, uninitialised_estimate
 from fsw.estimate.reference import no_reference
 from fsw.executive.checks import check_arguments, check_force
-from fsw.executive.expansion import CompoundCommand, expand_command
-from fsw.executive.planning import SingleMoveCommand, plan_steps
+from fsw.executive.expansion import CompoundCommand, locate_surface
+from fsw.executive.planning import SingleMoveCommand, plan_sequence, plan_steps
 from fsw.executive.settings import replace_param
 from fsw.kinematics.transforms import Array, gravity_direction, normalize
 from fsw.motion.plan import JointPositions, Refusal, estimate_at
@@ -50,6 +51,7 @@ class Rehearsed:
     config: Config
     joints: JointEstimate
     tool: str
+    surface: TargetSurface | None
 
 
 def find_impossible(scenario: Scenario, arm: BuiltArm) -> str | None:
@@ -61,7 +63,7 @@ def find_impossible(scenario: Scenario, arm: BuiltArm) -> str | None:
     joints = replace(
         uninitialised_estimate(config, no_reference(config)), imu_R_m_s2=scenario.world.gravity_N_m_s2
     )
-    before = Rehearsed(config, _joints_at(joints, np.array(start_rad)), params.tool_names[0])
+    before = Rehearsed(config, _joints_at(joints, np.array(start_rad)), params.tool_names[0], None)
     for number, command in enumerate(scenario.commands, 1):
         ended = _rehearse(before, command, scenario.world.surface)
         if isinstance(ended, Refusal):
@@ -106,11 +108,14 @@ def _rehearse(before: Rehearsed, command: Command, surface: Surface | None) -> R
 def _plan_motion(before: Rehearsed, command: MotionCommand) -> Rehearsed | Refusal:
     """Plan a motion, and return what is known after it."""
     config, joints, tool = before.config, before.joints, before.tool
-    steps = (
-        expand_command(config, joints, tool, command) if isinstance(command, CompoundCommand) else (command,)
-    )
-    ended = steps if isinstance(steps, Refusal) else plan_steps(config, joints, tool, steps)
-    return ended if isinstance(ended, Refusal) else Rehearsed(config, *ended)
+    surface = locate_surface(config, joints, tool, command, before.surface)
+    if isinstance(command, CompoundCommand):
+        planned = plan_sequence(config, joints, tool, command, surface)
+    else:
+        planned = plan_steps(config, joints, tool, (command,), surface)
+    if isinstance(planned, Refusal):
+        return planned
+    return Rehearsed(config, planned.joints, planned.tool, planned.surface)
 
 
 def _refuse_preload(before: Rehearsed, command: Preload) -> Refusal | None:

@@ -5,6 +5,7 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 
+from fsw.collision.geometry import SURFACE
 from sim.plant import Plant
 from sim.world import World, build
 from tests.fsw.rig import beside_the_rover
@@ -18,7 +19,7 @@ NAMES = {
 }
 FAR_M = 10.0
 GEOMETRY = beside_the_rover().collision_geometry
-PARTS, OBSTACLES = GEOMETRY.parts, GEOMETRY.obstacles
+PARTS, OBSTACLES = GEOMETRY.parts, GEOMETRY.obstacles[:SURFACE]
 
 
 @lru_cache

@@ -56,6 +56,9 @@ SENTENCES = {
     evrs.BranchChosen("APXS", "b"): "APXS: branch b",
     evrs.ContactMade("APXS_1", 0.1): "contact on APXS_1 after 0.1000 m",
     faults.SensorNotFinite("current_A"): "non-finite reading in current_A",
+    faults.StructureTemperatureImplausible(90.04, -130.0, 70.0): (
+        "structure reads 90.0 degC, bounds -130.0 .. 70.0 degC"
+    ),
     faults.GravityImplausible(25.04, 1.0, 20.0): "gravity reads 25 m/s2, bounds 1 .. 20 m/s2",
     faults.SetpointUnsafe(Joint.ELBOW, 2.9, 2.8): "ELBOW: set-point 2.9000 rad held back, last 2.8000 rad",
     faults.SoftLimitPassed(Joint.ELBOW, 2.9, 2.8): "ELBOW at 2.9000 rad, soft limit 2.8000 rad",

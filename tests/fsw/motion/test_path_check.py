@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsw.collision.distance import compute_clearances, find_violation
+from fsw.collision.geometry import GROUND
 from fsw.dictionary.commands import MoveJoints, MoveTool, Retract
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward
@@ -154,7 +155,7 @@ def test_from_within_the_padding_the_way_up_is_free_and_the_way_down_is_not():
     paths = way(READY, down)
     motor = sample_paths(CONFIG, paths, 1e-3)
     height = compute_clearances(GEOMETRY, compute_deflected_frames(CONFIG, JOINTS, motor), MAX_CLEARANCE_M)[
-        :, -1
+        :, GROUND
     ].min(axis=0)
     low = motor[:, np.flatnonzero(height < 0.6 * PADDING_M)[0]]
     assert check_paths(CONFIG, JOINTS, (joint_path(CONFIG, low, READY),), PADDING_M) is None

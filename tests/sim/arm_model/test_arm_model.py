@@ -269,7 +269,7 @@ FOREIGN = {
     "hardstop_stiffness_Nm_rad": "[joints.elbow]\nhardstop_stiffness_Nm_rad = 6e5",
     "torque_constant_Nm_A": "[joints.elbow]\ntorque_constant_Nm_A = 229.0",
     "elastic_centre_m": "[links.arm3]\nelastic_centre_m = [0.45, 0.0, 0.0]",
-    "expansion_1_K": "[links.arm3]\nexpansion_1_K = [0.0, 0.0, 0.0, 1e-5, 0.0, 0.0]",
+    "expansion_1_K": "[links.arm3]\nexpansion_1_K = [0.0, 0.0, 0.0, 2e-5, 0.0, 0.0]",
     "geometry": "[tools.apxs.geometry]\nboxes = [{ centre_m = [0.0, 0.0, 0.0], half_m = [0.1, 0.1, 0.1] }]",
     "gear_ratio": "[joints.elbow]\ngear_ratio = 7000.0",
 }

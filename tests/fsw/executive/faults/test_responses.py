@@ -26,6 +26,7 @@ from fsw.dictionary.faults import (
     SensorNotFinite,
     SetpointUnsafe,
     SoftLimitPassed,
+    StructureTemperatureImplausible,
     TiltChanged,
     UnderTemperature,
 )
@@ -90,6 +91,7 @@ HIGHEST_RAD = CONFIG.protection.highest_rad[Joint.ELBOW]
 PERSISTENT = {
     SensorNotFinite: (1, lambda rig: {"current_A": np.full(5, np.nan)}),
     GravityImplausible: (1, lambda rig: {"gravity_R_m_s2": np.zeros(3)}),
+    StructureTemperatureImplausible: (1, lambda rig: {"structure_C": 90.0}),
     SensorFrozen: (BOUNDS.frozen_persistence, lambda rig: {"current_A": np.full(5, 0.3)}),
     CyclesMissed: (1, lambda rig: MISSED),
     CycleCountWrong: (1, lambda rig: {"cycle": rig.cycles - 51}),
