@@ -1,4 +1,4 @@
-"""Campaigns of the five jobs of the arm in one document: scenarios, tool changes, contacts, obstacles and faults."""
+"""Campaigns of the jobs of the arm in one document: scenarios, tool changes, contacts, obstacles, faults."""
 
 import json
 import sys
