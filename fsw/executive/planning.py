@@ -38,9 +38,9 @@ FARTHER_M: Final = (0.0, 0.1, 0.25, 0.4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedSequence:
-    """Steps of a compound command, with the plan of each step that moves."""
+    """Single commands of a compound command, with the plan of each that moves."""
 
-    steps: tuple[SequenceStep, ...]
+    commands: tuple[SequenceStep, ...]
     plans: tuple[Plan, ...]
     joints: JointEstimate
     """Estimate of the joints at the end."""
