@@ -42,11 +42,13 @@ def step(
     before, config = state, state.changed_config or config
     unusable = check_readings(config.protection, sensors)
     usable = not unusable
-    structure_C = _filter_structure(config, state, sensors.structure_C, usable)
-    # a move and its protection keep the arm that the move was planned with
-    if before.move is None and _has_arm_grown(config, structure_C):
-        config = configure_at(config, structure_C)
-        state = replace(state, changed_config=config)
+    structure_C = state.structure_C
+    if usable and state.tick % config.params.motion.load_period_cycles == 0:
+        structure_C = _filter_structure(config, state, sensors.structure_C)
+        # a move and its protection keep the arm that the move was planned with
+        if state.move is None and abs(structure_C - config.structure_C) >= config.params.heat.step_K:
+            config = configure_at(config, structure_C)
+            state = replace(state, changed_config=config)
     joints, load, tool_channels = _estimate(config, state, sensors, usable)
     state, joints, decided = _decide(config, state, joints, load, sensors, commands, usable)
     # without a move, the last set-point is the motor angle by the encoder zero of this cycle
@@ -79,23 +81,13 @@ def step(
     return state, _make_outputs(config, before, state, backlash_state, tool_channels, decided + after.evrs)
 
 
-def _filter_structure(config: Config, state: State, reading_C: float, usable: bool) -> float:
-    """Filter the temperature of the structure; until the filter has its time, take the mean since boot.
-
-    An unusable reading is left out.
-    """
-    last_C = state.structure_C
-    if not usable:
-        return last_C
-    if isnan(last_C):
+def _filter_structure(config: Config, state: State, reading_C: float) -> float:
+    """Filter the temperature of the structure in each load period; in the first ones, take their mean."""
+    if isnan(state.structure_C):
         return reading_C
-    share = max(CYCLE_S / config.params.heat.filter_s, 1.0 / (state.tick + 1))
-    return last_C + share * (reading_C - last_C)
-
-
-def _has_arm_grown(config: Config, structure_C: float) -> bool:
-    """Return whether the temperature differs by a step from that of the arm; it does not while unknown."""
-    return abs(structure_C - config.structure_C) >= config.params.heat.step_K
+    period = config.params.motion.load_period_cycles
+    share = max(CYCLE_S * period / config.params.heat.filter_s, period / (state.tick + period))
+    return state.structure_C + min(share, 1.0) * (reading_C - state.structure_C)
 
 
 def _estimate(

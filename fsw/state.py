@@ -125,19 +125,19 @@ def joint_channels(tick: int, state: State, backlash_state: Array) -> JointChann
         The channels.
     """
     joints = state.joints
-    backlash_rad, side, uncertainty_rad = backlash_state
+    # positional arguments, because they are faster and this runs in every cycle
     return JointChannels(
-        tick=tick,
-        mode=state.mode,
-        busy=state.move is not None or state.sequence is not None,
-        motor_rad=joints.motor_rad,
-        motor_rate_rad_s=joints.motor_rate_rad_s,
-        setpoint_rad=last_setpoint(state),
-        output_rad=joints.output_rad,
-        backlash_rad=backlash_rad,
-        backlash_side=side,
-        backlash_uncertainty_rad=uncertainty_rad,
-        planned_backlash_rad=state.planned_backlash_rad,
-        calibrated=joints.reference.calibrated,
-        resolver_error_rad=joints.resolver_error_rad,
+        tick,
+        state.mode,
+        state.move is not None or state.sequence is not None,
+        joints.motor_rad,
+        joints.motor_rate_rad_s,
+        last_setpoint(state),
+        joints.output_rad,
+        backlash_state[0],
+        backlash_state[1],
+        backlash_state[2],
+        state.planned_backlash_rad,
+        joints.reference.calibrated,
+        joints.resolver_error_rad,
     )

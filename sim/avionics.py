@@ -65,6 +65,7 @@ class Avionics:
         sigma = (hardware.resolver_noise_rad, hardware.current_noise_A, hardware.gravity_noise_m_s2)
         self._noise_sigma = np.repeat(sigma, (5, 5, 3))
         self._winding_K_A2 = self._resistance_Ohm * hardware.winding_K_W
+        self._elapsed_s, self._winding_share = 0.0, np.zeros_like(self._winding_K_A2)
 
     def for_plant(self, plant: Plant) -> "Avionics":
         """Copy the avionics, attached to a copy of their plant."""
@@ -155,10 +156,11 @@ class Avionics:
         """
         now_s, hardware = self._plant.data.time, self._hardware
         final_K = current_A * current_A * self._winding_K_A2
-        # exponential approach to the final rise
-        decay = np.expm1((self._winding_time_s - now_s) / hardware.winding_s)
+        # exponential approach to the final rise; nearly all readings are a cycle apart
+        if (elapsed_s := now_s - self._winding_time_s) != self._elapsed_s:
+            self._elapsed_s, self._winding_share = elapsed_s, -np.expm1(-elapsed_s / hardware.winding_s)
         self._winding_time_s = now_s
-        self._winding_rise_K = self._winding_rise_K + decay * (self._winding_rise_K - final_K)
+        self._winding_rise_K = self._winding_rise_K + self._winding_share * (final_K - self._winding_rise_K)
         return self._winding_rise_K
 
     def apply(self, drive: ActuatorCommand) -> None:

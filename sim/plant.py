@@ -13,6 +13,7 @@ from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Pose, screw_exp
 from sim.disturbance import LINK_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, no_move_disturbance
 from sim.frames import FLIP, P_NR_M
+from sim.library_settings import apply_settings
 from sim.record import Truth
 from sim.time_step import RATE_GAIN, REFERENCE_STEP_S, match_reference_damping
 
@@ -34,8 +35,7 @@ RESISTANCE, MOTOR_CONSTANT, GAINS = 0, 1, slice(4, 7)
 LEAST_GAIN_SHARE = 1e-9
 """Gains of a servo without power, as a share: MuJoCo fails at 0, where a dcmotor would have no integral."""
 
-# MuJoCo would write its warnings to a file in the current directory; Plant.step checks their count
-mujoco.set_mju_user_warning(lambda _: None)
+apply_settings()
 
 
 class PlantDiverged(RuntimeError):

@@ -42,6 +42,7 @@ BRIEFS: Final = (
     Brief("tool_change", "--calibrated 1 --as-built 0 --poses 1 --workers 1"),
     Brief("scenarios", "--calibrated 0 --as-built 0 --only processing --workers 1"),
     Brief("contact", "--arms 1 --workers 1"),
+    Brief("obstacles", "--count 4 --seed 1 --workers 1"),
     Brief("replays", "--arms 0 --only processing --workers 1"),
     Brief("shoulder_in", "--groups 1 --poses 3 --workers 1"),
     Brief("backlash", "--sequences 1 --poses 5 --workers 1"),

@@ -25,11 +25,13 @@ from sim.placement import place_command
 from sim.preview import random_placement
 from sim.sequence import run_sequence
 from validation.options import campaign_parser, campaign_runner
-from validation.tool_change import FIRST, MOST_DRAWS, SECOND, TILT_RAD, not_completed
+from validation.tool_change import FIRST, SECOND, TILT_RAD, not_completed
 
 SOON_S, LATER_S, HELD_S = 0.5, 2.0, 4.0
 SOON, LATER = 0.20, 0.05
 """Largest deviations of the force from its mean, as a share of it."""
+MOST_DRAWS = 25
+"""Largest number of targets that are tried on an arm."""
 
 
 @dataclass(frozen=True, slots=True)

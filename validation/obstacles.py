@@ -45,7 +45,7 @@ MARGIN_RAD: Final = 0.4
 """Distance of the start from the soft limits: more than the turn."""
 AT_SHARE: Final = 0.7
 """Share of the way at which the obstacle stands."""
-MOST_DRAWS: Final = 10
+MOST_DRAWS: Final = 30
 """Draws until a move is possible and meets its obstacle."""
 READY_SIGMA_RAD: Final = 0.25
 """Spread of the start around the ready pose."""
@@ -108,7 +108,7 @@ def draw(seed: int, index: int, attempt: int) -> Obstacle:
     else:
         turn = sign * TURN_RAD * (np.arange(len(Joint)) == Joint[kind])
         command = MoveJoints(joints5(start + turn))
-        p_R_m, normal = _across_the_turn(arm, start, turn)
+        p_R_m, normal = _across_the_turn(arm, start, turn, attempt)
     temperature_C = TEMPERATURES_C[(index // (2 * len(KINDS))) % len(TEMPERATURES_C)]
     return Obstacle(
         name, temperature_C, kind, joints5(start), command, vector3(p_R_m + P_NR_M), vector3(normal)
@@ -126,14 +126,14 @@ def _line(arm: Arm, start: Array, way: Array) -> tuple[Command, Array, Array]:
     return command, leading + AT_SHARE * LINE_M * way, -way
 
 
-def _across_the_turn(arm: Arm, start: Array, turn: Array) -> tuple[Array, Array]:
-    """Return point and normal of a face across the way of the tool that is fastest."""
+def _across_the_turn(arm: Arm, start: Array, turn: Array, attempt: int) -> tuple[Array, Array]:
+    """Return point and normal of a face across the way of a tool, at the first attempt of the fastest."""
     frames = forward(arm, start + AT_SHARE * turn)
     points = [tool_pose(arm, frames, tool).p for tool in arm.X_FT]
     ways = [joint_jacobian(frames, p)[3:] @ turn for p in points]
     lengths = [float(np.linalg.norm(way)) for way in ways]
-    fastest = int(np.argmax(lengths))
-    return points[fastest], -ways[fastest] / lengths[fastest]
+    tool = int(np.argsort(lengths)[-1 - attempt % len(lengths)])
+    return points[tool], -ways[tool] / lengths[tool]
 
 
 def meet(seed: int, index: int) -> Encounter:

@@ -3,12 +3,16 @@
 Calibrated arms are 50 K warmer or colder than their sensor tells, and all their springs are a fifth
 softer or stiffer. The APXS is placed, and the tool changed to MAHLI. On the same arm and target, MAHLI is
 also placed by coordinates alone. As-built arms are flown with the nominal parameters.
+
+Every target counts at which flight software accepts to place the APXS. A refused change is compared with an
+independent search for a clear way (validation/clear_way.py).
 """
 
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -18,6 +22,8 @@ from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
 from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
+from fsw.motion.compensation import Compensation
+from fsw.motion.plan_tool import start_line
 from ground.common.pool import Runner, in_order
 from sim.arms import SPRING_FRAMES, BuiltArm, arm_named
 from sim.effects.effect import Effect
@@ -29,6 +35,8 @@ from sim.loop import ClosedLoop, Setup
 from sim.placement import place_command
 from sim.preview import random_placement
 from sim.sequence import run_sequence
+from sim.world import World
+from validation.clear_way import find_clear_way, reaches
 from validation.options import campaign_parser, campaign_runner
 
 WARMING_K = 50.0
@@ -37,7 +45,10 @@ TILT_RAD = float(np.radians(30.0))
 POSES = 5
 FROM_SPOT_MM = 10.0
 """Largest distance from the spot after a tool change on a calibrated arm."""
-MOST_DRAWS = 25
+MOST_FAILED = 3 / 60
+"""Largest share of accepted changes that are not completed."""
+MOST_REFUSED = 0.15
+"""Largest share of changes in reach that are refused."""
 FIRST, SECOND = "APXS", "MAHLI"
 
 
@@ -65,29 +76,27 @@ def unknown_to_flight(seed: int) -> tuple[Effect, ...]:
     return (Warming(WARMING_K * float(warm)), *springs, *(GearStiffness(joint, factor) for joint in Joint))
 
 
-def one_arm(kind: str, seed: int, poses: int) -> tuple[list[ToolChangeErrors], list[str]]:
-    """Measure tool changes of one arm, with new targets for those that fail.
+@dataclass(frozen=True, slots=True)
+class NotChanged:
+    """Tool change without errors to measure."""
 
-    Returns:
-        The errors of completed tool changes, and the reasons of the failures.
-    """
+    why: Literal["first tool not placed", "refused", "not completed", "absolute not placed"]
+    reason: str
+    reachable: bool = True
+    """Whether any branch of the second tool reaches the spot."""
+    clear_way: str | None = None
+    """Way that the independent search finds, of a refused change."""
+
+
+def one_arm(kind: str, seed: int, poses: int) -> list[ToolChangeErrors | NotChanged]:
+    """Try one tool change at each of some random targets of one arm."""
     name = f"{kind}:{seed}"
     reference = initial_reference(arm_named(name))
-    found: list[ToolChangeErrors] = []
-    failed: list[str] = []
-    for draw in range(1, MOST_DRAWS + 1):
-        changed = one_target(name, reference, draw)
-        if isinstance(changed, ToolChangeErrors):
-            found.append(changed)
-        else:
-            failed.append(changed)
-        if len(found) == poses:
-            break
-    return found, failed
+    return [one_target(name, reference, draw) for draw in range(1, poses + 1)]
 
 
-def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors | str:
-    """Measure the tool change at a random target; return its errors, or why a command failed."""
+def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors | NotChanged:
+    """Measure the tool change at a random target, or say why there is none."""
     arm, seed = arm_named(name), int(name.partition(":")[2])
     world, preview = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
     effects = unknown_to_flight(seed) if name.startswith("calibrated") else ()
@@ -96,14 +105,17 @@ def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors |
     target, axis = np.array(place.p_RoTo_R_m), np.array(place.approach_R)
     first = _touch(loop, (place,))
     if isinstance(first, str):
-        return f"{FIRST}: {first}"
+        return NotChanged("first tool not placed", first)
     again = replace(place, tool=SECOND, branch="AUTO")
-    relative = _touch(loop.fork(), (ToolChange(SECOND),))
-    absolute = _touch(loop.fork(), (Retract(FIRST, place.standoff_m), again))
+    changing = loop.fork()
+    relative = _touch(changing, (ToolChange(SECOND),))
+    if isinstance(relative, str) and changing.state.mode is loop.state.mode:
+        return _judge_refusal(loop, arm, world, relative)
     if isinstance(relative, str):
-        return f"ToolChange: {relative}"
+        return NotChanged("not completed", relative)
+    absolute = _touch(loop.fork(), (Retract(FIRST, place.standoff_m), again))
     if isinstance(absolute, str):
-        return f"{SECOND} by coordinates: {absolute}"
+        return NotChanged("absolute not placed", absolute)
     (spot, R_1), (second, R_2) = first, relative
     frames = R_2 @ _tool_shift(arm, SECOND) - R_1 @ _tool_shift(arm, FIRST)
     return ToolChangeErrors(
@@ -113,6 +125,16 @@ def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors |
         tool_frames_mm=_lateral_mm(frames, axis),
         residual_mm=_lateral_mm(second - spot - frames, axis),
     )
+
+
+def _judge_refusal(loop: ClosedLoop, arm: BuiltArm, world: World, reason: str) -> NotChanged:
+    """Compare a refused tool change with the independent search, at the spot where the arm touches."""
+    config, joints = loop.config, loop.state.joints
+    contact = start_line(config, joints, FIRST, Compensation())
+    spot = contact.p_m, contact.axis
+    reachable = reaches(config, SECOND, *spot, joints.gravity_R_m_s2)
+    way = find_clear_way(arm, world, config, (FIRST, SECOND), joints.output_rad, *spot)
+    return NotChanged("refused", reason, reachable, way)
 
 
 def not_completed(command: Command, evrs: Sequence[Evr]) -> str | None:
@@ -151,8 +173,21 @@ def _lateral_mm(difference_m: Array, axis: Array) -> float:
     return 1e3 * float(np.linalg.norm(difference_m - (difference_m @ axis) * axis))
 
 
-def summary(changes: list[ToolChangeErrors]) -> dict[str, object]:
-    """Return three times the root mean square of each lateral distance, and the largest."""
+def summary(tried: list[ToolChangeErrors | NotChanged]) -> dict[str, object]:
+    """Count the outcomes; three times the root mean square of each lateral distance, and the largest."""
+    changes = [one for one in tried if isinstance(one, ToolChangeErrors)]
+    others = [one for one in tried if isinstance(one, NotChanged)]
+    refused = [one for one in others if one.why == "refused"]
+    counts = {
+        "count": len(changes),
+        "refused": len(refused),
+        "refused_in_reach": sum(one.reachable for one in refused),
+        "refused_wrongly": sum(one.clear_way is not None for one in refused),
+        "not_completed": sum(one.why == "not completed" for one in others),
+        "failures": [asdict(one) for one in others],
+    }
+    if not changes:
+        return counts
     table = np.array([[getattr(c, name) for name in ToolChangeErrors.__slots__] for c in changes])
     three_sigma = 3 * np.sqrt(np.mean(table**2, axis=0))
     named = {
@@ -161,25 +196,33 @@ def summary(changes: list[ToolChangeErrors]) -> dict[str, object]:
             ToolChangeErrors.__slots__, three_sigma, table.max(axis=0), strict=True
         )
     }
-    return {"count": len(changes), **named}
+    return {**counts, **named}
 
 
 def document(calibrated: int, as_built: int, seed: int, run: Runner, poses: int = POSES) -> dict[str, object]:
     """Measure tool changes of this many arms."""
-    found: dict[str, list[ToolChangeErrors]] = {}
-    failed: dict[str, list[str]] = {}
+    tried: dict[str, list[ToolChangeErrors | NotChanged]] = {}
     for kind, count in (("calibrated", calibrated), ("as-built", as_built)):
-        found[kind], failed[kind] = [], []
+        tried[kind] = []
         arms = in_order(run, one_arm, ((kind, seed + k, poses) for k in range(count)))
-        for k, (changes, reasons) in enumerate(arms, start=1):
-            found[kind].extend(changes)
-            failed[kind].extend(reasons)
+        for k, one in enumerate(arms, start=1):
+            tried[kind].extend(one)
             print(f"\rtool changes, {kind}: {k} of {count} arms", end="", file=sys.stderr)
         print(file=sys.stderr)
-    measured = {kind: summary(changes) for kind, changes in found.items() if changes}
-    near = all(change.from_spot_mm <= FROM_SPOT_MM for change in found["calibrated"])
-    carried_out = len(found["calibrated"]) == calibrated * poses
-    return {**measured, "not_carried_out": failed, "in_bounds": near and carried_out}
+    measured = {kind: summary(found) for kind, found in tried.items() if found}
+    return {**measured, "in_bounds": _is_in_bounds(tried["calibrated"])}
+
+
+def _is_in_bounds(tried: list[ToolChangeErrors | NotChanged]) -> bool:
+    """Return whether changes end near the spot, and whether few fail or are refused without reason."""
+    near = all(one.from_spot_mm <= FROM_SPOT_MM for one in tried if isinstance(one, ToolChangeErrors))
+    others = [one for one in tried if isinstance(one, NotChanged)]
+    refused = [one for one in others if one.why == "refused" and one.reachable]
+    accepted = len(tried) - sum(one.why in ("refused", "first tool not placed") for one in others)
+    failed = sum(one.why == "not completed" for one in others)
+    few_fail = failed <= MOST_FAILED * accepted
+    few_refused = len(refused) <= MOST_REFUSED * (accepted + len(refused))
+    return near and few_fail and few_refused and all(one.clear_way is None for one in refused)
 
 
 def main() -> int:

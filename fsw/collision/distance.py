@@ -77,8 +77,8 @@ def find_violation(
 ) -> ClearanceViolation | None:
     """Find the first pose of a path at which a part of the arm is too close to an obstacle.
 
-    A part that starts closer than the padding may stay as close or move away, so that the arm can leave. It
-    may not start deeper below a surface than errors explain.
+    A part that starts closer than the padding may stay as close or move away, so that the arm can leave. Only
+    where a tool touches may a part start below the surface.
 
     Args:
         geometry: Shapes of arm and rover.
@@ -90,17 +90,17 @@ def find_violation(
     Returns:
         The violation, or None if there is none.
     """
-    return judge_clearances(
-        geometry, compute_clearances(geometry, frames, padding_m, touching, surface), padding_m
-    )
+    clearance = compute_clearances(geometry, frames, padding_m, touching, surface)
+    return judge_clearances(geometry, clearance, padding_m, touching)
 
 
 def judge_clearances(
-    geometry: CollisionGeometry, clearance: Array, padding_m: float
+    geometry: CollisionGeometry, clearance: Array, padding_m: float, touching: str | None = None
 ) -> ClearanceViolation | None:
     """Find the first pose that is too close, as `find_violation`, from distances (parts, obstacles, n)."""
     least = np.minimum(padding_m, clearance[..., :1] - ROUNDING_M)
-    least[:, SURFACE] = np.maximum(least[:, SURFACE], -BELOW_M)
+    if touching is None:
+        least[:, SURFACE] = np.maximum(least[:, SURFACE], 0.0)
     bad = clearance < least
     if not bad.any():
         return None

@@ -250,7 +250,7 @@ class MotionParams:
     line_turn_rad: Annotated[float, Limits(0.0, 0.5)]
     """Largest angle between tool axis and approach at the start of a guarded move."""
     load_period_cycles: Annotated[int, Limits(1, 640)]
-    """Number of cycles between two estimates of load, backlash side and deflected tool pose."""
+    """Number of cycles between two estimates of load, backlash side, temperature and tool pose."""
 
 
 @dataclass(frozen=True, slots=True)

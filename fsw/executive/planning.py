@@ -5,6 +5,7 @@ from typing import Final, assert_never
 
 import numpy as np
 
+from fsw.collision.distance import limit_surface
 from fsw.collision.geometry import Surface
 from fsw.config import Config
 from fsw.dictionary.commands import (
@@ -24,7 +25,7 @@ from fsw.estimate.joints import JointEstimate
 from fsw.executive.checks import check_arguments
 from fsw.executive.expansion import CompoundCommand, expand_command, locate_surface
 from fsw.motion.compensation import Compensation
-from fsw.motion.path_check import check_paths, check_touch
+from fsw.motion.path_check import check_paths, check_touch, compute_deflected_frames
 from fsw.motion.plan import Plan, Refusal, estimate_at, plan_joint, plan_poses
 from fsw.motion.plan_tool import find_branches, plan_guarded, plan_retract, plan_tool
 from fsw.state import SequenceStep
@@ -37,9 +38,9 @@ FARTHER_M: Final = (0.0, 0.1, 0.25, 0.4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedSequence:
-    """Steps of a compound command, with the plan of each step that moves."""
+    """Single commands of a compound command, with the plan of each that moves."""
 
-    steps: tuple[SequenceStep, ...]
+    commands: tuple[SequenceStep, ...]
     plans: tuple[Plan, ...]
     joints: JointEstimate
     """Estimate of the joints at the end."""
@@ -71,8 +72,28 @@ def plan_command(
         surface: Surface of `locate_surface`; None if there is none.
 
     Returns:
-        The plan, or the reason for a refusal.
+        The plan, or the reason for a refusal. If the surface is in the way and a retraction would help, a
+        stow begins with it; the refusal of another move names it.
     """
+    plan = _plan_checked(config, joints, tool, command, surface)
+    if isinstance(plan, Plan) or surface is None or not isinstance(command, Stow | MoveTool):
+        return plan
+    for back_m in FARTHER_M[1:]:
+        back = _plan_checked(config, joints, tool, Retract(tool, back_m), surface)
+        if isinstance(back, Refusal):
+            break
+        onward = _plan_checked(config, estimate_at(joints, back.end), tool, command, surface)
+        if isinstance(onward, Plan) and isinstance(command, Stow):
+            return replace(onward, paths=back.paths + onward.paths)
+        if isinstance(onward, Plan):
+            return Refusal(f"{plan.reason}; clear after a retraction of {back_m:g} m")
+    return plan
+
+
+def _plan_checked(
+    config: Config, joints: JointEstimate, tool: str, command: SingleMoveCommand, surface: Surface | None
+) -> Plan | Refusal:
+    """Plan the move of a command as it is, and check its paths."""
     plan = _plan_motion(config, joints, tool, command, surface)
     # the paths of a MoveTool are checked while its branch is chosen
     if isinstance(plan, Refusal) or isinstance(command, MoveTool):
@@ -83,6 +104,12 @@ def plan_command(
             collision = check_paths(config, joints, plan.paths, padding_m, touching)
             if collision is None and surface is not None:
                 collision = check_touch(config, joints, plan.paths, touching, surface.normal_R)
+        case Stow() if surface is not None:
+            # the arm has been in its ready pose since it was unstowed
+            ready_rad = np.array(config.params.poses.ready_rad)[:, None]
+            ready = compute_deflected_frames(config, joints, ready_rad)
+            surface = limit_surface(config.collision_geometry, ready, surface)
+            collision = check_paths(config, joints, plan.paths, padding_m, surface=surface)
         case Retract(tool=touching):
             collision = check_paths(config, joints, plan.paths, padding_m, touching, surface)
         case _:
@@ -195,7 +222,7 @@ def plan_steps(
         if problem is not None:
             return Refusal(f"{type(step).__name__}: {problem}")
         surface = locate_surface(config, joints, tool, step, surface)
-        plan = plan_command(config, joints, tool, step, surface)
+        plan = _plan_checked(config, joints, tool, step, surface)
         if isinstance(plan, Refusal):
             return Refusal(f"{type(step).__name__}: {plan.reason}")
         plans.append(plan)

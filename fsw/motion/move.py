@@ -320,11 +320,8 @@ def _travel_rate(move: Move) -> float:
 def _settle(config: Config, move: Move, joints: JointEstimate) -> MoveUpdate:
     motion = config.params.motion
     error = np.abs(joints.motor_rad - move.setpoint.motor_rad)
-    at_rest = (
-        error.max() < motion.settle_error_rad
-        and np.abs(joints.motor_rate_rad_s).max() < motion.settle_rate_rad_s
-    )
-    settled_ticks = move.settled_ticks + 1 if at_rest else 0
+    still = np.abs(joints.motor_rate_rad_s).max() < motion.settle_rate_rad_s
+    settled_ticks = move.settled_ticks + 1 if still and error.max() < motion.settle_error_rad else 0
     if settled_ticks >= config.settle_ticks:
         return MoveUpdate(_enter_phase(move, Phase.BRAKE))
     if move.ticks >= config.settle_timeout_ticks:

@@ -57,7 +57,7 @@ def check_paths(
     near = compute_clearances(config.collision_geometry, coarse, near_m, touching, surface)
     if not np.isfinite(near).any():
         return None
-    violation = judge_clearances(config.collision_geometry, near, padding_m)
+    violation = judge_clearances(config.collision_geometry, near, padding_m, touching)
     if violation is None:
         motor = sample_paths(config, paths, FINE_STEP_M)
         blocks = np.split(motor, range(BLOCK, motor.shape[1], BLOCK), axis=1)

@@ -22,6 +22,7 @@ from ground.runs.request import RunRequest
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm
 from sim.effects.effect import EffectMisfit
+from sim.effects.environment import default_ambient
 from sim.loop import ClosedLoop
 from sim.scenario.data import Scenario
 from sim.scenario.file import BadScenario, load_scenario
@@ -68,7 +69,10 @@ def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunRe
 def _carry_out(
     request: RunRequest, scenario: Scenario, arm: BuiltArm, progress: Progress, view: "LiveView | None"
 ) -> RunReport:
-    last = initialise(arm, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
+    # flight software takes the friction of this day from the initialisation
+    ambient = default_ambient(arm.effects, scenario.temperature_C)
+    on_this_day = replace(arm, effects=(*ambient, *arm.effects))
+    last = initialise(on_this_day, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
     if last.outcome is not Outcome.DONE:
         result = ScenarioResult(last.outcome, 0, last.duration_s, (), last.evrs)
         return RunReport(request, scenario, arm.name, execution_not_begun(result, arm, request.files))

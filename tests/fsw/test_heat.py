@@ -54,7 +54,7 @@ def test_a_move_keeps_the_arm_that_it_was_planned_with():
     while rig.state.move is not None:
         assert present(rig).arm is CONFIG.arm
         reads(rig, 30.0)
-    reads(rig, 30.0, 2)
+    reads(rig, 30.0, CONFIG.params.motion.load_period_cycles)
     assert present(rig).structure_C > HEAT.calibration_C + HEAT.step_K
 
 

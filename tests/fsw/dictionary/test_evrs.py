@@ -67,6 +67,9 @@ SENTENCES = {
         Joint.TURRET, 0.003, 0.002
     ): "TURRET is 0.00300 rad from its set-point, bound 0.00200 rad",
     faults.ContactInFreeSpace("DRT_2"): "contact on DRT_2 in free space",
+    faults.UnexpectedContact(
+        Joint.ELBOW, 63.4, 52.4
+    ): "unexpected contact: ELBOW resists with 63 N m, about 52 N at the tool",
     faults.NoContact(0.15): "no contact within 0.1500 m of guarded travel",
     faults.NotSettled(Joint.AZIMUTH, 1e-4): "AZIMUTH not settled: 0.000100 rad from its set-point",
     faults.MotorStalled(Joint.ELBOW, 0.0, -0.01): (

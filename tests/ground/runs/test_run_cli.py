@@ -21,7 +21,7 @@ angle_deg = 95
 [[check]]
 type = "done"
 """
-BEYOND = SHORT.replace("angle_deg = 95", "angle_deg = 500")
+BEYOND = SHORT.replace("angle_deg = 95", "angle_deg = 390")
 FAR = """\
 title = "A placement that is too far away"
 summary = "Place the APXS."
@@ -61,7 +61,7 @@ BAD = {
     "no arm": (("short.toml", "--arm", ""), "as-built:SEED"),
     "a joint beyond its limit": (
         ("beyond.toml",),
-        "beyond.toml: command 1, MOVE_JOINT: joint turret: 500.0 deg",
+        "beyond.toml: command 1, MOVE_JOINT: joint turret: 390.0 deg",
     ),
     "a place out of reach": (("far.toml",), "far.toml: command 2, PLACE_TOOL: MoveTool: "),
     "no such parameters": (("short.toml", "--params", "none.toml"), "none.toml"),

@@ -92,7 +92,7 @@ PERSISTENT = {
     SensorNotFinite: (1, lambda rig: {"current_A": np.full(5, np.nan)}),
     GravityImplausible: (1, lambda rig: {"gravity_R_m_s2": np.zeros(3)}),
     StructureTemperatureImplausible: (1, lambda rig: {"structure_C": 90.0}),
-    SensorFrozen: (BOUNDS.frozen_persistence, lambda rig: {"current_A": np.full(5, 0.3)}),
+    SensorFrozen: (BOUNDS.frozen_persistence, lambda rig: {"current_A": np.zeros(5)}),
     CyclesMissed: (1, lambda rig: MISSED),
     CycleCountWrong: (1, lambda rig: {"cycle": rig.cycles - 51}),
     TiltChanged: (
@@ -113,8 +113,8 @@ PERSISTENT = {
     ContactInFreeSpace: (1, lambda rig: closed("DRT_1")),
 }
 """How long, and which readings of a moving arm, passing the bound with the first of them."""
-BY_A_CALL = {faults.ContactLost, faults.PreloadOutside}
-"""Tested in tests/fsw/protect and in test_touch.py and test_approach.py."""
+BY_A_CALL = {faults.ContactLost, faults.PreloadOutside, faults.UnexpectedContact}
+"""Tested in tests/fsw/protect and in test_touch.py, test_approach.py and test_resistance.py."""
 BY_THE_MOVE = {
     faults.NoContact,
     faults.NotSettled,

@@ -1,0 +1,88 @@
+"""Placements and tool changes keep the turret above the surface: from the ready pose of the nominal arm."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsw.config import configure
+from fsw.dictionary.commands import GuardedMove, MoveTool, PlaceTool, Retract, Stow, Unstow
+from fsw.dictionary.types import vector3
+from fsw.estimate.joints import uninitialised_estimate
+from fsw.estimate.reference import no_reference
+from fsw.executive.checks import check_arguments
+from fsw.executive.expansion import locate_surface
+from fsw.executive.planning import PlannedSequence, plan_command, plan_sequence
+from fsw.motion.plan import Plan, Refusal, estimate_at
+from sim.arms import arm_named
+from sim.frames import p_R_from_N
+from tests.fsw.rig import MARS_R_m_s2
+
+PARAMS = arm_named("nominal").params
+CONFIG = configure(PARAMS)
+JOINTS = replace(
+    uninitialised_estimate(CONFIG, no_reference(CONFIG)),
+    motor_rad=np.array(PARAMS.poses.ready_rad),
+    imu_R_m_s2=MARS_R_m_s2,
+)
+STEEP = PlaceTool("APXS", vector3(p_R_from_N(np.array([2.1, -0.1, -0.3]))), (0.6, 0.0, 0.8))
+"""Rock so steep that the fastest branch takes the turret through it."""
+INTO_THE_ROCK = "shoulder-out elbow-up wrist-down"
+
+
+def plan(command, surface=None):
+    surface = surface or locate_surface(CONFIG, JOINTS, "APXS", command, None)
+    return plan_sequence(CONFIG, JOINTS, "APXS", command, surface)
+
+
+@pytest.fixture(scope="module")
+def steep():
+    planned = plan(STEEP)
+    assert isinstance(planned, PlannedSequence)
+    return planned
+
+
+def test_a_steep_rock_is_reached_from_farther_away_on_a_branch_that_is_clear(steep):
+    far, near, touch = steep.commands
+    assert isinstance(far, MoveTool)
+    assert isinstance(touch, GuardedMove)
+    assert near.branch == far.branch == "shoulder-out elbow-up wrist-up"
+    np.testing.assert_allclose(
+        np.array(near.p_FoTo_F_m) - far.p_FoTo_F_m, 0.25 * np.array(STEEP.approach_R), atol=1e-12
+    )
+
+
+def test_the_branch_into_the_rock_is_refused_with_the_part_and_its_depth():
+    refusal = plan(replace(STEEP, branch=INTO_THE_ROCK))
+    assert isinstance(refusal, Refusal)
+    assert refusal.reason == (
+        f"MoveTool: APXS: {INTO_THE_ROCK}: the turret would be 115 mm below the surface; 13 % of the way are "
+        f"clear; on branch {INTO_THE_ROCK}, no way from up to 0.5 m above the surface is clear"
+    )
+
+
+def test_a_surface_that_leans_into_the_turret_is_refused():
+    leaning = plan(replace(STEEP, normal_R=(0.55, 0.0, -0.84)))
+    assert isinstance(leaning, Refusal)
+    assert "below the surface" in leaning.reason
+
+
+def test_a_normal_along_the_approach_is_refused():
+    problem = check_arguments(PARAMS, replace(STEEP, normal_R=STEEP.approach_R))
+    assert problem == "normal_R points along the approach, not out of the surface"
+
+
+def test_a_stow_near_the_rock_begins_with_a_retraction(steep):
+    surface = locate_surface(CONFIG, JOINTS, "APXS", STEEP, None)
+    at_standoff = estimate_at(JOINTS, steep.plans[-2].end)
+    stow = plan_command(CONFIG, at_standoff, "APXS", Stow(), surface)
+    assert isinstance(stow, Plan)
+    alone = plan_command(CONFIG, at_standoff, "APXS", Stow(), None)
+    back = plan_command(CONFIG, at_standoff, "APXS", Retract("APXS", 0.1), surface)
+    assert len(stow.paths) >= len(alone.paths) + len(back.paths)
+
+
+def test_an_unstow_forgets_the_surface():
+    surface = locate_surface(CONFIG, JOINTS, "APXS", STEEP, None)
+    assert locate_surface(CONFIG, JOINTS, "APXS", Retract("APXS", 0.1), surface) is surface
+    assert locate_surface(CONFIG, JOINTS, "APXS", Unstow(), surface) is None
