@@ -13,7 +13,7 @@ say = echo "marsarm: $(1)" >&2
 
 .PHONY: help setup demo test test-all bench brief campaign accuracy calibration ur10 joints jobs blind robot-cases robot-controls robot-cost \
   robot-engine requirements killed interrupt \
-  damage fuzz mutants references oracle view viewers examples package cluster lint lock clean
+  commands damage fuzz mutants references oracle view viewers examples package cluster lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
@@ -36,6 +36,7 @@ help:
 	@echo "make killed    kill recorded runs at random moments, print what their logs lost as JSON"
 	@echo "make interrupt  press Ctrl-C at several moments of every long command, print how soon it ends as JSON"
 	@echo "make references  make the reference runs of tests/replay anew, print what differs"
+	@echo "make commands  send random commands to the closed loop, right and wrong, see that none does harm, print it as JSON"
 	@echo "make damage    flip bits of logs and cut them, see what reading and recovery make of it, print it as JSON"
 	@echo "make fuzz      feed the readers of files with broken ones for a minute, print what came of it as JSON"
 	@echo "make mutants   change fsw/protect in a thousand places, print which changes its own tests do not notice"
@@ -145,6 +146,10 @@ interrupt: $(VENV)/ready
 references: $(VENV)/ready
 	@$(call say,making the reference runs anew)
 	@$(BIN)/python -m tests.replay.remake $(ARGS)
+
+commands: $(VENV)/ready
+	@$(call say,random commands in the closed loop)
+	@$(BIN)/python -m validation.commands --workers $(WORKERS) $(ARGS)
 
 damage: $(VENV)/ready
 	@$(call say,flipping two thousand bits of logs; this takes five minutes)

@@ -1,13 +1,14 @@
 """Configuration of flight software: the parameters, and what is computed from them once."""
 
 import hashlib
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from fsw.collision.geometry import CollisionGeometry, build_collision_geometry
 from fsw.dictionary.params import Params
-from fsw.kinematics.arm import Arm, build_arm
+from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.transforms import Array
 from fsw.protect.bounds import ProtectionBounds, compute_bounds
 
@@ -17,11 +18,14 @@ CYCLE_S = 1.0 / CYCLE_HZ
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Config:
-    """Values that are constant during a run; joint arrays (5,) in the order of Joint."""
+    """Values that are constant during a move; joint arrays (5,) in the order of Joint."""
 
     params: Params
-    params_sha256: str
+    structure_C: float
+    """Temperature of the structure for which `arm` is built."""
     arm: Arm
+    calibrated_arm: Arm
+    """Arm at the calibration temperature."""
     farthest_tool: str
     """Tool at the greatest distance from the turret axis."""
     collision_geometry: CollisionGeometry
@@ -43,6 +47,11 @@ class Config:
     settle_ticks: int
     settle_timeout_ticks: int
 
+    @property
+    def params_sha256(self) -> str:
+        """Return the SHA-256 of the parameter values; few configurations are asked for it."""
+        return digest(self.params)
+
 
 def digest(params: Params) -> str:
     """Compute the SHA-256 of the parameter values; equal values give equal digests."""
@@ -52,19 +61,27 @@ def digest(params: Params) -> str:
 def _canonical_text(value: object) -> str:
     """Convert a value to the one text that all equal values share."""
     if is_dataclass(value):
-        return "".join(f"{f.name}={_canonical_text(getattr(value, f.name))};" for f in fields(value))
+        return "".join(
+            [f"{name}={_canonical_text(getattr(value, name))};" for name in _field_names(value.__class__)]
+        )
     if isinstance(value, tuple):
         return f"({','.join(_canonical_text(item) for item in value)})"
     return float(value).hex() if isinstance(value, float) else str(value)
 
 
+@cache
+def _field_names(record: type) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(record))
+
+
 def configure(params: Params) -> Config:
-    """Build the configuration from parameters."""
+    """Build the configuration from parameters, with the arm at its calibration temperature."""
     joints, motion, arm = params.joints.in_order(), params.motion, build_arm(params)
     return Config(
         params=params,
-        params_sha256=digest(params),
+        structure_C=params.heat.calibration_C,
         arm=arm,
+        calibrated_arm=arm,
         farthest_tool=max(arm.X_FT, key=lambda name: float(np.hypot(*arm.X_FT[name].p[:2]))),
         collision_geometry=build_collision_geometry(params, arm),
         protection=compute_bounds(params, arm, CYCLE_S),
@@ -81,6 +98,22 @@ def configure(params: Params) -> Config:
         brake_ticks=ticks(motion.brake_delay_s),
         settle_ticks=ticks(motion.settle_time_s),
         settle_timeout_ticks=ticks(motion.settle_timeout_s),
+    )
+
+
+def configure_at(config: Config, structure_C: float) -> Config:
+    """Build the configuration with the arm that has grown to this temperature of its structure.
+
+    Everything that flight software computes from the arm uses it: solutions, estimates, collisions, monitors.
+    """
+    heat = config.params.heat
+    arm = heat_arm(config.calibrated_arm, heat.compensated_share * (structure_C - heat.calibration_C))
+    return replace(
+        config,
+        structure_C=structure_C,
+        arm=arm,
+        collision_geometry=build_collision_geometry(config.params, arm),
+        protection=replace(config.protection, arm=arm),
     )
 
 

@@ -1,8 +1,10 @@
 """One control cycle: estimate, decide, move, protect; from sensors and commands to outputs."""
 
 from dataclasses import replace
+from math import isnan
 
-from fsw.config import Config
+from fsw.config import CYCLE_S, Config, configure_at
+from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Joint
@@ -10,8 +12,9 @@ from fsw.dictionary.evrs import Booted, Evr, ModeChanged
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
+from fsw.executive.checks import known_names
 from fsw.executive.commands import continue_sequence, handle
-from fsw.executive.context import CommandContext
+from fsw.executive.context import CommandContext, refuse
 from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
 from fsw.kinematics.transforms import Array
 from fsw.messages import Outputs, Sensors
@@ -28,7 +31,7 @@ def step(
     """Compute one control cycle; the result depends on the arguments only.
 
     Args:
-        config: Configuration at boot; `state.changed_config` replaces it if parameters were set.
+        config: Configuration at boot; `state.changed_config` replaces it if there is one.
         state: State after the cycle before.
         sensors: Readings of this cycle.
         commands: Commands that arrived in this cycle.
@@ -39,13 +42,20 @@ def step(
     before, config = state, state.changed_config or config
     unusable = check_readings(config.protection, sensors)
     usable = not unusable
+    structure_C = state.structure_C
+    if usable and state.tick % config.params.motion.load_period_cycles == 0:
+        structure_C = _filter_structure(config, state, sensors.structure_C)
+        # a move and its protection keep the arm that the move was planned with
+        if state.move is None and abs(structure_C - config.structure_C) >= config.params.heat.step_K:
+            config = configure_at(config, structure_C)
+            state = replace(state, changed_config=config)
     joints, load, tool_channels = _estimate(config, state, sensors, usable)
     state, joints, decided = _decide(config, state, joints, load, sensors, commands, usable)
     # without a move, the last set-point is the motor angle by the encoder zero of this cycle
     last_rad = joints.motor_rad if before.move is None else before.move.setpoint.motor_rad
     moved, joints, preload, planned_backlash_rad = _move(config, state, joints, load, sensors, usable)
     backlash_state = joints.backlash_state
-    arm = describe_arm(moved.mode, state.tool, joints, backlash_state[2], moved.move, preload)
+    arm = describe_arm(moved.mode, state.tool, joints, backlash_state, moved.move, preload)
     monitors, decision = protect(
         config.protection, state.monitors, moved.fault, arm, sensors, last_rad, unusable, moved.evrs
     )
@@ -64,10 +74,20 @@ def step(
         fault=after.fault,
         monitors=monitors,
         drive=command_actuators(config, after.move, joints, state.drive),
+        structure_C=structure_C,
         surface=state.surface,
         changed_config=state.changed_config,
     )
     return state, _make_outputs(config, before, state, backlash_state, tool_channels, decided + after.evrs)
+
+
+def _filter_structure(config: Config, state: State, reading_C: float) -> float:
+    """Filter the temperature of the structure in each load period; in the first ones, take their mean."""
+    if isnan(state.structure_C):
+        return reading_C
+    period = config.params.motion.load_period_cycles
+    share = max(CYCLE_S * period / config.params.heat.filter_s, period / (state.tick + period))
+    return state.structure_C + min(share, 1.0) * (reading_C - state.structure_C)
 
 
 def _estimate(
@@ -103,9 +123,21 @@ def _decide(
         return state, joints, ()
     context = CommandContext(replace(state, joints=joints, load=load), usable, closed=sensors.switch_closed)
     for command in commands:
-        context = handle(context.state.changed_config or config, context, command)
+        context = _receive(context.state.changed_config or config, context, command)
     context = continue_sequence(context.state.changed_config or config, context)
     return context.state, context.state.joints, context.evrs
+
+
+def _receive(config: Config, context: CommandContext, command: Command) -> CommandContext:
+    """Handle a command that arrives from the ground, or refuse it for a wrong argument.
+
+    Returns:
+        The context with what the command changed, or with the event that gives the reason for a refusal.
+    """
+    received = read_arguments(command, known_names(config.params))
+    if isinstance(received, Wrong):
+        return refuse(context, command, received.text)
+    return handle(config, context, received)
 
 
 def _move(

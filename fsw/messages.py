@@ -1,6 +1,5 @@
 """Messages between flight software and avionics in each cycle."""
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -8,19 +7,19 @@ from numpy.typing import NDArray
 
 from fsw.dictionary.channels import JointChannels, ToolChannels
 from fsw.dictionary.evrs import Evr
-from fsw.dictionary.types import Limits
+from fsw.dictionary.types import Limits, cycle_record
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class Sensors:
     """Readings of the avionics at the start of a cycle; arrays in the order of joints and switches."""
 
     cycle: int
-    """Cycle counter of the avionics, with any start; a step of more than one means missed cycles."""
+    """Cycle counter of the avionics, with any start; it rises by one; a step of more means missed cycles."""
     encoder_count: Counts
     """Counts of the motor encoders, with any zero."""
     resolver_rad: Annotated[Floats, Limits(-6.5, 6.5)]
@@ -29,13 +28,15 @@ class Sensors:
     """Currents of the motors, positive for forward torque."""
     winding_C: Annotated[Floats, Limits(-130.0, 150.0)]
     """Temperatures of the motor windings."""
+    structure_C: Annotated[float, Limits(-150.0, 100.0)]
+    """Temperature of the structure of the arm."""
     switch_closed: Flags
     """True for contact switches that are closed."""
     gravity_R_m_s2: Annotated[Floats, Limits(-20.0, 20.0)]
     """Gravity (downward) in the rover frame RMECH, from the IMU of the rover."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class ActuatorCommand:
     """Commands to motor controllers and brakes; arrays in the order of Joint."""
 
@@ -53,7 +54,7 @@ class ActuatorCommand:
     """True if the vibration motor of the turret runs."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class Outputs:
     """Outputs of a cycle: actuator command, channels and EVRs."""
 

@@ -1,6 +1,7 @@
 """State of flight software: the record that a cycle leaves for the next, its first value, its channels."""
 
 from dataclasses import dataclass
+from math import nan
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from fsw.config import Config
 from fsw.dictionary.channels import JointChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
+from fsw.dictionary.types import cycle_record
 from fsw.estimate.joints import JointEstimate, LoadEstimate, no_load, uninitialised_estimate
 from fsw.estimate.reference import Reference, no_reference
 from fsw.kinematics.transforms import Array
@@ -38,7 +40,7 @@ class Sequence:
     remaining: tuple[SequenceStep, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class State:
     """Everything that a cycle leaves for the next one."""
 
@@ -59,10 +61,12 @@ class State:
     fault: StandingFault | None
     monitors: MonitorState
     drive: ActuatorCommand
+    structure_C: float = nan
+    """Filtered temperature of the structure; NaN before the first usable reading."""
     surface: Surface | None = None
     """Surface of the last target, from the last touch if there was one; None after an unstow."""
     changed_config: Config | None = None
-    """Configuration with the parameters that were set since boot; None if none was set."""
+    """Configuration with the present temperature and parameters; None if it is that at boot."""
 
 
 def boot(config: Config, mode: Mode, reference: Reference | None = None) -> State:
@@ -121,19 +125,19 @@ def joint_channels(tick: int, state: State, backlash_state: Array) -> JointChann
         The channels.
     """
     joints = state.joints
-    backlash_rad, side, uncertainty_rad = backlash_state
+    # positional arguments, because they are faster and this runs in every cycle
     return JointChannels(
-        tick=tick,
-        mode=state.mode,
-        busy=state.move is not None or state.sequence is not None,
-        motor_rad=joints.motor_rad,
-        motor_rate_rad_s=joints.motor_rate_rad_s,
-        setpoint_rad=last_setpoint(state),
-        output_rad=joints.output_rad,
-        backlash_rad=backlash_rad,
-        backlash_side=side,
-        backlash_uncertainty_rad=uncertainty_rad,
-        planned_backlash_rad=state.planned_backlash_rad,
-        calibrated=joints.reference.calibrated,
-        resolver_error_rad=joints.resolver_error_rad,
+        tick,
+        state.mode,
+        state.move is not None or state.sequence is not None,
+        joints.motor_rad,
+        joints.motor_rate_rad_s,
+        last_setpoint(state),
+        joints.output_rad,
+        backlash_state[0],
+        backlash_state[1],
+        backlash_state[2],
+        state.planned_backlash_rad,
+        joints.reference.calibrated,
+        joints.resolver_error_rad,
     )

@@ -13,7 +13,7 @@ from fsw.dictionary.types import Row6, row6
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel, arm_names, default_arm, default_name, has_description, load_arm
 from sim.effects.effect import Effect, check_effects, params_with_effects
-from sim.effects.geometry import FrameError
+from sim.effects.geometry import Expansion, FrameError
 from sim.effects.joints import (
     BacklashWidth,
     GearFriction,
@@ -22,6 +22,7 @@ from sim.effects.joints import (
     HardstopStiffness,
     ResolverBias,
 )
+from sim.effects.sensors import StructureSensor
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.params_table import BadParams
 from sim.world import check_plant
@@ -90,7 +91,9 @@ def arm_named(name: str, params: Params | None = None) -> BuiltArm:
     effects = draw_tolerances(model, known.seed)
     if known.kind == "calibrated":
         errors = draw_calibration_errors(model, known.seed)
-        flight_params = params_with_effects((*effects, *errors), flight_params)
+        # a calibration at one temperature does not show the expansion
+        known_effects = [effect for effect in effects if not isinstance(effect, Expansion)]
+        flight_params = params_with_effects((*known_effects, *errors), flight_params)
     return BuiltArm(named, effects, replace(flight_params, arm_name=known.own_name), model)
 
 
@@ -170,6 +173,9 @@ def draw_tolerances(model: ArmModel, seed: int) -> tuple[Effect, ...]:
         effects.append(LinkMass(frame, _draw_factor(rng, sigma.mass_share), (x, y, z)))
     for joint in Joint:
         effects.append(HardstopStiffness(joint, _draw_factor(rng, sigma.stiffness_share)))
+    for frame, tool in list_frames(model.params.tool_names):
+        effects.append(Expansion(frame, _draw_factor(rng, sigma.expansion_share), tool))
+    effects.append(StructureSensor(sigma.structure_sensor_K * rng.standard_normal()))
     return tuple(effects)
 
 

@@ -7,6 +7,7 @@ from copy import copy, deepcopy
 from dataclasses import replace
 from typing import Final
 
+import mujoco
 import numpy as np
 
 from fsw.config import CYCLE_HZ
@@ -40,6 +41,7 @@ class Avionics:
         self._hardware = hardware
         self._rng = rng
         self._move_rng = move_rng(rng)
+        self._structure_rng = rng.spawn(1)[0]  # so that the noise of other sensors is what it was without it
         self._motors = motors
         self._integral = model.actuator_actadr[motors]
         self._resistance_Ohm = model.actuator_gainprm[motors, RESISTANCE].copy()
@@ -63,12 +65,14 @@ class Avionics:
         sigma = (hardware.resolver_noise_rad, hardware.current_noise_A, hardware.gravity_noise_m_s2)
         self._noise_sigma = np.repeat(sigma, (5, 5, 3))
         self._winding_K_A2 = self._resistance_Ohm * hardware.winding_K_W
+        self._elapsed_s, self._winding_share = 0.0, np.zeros_like(self._winding_K_A2)
 
     def for_plant(self, plant: Plant) -> "Avionics":
         """Copy the avionics, attached to a copy of their plant."""
         other = copy(self)
         other._plant, other._pending = plant, dict(self._pending)
         other._rng, other._move_rng = deepcopy(self._rng), deepcopy(self._move_rng)
+        other._structure_rng = deepcopy(self._structure_rng)
         return other
 
     def inject(self, effect: Effect) -> None:
@@ -110,6 +114,7 @@ class Avionics:
             resolver_rad=np.rint(resolver / step_rad) * step_rad if step_rad else resolver,
             current_A=current + noise[5:10],
             winding_C=hardware.ambient_C + self._update_winding_rise(current),
+            structure_C=self._read_structure_C(),
             switch_closed=self._update_switches(data.sensordata[self._touch]),
             gravity_R_m_s2=self._gravity_R + noise[10:],
         )
@@ -139,6 +144,11 @@ class Avionics:
         self._closed = force_N > np.where(self._closed, hardware.switch_release_N, hardware.switch_force_N)
         return self._closed
 
+    def _read_structure_C(self) -> float:
+        hardware = self._hardware
+        noise_K = hardware.structure_noise_K * self._structure_rng.standard_normal()
+        return hardware.structure_C + hardware.structure_offset_K + noise_K
+
     def _update_winding_rise(self, current_A: Array) -> Array:
         """Update the rise of the windings over ambient [K], shape (5,).
 
@@ -146,10 +156,11 @@ class Avionics:
         """
         now_s, hardware = self._plant.data.time, self._hardware
         final_K = current_A * current_A * self._winding_K_A2
-        # exponential approach to the final rise
-        decay = np.expm1((self._winding_time_s - now_s) / hardware.winding_s)
+        # exponential approach to the final rise; nearly all readings are a cycle apart
+        if (elapsed_s := now_s - self._winding_time_s) != self._elapsed_s:
+            self._elapsed_s, self._winding_share = elapsed_s, -np.expm1(-elapsed_s / hardware.winding_s)
         self._winding_time_s = now_s
-        self._winding_rise_K = self._winding_rise_K + decay * (self._winding_rise_K - final_K)
+        self._winding_rise_K = self._winding_rise_K + self._winding_share * (final_K - self._winding_rise_K)
         return self._winding_rise_K
 
     def apply(self, drive: ActuatorCommand) -> None:
@@ -191,6 +202,7 @@ class Avionics:
     def _shake(self, on: bool) -> None:
         """Turn the unbalance of the vibration motor by a quarter turn; remove its force once it is off."""
         data, turret = self._plant.data, self._turret
+        mujoco.mj_kinematics(self._plant.model, data)  # a step leaves the axes of its start
         R_WB = data.xmat[turret].reshape(3, 3)
         data.xfrc_applied[turret, :3] = VIBRATION_N * on * (R_WB @ VIBRATION_AXES[self._cycle % 4])
         self._shaken = on

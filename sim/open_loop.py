@@ -66,7 +66,11 @@ class OpenLoopArm:
         self, start: RecordedStart, effects: Iterable[Effect], options: SimulationOptions = NOISE_FREE
     ):
         spec = build(start.world)
-        hardware = apply_effects(effects, spec, replace(nominal_hardware(), counter_zero_rad=start.zero_rad))
+        effects = tuple(effects)
+        built = apply_effects((one for one in effects if one.built_in), spec, nominal_hardware())
+        # the recorded zeros are those after homing, wherever the counters started
+        homed = replace(built, counter_zero_rad=start.zero_rad)
+        hardware = apply_effects((one for one in effects if not one.built_in), spec, homed)
         self.plant = Plant(spec.compile())
         # an error of the assumed hardstop, or of the scale up to it, shifted the zero that homing found
         hardstop_error_rad = start.hardstop_rad - self.plant.stop_rad()
@@ -101,5 +105,10 @@ class OpenLoopArm:
 
 def _without_noise(hardware: Hardware) -> Hardware:
     return replace(
-        hardware, resolver_noise_rad=0.0, resolver_step_rad=0.0, current_noise_A=0.0, gravity_noise_m_s2=0.0
+        hardware,
+        resolver_noise_rad=0.0,
+        resolver_step_rad=0.0,
+        current_noise_A=0.0,
+        gravity_noise_m_s2=0.0,
+        structure_noise_K=0.0,
     )

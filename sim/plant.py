@@ -13,6 +13,7 @@ from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Pose, screw_exp
 from sim.disturbance import LINK_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, no_move_disturbance
 from sim.frames import FLIP, P_NR_M
+from sim.library_settings import apply_settings
 from sim.record import Truth
 from sim.time_step import RATE_GAIN, REFERENCE_STEP_S, match_reference_damping
 
@@ -31,8 +32,10 @@ ALL_ACTUATORS = 0b111110
 RESISTANCE, MOTOR_CONSTANT, GAINS = 0, 1, slice(4, 7)
 """Indices in MuJoCo's gain parameters of a dcmotor; GAINS are those of position, integral and rate."""
 
-# MuJoCo would write its warnings to a file in the current directory; Plant.step checks their count
-mujoco.set_mju_user_warning(lambda _: None)
+LEAST_GAIN_SHARE = 1e-9
+"""Gains of a servo without power, as a share: MuJoCo fails at 0, where a dcmotor would have no integral."""
+
+apply_settings()
 
 
 class PlantDiverged(RuntimeError):
@@ -200,7 +203,8 @@ class Plant:
         if disturbance.damping_Nms_rad is not before.damping_Nms_rad:
             model.dof_damping[at.motor] = np.maximum(self._damping_Nms_rad + disturbance.damping_Nms_rad, 0.0)
         if disturbance.servo is not before.servo:
-            model.actuator_gainprm[at.actuators, GAINS] = self._gains * (1.0 + disturbance.servo[:, None])
+            share = np.maximum(1.0 + disturbance.servo[:, None], LEAST_GAIN_SHARE)
+            model.actuator_gainprm[at.actuators, GAINS] = self._gains * share
         # set always: a reset of MuJoCo's data removes it
         self.data.qfrc_applied[at.motor] = self.data.qfrc_applied[at.gear] = disturbance.output_Nm
         if disturbance.gear_rad is not before.gear_rad:

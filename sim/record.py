@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.commands import Command
+from fsw.dictionary.types import cycle_record
 from fsw.messages import Outputs, Sensors
 
 
@@ -31,7 +32,7 @@ class Truth:
     """Kinetic energy."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class CycleRecord:
     """Inputs and outputs of one cycle; the tick is an integer at the cycle rate."""
 

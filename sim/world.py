@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Vector3
+from fsw.dictionary.types import Direction, Position, Vector3
 from fsw.kinematics.transforms import Array
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import SCENES, ArmModel, default_arm
@@ -36,8 +36,8 @@ class WrongMujoco(RuntimeError):
 class Surface:
     """Plane rock face through a point in RNAV; the normal points out of the rock."""
 
-    p_N_m: Vector3
-    normal_N: Vector3
+    p_N_m: Position
+    normal_N: Direction
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
+from fsw.config import digest
 from fsw.dictionary.params import Params
 from ground.accuracy.monte_carlo import ArmJob, run_job
 from ground.accuracy.request import MoveModel
@@ -75,7 +76,8 @@ def start_two_nodes() -> Iterator[LoopbackCluster]:
 def list_arms(count: int, seed: int, move_model: MoveModel = "statics") -> list[ArmJob]:
     """List jobs of the Monte Carlo of the error budget, one place each."""
     params: Params = nominal_params()
-    return [ArmJob("mars", "sampled", 1, move_model, seed, arm, params) for arm in range(count)]
+    own = (params, digest(params))
+    return [ArmJob("mars", "sampled", 1, move_model, seed, arm, *own) for arm in range(count)]
 
 
 def measure_arms(run: Runner, jobs: Sequence[ArmJob], after: Callable[[int], None] = lambda _: None) -> str:

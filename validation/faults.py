@@ -54,6 +54,7 @@ SENSORS = {
     "resolver_rad": 5,
     "current_A": 5,
     "winding_C": 5,
+    "structure_C": 1,
     "switch_closed": 10,
     "gravity_R_m_s2": 3,
 }
@@ -62,6 +63,7 @@ SIZES = {
     "resolver_rad": (0.02, 0.01),
     "current_A": (1.0, 0.5),
     "winding_C": (30.0, 10.0),
+    "structure_C": (5.0, 1.0),
     "switch_closed": (1.0, 0.5),
     "gravity_R_m_s2": (0.2, 0.1),
 }
@@ -201,7 +203,9 @@ def _must_be_found(loop: ClosedLoop, fault: InjectedFault, moving: bool) -> bool
     match fault:
         case SensorFault(kind="nan"):
             return True
-        case SensorFault(kind="frozen", sensor="resolver_rad" | "current_A" | "gravity_R_m_s2"):
+        case SensorFault(
+            kind="frozen", sensor="resolver_rad" | "current_A" | "gravity_R_m_s2" | "structure_C"
+        ):
             return True
         case SensorFault(kind="biased", sensor="resolver_rad", size=size):
             # The unknown position inside the backlash adds to the bound.

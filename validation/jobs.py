@@ -1,9 +1,9 @@
-"""Campaigns of the five jobs of the arm in one document: scenarios, tool changes, contacts and faults."""
+"""Campaigns of the jobs of the arm in one document: scenarios, tool changes, contacts, obstacles, faults."""
 
 import json
 import sys
 
-from validation import contact, faults, scenarios, tool_change
+from validation import contact, faults, obstacles, scenarios, tool_change
 from validation.options import campaign_parser, campaign_runner
 
 EXAMPLE = "example: python -m validation.jobs --arms 2 --changers 2 --faults 60 > jobs.json"
@@ -18,6 +18,9 @@ def main() -> int:
     parser.add_argument(
         "--changers", type=int, default=50, help="calibrated arms for the tool changes (default 50)"
     )
+    parser.add_argument(
+        "--obstacles", type=int, default=obstacles.COUNT, help="obstacles in free moves (default %(default)s)"
+    )
     parser.add_argument("--faults", type=int, default=1000, help="faults in all (default 1000)")
     options = parser.parse_args()
     run = campaign_runner(options)
@@ -25,6 +28,7 @@ def main() -> int:
         "scenarios": scenarios.document(options.arms, options.arms, options.seed, run),
         "tool_changes": tool_change.document(options.changers, options.arms, options.seed, run),
         "contacts": contact.document(options.arms, options.seed, run),
+        "obstacles": obstacles.document(options.obstacles, options.seed, run),
         "faults": faults.document(options.faults, options.seed, run),
     }
     print(json.dumps(document, indent=2))

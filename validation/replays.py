@@ -54,7 +54,7 @@ def replay_one(scenario: str, arm: str) -> ReplayOutcome:
         seed = int(arm.partition(":")[2] or 0)
         tilt_deg = None if arm == "nominal" else TILT_DEG
         try:
-            ran = run_scenario(RunRequest(scenario, arm, tilt_deg, seed, RunFiles(log)), silent)
+            ran = run_scenario(RunRequest(scenario, arm, tilt_deg, seed, files=RunFiles(log)), silent)
             began = time.perf_counter()
             found = replay(ReplayRequest(log), silent).differences
         except BadRequest as error:

@@ -1,13 +1,12 @@
 """Campaign of the scenarios: each on the nominal arm, on calibrated and on as-built arms, on a tilted rover.
 
 The tilt is the largest that the requirement allows, in a random direction: 30 deg to place an instrument,
-20 deg to take and move samples. Every arm is taught its places. On an as-built arm the bound of a preload is
-twice as large.
+20 deg to take and move samples. Every arm is taught its places.
 """
 
 import json
 import sys
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from ground.common.pool import Runner, in_order
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop
-from sim.scenario.data import Check, Preloaded, Scenario
+from sim.scenario.data import Scenario
 from sim.scenario.file import built_in_scenarios, load_scenario
 from sim.scenario.run import ScenarioRun, scenario_setup
 from sim.scenario.teaching import teach
@@ -28,8 +27,6 @@ TILT_DEG = {"contact-science": 30.0, "tool-change": 30.0}
 """Tilt in scenarios that place an instrument."""
 SAMPLING_TILT_DEG = 20.0
 """Tilt in the other scenarios."""
-AS_BUILT_SHARE = 0.2
-"""Bound of the preload error of an as-built arm, as a share of the preload."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,17 +57,8 @@ def run_scenario_on(name: str, scenario_name: str, reference: Reference) -> Scen
     # Roll and pitch that together give this tilt.
     roll = float(np.arcsin(np.sin(tilt) * np.sin(heading)))
     pitch = float(np.arctan(np.tan(tilt) * np.cos(heading)))
-    scenario = _set_bounds(name, load_scenario(scenario_name).tilted(roll, pitch))
+    scenario = load_scenario(scenario_name).tilted(roll, pitch)
     return _run(scenario, name, seed, reference)
-
-
-def _set_bounds(arm: str, scenario: Scenario) -> Scenario:
-    def bound(check: Check) -> Check:
-        if isinstance(check, Preloaded) and arm.startswith("as-built"):
-            return replace(check, share=AS_BUILT_SHARE)
-        return check
-
-    return replace(scenario, checks=tuple(bound(check) for check in scenario.checks))
 
 
 def _run(scenario: Scenario, name: str, seed: int, reference: Reference) -> ScenarioOutcome:

@@ -1,6 +1,6 @@
 """Campaign of tool changes: distance of the second tool from the spot of the first, against absolute moves.
 
-Calibrated arms are 50 K warmer or colder than flight software assumes, and all their springs are a fifth
+Calibrated arms are 50 K warmer or colder than their sensor tells, and all their springs are a fifth
 softer or stiffer. The APXS is placed, and the tool changed to MAHLI. On the same arm and target, MAHLI is
 also placed by coordinates alone. As-built arms are flown with the nominal parameters.
 

@@ -6,6 +6,7 @@ sphere is a point.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -141,6 +142,7 @@ def _collect(placed: Iterable[tuple[int, int, Pose, Capsule | Box]]) -> RoundedB
     )
 
 
+@lru_cache(maxsize=512)  # every configuration of an arm has the same shapes
 def _to_rounded_box(shape: Capsule | Box) -> tuple[Pose, Array, float]:
     """Convert a shape to a rounded box: pose in the frame of its part, half size and radius."""
     if isinstance(shape, Box):

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.types import Limits, ToolMark
+from fsw.dictionary.types import Limits, NameMark, cycle_record
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class JointChannels:
     """State and commands of the joints in each cycle, on the output side, in the order of Joint."""
 
@@ -47,11 +47,11 @@ class JointChannels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolChannels:
-    """Estimated pose of the tool with gravity deflection, at a lower rate than the cycle."""
+    """Estimated pose of the tool with deflection and thermal growth, at a lower rate than the cycle."""
 
     tick: int
     """Number of the cycle since boot."""
-    tool: Annotated[int, ToolMark()]
+    tool: Annotated[int, NameMark.TOOL]
     """Tool of the last tool command: its index among the tools of the parameters."""
     p_RoTo_R_m: Annotated[NDArray[np.float64], Limits(-5.0, 5.0)]
     """Origin of the tool in the rover frame RMECH."""
@@ -59,5 +59,7 @@ class ToolChannels:
     """Axes of the tool as columns, 3x3, in the rover frame RMECH."""
     output_rad: Annotated[NDArray[np.float64], Limits(-6.5, 6.5)]
     """Output angles, with backlash and wind-up."""
+    structure_C: Annotated[float, Limits(-150.0, 100.0)]
+    """Temperature of the structure that the pose allows for."""
     load_torque_Nm: Annotated[NDArray[np.float64], Limits(-1500.0, 1500.0)]
     """Estimated torque of the load on each joint, order of Joint."""

@@ -1,10 +1,21 @@
 """Commands of the ground. SI units; positions and directions in the rover frame RMECH."""
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
 from fsw.dictionary.enums import Joint
-from fsw.dictionary.types import Joints5, ToolName, Vector3
+from fsw.dictionary.types import (
+    Angle,
+    BranchName,
+    Direction,
+    Distance,
+    DistanceOrZero,
+    FrameName,
+    Joints5,
+    Limits,
+    Position,
+    ToolName,
+)
 
 BacklashMode = Literal["off", "on"]
 """Backlash compensation: set-points allow for the backlash, and each output ends on a known side of it."""
@@ -14,6 +25,19 @@ JointDeflectionMode = Literal["off", "absolute"]
 """Gravity compensation of a move to joint angles, which has no tool as reference."""
 ROVER: Final = "ROVER"
 """Name of frame RMECH in a command."""
+AUTO: Final = "AUTO"
+"""Name of a branch that flight software chooses."""
+
+JointAngles = Annotated[Joints5, Limits(-7.0, 7.0)]
+"""Output angles; a full turn and a tenth, as no joint turns farther."""
+Attitude = Annotated[float, Limits(-1.6, 1.6)]
+"""Angle of the rover's attitude; a quarter turn and a fiftieth, beyond which the rover lies on its roof."""
+Force = Annotated[float, Limits(0.0, 1000.0)]
+"""Force; the limit of `preload.max_force_N`, which is the bound of the arm."""
+Duration = Annotated[float, Limits(0.0, 3600.0)]
+"""Duration; an hour, the longest that a sequence may hold its turn."""
+ParamValue = Annotated[float, Limits(-1e9, 1e9)]
+"""Value of a parameter; ten times the largest limit of any, whose own limits apply."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +62,7 @@ class MoveJoint:
     """Move one calibrated joint to an output angle; the others stay braked."""
 
     joint: Joint
-    angle_rad: float
+    angle_rad: Angle
     """Output angle."""
     backlash: BacklashMode = "on"
 
@@ -57,7 +81,7 @@ class Stow:
 class MoveJoints:
     """Move all joints to output angles, synchronised and with limited jerk."""
 
-    angle_rad: Joints5
+    angle_rad: JointAngles
     """Output angles, order of Joint."""
     backlash: BacklashMode = "on"
     deflection: JointDeflectionMode = "absolute"
@@ -75,20 +99,20 @@ class MoveTool:
     """
 
     tool: ToolName
-    p_FoTo_F_m: Vector3
+    p_FoTo_F_m: Position
     """Target position of the tool's origin."""
-    approach_F: Vector3
+    approach_F: Direction
     """Target direction of the tool's x axis, of any length."""
-    frame: str = ROVER
+    frame: FrameName = ROVER
     """Frame F of position and approach: ROVER, or an arm frame or a tool at its estimated pose."""
     straight: bool = False
     """True for a straight line with an even turn of the tool; false for an even motion of the joints."""
-    line_m: float = 0.0
+    line_m: DistanceOrZero = 0.0
     """Length of straight travel along the approach that must be possible from the target."""
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"
-    branch: str = "AUTO"
-    """AUTO, or one of the names in kinematics.branches.BRANCHES."""
+    branch: BranchName = AUTO
+    """AUTO, or the name of a branch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,13 +120,13 @@ class GuardedMove:
     """Move the tool slowly in a straight line until a contact switch closes; no contact is a fault."""
 
     tool: ToolName
-    end_p_RoTo_R_m: Vector3
+    end_p_RoTo_R_m: Position
     """Position at which the tool stops at the latest."""
-    approach_R: Vector3
+    approach_R: Direction
     """Direction of the tool's x axis, of any length."""
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"
-    normal_R: Vector3 | None = None
+    normal_R: Direction | None = None
     """Normal out of the surface, of any length; None for against the approach."""
 
 
@@ -115,19 +139,19 @@ class PlaceTool:
     """
 
     tool: ToolName
-    p_RoTo_R_m: Vector3
+    p_RoTo_R_m: Position
     """Position of the target."""
-    approach_R: Vector3
+    approach_R: Direction
     """Direction of the tool's x axis, of any length."""
-    standoff_m: float = 0.10
+    standoff_m: Distance = 0.10
     """Distance before the target at which the guarded move begins."""
-    overtravel_m: float = 0.05
+    overtravel_m: Distance = 0.05
     """Distance beyond the target up to which contact may occur."""
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"
-    branch: str = "AUTO"
-    """AUTO, or one of the names in kinematics.branches.BRANCHES."""
-    normal_R: Vector3 | None = None
+    branch: BranchName = AUTO
+    """AUTO, or the name of a branch."""
+    normal_R: Direction | None = None
     """Normal out of the surface, of any length; None for against the approach."""
 
 
@@ -136,7 +160,7 @@ class Preload:
     """Press the touching tool with a force, by overdrive through the modelled stiffness; 0 releases it."""
 
     tool: ToolName
-    force_N: float
+    force_N: Force
     """Force along the tool axis."""
 
 
@@ -151,16 +175,16 @@ class ToolChange:
     """
 
     tool: ToolName
-    standoff_m: float = 0.10
+    standoff_m: Distance = 0.10
     """Least distance by which the tools retreat."""
-    overtravel_m: float = 0.03
+    overtravel_m: Distance = 0.03
     """Distance beyond the spot up to which contact may occur."""
-    hover_m: float = 0.0
+    hover_m: DistanceOrZero = 0.0
     """Distance in front of the spot at which to stop; 0 to touch."""
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "relative"
-    branch: str = "AUTO"
-    """AUTO, or one of the names in kinematics.branches.BRANCHES."""
+    branch: BranchName = AUTO
+    """AUTO, or the name of a branch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +193,7 @@ class MoveTeachPoint:
 
     point: str
     """Name of the point in the parameters."""
-    standoff_m: float = 0.0
+    standoff_m: DistanceOrZero = 0.0
     """Distance in front of the point."""
     along_gravity: bool = False
     """True if the tool axis is along gravity instead of as taught; standoff_m is then against gravity."""
@@ -185,7 +209,7 @@ class Dock:
 
     point: str
     """Name of the point in the parameters."""
-    overtravel_m: float = 0.01
+    overtravel_m: Distance = 0.01
     """Distance beyond the point up to which contact may occur."""
     backlash: BacklashMode = "on"
 
@@ -195,9 +219,9 @@ class Process:
     """Turn wrist and turret until gravity with tilt is along a direction of a tool; hold and vibrate."""
 
     tool: ToolName
-    gravity_T: Vector3
+    gravity_T: Direction
     """Direction of gravity in the axes of the tool."""
-    duration_s: float
+    duration_s: Duration
     """Time to hold the direction."""
     vibrate: bool = True
     """True if the vibration motor of the turret runs meanwhile."""
@@ -210,7 +234,7 @@ class Retract:
     """Move the tool in a straight line back along its approach axis."""
 
     tool: ToolName
-    distance_m: float
+    distance_m: Distance
     """Distance."""
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"
@@ -220,9 +244,9 @@ class Retract:
 class SetTilt:
     """Use this attitude of the rover, instead of the direction of gravity from the IMU, until boot."""
 
-    roll_rad: float
+    roll_rad: Attitude
     """Roll, right side down, applied after the pitch."""
-    pitch_rad: float
+    pitch_rad: Attitude
     """Pitch, nose up."""
 
 
@@ -232,7 +256,7 @@ class SetParam:
 
     name: str
     """Name, such as monitors.tilt_rad."""
-    value: float
+    value: ParamValue
     """Value in the unit of the parameter."""
 
 

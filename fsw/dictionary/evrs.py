@@ -144,6 +144,18 @@ class Preloaded(Evr):
 
 
 @dataclass(frozen=True, slots=True)
+class PreloadMissed(Evr):
+    """A press ends with an estimated force more than 10 % from the commanded one, for a reason."""
+
+    severity = Severity.WARNING_LO
+    text = "{e.tool} is pressed with {e.force_N:.1f} N, not {e.commanded_N:.1f} N: {e.reason}"
+    tool: ToolName
+    force_N: float
+    commanded_N: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class ForceEstimated(Evr):
     """Ratios of true to modelled force, estimated from motor currents; they correct the rest of the press."""
 

@@ -116,6 +116,16 @@ class GravityImplausible(Fault):
 
 
 @dataclass(frozen=True, slots=True)
+class StructureTemperatureImplausible(Fault):
+    """The temperature reading of the structure is outside the range in which an arm can be."""
+
+    text = "structure reads {e.structure_C:.1f} degC, bounds {e.min_C:.1f} .. {e.max_C:.1f} degC"
+    structure_C: float
+    min_C: float
+    max_C: float
+
+
+@dataclass(frozen=True, slots=True)
 class SetpointUnsafe(Fault):
     """A set-point was held back: not finite, beyond the limits, or too far from the last one."""
 
@@ -161,6 +171,21 @@ class ContactInFreeSpace(Fault):
 
     text = "contact on {e.switch} in free space"
     switch: SwitchName
+
+
+@dataclass(frozen=True, slots=True)
+class UnexpectedContact(Fault):
+    """A free move meets resistance, which winds up the gears."""
+
+    text = (
+        "unexpected contact: {e.joint.name} resists with {e.torque_Nm:.0f} N m, "
+        "about {e.force_N:.0f} N at the tool"
+    )
+    joint: Joint
+    torque_Nm: float
+    """Change of the torque on the joint since the move was free."""
+    force_N: float
+    """Force against the motion of the tool that explains the torques of all joints; 0 without a lever."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,6 +253,15 @@ class CyclesMissed(Fault):
     text = "{e.cycles} cycles missed, at most {e.bound} are tolerated"
     cycles: int
     bound: int
+
+
+@dataclass(frozen=True, slots=True)
+class CycleCountWrong(Fault):
+    """The cycle count of the avionics did not rise: the readings are old, or the avionics restarted."""
+
+    text = "cycle count {e.cycle} after {e.last_cycle}, it must rise"
+    cycle: int
+    last_cycle: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from fsw.dictionary.collision_params import CollisionParams, PartGeometry
+from fsw.dictionary.heat_params import HeatParams
 from fsw.dictionary.types import Angle, Joints5, Length, Limits, Matrix6, Row6, Vector3
 
 _ZERO_ROW: Row6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -120,6 +121,8 @@ class JointParams:
     """Stiffness of the gear between motor and output."""
     output_friction_Nm: Annotated[float, Limits(0.0, 200.0)]
     """Static friction of the output."""
+    damping_Nms_rad: Annotated[float, Limits(0.0, 1e5)]
+    """Viscous friction of motor and gear at the lowest temperature of a move."""
     load_error_Nm: Annotated[float, Limits(0.0, 100.0)]
     """Largest error of the modelled load, less the friction of the output, on Mars."""
     torque_constant_Nm_A: Annotated[float, Limits(1.0, 1e4)]
@@ -247,7 +250,7 @@ class MotionParams:
     line_turn_rad: Annotated[float, Limits(0.0, 0.5)]
     """Largest angle between tool axis and approach at the start of a guarded move."""
     load_period_cycles: Annotated[int, Limits(1, 640)]
-    """Number of cycles between two estimates of load, backlash side and deflected tool pose."""
+    """Number of cycles between two estimates of load, backlash side, temperature and tool pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,6 +324,10 @@ class MonitorParams:
     """Highest temperature of a winding."""
     winding_persistence: Annotated[int, Limits(1, 640)]
     """Cycles of a winding outside these temperatures."""
+    structure_min_C: Annotated[float, Limits(-150.0, 50.0)]
+    """Lowest plausible temperature of the structure."""
+    structure_max_C: Annotated[float, Limits(0.0, 100.0)]
+    """Highest plausible temperature of the structure."""
     frozen_persistence: Annotated[int, Limits(2, 6400)]
     """Cycles in which a reading stays the same to the last bit."""
     missed_cycles: Annotated[int, Limits(0, 64)]
@@ -335,6 +342,10 @@ class MonitorParams:
     """Largest difference between commanded force and force estimated from the wind-up of the joints."""
     preload_persistence: Annotated[int, Limits(1, 640)]
     """Cycles of a larger force error."""
+    current_noise_A: Annotated[float, Limits(1e-4, 1.0)]
+    """Noise of a current reading, one sigma."""
+    resolver_noise_rad: Annotated[float, Limits(1e-6, 1e-2)]
+    """Noise of a resolver reading, one sigma, rounding included."""
     guarded_force_N: Annotated[float, Limits(1.0, 500.0)]
     """Largest force on a guarded tool, estimated from wind-up, while none of its switches is closed."""
 
@@ -365,6 +376,7 @@ class Params:
     hardstop: HardstopParams
     poses: PoseParams
     motion: MotionParams
+    heat: HeatParams
     preload: PreloadParams
     collision: CollisionParams
     monitors: MonitorParams

@@ -12,6 +12,7 @@ bound the true angle. If both end on one flank the side is known; otherwise it i
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import sqrt
 from typing import Final
 
@@ -138,13 +139,23 @@ def locate_in_backlash(half_backlash_rad: Array, gear_rad: Array) -> Array:
         Three rows, shape (3, 5): likely position inside the backlash in rad, without wind-up; side, +1 or -1
         if it is certain, else 0; largest error of the likely gear angle in rad.
     """
-    position, side, uncertainty = [], [], []
-    for (least, likely, most), half in zip(gear_rad.tolist(), half_backlash_rad.tolist(), strict=True):
-        position.append(min(max(likely, -half), half))
-        flank = half - ON_FLANK_RAD
-        side.append(1.0 if least >= flank else -1.0 if most <= -flank else 0.0)
-        uncertainty.append(max(most - likely, likely - least))
-    return np.array((position, side, uncertainty))
+    return _locate_again(half_backlash_rad.tobytes(), gear_rad.tobytes())
+
+
+@lru_cache(maxsize=1)
+def _locate_again(half_backlash: bytes, gear: bytes) -> Array:
+    """Locate the outputs, unless no gear angle has changed: at a bound it stays the same for many cycles."""
+    half_rad, (least, likely, most) = np.frombuffer(half_backlash), np.frombuffer(gear).reshape(-1, 3).T
+    flank_rad = half_rad - ON_FLANK_RAD
+    located = np.array(
+        [
+            np.clip(likely, -half_rad, half_rad),
+            np.where(least >= flank_rad, 1.0, np.where(most <= -flank_rad, -1.0, 0.0)),
+            np.maximum(most - likely, likely - least),
+        ]
+    )
+    located.flags.writeable = False
+    return located
 
 
 def clip_to_backlash(half_backlash_rad: Array, gear_rad: Array) -> Array:

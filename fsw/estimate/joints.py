@@ -11,6 +11,7 @@ import numpy as np
 from fsw.config import CYCLE_HZ, Config
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.enums import Joint
+from fsw.dictionary.types import cycle_record
 from fsw.estimate.gear import (
     LIKELY,
     GearBounds,
@@ -21,8 +22,8 @@ from fsw.estimate.gear import (
 )
 from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.reference import Reference, provisional_reference, record_calibration
-from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.statics import ToolForce, compute_load, settle_output
+from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.statics import ToolForce, load_arm, push_torque, settle_output
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 
@@ -38,7 +39,7 @@ PER_S: Final = np.array(float(CYCLE_HZ))
 """Cycles per second."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class JointEstimate:
     """Estimate of the joints on the output side, in the order of Joint."""
 
@@ -249,14 +250,14 @@ def update_load(
     """Update strain, load, gear bounds and tool channels with one pass of the statics."""
     arm, output = config.arm, joints.output_rad
     strain = last.strain if last.known else settle_output(arm, output, joints.gravity_R_m_s2).strain
-    frames = forward(arm, output, strain)
-    strain, torque = compute_load(arm, frames, joints.gravity_R_m_s2, push)
+    frames, strain, torque = load_arm(arm, output, strain, joints.gravity_R_m_s2, push)
     push_Nm, uncertainty_Nm = np.zeros_like(torque), None
     if push is not None:
-        push_Nm = torque - compute_load(arm, frames, joints.gravity_R_m_s2)[1]
+        push_Nm = push_torque(arm, frames, push)
         uncertainty_Nm = _force_uncertainty(config, push_Nm, push)
     X_RT = tool_pose(arm, frames, tool)
-    channels = ToolChannels(tick, config.params.tool_names.index(tool), X_RT.p, X_RT.R, output, torque)
+    index = config.params.tool_names.index(tool)
+    channels = ToolChannels(tick, index, X_RT.p, X_RT.R, output, config.structure_C, torque)
     return (
         LoadEstimate(True, strain, torque, push_Nm),
         apply_load(config, joints, torque, uncertainty_Nm),

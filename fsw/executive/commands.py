@@ -45,7 +45,7 @@ from fsw.dictionary.evrs import (
 from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.types import vector3
 from fsw.estimate.reference import forget_joint
-from fsw.executive.checks import check_arguments, check_bounds
+from fsw.executive.checks import check_arguments, check_force
 from fsw.executive.context import (
     CommandContext,
     check_calibrated,
@@ -69,13 +69,15 @@ from fsw.executive.modes import EVENT_OF, TRANSITIONS, ModeEvent, is_stowed, nex
 from fsw.executive.planning import SingleMoveCommand, plan_command, plan_sequence
 from fsw.executive.settings import set_param, set_tilt
 from fsw.motion import homing
+from fsw.motion.force_fit import ForceFit
 from fsw.motion.move import Move, stop_early
 from fsw.motion.paths import HoldPath, Setpoint
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import (
-    ForceFit,
     PreloadState,
+    anchor_contact,
     holding_force_N,
+    locate_by_resolvers,
     model_contact,
     plan_preload,
     preload_limit_A,
@@ -84,7 +86,7 @@ from fsw.state import Hold, Sequence, SequenceStep
 
 
 def handle(config: Config, context: CommandContext, command: SequenceStep) -> CommandContext:
-    """Handle a command or a step of a sequence.
+    """Handle a command whose arguments have their types and limits, or a step of a sequence.
 
     Returns:
         The context with what the command changed, or with the event that gives the reason for a refusal.
@@ -322,7 +324,7 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         check_ready(context) or check_calibrated(context, command) or check_arguments(config.params, command)
     )
     problem = problem or check_mode(context, ModeEvent.PRESS) or _check_other_tool(context, command.tool)
-    problem = problem or check_bounds(config.params, command)
+    problem = problem or check_force(config.params, command)
     if problem is None and command.force_N > 0 and not in_contact(config, context, command.tool):
         problem = f"{command.tool} touches nothing: there is nothing to press on"
     if problem is not None:
@@ -332,7 +334,10 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         return _finish_release(context, command, preload)
     if abs(command.force_N - preload.force_N) < config.params.preload.step_N:
         return refuse(context, command, f"{command.tool} is pressed with {preload.force_N:.1f} N as it is")
-    planned = plan_preload(config, state.joints, preload, command.force_N)
+    located = locate_by_resolvers(state.joints, preload)
+    if state.mode is Mode.GUARDED:
+        preload = anchor_contact(config, located, preload)
+    planned = plan_preload(config, located, preload, command.force_N)
     if isinstance(planned, Refusal):
         return refuse(context, command, planned.reason)
     plan, change = planned
@@ -341,7 +346,7 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         _new_move(config, context, command, TRANSITIONS[Mode.PRELOAD, done]),
         paths=plan.paths,
         preload_change=change,
-        force_fit=ForceFit() if change.change_N > 0 else None,
+        force_fit=ForceFit(preload) if change.change_N > 0 else None,
         current_limit_A=preload_limit_A(config, state.joints, change),
     )
     state = replace(

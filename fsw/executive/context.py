@@ -40,13 +40,13 @@ def with_events(context: CommandContext, *evrs: Evr) -> CommandContext:
     return replace(context, evrs=(*context.evrs, *evrs))
 
 
-def refuse(context: CommandContext, command: SequenceStep, reason: str) -> CommandContext:
+def refuse(context: CommandContext, command: object, reason: str) -> CommandContext:
     """Refuse a command: report the reason and change nothing else."""
     return with_events(context, CommandRefused(command_name(command), reason))
 
 
-def command_name(command: SequenceStep) -> str:
-    """Return the name under which a command is reported."""
+def command_name(command: object) -> str:
+    """Return the name under which a command, or what was sent as one, is reported."""
     return type(command).__name__
 
 

@@ -9,6 +9,7 @@ from fsw.collision.distance import limit_surface
 from fsw.collision.geometry import Surface
 from fsw.config import Config
 from fsw.dictionary.commands import (
+    AUTO,
     GuardedMove,
     MoveJoint,
     MoveJoints,
@@ -26,7 +27,7 @@ from fsw.executive.expansion import CompoundCommand, expand_command, locate_surf
 from fsw.motion.compensation import Compensation
 from fsw.motion.path_check import check_paths, check_touch, compute_deflected_frames
 from fsw.motion.plan import Plan, Refusal, estimate_at, plan_joint, plan_poses
-from fsw.motion.plan_tool import AUTO, find_branches, plan_guarded, plan_retract, plan_tool
+from fsw.motion.plan_tool import find_branches, plan_guarded, plan_retract, plan_tool
 from fsw.state import SequenceStep
 
 SingleMoveCommand = Unstow | Stow | MoveJoint | MoveJoints | MoveTool | GuardedMove | Retract
@@ -41,6 +42,12 @@ class PlannedSequence:
 
     commands: tuple[SequenceStep, ...]
     plans: tuple[Plan, ...]
+    joints: JointEstimate
+    """Estimate of the joints at the end."""
+    tool: str
+    """Tool of the last tool command."""
+    surface: Surface | None
+    """Surface of the last target."""
 
     @property
     def duration_s(self) -> float:
@@ -221,4 +228,4 @@ def plan_steps(
         plans.append(plan)
         joints = estimate_at(joints, plan.end)
         tool = step.tool if isinstance(step, MoveTool | GuardedMove | Retract) else tool
-    return PlannedSequence(steps, tuple(plans))
+    return PlannedSequence(steps, tuple(plans), joints, tool, surface)

@@ -1,6 +1,6 @@
 """Interface to protection: describe the arm in plain values, and apply the decision to the move."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import assert_never
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from fsw.config import Config
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAborted, Evr
+from fsw.dictionary.types import cycle_record
 from fsw.estimate.gear import LIKELY
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.modes import TRANSITIONS, ModeEvent, stop_event
@@ -20,7 +21,7 @@ from fsw.protect.status import ArmStatus, MoveStatus, PressStatus
 from fsw.state import Sequence
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class MoveOutcome:
     """Mode, move, sequence and standing fault after a move has advanced, and its events."""
 
@@ -35,7 +36,7 @@ def describe_arm(
     mode: Mode,
     tool: str,
     joints: JointEstimate,
-    uncertainty_rad: Array,
+    backlash_state: Array,
     move: Move | None,
     preload: PreloadState | None,
 ) -> ArmStatus:
@@ -45,7 +46,7 @@ def describe_arm(
         mode: Mode of the arm.
         tool: Tool of the last tool command.
         joints: Estimate of the joints.
-        uncertainty_rad: Greatest error of the likely gear angles of that estimate, shape (5,).
+        backlash_state: That of the estimate, shape (3, 5).
         move: Move under way.
         preload: Preload of the tool in contact.
 
@@ -63,7 +64,8 @@ def describe_arm(
         joints.gear_rad[:, LIKELY],
         joints.bounds.lowest_rad[:, LIKELY],
         joints.bounds.highest_rad[:, LIKELY],
-        uncertainty_rad,
+        backlash_state[2],
+        backlash_state[1],
         reference.half_backlash_rad,
         joints.resolver_error_rad,
         reference.resolver_bias_rad,

@@ -1,19 +1,17 @@
 """Settings that the ground may change while the arm stands: the rover's tilt, and single parameters."""
 
 from dataclasses import fields, is_dataclass, replace
-from math import isfinite
 from typing import Any, Final
 
 import numpy as np
 
-from fsw.config import Config, configure
+from fsw.config import Config, configure, configure_at
 from fsw.dictionary.commands import SetParam, SetTilt
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, ParamSet, TiltSet
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
 from fsw.estimate.reference import forget_joint
-from fsw.executive.checks import check_bounds
 from fsw.executive.context import CommandContext, check_ready, command_name, refuse, with_events
 from fsw.kinematics.transforms import angle_between, gravity_direction
 
@@ -23,7 +21,7 @@ ENCODER_ZERO_PARAMS: Final = ("gear_ratio", "encoder_counts_per_turn", "hardstop
 
 def set_tilt(config: Config, context: CommandContext, command: SetTilt) -> CommandContext:
     """Set the direction of gravity from the attitude of the rover; refuse one that the IMU contradicts."""
-    problem = check_ready(context) or check_bounds(config.params, command)
+    problem = check_ready(context)
     if problem is not None:
         return refuse(context, command, problem)
     down_R = gravity_direction(command.roll_rad, command.pitch_rad)
@@ -48,7 +46,7 @@ def set_param(config: Config, context: CommandContext, command: SetParam) -> Com
     changed = replace_param(config.params, command)
     if isinstance(changed, str):
         return refuse(context, command, changed)
-    changed_config = configure(changed)
+    changed_config = configure_at(configure(changed), config.structure_C)
     state = replace(context.state, changed_config=changed_config)
     group, *middle, leaf = command.name.split(".")
     if group == "joints" and leaf in ENCODER_ZERO_PARAMS:
@@ -87,8 +85,8 @@ def _replace_field(record: Any, names: list[str], command: SetParam) -> Params |
         return inner if isinstance(inner, str) else replace(record, **{name: inner})
     if rest or not isinstance(value, int | float):
         return f"{command.name}: not one number; only single numbers can be set"
-    if isinstance(value, int) and command.value != int(command.value if isfinite(command.value) else 0):
+    if isinstance(value, int) and not command.value.is_integer():
         return f"{command.name}: must be a whole number, is {command.value}"
-    number = int(command.value) if isinstance(value, int) else float(command.value)
+    number = int(command.value) if isinstance(value, int) else command.value
     changed: Params = replace(record, **{name: number})
     return changed

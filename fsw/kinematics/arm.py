@@ -5,12 +5,13 @@ of the inverse kinematics solves it.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from fsw.dictionary.params import Params, PointMass, Transform6
+from fsw.kinematics.single_pose import Link
 from fsw.kinematics.transforms import Array, Pose, rotation_x, rotation_y, rotation_z, screw_exp, stack_poses
 
 ROUNDING: Final = 1e-12
@@ -140,6 +141,23 @@ class Arm:
     """Highest output angles, (5,)."""
     orthogonal: Mapping[str, OrthogonalArm]
     """Nearest orthogonal arm with each tool."""
+    links: tuple[Link, ...] = field(init=False)
+    """The same numbers link by link, for single poses."""
+
+    def __post_init__(self) -> None:
+        columns = (
+            self.theta_rad,
+            self.p_LC_m,
+            self.RP_CF[:, :3].reshape(9, 6),
+            self.RP_CF[:, 3],
+            self.compliance,
+            self.near_kg,
+            self.far_kg,
+            self.near_kg * self.near_p_L_m,
+            self.far_kg * self.far_p_C_m,
+        )
+        links = zip(*(np.moveaxis(column, -1, 0).tolist() for column in columns), strict=True)
+        object.__setattr__(self, "links", tuple(Link(*link) for link in links))
 
     @property
     def X_CF(self) -> Pose:

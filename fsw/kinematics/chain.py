@@ -6,11 +6,10 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.arm import Arm
+from fsw.kinematics.single_pose import LinkPose, place_links, spring_turn
 from fsw.kinematics.transforms import IDENTITY, Array, Pose, adjoint, cross, multiply_per_link
 
-COSINE_SERIES: Final = tuple(np.array(1 / factorial) for factorial in (1, 2, 24, 720))
-SINE_SERIES: Final = tuple(np.array(1 / factorial) for factorial in (1, 6, 120, 5040))
-"""Coefficients of the series, as arrays: numpy would convert plain numbers at every use."""
+NO_STRAIN: Final = (0.0,) * 36
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +38,8 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     Returns:
         The frames.
     """
+    if output_rad.ndim == 1:
+        return collect_frames(place_pose(arm, output_rad, strain))
     batch = output_rad.shape[1:]
     ones = (1,) * len(batch)
     angle = np.zeros((6, *batch))
@@ -73,6 +74,30 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     return Frames(Pose(R_RL, p_RS[:, :6]), X_LD, Pose(R_RS[:, :, 1:], p_RS[:, 1:]))
 
 
+def place_pose(arm: Arm, output_rad: Array, strain: Array | None) -> list[LinkPose]:
+    """Place the links of a single pose.
+
+    Args:
+        arm: Arm.
+        output_rad: Output angles, shape (5,).
+        strain: Spring displacements in rad and m, links second, shape (6, 6); None for the rigid arm.
+
+    Returns:
+        The poses of the links.
+    """
+    return place_links(
+        arm.links, output_rad.tolist(), NO_STRAIN if strain is None else strain.ravel().tolist()
+    )
+
+
+def collect_frames(placed: list[LinkPose]) -> Frames:
+    """Collect the frames of a single pose."""
+    numbers = np.array([number for link in placed for part in link for number in part]).reshape(6, 36).T
+    rotations = [numbers[k : k + 9].reshape(3, 3, 6) for k in (0, 12, 24)]
+    X_RL, X_LD, X_RF = (Pose(R, numbers[k : k + 3]) for R, k in zip(rotations, (9, 21, 33), strict=True))
+    return Frames(X_RL, X_LD, X_RF)
+
+
 def spring_pose(arm: Arm, strain: Array) -> Pose:
     """Compute the far side of each spring in the frame of its link.
 
@@ -86,21 +111,8 @@ def spring_pose(arm: Arm, strain: Array) -> Pose:
     Returns:
         The poses, batch (6, ...).
     """
-    (cx, cy, cz), (sx, sy, sz) = _small_cos_sin(strain[:3])
-    R = np.empty((3, 3, *strain.shape[1:]))
-    R[0, 0], R[0, 1], R[0, 2] = cy * cz, -cy * sz, sy
-    sxsy, cxsy = sx * sy, cx * sy
-    R[1, 0], R[1, 1], R[1, 2] = cx * sz + sxsy * cz, cx * cz - sxsy * sz, -sx * cy
-    R[2, 0], R[2, 1], R[2, 2] = sx * sz - cxsy * cz, sx * cz + cxsy * sz, cx * cy
+    R = np.array(spring_turn(*strain[:3])).reshape(3, 3, *strain.shape[1:])
     return Pose(R, strain[3:] + arm.p_LC_m.reshape(3, 6, *(1,) * (strain.ndim - 2)))
-
-
-def _small_cos_sin(x: Array) -> tuple[Array, Array]:
-    """Compute cosine and sine by series, to 3e-13 up to 0.1 rad; numpy takes ten times as long."""
-    x2, (c0, c2, c4, c6), (s1, s3, s5, s7) = x * x, COSINE_SERIES, SINE_SERIES
-    cosine = c0 - x2 * (c2 - x2 * (c4 - x2 * c6))
-    sine = x * (s1 - x2 * (s3 - x2 * (s5 - x2 * s7)))
-    return cosine, sine
 
 
 def tool_pose(arm: Arm, frames: Frames, tool: str) -> Pose:

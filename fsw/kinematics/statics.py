@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.chain import Frames, forward, tool_pose
+from fsw.kinematics.chain import Frames, collect_frames, forward, joint_jacobian, place_pose, tool_pose
+from fsw.kinematics.single_pose import load_links, spring_moments
 from fsw.kinematics.transforms import (
     Array,
     Flags,
     compose,
     cross,
-    dot,
     multiply_per_link,
     rotate,
     rotate_back,
@@ -94,34 +94,50 @@ def _equilibrium(
     strain = np.zeros((6, 6, *batch))
     output = anchor_rad
     for _ in range(MAX_PASSES):
-        frames = forward(arm, output, strain)
-        new_strain, torque = compute_load(arm, frames, gravity_R_m_s2, push)
+        _, new_strain, torque = load_arm(arm, output, strain, gravity_R_m_s2, push)
         new_output = anchor_rad + torque * gear
         step = np.maximum(
-            np.max(np.abs(new_strain - strain), axis=(0, 1)), np.max(np.abs(new_output - output), axis=0)
+            np.abs(new_strain - strain).max(axis=(0, 1)), np.abs(new_output - output).max(axis=0)
         )
         strain, output = new_strain, new_output
-        if np.all(step < EQUILIBRIUM_TOLERANCE):
+        if (step < EQUILIBRIUM_TOLERANCE).all():
             break
     return Equilibrium(output, strain, torque, forward(arm, output, strain), step < EQUILIBRIUM_TOLERANCE)
 
 
-def compute_load(
-    arm: Arm, frames: Frames, gravity_R_m_s2: Array, push: ToolForce | None = None
-) -> tuple[Array, Array]:
+def load_arm(
+    arm: Arm, output_rad: Array, strain: Array | None, gravity_R_m_s2: Array, push: ToolForce | None = None
+) -> tuple[Frames, Array, Array]:
     """Compute spring strains and joint torques under the load: equations 4 and 5 of the paper.
 
     The load is taken at the deflected pose.
 
     Args:
         arm: Arm.
-        frames: Frames of the deflected arm.
+        output_rad: Output angles, shape (5, ...).
+        strain: Strain at this pose in rad and m, shape (6, 6, ...); None for the rigid arm.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
         push: Contact force on a tool.
 
     Returns:
-        Strain in rad and m, shape (6, 6, ...), and torque of the load in N m, shape (5, ...).
+        Frames under the given strain, new strain in rad and m, shape (6, 6, ...), and torque of the load in
+        N m, shape (5, ...).
     """
+    if output_rad.ndim > 1:
+        frames = forward(arm, output_rad, strain)
+        return frames, *_load_batch(arm, frames, gravity_R_m_s2, push)
+    placed = place_pose(arm, output_rad, strain)
+    frames, on_tool = collect_frames(placed), None
+    if push is not None:
+        on_tool = tuple(push.force_R_N.tolist()), tuple(tool_pose(arm, frames, push.tool).p.tolist())
+    new_strain, torque_Nm = load_links(arm.links, placed, tuple(gravity_R_m_s2.tolist()), on_tool)
+    return frames, np.array(new_strain).T, np.array(torque_Nm[1:])
+
+
+def _load_batch(
+    arm: Arm, frames: Frames, gravity_R_m_s2: Array, push: ToolForce | None
+) -> tuple[Array, Array]:
+    """Compute strain (6, 6, ...) and torque (5, ...) of a batch at the frames of the deflected arm."""
     ones = (1,) * (frames.X_RF.p.ndim - 2)
     g = gravity_R_m_s2.reshape(3, 1, *(gravity_R_m_s2.shape[1:] or ones))
     R_RL, X_LD, origin = frames.X_RL.R, frames.X_LD, frames.X_RL.p
@@ -150,6 +166,22 @@ def compute_load(
     return _deflect_springs(arm, frames, moment_L, force_L), torque
 
 
+def push_torque(arm: Arm, frames: Frames, push: ToolForce) -> Array:
+    """Compute the torques that a contact force puts on the joints of a single pose.
+
+    Args:
+        arm: Arm.
+        frames: Frames of the pose.
+        push: Force, shape (3,), on a tool.
+
+    Returns:
+        Torques in N m, shape (5,).
+    """
+    J = joint_jacobian(frames, tool_pose(arm, frames, push.tool).p)
+    torque: Array = push.force_R_N @ J[3:]
+    return torque
+
+
 def _outward_sum(per_link: Array) -> Array:
     """Sum over each link and all links beyond, along axis 1, in place."""
     for i in range(4, -1, -1):
@@ -158,16 +190,10 @@ def _outward_sum(per_link: Array) -> Array:
 
 
 def _deflect_springs(arm: Arm, frames: Frames, moment_L: Array, force_L: Array) -> Array:
-    """Compute the strain of the springs under a load: compliance times load in the spring's coordinates.
-
-    The coordinate axes are x, then y turned about x, then z turned about both: the z axis of the far side.
-    """
-    z_axis = frames.X_LD.R[:, 2]
+    """Compute the strain of the springs under a load: compliance times load in the spring's coordinates."""
     wrench = np.empty((6, *force_L.shape[1:]))
-    wrench[0] = moment_L[0]
-    wrench[1] = z_axis[2] * moment_L[1] - z_axis[1] * moment_L[2]
-    wrench[1] /= np.sqrt(z_axis[1] ** 2 + z_axis[2] ** 2)
-    wrench[2] = dot(z_axis, moment_L)
+    z_axis = frames.X_LD.R[:, 2]
+    wrench[:3] = spring_moments((z_axis[0], z_axis[1], z_axis[2]), (moment_L[0], moment_L[1], moment_L[2]))
     wrench[3:] = force_L
     return multiply_per_link(arm.compliance, wrench.reshape(6, 6, -1)).reshape(wrench.shape)
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import Frames, forward, joint_jacobian, tool_pose
-from fsw.kinematics.statics import compute_load
+from fsw.kinematics.statics import load_arm
 from fsw.kinematics.transforms import Array, Pose, cross, dot, rotate_back
 
 ROOT_TOLERANCE: Final = 5e-10
@@ -45,12 +45,13 @@ def evaluate_pose(
     Returns:
         Tool pose, new strain and joint torques.
     """
-    frames = forward(arm, output_rad, strain)
-    X_RT = tool_pose(arm, frames, tool)
     n = output_rad.shape[1]
     if not gravity_R_m_s2.any():
+        frames = forward(arm, output_rad, strain)
+        X_RT = tool_pose(arm, frames, tool)
         return PoseEvaluation(frames, X_RT, np.zeros((6, 6, n)), np.zeros_like(output_rad), np.zeros(n))
-    new_strain, torque = compute_load(arm, frames, gravity_R_m_s2)
+    frames, new_strain, torque = load_arm(arm, output_rad, strain, gravity_R_m_s2)
+    X_RT = tool_pose(arm, frames, tool)
     change = new_strain if strain is None else new_strain - strain
     strain_change = np.abs(change).reshape(36, n).max(axis=0)
     return PoseEvaluation(frames, _deflect_tool(frames, change, X_RT), new_strain, torque, strain_change)

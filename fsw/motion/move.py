@@ -4,7 +4,7 @@ A move follows paths, homes a joint, or changes a preload. A guarded move and a 
 while they run: a contact is preloaded, and a preload is corrected by the motor currents.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import IntEnum
 from typing import Final
 
@@ -12,31 +12,40 @@ import numpy as np
 
 from fsw.config import CYCLE_S, Config
 from fsw.dictionary.enums import Joint, Mode
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, ForceEstimated, Preloaded
+from fsw.dictionary.evrs import (
+    CommandAborted,
+    CommandCompleted,
+    ContactMade,
+    Evr,
+    ForceEstimated,
+    Preloaded,
+)
 from fsw.dictionary.faults import NoContact, NotSettled
+from fsw.dictionary.types import cycle_record
 from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Flags, Sensors
-from fsw.motion.homing import Homing, advance_homing, homing_limit_A
-from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
-from fsw.motion.plan import Refusal, estimate_at
-from fsw.motion.preload import (
-    ESTIMATED_RATIO_STD,
+from fsw.motion.force_fit import (
     ForceFit,
-    PreloadChange,
-    PreloadState,
     correct_preload,
     estimate_force_ratio,
+    plan_correction,
+    report_miss,
+    update_force_fit,
+)
+from fsw.motion.homing import Homing, advance_homing, homing_limit_A
+from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
+from fsw.motion.plan import Refusal
+from fsw.motion.preload import (
+    ESTIMATED_RATIO_STD,
+    PreloadChange,
+    PreloadState,
     holding_force_N,
     model_contact,
     plan_preload,
     preload_limit_A,
-    update_force_fit,
 )
-
-MIN_CORRECTION_N: Final = 3.0
-"""Least correction of a preload that is worth a further path."""
 
 
 class Phase(IntEnum):
@@ -48,7 +57,7 @@ class Phase(IntEnum):
     BRAKE = 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class Move:
     """Move: paths in sequence, each from rest to rest, or the homing of a joint."""
 
@@ -80,7 +89,7 @@ class Move:
     """Travel along the completed paths over knots, in metres, or in newtons of a preload."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class MoveUpdate:
     """Move after a cycle, None if it has ended, with its events and its final mode."""
 
@@ -253,35 +262,26 @@ def _advance_preload(
     done = _follow_paths(config, move, joints, sensors)
     if done.move is None or done.move.phase is not Phase.SETTLE or fit is None or move.stopped:
         return done
-    return _correct_force(config, done.move, preload_change, fit, joints) or done
+    if preload_change.change_N <= 0:  # a release is not corrected
+        return done
+    return _correct_force(config, done.move, preload_change, fit, joints)
 
 
 def _correct_force(
     config: Config, move: Move, change: PreloadChange, fit: ForceFit, joints: JointEstimate
-) -> MoveUpdate | None:
-    """Correct the estimated force by the fit of a leg, and plan another leg if the target is not near.
-
-    Returns:
-        The update, or None if the force falls: a release is not corrected.
-    """
-    if change.change_N <= 0:
-        return None
+) -> MoveUpdate:
+    """Correct the estimated force by the fit of a leg, and plan another leg if the target is not near."""
     evrs: tuple[Evr, ...] = ()
     planned_for = change.state_after(distance_travelled(move))
     ratio = estimate_force_ratio(config, fit, joints, planned_for)
     preload = replace(planned_for, force_ratio_std=ESTIMATED_RATIO_STD)
     if ratio is not None:
-        preload = correct_preload(change, ratio)
+        preload = correct_preload(change, fit.start, ratio)
         evrs = (ForceEstimated(change.start.tool, ratio.along, ratio.across),)
     completed = replace(change, start=preload, end_model_N=preload.model_N)
-    near = abs(change.target_N - preload.force_N) < MIN_CORRECTION_N
-    # the next leg starts at the end of the plan: from the estimate, a backlash on which the two differ would
-    # be crossed to and fro; the wind-up of the gears is that of the corrected force
-    extra_Nm = change.torque_per_N * (preload.force_N - planned_for.force_N)
-    end = replace(change.end, gear_rad=change.end.gear_rad + extra_Nm / config.arm.gear_stiffness_Nm_rad)
-    start = estimate_at(joints, end)
-    planned = None if near else plan_preload(config, start, preload, change.target_N)
+    planned = plan_correction(config, change, fit, joints, preload, planned_for)
     if planned is None or isinstance(planned, Refusal):
+        evrs = (*evrs, *report_miss(change.target_N, preload, planned))
         return MoveUpdate(replace(move, preload_change=completed, force_fit=None), evrs)
     plan, next_change = planned
     next_leg = replace(
@@ -289,7 +289,7 @@ def _correct_force(
         phase=Phase.RUN,
         paths=plan.paths,
         preload_change=next_change,
-        force_fit=ForceFit(fit.legs_left - 1) if fit.legs_left > 0 else None,
+        force_fit=fit.next_leg(),
         ticks=0,
         travelled=0.0,
     )
@@ -320,11 +320,8 @@ def _travel_rate(move: Move) -> float:
 def _settle(config: Config, move: Move, joints: JointEstimate) -> MoveUpdate:
     motion = config.params.motion
     error = np.abs(joints.motor_rad - move.setpoint.motor_rad)
-    at_rest = (
-        error.max() < motion.settle_error_rad
-        and np.abs(joints.motor_rate_rad_s).max() < motion.settle_rate_rad_s
-    )
-    settled_ticks = move.settled_ticks + 1 if at_rest else 0
+    still = np.abs(joints.motor_rate_rad_s).max() < motion.settle_rate_rad_s
+    settled_ticks = move.settled_ticks + 1 if still and error.max() < motion.settle_error_rad else 0
     if settled_ticks >= config.settle_ticks:
         return MoveUpdate(_enter_phase(move, Phase.BRAKE))
     if move.ticks >= config.settle_timeout_ticks:

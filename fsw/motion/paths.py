@@ -7,6 +7,7 @@ import numpy as np
 from ruckig import InputParameter, Result, Ruckig, Trajectory
 
 from fsw.config import CYCLE_S, Config
+from fsw.dictionary.types import cycle_record
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Array, norm
 
@@ -14,7 +15,7 @@ SPEED_SAMPLES: Final = np.linspace(0.0, 1.0, 9)
 """Shares of a joint move at which the tool speed is computed."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class Setpoint:
     """Commanded motor angles and rates on the output side, (5,)."""
 

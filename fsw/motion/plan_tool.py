@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fsw.collision.geometry import Surface
 from fsw.config import Config
-from fsw.dictionary.commands import ROVER, GuardedMove, MoveTool, Retract
+from fsw.dictionary.commands import AUTO, ROVER, GuardedMove, MoveTool, Retract
 from fsw.dictionary.enums import Frame
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.batch import select_targets
@@ -30,8 +30,6 @@ from fsw.motion.plan import (
     worst_limit_excess,
 )
 
-AUTO = "AUTO"
-"""Branch of a command that leaves the choice to flight software."""
 MAX_KNOT_STEP_RAD = 0.2
 """Largest turn of a joint between two knots that stay on one branch."""
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import pi, sqrt
 from typing import Final
 
 import numpy as np
@@ -12,6 +13,20 @@ from fsw.kinematics.transforms import Array
 
 LOAD_ERROR_FACTOR: Final = 5.0
 """On an approach, a gear counts if its torque exceeds this many times the error of its modelled load."""
+
+
+CURRENT_GAIN: Final = 0.25
+"""Smoothing per cycle of a current: a stiff obstacle adds a sigma of noise every cycle or two."""
+WIND_UP_GAIN: Final = 1 / 16
+"""Smoothing per cycle of the resolver error, as the estimate of the joints gives it."""
+UPDATE_CYCLES: Final = 8
+"""Cycles from one update of the slow means to the next; fast means of currents are then independent."""
+CURRENT_UPDATES: Final = 8
+"""Updates in the slow mean of a current, 1 s: longer than a contact takes to be found."""
+WIND_UP_UPDATES: Final = 32
+"""Updates in the slow mean of a wind-up, 4 s, sixteen times as long as its fast mean."""
+SIGMAS: Final = 6.0
+"""Noise passes this many sigmas once in 1e9 readings."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +54,26 @@ class ProtectionBounds:
     """Current that is nearly all that a motor may draw, (5,)."""
     approach_wind_up_rad: Array
     """Wind-up beyond the backlash from which a gear counts on an approach, (5,)."""
+    stiffness_A_rad: tuple[float, ...]
+    """Stiffness of the gears over the torque constants, (5,)."""
+    load_error_A: tuple[float, ...]
+    """Errors of the modelled loads over the torque constants, (5,)."""
+    damping_As_rad: tuple[float, ...]
+    """Viscous friction in the cold over the torque constants, (5,)."""
+    updates_Hz: float
+    """Updates of the slow means a second."""
+    turning_rad_s: tuple[float, ...]
+    """Rates of one encoder count a cycle, (5,)."""
+    rate_step_rad_s: tuple[float, ...]
+    """Change of a rate between two updates by the jerk alone, (5,)."""
+    current_step_A: tuple[float, ...]
+    """Change of a current in a cycle that noise, stiffness and speed explain, (5,)."""
+    wind_up_step_rad: tuple[float, ...]
+    """Change of a smoothed wind-up in an update that noise and speed explain, (5,)."""
+    current_sigma_A: tuple[float, ...]
+    """Noise of a fast mean current less its slow mean, by the number of updates of the latter."""
+    wind_up_sigma_rad: tuple[float, ...]
+    """Noise of a fast mean wind-up less its slow mean, by the number of updates of the latter."""
     monitored_lowest: tuple[float, ...]
     """Lower bounds of the values that `motors.exceed_any_bound` compares, in its order, (25,)."""
     monitored_highest: tuple[float, ...]
@@ -66,6 +101,8 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
     coldest, hottest = np.full_like(lag, monitors.winding_min_C), np.full_like(lag, monitors.winding_max_C)
     resolver_error = np.full_like(lag, monitors.resolver_error_rad)
     load_error = np.array([j.load_error_Nm for j in joints])
+    constant = np.array([j.torque_constant_Nm_A for j in joints])
+    speed = np.array([j.speed_rad_s for j in joints])
     return ProtectionBounds(
         monitors=monitors,
         arm=arm,
@@ -79,6 +116,26 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         setpoint_step_rad=np.array([monitors.setpoint_step_factor * cycle_s * j.speed_rad_s for j in joints]),
         over_current_A=over_current,
         approach_wind_up_rad=LOAD_ERROR_FACTOR * load_error / arm.gear_stiffness_Nm_rad,
+        stiffness_A_rad=tuple((arm.gear_stiffness_Nm_rad / constant).tolist()),
+        load_error_A=tuple((load_error / constant).tolist()),
+        damping_As_rad=tuple(j.damping_Nms_rad / j.torque_constant_Nm_A for j in joints),
+        updates_Hz=1.0 / (UPDATE_CYCLES * cycle_s),
+        turning_rad_s=tuple(2 * pi / (j.encoder_counts_per_turn * j.gear_ratio * cycle_s) for j in joints),
+        rate_step_rad_s=tuple(j.jerk_rad_s3 * (UPDATE_CYCLES * cycle_s) ** 2 for j in joints),
+        current_step_A=tuple(
+            (
+                arm.gear_stiffness_Nm_rad * speed / constant * cycle_s
+                + SIGMAS * sqrt(2.0) * monitors.current_noise_A
+            ).tolist()
+        ),
+        wind_up_step_rad=tuple(
+            (
+                UPDATE_CYCLES * cycle_s * speed
+                + SIGMAS * sqrt(2.0) * monitors.resolver_noise_rad * sqrt(WIND_UP_GAIN)
+            ).tolist()
+        ),
+        current_sigma_A=_compute_sigmas(monitors.current_noise_A, CURRENT_GAIN, CURRENT_UPDATES),
+        wind_up_sigma_rad=_compute_sigmas(monitors.resolver_noise_rad, WIND_UP_GAIN, WIND_UP_UPDATES),
         monitored_lowest=tuple(
             np.concatenate((lowest, -lag, -over_current, coldest, -resolver_error)).tolist()
         ),
@@ -86,3 +143,9 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
             np.concatenate((highest, lag, over_current, hottest, resolver_error)).tolist()
         ),
     )
+
+
+def _compute_sigmas(noise: float, gain: float, updates: int) -> tuple[float, ...]:
+    """Compute the noise of a fast mean less a slow mean, by the number of updates of the slow mean."""
+    fast = gain / (2.0 - gain)
+    return tuple(noise * sqrt(fast + 1.0 / (UPDATE_CYCLES * max(n, 1))) for n in range(updates + 1))

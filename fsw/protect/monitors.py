@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from fsw.dictionary.evrs import Evr
+from fsw.dictionary.types import cycle_record
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from fsw.protect import motors
@@ -29,6 +30,7 @@ from fsw.protect.readings import (
     check_tilt,
     noisy_readings,
 )
+from fsw.protect.resistance import FreeMove, monitor_free_move
 from fsw.protect.status import ArmStatus
 
 
@@ -49,7 +51,7 @@ class Counts:
 ALL_ZERO: Final = Counts()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@cycle_record
 class MonitorState:
     """Memory of the monitors from cycle to cycle."""
 
@@ -63,6 +65,7 @@ class MonitorState:
     planned_gravity_R: Array | None = None
     """Gravity when the move under way began, (3,)."""
     approach: ApproachState | None = None
+    free_move: FreeMove | None = None
 
 
 def run_monitors(
@@ -83,8 +86,9 @@ def run_monitors(
     unchanged, frozen = check_frozen(bounds, last.unchanged, last.readings, readings)
     counts, found = _monitor_arm(bounds, last.counts, arm, sensors, planned)
     approach, force = monitor_approach(bounds, last.approach, arm, sensors)
-    state = MonitorState(counts, sensors.cycle, readings, unchanged, planned, approach)
-    return state, evrs + frozen + found + force
+    free_move, contact = monitor_free_move(bounds, last.free_move, arm, readings, unchanged)
+    state = MonitorState(counts, sensors.cycle, readings, unchanged, planned, approach, free_move)
+    return state, evrs + frozen + found + force + contact
 
 
 def _monitor_arm(

@@ -8,25 +8,27 @@ import numpy as np
 
 from fsw.dictionary.evrs import CyclesSkipped, Evr
 from fsw.dictionary.faults import (
+    CycleCountWrong,
     CyclesMissed,
     GravityImplausible,
     SensorFrozen,
     SensorNotFinite,
+    StructureTemperatureImplausible,
     TiltChanged,
 )
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from fsw.protect.bounds import ProtectionBounds
 
-NOISY: Final = ("resolver_rad",) * 5 + ("current_A",) * 5 + ("gravity_R_m_s2",) * 3
+NOISY: Final = ("resolver_rad",) * 5 + ("current_A",) * 5 + ("gravity_R_m_s2",) * 3 + ("structure_C",)
 """Sensor of each number that has noise: it never stays the same for long, even at rest."""
 NONE_UNCHANGED: Final = (0,) * len(NOISY)
-ANALOG: Final = ("resolver_rad", "current_A", "winding_C", "gravity_R_m_s2")
+ANALOG: Final = ("resolver_rad", "current_A", "winding_C", "gravity_R_m_s2", "structure_C")
 """Sensors whose readings are real numbers."""
 
 
 def check_readings(bounds: ProtectionBounds, sensors: Sensors) -> tuple[Evr, ...]:
-    """Find readings that nothing may be computed from: not finite, or no gravity.
+    """Find readings that nothing may be computed from: not finite, no gravity, or no temperature of an arm.
 
     This comes first in a cycle. Comparisons with NaN are all false and clip nothing, and a wild value stays
     in filters.
@@ -34,14 +36,19 @@ def check_readings(bounds: ProtectionBounds, sensors: Sensors) -> tuple[Evr, ...
     # hypot raises no warning, and is finite only if all its arguments are
     if not isfinite(hypot(*noisy_readings(sensors), *sensors.winding_C.tolist())):
         found = tuple(
-            SensorNotFinite(name) for name in ANALOG if not isfinite(hypot(*getattr(sensors, name).tolist()))
+            SensorNotFinite(name)
+            for name in ANALOG
+            if not isfinite(hypot(*np.ravel(getattr(sensors, name)).tolist()))
         )
         if found:
             return found
     gravity, monitors = hypot(*sensors.gravity_R_m_s2.tolist()), bounds.monitors
-    if monitors.gravity_min_m_s2 <= gravity <= monitors.gravity_max_m_s2:
-        return ()
-    return (GravityImplausible(gravity, monitors.gravity_min_m_s2, monitors.gravity_max_m_s2),)
+    if not monitors.gravity_min_m_s2 <= gravity <= monitors.gravity_max_m_s2:
+        return (GravityImplausible(gravity, monitors.gravity_min_m_s2, monitors.gravity_max_m_s2),)
+    low, high = monitors.structure_min_C, monitors.structure_max_C
+    if not low <= sensors.structure_C <= high:
+        return (StructureTemperatureImplausible(sensors.structure_C, low, high),)
+    return ()
 
 
 def noisy_readings(sensors: Sensors) -> tuple[float, ...]:
@@ -50,6 +57,7 @@ def noisy_readings(sensors: Sensors) -> tuple[float, ...]:
         *sensors.resolver_rad.tolist(),
         *sensors.current_A.tolist(),
         *sensors.gravity_R_m_s2.tolist(),
+        sensors.structure_C,
     )
 
 
@@ -78,9 +86,11 @@ def check_frozen(
 
 
 def check_cycle_count(bounds: ProtectionBounds, before: int | None, now: int) -> tuple[Evr, ...]:
-    """Find cycles of the avionics in which flight software was not called; a few are only reported."""
-    if before is None or now <= before + 1:
+    """Check that the cycle count of the avionics rises by one; a few missed cycles are only reported."""
+    if before is None or now == before + 1:
         return ()
+    if now <= before:
+        return (CycleCountWrong(now, before),)
     cycles, bound = now - before - 1, bounds.monitors.missed_cycles
     return (CyclesSkipped(cycles),) if cycles <= bound else (CyclesMissed(cycles, bound),)
 

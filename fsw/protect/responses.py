@@ -12,6 +12,7 @@ from fsw.dictionary.faults import (
     ContactInFreeSpace,
     ContactLost,
     CurrentImplausible,
+    CycleCountWrong,
     CyclesMissed,
     Fault,
     FollowingErrorHigh,
@@ -33,8 +34,10 @@ from fsw.dictionary.faults import (
     SetpointUnsafe,
     SoftLimitPassed,
     StalledEarly,
+    StructureTemperatureImplausible,
     TiltChanged,
     UnderTemperature,
+    UnexpectedContact,
 )
 from fsw.kinematics.transforms import Array
 from fsw.protect.bounds import ProtectionBounds
@@ -55,7 +58,9 @@ RESPONSE_TO: Final[dict[type[Fault], Response]] = {
     SensorNotFinite: Response.BRAKE_AND_REFUSE,
     SensorFrozen: Response.BRAKE_AND_REFUSE,
     GravityImplausible: Response.BRAKE_AND_REFUSE,
+    StructureTemperatureImplausible: Response.BRAKE_AND_REFUSE,
     CyclesMissed: Response.STOP_AND_BRAKE,
+    CycleCountWrong: Response.STOP_AND_BRAKE,
     TiltChanged: Response.BRAKE_AND_REFUSE,
     SetpointUnsafe: Response.BRAKE_AND_REFUSE,
     SoftLimitPassed: Response.BRAKE_AND_REFUSE,
@@ -66,6 +71,7 @@ RESPONSE_TO: Final[dict[type[Fault], Response]] = {
     FollowingErrorHigh: Response.BRAKE_AND_REFUSE,
     ResolverDisagrees: Response.BRAKE_AND_REFUSE,
     ContactInFreeSpace: Response.BRAKE_AND_REFUSE,
+    UnexpectedContact: Response.BRAKE_AND_REFUSE,
     ContactLost: Response.STOP_AND_BRAKE,
     PreloadOutside: Response.BRAKE_AND_REFUSE,
     NoContact: Response.BRAKE_AND_REFUSE,
@@ -96,7 +102,7 @@ class StandingFault:
     @property
     def may_touch(self) -> bool:
         """Return whether the arm may be in contact with something."""
-        on_contact = any(event is ContactInFreeSpace for event, _ in self.reported)
+        on_contact = any(event in (ContactInFreeSpace, UnexpectedContact) for event, _ in self.reported)
         return on_contact or self.mode in (Mode.GUARDED, Mode.RETRACTING, Mode.PRELOAD)
 
 

@@ -56,6 +56,8 @@ class ArmStatus(NamedTuple):
     gear_highest_rad: Array
     gear_uncertainty_rad: Array
     """Greatest error of the likely gear angle."""
+    side: Array
+    """Side of the backlash, +1 or -1 if it is certain, else 0."""
     half_backlash_rad: Array
     resolver_error_rad: Array
     """Resolver less estimated output and learned bias, smoothed."""

@@ -47,6 +47,8 @@ class ArmJob:
     arm: int
     params: Params
     """Parameters of flight software; for a calibrated arm, those before its calibration."""
+    params_sha256: str
+    """Their digest."""
 
 
 def run_job(job: ArmJob) -> dict[str, Any]:
@@ -69,7 +71,7 @@ def run_job(job: ArmJob) -> dict[str, Any]:
 
 
 def _job_key(job: ArmJob) -> dict[str, Any]:
-    return {"arm": job.arm, "params_sha256": digest(job.params)}
+    return {"arm": job.arm, "params_sha256": job.params_sha256}
 
 
 def run_jobs(
@@ -83,7 +85,7 @@ def run_jobs(
     Raises:
         BadRequest: A record was made with other parameters.
     """
-    wanted = {job.arm: digest(job.params) for job in jobs}
+    wanted = {job.arm: job.params_sha256 for job in jobs}
     known = [] if results is None else [record for record in results.done if record["arm"] in wanted]
     for record in known:
         if record["params_sha256"] != wanted[record["arm"]]:
@@ -190,17 +192,19 @@ def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
             "nominal" if request.built == "sampled" else f"{request.built}:{number}" for number in numbers
         ]
         paths = [Path(str(request.params).replace(SEED_FIELD, str(number))) for number in numbers]
-        params = [load_params(name, path, request.mismatch) for name, path in zip(names, paths, strict=True)]
+        loaded = (load_params(name, path, request.mismatch) for name, path in zip(names, paths, strict=True))
+        with_digests = [(params, digest(params)) for params in loaded]
     else:
-        params = [select_arm("nominal", request.params, request.mismatch).params] * len(arms)
+        params = select_arm("nominal", request.params, request.mismatch).params
+        with_digests = [(params, digest(params))] * len(arms)
     return [
-        ArmJob(request.case, request.built, request.places, request.move_model, request.seed, arm, own)
-        for arm, own in zip(arms, params, strict=True)
+        ArmJob(request.case, request.built, request.places, request.move_model, request.seed, arm, *own)
+        for arm, own in zip(arms, with_digests, strict=True)
     ]
 
 
 def _params_sha256(jobs: Sequence[ArmJob]) -> str:
-    every = [digest(job.params) for job in jobs]
+    every = [job.params_sha256 for job in jobs]
     return every[0] if len(set(every)) == 1 else sha256("".join(every).encode()).hexdigest()
 
 
@@ -214,7 +218,7 @@ def _results_header(request: MonteCarloRequest, jobs: list[ArmJob]) -> dict[str,
     same = ("case", "built", "places", "move_model", "seed")
     return {
         **{name: value for name, value in asdict(request).items() if name in same},
-        "params": str(request.params) if _has_arm_files(request.params) else digest(jobs[0].params),
+        "params": str(request.params) if _has_arm_files(request.params) else jobs[0].params_sha256,
         "sources": sources_sha256(),
     }
 

@@ -6,19 +6,25 @@ from typing import Final
 
 import numpy as np
 
-from fsw.config import configure
+from fsw.config import Config, configure, configure_at
 from fsw.dictionary.commands import BacklashMode, MoveTool
-from fsw.dictionary.params import Params
 from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.reference import Reference, no_reference
-from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose
 from ground.accuracy.sensitivity import workspace_poses
 from sim.arms import BuiltArm
 from sim.avionics import move_rng
-from sim.effects.effect import EachMove, draw_move_disturbance, params_with_effects
+from sim.effects.effect import (
+    EachMove,
+    Hardware,
+    draw_move_disturbance,
+    hardware_with_effects,
+    nominal_hardware,
+    params_with_effects,
+)
+from sim.effects.geometry import Warming
 from sim.loop import Setup, hardware_rng
 from sim.pose_sequence import free_air_loop, run_and_rest
 from sim.quasi_static import StaticArm, solve_quasi_static_move
@@ -64,9 +70,28 @@ MoveModel = Callable[[Placement], tuple[Pose, Array]]
 """Function from a placement to the true tool pose and the positions of the outputs in their backlash."""
 
 
-def random_placements(params: Params, tool: str, count: int, seed: np.random.SeedSequence) -> list[Placement]:
-    """Draw placements over workspace and branches, with the gravity deflection known to flight software."""
-    arm, gravity = build_arm(params), World().gravity_N_m_s2
+def configure_believed(arm: BuiltArm) -> Config:
+    """Configure flight software of an arm for the temperature that its sensor reads."""
+    hardware = _hardware(arm)
+    return configure_at(configure(arm.params), hardware.structure_C + hardware.structure_offset_K)
+
+
+def configure_true(arm: BuiltArm) -> Config:
+    """Configure flight software that knows an arm exactly, as it is at its temperature."""
+    drawn = arm.model.params
+    growth = Warming(_hardware(arm).structure_C - drawn.heat.calibration_C)
+    return configure(params_with_effects((*arm.effects, growth), drawn))
+
+
+def _hardware(arm: BuiltArm) -> Hardware:
+    return hardware_with_effects(arm.effects, nominal_hardware(arm.model.description))
+
+
+def random_placements(
+    believed: Config, tool: str, count: int, seed: np.random.SeedSequence
+) -> list[Placement]:
+    """Draw placements over workspace and branches, for the arm as flight software knows it."""
+    arm, gravity = believed.arm, World().gravity_N_m_s2
     rng = np.random.default_rng(seed)
     poses = workspace_poses(arm, tool, gravity, POSES_PER_PLACEMENT * count, int(rng.integers(2**31)))
     # neighbouring poses are branches of one target, so draw at random
@@ -132,7 +157,7 @@ def statics_model(arm: BuiltArm, backlash: BacklashMode) -> MoveModel:
 
     The gears have the wind-up and the side of the backlash that the move leaves.
     """
-    believed, true = configure(arm.params), configure(params_with_effects(arm.effects, arm.model.params))
+    believed, true = configure_believed(arm), configure_true(arm)
     static = StaticArm(believed, true, no_reference(believed), true.hardstop_rad - believed.hardstop_rad)
     random_effects = [effect for effect in arm.effects if isinstance(effect, EachMove)]
     gravity = World().gravity_N_m_s2

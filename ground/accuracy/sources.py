@@ -6,6 +6,7 @@ An error stays within plus or minus its magnitude; its distribution describes it
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from hashlib import sha256
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -101,8 +102,9 @@ def is_compensated(backlash: float) -> bool:
     return backlash < 1
 
 
+@cache
 def load_error_model() -> ErrorModel:
-    """Load the error sources and cases of the project."""
+    """Load the error sources and cases of the project, once in a process."""
     text = _sources_file().read_text(encoding="utf-8")
     model: ErrorModel = TypeAdapter(ErrorModel).validate_python(tomllib.loads(text))
     return model

@@ -16,6 +16,7 @@ from fsw.kinematics.transforms import Array
 from ground.accuracy.placements import (
     MeasuredPlacement,
     closed_loop_model,
+    configure_believed,
     measure_placements,
     random_placements,
     statics_model,
@@ -23,9 +24,10 @@ from ground.accuracy.placements import (
 from ground.accuracy.request import MoveModel
 from ground.accuracy.sources import BudgetCase, Distribution, ErrorModel, ErrorSource, is_compensated
 from sim.arms import BuiltArm, arm_named
+from sim.drawing import WARM_C
 from sim.effects.effect import Effect
-from sim.effects.environment import Ambient
-from sim.effects.geometry import FrameError, LinkWarming
+from sim.effects.environment import Ambient, StructureTemperature
+from sim.effects.geometry import Expansion, FrameError
 from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle
 from sim.effects.move_disturbances import FramePlay, ServoError, Windup
 from sim.effects.structure import LinkStiffness
@@ -33,7 +35,7 @@ from sim.initialisation import RANDOM_TEMPERATURE_C, initial_reference, true_ref
 
 Z_TURN = 2
 """Index of the rotation about z in a screw."""
-ARM_SOURCES: Final = ("assembly", "calibration", "deflection", "zero_offset", "backlash")
+ARM_SOURCES: Final = ("assembly", "calibration", "deflection", "zero_offset", "backlash", "distortion_bulk")
 """Sources that a built, calibrated and initialised arm has itself."""
 
 
@@ -84,8 +86,9 @@ def sample_source(
                 yield LinkStiffness(Frame(joint), float(stiffness_factor[joint]))
                 yield GearStiffness(joint, float(stiffness_factor[joint]))
         case "warming":
-            warming_K = share * source.warming_K * sample_errors(source.distribution, len(Frame), rng)
-            yield from (LinkWarming(frame, float(warming_K[frame]), _tool_of(frame, tool)) for frame in Frame)
+            yield StructureTemperature(WARM_C - source.warming_K)
+            expansion = 1 + share * sample_errors(source.distribution, len(Frame), rng)
+            yield from (Expansion(frame, float(expansion[frame]), _tool_of(frame, tool)) for frame in Frame)
 
 
 def sample_errors(distribution: Distribution, count: int, rng: np.random.Generator) -> Array:
@@ -140,7 +143,7 @@ def run_sampled_trial(
         if move_model == "statics"
         else closed_loop_model(arm, _exact_reference(arm), backlash)
     )
-    return measure_placements(move, random_placements(params, tool, places, placement_seed))
+    return measure_placements(move, random_placements(configure_believed(arm), tool, places, placement_seed))
 
 
 def run_built_trial(
@@ -165,14 +168,16 @@ def run_built_trial(
     added = {name: factor for name, factor in case.sources.items() if name not in ARM_SOURCES}
     cold = Ambient(float(rng.uniform(*RANDOM_TEMPERATURE_C)))
     arm = arm_named(name, params)
-    effects = (cold, *sample_effects(model, replace(case, sources=added), tool, rng))
+    effects = (*sample_effects(model, replace(case, sources=added), tool, rng), cold)
     tested = replace(arm, effects=(*arm.effects, *effects))
     move = (
         statics_model(tested, "on")
         if move_model == "statics"
         else closed_loop_model(tested, initial_reference(arm), "on")
     )
-    return measure_placements(move, random_placements(arm.params, tool, places, placement_seed))
+    return measure_placements(
+        move, random_placements(configure_believed(tested), tool, places, placement_seed)
+    )
 
 
 def _exact_reference(arm: BuiltArm) -> Reference:

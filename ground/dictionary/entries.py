@@ -13,7 +13,7 @@ from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Limits, SwitchMark, ToolMark
+from fsw.dictionary.types import Limits, NameMark
 from fsw.dictionary.validity import COMPONENT_LIMITS
 from fsw.protect.responses import RESPONSE_TO
 from ground.common.errors import BadRequest
@@ -179,9 +179,9 @@ def _type_text(kind: type, name: str) -> str:
 def _names_of(hint: Any) -> tuple[str, ...]:
     """Return the nominal tools or switches if an annotation is of one of them, else nothing."""
     marks, arm = getattr(hint, "__metadata__", ()), arm_names(nominal_params())
-    if any(isinstance(mark, ToolMark) for mark in marks):
+    if NameMark.TOOL in marks:
         return arm.tools
-    return arm.switches if any(isinstance(mark, SwitchMark) for mark in marks) else ()
+    return arm.switches if NameMark.SWITCH in marks else ()
 
 
 def _alias(kind: type, name: str) -> str | None:

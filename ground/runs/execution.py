@@ -32,14 +32,14 @@ from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.initialisation import InitialisationResult, initialise_joints
 from sim.loop import ClosedLoop
-from sim.plant import Plant
 from sim.record import CycleRecord
 from sim.world import World, build
 
 if TYPE_CHECKING:
     from ground.view.live import LiveView
 
-FRAME_PERIOD_S = 3.0
+FRAME_CYCLES: Final = 3 * CYCLE_HZ
+"""Cycles between two frames of a movie, and between two reports of the progress."""
 INITIALISATION_SHARE: Final = 0.3
 """Share of the initialisation in the wall time of a placement or scenario, for the progress: 13 s of 45 s."""
 PICTURE_SIZE = (1280, 720)
@@ -93,22 +93,12 @@ def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[Initialisat
 
 @dataclass(slots=True)
 class Frames:
-    """Poses of a run at regular intervals, which are drawn after it."""
+    """Poses of a run, which are drawn after it."""
 
     poses: list[Qpos] = field(default_factory=list)
+    """Poses for the movie, at regular intervals; none without a movie."""
     best: Qpos | None = None
     """Pose for the picture."""
-
-    def note(self, plant: Plant, record: CycleRecord) -> bool:
-        """Store the pose if one is due, and return whether it was."""
-        due = record.tick % round(FRAME_PERIOD_S * CYCLE_HZ) == 0
-        if due:
-            self.poses.append(plant.data.qpos.copy())
-        return due
-
-    def choose(self, plant: Plant) -> None:
-        """Store the current pose for the picture."""
-        self.best = plant.data.qpos.copy()
 
 
 class RunLog:
@@ -371,12 +361,14 @@ def execute(
     started = time.perf_counter()
     with open_log(files.log, header, loop.config, world, arm) as log:
         for record in record_cycles(run, log, files.when_disk_full):
-            if frames.note(loop.plant, record):
+            if record.tick % FRAME_CYCLES == 0:
                 running(*progress_at(record), describe_activity(record))
+                if files.movie is not None:
+                    frames.poses.append(loop.plant.data.qpos.copy())
             if view is not None:
                 view.watch(record)
             if is_for_picture(record):
-                frames.choose(loop.plant)
+                frames.best = loop.plant.data.qpos.copy()
     wall_s = time.perf_counter() - started
     if loop.failure is not None:
         raise loop.failure

@@ -21,8 +21,9 @@ from ground.runs.execution import open_view
 from ground.runs.request import HardstopRequest
 from sim.arms import BuiltArm, effects_of_run
 from sim.clearance import Clearance, ClearanceModel
+from sim.drawing import WARM_C
 from sim.effects.effect import Effect
-from sim.effects.environment import WARM_C, default_ambient
+from sim.effects.environment import default_ambient
 from sim.hardstop_loads import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance, without_turret
 from sim.initialisation import InitialisationResult, InitialisationRun, prepare_homing, prepare_random_homing
 from sim.loop import ClosedLoop, Setup

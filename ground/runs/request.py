@@ -106,6 +106,8 @@ class RunRequest:
         ),
     ] = None
     seed: SeedOption = 0
+    params: ParamsOption = None
+    mismatch: MismatchOption = False
     files: RunFiles = NO_FILES
     effects: EffectsOption = ()
 

@@ -26,6 +26,7 @@ from sim.effects.environment import default_ambient
 from sim.loop import ClosedLoop
 from sim.scenario.data import Scenario
 from sim.scenario.file import BadScenario, load_scenario
+from sim.scenario.rehearsal import find_impossible
 from sim.scenario.run import ScenarioResult, ScenarioRun, scenario_setup
 from sim.scenario.teaching import NotTaught, teach
 from sim.sequence import Outcome
@@ -115,16 +116,20 @@ def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
         scenario = load_scenario(request.scenario, request.arm)
     except BadScenario as error:
         raise BadRequest(str(error)) from error
-    arm = select_arm(scenario.arm if request.arm is None else request.arm, None)
+    arm = select_arm(scenario.arm if request.arm is None else request.arm, request.params, request.mismatch)
     if request.tilt_deg is not None:
         tilted = make_world(scenario.world.scene, *request.tilt_deg)
         scenario = scenario.tilted(tilted.tilt_roll_rad, tilted.tilt_pitch_rad)
     added = parse_effects(request.effects, arm.params.tool_names)
     scenario = replace(scenario, effects=(*scenario.effects, *added))
     try:
-        return scenario, scenario.fit_arm(arm)
+        arm = scenario.fit_arm(arm)
     except EffectMisfit as error:
         raise BadRequest(f"{request.scenario}: {error}") from error
+    problem = find_impossible(scenario, arm)
+    if problem is not None:
+        raise BadRequest(f"{request.scenario}: {problem}")
+    return scenario, arm
 
 
 def _picture_command(scenario: Scenario) -> int:

@@ -3,7 +3,9 @@
 from collections.abc import Callable
 from pathlib import Path
 
+from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import Command
+from fsw.executive.checks import known_names
 from ground.telemetry.header import run_header
 from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.recorder import Recorder
@@ -28,8 +30,9 @@ def record_commands(
 
     Raises:
         LogNotWritable: the file cannot be written.
-        ValueError: the run has begun.
+        ValueError: the run has begun, or flight software would refuse a command for an argument.
     """
+    commands = tuple(_read_command(loop, command) for command in commands)
     setup = loop.setup
     drawn = _effects_by_name(setup.arm.name)
     added = [effect for effect in (*setup.arm.effects, *setup.effects) if effect not in drawn]
@@ -42,6 +45,14 @@ def record_commands(
             return stop_when(record)
 
         return run_commands(loop, *commands, stop_when=observe)
+
+
+def _read_command(loop: ClosedLoop, command: Command) -> Command:
+    """Return a command with plain values, which a log can hold."""
+    read = read_arguments(command, known_names(loop.config.params))
+    if isinstance(read, Wrong):
+        raise ValueError(f"{type(command).__name__}: {read.text}")
+    return read
 
 
 def _effects_by_name(name: str) -> tuple[Effect, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Limits, ToolMark
+from fsw.dictionary.types import Limits, NameMark
 from ground.common.fields import field_docs, unit_of
 from ground.telemetry.errors import SchemaError
 
@@ -164,7 +164,7 @@ def note_of(name: str, hint: Any, arm: ArmNames) -> str:
 
 def is_tool_index(hint: Any) -> bool:
     """Return whether an annotation is of an index of a tool."""
-    return any(isinstance(mark, ToolMark) for mark in get_args(hint)[1:])
+    return NameMark.TOOL in get_args(hint)[1:]
 
 
 def array_shape(owner: type, name: str, arm: ArmNames) -> Shape:

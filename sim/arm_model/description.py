@@ -207,6 +207,8 @@ class BuiltTolerances:
     mass_share: Share
     friction_share: Share
     com_m: SmallLength
+    expansion_share: Share
+    structure_sensor_K: Annotated[float, Limits(0.0, 20.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,6 +256,8 @@ class ArmDescription:
         return self.actuators[self.joints.by_name()[joint].actuator]
 
 
+VISCOUS_COLD: Final = 8.0
+"""Factor on the viscous friction at 20 degC that gives that at -55 degC."""
 LINK_PARTS: Final = ("link2", "link3", "link4", "link5", "turret")
 """Parts with shapes, beside the tools."""
 _ADAPTER: Final = TypeAdapter(ArmDescription)

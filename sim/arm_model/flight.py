@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from fsw.dictionary.params import Params, Transform6
-from sim.arm_model.description import LINK_PARTS, ArmDescription, BadArm, LinkDescription, Lump, Shape
+from sim.arm_model.description import (
+    LINK_PARTS,
+    VISCOUS_COLD,
+    ArmDescription,
+    BadArm,
+    LinkDescription,
+    Lump,
+    Shape,
+)
 from sim.arm_model.validity import reserved_of_flight
 from sim.params_table import merge_tables, params_from_table
 
@@ -98,6 +106,7 @@ def _joint_table(arm: ArmDescription, name: str) -> dict[str, Any]:
         "backlash_rad": actuator.backlash_rad,
         "gear_stiffness_Nm_rad": actuator.gear_stiffness_Nm_rad,
         "output_friction_Nm": actuator.output_friction_Nm,
+        "damping_Nms_rad": VISCOUS_COLD * actuator.damping_Nms_rad,
         "load_error_Nm": joint.load_error_Nm,
         "torque_constant_Nm_A": actuator.torque_constant_Nm_A,
         "hardstop_rad": joint.hardstops_rad[0],

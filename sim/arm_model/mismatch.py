@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from fsw.dictionary.enums import Joint
-from fsw.dictionary.params import LinkParams, Params
+from fsw.dictionary.params import LinkParams, Params, ToolParams
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z
 from sim.arm_model.description import BuiltTolerances
@@ -22,7 +22,7 @@ def find_mismatches(params: Params, arm: ArmModel) -> Iterator[str]:
     """Yield a sentence for each difference beyond 5 sigma of the tolerances in `arm.toml`.
 
     A frame may turn by the tolerance of frames and of hardstops together, because a calibration cannot tell
-    them apart; the spring of its link turns with it. What has no tolerance must be equal: thermal expansion,
+    them apart; the spring of its link turns with it. What has no tolerance must be equal:
     torque constants, gear ratios, encoders, and the shapes of tools.
     Parameters that are no property of the mechanism, such as speeds, may have any value.
 
@@ -47,14 +47,15 @@ def find_mismatches(params: Params, arm: ArmModel) -> Iterator[str]:
         where = f"tools.{tool.name.lower()}"
         X = transform6_to_pose(tool.transform), transform6_to_pose(drawn_tool.transform)
         yield from _compare_frames(where, *X, sigma)
-        yield from _compare_exact(where, tool, drawn_tool, "expansion_1_K", "geometry")
+        yield from _compare_exact(where, tool, drawn_tool, "geometry")
+        yield from _compare_expansions(where, tool, drawn_tool, sigma)
     yield from _compare_joints(params, drawing, sigma)
 
 
 def _compare_link(where: str, link: LinkParams, drawn: LinkParams, sigma: BuiltTolerances) -> Iterator[str]:
     ends = transform6_to_pose(link.transform), transform6_to_pose(drawn.transform)
     yield from _compare_frames(where, *ends, sigma)
-    yield from _compare_exact(where, link, drawn, "expansion_1_K")
+    yield from _compare_expansions(where, link, drawn, sigma)
     # a calibration may turn the axes of a link about z, so both are compared before theta
     ours, theirs = (rotation_z(np.array(one.transform.theta_rad)) for one in (link, drawn))
     centre, drawn_centre = ours @ np.array(link.elastic_centre_m), theirs @ np.array(drawn.elastic_centre_m)
@@ -78,6 +79,18 @@ def _compare_link(where: str, link: LinkParams, drawn: LinkParams, sigma: BuiltT
         for one, R in ((link, ours), (drawn, theirs))
     )
     yield from _compare_compliances(f"{where}.compliance", C, drawn_C, sigma)
+
+
+def _compare_expansions(
+    where: str, part: LinkParams | ToolParams, drawn: LinkParams | ToolParams, sigma: BuiltTolerances
+) -> Iterator[str]:
+    largest = float(np.exp(MOST_SIGMA * sigma.expansion_share))
+    for axis, (ours, theirs) in enumerate(zip(part.expansion_1_K, drawn.expansion_1_K, strict=True)):
+        if not min(theirs * largest, theirs / largest) <= ours <= max(theirs * largest, theirs / largest):
+            yield (
+                f"{where}.expansion_1_K.{axis}: {ours:g} differs from {theirs:g} of the arm by more than "
+                f"a factor of {largest:.3g}"
+            )
 
 
 def _compare_compliances(where: str, C: Array, drawn: Array, sigma: BuiltTolerances) -> Iterator[str]:

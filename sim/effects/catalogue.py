@@ -15,7 +15,7 @@ from types import MappingProxyType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import sim.effects
-from fsw.dictionary.types import ToolMark
+from fsw.dictionary.types import NameMark
 from sim.effects import effect as bases
 from sim.effects.effect import EachCycle, EachMove, Effect, ParameterSpec, Timed
 from sim.params import nominal_params
@@ -150,7 +150,7 @@ def _neutral_value(parameter: ParameterField) -> Any:
 
 
 def _choices_of(hint: Any, tools: Sequence[str] | None) -> dict[str, Any]:
-    if any(isinstance(mark, ToolMark) for mark in getattr(hint, "__metadata__", ())):
+    if NameMark.TOOL in getattr(hint, "__metadata__", ()):
         return {tool.lower(): tool for tool in tools or nominal_params().tool_names}
     if isinstance(hint, type) and issubclass(hint, IntEnum):
         return {member.name.lower(): member for member in hint}

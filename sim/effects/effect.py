@@ -16,6 +16,7 @@ from fsw.messages import Sensors
 from sim.arm_model.description import ArmDescription
 from sim.arm_model.load import default_arm
 from sim.disturbance import NO_DISTURBANCE, Disturbance, MoveDisturbance, no_move_disturbance
+from sim.drawing import WARM_C, grow
 from sim.plant import Plant
 
 
@@ -106,6 +107,11 @@ class Hardware:
     """Thermal time constant."""
     ambient_C: Array
     """Temperature around each motor."""
+    structure_C: float
+    """Temperature of links and tools."""
+    structure_offset_K: float
+    """Error of the sensor of that temperature."""
+    structure_noise_K: float
     power_until_s: float
     """Time at which the bus voltage fails for good; brakes hold without power."""
     brake_stuck: NDArray[np.bool_]
@@ -144,7 +150,10 @@ def nominal_hardware(arm: ArmDescription | None = None) -> Hardware:
         switch_release_N=1.0,
         winding_K_W=np.array([motor.winding_K_W for motor in motors]),
         winding_s=np.array([motor.winding_s for motor in motors]),
-        ambient_C=np.full(5, 20.0),
+        ambient_C=np.full(5, WARM_C),
+        structure_C=WARM_C,
+        structure_offset_K=0.0,
+        structure_noise_K=0.1,
         power_until_s=np.inf,
         brake_stuck=np.zeros(5, bool),
         missed_cycles=0,
@@ -276,9 +285,20 @@ def check_effects(effects: Iterable[Effect], params: Params) -> None:
 
 
 def apply_effects(effects: Iterable[Effect], spec: mujoco.MjSpec, hardware: Hardware) -> Hardware:
-    """Change the MuJoCo model by all effects, in order; return the avionics and sensors."""
+    """Change the MuJoCo model by all effects, in order; return the avionics and sensors.
+
+    The arm grows to its temperature last, with the coefficients that the effects leave.
+    """
     for effect in effects:
         effect.on_model(spec)
+        hardware = effect.on_hardware(hardware)
+    grow(spec, hardware.structure_C)
+    return hardware
+
+
+def hardware_with_effects(effects: Iterable[Effect], hardware: Hardware) -> Hardware:
+    """Return avionics and sensors changed by all effects."""
+    for effect in effects:
         hardware = effect.on_hardware(hardware)
     return hardware
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
+from sim.arm_model.description import VISCOUS_COLD
+from sim.drawing import WARM_C
 from sim.effects.effect import Effect, Hardware, ParameterSpec, StartTime
 
-WARM_C = 20.0
 COLD_C = -55.0
 COULOMB_COLD = 2.5
 """Factor on the friction at WARM_C that gives that at COLD_C."""
-VISCOUS_COLD = 8.0
 NO_PADDING_M = 1e3
 
 
@@ -52,7 +52,10 @@ class SurfacePosition(Effect):
 
 @dataclass(frozen=True, slots=True)
 class Ambient(Effect):
-    """Temperature of the actuators; the friction of their grease grows exponentially in the cold."""
+    """Temperature of actuators and structure.
+
+    The friction of grease grows exponentially in the cold. Links and tools grow in proportion.
+    """
 
     temperature_C: Annotated[float, ParameterSpec(-130.0, 50.0, unit="degC", typical=-30.0, neutral=WARM_C)]
 
@@ -65,8 +68,20 @@ class Ambient(Effect):
             motor.damping *= VISCOUS_COLD**share
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Set the initial temperature of the windings."""
-        return replace(hardware, ambient_C=np.full(len(Joint), self.temperature_C))
+        """Set the temperature of the structure, and the initial one of the windings."""
+        ambient_C = np.full(len(Joint), self.temperature_C)
+        return replace(hardware, ambient_C=ambient_C, structure_C=self.temperature_C)
+
+
+@dataclass(frozen=True, slots=True)
+class StructureTemperature(Effect):
+    """Temperature of links and tools, where heaters keep the actuators at another."""
+
+    temperature_C: Annotated[float, ParameterSpec(-130.0, 70.0, unit="degC", typical=-30.0, neutral=WARM_C)]
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """Set the temperature of the structure."""
+        return replace(hardware, structure_C=self.temperature_C)
 
 
 def default_ambient(effects: Iterable[Effect], temperature_C: float) -> tuple[Effect, ...]:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Annotated, Final, Literal
 
+import mujoco
 import numpy as np
 
 from fsw.dictionary.enums import Joint
@@ -15,12 +16,18 @@ from sim.frames import FLIP, gravity_in_rover
 from sim.plant import MOTOR_CONSTANT, Plant
 
 SensorName = Literal[
-    "encoder_count", "resolver_rad", "current_A", "winding_C", "switch_closed", "gravity_R_m_s2"
+    "encoder_count",
+    "resolver_rad",
+    "current_A",
+    "winding_C",
+    "structure_C",
+    "switch_closed",
+    "gravity_R_m_s2",
 ]
 SensorFaultKind = Literal["frozen", "biased", "noisy", "nan"]
 INTEGER_SENSORS: Final = ("encoder_count", "switch_closed")
 MAX_SWITCHES: Final = 32
-CHANNEL_COUNTS: Final = {"switch_closed": MAX_SWITCHES, "gravity_R_m_s2": 3}
+CHANNEL_COUNTS: Final = {"switch_closed": MAX_SWITCHES, "gravity_R_m_s2": 3, "structure_C": 1}
 """Most channels of the sensors that do not have one for each joint."""
 TiltAngle = Annotated[float, ParameterSpec(-0.6, 0.6, unit="rad", typical=0.05)]
 """Angle at which a rover can stand."""
@@ -93,9 +100,11 @@ class ActiveSensorFault:
             case "biased":
                 wrong = true + fault.size
             case "noisy":
-                wrong = true + fault.size * rng.standard_normal(true.size)
+                wrong = true + fault.size * rng.standard_normal(true.shape)
             case "nan":
                 wrong = np.full_like(true, np.nan)
+        if fault.sensor == "structure_C":
+            return replace(sensors, structure_C=float(wrong))
         if fault.index is not None:
             wrong = np.where(np.arange(true.size) == fault.index, wrong, true)
         match fault.sensor:
@@ -199,9 +208,10 @@ class RockGone(Timed):
     """Loss of the rock face, which no longer makes contact."""
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """Exclude the face from the contacts."""
-        face = plant.model.geom("rock_face").id
-        plant.model.geom_contype[face] = plant.model.geom_conaffinity[face] = 0
+        """Exclude the face from the contacts, if there is one."""
+        face = mujoco.mj_name2id(plant.model, mujoco.mjtObj.mjOBJ_GEOM, "rock_face")
+        if face >= 0:
+            plant.model.geom_contype[face] = plant.model.geom_conaffinity[face] = 0
         return hardware
 
 

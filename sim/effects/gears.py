@@ -12,8 +12,9 @@ import numpy as np
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from sim.disturbance import Disturbance, at_joint
+from sim.drawing import WARM_C
 from sim.effects.effect import EachCycle, Effect, Hardware, ParameterSpec, refuse_first_joint
-from sim.effects.environment import COLD_C, WARM_C
+from sim.effects.environment import COLD_C
 from sim.effects.flight_params import joint_of, with_joint
 from sim.plant import Plant
 

@@ -13,15 +13,15 @@ from fsw.dictionary.types import Row6, ToolName, row6, vector3
 from fsw.kinematics.arm import pose_to_transform6, transform6_to_pose
 from fsw.kinematics.transforms import Pose, inverse, rotation_z, screw_exp
 from sim.disturbance import frame_body
-from sim.drawing import expansion_of, tools_of
+from sim.drawing import displace, expansion_of, scale_expansion, tools_of
 from sim.effects.effect import (
     Effect,
+    Factor,
     ParameterSpec,
     TemperatureRise,
     params_with_effects,
 )
 from sim.effects.flight_params import link_of, rotate_matrix, with_link
-from sim.plant import rotation_matrices
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +38,7 @@ class FrameError(Effect):
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Displace the body that represents the frame."""
-        if not any(self.screw):
-            return
-        body = spec.body(self._body())
-        X = Pose(rotation_matrices(body.quat[None])[:, :, 0], body.pos) @ screw_exp(np.array(self.screw))
-        quat = np.zeros(4)
-        mujoco.mju_mat2Quat(quat, X.R.ravel())
-        body.pos, body.quat = X.p, quat
+        displace(spec.body(self._body()), np.array(self.screw))
 
     def on_params(self, params: Params) -> Params:
         """Set the six numbers of the displaced link transform."""
@@ -86,8 +80,41 @@ class FrameError(Effect):
 
 
 @dataclass(frozen=True, slots=True)
+class Expansion(Effect):
+    """Factor on the thermal expansion of the link that ends in a frame; it shows at other temperatures."""
+
+    frame: Frame
+    factor: Factor
+    tool: ToolName | None = None
+    """Tool, if the frame is TOOL."""
+
+    def __post_init__(self) -> None:
+        check_tool(self.frame, self.tool)
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Scale the expansion; the link grows when all effects are known."""
+        scale_expansion(spec, frame_body(self.frame, self.tool), self.factor)
+
+    def on_params(self, params: Params) -> Params:
+        """Scale the expansion of the link or tool."""
+        if self.frame is not Frame.TOOL:
+            link = link_of(params, self.frame)
+            return with_link(
+                params, self.frame, replace(link, expansion_1_K=self._scaled(link.expansion_1_K))
+            )
+        tools = tuple(
+            replace(tool, expansion_1_K=self._scaled(tool.expansion_1_K)) if tool.name == self.tool else tool
+            for tool in params.tools
+        )
+        return replace(params, tools=tools)
+
+    def _scaled(self, expansion_1_K: Row6) -> Row6:
+        return row6(self.factor * np.array(expansion_1_K))
+
+
+@dataclass(frozen=True, slots=True)
 class LinkWarming(Effect):
-    """Thermal growth of the link that ends in a frame, unknown to flight software."""
+    """Thermal growth of the link that ends in a frame beyond that of the arm's temperature."""
 
     frame: Frame
     warming_K: TemperatureRise
@@ -116,7 +143,7 @@ class LinkWarming(Effect):
 
 @dataclass(frozen=True, slots=True)
 class Warming(Effect):
-    """Thermal growth of every link and tool at the same temperature rise."""
+    """Thermal growth of every link and tool above the temperature that their sensor tells."""
 
     warming_K: TemperatureRise
 

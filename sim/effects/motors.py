@@ -93,7 +93,7 @@ class BusSag(EachCycle):
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
         """Compute the loss of gain from the present currents."""
         total_A = float(np.abs(plant.motor_current_A()).sum())
-        voltage_loss = min(self.resistance_Ohm * total_A / BUS_V, 1.0)
+        voltage_loss = self.resistance_Ohm * total_A / BUS_V
         return None, Disturbance(servo=np.full(len(Joint), -voltage_loss))
 
 

@@ -10,6 +10,9 @@ from sim.effects.effect import Effect, ParameterSpec
 SOLVER_ITERATIONS: Final = 30
 """Iterations of the dual solver, which always uses all; three times as many change single counts."""
 
+LEAST_EXPLICIT_SUBSTEPS: Final = 6
+"""The explicit scheme diverges with fewer."""
+
 
 @dataclass(frozen=True, slots=True)
 class Numerics(Effect):
@@ -21,8 +24,15 @@ class Numerics(Effect):
     """
 
     scheme: Literal["implicit", "explicit"]
-    substeps: Annotated[int, ParameterSpec(2, 20, unit="1", typical=2)] = 2
-    """Steps per step of the model; the explicit scheme diverges with fewer than six."""
+    substeps: Annotated[int, ParameterSpec(2, 20, unit="1", typical=6)] = LEAST_EXPLICIT_SUBSTEPS
+    """Steps per step of the model."""
+
+    def __post_init__(self) -> None:
+        if self.scheme == "explicit" and self.substeps < LEAST_EXPLICIT_SUBSTEPS:
+            least = LEAST_EXPLICIT_SUBSTEPS
+            raise ValueError(
+                f"substeps: {self.substeps} diverges; the explicit scheme takes at least {least}"
+            )
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Set time step and solver."""

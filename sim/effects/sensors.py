@@ -173,3 +173,19 @@ class GravityDirection(ReadingError):
         """Rotate the reading."""
         R = _ROTATION_ABOUT[self.axis](np.array(self.angle_rad))
         return replace(sensors, gravity_R_m_s2=R @ sensors.gravity_R_m_s2)
+
+
+@dataclass(frozen=True, slots=True)
+class StructureSensor(Effect):
+    """Offset of the temperature that the sensor of the structure reads."""
+
+    offset_K: Annotated[float, ParameterSpec(-20.0, 20.0, unit="K", typical=0.3, neutral=0.0)]
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """Add the offset."""
+        return replace(hardware, structure_offset_K=hardware.structure_offset_K + self.offset_K)
+
+    def on_params(self, params: Params) -> Params:
+        """Set what the sensor reads at the temperature of the calibration."""
+        calibration_C = params.heat.calibration_C + self.offset_K
+        return replace(params, heat=replace(params.heat, calibration_C=calibration_C))

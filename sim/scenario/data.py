@@ -9,10 +9,10 @@ from math import pi
 from typing import Annotated, Final, Literal
 
 from fsw.dictionary.commands import Command
-from fsw.dictionary.types import Limits, ToolName, Vector3
+from fsw.dictionary.types import Direction, Limits, Position, ToolName
 from sim.arms import BuiltArm
+from sim.drawing import WARM_C
 from sim.effects.effect import Effect, check_effects
-from sim.effects.environment import WARM_C
 from sim.effects.faults import InjectedFault
 from sim.world import World
 
@@ -79,7 +79,7 @@ class GravityHeld:
 
     during: CommandNumber
     tool: ToolName
-    gravity_T: Vector3
+    gravity_T: Direction
     """Direction in the true axes of the tool."""
     angle_rad: CheckAngle = 1.0 * DEGREE
 
@@ -169,9 +169,9 @@ class TaughtPoint:
 
     name: str
     tool: ToolName
-    p_N_m: Vector3
+    p_N_m: Position
     """Position in RNAV."""
-    approach_N: Vector3
+    approach_N: Direction
     branch: str = "AUTO"
 
 

@@ -9,15 +9,15 @@ from typing import Annotated, Any, Final, TypeVar
 
 import numpy as np
 
-from fsw.dictionary.commands import Command, Preload, SetParam, SetTilt
+from fsw.dictionary.commands import Command, Preload, SetParam
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits
-from fsw.executive.checks import check_bounds
+from fsw.executive.checks import check_force
 from fsw.executive.settings import replace_param
 from sim.arms import UnknownArm, arm_named
+from sim.drawing import WARM_C
 from sim.effects.effect import Effect
-from sim.effects.environment import WARM_C
 from sim.params import nominal_params
 from sim.scenario.data import Check, Done, Faulted, Injection, Recovered, Scenario, StartPose, TaughtPoint
 from sim.scenario.mode_check import find_refusals
@@ -25,8 +25,6 @@ from sim.scenario.names import did_you_mean, shorten
 from sim.scenario.toml_lines import NotToml, parse_toml
 from sim.scenario.toml_record import Findings, Problem, read_record, require_table
 from sim.scenario.toml_tables import (
-    check_direction,
-    check_distance,
     list_tables,
     prevents_completion,
     read_check,
@@ -218,10 +216,6 @@ def _read_world(data: dict[str, Any], findings: Findings) -> _WorldTable | None:
     world = None if table is None else read_record(_WorldTable, table, ("world",), findings)
     if world is None:
         return None
-    if world.surface is not None:
-        place = ("world", "surface")
-        check_direction("normal", world.surface.normal_N, place, findings)
-        check_distance("position", world.surface.p_N_m, place, findings)
     most = max(abs(world.tilt_roll_rad), abs(world.tilt_pitch_rad), world.built.tilt_rad)
     if most > MAX_TILT_RAD + 1e-12:
         most_deg, limit_deg = np.degrees(most), np.degrees(MAX_TILT_RAD)
@@ -299,7 +293,7 @@ def _invalid_commands(params: Params, commands: tuple[Command, ...]) -> Iterator
         if isinstance(command, SetParam):
             changed = replace_param(params, command)
             params, problem = (params, changed) if isinstance(changed, str) else (changed, None)
-        elif isinstance(command, Preload | SetTilt):
-            problem = check_bounds(params, command)
+        elif isinstance(command, Preload):
+            problem = check_force(params, command)
         if problem is not None:
             yield number, problem

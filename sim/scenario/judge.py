@@ -1,6 +1,6 @@
 """Evaluation of scenarios: each check against the true state of the plant, with value and bounds."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from math import inf, nan
 from typing import Final, assert_never
@@ -12,6 +12,7 @@ from fsw.dictionary.evrs import CommandAborted, CommandRefused
 from fsw.kinematics.transforms import Array, angle_between, normalize
 from fsw.protect.responses import RESPONSE_TO, Response
 from sim.frames import p_R_from_N
+from sim.record import CycleRecord
 from sim.scenario.data import (
     CONTACT_THRESHOLD_N,
     Check,
@@ -31,7 +32,7 @@ from sim.scenario.data import (
     TaughtPoint,
 )
 from sim.scenario.names import upper_snake
-from sim.scenario.trace import Snapshot, Trace, is_touching
+from sim.scenario.trace import Ending, Snapshot, Trace, is_touching
 from sim.sequence import Outcome
 from sim.world import Surface
 
@@ -61,30 +62,76 @@ class CheckResult:
         return self.low <= self.value <= self.high
 
 
-def evaluate_checks(scenario: Scenario, stowed_rad: Array, trace: Trace) -> tuple[CheckResult, ...]:
+def needs_snapshot(scenario: Scenario, record: CycleRecord, command: int) -> bool:
+    """Return whether a check may need the true state after a cycle; a command ends with an event, or idle."""
+    outputs = record.outputs
+    return (
+        not outputs.joint.busy
+        or bool(outputs.evrs)
+        or outputs.drive.vibrate
+        or any(isinstance(check, Preloaded) and check.after <= command for check in scenario.checks)
+    )
+
+
+def note_snapshot(scenario: Scenario, trace: Trace, snapshot: Snapshot) -> None:
+    """Add to a trace what the checks of a scenario need of a cycle."""
+    trace.ends[snapshot.command] = snapshot
+    for check in scenario.checks:
+        for name, value in _measure_cycle(check, scenario, trace, snapshot):
+            trace.peaks[check, name] = max(trace.peaks.get((check, name), -inf), value)
+
+
+def _measure_cycle(
+    check: Check, scenario: Scenario, trace: Trace, snapshot: Snapshot
+) -> Iterator[tuple[str, float]]:
+    if isinstance(check, Preloaded) and snapshot.command >= check.after:
+        yield from _measure_press(check, _surface_normal(scenario), trace, snapshot)
+    if isinstance(check, GravityHeld) and snapshot.command == check.during and snapshot.vibrates:
+        yield "gravity off", _gravity_off_rad(check, scenario.world.gravity_N_m_s2, snapshot)
+
+
+def _measure_press(
+    check: Preloaded, normal: Array, trace: Trace, snapshot: Snapshot
+) -> Iterator[tuple[str, float]]:
+    """Measure force, and ratio and slip while pressed; a tool may roll, so each pad slips by itself."""
+    force_R_N, pads_R_m = snapshot.force_R_N[check.tool], snapshot.pads_R_m[check.tool]
+    normal_N, closed = float(force_R_N @ normal), np.flatnonzero(snapshot.closed[check.tool]).tolist()
+    yield "most force", normal_N
+    for switch in closed:
+        trace.touched_R_m.setdefault((check, switch), pads_R_m[switch])
+    if normal_N >= check.pressed_N:
+        yield "lateral over normal force", _lateral(force_R_N, normal) / normal_N
+        for switch in closed:
+            yield "slip", _lateral(pads_R_m[switch] - trace.touched_R_m[check, switch], normal)
+
+
+def evaluate_checks(
+    scenario: Scenario, stowed_rad: Array, trace: Trace, ending: Ending
+) -> tuple[CheckResult, ...]:
     """Evaluate every check of a scenario, in its order.
 
     Args:
         scenario: Scenario that was run.
         stowed_rad: Output angles of the stowed pose, shape (5,).
-        trace: True states of the run.
+        trace: True states of the run, from `note_snapshot`.
+        ending: State at its end.
     """
     found = [
         replace(measured, check=upper_snake(type(check)).lower())
         for check in scenario.checks
-        for measured in _evaluate(check, scenario, stowed_rad, trace)
+        for measured in _evaluate(check, scenario, stowed_rad, trace, ending)
     ]
     if scenario.faults:
-        found.append(
-            replace(_bool_result("every fault came", not trace.ending.pending_faults), check="fault")
-        )
+        found.append(replace(_bool_result("every fault came", not ending.pending_faults), check="fault"))
     return tuple(found)
 
 
-def _evaluate(check: Check, scenario: Scenario, stowed_rad: Array, trace: Trace) -> tuple[CheckResult, ...]:
+def _evaluate(
+    check: Check, scenario: Scenario, stowed_rad: Array, trace: Trace, ending: Ending
+) -> tuple[CheckResult, ...]:
     match check:
         case Done():
-            return (_bool_result("every command carried out", _all_done(trace)),)
+            return (_bool_result("every command carried out", _all_done(ending)),)
         case Placed():
             return _check_placed(check, scenario, trace)
         case SameSpot():
@@ -104,15 +151,15 @@ def _evaluate(check: Check, scenario: Scenario, stowed_rad: Array, trace: Trace)
         case Released():
             return (_check_released(check, trace),)
         case Stowed():
-            off = float(np.abs(trace.ending.output_rad - stowed_rad).max())
-            known = trace.ending.mode is Mode.STOWED
+            off = float(np.abs(ending.output_rad - stowed_rad).max())
+            known = ending.mode is Mode.STOWED
             return CheckResult("farthest joint from it", off, "rad", high=check.angle_rad), _bool_result(
                 "known", known
             )
         case Faulted():
-            return _check_faulted(check, trace)
+            return _check_faulted(check, ending)
         case Recovered():
-            came, done = _has_evr(check.evr, trace), trace.ending.outcome is Outcome.DONE
+            came, done = _has_evr(check.evr, ending), ending.outcome is Outcome.DONE
             return _bool_result(check.evr, came), _bool_result("the sequence went on to its end", done)
         case _:
             assert_never(check)
@@ -127,7 +174,7 @@ def _check_placed(check: Placed, scenario: Scenario, trace: Trace) -> tuple[Chec
 
 
 def _check_same_spot(check: SameSpot, normal: Array, trace: Trace) -> tuple[CheckResult, ...]:
-    first = trace.at_end_of(check.first_after)
+    first = trace.ends.get(check.first_after)
     spot = np.full(3, nan) if first is None else first.p_RoTo_R_m[check.first_tool]
     lateral = _value_after(trace, check.after, lambda m: _lateral(m.p_RoTo_R_m[check.tool] - spot, normal))
     return (
@@ -138,38 +185,27 @@ def _check_same_spot(check: SameSpot, normal: Array, trace: Trace) -> tuple[Chec
 
 
 def _check_preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[CheckResult, ...]:
-    """Check force at the end of the command, and ratio and slip from its start while pressed."""
-    snapshots = trace.since(check.after)
-    normals = [float(m.force_R_N[check.tool] @ normal) for m in snapshots]
-    pressed = [(m, f) for m, f in zip(snapshots, normals, strict=True) if f >= check.pressed_N]
-    ratios = [_lateral(m.force_R_N[check.tool], normal) / f for m, f in pressed]
-    switches = range(snapshots[0].closed[check.tool].size) if snapshots else ()
-    slips = [slip for switch in switches for slip in _slips(snapshots, switch, normal, check)]
+    """Check force at the end of the command, and the peaks from its start to the end of the run."""
+
+    def peak(name: str, unit: str, high: float) -> CheckResult:
+        return CheckResult(name, trace.peaks.get((check, name), nan), unit, high=high)
+
     return (
         _force_result(trace, normal, check.after, check.tool, check.force_N, check.share),
-        CheckResult("most force", _maximum(normals), "N", high=check.max_N),
-        CheckResult("lateral over normal force", _maximum(ratios), "", high=check.ratio),
-        CheckResult("slip", _maximum(slips), "m", high=check.slip_m),
+        peak("most force", "N", check.max_N),
+        peak("lateral over normal force", "", check.ratio),
+        peak("slip", "m", check.slip_m),
     )
 
 
-def _slips(snapshots: Sequence[Snapshot], switch: int, normal: Array, check: Preloaded) -> list[float]:
-    """Return the shift of a pad across the normal since it touched: a tool may roll or turn on its pads."""
-    tool = check.tool
-    touched = [m for m in snapshots if m.closed[tool][switch]]
-    return [
-        _lateral(m.pads_R_m[tool][switch] - touched[0].pads_R_m[tool][switch], normal)
-        for m in touched
-        if float(m.force_R_N[tool] @ normal) >= check.pressed_N
-    ]
-
-
 def _check_gravity(check: GravityHeld, gravity_R_m_s2: Array, trace: Trace) -> CheckResult:
-    snapshots = trace.during(check.during)
-    held = [m for m in snapshots if m.vibrates] + list(snapshots[-1:])
-    wanted = np.array(check.gravity_T)
-    angles = [angle_between(m.R_RT[check.tool].T @ gravity_R_m_s2, wanted) for m in held]
-    return CheckResult("gravity off", _maximum(angles), "rad", high=check.angle_rad)
+    at_end_rad = _value_after(trace, check.during, lambda m: _gravity_off_rad(check, gravity_R_m_s2, m))
+    most_rad = max(at_end_rad, trace.peaks.get((check, "gravity off"), at_end_rad))
+    return CheckResult("gravity off", most_rad, "rad", high=check.angle_rad)
+
+
+def _gravity_off_rad(check: GravityHeld, gravity_R_m_s2: Array, snapshot: Snapshot) -> float:
+    return angle_between(snapshot.R_RT[check.tool].T @ gravity_R_m_s2, np.array(check.gravity_T))
 
 
 def _check_over_inlet(check: OverInlet, scenario: Scenario, trace: Trace) -> tuple[CheckResult, ...]:
@@ -197,27 +233,29 @@ def _check_docked(check: Docked, point: TaughtPoint, trace: Trace) -> tuple[Chec
 
 
 def _check_released(check: Released, trace: Trace) -> CheckResult:
-    force = float(np.linalg.norm(trace.snapshots[-1].force_R_N[check.tool])) if trace.snapshots else nan
+    force = _value_after(
+        trace, max(trace.ends, default=0), lambda m: float(np.linalg.norm(m.force_R_N[check.tool]))
+    )
     return CheckResult("force", force, "N", high=CONTACT_THRESHOLD_N)
 
 
-def _check_faulted(check: Faulted, trace: Trace) -> tuple[CheckResult, ...]:
+def _check_faulted(check: Faulted, ending: Ending) -> tuple[CheckResult, ...]:
     """Check event and brakes, and the refusal of moves if that is the response to the fault."""
-    refuses = () if check.evr in STOP_ONLY_FAULTS else (_bool_result("refuses", trace.ending.refuses),)
+    refuses = () if check.evr in STOP_ONLY_FAULTS else (_bool_result("refuses", ending.refuses),)
     return (
-        _bool_result(check.evr, _has_evr(check.evr, trace)),
-        _bool_result("braked", trace.ending.braked),
+        _bool_result(check.evr, _has_evr(check.evr, ending)),
+        _bool_result("braked", ending.braked),
         *refuses,
     )
 
 
-def _has_evr(evr_name: str, trace: Trace) -> bool:
-    return any(evr.name == evr_name for _, evr in trace.ending.evrs)
+def _has_evr(evr_name: str, ending: Ending) -> bool:
+    return any(evr.name == evr_name for _, evr in ending.evrs)
 
 
-def _all_done(trace: Trace) -> bool:
-    ended_early = any(isinstance(evr, CommandAborted | CommandRefused) for _, evr in trace.ending.evrs)
-    return trace.ending.outcome is Outcome.DONE and not ended_early
+def _all_done(ending: Ending) -> bool:
+    ended_early = any(isinstance(evr, CommandAborted | CommandRefused) for _, evr in ending.evrs)
+    return ending.outcome is Outcome.DONE and not ended_early
 
 
 def _force_result(
@@ -241,12 +279,8 @@ def _bool_result(name: str, is_so: bool) -> CheckResult:
 
 def _value_after(trace: Trace, command: int, measure: Callable[[Snapshot], float]) -> float:
     """Measure at the end of a command; NaN if it did not begin."""
-    snapshot = trace.at_end_of(command)
+    snapshot = trace.ends.get(command)
     return nan if snapshot is None else measure(snapshot)
-
-
-def _maximum(values: Sequence[float]) -> float:
-    return max(values) if len(values) else nan
 
 
 def _lateral(v: Array, normal: Array) -> float:

@@ -16,8 +16,8 @@ from sim.effects.environment import default_ambient
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.scenario.data import Scenario
-from sim.scenario.judge import CheckResult, evaluate_checks
-from sim.scenario.trace import Ending, Snapshot, Trace, take_snapshot
+from sim.scenario.judge import CheckResult, evaluate_checks, needs_snapshot, note_snapshot
+from sim.scenario.trace import Ending, Trace, take_snapshot
 from sim.sequence import Outcome, observe_cycles, run_sequence, stop_sequence
 
 TYPICAL_COMMAND_S: Final = 200.0
@@ -70,7 +70,7 @@ class ScenarioRun:
     def __init__(self, loop: ClosedLoop, scenario: Scenario):
         self._loop = loop
         self._scenario = scenario
-        self._snapshots: list[Snapshot] = []
+        self._trace = Trace()
         self._evrs: list[tuple[float, Evr]] = []
         self._outcome = Outcome.SOFTWARE_ERROR
         self._braked = self._refuses = False
@@ -121,7 +121,8 @@ class ScenarioRun:
 
     def _watch(self, record: CycleRecord) -> None:
         self._evrs += [(record.tick / CYCLE_HZ, evr) for evr in record.outputs.evrs]
-        self._snapshots.append(take_snapshot(self._loop, record, self.command))
+        if needs_snapshot(self._scenario, record, self.command):
+            note_snapshot(self._scenario, self._trace, take_snapshot(self._loop, record, self.command))
 
     @property
     def _begun_faults(self) -> int:
@@ -150,11 +151,10 @@ class ScenarioRun:
             evrs=tuple(self._evrs),
         )
         stowed = np.array(self._loop.config.params.poses.stowed_rad)
-        trace = Trace(tuple(self._snapshots), ending)
         return ScenarioResult(
             outcome=self._outcome,
             command=self.command,
             duration_s=plant.data.time,
-            checks=evaluate_checks(self._scenario, stowed, trace),
+            checks=evaluate_checks(self._scenario, stowed, self._trace, ending),
             evrs=ending.evrs,
         )

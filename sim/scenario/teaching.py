@@ -8,7 +8,7 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.channels import ToolChannels
-from fsw.dictionary.commands import MoveTool
+from fsw.dictionary.commands import AUTO, MoveTool
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import TeachPoint
 from fsw.dictionary.types import joints5, vector3
@@ -17,7 +17,6 @@ from fsw.kinematics.arm import build_arm
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import Array
-from fsw.motion.plan_tool import AUTO
 from sim.arms import BuiltArm
 from sim.effects.environment import NothingToTouch
 from sim.frames import p_R_from_N

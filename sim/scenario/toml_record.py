@@ -7,7 +7,7 @@ from enum import IntEnum
 from types import UnionType
 from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from fsw.dictionary.types import Limits, names_tool
+from fsw.dictionary.types import DirectionMark, Limits, names_tool
 from sim.scenario.names import FieldKeys, did_you_mean, field_keys, list_choices, shorten
 from sim.scenario.toml_lines import TomlPath
 
@@ -150,8 +150,10 @@ def _read_value(
         return None if table is None else read_record(plain, table, place, findings)  # type: ignore[arg-type]
     try:
         read = _convert_value(plain, value, factor, choices)
-        for limits in getattr(kind, "__metadata__", ()):
-            _check_limits(limits, read, factor)
+        for mark in getattr(kind, "__metadata__", ()):
+            _check_limits(mark, read, factor)
+            if isinstance(mark, DirectionMark) and max(map(abs, read)) < mark.least:
+                raise _BadValue(f"has no length; its greatest component must be at least {mark.least:g}")
     except _BadValue as wrong:
         findings.report(place, f"{place[-1]}: {wrong}")
         return None

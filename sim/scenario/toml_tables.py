@@ -6,18 +6,18 @@ from typing import Annotated, Any, Final, get_args
 
 import numpy as np
 
-from fsw.dictionary.commands import ROVER, Command, Dock
+from fsw.dictionary.arguments import Wrong, read_arguments
+from fsw.dictionary.commands import AUTO, ROVER, Command, Dock
 from fsw.dictionary.faults import Fault
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Limits, Vector3, vector3
-from fsw.executive.checks import LINK_FRAMES, check_arguments, check_vector
+from fsw.dictionary.types import Limits, NameMark, vector3
+from fsw.executive.checks import check_arguments, known_names
 from fsw.kinematics.branches import BRANCHES
-from fsw.motion.plan_tool import AUTO
 from sim.effects.effect import Effect, Timed
 from sim.effects.environment import PowerLoss
 from sim.effects.faults import InjectedFault, RockGone, SensorFault
 from sim.frames import p_R_from_N
-from sim.scenario.data import Check, GravityHeld, Injection, Placed, Preloaded, SameSpot, TaughtPoint
+from sim.scenario.data import Check, Injection, Placed, Preloaded, SameSpot, TaughtPoint
 from sim.scenario.effects import BadEffect, find_effect_class
 from sim.scenario.names import did_you_mean, is_position, upper_snake
 from sim.scenario.toml_lines import TomlPath
@@ -28,7 +28,6 @@ FAULT_CLASSES: Final[tuple[type[InjectedFault], ...]] = get_args(InjectedFault)
 RNAV: Final = "RNAV"
 ROVER_FRAMES: Final = (RNAV, "RMECH")
 """Frames of the rover; the first is the default of positions."""
-MAX_DISTANCE_M: Final = 20.0
 COMMAND_CLASSES: Final[dict[str, type[Command]]] = {upper_snake(kind): kind for kind in get_args(Command)}
 CHECK_CLASSES: Final[dict[str, type[Check]]] = {upper_snake(kind).lower(): kind for kind in get_args(Check)}
 FAULT_CLASS_BY_NAME: Final[dict[str, type[InjectedFault]]] = {
@@ -74,26 +73,7 @@ def list_tables(
 
 def read_taught_point(table: dict[str, Any], place: TomlPath, findings: Findings) -> TaughtPoint | None:
     """Read a taught place, or return None and report problems."""
-    point = read_record(TaughtPoint, table, place, findings, {"branch": (AUTO, *BRANCHES)})
-    if point is not None:
-        check_direction("approach", point.approach_N, place, findings)
-        check_distance("position", point.p_N_m, place, findings)
-    return point
-
-
-def check_distance(name: str, p_m: Vector3, place: TomlPath, findings: Findings) -> None:
-    """Report a point that is far from every arm."""
-    if max(map(abs, p_m)) > MAX_DISTANCE_M:
-        text = f"{name}: is more than {MAX_DISTANCE_M:g} m away; the workspace is around 2.1, 0, -0.3 in RNAV"
-        findings.report((*place, name), text)
-
-
-def check_direction(name: str, direction: Vector3, place: TomlPath, findings: Findings) -> None:
-    """Report a direction without length."""
-    if check_vector(name, direction) is not None:
-        findings.report(
-            (*place, name), f"{name}: has no length; write a direction, of any length in 1e-9 .. 1e9"
-        )
+    return read_record(TaughtPoint, table, place, findings, {"branch": (AUTO, *BRANCHES)})
 
 
 def read_command(
@@ -118,26 +98,32 @@ def read_command(
     kind = read_kind(COMMAND_CLASSES, table, place, findings)
     if kind is None:
         return None
-    names = [field.name for field in fields(kind)]
+    names, known = [field.name for field in fields(kind)], known_names(params)
     positions = [name for name in names if is_position(name)]
-    frames = (*ROVER_FRAMES, *LINK_FRAMES, *params.tool_names) if "frame" in names else ROVER_FRAMES
+    frames = (*ROVER_FRAMES, *known[NameMark.FRAME][1:]) if "frame" in names else ROVER_FRAMES
     rest = {key: value for key, value in table.items() if key != TYPE_KEY}
     frame = rest.pop("frame", RNAV) if positions else None
     command = read_record(kind, rest, place, findings, {"branch": (AUTO, *BRANCHES), "point": tuple(points)})
-    if frame is not None and frame not in frames:
+    words = {name.lower(): name for name in frames}
+    if frame is not None and str(frame).lower() not in words:
         findings.report(
             (*place, "frame"), f"frame: {frame!r} is not known; {did_you_mean(str(frame), frames)}"
         )
         return None
     if command is None:
         return None
+    frame = None if frame is None else words[str(frame).lower()]
     changed: dict[str, Any] = {}
     if frame == RNAV:
         changed = {name: vector3(p_R_from_N(np.array(getattr(command, name)))) for name in positions}
     if "frame" in names:
         changed["frame"] = ROVER if frame in ROVER_FRAMES else frame
     command = replace(command, **changed)
-    problem = check_arguments(params, command)
+    read = read_arguments(command, known)
+    if isinstance(read, Wrong):
+        findings.report(place, f"{table[TYPE_KEY]}: {read.text}")
+        return None
+    command, problem = read, check_arguments(params, read)
     if isinstance(command, Dock) and not params.tool_switches[points[command.point]]:
         problem = f"the {points[command.point].lower()} has no contact switch to dock with"
     if problem is not None:
@@ -227,8 +213,6 @@ def read_check(
     for name in ("after", "first_after", "during"):
         if hasattr(check, name):
             _check_number(name, getattr(check, name), commands, place, findings)
-    if isinstance(check, GravityHeld):
-        check_direction("gravity", check.gravity_T, place, findings)
     if isinstance(check, Placed | Preloaded | SameSpot) and not has_surface:
         findings.report(place, f"{table[TYPE_KEY]}: there is nothing to touch; write [world.surface]")
     return check

@@ -1,17 +1,18 @@
-"""True states of the plant in a scenario, cycle by cycle, for its checks."""
+"""True states of the plant that the checks of a scenario need."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.evrs import CommandRefused, Evr
+from fsw.dictionary.evrs import Evr
 from fsw.kinematics.transforms import Array
 from sim.contact import tool_forces
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
+from sim.scenario.data import Check
 from sim.sequence import Outcome
 
 
@@ -52,32 +53,17 @@ class Ending:
     pending_faults: int = 0
     """Number of faults of the scenario that have not begun."""
 
-    @property
-    def refusal(self) -> CommandRefused | None:
-        """Return the refusal that ended the sequence, or None."""
-        found = [evr for _, evr in self.evrs if isinstance(evr, CommandRefused)]
-        return found[0] if found and self.outcome is Outcome.REFUSED else None
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True)
 class Trace:
-    """True states of a whole scenario."""
+    """Record of what the checks need of the cycles so far; its size does not depend on their number."""
 
-    snapshots: tuple[Snapshot, ...]
-    ending: Ending
-
-    def during(self, command: int) -> tuple[Snapshot, ...]:
-        """Return the cycles of a command; none if it did not begin."""
-        return tuple(snapshot for snapshot in self.snapshots if snapshot.command == command)
-
-    def since(self, command: int) -> tuple[Snapshot, ...]:
-        """Return the cycles from the start of a command to the end of the scenario."""
-        return tuple(snapshot for snapshot in self.snapshots if snapshot.command >= command)
-
-    def at_end_of(self, command: int) -> Snapshot | None:
-        """Return the last cycle of a command, or None if it did not begin."""
-        found = self.during(command)
-        return found[-1] if found else None
+    ends: dict[int, Snapshot] = field(default_factory=dict)
+    """Last snapshot of each command that began."""
+    peaks: dict[tuple[Check, str], float] = field(default_factory=dict)
+    """Largest value of what a check measures in more than one cycle, by its name."""
+    touched_R_m: dict[tuple[Check, int], Array] = field(default_factory=dict)
+    """Position of each switch when a check first found it closed, shape (3,)."""
 
 
 def take_snapshot(loop: ClosedLoop, record: CycleRecord, command: int) -> Snapshot:

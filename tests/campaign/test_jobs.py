@@ -8,19 +8,13 @@ from sim.scenario.file import built_in_scenarios
 from validation.scenarios import run_scenario_on
 from validation.tool_change import ToolChangeErrors, one_target
 
-MISSES = {("calibrated:3", "sampling")}
-"""Scenarios in which the lateral force during the release of a preload is too large; see docs/jobs.md."""
-
-
 ARMS = ("calibrated:1", "calibrated:2", "calibrated:3")
 JOBS = [(arm, name) for arm in ARMS for name in sorted(built_in_scenarios())]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("arm_name", "name"), JOBS)
-def test_a_job_is_done_on_an_arm_whose_parameters_are_its_own(arm_name, name, request):
-    if (arm_name, name) in MISSES:
-        request.applymarker(pytest.mark.xfail(strict=True, reason="a release leaves force across the tool"))
+def test_a_job_is_done_on_an_arm_whose_parameters_are_its_own(arm_name, name):
     assert run_scenario_on(arm_name, name, true_reference(arm_named(arm_name))).failed == ()
 
 

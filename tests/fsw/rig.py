@@ -92,10 +92,14 @@ def quiet_sensors(encoder_count, cycle: int = 0, **other) -> Sensors:
         resolver_rad=frozen(np.full(5, alive(cycle))),
         current_A=frozen(np.full(5, alive(cycle))),
         winding_C=frozen(np.full(5, -40.0)),
+        structure_C=20.0 + alive(cycle),
         switch_closed=frozen(np.zeros(10), bool),
         gravity_R_m_s2=frozen(MARS_R_m_s2 + alive(cycle)),
     )
-    given = {name: frozen(v, getattr(sensors, name).dtype) for name, v in other.items()}
+    given = {
+        name: float(np.ravel(v)[0]) if name == "structure_C" else frozen(v, getattr(sensors, name).dtype)
+        for name, v in other.items()
+    }
     return replace(sensors, **given)
 
 
@@ -107,8 +111,16 @@ def all_known(config: Config) -> Reference:
 class Rig:
     """Flight software with an arm that does what it is told; `cycle` takes sensor readings by name."""
 
-    def __init__(self, config: Config, mode: Mode = Mode.DEPLOYED, start_rad=None, calibrated: bool = True):
+    def __init__(
+        self,
+        config: Config,
+        mode: Mode = Mode.DEPLOYED,
+        start_rad=None,
+        calibrated: bool = True,
+        warm_C: float = 20.0,
+    ):
         self.config = config
+        self.warm_C = warm_C
         start = np.array(config.params.poses.ready_rad if start_rad is None else start_rad)
         self.count = np.rint(start / config.rad_per_count).astype(np.int64)
         self.state: State = boot(config, mode, all_known(config) if calibrated else None)
@@ -127,6 +139,7 @@ class Rig:
     def cycle(self, *commands: Command, **readings) -> Outputs:
         self.cycles += 1
         defaults = {"cycle": self.cycles, "encoder_count": self.count, "resolver_rad": self.resolver_rad()}
+        defaults["structure_C"] = self.warm_C + alive(self.cycles)
         readings = defaults | readings
         self.state, self.outputs = step(self.config, self.state, quiet_sensors(**readings), commands)
         drive = self.outputs.drive

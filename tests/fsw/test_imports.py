@@ -21,6 +21,7 @@ ALLOWED = {
     "numpy",
     "operator",
     "ruckig",
+    "types",
     "typing",
 }
 FORBIDDEN_CALLS = {"open", "print", "input", "exec", "eval", "compile", "__import__", "globals", "breakpoint"}

@@ -20,7 +20,7 @@ from sim.arms import (
     draw_tolerances,
 )
 from sim.effects.effect import params_with_effects
-from sim.effects.geometry import FrameError
+from sim.effects.geometry import Expansion, FrameError
 from sim.effects.joints import (
     BacklashWidth,
     GearFriction,
@@ -29,6 +29,7 @@ from sim.effects.joints import (
     HardstopStiffness,
     ResolverBias,
 )
+from sim.effects.sensors import StructureSensor
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.params import nominal_params
 from tests.sim import lab
@@ -57,8 +58,15 @@ def drawn() -> dict[str, lab.Array]:
                 case LinkMass(factor=factor, shift_m=shift):
                     values["mass"].append(np.log(factor))
                     values["com_m"] += shift
+                case StructureSensor(offset_K=offset):
+                    values["structure_sensor_K"].append(offset)
                 case (
-                    BacklashWidth() | GearStiffness() | GearFriction() | HardstopStiffness() | LinkStiffness()
+                    BacklashWidth()
+                    | GearStiffness()
+                    | GearFriction()
+                    | HardstopStiffness()
+                    | LinkStiffness()
+                    | Expansion()
                 ):
                     values[type(effect).__name__].append(np.log(effect.factor))
                 case _:
@@ -79,6 +87,9 @@ STATED = {
     "com_m": 5e-3,
     "GearFriction": 0.20,
     "HardstopStiffness": 0.20,
+    # the paper: bulk distortion is compensated within 50 %, here three sigma
+    "Expansion": 0.17,
+    "structure_sensor_K": 0.3,
 }
 
 
@@ -102,6 +113,7 @@ def test_every_place_of_the_arm_is_drawn_once() -> None:
     effects = draw_tolerances(default_arm(), 0)
     frames = [(e.frame, e.tool) for e in effects if isinstance(e, FrameError)]
     assert frames == [(f, None) for f in Frame if f is not Frame.TOOL] + [(Frame.TOOL, t) for t in TOOLS]
+    assert [(e.frame, e.tool) for e in effects if isinstance(e, Expansion)] == frames
     for kind in (
         HardstopAngle,
         HardstopStiffness,
@@ -139,6 +151,14 @@ def test_a_calibrated_arm_is_the_same_arm_and_flies_with_other_parameters() -> N
     perfect = params_with_effects(calibrated.effects, nominal_params())
     assert calibrated.params.links != perfect.links
     assert calibrated.params.tools != perfect.tools
+
+
+def test_a_calibration_learns_what_the_thermometer_reads_but_not_the_expansion() -> None:
+    drawing, calibrated = nominal_params(), arm_named("calibrated:7")
+    (offset_K,) = (e.offset_K for e in calibrated.effects if isinstance(e, StructureSensor))
+    assert calibrated.params.heat.calibration_C == drawing.heat.calibration_C + offset_K
+    for link, drawn in zip(calibrated.params.links.in_order(), drawing.links.in_order(), strict=True):
+        assert link.expansion_1_K == drawn.expansion_1_K
 
 
 def test_a_calibration_leaves_a_tenth_of_what_it_found() -> None:

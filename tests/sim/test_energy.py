@@ -13,11 +13,15 @@ from tests.sim import lab
 
 ELEVATION = 1
 OUTBOARD = (
-    # kg, and metres forward of the elevation axis: the tables Mass and Kinematics of the drawing
-    (15.0, 0.42),
-    (11.0, 0.827 + 0.33),
-    (9.5, 0.827 + 0.785 - 0.08),
-    (35.5, 0.827 + 0.785 - 0.144 + 0.02),
+    # kg, and metres forward of the elevation axis: the tables Mass and Kinematics of the drawing;
+    # structure and actuator of a link apart
+    (6.8, 0.42),
+    (7.8, 0.827),
+    (6.4, 0.827 + 0.33),
+    (4.24, 0.827 + 0.785),
+    (4.92, 0.827 + 0.785 - 0.08),
+    (4.24, 0.827 + 0.785 - 0.144),
+    (31.4, 0.827 + 0.785 - 0.144 + 0.02),
 )
 SIDEWAYS_M_S2 = (3.711, 0.0, 0.0)
 

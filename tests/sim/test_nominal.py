@@ -102,7 +102,7 @@ def test_each_link_has_the_mass_and_the_centre_that_flight_software_believes(
 def test_flight_software_believes_in_the_whole_mass_of_the_arm(nominal: Plant) -> None:
     believed = sum(link.near.mass_kg + link.far.mass_kg for link in LINKS)
     assert believed == pytest.approx(nominal.model.body_mass.sum(), abs=1e-12)
-    assert believed == pytest.approx(67.0 + 34.0, abs=1e-12)
+    assert believed == pytest.approx(65.0 + 30.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("link", range(5))

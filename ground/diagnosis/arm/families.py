@@ -27,7 +27,7 @@ FAMILIES: Final[dict[Family, tuple[type[Effect], ...]]] = {
     ),
     Family.GEOMETRY: (
         *(links.LinkLength, links.LinkAngle, links.ToolOffset, links.ToolTurn, links.ThermalGradient),
-        *(geometry.LinkWarming, geometry.Warming, joints.HardstopAngle),
+        *(geometry.Expansion, geometry.LinkWarming, geometry.Warming, joints.HardstopAngle),
     ),
     Family.STRUCTURE: (
         *(structure.LinkStiffness, structure.LinkBending, structure.LinkTorsion, structure.LinkCreep),

@@ -52,6 +52,9 @@ class Recording:
     block: str
     world: World
     temperature_C: float
+    """Temperature of the actuators."""
+    structure_C: float
+    """Temperature of links and tools."""
     params: Params
     start: RecordedStart
     rad_per_count: Array
@@ -128,6 +131,7 @@ def load_recording(path: Path) -> Recording:
         block=session.block or name,
         world=world,
         temperature_C=warm_C if session.temperature_C is None else session.temperature_C,
+        structure_C=float(np.mean(sensors["structure_C"])),
         params=inputs.params,
         start=start,
         rad_per_count=rad_per_count,

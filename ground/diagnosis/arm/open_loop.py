@@ -13,7 +13,7 @@ from ground.diagnosis.arm.features import SensorColumns
 from ground.diagnosis.arm.logs import Recording
 from sim.arms import effects_of_run
 from sim.effects.effect import Effect
-from sim.effects.environment import Ambient
+from sim.effects.environment import Ambient, StructureTemperature
 from sim.open_loop import NOISE_FREE, OpenLoopArm, SimulationOptions
 from sim.tracker import turret_pose
 
@@ -70,9 +70,10 @@ def simulate_open_loop_cached(
 
 
 def order_effects(recording: Recording, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Order effects: built-in ones, ambient, those of the run; cold changes the friction of the first."""
+    """Order effects: built-in ones, temperatures, those of the run; cold changes the first ones' friction."""
     built = (effect for effect in effects if effect.built_in)
-    return (*built, Ambient(recording.temperature_C), *effects_of_run(effects))
+    temperatures = (Ambient(recording.temperature_C), StructureTemperature(recording.structure_C))
+    return (*built, *temperatures, *effects_of_run(effects))
 
 
 def stack_readings(readings: Sequence[Sensors]) -> SensorColumns:

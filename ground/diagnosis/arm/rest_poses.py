@@ -106,6 +106,8 @@ def solve_rests(turning_points: Sequence[TurningPoints], effects: Sequence[Effec
     for effect in effects:
         before = hardware.counter_zero_rad
         hardware = effect.on_hardware(hardware)
+        if effect.built_in:  # homing has found the zeros, wherever the counters started
+            hardware = replace(hardware, counter_zero_rad=before)
         if np.array_equal(before, hardware.counter_zero_rad):
             params = effect.on_params(params)
         # else the effect is applied once, as hardware: on_params would apply the shifted zero again

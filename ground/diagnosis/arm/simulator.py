@@ -23,10 +23,11 @@ from ground.diagnosis.problem import (
 from sim.effects import catalogue
 from sim.effects.catalogue import effect_name, effect_place_text
 from sim.effects.effect import EachMove, Effect, ParameterSpec
-from sim.effects.environment import Ambient, ContactStiffness, SurfacePosition
-from sim.effects.geometry import FrameError, LinkWarming, Warming
+from sim.effects.environment import Ambient, ContactStiffness, StructureTemperature, SurfacePosition
+from sim.effects.geometry import Expansion, FrameError, LinkWarming, Warming
 from sim.effects.joints import HardstopStiffness
 from sim.effects.links import LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
+from sim.effects.sensors import StructureSensor
 from sim.effects.structure import LinkBending, LinkCreep, LinkStiffness, LinkTorsion, RoverCompliance
 from sim.open_loop import SimulationOptions
 
@@ -35,7 +36,8 @@ SHORT_SETTLING: Final = SimulationOptions(settle_s=4.0)
 LONG_SETTLING: Final = SimulationOptions(settle_s=8.0)
 """Settling time that suffices for comparison with a case."""
 REST_ONLY_EFFECTS: Final = (
-    *(LinkLength, LinkAngle, ThermalGradient, LinkWarming, Warming, FrameError, ToolOffset, ToolTurn),
+    *(LinkLength, LinkAngle, ThermalGradient, FrameError, ToolOffset, ToolTurn),
+    *(Expansion, LinkWarming, Warming),
     *(LinkStiffness, LinkBending, LinkCreep, LinkTorsion, RoverCompliance),
     *(ContactStiffness, SurfacePosition),
 )
@@ -163,8 +165,12 @@ class AffectedMotions:
 
 
 def list_candidates(kinds: Mapping[str, type[Effect]] | None) -> Iterator[catalogue.EffectHypothesis]:
-    """Yield the candidate causes of the catalogue: no per-move disturbance, and nothing that logs record."""
-    return (one for one in catalogue.hypotheses(kinds) if not issubclass(one.kind, (EachMove, Ambient)))
+    """Yield the candidate causes of the catalogue: no per-move disturbance, and nothing that logs record.
+
+    An offset of the sensor of the structure looks like warming of the arm.
+    """
+    recorded = (EachMove, Ambient, StructureTemperature, StructureSensor)
+    return (one for one in catalogue.hypotheses(kinds) if not issubclass(one.kind, recorded))
 
 
 def to_hypothesis(one: catalogue.EffectHypothesis) -> Hypothesis:

@@ -56,6 +56,9 @@ SENTENCES = {
     evrs.BranchChosen("APXS", "b"): "APXS: branch b",
     evrs.ContactMade("APXS_1", 0.1): "contact on APXS_1 after 0.1000 m",
     faults.SensorNotFinite("current_A"): "non-finite reading in current_A",
+    faults.StructureTemperatureImplausible(90.04, -130.0, 70.0): (
+        "structure reads 90.0 degC, bounds -130.0 .. 70.0 degC"
+    ),
     faults.GravityImplausible(25.04, 1.0, 20.0): "gravity reads 25 m/s2, bounds 1 .. 20 m/s2",
     faults.SetpointUnsafe(Joint.ELBOW, 2.9, 2.8): "ELBOW: set-point 2.9000 rad held back, last 2.8000 rad",
     faults.SoftLimitPassed(Joint.ELBOW, 2.9, 2.8): "ELBOW at 2.9000 rad, soft limit 2.8000 rad",
@@ -64,6 +67,9 @@ SENTENCES = {
         Joint.TURRET, 0.003, 0.002
     ): "TURRET is 0.00300 rad from its set-point, bound 0.00200 rad",
     faults.ContactInFreeSpace("DRT_2"): "contact on DRT_2 in free space",
+    faults.UnexpectedContact(
+        Joint.ELBOW, 63.4, 52.4
+    ): "unexpected contact: ELBOW resists with 63 N m, about 52 N at the tool",
     faults.NoContact(0.15): "no contact within 0.1500 m of guarded travel",
     faults.NotSettled(Joint.AZIMUTH, 1e-4): "AZIMUTH not settled: 0.000100 rad from its set-point",
     faults.MotorStalled(Joint.ELBOW, 0.0, -0.01): (
@@ -73,6 +79,7 @@ SENTENCES = {
     faults.UnderTemperature(Joint.WRIST, -75.0, -70.0): "WRIST: winding at -75.0 degC, bound -70.0 degC",
     faults.SensorFrozen("current_A", 64): "current_A reads the same for 64 cycles",
     faults.CyclesMissed(9, 4): "9 cycles missed, at most 4 are tolerated",
+    faults.CycleCountWrong(7, 57): "cycle count 7 after 57, it must rise",
     faults.TiltChanged(0.0123, 0.01): "gravity turned by 0.0123 rad, bound 0.0100 rad",
     faults.ContactLost("DRILL"): "DRILL lost contact",
     faults.PreloadOutside("DRILL", 300.0, -120.04, 100.0): (
@@ -82,6 +89,9 @@ SENTENCES = {
     evrs.FaultResponse("BRAKE_AND_REFUSE"): "response BRAKE_AND_REFUSE",
     evrs.FaultCleared(): "fault cleared",
     evrs.Preloaded("DRILL", 300.0): "DRILL pressed with 300.0 N",
+    evrs.PreloadMissed("DRILL", 262.04, 300.0, "3 corrections did not reach the force"): (
+        "DRILL is pressed with 262.0 N, not 300.0 N: 3 corrections did not reach the force"
+    ),
     evrs.ForceEstimated("DRILL", 0.9123, 0.1): (
         "DRILL: a newton of the model is 0.912 N along its axis, 0.100 N across"
     ),

@@ -29,7 +29,7 @@ from fsw.dictionary.commands import (
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandRefused
 from fsw.dictionary.params import TeachPoint
-from fsw.motion.move import MIN_CORRECTION_N
+from fsw.motion.force_fit import MIN_CORRECTION_N
 from tests.fsw.rig import Rig, config_of, facing, floats, with_params
 from tests.tools import SWITCHES
 

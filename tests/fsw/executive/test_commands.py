@@ -67,32 +67,34 @@ def test_numbers_of_a_command_that_are_not_finite_are_refused(bad, place):
     not_finite = floats(np.where(np.arange(3) == place, bad, 1.0))
     five = floats(np.where(np.arange(5) == place, bad, 1.0))
     fine = (1.0, 0.0, 0.0)
-    assert refusal(rig, MoveJoints(five)) == "a joint angle is not finite"
-    assert refusal(rig, MoveJoint(Joint(place), bad)) == "the joint angle is not finite"
-    for kind in (MoveTool, GuardedMove):
-        assert refusal(rig, kind("APXS", not_finite, fine)) == "position or approach is not finite"
-        assert refusal(rig, kind("APXS", fine, not_finite)) == "position or approach is not finite"
+    where = f"number {place + 1}: {bad} is outside"
+    assert refusal(rig, MoveJoints(five)) == f"angle_rad: {where} -7 .. 7"
+    assert refusal(rig, MoveJoint(Joint(place), bad)) == f"angle_rad: {bad} is outside -7 .. 7"
+    assert refusal(rig, MoveTool("APXS", not_finite, fine)) == f"p_FoTo_F_m: {where} -20 .. 20"
+    assert refusal(rig, MoveTool("APXS", fine, not_finite)) == f"approach_F: {where} -1e+09 .. 1e+09"
+    assert refusal(rig, GuardedMove("APXS", not_finite, fine)) == f"end_p_RoTo_R_m: {where} -20 .. 20"
+    assert refusal(rig, GuardedMove("APXS", fine, not_finite)) == f"approach_R: {where} -1e+09 .. 1e+09"
 
 
 @pytest.mark.parametrize("kind", [MoveTool, GuardedMove])
 def test_an_approach_without_length_is_refused(kind):
-    assert refusal(deployed(), kind("APXS", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))) == "the approach has no length"
+    assert ": has no length; " in refusal(deployed(), kind("APXS", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
 @pytest.mark.parametrize("distance", [0.0, -0.1, 1.01, NAN, INF])
-def test_a_retraction_is_longer_than_nothing_and_at_most_a_metre(distance):
-    words = f"distance_m {distance} m must be more than 0 and at most 1 m"
+def test_a_retraction_is_a_millimetre_at_least_and_a_metre_at_most(distance):
+    words = f"distance_m: {distance} is outside 0.001 .. 1"
     assert refusal(deployed(), Retract("APXS", distance)) == words
 
 
 @pytest.mark.parametrize("joint", [-1, 5, 2.5, 2.0])
 def test_a_joint_that_does_not_exist_is_refused_and_the_joints_there_are_are_told(joint):
-    reason = f"joint {joint} is not known; there are azimuth, elevation, elbow, wrist, turret"
+    reason = f"joint: {joint} is not known; there are azimuth, elevation, elbow, wrist, turret"
     assert refusal(deployed(), Calibrate(joint)) == reason
     assert refusal(deployed(), MoveJoint(joint, 0.0)) == reason
 
 
-@pytest.mark.parametrize("tool", [-1, 3, 99, "apxs", None])
+@pytest.mark.parametrize("tool", [-1, 3, 99, "apx", None])
 @pytest.mark.parametrize(
     "kind",
     [MoveTool, GuardedMove, PlaceTool, Preload, ToolChange, Process, Retract],
@@ -101,7 +103,7 @@ def test_a_joint_that_does_not_exist_is_refused_and_the_joints_there_are_are_tol
 def test_what_is_no_tool_is_refused_and_the_tools_there_are_are_told(kind, tool):
     rig = deployed()
     command = replace(COMMANDS[kind](rig), tool=tool)
-    assert refusal(rig, command) == f"tool {tool!r} is not known; there are DRILL, DRT, MAHLI, APXS, PORTION"
+    assert refusal(rig, command) == f"tool: {tool!r} is not known; there are DRILL, DRT, MAHLI, APXS, PORTION"
 
 
 def test_a_joint_may_be_given_by_its_number():
@@ -134,47 +136,48 @@ def test_what_cannot_be_planned_is_refused_with_the_plan_s_own_sentence():
 @pytest.mark.parametrize("line_m", [NAN, INF, -INF, -0.001, 1.001, 1e6])
 def test_a_line_length_is_at_least_nothing_and_at_most_a_metre(line_m):
     rig = deployed()
-    words = f"line_m {line_m} m must be at least 0 and at most 1 m"
+    words = f"line_m: {line_m} is outside 0 .. 1"
     assert refusal(rig, rig.here("APXS", line_m=line_m)) == words
 
 
 def test_a_branch_that_does_not_exist_is_refused_by_its_name_and_the_names_there_are_are_told():
-    for name in ("sideways", "", "auto", "SHOULDER-OUT ELBOW-UP WRIST-UP"):
+    for name in ("sideways", "", "elbow-up", "shoulder-out elbow-up wrist-upright"):
         rig = deployed()
         reason = refusal(rig, rig.here("APXS", branch=name))
-        assert reason == f"branch {name!r} is not known; there are AUTO, {', '.join(BRANCHES)}"
+        assert reason == f"branch: {name!r} is not known; there are AUTO, {', '.join(BRANCHES)}"
 
 
 @pytest.mark.parametrize("kind", [MoveTool, GuardedMove, Retract])
 def test_a_deflection_that_does_not_exist_is_refused_by_its_name(kind):
     rig = deployed()
     command = replace(COMMANDS[kind](rig), deflection="some")
-    assert refusal(rig, command) == "deflection 'some' is not known; there are off, absolute, relative"
+    assert refusal(rig, command) == "deflection: 'some' is not known; there are off, absolute, relative"
 
 
 @pytest.mark.parametrize("kind", [MoveJoint, MoveJoints, MoveTool, GuardedMove, Retract])
 def test_a_backlash_mode_that_does_not_exist_is_refused_by_its_name(kind):
     rig = deployed()
     command = replace(COMMANDS[kind](rig), backlash="some")
-    assert refusal(rig, command) == "backlash 'some' is not known; there are off, on"
+    assert refusal(rig, command) == "backlash: 'some' is not known; there are off, on"
 
 
 @pytest.mark.parametrize("kind", [MoveTool, GuardedMove])
 @pytest.mark.parametrize("length", [1e-10, 1e10, 1e300])
 def test_an_approach_of_no_believable_length_is_refused(kind, length):
     reason = refusal(deployed(), kind("APXS", (1.0, 0.0, 0.0), (0.0, length, 0.0)))
-    assert reason == "the approach has no length"
+    assert ": has no length; " in reason if length < 1.0 else f"number 2: {length} is outside" in reason
 
 
-@pytest.mark.parametrize("far", [1e150, 1e200, 1e308])
+@pytest.mark.parametrize("far", [20.1, 1e3, 1e150, 1e308])
 def test_a_target_beyond_belief_is_refused_as_such(far):
     rig = deployed()
     for kind in (MoveTool, GuardedMove):
-        assert "farther than 1e+06 m" in refusal(rig, kind("APXS", (far, far, -far), (1.0, 0.0, 0.0)))
+        reason = refusal(rig, kind("APXS", (far, far, -far), (1.0, 0.0, 0.0)))
+        assert reason.endswith(f"_m: number 1: {far} is outside -20 .. 20")
 
 
-@pytest.mark.parametrize("far", [1e3, 1e5])
-def test_a_target_at_any_finite_distance_is_refused_without_a_warning(far):
+@pytest.mark.parametrize("far", [5.0, 20.0])
+def test_a_target_beyond_reach_is_refused_without_a_warning(far):
     rig = deployed()
     assert "out of reach" in refusal(rig, MoveTool("APXS", (far, far, -far), (1.0, 0.0, 0.0)))
     assert "m long" in refusal(rig, GuardedMove("APXS", (far, far, -far), (1.0, 0.0, 0.0)))
@@ -408,7 +411,7 @@ def test_stops_may_be_repeated_every_cycle():
 
 def test_the_end_of_a_guarded_move_is_within_the_arm_s_reach_before_anything_is_planned():
     rig = deployed()
-    for metres in (10.0, 1e4):
+    for metres in (10.0, 18.0):
         reason = refusal(rig, rig.touch("APXS", metres))
         assert reason == f"the straight move is {metres:.3g} m long, the longest allowed is 0.6 m"
 

@@ -19,6 +19,7 @@ from fsw.dictionary.commands import (
 from fsw.dictionary.enums import Frame, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, ContactMade, SpotSet
 from fsw.executive.expansion import expand_command
+from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.state import Hold
@@ -216,19 +217,22 @@ def test_a_straight_move_keeps_the_tool_on_its_line():
     [
         (
             MoveTool("APXS", (0, 0, 0), (1, 0, 0), frame="TOOL"),
-            "frame 'TOOL' is not known; there are ROVER",
+            "frame: 'TOOL' is not known; there are ROVER",
         ),
-        (MoveTool("APXS", (0, 0, 0), (1, 0, 0), straight=True, branch="b"), "a straight move stays"),
+        (
+            MoveTool("APXS", (0, 0, 0), (1, 0, 0), straight=True, branch=BRANCHES[0]),
+            "a straight move stays",
+        ),
         (PlaceTool("PORTION", (2, 0, 0), (0, 0, 1)), "PORTION has no contact switch"),
-        (PlaceTool("APXS", (2, 0, 0), (0, 0, 1), standoff_m=0.0), "standoff_m 0.0 m must be more than 0"),
+        (PlaceTool("APXS", (2, 0, 0), (0, 0, 1), standoff_m=0.0), "standoff_m: 0.0 is outside 0.001 .. 1"),
         (
             PlaceTool("APXS", (2, 0, 0), (0, 0, 1), overtravel_m=2.0),
-            "overtravel_m 2.0 m must be more than 0",
+            "overtravel_m: 2.0 is outside 0.001 .. 1",
         ),
-        (Process("PORTION", (0, 0, 0), 1.0), "gravity_T has no length"),
-        (Process("PORTION", (1, 0, 0), -1.0), "duration_s -1.0 s is outside 0 .. 3600 s"),
-        (Dock("here", 0.0), "overtravel_m 0.0 m must be more than 0"),
-        (MoveTeachPoint("here", -0.1), "standoff_m -0.1 m must be at least 0"),
+        (Process("PORTION", (0, 0, 0), 1.0), "gravity_T: has no length"),
+        (Process("PORTION", (1, 0, 0), -1.0), "duration_s: -1.0 is outside 0 .. 3600"),
+        (Dock("here", 0.0), "overtravel_m: 0.0 is outside 0.001 .. 1"),
+        (MoveTeachPoint("here", -0.1), "standoff_m: -0.1 is outside 0 .. 1"),
     ],
 )
 def test_numbers_and_words_that_make_no_sense_are_refused(command, reason):

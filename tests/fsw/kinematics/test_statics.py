@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.chain import forward
-from fsw.kinematics.statics import compute_load, settle, settle_output
+from fsw.kinematics.statics import ToolForce, load_arm, push_torque, settle, settle_output
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 
 EARTH_R_m_s2 = np.array([0.0, 0.0, 9.81])
@@ -122,7 +122,7 @@ def test_the_equilibrium_converges_everywhere_inside_the_limits_on_mars_and_on_e
     for gravity in (MARS_R_m_s2, EARTH_R_m_s2, TILTED_R_m_s2):
         here = settle(config.arm, q, np.zeros_like(q), gravity)
         assert here.converged.all()
-        again, torque = compute_load(config.arm, here.frames, gravity)
+        _, again, torque = load_arm(config.arm, here.output_rad, here.strain, gravity)
         np.testing.assert_allclose(again, here.strain, atol=1e-10)
         np.testing.assert_allclose(torque, here.torque_Nm, atol=1e-5)
 
@@ -158,15 +158,30 @@ def test_a_batch_of_arms_at_rest_is_its_single_arms(name):
         np.testing.assert_allclose(many.torque_Nm[:, *index], one.torque_Nm, atol=1e-8)
 
 
-def test_one_pass_of_the_load_is_that_of_a_single_arm():
-    config, rng = config_of("calibrated:3"), np.random.default_rng(10)
-    q, strain = in_limits(config, rng, 8), rng.normal(0, 0.01, (6, 6, 8))
-    new_strain, torque = compute_load(config.arm, forward(config.arm, q, strain), TILTED_R_m_s2)
-    for k in range(8):
-        frames = forward(config.arm, q[:, k], strain[..., k])
-        one_strain, one_torque = compute_load(config.arm, frames, TILTED_R_m_s2)
+@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("force_N", [None, (30.0, -20.0, 10.0)])
+def test_frames_and_load_of_a_batch_are_those_of_single_poses(name, force_N):
+    arm, rng = config_of(name).arm, np.random.default_rng(10)
+    push = None if force_N is None else ToolForce("DRILL", np.array(force_N))
+    q, strain = in_limits(config_of(name), rng, 200), rng.normal(0, 0.01, (6, 6, 200))
+    frames, new_strain, torque = load_arm(arm, q, strain, TILTED_R_m_s2, push)
+    for k in range(200):
+        one, one_strain, one_torque = load_arm(arm, q[:, k], strain[..., k], TILTED_R_m_s2, push)
+        for of_batch, X in ((frames.X_RL, one.X_RL), (frames.X_LD, one.X_LD), (frames.X_RF, one.X_RF)):
+            np.testing.assert_allclose(of_batch.R[..., k], X.R, rtol=0, atol=2e-15)
+            np.testing.assert_allclose(of_batch.p[..., k], X.p, rtol=0, atol=3e-15)
         np.testing.assert_allclose(new_strain[..., k], one_strain, rtol=1e-13, atol=1e-15)
         np.testing.assert_allclose(torque[:, k], one_torque, rtol=1e-13, atol=1e-12)
+
+
+def test_the_torque_of_a_push_is_what_it_adds_to_the_load():
+    arm, rng = config_of("calibrated:3").arm, np.random.default_rng(12)
+    push = ToolForce("APXS", np.array([40.0, 5.0, -70.0]))
+    for q in in_limits(config_of(), rng, 20).T:
+        strain = rng.normal(0, 0.01, (6, 6))
+        frames, _, pushed_Nm = load_arm(arm, q, strain, TILTED_R_m_s2, push)
+        _, _, free_Nm = load_arm(arm, q, strain, TILTED_R_m_s2)
+        np.testing.assert_allclose(push_torque(arm, frames, push), pushed_Nm - free_Nm, rtol=0, atol=1e-11)
 
 
 def test_gravity_may_differ_from_arm_to_arm_of_a_batch():
@@ -191,10 +206,12 @@ def test_a_strain_is_rotation_first_and_the_links_come_second():
     arm = replace(config.arm, compliance=compliance)
     here = settle_output(arm, np.zeros(5), MARS_R_m_s2)
     assert set(zip(*np.nonzero(here.strain), strict=True)) == {(2, 2)}
-    # beyond the spring: half the upper arm's own mass 0.2132 m out, and all that it carries
+    # beyond the spring: half the upper arm's structure, the actuator of the elbow, and all that they carry
     beyond_m = 0.827 - 0.4135
-    lever_kg_m = 7.5 * (0.62675 - 0.4135) + 11 * (beyond_m + 0.33) + 9.5 * (beyond_m + 0.785 - 0.08)
-    lever_kg_m += 35.5 * (beyond_m + 0.785 - 0.144 + 0.02)
+    lever_kg_m = 3.4 * (0.62675 - 0.4135) + 7.8 * beyond_m
+    lever_kg_m += 6.4 * (beyond_m + 0.33) + 4.24 * (beyond_m + 0.785)
+    lever_kg_m += 4.92 * (beyond_m + 0.785 - 0.08) + 4.24 * (beyond_m + 0.785 - 0.144)
+    lever_kg_m += 31.4 * (beyond_m + 0.785 - 0.144 + 0.02)
     assert here.strain[2, 2] == pytest.approx(1e-9 * 3.711 * lever_kg_m, rel=1e-6)
 
 
@@ -202,8 +219,9 @@ def test_straight_out_on_mars_the_elevation_joint_carries_what_the_mass_table_sa
     arm = rigid(config_of().arm)
     q = np.zeros(5)
     # mass [kg] times horizontal distance from the elevation axis [m], from the table of links
-    lever_kg_m = 15 * 0.42 + 11 * (0.827 + 0.33) + 9.5 * (0.827 + 0.785 - 0.08)
-    lever_kg_m += 35.5 * (0.827 + 0.785 - 0.144 + 0.02)
+    lever_kg_m = 6.8 * 0.42 + 7.8 * 0.827 + 6.4 * (0.827 + 0.33) + 4.24 * (0.827 + 0.785)
+    lever_kg_m += 4.92 * (0.827 + 0.785 - 0.08) + 4.24 * (0.827 + 0.785 - 0.144)
+    lever_kg_m += 31.4 * (0.827 + 0.785 - 0.144 + 0.02)
     torque = settle_output(arm, q, MARS_R_m_s2).torque_Nm[1]
     # positive elevation pitches the straight arm down, as gravity does
     assert torque == pytest.approx(3.711 * lever_kg_m, rel=1e-6)

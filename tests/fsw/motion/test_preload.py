@@ -10,6 +10,7 @@ from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, Preloaded
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
+from fsw.motion.preload import anchor_contact, locate_by_resolvers, model_contact
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
 from tests.fsw.rig import Rig
 
@@ -44,6 +45,28 @@ def test_the_force_rises_and_the_tool_ends_where_it_touched():
     assert np.abs(ends.R[:, 0] - touched.axis_R).max() < STAYS_M
     assert Preloaded("APXS", 300.0) in rig.evrs
     assert rig.state.mode is Mode.PRELOAD
+
+
+def test_a_press_begins_where_the_tool_has_slid_to():
+    rig = guarded_in_contact()
+    touch = model_contact(rig.config, rig.state.joints, "APXS")
+    aside = np.array([0.001, 0.0, 0.0])
+    moved = replace(touch, p_RoTo_R_m=touch.p_RoTo_R_m + aside)
+    anchored = anchor_contact(rig.config, rig.state.joints, moved)
+    assert np.linalg.norm(anchored.p_RoTo_R_m - touch.p_RoTo_R_m) < STAYS_M
+    assert anchored.force_N == touch.force_N
+
+
+@pytest.mark.parametrize(("error_rad", "believed_rad"), [(2e-4, 2e-4), (-2e-4, -2e-4), (5e-3, 3e-4)])
+def test_resolvers_are_believed_as_far_as_the_gear_angles_are_uncertain(error_rad, believed_rad):
+    rig = guarded_in_contact()
+    touch = model_contact(rig.config, rig.state.joints, "APXS")
+    likely = rig.state.joints.gear_rad[:, 1]
+    gear = np.column_stack((likely - 3e-4, likely, likely + 3e-4))
+    off = touch.resolver_offset_rad + error_rad
+    joints = replace(rig.state.joints, gear_rad=gear, resolver_error_rad=off)
+    located = locate_by_resolvers(joints, touch)
+    np.testing.assert_allclose(located.output_rad - joints.output_rad, believed_rad, atol=1e-12)
 
 
 def test_a_force_is_changed_and_released_the_way_it_came():

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import Preload
-from fsw.dictionary.evrs import ForceEstimated, Preloaded
+from fsw.dictionary.evrs import ForceEstimated, Preloaded, PreloadMissed
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
-from fsw.motion.move import MIN_CORRECTION_N, Phase
-from fsw.motion.preload import ForceFit, estimate_force_ratio, model_contact, plan_preload
+from fsw.motion.force_fit import MIN_CORRECTION_N, ForceFit, estimate_force_ratio, report_miss
+from fsw.motion.move import Phase
+from fsw.motion.plan import Refusal
+from fsw.motion.preload import model_contact, plan_preload
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
 
 FRICTION_NM = np.array([170.0, 170.0, 170.0, 39.0, 39.0])
@@ -113,19 +115,39 @@ def test_a_force_across_is_told_from_the_one_along(across):
         assert event.across == pytest.approx(np.hypot(*across), abs=0.05)
 
 
-@pytest.mark.parametrize(("share", "is_plausible"), [(0.3, False), (0.8, True), (3.0, False)])
-def test_what_cannot_be_is_not_believed(share, is_plausible):
+def fit_of(force_N):
+    """Estimate the ratio of a press to 300 N of the model, in which the arm applies `force_N(model_N)`."""
     rig = guarded_in_contact()
-    joints, preload = rig.state.joints, model_contact(rig.config, rig.state.joints, "APXS")
-    per_N = plan_preload(rig.config, joints, preload, 300.0)[1].torque_per_N
-    fit = ForceFit(legs_left=0)
-    for model_N in np.linspace(20.0, 280.0, 1000):
-        fit = fit.add_cycle(model_N, per_N * model_N, share * per_N * model_N, np.ones(5, bool))
-    ratio = estimate_force_ratio(rig.config, fit, joints, preload)
-    assert (ratio is not None) == is_plausible
+    config, joints = rig.config, rig.state.joints
+    preload = model_contact(config, joints, "APXS")
+    per_N = plan_preload(config, joints, preload, 300.0)[1].torque_per_N
+    fit, turns = ForceFit(preload), np.ones(5)
+    for model_N in np.linspace(20.0, 300.0, 1000):
+        fit = fit.add_cycle(model_N, 10.0, per_N * force_N(model_N), turns, turns > 0)
+    return estimate_force_ratio(config, fit, joints, preload)
+
+
+@pytest.mark.parametrize(("share", "is_plausible"), [(0.2, False), (0.8, True), (3.0, False)])
+def test_what_cannot_be_is_not_believed(share, is_plausible):
+    assert (fit_of(lambda model_N: share * model_N) is not None) == is_plausible
+
+
+def test_a_force_that_stands_still_while_a_backlash_is_crossed_is_not_counted():
+    ratio = fit_of(lambda model_N: min(model_N, 150.0) + max(model_N - 200.0, 0.0))
+    assert ratio.along == pytest.approx((300.0 - 50.0 - 20.0) / (300.0 - 20.0), abs=0.03)
 
 
 def test_nothing_felt_tells_nothing():
     rig = guarded_in_contact()
     preload = model_contact(rig.config, rig.state.joints, "APXS")
-    assert estimate_force_ratio(rig.config, ForceFit(), rig.state.joints, preload) is None
+    assert estimate_force_ratio(rig.config, ForceFit(preload), rig.state.joints, preload) is None
+
+
+@pytest.mark.parametrize(
+    ("target_N", "is_missed"), [(105.0, False), (95.0, False), (120.0, True), (80.0, True)]
+)
+def test_a_press_that_ends_more_than_a_tenth_off_says_why(target_N, is_missed):
+    rig = guarded_in_contact()
+    preload = replace(model_contact(rig.config, rig.state.joints, "APXS"), model_N=100.0)
+    events = report_miss(target_N, preload, Refusal("out of reach"))
+    assert events == ((PreloadMissed("APXS", 100.0, target_N, "out of reach"),) if is_missed else ())

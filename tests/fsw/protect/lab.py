@@ -37,6 +37,7 @@ RESTING = ArmStatus(
     gear_lowest_rad=WOUND_RAD,
     gear_highest_rad=WOUND_RAD,
     gear_uncertainty_rad=ZERO,
+    side=np.ones(5),
     half_backlash_rad=CONFIG.half_backlash_rad,
     resolver_error_rad=ZERO,
     resolver_bias_rad=ZERO,

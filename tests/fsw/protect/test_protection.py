@@ -163,12 +163,12 @@ def test_all_that_happens_in_a_cycle_is_reported_in_one_order():
     counts = replace(last.counts, **dict.fromkeys(last.counts.__slots__, 1000))
     readings = live(9, winding_C=HOT, current_A=HIGH_A, switch_closed=closed("DRT_1"))
     last = MonitorState(
-        counts, 7, noisy_readings(readings), (1000,) * 13, MARS_R_m_s2, ApproachState(LEVERS_M, ZERO, 1e6)
+        counts, 7, noisy_readings(readings), (1000,) * 14, MARS_R_m_s2, ApproachState(LEVERS_M, ZERO, 1e6)
     )
     state, found = run_monitors(BOUNDS, last, arm, readings, usable=True)
     assert kinds(found) == [
         CyclesSkipped,
-        *[SensorFrozen] * 3,
+        *[SensorFrozen] * 4,
         ContactInFreeSpace,
         ResolverDisagrees,
         OverTemperature,
@@ -182,7 +182,7 @@ def test_all_that_happens_in_a_cycle_is_reported_in_one_order():
         PreloadOutside,
     ]
     assert state.counts == replace(counts, **dict.fromkeys(counts.__slots__, 1001))
-    assert state.unchanged == (1001,) * 13
+    assert state.unchanged == (1001,) * 14
 
 
 @pytest.mark.parametrize("kind", [MotorStalled, FollowingErrorHigh, OverCurrent])
@@ -236,7 +236,7 @@ def test_monitors_remember_readings_counts_and_the_approach():
     state, found = run_monitors(BOUNDS, state, moving(), replace(readings, cycle=7), True)
     assert found == (CyclesSkipped(1),)
     assert state.approach is None
-    assert state.unchanged == (1,) * 13
+    assert state.unchanged == (1,) * 14
 
 
 def test_a_force_on_a_tool_that_approaches_is_reported():

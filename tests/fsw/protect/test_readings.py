@@ -11,10 +11,12 @@ from hypothesis import strategies as st
 
 from fsw.dictionary.evrs import CyclesSkipped
 from fsw.dictionary.faults import (
+    CycleCountWrong,
     CyclesMissed,
     GravityImplausible,
     SensorFrozen,
     SensorNotFinite,
+    StructureTemperatureImplausible,
     TiltChanged,
 )
 from fsw.protect.readings import (
@@ -33,10 +35,14 @@ QUIET = {
     "current_A": np.zeros(5),
     "winding_C": np.full(5, -40.0),
     "gravity_R_m_s2": MARS_R_m_s2,
+    "structure_C": np.full(1, 20.0),
 }
+BOUNDED = ("gravity_R_m_s2", "structure_C")
 BAD = [float("nan"), float("inf"), float("-inf")]
+IMPLAUSIBLE = (SensorNotFinite, GravityImplausible, StructureTemperatureImplausible)
 PLACES = [(name, k) for name, values in QUIET.items() for k in range(values.size)]
 MIN_m_s2, MAX_m_s2 = MONITORS.gravity_min_m_s2, MONITORS.gravity_max_m_s2
+MIN_C, MAX_C = MONITORS.structure_min_C, MONITORS.structure_max_C
 
 
 def corrupted(name, place, value):
@@ -57,7 +63,7 @@ def test_one_element_that_is_no_number_is_named_by_its_sensor(name, place, value
 
 @pytest.mark.parametrize(("name", "place"), PLACES)
 def test_finite_readings_of_any_size_are_finite(name, place):
-    sizes = (-20.0, -1.0, 1.0, 20.0) if name == "gravity_R_m_s2" else (0.0, -1e6, 1e6, 5e-324)
+    sizes = (-20.0, -1.0, 1.0, 20.0) if name in BOUNDED else (0.0, -1e6, 1e6, 5e-324)
     for value in sizes:
         values = np.zeros_like(QUIET[name])
         values[place] = value
@@ -65,7 +71,7 @@ def test_finite_readings_of_any_size_are_finite(name, place):
 
 
 def test_all_sensors_that_are_not_finite_are_named_and_infinities_do_not_cancel():
-    bad = {name: np.array([*BAD[1:], *QUIET[name][2:]]) for name in QUIET}
+    bad = {name: np.array([*BAD[1:], *values[2:]])[: values.size] for name, values in QUIET.items()}
     assert found_in(**bad) == tuple(SensorNotFinite(name) for name in QUIET)
 
 
@@ -73,7 +79,7 @@ def test_wild_but_finite_readings_are_judged_without_a_warning():
     assert found_in(resolver_rad=np.full(5, 5e307), current_A=np.full(5, 8e307)) == ()
     for name in QUIET:
         found = found_in(**corrupted(name, 0, 1e200))
-        assert all(isinstance(evr, SensorNotFinite | GravityImplausible) for evr in found)
+        assert all(isinstance(evr, IMPLAUSIBLE) for evr in found)
 
 
 @pytest.mark.parametrize("direction", [(0, 0, 1), (0, 0, -1), (0.6, 0, -0.8), (-0.36, 0.48, 0.8)])
@@ -102,6 +108,14 @@ def test_gravity_at_its_bound_is_plausible_and_the_next_number_is_not(bound, bey
     assert found_in(gravity_R_m_s2=[0.0, 0.0, beyond(bound)]) != ()
 
 
+@pytest.mark.parametrize(("bound", "beyond"), [(MIN_C, below), (MAX_C, above)])
+def test_a_structure_at_its_bound_is_plausible_and_the_next_number_is_not(bound, beyond):
+    assert found_in(structure_C=bound) == ()
+    assert found_in(structure_C=beyond(bound)) == (
+        StructureTemperatureImplausible(beyond(bound), MIN_C, MAX_C),
+    )
+
+
 def test_every_number_that_has_noise_is_looked_at_by_itself_and_no_other():
     quiet = noisy_readings(sensors(**QUIET))
     assert len(quiet) == len(NONE_UNCHANGED)
@@ -112,9 +126,9 @@ def test_every_number_that_has_noise_is_looked_at_by_itself_and_no_other():
     assert noisy_readings(sensors(**{**QUIET, "winding_C": np.ones(5)})) == quiet
 
 
-BEFORE = tuple(float(k) for k in range(13))
+BEFORE = tuple(float(k) for k in range(14))
 LATER = tuple(x + 0.5 for x in BEFORE)
-SENSOR_AT = ["resolver_rad"] * 5 + ["current_A"] * 5 + ["gravity_R_m_s2"] * 3
+SENSOR_AT = ["resolver_rad"] * 5 + ["current_A"] * 5 + ["gravity_R_m_s2"] * 3 + ["structure_C"]
 
 
 def with_one_the_same(place):
@@ -123,40 +137,44 @@ def with_one_the_same(place):
 
 
 def test_readings_that_all_change_are_alive_however_long_they_stood():
-    assert check_frozen(BOUNDS, (10_000,) * 13, BEFORE, LATER) == ((0,) * 13, ())
+    assert check_frozen(BOUNDS, (10_000,) * 14, BEFORE, LATER) == ((0,) * 14, ())
 
 
-@pytest.mark.parametrize("place", range(13))
+@pytest.mark.parametrize("place", range(14))
 def test_a_number_that_stays_the_same_is_counted_by_itself_and_named_from_its_persistence_on(place):
     now, bound = with_one_the_same(place), MONITORS.frozen_persistence
     for stood in (0, 1, bound - 2):
-        counts, found = check_frozen(BOUNDS, (stood,) * 13, BEFORE, now)
-        assert counts == tuple(stood + 1 if k == place else 0 for k in range(13))
+        counts, found = check_frozen(BOUNDS, (stood,) * 14, BEFORE, now)
+        assert counts == tuple(stood + 1 if k == place else 0 for k in range(14))
         assert found == ()
     for stood in (bound - 1, bound, 5 * bound):
-        counts, found = check_frozen(BOUNDS, (stood,) * 13, BEFORE, now)
+        counts, found = check_frozen(BOUNDS, (stood,) * 14, BEFORE, now)
         assert counts[place] == stood + 1
         assert found == (SensorFrozen(SENSOR_AT[place], stood + 1),)
 
 
 def test_sensors_that_are_frozen_together_are_named_once_each_and_those_that_only_stand_are_not():
     bound = MONITORS.frozen_persistence
-    stood = (bound - 1,) * 5 + (bound - 2,) * 5 + (bound + 3,) * 3
+    stood = (bound - 1,) * 5 + (bound - 2,) * 5 + (bound + 3,) * 3 + (0,)
     _, found = check_frozen(BOUNDS, stood, BEFORE, BEFORE)
     assert found == (SensorFrozen("resolver_rad", bound), SensorFrozen("gravity_R_m_s2", bound + 4))
 
 
 def test_as_many_readings_are_compared_as_there_are_and_none_is_left_out():
     with pytest.raises(ValueError, match="shorter"):
-        check_frozen(BOUNDS, (0,) * 12, BEFORE, BEFORE)
+        check_frozen(BOUNDS, (0,) * 13, BEFORE, BEFORE)
     with pytest.raises(ValueError, match="shorter"):
-        check_frozen(BOUNDS, (10_000,) * 12, BEFORE[:12], BEFORE[:12])
+        check_frozen(BOUNDS, (10_000,) * 13, BEFORE[:13], BEFORE[:13])
 
 
-def test_cycles_are_counted_from_the_second_call_on_and_may_begin_again():
-    assert check_cycle_count(BOUNDS, None, 12345) == ()
-    for before, now in ((7, 8), (7, 7), (7, -100), (-2, -1)):
+def test_cycles_are_counted_from_the_second_call_on():
+    for before, now in ((None, 12345), (7, 8), (-2, -1)):
         assert check_cycle_count(BOUNDS, before, now) == ()
+
+
+@pytest.mark.parametrize("now", [7, 6, -43, -(10**9)])
+def test_a_count_that_repeats_or_goes_back_is_a_fault(now):
+    assert check_cycle_count(BOUNDS, 7, now) == (CycleCountWrong(now, 7),)
 
 
 @pytest.mark.parametrize("before", [-5, 0, 1000])
@@ -218,4 +236,4 @@ def test_counts_of_readings_go_on_from_cycle_to_cycle():
     counts = NONE_UNCHANGED
     for before, now in pairwise([BEFORE, BEFORE, BEFORE, LATER, LATER]):
         counts, _ = check_frozen(BOUNDS, counts, before, now)
-    assert counts == (1,) * 13
+    assert counts == (1,) * 14

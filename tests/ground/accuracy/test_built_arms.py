@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from numpy.random import SeedSequence
 
-from ground.accuracy.placements import closed_loop_model, measure_placements, random_placements, statics_model
+from ground.accuracy.placements import (
+    closed_loop_model,
+    configure_believed,
+    measure_placements,
+    random_placements,
+    statics_model,
+)
 from sim.arms import arm_named
 from sim.initialisation import true_reference
 
@@ -15,7 +21,9 @@ def errors_m(name, how, seed, count):
     moved = (
         statics_model(arm, "on") if how == "statics" else closed_loop_model(arm, true_reference(arm), "on")
     )
-    found = measure_placements(moved, random_placements(arm.params, "APXS", count, SeedSequence(seed)))
+    found = measure_placements(
+        moved, random_placements(configure_believed(arm), "APXS", count, SeedSequence(seed))
+    )
     return np.array([np.linalg.norm(one.error[3:]) for one in found])
 
 

@@ -8,7 +8,13 @@ import pytest
 from fsw.config import configure
 from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.transforms import Array, Pose
-from ground.accuracy.placements import closed_loop_model, error_in_tool, random_placements, statics_model
+from ground.accuracy.placements import (
+    closed_loop_model,
+    configure_believed,
+    error_in_tool,
+    random_placements,
+    statics_model,
+)
 from ground.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity
 from ground.accuracy.sources import load_error_model
 from ground.accuracy.trial import Z_TURN, sample_effects, sample_source
@@ -16,7 +22,7 @@ from sim.arms import BuiltArm, arm_named
 from sim.avionics import move_rng
 from sim.disturbance import frame_body
 from sim.effects.effect import EachMove, Effect, draw_move_disturbance
-from sim.effects.geometry import FrameError, LinkWarming
+from sim.effects.geometry import Expansion, FrameError
 from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle
 from sim.initialisation import true_reference
 from sim.loop import hardware_rng
@@ -26,7 +32,7 @@ MODEL = load_error_model()
 NOMINAL = arm_named("nominal")
 CONFIG = configure(NOMINAL.params)
 TOOL = "MAHLI"
-PLACE = random_placements(NOMINAL.params, TOOL, 1, np.random.SeedSequence(4))[0]
+PLACE = random_placements(CONFIG, TOOL, 1, np.random.SeedSequence(4))[0]
 LARGER = {"slop": 20.0, "wobble": 10.0, "encoder": 10.0, "distortion_gradient": 5.0, "motor_controller": 5.0}
 """Factors that make errors larger than the other errors of the plant."""
 CLOSE_M, CLOSE_RAD, CLOSE_SHARE = 3e-5, 4e-5, 0.02
@@ -66,8 +72,8 @@ def predicted(found: Iterable[Effect], gap: Array) -> Array:
                 theta[Z_TURN, joint] += (factor - 1) * gap[joint] * MODEL.source["backlash"].theta[2, joint]
     warming = np.zeros(len(Frame))
     for effect in found:
-        if isinstance(effect, LinkWarming):
-            warming[effect.frame] = effect.warming_K
+        if isinstance(effect, Expansion):
+            warming[effect.frame] = -MODEL.source["distortion_bulk"].warming_K * (effect.factor - 1)
     u = np.einsum("ikj,kj->i", moved.J[..., 0], theta)
     return u + moved.deflection[..., 0] @ shares + moved.expansion_1_K[..., 0] @ warming
 
@@ -125,9 +131,9 @@ def test_a_gap_that_nothing_allows_for_moves_the_tool_by_the_side_that_every_out
 @pytest.mark.parametrize("case", ["accuracy", "mars"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_statics_end_where_the_closed_loop_does(case, seed):
-    place = random_placements(NOMINAL.params, TOOL, 1, np.random.SeedSequence(seed))[0]
     found = sample_effects(MODEL, MODEL.case[case], TOOL, np.random.default_rng(seed))
     arm = BuiltArm("drawn", found, NOMINAL.params)
+    place = random_placements(configure_believed(arm), TOOL, 1, np.random.SeedSequence(seed))[0]
     backlash = "off" if case == "accuracy" else "on"
     reference = true_reference(arm)
     reference.half_backlash_rad[:] = true_reference(NOMINAL).half_backlash_rad

@@ -21,7 +21,30 @@ angle_deg = 95
 [[check]]
 type = "done"
 """
-REFUSED = SHORT.replace("angle_deg = 95", "angle_deg = 500")
+BEYOND = SHORT.replace("angle_deg = 95", "angle_deg = 390")
+FAR = """\
+title = "A placement that is too far away"
+summary = "Place the APXS."
+
+[world.surface]
+position_m = [3.4, 0.0, -0.2]
+normal = [0.0, 0.0, -1.0]
+
+[[command]]
+type = "UNSTOW"
+
+[[command]]
+type = "PLACE_TOOL"
+tool = "apxs"
+position_m = [3.4, 0.0, -0.2]
+approach = [0.0, 0.0, 1.0]
+
+[[check]]
+type = "done"
+"""
+REFUSED = SHORT.replace(
+    "[[command]]", '[[command]]\ntype = "SET_TILT"\nroll_deg = 10\npitch_deg = 0\n\n[[command]]'
+)
 MISSED = SHORT + '\n[[check]]\ntype = "stowed"\n'
 CUT = SHORT + '\n[[fault]]\ntype = "POWER_LOSS"\nduring = 1\nafter_s = 1\n'
 WRONG = SHORT.replace("angle_deg", "angle").replace('"turret"', '"tower"')
@@ -36,6 +59,16 @@ BAD = {
     ),
     "no such arm": (("short.toml", "--arm", "as-built"), "as-built:SEED"),
     "no arm": (("short.toml", "--arm", ""), "as-built:SEED"),
+    "a joint beyond its limit": (
+        ("beyond.toml",),
+        "beyond.toml: command 1, MOVE_JOINT: joint turret: 390.0 deg",
+    ),
+    "a place out of reach": (("far.toml",), "far.toml: command 2, PLACE_TOOL: MoveTool: "),
+    "no such parameters": (("short.toml", "--params", "none.toml"), "none.toml"),
+    "parameters of another arm": (
+        ("short.toml", "--params", "arm7.toml"),
+        "of the arm as-built:7, not of nominal",
+    ),
     "too much tilt": (("short.toml", "--tilt", "25", "25"), "34.8 deg"),
     "NaN tilt": (("short.toml", "--tilt", "nan", "0"), "finite"),
     "negative seed": (("short.toml", "--seed", "-1"), "is below 0"),
@@ -52,6 +85,9 @@ BAD = {
 def folder(tmp_path):
     for name, text in (
         ("short", SHORT),
+        ("beyond", BEYOND),
+        ("far", FAR),
+        ("arm7", 'arm_name = "as-built:7"\n'),
         ("refused", REFUSED),
         ("missed", MISSED),
         ("cut", CUT),
@@ -111,7 +147,7 @@ def test_a_run_that_passes_says_what_was_measured_and_keeps_what_was_asked_for(f
 @pytest.mark.parametrize(
     ("name", "outcome", "said"),
     [
-        ("refused", "refused", "ended in command 1, MOVE_JOINT"),
+        ("refused", "refused", "ended in command 1, SET_TILT"),
         ("cut", "faulted", "response BRAKE_AND_REFUSE"),
         ("missed", "done", "NOT passed"),
     ],

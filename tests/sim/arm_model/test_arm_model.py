@@ -127,9 +127,9 @@ WRONG = {
         "actuators.lphta.armature_kg_m2: 0.0 is outside",
     ),
     "a body that no mass has": (
-        "inertia_kg_m2 = [0.075, 0.085, 0.09]",
-        "inertia_kg_m2 = [0.01, 0.01, 0.09]",
-        "links.arm5.near.inertia_kg_m2: (0.01, 0.01, 0.09) has a moment above the sum",
+        "inertia_kg_m2 = [0.0388, 0.044, 0.0466]",
+        "inertia_kg_m2 = [0.01, 0.01, 0.0466]",
+        "links.arm5.near.inertia_kg_m2: (0.01, 0.01, 0.0466) has a moment above the sum",
     ),
     "a soft link": (
         "stiffness = [33.3e3, 125e3, 38.6e3",
@@ -137,7 +137,7 @@ WRONG = {
         "677000.0, 2190000.0) has a number outside 10000 .. 1e12; only arm6 is rigid",
     ),
     "a link without near mass": (
-        "near = { mass_kg = 1.5, com_m = [0.02, 0.0, -0.245], inertia_kg_m2 = [0.0317, 0.0317, 0.0465] }",
+        "near = { mass_kg = 1.4, com_m = [0.02, 0.0, -0.245], inertia_kg_m2 = [0.0296, 0.0296, 0.0434] }",
         "",
         "links.arm6.near: is missing",
     ),
@@ -147,7 +147,7 @@ WRONG = {
         "joints.elbow.hardstops_rad: 2.8 is not above the upper soft limit",
     ),
     "a pad that repels": (
-        "pad_solref = [-90000.0, -900.0]",
+        "pad_solref = [-99000.0, -990.0]",
         "pad_solref = [0.02, 1.0]",
         "tools.drill.pad_solref: (0.02, 1.0) has a number that is not negative",
     ),
@@ -269,7 +269,7 @@ FOREIGN = {
     "hardstop_stiffness_Nm_rad": "[joints.elbow]\nhardstop_stiffness_Nm_rad = 6e5",
     "torque_constant_Nm_A": "[joints.elbow]\ntorque_constant_Nm_A = 229.0",
     "elastic_centre_m": "[links.arm3]\nelastic_centre_m = [0.45, 0.0, 0.0]",
-    "expansion_1_K": "[links.arm3]\nexpansion_1_K = [0.0, 0.0, 0.0, 1e-5, 0.0, 0.0]",
+    "expansion_1_K": "[links.arm3]\nexpansion_1_K = [0.0, 0.0, 0.0, 2e-5, 0.0, 0.0]",
     "geometry": "[tools.apxs.geometry]\nboxes = [{ centre_m = [0.0, 0.0, 0.0], half_m = [0.1, 0.1, 0.1] }]",
     "gear_ratio": "[joints.elbow]\ngear_ratio = 7000.0",
 }

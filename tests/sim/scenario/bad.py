@@ -68,8 +68,8 @@ BAD = {
     "a force that is not pressed with": (
         'type = "RETRACT"\ntool = "apxs"\ndistance_mm = 100',
         'type = "PRELOAD"\ntool = "apxs"\nforce_N = 5000',
-        29,
-        "force 5000 N is outside 0 .. 350 N",
+        32,
+        "force_N: 5000 is outside 0 .. 1000",
     ),
     "an unknown key": (
         "tilt_roll_deg = 5",
@@ -201,8 +201,8 @@ BAD = {
     "a length that the arm never goes": (
         "distance_mm = 100",
         "distance_mm = 5000",
-        29,
-        "RETRACT: distance_m 5.0 m must be more than 0 and at most 1 m",
+        32,
+        "distance_mm: 5000 is outside 1 .. 1000",
     ),
     "a frame that does not exist": (
         'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "PLACE',

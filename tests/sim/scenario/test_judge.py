@@ -27,7 +27,7 @@ from sim.scenario.data import (
     Stowed,
     TaughtPoint,
 )
-from sim.scenario.judge import CheckResult, evaluate_checks
+from sim.scenario.judge import CheckResult, evaluate_checks, note_snapshot
 from sim.scenario.trace import Ending, Snapshot, Trace
 from sim.sequence import Outcome
 from sim.world import Surface, World
@@ -97,7 +97,10 @@ def results(
         checks=(check,),
         taught=(INLET, BOX),
     )
-    found = evaluate_checks(scenario, STOWED_RAD, Trace(moments, ending))
+    trace = Trace()
+    for moment in moments:
+        note_snapshot(scenario, trace, moment)
+    found = evaluate_checks(scenario, STOWED_RAD, trace, ending)
     return {measured.name: measured for measured in found}
 
 

@@ -43,6 +43,7 @@ SAMPLES = {
     "tool": "apxs",
     "first_tool": "drill",
     "joint": "elbow",
+    "normal_R": [0.1, 0.2, 0.3],
     "backlash": "off",
     "deflection": "off",
     "branch": "shoulder-out elbow-up wrist-down",
@@ -92,6 +93,8 @@ def test_every_field_of_every_dataclass_can_be_said_and_comes_back(kind, unit):
         expected = sample(hints[field.name], field.name, k)
         keys = list(field_keys(field.name, hints[field.name]).factors.items())
         key, factor = keys[unit % len(keys)]
+        if key.endswith("_mm") and isinstance(expected, float):
+            expected *= 100  # the least distance of a command is 1 mm
         table[key] = expected
         if field.name in ("tool", "first_tool", "joint"):
             word = str(expected).upper()

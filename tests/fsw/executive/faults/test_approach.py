@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.faults import Fault, PreloadOutside
+from fsw.dictionary.faults import Fault, PreloadOutside, UnexpectedContact
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
 from tests.fsw.executive.faults.lab import (
@@ -77,10 +77,15 @@ def test_with_a_switch_closed_a_force_is_as_it_should_be():
     assert not found(rig, Fault)
 
 
-def test_in_free_space_a_force_is_left_to_the_switches():
+def test_in_free_space_a_force_is_an_unexpected_contact():
     rig = moving()
-    pushed(rig, "APXS", 2.0 * BOUNDS.guarded_force_N, LATEST)
-    assert not found(rig, Fault)
+    pushed(rig, "APXS", 4.0 * BOUNDS.guarded_force_N, 2 * LATEST)
+    (evr,) = found(rig, Fault)
+    assert isinstance(evr, UnexpectedContact)
+    assert REFUSED in rig.evrs
+    assert rig.state.mode is Mode.FAULTED
+    assert rig.state.fault.may_touch
+    assert braked(rig)
 
 
 def test_what_grows_slowly_is_no_touch():

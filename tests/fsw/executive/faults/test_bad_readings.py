@@ -19,6 +19,7 @@ QUIET = {
     "current_A": np.zeros(5),
     "winding_C": np.full(5, -40.0),
     "gravity_R_m_s2": MARS_R_m_s2,
+    "structure_C": np.full(1, 20.0),
 }
 BAD = [float("nan"), float("inf"), float("-inf")]
 PLACES = [(name, k) for name, values in QUIET.items() for k in range(values.size)]

@@ -6,7 +6,7 @@ import pytest
 from fsw.dictionary.commands import ClearFault, MoveJoints
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CyclesSkipped
-from fsw.dictionary.faults import CyclesMissed, Fault, SensorFrozen
+from fsw.dictionary.faults import CycleCountWrong, CyclesMissed, Fault, SensorFrozen
 from tests.fsw.executive.faults.lab import BOUNDS, CONFIG, REFUSED, START, STOPPED, braked, found, moving
 from tests.fsw.rig import MARS_R_m_s2, Rig, alive, floats
 
@@ -109,14 +109,27 @@ def test_cycles_missed_at_rest_are_reported_and_stop_nothing():
 
 
 @pytest.mark.parametrize("first", [0, 1, 12345, -7])
-def test_the_count_of_cycles_may_begin_anywhere_and_begin_again(first):
+def test_the_count_of_cycles_may_begin_anywhere(first):
     rig = Rig(CONFIG, start_rad=START, calibrated=False)
     rig.cycles = first
     rig.cycle()
     rig.cycle()
-    rig.cycles = -100
-    rig.cycle()
     assert not found(rig, CyclesSkipped | Fault)
+
+
+@pytest.mark.parametrize("back", [0, 1, 50])
+def test_a_count_of_cycles_that_repeats_or_goes_back_stops_the_move_which_may_be_commanded_again(back):
+    rig = moving()
+    last = rig.cycles
+    rig.cycles -= back + 1
+    rig.cycle()
+    assert rig.evrs == [CycleCountWrong(last - back, last), STOPPED]
+    rig.run()
+    assert CommandAborted("MoveJoints") in rig.evrs
+    assert rig.state.mode is Mode.DEPLOYED
+    rig.evrs.clear()
+    rig.run(MoveJoints(floats(START)))
+    assert not found(rig, Fault)
 
 
 @pytest.mark.parametrize("joint", Joint)

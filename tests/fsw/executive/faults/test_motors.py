@@ -31,6 +31,7 @@ from tests.fsw.executive.faults.lab import (
     in_guarded_motion,
     moving,
     off_set_point,
+    resolver_off,
     toward,
     windings,
 )
@@ -163,7 +164,8 @@ def test_a_motor_that_lags_by_what_friction_takes_has_not_stalled(joint):
         while rig.outputs.joint.busy:
             rate = rig.outputs.drive.setpoint_rate_rad_s[joint]
             behind = BOUNDS.stall_error_rad * np.sign(rate) * (abs(rate) > 1e-6)
-            rig.cycle(**off_set_point(rig, joint, -0.9 * behind))
+            lag = resolver_off(rig, joint, -0.9 * behind)  # the output lags as its motor does
+            rig.cycle(**off_set_point(rig, joint, -0.9 * behind), **lag)
         assert not found(rig, Fault)
     rig = in_guarded_motion()
     for _ in range(100):

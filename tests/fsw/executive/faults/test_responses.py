@@ -13,6 +13,7 @@ from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused
 from fsw.dictionary.faults import (
     ContactInFreeSpace,
+    CycleCountWrong,
     CyclesMissed,
     Fault,
     FollowingErrorHigh,
@@ -25,6 +26,7 @@ from fsw.dictionary.faults import (
     SensorNotFinite,
     SetpointUnsafe,
     SoftLimitPassed,
+    StructureTemperatureImplausible,
     TiltChanged,
     UnderTemperature,
 )
@@ -89,8 +91,10 @@ HIGHEST_RAD = CONFIG.protection.highest_rad[Joint.ELBOW]
 PERSISTENT = {
     SensorNotFinite: (1, lambda rig: {"current_A": np.full(5, np.nan)}),
     GravityImplausible: (1, lambda rig: {"gravity_R_m_s2": np.zeros(3)}),
-    SensorFrozen: (BOUNDS.frozen_persistence, lambda rig: {"current_A": np.full(5, 0.3)}),
+    StructureTemperatureImplausible: (1, lambda rig: {"structure_C": 90.0}),
+    SensorFrozen: (BOUNDS.frozen_persistence, lambda rig: {"current_A": np.zeros(5)}),
     CyclesMissed: (1, lambda rig: MISSED),
+    CycleCountWrong: (1, lambda rig: {"cycle": rig.cycles - 51}),
     TiltChanged: (
         BOUNDS.tilt_persistence,
         lambda rig: {"gravity_R_m_s2": [2.0, 0.0, 3.0 + alive(rig.cycles)]},
@@ -109,8 +113,8 @@ PERSISTENT = {
     ContactInFreeSpace: (1, lambda rig: closed("DRT_1")),
 }
 """How long, and which readings of a moving arm, passing the bound with the first of them."""
-BY_A_CALL = {faults.ContactLost, faults.PreloadOutside}
-"""Tested in tests/fsw/protect and in test_touch.py and test_approach.py."""
+BY_A_CALL = {faults.ContactLost, faults.PreloadOutside, faults.UnexpectedContact}
+"""Tested in tests/fsw/protect and in test_touch.py, test_approach.py and test_resistance.py."""
 BY_THE_MOVE = {
     faults.NoContact,
     faults.NotSettled,

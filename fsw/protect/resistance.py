@@ -1,0 +1,307 @@
+"""Monitor of free moves: resistance of the joints together is an unexpected contact.
+
+Two signals show the torque of an obstacle. Both are compared with their own slow mean since the joint began
+to turn, so that constant errors of weights, friction, biases and zeros cancel.
+
+- The motor current, in every cycle: it is quiet, and counts for motors that turn. Friction varies with speed.
+- The wind-up, resolver less estimated output, in every update: it is slower, but counts at any speed.
+
+An obstacle acts on several joints, with unknown levers. The statistic is therefore a sum of squares
+
+    S = sum over the joints of (excess against the motion, less its slack, in sigmas)^2
+
+Noise alone gives S at most the chi-square distribution of five degrees of freedom. S passes CONTACT once in
+1e9 independent readings: at nine a second, once in three years of motion. A fast mean with gain g less the
+slow mean of n readings has the variance s^2 (g / (2 - g) + 1 / n).
+
+The slack is what is not noise. For a current it is the viscous friction in the cold times the change of
+speed, and the error of the modelled load while the side of the backlash is uncertain. For a wind-up it is the
+uncertainty of the gear angle.
+
+A joint shows nothing, and its slow means begin anew, in these cases:
+
+- The gear does not drag the output: while it takes up its backlash, friction and load come and go.
+- The side of the backlash is uncertain, for the wind-up: a crossing looks like any torque.
+- The motor turns by less than a count a cycle, or turns back: its friction may have any value.
+- A reading jumps farther than noise and a stiff gear at full speed explain: that is a sensor.
+
+`docs/faults.md` derives the force that remains.
+"""
+
+from math import sqrt
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from fsw.dictionary.enums import Joint, Mode
+from fsw.dictionary.evrs import Evr
+from fsw.dictionary.faults import UnexpectedContact
+from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
+from fsw.kinematics.transforms import Array
+from fsw.protect.bounds import (
+    CURRENT_GAIN,
+    CURRENT_UPDATES,
+    UPDATE_CYCLES,
+    WIND_UP_UPDATES,
+    ProtectionBounds,
+)
+from fsw.protect.status import ArmStatus, MoveStatus
+
+CONTACT: Final = 50.7
+"""Value that chi-square with five degrees of freedom passes with a probability of 1e-9."""
+LEAST_UPDATES: Final = 3
+"""Updates from which a slow mean is known."""
+DRAGGED_RAD: Final = 1e-5
+"""Distance from the angle at which the gear drags its output: 1 N m, less than the error of any load."""
+LEAST_LEVER_M: Final = 0.05
+"""Lever of the tool's motion on the joints below which no force is computed from their torques."""
+
+
+class JointMeans(NamedTuple):
+    """Slow means of a joint since it began to turn, and its last values."""
+
+    updates: int = 0
+    """Updates of the mean friction and rate; 0 begins them anew."""
+    friction_A: float = 0.0
+    """Current beyond that of the modelled load."""
+    rate_rad_s: float = 0.0
+    """Rate of the motor, measured from update to update."""
+    wind_up_updates: int = 0
+    """Updates of the mean wind-up; 0 begins it anew."""
+    wind_up_rad: float = 0.0
+    """Resolver less estimated output."""
+    last_motor_rad: float = 0.0
+    last_rate_rad_s: float = 0.0
+    last_wind_up_rad: float = 0.0
+    last_side: float = 0.0
+    """Side of the backlash."""
+
+
+class FreeMove(NamedTuple):
+    """Monitor of a free move from cycle to cycle; values in the order of Joint."""
+
+    cycles: int
+    """Cycles since the last update of the slow means."""
+    read_A: tuple[float, ...]
+    """Current readings of the cycle before."""
+    fast_A: tuple[float, ...]
+    """Fast means of the currents."""
+    expected_A: tuple[float, ...]
+    """Currents without a contact."""
+    per_A: tuple[float, ...]
+    """Sigmas per ampere, positive for a motor that turns forward; 0 for one that shows nothing."""
+    slack: tuple[float, ...]
+    """Excess of the currents in sigmas that is explained."""
+    means: tuple[JointMeans, ...]
+
+
+NO_MEANS: Final = (JointMeans(),) * len(Joint)
+NOTHING: Final = (0.0,) * len(Joint)
+
+
+def monitor_free_move(
+    bounds: ProtectionBounds,
+    last: FreeMove | None,
+    arm: ArmStatus,
+    readings: tuple[float, ...],
+    unchanged: tuple[int, ...],
+) -> tuple[FreeMove | None, tuple[Evr, ...]]:
+    """Check that nothing resists a free move.
+
+    Args:
+        bounds: Bounds of protection.
+        last: State of the cycle before; None if no free move was under way.
+        arm: Arm with its joints and move.
+        readings: Noisy readings, in the order of `readings.NOISY`.
+        unchanged: For how many cycles each of them has been the same.
+
+    Returns:
+        The state for the next cycle, None unless a free move is under way, and the fault.
+    """
+    move = arm.move
+    if move is None or arm.mode is not Mode.FREE_SPACE or move.is_releasing or move.is_stopping:
+        return None, ()
+    if move.homing is not None:
+        return None, ()
+    read_A = readings[5:10]
+    if last is None:
+        return FreeMove(0, read_A, read_A, read_A, NOTHING, NOTHING, NO_MEANS), ()
+    cycles, before_A, fast_A, expected_A, per_A, slack, means = last
+    means_A, total, jumped = [], 0.0, False
+    for reading, before, mean, expected, per, less, step in zip(
+        read_A, before_A, fast_A, expected_A, per_A, slack, bounds.current_step_A, strict=True
+    ):
+        mean += CURRENT_GAIN * (reading - mean)
+        means_A.append(mean)
+        excess = (mean - expected) * per - less
+        if excess > 0.0:
+            total += excess * excess
+        if not -step <= reading - before <= step:
+            jumped = True
+    now = FreeMove(cycles + 1, read_A, tuple(means_A), expected_A, per_A, slack, means)
+    if jumped:
+        now = _forget_jumps(bounds, before_A, now)
+    elif total > CONTACT:
+        return now, (_describe_currents(bounds, arm, move, now),)
+    if now.cycles < UPDATE_CYCLES:
+        return now, ()
+    load_A = compute_load_current(bounds, arm)
+    updated = update_means(bounds, now, arm, load_A, unchanged)
+    contact = check_wind_up(bounds, now.means, updated, arm, move)
+    return FreeMove(0, read_A, now.fast_A, *expect_currents(bounds, updated, arm, load_A), updated), contact
+
+
+def _forget_jumps(bounds: ProtectionBounds, before_A: tuple[float, ...], now: FreeMove) -> FreeMove:
+    """Begin the means of currents that jumped anew; until they are known these joints show nothing."""
+    jumped = [abs(a - b) > c for a, b, c in zip(now.read_A, before_A, bounds.current_step_A, strict=True)]
+    return now._replace(
+        fast_A=tuple([a if jump else b for jump, a, b in zip(jumped, now.read_A, now.fast_A, strict=True)]),
+        per_A=tuple([0.0 if jump else per for jump, per in zip(jumped, now.per_A, strict=True)]),
+        means=tuple(
+            [m._replace(updates=0) if jump else m for jump, m in zip(jumped, now.means, strict=True)]
+        ),
+    )
+
+
+def compute_load_current(bounds: ProtectionBounds, arm: ArmStatus) -> list[float]:
+    """Compute the currents that the estimated wind-up of the gears takes, (5,), without friction."""
+    each = zip(arm.gear_rad.tolist(), arm.half_backlash_rad.tolist(), bounds.stiffness_A_rad, strict=True)
+    return [stiffness * (min(max(gear, -half), half) - gear) for gear, half, stiffness in each]
+
+
+def _wind_up(arm: ArmStatus, gear_rad: Array) -> Array:
+    """Compute the wind-up of gears, (5,); in its backlash a gear has none."""
+    half = arm.half_backlash_rad
+    wind_up: Array = gear_rad - np.minimum(np.maximum(gear_rad, -half), half)
+    return wind_up
+
+
+def update_means(
+    bounds: ProtectionBounds,
+    now: FreeMove,
+    arm: ArmStatus,
+    load_A: list[float],
+    unchanged: tuple[int, ...],
+) -> tuple[JointMeans, ...]:
+    """Update the slow means of all joints, or begin them anew; a repeated resolver reading is left out."""
+    after: list[JointMeans] = []
+    for last, mean_A, loaded_A, motor, gear, low, high, wound, side, same, turning, step in zip(
+        now.means,
+        now.fast_A,
+        load_A,
+        arm.motor_rad.tolist(),
+        arm.gear_rad.tolist(),
+        arm.gear_lowest_rad.tolist(),
+        arm.gear_highest_rad.tolist(),
+        arm.resolver_error_rad.tolist(),
+        arm.side.tolist(),
+        unchanged[:5],
+        bounds.turning_rad_s,
+        bounds.wind_up_step_rad,
+        strict=True,
+    ):
+        n, friction_A, slow_rate, m, slow, last_motor, last_rate, last_wound, last_side = last
+        rate = (motor - last_motor) * bounds.updates_Hz
+        is_dragged = abs(gear - (low if rate > 0.0 else high)) < DRAGGED_RAD
+        if is_dragged and abs(rate) > turning and rate * last_rate > 0.0:
+            n = n + 1 if n < CURRENT_UPDATES else n
+            friction_A += (mean_A - loaded_A - friction_A) / n
+            slow_rate += (rate - slow_rate) / n
+        else:
+            n, friction_A, slow_rate = 0, 0.0, 0.0
+        if same:
+            wound = last_wound
+        elif side == 0.0 or side != last_side or abs(wound - last_wound) > step:
+            m, slow = 0, wound
+        else:
+            m = m + 1 if m < WIND_UP_UPDATES else m
+            slow += (wound - slow) / m
+        after.append(JointMeans(n, friction_A, slow_rate, m, slow, motor, rate, wound, side))
+    return tuple(after)
+
+
+def expect_currents(
+    bounds: ProtectionBounds, means: tuple[JointMeans, ...], arm: ArmStatus, load_A: list[float]
+) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Compute expected currents, sigmas per ampere and slack until the next update, as in FreeMove."""
+    expected_A, per_A, slack = [], [], []
+    for one, loaded_A, damping, change, error_A in zip(
+        means, load_A, bounds.damping_As_rad, bounds.rate_step_rad_s, bounds.load_error_A, strict=True
+    ):
+        per = 1.0 / bounds.current_sigma_A[one.updates]
+        # until the next update the rate changes by no more than its lag, and what the jerk adds
+        change += 2.0 * abs(one.last_rate_rad_s - one.rate_rad_s)
+        expected_A.append(one.friction_A + loaded_A)
+        slack.append((damping * change + (0.0 if one.last_side else error_A)) * per)
+        is_known = one.updates >= LEAST_UPDATES
+        per_A.append(0.0 if not is_known else per if one.last_rate_rad_s > 0.0 else -per)
+    return tuple(expected_A), tuple(per_A), tuple(slack)
+
+
+def check_wind_up(
+    bounds: ProtectionBounds,
+    before: tuple[JointMeans, ...],
+    now: tuple[JointMeans, ...],
+    arm: ArmStatus,
+    move: MoveStatus,
+) -> tuple[Evr, ...]:
+    """Check the wind-up in an update against the slow means before it."""
+    total, excess, off_rad = 0.0, [], []
+    each = zip(
+        before,
+        now,
+        arm.gear_uncertainty_rad.tolist(),
+        move.setpoint_rate_rad_s.tolist(),
+        strict=True,
+    )
+    for last, one, unsure, rate in each:
+        off = one.last_wind_up_rad - last.wind_up_rad
+        is_known = min(last.wind_up_updates, one.wind_up_updates) > LEAST_UPDATES
+        # the rate is the commanded one: an encoder that is stuck makes the output run ahead
+        resists = is_known and off * rate <= 0.0
+        off_rad.append(off if resists else 0.0)
+        beyond = abs(off) - unsure if resists else 0.0
+        excess.append(beyond / bounds.wind_up_sigma_rad[last.wind_up_updates] if beyond > 0.0 else 0.0)
+        total += excess[-1] * excess[-1]
+    if total <= CONTACT:
+        return ()
+    wound_rad = _wind_up(arm, arm.gear_rad + np.array(off_rad)) - _wind_up(arm, arm.gear_rad)
+    torque_Nm = bounds.arm.gear_stiffness_Nm_rad * wound_rad
+    return (describe_contact(bounds, arm, move, torque_Nm, excess.index(max(excess))),)
+
+
+def _describe_currents(
+    bounds: ProtectionBounds, arm: ArmStatus, move: MoveStatus, now: FreeMove
+) -> UnexpectedContact:
+    """Describe a contact that currents show."""
+    off_A = np.array(now.fast_A) - now.expected_A
+    per_A = np.array(now.per_A)
+    torque_Nm = np.where(
+        per_A == 0.0, 0.0, -off_A * bounds.arm.gear_stiffness_Nm_rad / bounds.stiffness_A_rad
+    )
+    return describe_contact(bounds, arm, move, torque_Nm, int(np.argmax(off_A * per_A - now.slack)))
+
+
+def describe_contact(
+    bounds: ProtectionBounds, arm: ArmStatus, move: MoveStatus, torque_Nm: Array, joint: int
+) -> UnexpectedContact:
+    """Describe a contact by the joint that shows it best, and by a force against the motion of the tool.
+
+    Args:
+        bounds: Bounds of protection.
+        arm: Arm with its joints.
+        move: Move under way.
+        torque_Nm: Torques of the obstacle on the outputs, 0 where nothing is known, shape (5,).
+        joint: Index of the joint.
+
+    Returns:
+        The fault. The force is the least-squares fit to the torques.
+    """
+    frames = forward(bounds.arm, arm.motor_rad + arm.gear_rad)
+    J = joint_jacobian(frames, tool_pose(bounds.arm, frames, arm.tool).p)[3:]
+    velocity_m_s = J @ move.setpoint_rate_rad_s
+    speed_m_s = sqrt(float(velocity_m_s @ velocity_m_s))
+    per_N = np.where(torque_Nm == 0.0, 0.0, -J.T @ velocity_m_s) / max(speed_m_s, 1e-9)
+    square = float(per_N @ per_N)
+    force_N = float(per_N @ torque_Nm) / square if square > LEAST_LEVER_M**2 else 0.0
+    return UnexpectedContact(Joint(joint), abs(float(torque_Nm[joint])), abs(force_N))

@@ -1,0 +1,15 @@
+"""Random commands in the closed loop; `python -m validation.commands` sends many more."""
+
+import pytest
+
+from ground.common.pool import run_here
+from validation.commands import campaign
+
+
+@pytest.mark.parametrize("seed", [101, 102])
+def test_no_random_command_ends_flight_software_or_moves_anything_when_it_is_refused(seed):
+    found = campaign(1500, seed, run_here)
+    assert found["bugs"] == []
+    assert found["cycles"] == 1500
+    assert found["accepted"]
+    assert sum(found["refused"].values()) > 300

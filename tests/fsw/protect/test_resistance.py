@@ -1,0 +1,206 @@
+"""Resistance in a free move: what an obstacle does to currents and gears, and what does so without one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsw.config import CYCLE_S
+from fsw.dictionary.enums import Joint, Mode
+from fsw.dictionary.faults import UnexpectedContact
+from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
+from fsw.protect.bounds import CURRENT_GAIN, UPDATE_CYCLES, compute_bounds
+from fsw.protect.resistance import CONTACT, LEAST_UPDATES, monitor_free_move
+from tests.fsw.protect.lab import (
+    BOUNDS,
+    CONFIG,
+    JOINTS,
+    MONITORS,
+    PARAMS,
+    READY,
+    STIFFNESS,
+    WOUND_RAD,
+    ZERO,
+    a_move,
+    at,
+    moving,
+)
+
+RATE = 0.5 * CONFIG.speed_rad_s
+KNOWN = 4 * UPDATE_CYCLES * LEAST_UPDATES
+"""Cycles after which all means are known."""
+FRESH = (0,) * 13
+CONSTANT = CONFIG.torque_constant_Nm_A
+joints = pytest.mark.parametrize("joint", Joint)
+directions = pytest.mark.parametrize("sign", [-1.0, 1.0])
+
+
+class Turning:
+    """Arm that turns at a constant rate, and the monitor of its move."""
+
+    def __init__(self, rate_rad_s=RATE, seed=None, bounds=BOUNDS, **changes):
+        self.rate, self.bounds, self.changes = np.asarray(rate_rad_s, float), bounds, changes
+        self.state, self.cycles, self.angle = None, 0, READY
+        self.noise = None if seed is None else np.random.default_rng(seed)
+        self.resolver = np.zeros(5)
+
+    def cycle(self, torque_Nm=ZERO, wound_rad=ZERO, unchanged=FRESH, move=None, **changes):
+        """Run a cycle with torques of an obstacle on the outputs; return what was found."""
+        self.cycles += 1
+        self.angle = self.angle + self.rate * CYCLE_S
+        current, error = -np.asarray(torque_Nm) / CONSTANT, np.asarray(wound_rad, float)
+        if self.noise is not None:
+            current = current + MONITORS.current_noise_A * self.noise.standard_normal(5)
+            error = error + MONITORS.resolver_noise_rad * self.noise.standard_normal(5)
+        self.resolver = self.resolver + (error - self.resolver) / 16
+        arm = moving(
+            move or a_move(setpoint_rad=self.angle, setpoint_rate_rad_s=self.rate),
+            motor_rad=self.angle,
+            resolver_error_rad=self.resolver,
+            **(self.changes | changes),
+        )
+        readings = (*ZERO, *current.tolist(), *MARS)
+        self.state, found = monitor_free_move(self.bounds, self.state, arm, readings, unchanged)
+        return found
+
+    def until_found(self, cycles, **readings):
+        """Return the first event in so many cycles, and the number of its cycle; None if there is none."""
+        for k in range(cycles):
+            found = self.cycle(**readings)
+            if found:
+                return found[0], k + 1
+        return None, cycles
+
+
+MARS = (0.0, 0.0, 3.711)
+
+
+def known(**kwargs):
+    """An arm whose means are known."""
+    turning = Turning(**kwargs)
+    assert turning.until_found(KNOWN) == (None, KNOWN)
+    return turning
+
+
+def least_torque_Nm(joint):
+    """Torque of one joint that passes the bound for long, with the most readings in its mean."""
+    sigma_A = BOUNDS.current_sigma_A[-1]
+    rate_step = 0.02 if joint < Joint.WRIST else 0.04
+    assert JOINTS[joint].jerk_rad_s3 == rate_step
+    slack_Nm = JOINTS[joint].damping_Nms_rad * JOINTS[joint].jerk_rad_s3 * (UPDATE_CYCLES * CYCLE_S) ** 2
+    return np.sqrt(CONTACT) * sigma_A * CONSTANT[joint] + slack_Nm
+
+
+@joints
+@directions
+def test_a_torque_against_the_motion_is_a_contact_of_that_joint(joint, sign):
+    turning = known(rate_rad_s=sign * RATE)
+    torque = 2.0 * least_torque_Nm(joint)
+    event, cycle = turning.until_found(10, torque_Nm=at(joint, -sign * torque))
+    assert isinstance(event, UnexpectedContact)
+    assert event.joint is joint
+    assert 0.5 * torque <= event.torque_Nm <= torque
+    assert cycle <= 4
+
+
+@joints
+def test_a_torque_with_the_motion_is_none(joint):
+    assert known().until_found(200, torque_Nm=at(joint, 5.0 * least_torque_Nm(joint)))[0] is None
+
+
+@joints
+def test_a_torque_just_below_the_bound_is_none_and_one_just_above_is(joint):
+    bound = least_torque_Nm(joint)
+    assert known().until_found(6, torque_Nm=at(joint, -0.9 * bound))[0] is None
+    assert known().until_found(12, torque_Nm=at(joint, -1.3 * bound))[0] is not None
+
+
+def test_torques_of_several_joints_add_up_in_squares():
+    bound = np.array([least_torque_Nm(joint) for joint in Joint])
+    assert known().until_found(12, torque_Nm=-0.8 * bound)[0] is not None
+
+
+def test_the_force_is_that_which_explains_the_torques_along_the_motion_of_the_tool():
+    turning = known()
+    frames = forward(CONFIG.arm, turning.angle + WOUND_RAD)
+    J = joint_jacobian(frames, tool_pose(CONFIG.arm, frames, "APXS").p)[3:]
+    way = J @ RATE / np.linalg.norm(J @ RATE)
+    event, cycle = turning.until_found(20, torque_Nm=-100.0 * J.T @ way)
+    seen = 1.0 - (1.0 - CURRENT_GAIN) ** cycle
+    assert event.force_N == pytest.approx(100.0 * seen, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_alone_is_no_contact(seed):
+    assert Turning(seed=seed).until_found(10_000)[0] is None
+
+
+def test_the_bound_follows_the_noise_of_the_parameters():
+    quiet = compute_bounds(
+        replace(PARAMS, monitors=replace(MONITORS, current_noise_A=0.01)), CONFIG.arm, CYCLE_S
+    )
+    np.testing.assert_allclose(np.array(BOUNDS.current_sigma_A) / quiet.current_sigma_A, 2.0)
+    assert min(np.diff(BOUNDS.current_sigma_A)) < 0.0
+
+
+@joints
+def test_wind_up_of_a_joint_on_its_brake_is_a_contact_within_a_second(joint):
+    turning = known(rate_rad_s=ZERO)
+    wound = 40.0 / STIFFNESS[joint]
+    event, _ = turning.until_found(64, wound_rad=at(joint, wound))
+    assert event.joint is joint
+    assert 10.0 < event.torque_Nm < 40.0
+
+
+def test_wind_up_is_a_contact_only_beyond_the_uncertainty_of_the_gear():
+    unsure = known(rate_rad_s=ZERO, gear_uncertainty_rad=np.full(5, 1e-3))
+    assert unsure.until_found(200, wound_rad=at(Joint.ELBOW, 1e-3))[0] is None
+
+
+def test_a_joint_that_takes_up_its_backlash_shows_nothing():
+    off = {"gear_lowest_rad": WOUND_RAD - 1e-3, "gear_highest_rad": WOUND_RAD + 1e-3}
+    turning = Turning()
+    assert turning.until_found(KNOWN, **off)[0] is None
+    assert turning.until_found(10, torque_Nm=np.full(5, -100.0), **off)[0] is None
+
+
+def test_a_reading_that_jumps_is_a_sensor():
+    turning = known()
+    assert turning.until_found(400, torque_Nm=at(Joint.ELBOW, -1000.0))[0] is None
+    noisy = known()
+    for sign in (-1, 1) * 200:
+        assert not noisy.cycle(torque_Nm=at(Joint.ELBOW, 300.0 * sign))
+
+
+def test_a_frozen_resolver_shows_nothing():
+    frozen = (1, *FRESH[1:])
+    turning = known(rate_rad_s=ZERO)
+    assert turning.until_found(200, wound_rad=at(Joint.AZIMUTH, 1e-3), unchanged=frozen)[0] is None
+
+
+def test_a_torque_that_rises_as_slowly_as_a_load_is_none():
+    turning = known()
+    for cycle in range(64):
+        assert not turning.cycle(torque_Nm=at(Joint.ELEVATION, -2.6 * cycle * CYCLE_S))
+
+
+def test_friction_that_grows_with_speed_is_none():
+    turning = Turning(rate_rad_s=0.02 * RATE)
+    damping = np.array([joint.damping_Nms_rad for joint in JOINTS])
+    for _ in range(200):
+        turning.rate = np.minimum(turning.rate + CONFIG.acceleration_rad_s2 * CYCLE_S, CONFIG.speed_rad_s)
+        assert not turning.cycle(torque_Nm=-damping * turning.rate)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"mode": Mode.RETRACTING},
+        {"move": a_move(is_stopping=True)},
+        {"move": a_move(is_releasing=True)},
+        {"move": a_move(homing=Joint.ELBOW)},
+    ],
+)
+def test_only_a_free_move_is_monitored(other):
+    arm = moving(other.get("move", a_move()), other.get("mode", Mode.FREE_SPACE))
+    assert monitor_free_move(BOUNDS, None, arm, (0.0,) * 13, FRESH) == (None, ())

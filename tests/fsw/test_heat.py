@@ -1,0 +1,83 @@
+"""The arm of flight software grows with the temperature that it reads, between moves."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import MoveJoints, SetParam
+from fsw.dictionary.faults import SensorFrozen
+from fsw.kinematics.chain import forward, tool_pose
+from tests.fsw.rig import Rig, config_of, facing, floats
+
+CONFIG = config_of()
+START = facing(CONFIG, "APXS")
+HEAT = CONFIG.params.heat
+
+
+def reads(rig: Rig, warm_C: float, cycles: int = 1) -> None:
+    rig.warm_C = warm_C
+    for _ in range(cycles):
+        rig.cycle()
+
+
+def present(rig: Rig):
+    return rig.state.changed_config or rig.config
+
+
+def test_the_first_reading_is_the_temperature_of_the_arm():
+    rig = Rig(CONFIG, start_rad=START)
+    assert present(rig).structure_C == HEAT.calibration_C
+    cold = Rig(CONFIG, start_rad=START, warm_C=-55.0)
+    assert present(cold).structure_C == pytest.approx(-55.0, abs=1e-3)
+    assert cold.outputs.tool.structure_C == present(cold).structure_C
+
+
+def test_a_colder_arm_is_shorter_by_its_expansion():
+    rig = Rig(CONFIG, start_rad=START, warm_C=-55.0)
+    arm = present(rig).arm
+    frames, cold = forward(CONFIG.arm, START), forward(arm, START)
+    shift_m = np.linalg.norm(tool_pose(arm, cold, "APXS").p - tool_pose(CONFIG.arm, frames, "APXS").p)
+    assert 1e-3 < shift_m < 4e-3
+    assert present(rig).protection.arm is arm
+
+
+def test_the_arm_is_built_anew_only_after_a_step():
+    rig = Rig(CONFIG, start_rad=START)
+    reads(rig, HEAT.calibration_C + 0.9 * HEAT.step_K, 64 * 50)
+    assert rig.state.changed_config is None
+    reads(rig, HEAT.calibration_C + 1.1 * HEAT.step_K, 64 * 50)
+    assert present(rig).structure_C - HEAT.calibration_C == pytest.approx(HEAT.step_K, abs=0.01)
+
+
+def test_a_move_keeps_the_arm_that_it_was_planned_with():
+    rig = Rig(CONFIG, start_rad=START)
+    rig.until_moving(MoveJoints(floats(START + 0.05)))
+    while rig.state.move is not None:
+        assert present(rig).arm is CONFIG.arm
+        reads(rig, 30.0)
+    reads(rig, 30.0, CONFIG.params.motion.load_period_cycles)
+    assert present(rig).structure_C > HEAT.calibration_C + HEAT.step_K
+
+
+def test_a_reading_that_is_no_number_leaves_the_last_temperature():
+    rig = Rig(CONFIG, start_rad=START)
+    before_C = rig.state.structure_C
+    rig.cycle(structure_C=float("nan"))
+    assert rig.state.structure_C == before_C
+    rig.cycle(structure_C=200.0)
+    assert rig.state.structure_C == before_C
+
+
+def test_a_frozen_reading_is_a_fault():
+    rig = Rig(CONFIG, start_rad=START)
+    for _ in range(CONFIG.params.monitors.frozen_persistence + 1):
+        rig.cycle(structure_C=20.0)
+    assert any(isinstance(evr, SensorFrozen) and evr.sensor == "structure_C" for evr in rig.evrs)
+
+
+def test_the_compensation_can_be_turned_off_and_a_changed_parameter_keeps_the_temperature():
+    rig = Rig(CONFIG, start_rad=START, warm_C=-55.0)
+    rig.cycle(SetParam("motion.tool_speed_m_s", 0.04))
+    assert present(rig).structure_C == pytest.approx(-55.0, abs=1e-3)
+    assert not np.array_equal(present(rig).arm.RP_CF, CONFIG.arm.RP_CF)
+    rig.cycle(SetParam("heat.compensated_share", 0.0))
+    np.testing.assert_allclose(present(rig).arm.RP_CF, CONFIG.arm.RP_CF, atol=1e-15)
