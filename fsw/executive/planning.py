@@ -222,7 +222,9 @@ def plan_steps(
         if problem is not None:
             return Refusal(f"{type(step).__name__}: {problem}")
         surface = locate_surface(config, joints, tool, step, surface)
-        plan = _plan_checked(config, joints, tool, step, surface)
+        # a search for a retraction at each move of a placement would take long
+        plan_step = plan_command if isinstance(step, Stow) else _plan_checked
+        plan = plan_step(config, joints, tool, step, surface)
         if isinstance(plan, Refusal):
             return Refusal(f"{type(step).__name__}: {plan.reason}")
         plans.append(plan)
