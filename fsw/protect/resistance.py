@@ -23,8 +23,8 @@ A joint shows nothing, and its slow means begin anew, in these cases:
 - The gear does not drag the output: while it takes up its backlash, friction and load come and go.
 - The side of the backlash is uncertain, for the wind-up: a crossing looks like any torque.
 - The motor turns by less than a count a cycle, or turns back: its friction may have any value.
-- The wind-up changes with the motion, which no obstacle does. The mean then holds what came before, such as a
-  backlash that was crossed later than estimated.
+- The wind-up changes with the motion, which no obstacle does, or while its mean is young. The mean then holds
+  what came before, such as a backlash that was crossed later than estimated.
 - A reading jumps farther than noise and a stiff gear at full speed explain: that is a sensor.
 
 `docs/faults.md` derives the force that remains.
@@ -58,8 +58,8 @@ LEAST_WIND_UP_UPDATES: Final = 8
 """Updates from which that of the wind-up is known, 1 s: a jump has then left the smoothed error."""
 DRAGGED_RAD: Final = 1e-5
 """Distance from the angle at which the gear drags its output: 1 N m, less than the error of any load."""
-YIELD_SIGMAS: Final = 3.0
-"""Change with the motion that is no noise; noise alone begins one mean in 740 anew."""
+CHANGE_SIGMAS: Final = 3.0
+"""Change of the wind-up that is no noise; noise alone begins one mean in 370 anew."""
 LEAST_LEVER_M: Final = 0.05
 """Lever of the tool's motion on the joints below which no force is computed from their torques."""
 
@@ -220,10 +220,11 @@ def update_means(
         else:
             n, friction_A, slow_rate = 0, 0.0, 0.0
         off = wound - slow
-        yields = off * rate > 0.0 and abs(off) > YIELD_SIGMAS * bounds.wind_up_sigma_rad[m]
+        is_free = off * rate > 0.0 or m <= LEAST_WIND_UP_UPDATES
+        changes = is_free and abs(off) > CHANGE_SIGMAS * bounds.wind_up_sigma_rad[m]
         if same:
             wound = last_wound
-        elif yields or side == 0.0 or side != last_side:
+        elif changes or side == 0.0 or side != last_side:
             m, slow = 0, wound
         else:
             m = m + 1 if m < WIND_UP_UPDATES else m
