@@ -2,7 +2,7 @@
 
 import pytest
 
-from fsw.dictionary.commands import GuardedMove
+from fsw.dictionary.commands import PlaceTool
 from sim.arms import arm_named
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
@@ -22,7 +22,7 @@ def test_a_touch_rests_half_a_second_after_the_last_set_point(tool: str, arm_nam
     world = World(surface=Surface(POINT_N_M, NORMAL_N))
     loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, reference=true_reference(arm)))
     commands = placement_commands(Placement(tool, POINT_N_M, NORMAL_N), stowed=False)[:-1]
-    assert isinstance(commands[-1], GuardedMove)
+    assert isinstance(commands[-1], PlaceTool)
     rest = rest_after(loop, commands, tool)
     assert isinstance(rest, ContactRest)
     assert rest.mean_N > 5.0
