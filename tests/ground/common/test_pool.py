@@ -152,7 +152,7 @@ def test_results_before_an_error_are_kept():
     found = []
     with pytest.raises(ValueError, match="900 is not allowed"):
         found.extend(found.append(one) for one in local_runner(2)(square_or_fail, range(1000)))
-    assert len(set(found)) >= 800
+    assert len(set(found)) >= 900 - 1000 // 4  # the other worker may still have a task, a quarter at most
 
 
 def rest(_: int) -> None:
