@@ -135,7 +135,7 @@ RUNS = (
         APXS_THERE,
         (
             (GuardedMove("APXS", beyond(0.04), IN), LONG),
-            (ToolChange("DRT", standoff_m=0.02, overtravel_m=0.01), 300),
+            (ToolChange("DRT", standoff_m=0.02, overtravel_m=0.01), 130),
             (Stop(), LONG),
         ),
         "SpotSet",
