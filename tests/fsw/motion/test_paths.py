@@ -15,7 +15,7 @@ from fsw.motion.paths import JointPath, LinePath, Setpoint, Travel, joint_path, 
 from fsw.motion.plan import Plan
 from fsw.motion.plan_tool import plan_guarded, plan_retract
 from tests.fsw.motion.lab import gears_along, likely, sampled, tool_at
-from tests.fsw.rig import Rig, config_of, in_the_open, facing, floats, in_limits, with_params
+from tests.fsw.rig import Rig, config_of, facing, floats, in_limits, in_the_open, with_params
 from tests.tools import TOOLS
 
 CONFIG = config_of()
