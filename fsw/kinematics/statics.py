@@ -149,16 +149,17 @@ def _load_batch(
     own_L_kg_m += far_kg * X_LD.p + near_L_kg_m
     carried_kg_m = rotate(R_RL, own_L_kg_m)
     carried_kg_m += (near_kg + far_kg) * origin
-    _outward_sum(carried_kg_m)
+    # of each link and of all links beyond it
+    carried_kg_m = np.add.accumulate(carried_kg_m[:, ::-1], axis=1)[:, ::-1]
     # torque about the joint axis in the link frame, then the load on the spring
     carried_kg_m -= carried_kg * origin
-    lever_L_kg_m, g_L = rotate_back(R_RL, carried_kg_m), rotate_back(R_RL, np.broadcast_to(g, origin.shape))
+    lever_L_kg_m, g_L = rotate_back(R_RL, carried_kg_m), rotate_back(R_RL, g)
     torque = lever_L_kg_m[0, 1:] * g_L[1, 1:] - lever_L_kg_m[1, 1:] * g_L[0, 1:]
     lever_L_kg_m -= near_L_kg_m + beyond_kg * X_LD.p
     moment_L, force_L = cross(lever_L_kg_m, g_L), beyond_kg * g_L
     if push is not None:
         force_N = push.force_R_N.reshape(3, 1, *(push.force_R_N.shape[1:] or ones))
-        push_L = rotate_back(R_RL, np.broadcast_to(force_N, origin.shape))
+        push_L = rotate_back(R_RL, force_N)
         arm_L_m = rotate_back(R_RL, tool_pose(arm, frames, push.tool).p[:, None] - origin)
         torque += arm_L_m[0, 1:] * push_L[1, 1:] - arm_L_m[1, 1:] * push_L[0, 1:]
         moment_L += cross(arm_L_m - X_LD.p, push_L)
@@ -180,13 +181,6 @@ def push_torque(arm: Arm, frames: Frames, push: ToolForce) -> Array:
     J = joint_jacobian(frames, tool_pose(arm, frames, push.tool).p)
     torque: Array = push.force_R_N @ J[3:]
     return torque
-
-
-def _outward_sum(per_link: Array) -> Array:
-    """Sum over each link and all links beyond, along axis 1, in place."""
-    for i in range(4, -1, -1):
-        per_link[:, i] += per_link[:, i + 1]
-    return per_link
 
 
 def _deflect_springs(arm: Arm, frames: Frames, moment_L: Array, force_L: Array) -> Array:
