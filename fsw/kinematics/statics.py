@@ -9,7 +9,7 @@ import numpy as np
 
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import Frames, collect_frames, forward, joint_jacobian, place_pose, tool_pose
-from fsw.kinematics.single_pose import load_links, spring_moments
+from fsw.kinematics.single_pose import LinkPose, load_links, spring_moments
 from fsw.kinematics.transforms import (
     Array,
     Flags,
@@ -94,7 +94,7 @@ def _equilibrium(
     strain = np.zeros((6, 6, *batch))
     output = anchor_rad
     for _ in range(MAX_PASSES):
-        _, new_strain, torque = load_arm(arm, output, strain, gravity_R_m_s2, push)
+        _, new_strain, torque = _place_and_load(arm, output, strain, gravity_R_m_s2, push)
         new_output = anchor_rad + torque * gear
         step = np.maximum(
             np.abs(new_strain - strain).max(axis=(0, 1)), np.abs(new_output - output).max(axis=0)
@@ -123,15 +123,23 @@ def load_arm(
         Frames under the given strain, new strain in rad and m, shape (6, 6, ...), and torque of the load in
         N m, shape (5, ...).
     """
+    placed, new_strain, torque_Nm = _place_and_load(arm, output_rad, strain, gravity_R_m_s2, push)
+    return placed if isinstance(placed, Frames) else collect_frames(placed), new_strain, torque_Nm
+
+
+def _place_and_load(
+    arm: Arm, output_rad: Array, strain: Array | None, gravity_R_m_s2: Array, push: ToolForce | None
+) -> tuple[Frames | list[LinkPose], Array, Array]:
+    """Compute what `load_arm` does, with the poses of the links as they come out of it."""
     if output_rad.ndim > 1:
         frames = forward(arm, output_rad, strain)
         return frames, *_load_batch(arm, frames, gravity_R_m_s2, push)
-    placed = place_pose(arm, output_rad, strain)
-    frames, on_tool = collect_frames(placed), None
+    placed, on_tool = place_pose(arm, output_rad, strain), None
     if push is not None:
-        on_tool = tuple(push.force_R_N.tolist()), tuple(tool_pose(arm, frames, push.tool).p.tolist())
+        X_RT = tool_pose(arm, collect_frames(placed), push.tool)
+        on_tool = tuple(push.force_R_N.tolist()), tuple(X_RT.p.tolist())
     new_strain, torque_Nm = load_links(arm.links, placed, tuple(gravity_R_m_s2.tolist()), on_tool)
-    return frames, np.array(new_strain).T, np.array(torque_Nm[1:])
+    return placed, np.array(new_strain).T, np.array(torque_Nm[1:])
 
 
 def _load_batch(

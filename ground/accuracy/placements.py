@@ -84,7 +84,9 @@ def configure_true(arm: BuiltArm) -> Config:
 
 
 def _hardware(arm: BuiltArm) -> Hardware:
-    return hardware_with_effects(arm.effects, nominal_hardware(arm.model.description))
+    """Return avionics and sensors without the effects of each move, which draw their own errors."""
+    lasting = (effect for effect in arm.effects if not isinstance(effect, EachMove))
+    return hardware_with_effects(lasting, nominal_hardware(arm.model.description))
 
 
 def random_placements(
@@ -96,7 +98,7 @@ def random_placements(
     poses = workspace_poses(arm, tool, gravity, POSES_PER_PLACEMENT * count, int(rng.integers(2**31)))
     # neighbouring poses are branches of one target, so draw at random
     output = poses.output_rad[:, rng.choice(POSES_PER_PLACEMENT * count, count, replace=False)]
-    X_RT = tool_pose(arm, settle_output(arm, output, gravity).frames, tool)
+    X_RT = [tool_pose(arm, settle_output(arm, q_rad, gravity).frames, tool) for q_rad in output.T]
     offset = START_OFFSET_RAD * rng.choice([-1.0, 1.0], output.shape)
     low, high = (
         limit[:, None] for limit in (arm.soft_min_rad + LIMIT_MARGIN_RAD, arm.soft_max_rad - LIMIT_MARGIN_RAD)
