@@ -46,10 +46,15 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     angle[1:] = output_rad
     angle += arm.theta_rad.reshape(6, *ones)
     cosine, sine = np.cos(angle), np.sin(angle)
-    X_LD = spring_pose(arm, np.zeros((6, 6, *ones)) if strain is None else strain)
-    # with poses as (3, 4, ...), one product rotates both rotation and translation
-    R_LD = X_LD.R.reshape(3, 3, 6, -1)
-    X_LF = multiply_per_link(arm.RP_CF.swapaxes(0, 1), R_LD).reshape(3, 4, *X_LD.R.shape[2:])
+    # poses are (3, 4, ...), so that one product rotates both rotation and translation
+    if strain is None:
+        p_LD = arm.p_LC_m.reshape(3, 6, *ones)
+        X_LD = Pose(np.broadcast_to(IDENTITY.R.reshape(3, 3, 1, *ones), (3, 3, 6, *ones)), p_LD)
+        X_LF = arm.RP_CF.reshape(3, 4, 6, *ones).copy()
+    else:
+        X_LD = spring_pose(arm, strain)
+        R_LD = X_LD.R.reshape(3, 3, 6, -1)
+        X_LF = multiply_per_link(arm.RP_CF.swapaxes(0, 1), R_LD).reshape(3, 4, *X_LD.R.shape[2:])
     X_LF[:, 3] += X_LD.p
     X_SF = np.empty((3, 4, 6, *batch))  # in the start frame of the link, before its joint turns
     np.multiply(cosine, X_LF[0], out=X_SF[0])

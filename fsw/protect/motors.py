@@ -42,14 +42,15 @@ def check_setpoint(bounds: ProtectionBounds, move: MoveStatus, last_rad: Array) 
     Returns:
         The fault of the first joint whose set-point must not go out.
     """
-    limits = get_lowest(bounds, move).tolist(), bounds.highest_rad.tolist(), bounds.setpoint_step_rad.tolist()
+    limits = get_lowest(bounds, move).tolist(), bounds.highest_rad.tolist(), bounds.setpoint_step_rad
     each = zip(move.setpoint_rad.tolist(), last_rad.tolist(), *limits, strict=True)
     for joint, (commanded, last, lowest, highest, step) in enumerate(each):
         # written so that NaN fails it
-        near = abs(commanded - last) <= step
-        low_safe = commanded >= lowest or commanded >= last - ROUNDING_RAD
-        high_safe = commanded <= highest or commanded <= last + ROUNDING_RAD
-        if not (near and low_safe and high_safe):
+        near = -step <= commanded - last <= step
+        if near and lowest <= commanded <= highest:
+            continue
+        inward = min(lowest, last - ROUNDING_RAD) <= commanded <= max(highest, last + ROUNDING_RAD)
+        if not (near and inward):
             return (SetpointUnsafe(Joint(joint), commanded, last),)
     return ()
 
