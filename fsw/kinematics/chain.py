@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.single_pose import LinkPose, place_links, spring_turn
+from fsw.kinematics.single_pose import LinkPose, place_links, small_cos_sin, spring_turn
 from fsw.kinematics.transforms import IDENTITY, Array, Pose, adjoint, cross, multiply_per_link
 
 NO_STRAIN: Final = (0.0,) * 36
@@ -111,7 +111,8 @@ def spring_pose(arm: Arm, strain: Array) -> Pose:
     Returns:
         The poses, batch (6, ...).
     """
-    R = np.array(spring_turn(*strain[:3])).reshape(3, 3, *strain.shape[1:])
+    cosine, sine = small_cos_sin(strain[:3])
+    R = np.array(spring_turn(*cosine, *sine)).reshape(3, 3, *strain.shape[1:])
     return Pose(R, strain[3:] + arm.p_LC_m.reshape(3, 6, *(1,) * (strain.ndim - 2)))
 
 

@@ -4,7 +4,7 @@ A monitor with a persistence takes for how many cycles in a row its bound has be
 count with this cycle.
 """
 
-from operator import ge, le
+from operator import ge, le, sub
 from typing import Final
 
 import numpy as np
@@ -61,11 +61,11 @@ def get_lowest(bounds: ProtectionBounds, move: MoveStatus) -> Array:
 
 def exceed_any_bound(bounds: ProtectionBounds, arm: ArmStatus, sensors: Sensors) -> bool:
     """Check whether any joint is beyond a bound; only then the monitors below are run, one by one."""
-    motor = arm.motor_rad
-    lag = motor - (motor if arm.move is None else arm.move.setpoint_rad)
+    motor = arm.motor_rad.tolist()
+    setpoint = motor if arm.move is None else arm.move.setpoint_rad.tolist()
     monitored = (
-        *motor.tolist(),
-        *lag.tolist(),
+        *motor,
+        *map(sub, motor, setpoint),
         *sensors.current_A.tolist(),
         *sensors.winding_C.tolist(),
         *arm.resolver_error_rad.tolist(),
