@@ -22,7 +22,8 @@ from sim.effects.effect import (
     draw_move_disturbance,
 )
 from sim.frames import FLIP
-from sim.plant import RESISTANCE, Plant, as_slice
+from sim.plant import Plant, as_slice
+from sim.servos import RESISTANCE
 
 UNPOWERED: Final = np.zeros(len(Joint), bool)
 VIBRATION_N: Final = 10.0

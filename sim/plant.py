@@ -15,6 +15,7 @@ from sim.disturbance import LINK_BODIES, NO_DISTURBANCE, Disturbance, MoveDistur
 from sim.frames import FLIP, P_NR_M
 from sim.library_settings import apply_settings
 from sim.record import Truth
+from sim.servos import MOTOR_CONSTANT, change_gains, read_servos
 from sim.time_step import RATE_GAIN, REFERENCE_STEP_S, match_reference_damping
 
 JOINT_NAMES = tuple(joint.name.lower() for joint in Joint)
@@ -28,12 +29,6 @@ that friction holds then creeps with a time constant of hours, not of four secon
 
 ALL_ACTUATORS = 0b111110
 """Bits of the actuator groups 1 to 5 of the motors; a set bit means no power."""
-
-RESISTANCE, MOTOR_CONSTANT, GAINS = 0, 1, slice(4, 7)
-"""Indices in MuJoCo's gain parameters of a dcmotor; GAINS are those of position, integral and rate."""
-
-LEAST_GAIN_SHARE = 1e-9
-"""Gains of a servo without power, as a share: MuJoCo fails at 0, where a dcmotor would have no integral."""
 
 apply_settings()
 
@@ -140,7 +135,7 @@ class Plant:
         self._on_flank = np.zeros(len(Joint), bool).tobytes()
         self._friction_Nm = model.dof_frictionloss[self.at.motor].copy()
         self._damping_Nms_rad = model.dof_damping[self.at.motor].copy()
-        self._gains = model.actuator_gainprm[self.at.actuators, GAINS]
+        self._servos = read_servos(model, self.at.actuators)
         self.move_disturbance = no_move_disturbance()
         self.disturbance = NO_DISTURBANCE
         self.model.tendon_invweight0[model.tendon_frictionloss > 0] *= HARD_FRICTION
@@ -203,8 +198,7 @@ class Plant:
         if disturbance.damping_Nms_rad is not before.damping_Nms_rad:
             model.dof_damping[at.motor] = np.maximum(self._damping_Nms_rad + disturbance.damping_Nms_rad, 0.0)
         if disturbance.servo is not before.servo:
-            share = np.maximum(1.0 + disturbance.servo[:, None], LEAST_GAIN_SHARE)
-            model.actuator_gainprm[at.actuators, GAINS] = self._gains * share
+            change_gains(model, self._servos, disturbance.servo)
         # set always: a reset of MuJoCo's data removes it
         self.data.qfrc_applied[at.motor] = self.data.qfrc_applied[at.gear] = disturbance.output_Nm
         if disturbance.gear_rad is not before.gear_rad:

@@ -215,7 +215,7 @@ def _begin_sequence(config: Config, context: CommandContext, command: CompoundCo
             *evrs,
             SpotSet(state.tool, *vector3(locate_spot(config, state.joints, state.tool, command).p_m)),
         )
-    sequence = Sequence(command_name(command), planned.steps)
+    sequence = Sequence(command_name(command), planned.commands)
     return with_events(replace(context, state=replace(state, sequence=sequence, surface=surface)), *evrs)
 
 

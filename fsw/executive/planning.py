@@ -38,9 +38,9 @@ FARTHER_M: Final = (0.0, 0.1, 0.25, 0.4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedSequence:
-    """Steps of a compound command, with the plan of each step that moves."""
+    """Single commands of a compound command, with the plan of each that moves."""
 
-    steps: tuple[SequenceStep, ...]
+    commands: tuple[SequenceStep, ...]
     plans: tuple[Plan, ...]
     joints: JointEstimate
     """Estimate of the joints at the end."""
@@ -222,7 +222,9 @@ def plan_steps(
         if problem is not None:
             return Refusal(f"{type(step).__name__}: {problem}")
         surface = locate_surface(config, joints, tool, step, surface)
-        plan = _plan_checked(config, joints, tool, step, surface)
+        # a search for a retraction at each move of a placement would take long
+        plan_step = plan_command if isinstance(step, Stow) else _plan_checked
+        plan = plan_step(config, joints, tool, step, surface)
         if isinstance(plan, Refusal):
             return Refusal(f"{type(step).__name__}: {plan.reason}")
         plans.append(plan)

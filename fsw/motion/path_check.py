@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.collision.distance import compute_clearances, find_violation, judge_clearances, limit_surface
+from fsw.collision.distance import compute_clearances, judge_clearances, limit_surface
 from fsw.collision.geometry import SURFACE, Surface
 from fsw.config import Config
 from fsw.estimate.gear import bound_gear
@@ -22,6 +22,8 @@ DEFLECTION_CHANGE_M: Final = 0.01
 """Motion that changes of deflection and backlash add between two poses of the coarse check."""
 LEAST_POSES: Final = 9
 """Least number of poses that are checked on a path."""
+BLOCK: Final = 500
+"""Poses of the fine check that are in memory at once: some 4 MB, where a way to the stowed pose has 25 MB."""
 
 
 def check_paths(
@@ -58,8 +60,12 @@ def check_paths(
     violation = judge_clearances(config.collision_geometry, near, padding_m, touching)
     if violation is None:
         motor = sample_paths(config, paths, FINE_STEP_M)
-        frames = compute_deflected_frames(config, joints, motor)
-        violation = find_violation(config.collision_geometry, frames, padding_m, touching, surface)
+        blocks = np.split(motor, range(BLOCK, motor.shape[1], BLOCK), axis=1)
+        frames = (compute_deflected_frames(config, joints, block) for block in blocks)
+        found = [
+            compute_clearances(config.collision_geometry, f, padding_m, touching, surface) for f in frames
+        ]
+        violation = judge_clearances(config.collision_geometry, np.concatenate(found, axis=-1), padding_m)
     if violation is None:
         return None
     clear_share = _compute_share(config, motor, violation.first)

@@ -66,10 +66,9 @@ class ProtectionBounds:
     """Rates of one encoder count a cycle, (5,)."""
     rate_step_rad_s: tuple[float, ...]
     """Change of a rate between two updates by the jerk alone, (5,)."""
-    current_step_A: tuple[float, ...]
-    """Change of a current in a cycle that noise, stiffness and speed explain, (5,)."""
-    wind_up_step_rad: tuple[float, ...]
-    """Change of a smoothed wind-up in an update that noise and speed explain, (5,)."""
+    reading_step: tuple[float, ...]
+    """Changes in a cycle that noise, speed and stiffness explain: of the currents, then of resolver less
+    motor angles, (10,)."""
     current_sigma_A: tuple[float, ...]
     """Noise of a fast mean current less its slow mean, by the number of updates of the latter."""
     wind_up_sigma_rad: tuple[float, ...]
@@ -122,17 +121,11 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         updates_Hz=1.0 / (UPDATE_CYCLES * cycle_s),
         turning_rad_s=tuple(2 * pi / (j.encoder_counts_per_turn * j.gear_ratio * cycle_s) for j in joints),
         rate_step_rad_s=tuple(j.jerk_rad_s3 * (UPDATE_CYCLES * cycle_s) ** 2 for j in joints),
-        current_step_A=tuple(
-            (
-                arm.gear_stiffness_Nm_rad * speed / constant * cycle_s
-                + SIGMAS * sqrt(2.0) * monitors.current_noise_A
-            ).tolist()
-        ),
-        wind_up_step_rad=tuple(
-            (
-                UPDATE_CYCLES * cycle_s * speed
-                + SIGMAS * sqrt(2.0) * monitors.resolver_noise_rad * sqrt(WIND_UP_GAIN)
-            ).tolist()
+        reading_step=(
+            *(
+                _jump(monitors.current_noise_A) + arm.gear_stiffness_Nm_rad * speed * cycle_s / constant
+            ).tolist(),
+            *(_jump(monitors.resolver_noise_rad) + speed * cycle_s).tolist(),
         ),
         current_sigma_A=_compute_sigmas(monitors.current_noise_A, CURRENT_GAIN, CURRENT_UPDATES),
         wind_up_sigma_rad=_compute_sigmas(monitors.resolver_noise_rad, WIND_UP_GAIN, WIND_UP_UPDATES),
@@ -149,3 +142,8 @@ def _compute_sigmas(noise: float, gain: float, updates: int) -> tuple[float, ...
     """Compute the noise of a fast mean less a slow mean, by the number of updates of the slow mean."""
     fast = gain / (2.0 - gain)
     return tuple(noise * sqrt(fast + 1.0 / (UPDATE_CYCLES * max(n, 1))) for n in range(updates + 1))
+
+
+def _jump(noise: float) -> float:
+    """Compute the change of a reading from cycle to cycle that its noise explains."""
+    return SIGMAS * sqrt(2.0) * noise

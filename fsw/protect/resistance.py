@@ -23,12 +23,15 @@ A joint shows nothing, and its slow means begin anew, in these cases:
 - The gear does not drag the output: while it takes up its backlash, friction and load come and go.
 - The side of the backlash is uncertain, for the wind-up: a crossing looks like any torque.
 - The motor turns by less than a count a cycle, or turns back: its friction may have any value.
+- The wind-up changes with the motion, which no obstacle does, or while its mean is young. The mean then holds
+  what came before, such as a backlash that was crossed later than estimated.
 - A reading jumps farther than noise and a stiff gear at full speed explain: that is a sensor.
 
 `docs/faults.md` derives the force that remains.
 """
 
 from math import sqrt
+from operator import gt, sub
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -51,8 +54,12 @@ CONTACT: Final = 50.7
 """Value that chi-square with five degrees of freedom passes with a probability of 1e-9."""
 LEAST_UPDATES: Final = 3
 """Updates from which a slow mean is known."""
+LEAST_WIND_UP_UPDATES: Final = 8
+"""Updates from which that of the wind-up is known, 1 s: a jump has then left the smoothed error."""
 DRAGGED_RAD: Final = 1e-5
 """Distance from the angle at which the gear drags its output: 1 N m, less than the error of any load."""
+CHANGE_SIGMAS: Final = 3.0
+"""Change of the wind-up that is no noise; noise alone begins one mean in 370 anew."""
 LEAST_LEVER_M: Final = 0.05
 """Lever of the tool's motion on the joints below which no force is computed from their torques."""
 
@@ -84,6 +91,8 @@ class FreeMove(NamedTuple):
     """Cycles since the last update of the slow means."""
     read_A: tuple[float, ...]
     """Current readings of the cycle before."""
+    gear_rad: tuple[float, ...]
+    """Resolver less motor angles of the cycle before."""
     fast_A: tuple[float, ...]
     """Fast means of the currents."""
     expected_A: tuple[float, ...]
@@ -124,23 +133,21 @@ def monitor_free_move(
     if move.homing is not None:
         return None, ()
     read_A = readings[5:10]
+    gear_rad = tuple(map(sub, readings[:5], arm.motor_rad.tolist()))
     if last is None:
-        return FreeMove(0, read_A, read_A, read_A, NOTHING, NOTHING, NO_MEANS), ()
-    cycles, before_A, fast_A, expected_A, per_A, slack, means = last
-    means_A, total, jumped = [], 0.0, False
-    for reading, before, mean, expected, per, less, step in zip(
-        read_A, before_A, fast_A, expected_A, per_A, slack, bounds.current_step_A, strict=True
-    ):
+        return FreeMove(0, read_A, gear_rad, read_A, read_A, NOTHING, NOTHING, NO_MEANS), ()
+    cycles, before_A, before_rad, fast_A, expected_A, per_A, slack, means = last
+    means_A, total = [], 0.0
+    for reading, mean, expected, per, less in zip(read_A, fast_A, expected_A, per_A, slack, strict=True):
         mean += CURRENT_GAIN * (reading - mean)
         means_A.append(mean)
         excess = (mean - expected) * per - less
         if excess > 0.0:
             total += excess * excess
-        if not -step <= reading - before <= step:
-            jumped = True
-    now = FreeMove(cycles + 1, read_A, tuple(means_A), expected_A, per_A, slack, means)
-    if jumped:
-        now = _forget_jumps(bounds, before_A, now)
+    now = FreeMove(cycles + 1, read_A, gear_rad, tuple(means_A), expected_A, per_A, slack, means)
+    jumps = (*map(sub, read_A, before_A), *map(sub, gear_rad, before_rad))
+    if any(map(gt, map(abs, jumps), bounds.reading_step)):
+        now = _forget_jumps(bounds, jumps, now)
     elif total > CONTACT:
         return now, (_describe_currents(bounds, arm, move, now),)
     if now.cycles < UPDATE_CYCLES:
@@ -148,17 +155,21 @@ def monitor_free_move(
     load_A = compute_load_current(bounds, arm)
     updated = update_means(bounds, now, arm, load_A, unchanged)
     contact = check_wind_up(bounds, now.means, updated, arm, move)
-    return FreeMove(0, read_A, now.fast_A, *expect_currents(bounds, updated, arm, load_A), updated), contact
+    return FreeMove(
+        0, read_A, gear_rad, now.fast_A, *expect_currents(bounds, updated, arm, load_A), updated
+    ), contact
 
 
-def _forget_jumps(bounds: ProtectionBounds, before_A: tuple[float, ...], now: FreeMove) -> FreeMove:
-    """Begin the means of currents that jumped anew; until they are known these joints show nothing."""
-    jumped = [abs(a - b) > c for a, b, c in zip(now.read_A, before_A, bounds.current_step_A, strict=True)]
+def _forget_jumps(bounds: ProtectionBounds, jumps: tuple[float, ...], now: FreeMove) -> FreeMove:
+    """Begin the means of readings that jumped anew; until they are known these joints show nothing."""
+    jumped = list(map(gt, map(abs, jumps), bounds.reading_step))
+    current, gear = jumped[:5], jumped[5:]
+    means = [one._replace(updates=0) if jump else one for jump, one in zip(current, now.means, strict=True)]
     return now._replace(
-        fast_A=tuple([a if jump else b for jump, a, b in zip(jumped, now.read_A, now.fast_A, strict=True)]),
-        per_A=tuple([0.0 if jump else per for jump, per in zip(jumped, now.per_A, strict=True)]),
+        fast_A=tuple([a if jump else b for jump, a, b in zip(current, now.read_A, now.fast_A, strict=True)]),
+        per_A=tuple([0.0 if jump else per for jump, per in zip(current, now.per_A, strict=True)]),
         means=tuple(
-            [m._replace(updates=0) if jump else m for jump, m in zip(jumped, now.means, strict=True)]
+            [one._replace(wind_up_updates=0) if jump else one for jump, one in zip(gear, means, strict=True)]
         ),
     )
 
@@ -185,7 +196,7 @@ def update_means(
 ) -> tuple[JointMeans, ...]:
     """Update the slow means of all joints, or begin them anew; a repeated resolver reading is left out."""
     after: list[JointMeans] = []
-    for last, mean_A, loaded_A, motor, gear, low, high, wound, side, same, turning, step in zip(
+    for last, mean_A, loaded_A, motor, gear, low, high, wound, side, same, turning in zip(
         now.means,
         now.fast_A,
         load_A,
@@ -197,7 +208,6 @@ def update_means(
         arm.side.tolist(),
         unchanged[:5],
         bounds.turning_rad_s,
-        bounds.wind_up_step_rad,
         strict=True,
     ):
         n, friction_A, slow_rate, m, slow, last_motor, last_rate, last_wound, last_side = last
@@ -209,13 +219,16 @@ def update_means(
             slow_rate += (rate - slow_rate) / n
         else:
             n, friction_A, slow_rate = 0, 0.0, 0.0
+        off = wound - slow
+        is_free = off * rate > 0.0 or m <= LEAST_WIND_UP_UPDATES
+        changes = is_free and abs(off) > CHANGE_SIGMAS * bounds.wind_up_sigma_rad[m]
         if same:
             wound = last_wound
-        elif side == 0.0 or side != last_side or abs(wound - last_wound) > step:
+        elif changes or side == 0.0 or side != last_side:
             m, slow = 0, wound
         else:
             m = m + 1 if m < WIND_UP_UPDATES else m
-            slow += (wound - slow) / m
+            slow += off / m
         after.append(JointMeans(n, friction_A, slow_rate, m, slow, motor, rate, wound, side))
     return tuple(after)
 
@@ -256,7 +269,7 @@ def check_wind_up(
     )
     for last, one, unsure, rate in each:
         off = one.last_wind_up_rad - last.wind_up_rad
-        is_known = min(last.wind_up_updates, one.wind_up_updates) > LEAST_UPDATES
+        is_known = min(last.wind_up_updates, one.wind_up_updates) > LEAST_WIND_UP_UPDATES
         # the rate is the commanded one: an encoder that is stuck makes the output run ahead
         resists = is_known and off * rate <= 0.0
         off_rad.append(off if resists else 0.0)

@@ -3,6 +3,7 @@
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import IntEnum
 from functools import cache
+from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -57,6 +58,8 @@ def record_from_json(kind: Any, value: Any, place: str, notes: list[str], base: 
     Raises:
         BadJson: a value is not of its type, or a field is missing and has no default.
     """
+    if value is None and NoneType in get_args(kind):
+        return None
     kind = strip_optional(kind)
     origin = get_origin(kind)
     if is_dataclass(kind) and isinstance(kind, type):

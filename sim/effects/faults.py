@@ -13,7 +13,8 @@ from fsw.messages import Sensors
 from sim.effects.effect import Hardware, ParameterSpec, Timed, with_element
 from sim.effects.environment import PowerLoss
 from sim.frames import FLIP, gravity_in_rover
-from sim.plant import MOTOR_CONSTANT, Plant
+from sim.plant import Plant
+from sim.servos import MOTOR_CONSTANT
 
 SensorName = Literal[
     "encoder_count",

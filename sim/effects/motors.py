@@ -1,7 +1,7 @@
 """Effects on motors, their controllers and their supply voltage."""
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Final
+from typing import Annotated
 
 import mujoco
 import numpy as np
@@ -12,9 +12,9 @@ from fsw.dictionary.params import Params
 from sim.disturbance import Disturbance
 from sim.effects.effect import EachCycle, Effect, Factor, Hardware, ParameterSpec
 from sim.effects.flight_params import joint_of, with_joint
-from sim.plant import GAINS, MOTOR_CONSTANT, Plant
+from sim.plant import Plant
+from sim.servos import BUS_V, GAINS, MOTOR_CONSTANT
 
-BUS_V: Final = 28.0
 Setpoints = tuple[tuple[float, float], ...]
 """Angle and rate of the last cycles, the newest first."""
 
@@ -85,7 +85,9 @@ class CommandDelay(EachCycle):
 class BusSag(EachCycle):
     """Drop of the bus voltage under the currents of all motors, which lowers the gains of their controllers.
 
-    The voltage of a cycle follows from the currents at its start.
+    A controller sets the duty cycle of its bridge, so its gains are in proportion to the bus voltage. Its
+    integral still reaches the current limit, while the bus can drive that through the winding. The voltage
+    of a cycle follows from the currents at its start.
     """
 
     resistance_Ohm: Annotated[float, ParameterSpec(0.0, 5.0, unit="Ohm", typical=0.5, neutral=0.0)]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.commands import MoveJoints, Process
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
@@ -129,3 +129,17 @@ def test_a_software_error_ends_with_the_brakes_holding_and_nothing_after_it(monk
     assert loop.plant.data.eq_active[loop.plant.at.brake].all()
     with pytest.raises(RuntimeError, match="ended"):
         loop.cycle()
+
+
+def test_a_run_that_vibrates_has_the_same_bits_whether_its_truth_is_read_or_not() -> None:
+    arm, ends = arm_named("nominal"), []
+    setup = Setup(arm, World(), arm.params.poses.ready_rad, reference=lab.true_reference(arm))
+    for with_truth in (False, True):
+        loop = ClosedLoop(setup, with_truth)
+        vibrated = [
+            record.outputs.drive.vibrate
+            for record in run_sequence(loop, (Process("PORTION", (-0.02, 0.0, -1.0), 1.0),))
+        ]
+        assert any(vibrated)
+        ends.append(loop.plant.data.qpos.tobytes())
+    assert ends[0] == ends[1]

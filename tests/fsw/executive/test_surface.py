@@ -43,7 +43,7 @@ def steep():
 
 
 def test_a_steep_rock_is_reached_from_farther_away_on_a_branch_that_is_clear(steep):
-    far, near, touch = steep.steps
+    far, near, touch = steep.commands
     assert isinstance(far, MoveTool)
     assert isinstance(touch, GuardedMove)
     assert near.branch == far.branch == "shoulder-out elbow-up wrist-up"

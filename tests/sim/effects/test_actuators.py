@@ -23,8 +23,8 @@ from sim.effects.gears import (
     ViscousFriction,
 )
 from sim.effects.joints import GearStiffness
-from sim.effects.motors import BUS_V, BusSag, CommandDelay, MotorConstant, ServoGain
-from sim.plant import GAINS
+from sim.effects.motors import BusSag, CommandDelay, MotorConstant, ServoGain
+from sim.servos import BUS_V, GAINS
 from tests.sim import lab
 from tests.sim.effects import bench
 
@@ -174,6 +174,23 @@ def test_the_bus_sags_by_its_resistance_times_all_currents_and_the_gains_with_it
     bench.apply_cycle_effects(plant, hardware)
     share = plant.model.actuator_gainprm[plant.at.actuators, GAINS] / drawn
     np.testing.assert_allclose(share, 1.0 - 2.0 * 2.5 / BUS_V, rtol=1e-12)
+
+
+@pytest.mark.parametrize("resistance_Ohm", [0.0, 1.0, 4.0, 5.5])
+def test_under_a_sagging_bus_an_integral_reaches_the_current_limit_or_what_the_bus_can_drive(
+    resistance_Ohm: float,
+) -> None:
+    effect, total_A = BusSag(resistance_Ohm), 5.0
+    plant, hardware = bench.build_arm(effect)
+    plant.data.actuator_force[:] = [total_A * 228.6, 0.0, 0.0, 0.0, 0.0]
+    bench.apply_cycle_effects(plant, hardware)
+    plant.data.act[:] = 1.0
+    bench.mujoco.mj_step(plant.model, plant.data)  # limits the integral
+    held_Nm = plant.data.act * plant.model.actuator_gainprm[plant.at.actuators, GAINS][:, 1]
+    through_winding_A = (BUS_V - resistance_Ohm * total_A) / np.array([2.0, 2.0, 2.0, 3.0, 3.0])
+    limit_A = np.minimum([5.0, 5.0, 5.0, 3.0, 3.0], through_winding_A)
+    # `Imax` has three digits
+    np.testing.assert_allclose(held_Nm / bench.TORQUE_CONSTANT_NM_A, limit_A, rtol=2e-3)
 
 
 @TIMES

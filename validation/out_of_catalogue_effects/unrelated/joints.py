@@ -9,7 +9,8 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from sim.disturbance import Disturbance, at_joint
 from sim.effects.effect import EachCycle, Hardware, ParameterSpec
-from sim.plant import GAINS, Plant
+from sim.plant import Plant
+from sim.servos import GAINS
 
 LOAD_NM: Final = 100.0
 """Load at which slip has its amplitude."""

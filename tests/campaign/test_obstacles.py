@@ -1,0 +1,24 @@
+"""Obstacles in the way of free moves are reported as what they are."""
+
+import pytest
+
+from validation.obstacles import STRAIGHT_N, meet
+
+STRAIGHT = (10, 31)
+TURNS = (1, 2, 24)
+
+
+@pytest.mark.parametrize("index", STRAIGHT)
+def test_an_obstacle_in_a_straight_move_is_reported_below_50_newtons(index):
+    met = meet(0, index)
+    assert met.reported, met.report
+    assert met.kind == "line"
+    assert met.true_N <= STRAIGHT_N
+
+
+@pytest.mark.parametrize("index", TURNS)
+def test_an_obstacle_in_a_turn_is_reported_with_joint_and_torque(index):
+    met = meet(0, index)
+    assert met.report.startswith("unexpected contact: ")
+    assert met.reported
+    assert met.true_N < 154.0  # docs/faults.md, at a lever of 1 m
