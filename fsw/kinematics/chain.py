@@ -7,7 +7,7 @@ import numpy as np
 
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.single_pose import LinkPose, place_links, small_cos_sin, spring_turn
-from fsw.kinematics.transforms import IDENTITY, Array, Pose, adjoint, cross, multiply_per_link
+from fsw.kinematics.transforms import IDENTITY, Array, Pose, adjoint, cross, multiply_per_link, rotate
 
 NO_STRAIN: Final = (0.0,) * 36
 
@@ -68,7 +68,7 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     for i in range(1, 6):
         np.einsum("ik...,kj...->ij...", R_RS[:, :, i], X_SF[:, :3, i], out=R_RS[:, :, i + 1])
     p_RS = np.zeros((3, 7, *batch))
-    np.add.accumulate(np.einsum("ij...,j...->i...", R_RS[:, :, :6], X_SF[:, 3]), axis=1, out=p_RS[:, 1:])
+    np.add.accumulate(rotate(R_RS[:, :, :6], X_SF[:, 3]), axis=1, out=p_RS[:, 1:])
     R_RL = np.empty((3, 3, 6, *batch))
     x, y = R_RS[:, 0, :6], R_RS[:, 1, :6]
     np.multiply(x, cosine, out=R_RL[:, 0])
@@ -117,7 +117,7 @@ def spring_pose(arm: Arm, strain: Array) -> Pose:
         The poses, batch (6, ...).
     """
     cosine, sine = small_cos_sin(strain[:3])
-    R = np.array(spring_turn(*cosine, *sine)).reshape(3, 3, *strain.shape[1:])
+    R = np.concatenate(spring_turn(*cosine, *sine)).reshape(3, 3, *strain.shape[1:])
     return Pose(R, strain[3:] + arm.p_LC_m.reshape(3, 6, *(1,) * (strain.ndim - 2)))
 
 
