@@ -124,11 +124,16 @@ def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on() -> None
     assert np.abs(loop.plant.motor_rad() - before).max() < 1e-8
 
 
-def test_a_software_error_puts_the_brakes_on_and_is_said() -> None:
-    """Commands of no known kind reach the outermost loop as an exception, once, and nothing else."""
+def test_a_software_error_puts_the_brakes_on_and_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An exception of flight software reaches the outermost loop, once, and nothing else."""
+
+    def fail(*_: object) -> None:
+        raise AssertionError("the shape of an array is wrong")
+
     loop = ClosedLoop(Setup(NOMINAL, World(), NOMINAL.params.poses.ready_rad, seed=1))
     loop.cycle()
-    record = loop.cycle(("not a command",))  # type: ignore[arg-type]
+    monkeypatch.setattr("sim.loop.step", fail)
+    record = loop.cycle()
     assert loop.failure is not None
     assert [evr.name for evr in record.outputs.evrs] == ["SoftwareError"]
     assert not record.outputs.drive.power_on.any()

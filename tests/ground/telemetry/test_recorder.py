@@ -5,7 +5,8 @@ import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import pytest
 
@@ -102,6 +103,8 @@ def some_value(hint: Any) -> Any:
         return tuple(some_value(item) for item in get_args(hint))
     if get_origin(hint) is Literal:
         return get_args(hint)[0]
+    if get_origin(hint) in (Union, UnionType):
+        return some_value(get_args(hint)[0])
     values = {bool: True, int: 1, float: 0.5, str: "x"}
     return values[hint] if hint in values else next(iter(hint))
 
