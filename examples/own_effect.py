@@ -44,7 +44,7 @@ def main() -> None:
     """Move the elbow over the dent; in a function, because `--effect` takes this file too."""
     figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
     currents = []
-    for name, effects in (("nominal arm", ()), ("arm with the dent", (Dent(Joint.ELBOW, 30.0, DENT_RAD),))):
+    for name, effects in (("nominal arm", ()), ("arm with the dent", (Dent(Joint.ELBOW, 10.0, DENT_RAD),))):
         loop = start_loop("nominal", effects=effects, start_rad=READY_RAD)
         result = run_commands(loop, MoveJoint(Joint.ELBOW, READY_RAD[Joint.ELBOW] + 0.2))
         current_A = result.series("sensors.current_A")[1][:, Joint.ELBOW]
@@ -52,7 +52,7 @@ def main() -> None:
         axes.plot(np.degrees(result.series("truth.output_rad")[1][:, Joint.ELBOW]), currents[-1], label=name)
     print(f"the dent changes the current by {np.abs(currents[1] - currents[0]).max():.3f} A")
     axes.axvline(np.degrees(DENT_RAD), color="gray", linestyle=":", label="place of the dent")
-    axes.set(title="Elbow over a dent of 30 N m", xlabel="elbow angle [deg]", ylabel="motor current [A]")
+    axes.set(title="Elbow over a dent of 10 N m", xlabel="elbow angle [deg]", ylabel="motor current [A]")
     axes.legend()
     figure.savefig("own_effect.png", dpi=100)
 

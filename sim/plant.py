@@ -23,7 +23,7 @@ SPRING_NAMES = ("rover", "link1", "link2", "link3", "link4")
 SCREW_AXES = ("rx", "ry", "rz", "tx", "ty", "tz")
 """Axes of screws and springs: rotations, then translations."""
 
-HARD_FRICTION = 1e-4
+HARD_FRICTION = 5e-5
 """Factor on the inverse weight of dry friction, as MuJoCo's hardest regularisation is too soft. An output
 that friction holds then creeps with a time constant of hours, not of four seconds."""
 

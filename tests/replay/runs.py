@@ -135,7 +135,7 @@ RUNS = (
         APXS_THERE,
         (
             (GuardedMove("APXS", beyond(0.04), IN), LONG),
-            (ToolChange("DRT", standoff_m=0.005, overtravel_m=0.01), 300),
+            (ToolChange("DRT", standoff_m=0.02, overtravel_m=0.01), 300),
             (Stop(), LONG),
         ),
         "SpotSet",
@@ -146,7 +146,7 @@ RUNS = (
         TURRET_AT_ITS_STOP,
         (
             (SetParam("hardstop.retreat_rad", 0.005), LONG),
-            (SetParam("hardstop.fine_speed_rad_s", 0.0025), LONG),
+            (SetParam("hardstop.fine_speed_rad_s", 0.002), LONG),
             (Calibrate(Joint.TURRET), LONG),
         ),
         "JointCalibrated",

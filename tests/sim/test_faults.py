@@ -37,6 +37,7 @@ from sim.effects.faults import (
     MissedCycles,
     SensorFault,
     TiltStep,
+    Timed,
     WeakMotor,
 )
 from sim.frames import FLIP, gravity_in_rover
@@ -130,13 +131,19 @@ def test_a_switch_biased_by_one_is_stuck_whatever_touches(size, closed):
         np.testing.assert_array_equal(sensors.sense().switch_closed, expected)
 
 
+def begin_move(faults: tuple[Timed, ...] = ()) -> ClosedLoop:
+    """Return a run at the start of a move of all joints."""
+    arm = arm_named("nominal")
+    setup = Setup(arm, World(), joints5(lab.READY_RAD), seed=4, reference=lab.true_reference(arm))
+    loop = ClosedLoop(setup, with_truth=True).fork(faults)
+    loop.cycle((MoveJoints(joints5(lab.READY_RAD + 0.1)),))
+    return loop
+
+
 @cache
 def moving() -> ClosedLoop:
     """Return a run in the middle of a move of all joints; tests fork it and never run it."""
-    arm = arm_named("nominal")
-    setup = Setup(arm, World(), joints5(lab.READY_RAD), seed=4, reference=lab.true_reference(arm))
-    loop = ClosedLoop(setup, with_truth=True)
-    loop.cycle((MoveJoints(joints5(lab.READY_RAD + 0.1)),))
+    loop = begin_move()
     for _ in range(3 * CYCLE_HZ):
         assert loop.cycle().outputs.joint.busy
     return loop
@@ -269,11 +276,12 @@ def test_a_seized_joint_stands_and_the_others_go_on_until_flight_software_notice
 
 
 def test_a_weak_motor_draws_twice_the_current_for_the_same_torque():
-    calm, weak = moving().fork(), moving().fork((WeakMotor(now_s(), Joint.WRIST),))
+    """A motor that weakens in a move is taken for one that an obstacle resists; this one is weak before."""
     drawn = []
-    for loop in (calm, weak):
-        currents = [loop.cycle().sensors.current_A for _ in range(60)]
-        drawn.append(np.mean(currents[20:], axis=0))
+    for faults in ((), (WeakMotor(NOW_S, Joint.WRIST),)):
+        loop = begin_move(faults)
+        currents = [loop.cycle().sensors.current_A for _ in range(4 * CYCLE_HZ)]
+        drawn.append(np.mean(currents[3 * CYCLE_HZ :], axis=0))
     times = drawn[1] / drawn[0]
     assert times[Joint.WRIST] == pytest.approx(2.0, rel=0.1)
     np.testing.assert_allclose(np.delete(times, Joint.WRIST), 1.0, rtol=0.1)

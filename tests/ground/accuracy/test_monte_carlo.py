@@ -119,7 +119,8 @@ def test_the_closed_loop_measures_what_statics_do():
         MonteCarloRequest("mars", arms=2, move_model="statics", seed=5, workers=1), quiet
     )
     for a, b in zip(loop.trials, statics.trials, strict=True):
-        assert np.linalg.norm((a[0].error - b[0].error)[3:]) < 1e-4
+        # an output rests anywhere within its friction: 10 N m wind a gear by 0.1 mrad, 2 m from the tool
+        assert np.linalg.norm((a[0].error - b[0].error)[3:]) < 2e-4
 
 
 def test_an_arm_of_its_own_has_what_the_case_adds():

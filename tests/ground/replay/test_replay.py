@@ -172,7 +172,7 @@ def test_a_scenario_with_a_calibrated_arm_and_missed_cycles_replays_bit_for_bit(
     scenario = tmp_path / "short.toml"
     scenario.write_text(SHORT)
     log = tmp_path / "run.mcap"
-    run_scenario(RunRequest(str(scenario), "calibrated:7", (5.0, -3.0), 4, RunFiles(log)), silent)
+    run_scenario(RunRequest(str(scenario), "calibrated:7", (5.0, -3.0), 4, files=RunFiles(log)), silent)
     found = replayed(tmp_path, log=log).differences
     assert found.identical
     assert found.tolerance == 0.0

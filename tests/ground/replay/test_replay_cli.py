@@ -45,7 +45,7 @@ def test_bad_input_with_json_is_still_one_document(folder):
 def test_the_same_is_status_0(folder):
     done = marsarm(folder, "replay", LOG)
     assert done.returncode == 0, done.stderr
-    assert "117 ticks, 1.8 s, 25 channels" in done.stdout
+    assert "117 ticks, 1.8 s, 26 channels" in done.stdout
     assert done.stderr == ""
 
 

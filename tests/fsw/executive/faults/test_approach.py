@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.faults import Fault, PreloadOutside, UnexpectedContact
 from fsw.kinematics.chain import tool_pose
@@ -79,6 +80,8 @@ def test_with_a_switch_closed_a_force_is_as_it_should_be():
 
 def test_in_free_space_a_force_is_an_unexpected_contact():
     rig = moving()
+    for _ in range(CYCLE_HZ):  # until the mean of the wind-up is known
+        rig.cycle()
     pushed(rig, "APXS", 4.0 * BOUNDS.guarded_force_N, 2 * LATEST)
     (evr,) = found(rig, Fault)
     assert isinstance(evr, UnexpectedContact)
