@@ -2,7 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -16,7 +16,7 @@ CYCLE_HZ = 64
 CYCLE_S = 1.0 / CYCLE_HZ
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Config:
     """Values that are constant during a move; joint arrays (5,) in the order of Joint."""
 
@@ -28,8 +28,6 @@ class Config:
     """Arm at the calibration temperature."""
     farthest_tool: str
     """Tool at the greatest distance from the turret axis."""
-    collision_geometry: CollisionGeometry
-    """Shapes of the arm, the rover and the ground."""
     protection: ProtectionBounds
     rad_per_count: Array
     """Angle on the output side for one encoder count."""
@@ -46,6 +44,11 @@ class Config:
     brake_ticks: int
     settle_ticks: int
     settle_timeout_ticks: int
+
+    @cached_property
+    def collision_geometry(self) -> CollisionGeometry:
+        """Build the shapes of the arm, the rover and the ground; few configurations are asked for them."""
+        return build_collision_geometry(self.params, self.arm)
 
     @property
     def params_sha256(self) -> str:
@@ -83,7 +86,6 @@ def configure(params: Params) -> Config:
         arm=arm,
         calibrated_arm=arm,
         farthest_tool=max(arm.X_FT, key=lambda name: float(np.hypot(*arm.X_FT[name].p[:2]))),
-        collision_geometry=build_collision_geometry(params, arm),
         protection=compute_bounds(params, arm, CYCLE_S),
         rad_per_count=np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints]),
         half_backlash_rad=np.array([0.5 * j.backlash_rad for j in joints]),
@@ -112,7 +114,6 @@ def configure_at(config: Config, structure_C: float) -> Config:
         config,
         structure_C=structure_C,
         arm=arm,
-        collision_geometry=build_collision_geometry(config.params, arm),
         protection=replace(config.protection, arm=arm),
     )
 

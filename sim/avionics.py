@@ -42,7 +42,6 @@ class Avionics:
         self._hardware = hardware
         self._rng = rng
         self._move_rng = move_rng(rng)
-        self._structure_rng = rng.spawn(1)[0]  # so that the noise of other sensors is what it was without it
         self._motors = motors
         self._integral = model.actuator_actadr[motors]
         self._resistance_Ohm = model.actuator_gainprm[motors, RESISTANCE].copy()
@@ -63,8 +62,13 @@ class Avionics:
         self._next_s = min((effect.at_s for effect in self._hardware.timed), default=np.inf)
         self._gravity_R = FLIP * self._plant.model.opt.gravity + self._hardware.gravity_bias_R_m_s2
         hardware = self._hardware
-        sigma = (hardware.resolver_noise_rad, hardware.current_noise_A, hardware.gravity_noise_m_s2)
-        self._noise_sigma = np.repeat(sigma, (5, 5, 3))
+        sigma = (
+            hardware.resolver_noise_rad,
+            hardware.current_noise_A,
+            hardware.gravity_noise_m_s2,
+            hardware.structure_noise_K,
+        )
+        self._noise_sigma = np.repeat(sigma, (5, 5, 3, 1))
         self._winding_K_A2 = self._resistance_Ohm * hardware.winding_K_W
         self._elapsed_s, self._winding_share = 0.0, np.zeros_like(self._winding_K_A2)
 
@@ -73,7 +77,6 @@ class Avionics:
         other = copy(self)
         other._plant, other._pending = plant, dict(self._pending)
         other._rng, other._move_rng = deepcopy(self._rng), deepcopy(self._move_rng)
-        other._structure_rng = deepcopy(self._structure_rng)
         return other
 
     def inject(self, effect: Effect) -> None:
@@ -101,8 +104,8 @@ class Avionics:
         """Read all sensors."""
         if self._plant.data.time >= self._next_s:
             self._start_due_effects()
-        plant, hardware, data = self._plant, self._hardware, self._plant.data
-        noise = self._rng.standard_normal(13) * self._noise_sigma
+        plant, hardware = self._plant, self._hardware
+        noise = self._rng.standard_normal(14) * self._noise_sigma
         current = plant.motor_current_A()
         resolver = plant.output_rad() + hardware.resolver_bias_rad + noise[:5]
         for error in hardware.resolver_errors:
@@ -115,9 +118,9 @@ class Avionics:
             resolver_rad=np.rint(resolver / step_rad) * step_rad if step_rad else resolver,
             current_A=current + noise[5:10],
             winding_C=hardware.ambient_C + self._update_winding_rise(current),
-            structure_C=self._read_structure_C(),
-            switch_closed=self._update_switches(data.sensordata[self._touch]),
-            gravity_R_m_s2=self._gravity_R + noise[10:],
+            structure_C=hardware.structure_C + hardware.structure_offset_K + float(noise[13]),
+            switch_closed=self._update_switches(),
+            gravity_R_m_s2=self._gravity_R + noise[10:13],
         )
         if hardware.sensor_errors:
             sensors, updated = apply_sensor_errors(hardware.sensor_errors, sensors, self._rng)
@@ -139,16 +142,12 @@ class Avionics:
         zero: Array = self._hardware.counter_zero_rad + self._plant.move_disturbance.motor_rad
         return zero
 
-    def _update_switches(self, force_N: Array) -> Flags:
+    def _update_switches(self) -> Flags:
         """Update the closed flags; a snap-action switch opens at a lower force than it closes at."""
         hardware = self._hardware
-        self._closed = force_N > np.where(self._closed, hardware.switch_release_N, hardware.switch_force_N)
+        bound_N = np.where(self._closed, hardware.switch_release_N, hardware.switch_force_N)
+        self._closed = self._plant.data.sensordata[self._touch] > bound_N
         return self._closed
-
-    def _read_structure_C(self) -> float:
-        hardware = self._hardware
-        noise_K = hardware.structure_noise_K * self._structure_rng.standard_normal()
-        return hardware.structure_C + hardware.structure_offset_K + noise_K
 
     def _update_winding_rise(self, current_A: Array) -> Array:
         """Update the rise of the windings over ambient [K], shape (5,).

@@ -147,13 +147,10 @@ def _locate_again(half_backlash: bytes, gear: bytes) -> Array:
     """Locate the outputs, unless no gear angle has changed: at a bound it stays the same for many cycles."""
     half_rad, (least, likely, most) = np.frombuffer(half_backlash), np.frombuffer(gear).reshape(-1, 3).T
     flank_rad = half_rad - ON_FLANK_RAD
-    located = np.array(
-        [
-            np.clip(likely, -half_rad, half_rad),
-            np.where(least >= flank_rad, 1.0, np.where(most <= -flank_rad, -1.0, 0.0)),
-            np.maximum(most - likely, likely - least),
-        ]
-    )
+    located = np.empty((3, likely.size))
+    np.minimum(np.maximum(likely, -half_rad), half_rad, out=located[0])
+    np.subtract(least >= flank_rad, most <= -flank_rad, dtype=float, out=located[1])
+    np.maximum(most - likely, likely - least, out=located[2])
     located.flags.writeable = False
     return located
 

@@ -6,13 +6,14 @@ of the inverse kinematics solves it.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from math import cos, sin
 from typing import Final
 
 import numpy as np
 
 from fsw.dictionary.params import Params, PointMass, Transform6
 from fsw.kinematics.single_pose import Link
-from fsw.kinematics.transforms import Array, Pose, rotation_x, rotation_y, rotation_z, screw_exp, stack_poses
+from fsw.kinematics.transforms import Array, Pose, rotation_x, rotation_z, screw_exp, stack_poses
 
 ROUNDING: Final = 1e-12
 """Relative rounding error of a length or a cosine."""
@@ -91,6 +92,18 @@ def build_orthogonal_arm(theta_rad: Array, X_LF: Pose, X_FT: Pose) -> Orthogonal
         clock_rad=float(np.arctan2(by, bx)),
         is_exact=is_orthogonal and not ROUNDING < skew < nearly_radial,
     )
+
+
+class OrthogonalArms(dict[str, OrthogonalArm]):
+    """Orthogonal arms by tool; each is built when it is first read, as most arms use one tool."""
+
+    def __init__(self, theta_rad: Array, X_LF: Pose, X_FT: Mapping[str, Pose]) -> None:
+        """Keep the chain, see `build_orthogonal_arm`, and the frames of all tools."""
+        self._theta_rad, self._X_LF, self._X_FT = theta_rad, X_LF, X_FT
+
+    def __missing__(self, tool: str) -> OrthogonalArm:
+        self[tool] = build_orthogonal_arm(self._theta_rad, self._X_LF, self._X_FT[tool])
+        return self[tool]
 
 
 def _is_orthogonal(X_LF: Pose) -> bool:
@@ -189,7 +202,7 @@ def build_arm(params: Params) -> Arm:
         gear_stiffness_Nm_rad=np.array([joint.gear_stiffness_Nm_rad for joint in joints]),
         soft_min_rad=np.array([joint.soft_min_rad for joint in joints]),
         soft_max_rad=np.array([joint.soft_max_rad for joint in joints]),
-        orthogonal={name: build_orthogonal_arm(theta, X_LF, X) for name, X in X_FT.items()},
+        orthogonal=OrthogonalArms(theta, X_LF, X_FT),
     )
 
 
@@ -211,7 +224,7 @@ def heat_arm(arm: Arm, warming_K: float) -> Arm:
         arm,
         RP_CF=_side_by_side(X_CF),
         X_FT=X_FT,
-        orthogonal={name: build_orthogonal_arm(arm.theta_rad, X_LF, X) for name, X in X_FT.items()},
+        orthogonal=OrthogonalArms(arm.theta_rad, X_LF, X_FT),
     )
 
 
@@ -224,13 +237,16 @@ def transform6_to_pose(t: Transform6) -> Pose:
     Returns:
         The pose.
     """
-    R_theta, R_beta, R_alpha = (
-        rotation_z(np.array(t.theta_rad)),
-        rotation_y(np.array(t.beta_rad)),
-        rotation_x(np.array(t.alpha_rad)),
-    )
-    p_m = R_theta @ (np.array([0, 0, t.d_m]) + R_beta @ np.array([t.a_m, t.b_m, 0]))
-    return Pose(R_theta @ R_beta @ R_alpha, p_m)
+    ct, st = cos(t.theta_rad), sin(t.theta_rad)
+    cb, sb = cos(t.beta_rad), sin(t.beta_rad)
+    ca, sa = cos(t.alpha_rad), sin(t.alpha_rad)
+    R = [
+        [ct * cb, ct * sb * sa - st * ca, ct * sb * ca + st * sa],
+        [st * cb, st * sb * sa + ct * ca, st * sb * ca - ct * sa],
+        [-sb, cb * sa, cb * ca],
+    ]
+    p_m = [ct * cb * t.a_m - st * t.b_m, st * cb * t.a_m + ct * t.b_m, t.d_m - sb * t.a_m]
+    return Pose(np.array(R), np.array(p_m))
 
 
 def pose_to_transform6(X: Pose) -> Transform6:

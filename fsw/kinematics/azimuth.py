@@ -73,7 +73,7 @@ def solve_azimuth_near(
 def _lean(s: OrthogonalArm, foot: Array) -> tuple[Array, Array, Array]:
     """Compute the angle between foot and arm plane, the heading of the foot, and the missing distance."""
     rho = np.hypot(foot[0], foot[1])
-    lean = np.arcsin(np.clip(s.lateral_m / np.maximum(rho, 1e-300), -1.0, 1.0))
+    lean = np.arcsin(np.minimum(np.maximum(s.lateral_m / np.maximum(rho, 1e-300), -1.0), 1.0))
     return lean, np.arctan2(foot[1], foot[0]), np.maximum(abs(s.lateral_m) - rho, 0.0)
 
 

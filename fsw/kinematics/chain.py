@@ -6,8 +6,8 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.single_pose import LinkPose, place_links, spring_turn
-from fsw.kinematics.transforms import IDENTITY, Array, Pose, adjoint, cross, multiply_per_link
+from fsw.kinematics.single_pose import LinkPose, place_links, small_cos_sin, spring_turn
+from fsw.kinematics.transforms import IDENTITY, Array, Pose, adjoint, cross, multiply_per_link, rotate
 
 NO_STRAIN: Final = (0.0,) * 36
 
@@ -46,10 +46,15 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     angle[1:] = output_rad
     angle += arm.theta_rad.reshape(6, *ones)
     cosine, sine = np.cos(angle), np.sin(angle)
-    X_LD = spring_pose(arm, np.zeros((6, 6, *ones)) if strain is None else strain)
-    # with poses as (3, 4, ...), one product rotates both rotation and translation
-    R_LD = X_LD.R.reshape(3, 3, 6, -1)
-    X_LF = multiply_per_link(arm.RP_CF.swapaxes(0, 1), R_LD).reshape(3, 4, *X_LD.R.shape[2:])
+    # poses are (3, 4, ...), so that one product rotates both rotation and translation
+    if strain is None:
+        p_LD = arm.p_LC_m.reshape(3, 6, *ones)
+        X_LD = Pose(np.broadcast_to(IDENTITY.R.reshape(3, 3, 1, *ones), (3, 3, 6, *ones)), p_LD)
+        X_LF = arm.RP_CF.reshape(3, 4, 6, *ones).copy()
+    else:
+        X_LD = spring_pose(arm, strain)
+        R_LD = X_LD.R.reshape(3, 3, 6, -1)
+        X_LF = multiply_per_link(arm.RP_CF.swapaxes(0, 1), R_LD).reshape(3, 4, *X_LD.R.shape[2:])
     X_LF[:, 3] += X_LD.p
     X_SF = np.empty((3, 4, 6, *batch))  # in the start frame of the link, before its joint turns
     np.multiply(cosine, X_LF[0], out=X_SF[0])
@@ -63,7 +68,7 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     for i in range(1, 6):
         np.einsum("ik...,kj...->ij...", R_RS[:, :, i], X_SF[:, :3, i], out=R_RS[:, :, i + 1])
     p_RS = np.zeros((3, 7, *batch))
-    np.add.accumulate(np.einsum("ij...,j...->i...", R_RS[:, :, :6], X_SF[:, 3]), axis=1, out=p_RS[:, 1:])
+    np.add.accumulate(rotate(R_RS[:, :, :6], X_SF[:, 3]), axis=1, out=p_RS[:, 1:])
     R_RL = np.empty((3, 3, 6, *batch))
     x, y = R_RS[:, 0, :6], R_RS[:, 1, :6]
     np.multiply(x, cosine, out=R_RL[:, 0])
@@ -111,7 +116,8 @@ def spring_pose(arm: Arm, strain: Array) -> Pose:
     Returns:
         The poses, batch (6, ...).
     """
-    R = np.array(spring_turn(*strain[:3])).reshape(3, 3, *strain.shape[1:])
+    cosine, sine = small_cos_sin(strain[:3])
+    R = np.concatenate(spring_turn(*cosine, *sine)).reshape(3, 3, *strain.shape[1:])
     return Pose(R, strain[3:] + arm.p_LC_m.reshape(3, 6, *(1,) * (strain.ndim - 2)))
 
 

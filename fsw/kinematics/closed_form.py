@@ -6,7 +6,7 @@ lateral offset from the plane. This gives two azimuths: shoulder out and in. The
 arm, with two elbows.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -128,14 +128,15 @@ def closed_form_branch(
     p, a = to_shoulder_frame(s, p_RoTo_R_m, approach_R)
     near = near_rad + s.theta_rad[:, None]
     foot = p - s.radius_m * a
-    wrist = np.where(np.cos(near[4] + s.clock_rad) >= 0, 1.0, -1.0)
+    wrist = np.copysign(1.0, np.cos(near[4] + s.clock_rad))
     find = solve_azimuth_near if s.offset_m == 0.0 else solve_offset_azimuth_near
     q1, sine, missing_shoulder = find(s, foot, a, wrist, near[0])
     foot_P, a_P = to_arm_plane(q1, foot, a)
     t_e, t_z, missing_axis = turret_axis(s, a_P, sine)
     reach = locate_wrist(s, foot_P, a_P, t_e, t_z)
-    bend = np.where(np.sin(near[2]) >= 0, reach.bend_rad, -reach.bend_rad)
-    q = joint_angles(s, a_P[1], q1, t_e, t_z, sine, replace(reach, bend_rad=bend))
+    bend = np.copysign(reach.bend_rad, np.sin(near[2]))
+    bent = Reach(reach.x_m, reach.z_m, bend, reach.missing_m)
+    q = joint_angles(s, a_P[1], q1, t_e, t_z, sine, bent)
     return q, np.maximum(np.maximum(missing_shoulder, missing_axis), reach.missing_m)
 
 
@@ -231,7 +232,7 @@ def locate_wrist(s: OrthogonalArm, foot: InPlane, b: InPlane, t_e: Array, t_z: A
     longest, shortest = s.upper_m + s.fore_m, abs(s.upper_m - s.fore_m)
     missing = np.maximum(np.maximum(distance - longest, shortest - distance), 0.0)
     cosine = (distance2 - s.upper_m**2 - s.fore_m**2) / (2 * s.upper_m * s.fore_m)
-    return Reach(x, z, np.arccos(np.clip(cosine, -1.0, 1.0)), missing)
+    return Reach(x, z, np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0)), missing)
 
 
 def _circle_shortfall(s: OrthogonalArm, foot: InPlane, b: InPlane) -> Array:

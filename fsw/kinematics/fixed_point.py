@@ -84,7 +84,8 @@ def solve_fixed_point(
     )
     indices = np.flatnonzero(selected)
     for block in np.split(indices, range(BLOCK, indices.size, BLOCK)):
-        _solve_block(arm, tool, p[:, block], a[:, block], gravity_R_m_s2, tolerance[block], block, roots)
+        targets = p.take(block, axis=-1), a.take(block, axis=-1)
+        _solve_block(arm, tool, *targets, gravity_R_m_s2, tolerance[block], block, roots)
     return roots
 
 
@@ -110,8 +111,11 @@ def _solve_block(
     where: NDArray[np.intp],
     roots: FixedPointRoots,
 ) -> None:
-    """Iterate the targets `where` until their error is below tolerance; write into `roots`."""
-    q, virtual = roots.output_rad[:, where], np.concatenate([p, a])
+    """Iterate the targets `where` until their error is below tolerance; write into `roots`.
+
+    `take` and `compress` leave the roots next to each other in memory, which an index does not.
+    """
+    q, virtual = roots.output_rad.take(where, axis=-1), np.concatenate([p, a])
     strain = None
     for iteration in range(MAX_ITERATIONS):
         evaluation = evaluate_pose(arm, tool, q, strain, gravity)
@@ -125,7 +129,7 @@ def _solve_block(
         if not active.all():
             where, tolerance = where[active], tolerance[active]
             p, a, virtual, difference, q, strain = (
-                v[..., active] for v in (p, a, virtual, difference, q, strain)
+                v.compress(active, axis=-1) for v in (p, a, virtual, difference, q, strain)
             )
         virtual = virtual - difference
         q, _ = closed_form_branch(arm.orthogonal[tool], virtual[:3], virtual[3:] / norm(virtual[3:]), q)
@@ -137,7 +141,7 @@ def _solve_block(
             if not follow.any():
                 return
             where, tolerance = where[follow], tolerance[follow]
-            p, a, virtual, q, strain = (v[..., follow] for v in (p, a, virtual, q, strain))
+            p, a, virtual, q, strain = (v.compress(follow, axis=-1) for v in (p, a, virtual, q, strain))
 
 
 def _may_enter_limits(arm: Arm, tool: str, q: Array) -> Flags:

@@ -102,7 +102,7 @@ def _refine_block(
     """Iterate the starts `where` and write the results into `done`."""
     if not where.size:
         return
-    current = newton.begin(done.output_rad[:, where], where)
+    current = newton.begin(done.output_rad.take(where, axis=-1), where)
     for count in range(2 * patience):
         J_inv = damped_inverse(current.J + current.load_J)
         step = -np.einsum("ij...,j...->i...", J_inv, current.residual)
@@ -200,7 +200,7 @@ class _Newton:
             evaluation = evaluate_pose(
                 self.arm, self.tool, output_rad, evaluation.strain, self.gravity_R_m_s2
             )
-        p, a = self.p[:, where], self.a[:, where]
+        p, a = self.p.take(where, axis=-1), self.a.take(where, axis=-1)
         return _Iterate(
             where,
             output_rad,

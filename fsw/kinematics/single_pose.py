@@ -57,7 +57,8 @@ def place_links(
     for link, angle_rad, rx, ry, rz, tx, ty, tz in per_link:
         theta_rad, (cx, cy, cz), R_CF, p_CF_m, *_ = link
         R_RL = _turn_about_z(R, angle_rad + theta_rad)
-        R_LD: Rotation = spring_turn(rx, ry, rz)
+        (crx, srx), (cry, sry), (crz, srz) = small_cos_sin(rx), small_cos_sin(ry), small_cos_sin(rz)
+        R_LD: Rotation = spring_turn(crx, cry, crz, srx, sry, srz)
         p_LD_m = cx + tx, cy + ty, cz + tz
         p_LF_m = _add(_rotate(R_LD, p_CF_m), p_LD_m)
         p_RL_m, R, p = p, _compose(R_RL, _compose(R_LD, R_CF)), _add(p, _rotate(R_RL, p_LF_m))
@@ -111,16 +112,21 @@ def load_links(
 
 
 def spring_turn(
-    rx_rad: Number, ry_rad: Number, rz_rad: Number
+    cx: Number, cy: Number, cz: Number, sx: Number, sy: Number, sz: Number
 ) -> tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number]:
     """Compute the rotation of springs that turn about x, y and z; each turn carries the later axes.
+
+    Args:
+        cx: Cosine of the turn about x, unitless; then those about y and z.
+        cy: See cx.
+        cz: See cx.
+        sx: Sine of the turn about x, unitless; then those about y and z.
+        sy: See sx.
+        sz: See sx.
 
     Returns:
         The matrices row by row.
     """
-    cx, sx = _small_cos_sin(rx_rad)
-    cy, sy = _small_cos_sin(ry_rad)
-    cz, sz = _small_cos_sin(rz_rad)
     sxsy, cxsy = sx * sy, cx * sy
     row_x = cy * cz, -cy * sz, sy
     row_y = cx * sz + sxsy * cz, cx * cz - sxsy * sz, -sx * cy
@@ -143,7 +149,7 @@ def spring_moments(
     return mx, (zz * my - zy * mz) / (zy * zy + zz * zz) ** 0.5, zx * mx + zy * my + zz * mz
 
 
-def _small_cos_sin(x: Number) -> tuple[Number, Number]:
+def small_cos_sin(x: Number) -> tuple[Number, Number]:
     """Compute cosine and sine by series, to 3e-13 up to 0.1 rad; numpy takes ten times as long."""
     x2 = x * x
     cosine = 1 - x2 * (1 / 2 - x2 * (1 / 24 - x2 * (1 / 720)))

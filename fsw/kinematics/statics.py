@@ -9,7 +9,7 @@ import numpy as np
 
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import Frames, collect_frames, forward, joint_jacobian, place_pose, tool_pose
-from fsw.kinematics.single_pose import load_links, spring_moments
+from fsw.kinematics.single_pose import LinkPose, load_links, spring_moments
 from fsw.kinematics.transforms import (
     Array,
     Flags,
@@ -94,7 +94,7 @@ def _equilibrium(
     strain = np.zeros((6, 6, *batch))
     output = anchor_rad
     for _ in range(MAX_PASSES):
-        _, new_strain, torque = load_arm(arm, output, strain, gravity_R_m_s2, push)
+        _, new_strain, torque = _place_and_load(arm, output, strain, gravity_R_m_s2, push)
         new_output = anchor_rad + torque * gear
         step = np.maximum(
             np.abs(new_strain - strain).max(axis=(0, 1)), np.abs(new_output - output).max(axis=0)
@@ -123,15 +123,23 @@ def load_arm(
         Frames under the given strain, new strain in rad and m, shape (6, 6, ...), and torque of the load in
         N m, shape (5, ...).
     """
+    placed, new_strain, torque_Nm = _place_and_load(arm, output_rad, strain, gravity_R_m_s2, push)
+    return placed if isinstance(placed, Frames) else collect_frames(placed), new_strain, torque_Nm
+
+
+def _place_and_load(
+    arm: Arm, output_rad: Array, strain: Array | None, gravity_R_m_s2: Array, push: ToolForce | None
+) -> tuple[Frames | list[LinkPose], Array, Array]:
+    """Compute what `load_arm` does, with the poses of the links as they come out of it."""
     if output_rad.ndim > 1:
         frames = forward(arm, output_rad, strain)
         return frames, *_load_batch(arm, frames, gravity_R_m_s2, push)
-    placed = place_pose(arm, output_rad, strain)
-    frames, on_tool = collect_frames(placed), None
+    placed, on_tool = place_pose(arm, output_rad, strain), None
     if push is not None:
-        on_tool = tuple(push.force_R_N.tolist()), tuple(tool_pose(arm, frames, push.tool).p.tolist())
+        X_RT = tool_pose(arm, collect_frames(placed), push.tool)
+        on_tool = tuple(push.force_R_N.tolist()), tuple(X_RT.p.tolist())
     new_strain, torque_Nm = load_links(arm.links, placed, tuple(gravity_R_m_s2.tolist()), on_tool)
-    return frames, np.array(new_strain).T, np.array(torque_Nm[1:])
+    return placed, np.array(new_strain).T, np.array(torque_Nm[1:])
 
 
 def _load_batch(
@@ -149,16 +157,17 @@ def _load_batch(
     own_L_kg_m += far_kg * X_LD.p + near_L_kg_m
     carried_kg_m = rotate(R_RL, own_L_kg_m)
     carried_kg_m += (near_kg + far_kg) * origin
-    _outward_sum(carried_kg_m)
+    # of each link and of all links beyond it
+    carried_kg_m = np.add.accumulate(carried_kg_m[:, ::-1], axis=1)[:, ::-1]
     # torque about the joint axis in the link frame, then the load on the spring
     carried_kg_m -= carried_kg * origin
-    lever_L_kg_m, g_L = rotate_back(R_RL, carried_kg_m), rotate_back(R_RL, np.broadcast_to(g, origin.shape))
+    lever_L_kg_m, g_L = rotate_back(R_RL, carried_kg_m), rotate_back(R_RL, g)
     torque = lever_L_kg_m[0, 1:] * g_L[1, 1:] - lever_L_kg_m[1, 1:] * g_L[0, 1:]
     lever_L_kg_m -= near_L_kg_m + beyond_kg * X_LD.p
     moment_L, force_L = cross(lever_L_kg_m, g_L), beyond_kg * g_L
     if push is not None:
         force_N = push.force_R_N.reshape(3, 1, *(push.force_R_N.shape[1:] or ones))
-        push_L = rotate_back(R_RL, np.broadcast_to(force_N, origin.shape))
+        push_L = rotate_back(R_RL, force_N)
         arm_L_m = rotate_back(R_RL, tool_pose(arm, frames, push.tool).p[:, None] - origin)
         torque += arm_L_m[0, 1:] * push_L[1, 1:] - arm_L_m[1, 1:] * push_L[0, 1:]
         moment_L += cross(arm_L_m - X_LD.p, push_L)
@@ -180,13 +189,6 @@ def push_torque(arm: Arm, frames: Frames, push: ToolForce) -> Array:
     J = joint_jacobian(frames, tool_pose(arm, frames, push.tool).p)
     torque: Array = push.force_R_N @ J[3:]
     return torque
-
-
-def _outward_sum(per_link: Array) -> Array:
-    """Sum over each link and all links beyond, along axis 1, in place."""
-    for i in range(4, -1, -1):
-        per_link[:, i] += per_link[:, i + 1]
-    return per_link
 
 
 def _deflect_springs(arm: Arm, frames: Frames, moment_L: Array, force_L: Array) -> Array:

@@ -48,7 +48,7 @@ class ProtectionBounds:
     highest_rad: Array
     lowest_homing_rad: Array
     """Lowest motor angles in homing, a row for each joint that is being homed, (5, 5)."""
-    setpoint_step_rad: Array
+    setpoint_step_rad: tuple[float, ...]
     """Largest change of a set-point in a cycle, (5,)."""
     over_current_A: Array
     """Current that is nearly all that a motor may draw, (5,)."""
@@ -112,7 +112,7 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         lowest_rad=lowest,
         highest_rad=highest,
         lowest_homing_rad=lowest_homing,
-        setpoint_step_rad=np.array([monitors.setpoint_step_factor * cycle_s * j.speed_rad_s for j in joints]),
+        setpoint_step_rad=tuple(monitors.setpoint_step_factor * cycle_s * j.speed_rad_s for j in joints),
         over_current_A=over_current,
         approach_wind_up_rad=LOAD_ERROR_FACTOR * load_error / arm.gear_stiffness_Nm_rad,
         stiffness_A_rad=tuple((arm.gear_stiffness_Nm_rad / constant).tolist()),

@@ -4,7 +4,7 @@ A monitor with a persistence takes for how many cycles in a row its bound has be
 count with this cycle.
 """
 
-from operator import ge, le
+from operator import ge, le, sub
 from typing import Final
 
 import numpy as np
@@ -42,14 +42,15 @@ def check_setpoint(bounds: ProtectionBounds, move: MoveStatus, last_rad: Array) 
     Returns:
         The fault of the first joint whose set-point must not go out.
     """
-    limits = get_lowest(bounds, move).tolist(), bounds.highest_rad.tolist(), bounds.setpoint_step_rad.tolist()
+    limits = get_lowest(bounds, move).tolist(), bounds.highest_rad.tolist(), bounds.setpoint_step_rad
     each = zip(move.setpoint_rad.tolist(), last_rad.tolist(), *limits, strict=True)
     for joint, (commanded, last, lowest, highest, step) in enumerate(each):
         # written so that NaN fails it
-        near = abs(commanded - last) <= step
-        low_safe = commanded >= lowest or commanded >= last - ROUNDING_RAD
-        high_safe = commanded <= highest or commanded <= last + ROUNDING_RAD
-        if not (near and low_safe and high_safe):
+        near = -step <= commanded - last <= step
+        if near and lowest <= commanded <= highest:
+            continue
+        inward = min(lowest, last - ROUNDING_RAD) <= commanded <= max(highest, last + ROUNDING_RAD)
+        if not (near and inward):
             return (SetpointUnsafe(Joint(joint), commanded, last),)
     return ()
 
@@ -61,11 +62,11 @@ def get_lowest(bounds: ProtectionBounds, move: MoveStatus) -> Array:
 
 def exceed_any_bound(bounds: ProtectionBounds, arm: ArmStatus, sensors: Sensors) -> bool:
     """Check whether any joint is beyond a bound; only then the monitors below are run, one by one."""
-    motor = arm.motor_rad
-    lag = motor - (motor if arm.move is None else arm.move.setpoint_rad)
+    motor = arm.motor_rad.tolist()
+    setpoint = motor if arm.move is None else arm.move.setpoint_rad.tolist()
     monitored = (
-        *motor.tolist(),
-        *lag.tolist(),
+        *motor,
+        *map(sub, motor, setpoint),
         *sensors.current_A.tolist(),
         *sensors.winding_C.tolist(),
         *arm.resolver_error_rad.tolist(),

@@ -1,7 +1,7 @@
 """Placements of a tool, with two move models: closed loop of plant and flight software, or statics."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -10,6 +10,7 @@ from fsw.config import Config, configure, configure_at
 from fsw.dictionary.commands import BacklashMode, MoveTool
 from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.reference import Reference, no_reference
+from fsw.kinematics.arm import heat_arm
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose
@@ -24,7 +25,6 @@ from sim.effects.effect import (
     nominal_hardware,
     params_with_effects,
 )
-from sim.effects.geometry import Warming
 from sim.loop import Setup, hardware_rng
 from sim.pose_sequence import free_air_loop, run_and_rest
 from sim.quasi_static import StaticArm, solve_quasi_static_move
@@ -77,14 +77,16 @@ def configure_believed(arm: BuiltArm) -> Config:
 
 
 def configure_true(arm: BuiltArm) -> Config:
-    """Configure flight software that knows an arm exactly, as it is at its temperature."""
+    """Configure flight software that knows an arm exactly, with the arm as it is at its temperature."""
     drawn = arm.model.params
-    growth = Warming(_hardware(arm).structure_C - drawn.heat.calibration_C)
-    return configure(params_with_effects((*arm.effects, growth), drawn))
+    cold = configure(params_with_effects(arm.effects, drawn))
+    return replace(cold, arm=heat_arm(cold.arm, _hardware(arm).structure_C - drawn.heat.calibration_C))
 
 
 def _hardware(arm: BuiltArm) -> Hardware:
-    return hardware_with_effects(arm.effects, nominal_hardware(arm.model.description))
+    """Return avionics and sensors without the effects of each move, which draw their own errors."""
+    lasting = (effect for effect in arm.effects if not isinstance(effect, EachMove))
+    return hardware_with_effects(lasting, nominal_hardware(arm.model.description))
 
 
 def random_placements(
@@ -96,7 +98,7 @@ def random_placements(
     poses = workspace_poses(arm, tool, gravity, POSES_PER_PLACEMENT * count, int(rng.integers(2**31)))
     # neighbouring poses are branches of one target, so draw at random
     output = poses.output_rad[:, rng.choice(POSES_PER_PLACEMENT * count, count, replace=False)]
-    X_RT = tool_pose(arm, settle_output(arm, output, gravity).frames, tool)
+    X_RT = [tool_pose(arm, settle_output(arm, q_rad, gravity).frames, tool) for q_rad in output.T]
     offset = START_OFFSET_RAD * rng.choice([-1.0, 1.0], output.shape)
     low, high = (
         limit[:, None] for limit in (arm.soft_min_rad + LIMIT_MARGIN_RAD, arm.soft_max_rad - LIMIT_MARGIN_RAD)
@@ -152,12 +154,17 @@ def closed_loop_model(arm: BuiltArm, reference: Reference, backlash: BacklashMod
     return move
 
 
-def statics_model(arm: BuiltArm, backlash: BacklashMode) -> MoveModel:
+def statics_model(arm: BuiltArm, believed: Config, backlash: BacklashMode) -> MoveModel:
     """Build the move model of static equilibrium, with an initialisation without errors.
 
     The gears have the wind-up and the side of the backlash that the move leaves.
+
+    Args:
+        arm: Arm as it is built.
+        believed: Arm as flight software knows it, see `configure_believed`.
+        backlash: Compensation of the backlash.
     """
-    believed, true = configure_believed(arm), configure_true(arm)
+    true = configure_true(arm)
     static = StaticArm(believed, true, no_reference(believed), true.hardstop_rad - believed.hardstop_rad)
     random_effects = [effect for effect in arm.effects if isinstance(effect, EachMove)]
     gravity = World().gravity_N_m_s2

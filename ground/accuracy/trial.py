@@ -138,12 +138,13 @@ def run_sampled_trial(
     effects = sample_effects(model, case, tool, rng)
     backlash: BacklashMode = "on" if is_compensated(case.sources.get("backlash", 0.0)) else "off"
     arm = BuiltArm("drawn", effects, params)
+    believed = configure_believed(arm)
     move = (
-        statics_model(arm, backlash)
+        statics_model(arm, believed, backlash)
         if move_model == "statics"
         else closed_loop_model(arm, _exact_reference(arm), backlash)
     )
-    return measure_placements(move, random_placements(configure_believed(arm), tool, places, placement_seed))
+    return measure_placements(move, random_placements(believed, tool, places, placement_seed))
 
 
 def run_built_trial(
@@ -170,14 +171,13 @@ def run_built_trial(
     arm = arm_named(name, params)
     effects = (*sample_effects(model, replace(case, sources=added), tool, rng), cold)
     tested = replace(arm, effects=(*arm.effects, *effects))
+    believed = configure_believed(tested)
     move = (
-        statics_model(tested, "on")
+        statics_model(tested, believed, "on")
         if move_model == "statics"
         else closed_loop_model(tested, initial_reference(arm), "on")
     )
-    return measure_placements(
-        move, random_placements(configure_believed(tested), tool, places, placement_seed)
-    )
+    return measure_placements(move, random_placements(believed, tool, places, placement_seed))
 
 
 def _exact_reference(arm: BuiltArm) -> Reference:

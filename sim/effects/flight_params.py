@@ -39,7 +39,8 @@ def scale_matrix(matrix: Matrix6, factor: float) -> Matrix6:
 
 def rotate_matrix(matrix: Matrix6, R: Array) -> Matrix6:
     """Rotate a matrix for screws by R: its rotation and its translation parts."""
-    R6 = np.kron(np.eye(2), R)
+    R6 = np.zeros((6, 6))
+    R6[:3, :3] = R6[3:, 3:] = R
     return _matrix6(R6 @ np.array(matrix) @ R6.T)
 
 
@@ -51,5 +52,5 @@ def add_compliance(matrix: Matrix6, axis: int, added: float) -> Matrix6:
 
 
 def _matrix6(values: Array) -> Matrix6:
-    a, b, c, d, e, f = (row6(row) for row in values)
+    a, b, c, d, e, f = (row6(row) for row in values.tolist())
     return (a, b, c, d, e, f)

@@ -61,9 +61,11 @@ class FrameError(Effect):
         """
         theta = np.array(old.transform.theta_rad - new.transform.theta_rad)
         back = Pose(rotation_z(theta), np.zeros(3))
-        moved = back @ transform6_to_pose(new.transform) @ inverse(transform6_to_pose(old.transform))
-        spring = moved if self.frame is Frame.ARM1 else back
-        far = moved if self.frame in (Frame.ARM1, Frame.ARM6) else back
+        spring = far = back
+        if self.frame in (Frame.ARM1, Frame.ARM6):
+            far = back @ transform6_to_pose(new.transform) @ inverse(transform6_to_pose(old.transform))
+        if self.frame is Frame.ARM1:
+            spring = far
         return replace(
             new,
             elastic_centre_m=vector3(spring.R @ np.array(old.elastic_centre_m) + spring.p),

@@ -15,7 +15,7 @@ from fsw.motion.paths import JointPath, LinePath, Setpoint, Travel, joint_path, 
 from fsw.motion.plan import Plan
 from fsw.motion.plan_tool import plan_guarded, plan_retract
 from tests.fsw.motion.lab import gears_along, likely, sampled, tool_at
-from tests.fsw.rig import Rig, config_of, facing, floats, in_limits, with_params
+from tests.fsw.rig import Rig, config_of, facing, floats, in_limits, in_the_open, with_params
 from tests.tools import TOOLS
 
 CONFIG = config_of()
@@ -135,7 +135,8 @@ def line_errors(X):
 
 def without_play(name):
     """Return a configuration without backlash and friction, so that only the geometry remains."""
-    return replace(config_of(name), half_backlash_rad=np.zeros(5), output_friction_Nm=np.zeros(5))
+    config = replace(config_of(name), half_backlash_rad=np.zeros(5), output_friction_Nm=np.zeros(5))
+    return in_the_open(config)
 
 
 def settled(config, start_rad=None):

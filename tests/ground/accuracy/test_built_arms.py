@@ -18,12 +18,13 @@ from sim.initialisation import true_reference
 def errors_m(name, how, seed, count):
     """Compute the total errors of the APXS at placements in the workspace, shape (count,)."""
     arm = arm_named(name)
+    believed = configure_believed(arm)
     moved = (
-        statics_model(arm, "on") if how == "statics" else closed_loop_model(arm, true_reference(arm), "on")
+        statics_model(arm, believed, "on")
+        if how == "statics"
+        else closed_loop_model(arm, true_reference(arm), "on")
     )
-    found = measure_placements(
-        moved, random_placements(configure_believed(arm), "APXS", count, SeedSequence(seed))
-    )
+    found = measure_placements(moved, random_placements(believed, "APXS", count, SeedSequence(seed)))
     return np.array([np.linalg.norm(one.error[3:]) for one in found])
 
 

@@ -133,11 +133,15 @@ def test_a_gap_that_nothing_allows_for_moves_the_tool_by_the_side_that_every_out
 def test_statics_end_where_the_closed_loop_does(case, seed):
     found = sample_effects(MODEL, MODEL.case[case], TOOL, np.random.default_rng(seed))
     arm = BuiltArm("drawn", found, NOMINAL.params)
-    place = random_placements(configure_believed(arm), TOOL, 1, np.random.SeedSequence(seed))[0]
+    believed = configure_believed(arm)
+    place = random_placements(believed, TOOL, 1, np.random.SeedSequence(seed))[0]
     backlash = "off" if case == "accuracy" else "on"
     reference = true_reference(arm)
     reference.half_backlash_rad[:] = true_reference(NOMINAL).half_backlash_rad
-    statics, loop = statics_model(arm, backlash)(place), closed_loop_model(arm, reference, backlash)(place)
+    statics, loop = (
+        statics_model(arm, believed, backlash)(place),
+        closed_loop_model(arm, reference, backlash)(place),
+    )
     apart = error_in_tool(statics[0], loop[0])
     assert np.linalg.norm(apart[3:]) < 1e-4
     assert np.allclose(statics[1], loop[1], atol=0.01)
