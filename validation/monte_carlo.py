@@ -32,7 +32,9 @@ REPEATABILITY: Final = {"lateral_m": 0.0077, "normal_m": 0.0050, "axial_rad": ra
 """Three sigma on Mars, Table 4 of the paper; the goal is half of it."""
 PLACES: Final = 20
 MOST_DIFFERENCE_M: Final = 3e-4
-"""Largest difference between statics and closed loop with the same sampled errors."""
+"""Largest difference between statics and closed loop with the same sampled errors, on the same sides."""
+MOST_OTHER_SIDES: Final = 0.1
+"""Share of arms with an output on another side of its backlash: loads are near its friction that often."""
 
 
 def against_budget(case: str, options: Any) -> dict[str, Any]:
@@ -40,9 +42,13 @@ def against_budget(case: str, options: Any) -> dict[str, Any]:
     base = MonteCarloRequest(case=case, seed=options.seed, workers=options.workers, cluster=options.cluster)
     many = _run(replace(base, move_model="statics", arms=options.statics), options.results)
     some = _run(replace(base, move_model="closed-loop", arms=options.closed_loop), options.results)
+    pairs = [(a[0], b[0]) for a, b in zip(many.trials, some.trials, strict=False)]
+    # near the friction limit, statics cannot tell the side of a backlash
+    same_side = [np.abs(a.backlash_position - b.backlash_position).max() < 0.5 for a, b in pairs]
     difference_m = [
-        float(np.linalg.norm((a[0].error - b[0].error)[3:]))
-        for a, b in zip(many.trials, some.trials, strict=False)
+        float(np.linalg.norm((a.error - b.error)[3:]))
+        for (a, b), is_same in zip(pairs, same_side, strict=True)
+        if is_same
     ]
     return {
         "statics": {**monte_carlo_json(many), "in_bounds": _rule_holds(many)},
@@ -50,7 +56,9 @@ def against_budget(case: str, options: Any) -> dict[str, Any]:
         "statics_difference_m": {
             "rms": float(np.sqrt(np.mean(np.square(difference_m)))),
             "max": max(difference_m),
-            "in_bounds": max(difference_m) < MOST_DIFFERENCE_M,
+            "sides_differ": same_side.count(False),
+            "in_bounds": max(difference_m) < MOST_DIFFERENCE_M
+            and same_side.count(False) <= max(1, MOST_OTHER_SIDES * len(pairs)),
         },
     }
 

@@ -50,7 +50,7 @@ def read_arguments(command: C, names: Names) -> C | Wrong:
         The command with plain values, or the first problem.
     """
     kind: type = type(command)
-    if kind not in COMMAND_TYPES:
+    if not any(kind is one for one in COMMAND_TYPES):  # a class itself may have no hash
         return Wrong(f"is no command; there are {', '.join(sorted(one.__name__ for one in COMMAND_TYPES))}")
     values: dict[str, Any] = {}
     for field, hint in _hints(kind).items():
@@ -95,7 +95,7 @@ def _read_value(hint: Any, value: object, names: Names) -> Any:
 
 def _read_number(marks: tuple[Any, ...], value: object) -> float | Wrong:
     """Return a finite number within its limits."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+    if not _is_number(value):
         return Wrong(f"{_describe(value)} is not a number")
     number = _to_float(value)
     for mark in marks:
@@ -144,7 +144,7 @@ def _read_text(value: object) -> str | Wrong:
 
 def _read_member(kind: type[IntEnum], value: object) -> IntEnum | Wrong:
     """Return the member with this number."""
-    if isinstance(value, int | np.integer) and not isinstance(value, bool):
+    if _is_number(value) and isinstance(value, int | np.integer):
         for member in kind:
             if member == value:
                 return member
@@ -158,11 +158,18 @@ def _describe(value: object) -> str:
         return ascii(text) if not text.isprintable() else repr(text)
     if value is None or isinstance(value, bool):
         return str(value)
-    if isinstance(value, int | np.integer):
+    if _is_number(value) and isinstance(value, int | np.integer):
         return f"{_to_float(value):.17g}"
-    if isinstance(value, float | np.floating):
+    if _is_number(value):
         return str(_to_float(value))
     return f"a value of type {type(value).__name__[:MAX_SHOWN_LENGTH]}"
+
+
+def _is_number(value: object) -> bool:
+    """Return whether a value is a number of Python or numpy; other classes may do anything when used."""
+    if isinstance(value, np.integer | np.floating):
+        return not isinstance(value, np.timedelta64)
+    return type(value) in (int, float) or isinstance(value, IntEnum)
 
 
 def _to_float(value: Any) -> float:

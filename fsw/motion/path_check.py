@@ -65,7 +65,8 @@ def check_paths(
         found = [
             compute_clearances(config.collision_geometry, f, padding_m, touching, surface) for f in frames
         ]
-        violation = judge_clearances(config.collision_geometry, np.concatenate(found, axis=-1), padding_m)
+        near = np.concatenate(found, axis=-1)
+        violation = judge_clearances(config.collision_geometry, near, padding_m, touching)
     if violation is None:
         return None
     clear_share = _compute_share(config, motor, violation.first)
@@ -96,7 +97,10 @@ def check_touch(
         return None
     title, depth_mm = geometry.titles[geometry.parts[part]], -1e3 * height_m[part]
     where = f"{abs(depth_mm):.0f} mm {'below' if depth_mm > 0 else 'above'}"
-    return f"the {title} would be {where} the surface where the {geometry.titles[touching]} touches it"
+    return (
+        f"the {title} would be {where} the surface where the {geometry.titles[touching]} touches it, "
+        f"at least {1e3 * padding_m:.0f} mm above are to be kept"
+    )
 
 
 def sample_paths(config: Config, paths: tuple[Path, ...], step_m: float) -> Array:

@@ -136,7 +136,7 @@ def find_branches(
         return Refusal(_explain_refusal(config, command.tool, result, wanted))
     output = np.where(valid & wanted, result.output_rad[..., 0], np.nan)
     duration_s = np.max(np.abs(output - joints.output_rad[:, None]) / config.speed_rad_s[:, None], axis=0)
-    fastest = np.argsort(duration_s)[: np.count_nonzero(valid & wanted)]
+    fastest = np.argsort(duration_s, kind="stable")[: np.count_nonzero(valid & wanted)]
     return [Branch(names[slot], output[:, slot], float(duration_s[slot])) for slot in fastest]
 
 

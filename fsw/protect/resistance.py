@@ -55,7 +55,7 @@ CONTACT: Final = 50.7
 LEAST_UPDATES: Final = 3
 """Updates from which a slow mean is known."""
 LEAST_WIND_UP_UPDATES: Final = 8
-"""Updates from which that of the wind-up is known, 1 s: a jump has then left the smoothed error."""
+"""Updates beyond which that of the wind-up is known, 1 s: a jump has then left the smoothed error."""
 DRAGGED_RAD: Final = 1e-5
 """Distance from the angle at which the gear drags its output: 1 N m, less than the error of any load."""
 CHANGE_SIGMAS: Final = 3.0

@@ -78,7 +78,8 @@ def note_snapshot(scenario: Scenario, trace: Trace, snapshot: Snapshot) -> None:
     trace.ends[snapshot.command] = snapshot
     for check in scenario.checks:
         for name, value in _measure_cycle(check, scenario, trace, snapshot):
-            trace.peaks[check, name] = max(trace.peaks.get((check, name), -inf), value)
+            # unlike max, this keeps a value that is no number
+            trace.peaks[check, name] = float(np.maximum(trace.peaks.get((check, name), -inf), value))
 
 
 def _measure_cycle(

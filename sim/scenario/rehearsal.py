@@ -65,6 +65,8 @@ def find_impossible(scenario: Scenario, arm: BuiltArm) -> str | None:
     )
     before = Rehearsed(config, _joints_at(joints, np.array(start_rad)), params.tool_names[0], None)
     for number, command in enumerate(scenario.commands, 1):
+        if isinstance(command, ClearFault):
+            return None  # where a fault stops the arm is not known before
         ended = _rehearse(before, command, scenario.world.surface)
         if isinstance(ended, Refusal):
             reason = ended.reason.removeprefix(f"{type(command).__name__}: ")

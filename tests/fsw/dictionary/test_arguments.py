@@ -151,6 +151,22 @@ def test_a_wrong_argument_is_told_with_what_would_be_right(command, sentence):
     assert problem(command).startswith(sentence)
 
 
+def test_a_duration_of_numpy_is_no_number():
+    for value in (np.timedelta64(1, "s"), np.timedelta64("NaT"), np.timedelta64(1)):
+        assert isinstance(read_arguments(MoveJoint(Joint.ELBOW, value), NAMES), Wrong)
+        assert isinstance(read_arguments(MoveJoint(value, 1.0), NAMES), Wrong)
+
+
+def test_an_object_whose_class_has_no_hash_is_no_command():
+    class NoHash(type):
+        def __eq__(cls, other):
+            return cls is other
+
+        __hash__ = None
+
+    assert isinstance(read_arguments(NoHash("Odd", (), {})(), NAMES), Wrong)
+
+
 def test_a_command_that_was_never_filled_is_refused():
     assert problem(object.__new__(Retract)).startswith("tool: None is not known; there are ")
 

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fsw.collision.distance import find_violation, limit_surface
+from fsw.collision.geometry import Surface
 from fsw.config import configure
 from fsw.dictionary.commands import GuardedMove, MoveTool, PlaceTool, Retract, Stow, Unstow
 from fsw.dictionary.types import vector3
@@ -13,7 +15,10 @@ from fsw.estimate.reference import no_reference
 from fsw.executive.checks import check_arguments
 from fsw.executive.expansion import locate_surface
 from fsw.executive.planning import PlannedSequence, plan_command, plan_sequence
+from fsw.kinematics.transforms import normalize
+from fsw.motion.path_check import FINE_STEP_M, check_paths, compute_deflected_frames, sample_paths
 from fsw.motion.plan import Plan, Refusal, estimate_at
+from fsw.motion.plan_tool import plan_retract
 from sim.arms import arm_named
 from sim.frames import p_R_from_N
 from tests.fsw.rig import MARS_R_m_s2
@@ -86,3 +91,23 @@ def test_an_unstow_forgets_the_surface():
     surface = locate_surface(CONFIG, JOINTS, "APXS", STEEP, None)
     assert locate_surface(CONFIG, JOINTS, "APXS", Retract("APXS", 0.1), surface) is surface
     assert locate_surface(CONFIG, JOINTS, "APXS", Unstow(), surface) is None
+
+
+def test_a_tool_that_touches_may_retract_wherever_a_close_look_finds_the_way_clear(steep):
+    """A plane that leans more than the rock has parts above and below it at the start."""
+    joints = estimate_at(JOINTS, steep.plans[-1].end)
+    paths = plan_retract(CONFIG, joints, Retract("APXS", 0.1)).paths
+    frames = compute_deflected_frames(CONFIG, joints, sample_paths(CONFIG, paths, FINE_STEP_M))
+    geometry, padding_m = CONFIG.collision_geometry, PARAMS.collision.padding_m
+    tip_m, axis = np.array(steep.commands[-1].end_p_RoTo_R_m), np.array(STEEP.approach_R)
+    sideways = normalize(np.cross(axis, [0.0, 0.0, 1.0]))
+    clear = 0
+    for lean_rad in np.radians(np.arange(0.0, 60.0, 4.0)):
+        for across in (sideways, -sideways, np.cross(axis, sideways), -np.cross(axis, sideways)):
+            normal = -np.cos(lean_rad) * axis + np.sin(lean_rad) * across
+            surface = limit_surface(geometry, frames, Surface(tip_m, normal, geometry.surface_radius_m))
+            close = find_violation(geometry, frames, padding_m, "APXS", surface)
+            if close is None:
+                assert check_paths(CONFIG, joints, paths, padding_m, "APXS", surface) is None
+            clear += close is None
+    assert 20 < clear < 60
