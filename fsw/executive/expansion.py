@@ -144,14 +144,13 @@ def locate_surface(
     match command:
         case PlaceTool():
             p, approach = _locate_target(config, joints, tool, command)
-            normal = -approach if command.normal_R is None else normalize(command.normal_R)
         case GuardedMove():
             p, approach = np.array(command.end_p_RoTo_R_m), normalize(np.array(command.approach_R))
-            normal = -approach if command.normal_R is None else normalize(command.normal_R)
         case Unstow():
             return None
         case _:
             return known
+    normal = -approach if command.normal_R is None else normalize(command.normal_R)
     return Surface(p, normal, config.collision_geometry.surface_radius_m)
 
 
