@@ -43,8 +43,8 @@ def params_table(params: Params) -> dict[str, Any]:
     table = asdict(params)
     for place in NAMED:
         owner, key = _owner(table, place)
-        owner[key] = {str(record.pop("name")).lower(): record for record in owner[key]}
-    table["switches"] = {name: record["tool"].lower() for name, record in table["switches"].items()}
+        owner[key] = {record.pop("name"): record for record in owner[key]}
+    table["switches"] = {name: record["tool"] for name, record in table["switches"].items()}
     return table
 
 
@@ -121,11 +121,11 @@ def _owner(table: dict[str, Any], place: str) -> tuple[dict[str, Any], str]:
 
 def _named_record(place: str, name: str, value: Any) -> Any:
     if place == "switches":
-        return {"name": name.upper(), "tool": value.upper() if isinstance(value, str) else value}
+        return {"name": name, "tool": value}
     if not isinstance(value, dict):
         return value
     if place == "tools":
-        return {"title": name.replace("_", " "), **value, "name": name.upper()}
+        return {"title": name.replace("_", " "), **value, "name": name}
     return {**value, "name": name}
 
 

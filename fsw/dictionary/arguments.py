@@ -14,7 +14,7 @@ from typing import Any, Final, Literal, TypeVar, Union, get_args, get_origin, ge
 import numpy as np
 
 from fsw.dictionary.commands import Command
-from fsw.dictionary.types import DirectionMark, Limits, NameMark
+from fsw.dictionary.types import DirectionMark, Limits, NameMark, match_name
 
 COMMAND_TYPES: Final = frozenset(get_args(Command))
 MAX_TEXT_LENGTH: Final = 100
@@ -127,11 +127,8 @@ def _read_vector(hint: Any, marks: tuple[Any, ...], value: object) -> tuple[floa
 
 def _read_name(known: tuple[str, ...], value: object) -> str | Wrong:
     """Return the known name that a text stands for, in any case."""
-    if isinstance(value, str):
-        for name in known:
-            if name.lower() == value.lower():
-                return name
-    return Wrong(f"{_describe(value)} is not known; there are {', '.join(known)}")
+    name = match_name(value, known)
+    return Wrong(f"{_describe(value)} is not known; there are {', '.join(known)}") if name is None else name
 
 
 def _read_text(value: object) -> str | Wrong:

@@ -21,7 +21,7 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import NameMark
 from fsw.kinematics.branches import BRANCHES
 
-LINK_FRAMES = tuple(frame.name for frame in Frame if frame is not Frame.TOOL)
+LINK_FRAMES = tuple(frame.name.lower() for frame in Frame if frame is not Frame.TOOL)
 
 
 def known_names(params: Params) -> Names:

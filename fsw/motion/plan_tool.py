@@ -175,7 +175,7 @@ def _frame_pose(config: Config, frames: Frames, name: str) -> Pose:
     """Return the pose of an arm frame or a tool in RMECH by its name."""
     if name in config.arm.X_FT:
         return tool_pose(config.arm, frames, name)
-    k = Frame[name]
+    k = Frame[name.upper()]
     return Pose(frames.X_RF.R[:, :, k], frames.X_RF.p[:, k])
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Final, get_type_hints
 
+from fsw.dictionary.types import match_name
 from sim.effects.catalogue import (
     PlaceField,
     catalogue,
@@ -226,7 +227,7 @@ def _parse_place(known: Sequence[PlaceField], name: str, text: str) -> dict[str,
         sits = f"it sits at a {what}" if known else "it has no place"
         raise BadEffect(f"effect {name}: place {shorten(text)!r} has too many words; {sits}")
     for where, word in zip(known, words, strict=False):
-        if word not in where.members:
+        if match_name(word, where.members) is None:
             raise BadEffect(
                 f"effect {name}: place: {where.field} {shorten(word)!r} is not known; "
                 f"{did_you_mean(word, where.members)}"

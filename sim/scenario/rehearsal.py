@@ -152,7 +152,7 @@ def _end_on_surface(command: MotionCommand, surface: Surface | None) -> MotionCo
 def _nominal_point(point: TaughtPoint) -> TeachPoint:
     return TeachPoint(
         name=point.name,
-        tool=point.tool.lower(),
+        tool=point.tool,
         p_RoTo_R_m=vector3(p_R_from_N(np.array(point.p_N_m))),
         approach_R=vector3(normalize(np.array(point.approach_N))),
         branch=point.branch,

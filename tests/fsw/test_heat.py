@@ -9,7 +9,7 @@ from fsw.kinematics.chain import forward, tool_pose
 from tests.fsw.rig import Rig, config_of, facing, floats
 
 CONFIG = config_of()
-START = facing(CONFIG, "APXS")
+START = facing(CONFIG, "apxs")
 HEAT = CONFIG.params.heat
 
 
@@ -35,7 +35,7 @@ def test_a_colder_arm_is_shorter_by_its_expansion():
     rig = Rig(CONFIG, start_rad=START, warm_C=-55.0)
     arm = present(rig).arm
     frames, cold = forward(CONFIG.arm, START), forward(arm, START)
-    shift_m = np.linalg.norm(tool_pose(arm, cold, "APXS").p - tool_pose(CONFIG.arm, frames, "APXS").p)
+    shift_m = np.linalg.norm(tool_pose(arm, cold, "apxs").p - tool_pose(CONFIG.arm, frames, "apxs").p)
     assert 1e-3 < shift_m < 4e-3
     assert present(rig).protection.arm is arm
 

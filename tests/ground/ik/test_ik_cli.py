@@ -39,12 +39,12 @@ def misses(X_RT, position, approach) -> tuple[float, float]:
     return np.abs(X_RT.p - p_R_m[:, None]).max(), np.abs(X_RT.R[:, 0] - unit[:, None]).max()
 
 
-@pytest.mark.parametrize("tool", [tool.lower() for tool in TOOLS])
+@pytest.mark.parametrize("tool", TOOLS)
 def test_the_rigid_arm_points_every_tool_where_it_was_asked(tool):
     document = answer(tool=tool, compensate="off")
     assert document["valid"] > 0
     arm = build_arm(arm_named("nominal").params)
-    X_RT = tool_pose(arm, forward(arm, valid_poses(document)), tool.upper())
+    X_RT = tool_pose(arm, forward(arm, valid_poses(document)), tool)
     assert max(misses(X_RT, POSITION, APPROACH)) < 1e-9
 
 
@@ -60,7 +60,7 @@ def test_the_tilted_hanging_arm_meets_its_target_where_the_rigid_one_would_not(g
         motor_rad, gap = output_rad, np.zeros_like(output_rad)
         for _ in range(20):  # find the motor angle for which the wound-up gear gives this output
             motor_rad = motor_rad + output_rad - settle(arm, motor_rad, gap, world.gravity_N_m_s2).output_rad
-        return tool_pose(arm, settle(arm, motor_rad, gap, world.gravity_N_m_s2).frames, "DRILL")
+        return tool_pose(arm, settle(arm, motor_rad, gap, world.gravity_N_m_s2).frames, "drill")
 
     assert max(misses(deflected(compensated), POSITION, APPROACH)) < 1e-7
     assert misses(deflected(rigid), POSITION, APPROACH)[0] > 1e-3
@@ -69,7 +69,7 @@ def test_the_tilted_hanging_arm_meets_its_target_where_the_rigid_one_would_not(g
 def test_a_warm_arm_is_answered_as_the_warm_arm_that_it_is():
     document = answer(tool="mahli", compensate="off", warming_K=60.0)
     arm = heat_arm(build_arm(arm_named("nominal").params), 60.0)
-    X_RT = tool_pose(arm, forward(arm, valid_poses(document)), "MAHLI")
+    X_RT = tool_pose(arm, forward(arm, valid_poses(document)), "mahli")
     assert max(misses(X_RT, POSITION, APPROACH)) < 1e-9
 
 

@@ -224,9 +224,9 @@ BAD = {
     ),
     "a branch that does not exist": (
         'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
-        'approach = [0.0, 0.0, 1.0]\nbranch = "auto"\n\n[[command]]\ntype = "PLACE',
+        'approach = [0.0, 0.0, 1.0]\nbranch = "out"\n\n[[command]]\ntype = "PLACE',
         22,
-        "branch: 'auto' is not known; did you mean AUTO?",
+        "branch: 'out' is not known; did you mean auto?",
     ),
     "a place that is not taught": (
         'type = "MOVE_JOINT"\njoint = "elbow"\nangle_deg = 100',
