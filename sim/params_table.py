@@ -1,7 +1,6 @@
 """Tables of flight parameters, as they stand in a TOML file; all errors are in one message."""
 
 import json
-import tomllib
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import asdict, fields, is_dataclass
@@ -14,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
 from sim.old_names import find_new_name, renamed_text
-from sim.text_file import UnreadableText, read_text
+from sim.text_file import UnreadableText, load_toml, read_text
 
 WANTED: Final = {
     "missing": "is missing",
@@ -65,10 +64,10 @@ def read_params_toml(path: Path) -> dict[str, Any]:
         BadParams: the file cannot be read.
     """
     try:
-        return tomllib.loads(read_text(path))
+        return load_toml(read_text(path))
     except UnreadableText as error:
         raise BadParams(f"{path}: {error}") from error
-    except (ValueError, RecursionError) as error:  # cut off, or an endless number or list
+    except ValueError as error:
         raise BadParams(f"{path}: is not TOML: {error}") from error
 
 

@@ -3,7 +3,6 @@
 import hashlib
 import re
 import sys
-import tomllib
 import traceback
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
@@ -25,6 +24,7 @@ from sim.effects.catalogue import (
 from sim.effects.effect import Effect
 from sim.scenario.names import did_you_mean, field_keys, list_choices, shorten
 from sim.scenario.toml_record import Findings, read_record
+from sim.text_file import load_toml
 
 FILE_PATTERN: Final = re.compile(r"(?P<file>.+?\.py):(?P<rest>.*)", re.DOTALL)
 COMMA_PATTERN: Final = re.compile(r",(?![^\[]*\])")
@@ -252,8 +252,8 @@ def _parse_parameters(name: str, text: str) -> dict[str, Any]:
 
 def _parse_value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except (ValueError, RecursionError):  # no TOML, or nested too deeply
+        return load_toml(f"value = {text}")["value"]
+    except ValueError:
         return text
 
 
