@@ -54,7 +54,9 @@ def read_arguments(command: C, names: Names) -> C | Wrong:
         return Wrong(f"is no command; there are {', '.join(sorted(one.__name__ for one in COMMAND_TYPES))}")
     values: dict[str, Any] = {}
     for field, hint in _hints(kind).items():
-        value = _read_value(hint, getattr(command, field, None), names)
+        if not hasattr(command, field):
+            return Wrong(f"{field}: is missing")
+        value = _read_value(hint, getattr(command, field), names)
         if isinstance(value, Wrong):
             return Wrong(f"{field}: {value.text}")
         values[field] = value
@@ -134,18 +136,24 @@ def _read_name(known: tuple[str, ...], value: object) -> str | Wrong:
 def _read_text(value: object) -> str | Wrong:
     if not isinstance(value, str) or not value.isprintable():
         return Wrong(f"{_describe(value)} is not printable text")
+    if not value:
+        return Wrong("is empty; a name is right")
     if len(value) > MAX_TEXT_LENGTH:
         return Wrong(f"{_describe(value)} has {len(value)} characters; at most {MAX_TEXT_LENGTH} are allowed")
     return str(value)
 
 
 def _read_member(kind: type[IntEnum], value: object) -> IntEnum | Wrong:
-    """Return the member with this number."""
+    """Return the member with this number or, in any case, this name."""
+    names = [one.name.lower() for one in kind]
+    name = match_name(value, names)
+    if name is not None:
+        return kind[name.upper()]
     if _is_number(value) and isinstance(value, int | np.integer):
         for member in kind:
             if member == value:
                 return member
-    return Wrong(f"{_describe(value)} is not known; there are {', '.join(one.name.lower() for one in kind)}")
+    return Wrong(f"{_describe(value)} is not known; there are {', '.join(names)}")
 
 
 def _describe(value: object) -> str:

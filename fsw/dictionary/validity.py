@@ -111,9 +111,7 @@ def _check_names(params: Params) -> Iterator[str]:
     uses = [(f"switches.{switch.name}", switch.tool) for switch in params.switches]
     uses += [(f"teach.{point.name}.tool", point.tool) for point in params.teach]
     yield from (
-        f"{place}: tool {tool!r} is not known; there are {known}"
-        for place, tool in uses
-        if tool not in names
+        f"{place}: tool {tool!r} is not known; there are {known}" for place, tool in uses if tool not in names
     )
 
 

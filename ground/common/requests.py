@@ -3,12 +3,12 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Literal, cast
+from typing import Final, Literal, cast, get_args
 
 import numpy as np
 
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Vector3, match_name
+from fsw.dictionary.types import Position, Vector3, match_name
 from ground.common.errors import BadRequest
 from sim.arm_model.load import ArmModel
 from sim.arm_model.mismatch import find_mismatches
@@ -20,8 +20,8 @@ from sim.scenario.effect_file import read_effect_file
 from sim.scenario.effects import BadEffect, parse_effect_text
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
 
-MAX_TARGET_DISTANCE_M: Final = 100.0
-"""Largest distance of a target: farther ones are typing errors, and their squares may overflow."""
+MAX_TARGET_DISTANCE_M: Final[float] = get_args(Position)[1].high
+"""Largest distance of a target, that of a command; the squares of farther ones may overflow."""
 NOMINAL_ARM: Final = "nominal"
 """Arm name of the nominal parameters, with which any arm may be flown."""
 MIN_COMPONENT: Final = 1e-6

@@ -19,7 +19,7 @@ from sim.effects.faults import InjectedFault, RockGone, SensorFault
 from sim.frames import p_R_from_N
 from sim.scenario.data import Check, Injection, Placed, Preloaded, SameSpot, TaughtPoint
 from sim.scenario.effects import BadEffect, find_effect_class
-from sim.scenario.names import did_you_mean, is_position, upper_snake
+from sim.scenario.names import did_you_mean, field_keys, is_position, upper_snake
 from sim.scenario.toml_lines import TomlPath
 from sim.scenario.toml_record import TYPE_KEY, Findings, read_kind, read_record
 
@@ -104,21 +104,24 @@ def read_command(
     rest = {key: value for key, value in table.items() if key != TYPE_KEY}
     frame = rest.pop("frame", RNAV) if positions else None
     command = read_record(kind, rest, place, findings, {"branch": (AUTO, *BRANCHES), "point": tuple(points)})
-    name = match_name(frame, frames)
-    if frame is not None and name is None:
+    where = match_name(frame, frames)
+    if frame is not None and where is None:
         findings.report((*place, "frame"), f"frame: {frame!r} is not known; {did_you_mean(frame, frames)}")
         return None
     if command is None:
         return None
     changed: dict[str, Any] = {}
-    if name == RNAV:
+    if where == RNAV:
         changed = {one: vector3(p_R_from_N(np.array(getattr(command, one)))) for one in positions}
     if "frame" in own:
-        changed["frame"] = ROVER if name in ROVER_FRAMES else name
+        changed["frame"] = ROVER if where in ROVER_FRAMES else where
     command = replace(command, **changed)
     read = read_arguments(command, known)
     if isinstance(read, Wrong):
-        findings.report(place, f"{table[TYPE_KEY]}: {read.text}")
+        field, _, wrong = read.text.partition(": ")
+        key = next(key for key in field_keys(field, tuple).factors if key in table)
+        note = "in RMECH, " if field in positions else ""
+        findings.report((*place, key), f"{key}: {note}{wrong}")
         return None
     command, problem = read, check_arguments(params, read)
     if isinstance(command, Dock) and not params.tool_switches[points[command.point]]:

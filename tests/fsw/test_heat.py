@@ -67,6 +67,15 @@ def test_a_reading_that_is_no_number_leaves_the_last_temperature():
     assert rig.state.structure_C == before_C
 
 
+def test_the_first_temperature_is_the_mean_of_usable_readings_alone():
+    rig, period = Rig(CONFIG, start_rad=START, calibrated=False), CONFIG.params.motion.load_period_cycles
+    for _ in range(100 * period):
+        rig.cycle(structure_C=float("nan"))
+    for warm_C in (20.0, 23.0, 26.0):
+        reads(rig, warm_C, period)
+    assert rig.state.structure_C == pytest.approx(23.0, abs=1e-3)
+
+
 def test_a_frozen_reading_is_a_fault():
     rig = Rig(CONFIG, start_rad=START)
     for _ in range(CONFIG.params.monitors.frozen_persistence + 1):

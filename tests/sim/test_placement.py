@@ -17,7 +17,7 @@ from sim.preview import Preview, preview_placement
 from sim.sequence import Outcome
 from sim.world import Surface, World
 from tests.sim import lab
-from tests.tools import TOOL_SWITCHES
+from tests.tools import TOOL_SWITCHES, TOOLS
 
 NOMINAL = arm_named("nominal")
 OPEN: tuple[Vector3, Vector3] = ((2.1, 0.2, -0.3), (-0.3, 0.0, -1.0))
@@ -43,6 +43,13 @@ def test_an_open_target_has_a_direct_way() -> None:
     assert found.problem is None
     assert len(found.plans) == 2
     assert 10.0 < found.duration_s < 300.0
+
+
+def test_a_preview_takes_a_tool_in_any_case_and_tells_what_no_command_may_hold() -> None:
+    assert preview(OPEN, tool="APXS").branch == preview(OPEN).branch
+    assert preview(OPEN, tool="spoon").problem == "tool: 'spoon' is not known; there are " + ", ".join(TOOLS)
+    problem = preview(((100.0, 0.0, 0.0), (0.0, 0.0, -1.0))).problem
+    assert problem == "p_RoTo_R_m: number 1: 99.90998 is outside -20 .. 20"
 
 
 def test_a_target_behind_an_edge_has_a_way_from_farther_away() -> None:

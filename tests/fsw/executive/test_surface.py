@@ -61,7 +61,7 @@ def test_the_branch_into_the_rock_is_refused_with_the_part_and_its_depth():
     refusal = plan(replace(STEEP, branch=INTO_THE_ROCK))
     assert isinstance(refusal, Refusal)
     assert refusal.reason == (
-        f"MoveTool: apxs: {INTO_THE_ROCK}: the turret would be 115 mm below the surface; 13 % of the way are "
+        f"apxs: {INTO_THE_ROCK}: the turret would be 115 mm below the surface; 13 % of the way are "
         f"clear; on branch {INTO_THE_ROCK}, no way from up to 0.5 m above the surface is clear"
     )
 
@@ -74,7 +74,7 @@ def test_a_surface_that_leans_into_the_turret_is_refused():
 
 def test_a_normal_along_the_approach_is_refused():
     problem = check_arguments(PARAMS, replace(STEEP, normal_R=STEEP.approach_R))
-    assert problem == "normal_R points along the approach, not out of the surface"
+    assert problem == "the normal points along the approach, not out of the surface"
 
 
 def test_a_stow_near_the_rock_begins_with_a_retraction(steep):
