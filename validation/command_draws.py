@@ -40,7 +40,7 @@ BAD_NUMBERS: Final = (
     np.float32(3e38), np.float16(6e4), np.int64(-(2**63)), np.uint64(2**64 - 1), np.longdouble("1e4000"),
     np.bool_(True), np.float64(0.1),
 )  # fmt: skip
-BAD_TEXTS: Final = ("", "drill", "drill", "Elbow", "\ud800", "a\nb", "\0", "x" * 101, "é" * 50, "{e}", "%s")
+BAD_TEXTS: Final = ("", "drill", "DRILL", "Elbow", "\ud800", "a\nb", "\0", "x" * 101, "é" * 50, "{e}", "%s")
 BAD_OTHERS: Final[tuple[Any, ...]] = (
     None, b"drill", 1j, Decimal("1e999"), object(), dict, len, {"a": 1}, {1.0}, range(3), (), [],
     ((1.0,),) * 3, (1.0, 2.0), [1.0, 2.0, 3.0], (1.0,) * 6, (1e306,) * 5, ("1", "2", "3"),
