@@ -42,7 +42,7 @@ approach = [0.0, 0.0, 1.0]
 [[check]]
 type = "done"
 """
-REFUSED = SHORT.replace("[[command]]", '[[command]]\ntype = "CALIBRATE"\njoint = "elbow"\n\n[[command]]')
+REFUSED = SHORT + '\n[[command]]\ntype = "CALIBRATE"\njoint = "elbow"\n'
 TILTED = SHORT.replace(
     "[[command]]", '[[command]]\ntype = "SET_TILT"\nroll_deg = 10\npitch_deg = 0\n\n[[command]]'
 )
@@ -153,7 +153,7 @@ def test_a_run_that_passes_says_what_was_measured_and_keeps_what_was_asked_for(f
 @pytest.mark.parametrize(
     ("name", "outcome", "said"),
     [
-        ("refused", "refused", "ended in command 1, CALIBRATE"),
+        ("refused", "refused", "ended in command 2, CALIBRATE"),
         ("cut", "faulted", "response BRAKE_AND_REFUSE"),
         ("missed", "done", "NOT passed"),
     ],
