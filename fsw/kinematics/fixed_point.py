@@ -1,8 +1,8 @@
 """Fixed-point iteration to the roots of the deflected arm that are far from every singularity.
 
-Each iteration solves the orthogonal rigid arm for a virtual target. The virtual target is the true target,
-corrected by the error of the real arm. The load changes little between iterations, so few suffice. An
-iteration costs one closed form and one evaluation of the real arm.
+The first iteration solves the orthogonal rigid arm for a virtual target: the true target, corrected by the
+error of the real arm. The others are Newton steps with the springs held. The load changes little between
+iterations, so few suffice; each costs one evaluation of the real arm.
 """
 
 from dataclasses import dataclass
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.closed_form import closed_form_branch
+from fsw.kinematics.newton import damped_solution
 from fsw.kinematics.soft_limits import limit_excess, wrap_into_limits
-from fsw.kinematics.task import evaluate_pose
+from fsw.kinematics.task import approach_jacobian, evaluate_pose
 from fsw.kinematics.transforms import Array, Flags, norm
 
 DEFLECTED_TOLERANCE: Final = 2e-8
@@ -27,7 +28,7 @@ CLEAR_OF_FOLD: Final = 0.3
 
 There the joint angles change by more than the tool does.
 """
-MAX_ITERATIONS: Final = 12
+MAX_ITERATIONS: Final = 20
 LIMIT_MARGIN_RAD: Final = 0.03
 """Excess over the limits up to which a root is followed after the first iteration."""
 NEAR_FOLD: Final = 0.2
@@ -115,33 +116,33 @@ def _solve_block(
 
     `take` and `compress` leave the roots next to each other in memory, which an index does not.
     """
-    q, virtual = roots.output_rad.take(where, axis=-1), np.concatenate([p, a])
-    strain = None
+    q, strain = roots.output_rad.take(where, axis=-1), None
     for iteration in range(MAX_ITERATIONS):
         evaluation = evaluate_pose(arm, tool, q, strain, gravity)
-        difference = np.concatenate([evaluation.X_RT.p - p, evaluation.X_RT.R[:, 0] - a])
-        error = np.maximum(np.max(np.abs(difference), axis=0), evaluation.strain_change)
+        X_RT, strain = evaluation.X_RT, evaluation.strain
+        miss = np.concatenate([X_RT.p - p, X_RT.R[:, 0] - a])
+        error = np.maximum(np.max(np.abs(miss), axis=0), evaluation.strain_change)
         roots.torque_Nm[:, where], roots.error[where] = evaluation.torque_Nm, error
         active = error >= tolerance
         if not active.any():
             return
-        strain = evaluation.strain
+        if iteration == 0:
+            virtual_p, virtual_a = p - miss[:3], a - miss[3:]
+            q, _ = closed_form_branch(arm.orthogonal[tool], virtual_p, virtual_a / norm(virtual_a), q)
+        else:
+            q = q - damped_solution(approach_jacobian(evaluation.frames, X_RT), miss)
         if not active.all():
-            where, tolerance = where[active], tolerance[active]
-            p, a, virtual, difference, q, strain = (
-                v.compress(active, axis=-1) for v in (p, a, virtual, difference, q, strain)
-            )
-        virtual = virtual - difference
-        q, _ = closed_form_branch(arm.orthogonal[tool], virtual[:3], virtual[3:] / norm(virtual[3:]), q)
+            where, tolerance, error = where[active], tolerance[active], error[active]
+            p, a, q, strain = (v.compress(active, axis=-1) for v in (p, a, q, strain))
         roots.output_rad[:, where] = q
         if iteration == 0:
-            roots.first_error[where] = error[active]
+            roots.first_error[where] = error
             follow = _may_enter_limits(arm, tool, q)
             roots.followed[where] = follow
             if not follow.any():
                 return
             where, tolerance = where[follow], tolerance[follow]
-            p, a, virtual, q, strain = (v.compress(follow, axis=-1) for v in (p, a, virtual, q, strain))
+            p, a, q, strain = (v.compress(follow, axis=-1) for v in (p, a, q, strain))
 
 
 def _may_enter_limits(arm: Arm, tool: str, q: Array) -> Flags:

@@ -239,3 +239,18 @@ def damped_inverse(J: Array) -> Array:
         inverse[k], inverse[:, k], inverse[k, k] = row, -column * pivot, pivot
     product: Array = np.einsum("ik...,jk...->ij...", inverse, J)
     return product
+
+
+def damped_solution(J: Array, residual: Array) -> Array:
+    """Solve linear least squares with damping, so that a singular matrix gives a finite solution.
+
+    Args:
+        J: Matrices of any unit, shape (m, k, n).
+        residual: Right sides of any unit, shape (m, n).
+
+    Returns:
+        The solutions, shape (k, n).
+    """
+    normal = np.einsum("ki...,kj...->...ij", J, J) + DAMPING * np.eye(J.shape[1])
+    solution: Array = np.linalg.solve(normal, np.einsum("ki...,k...->...i", J, residual)[..., None])
+    return solution[..., 0].T

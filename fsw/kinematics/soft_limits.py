@@ -24,10 +24,13 @@ def wrap_into_limits(arm: Arm, q: Array, near_rad: Array | None = None) -> Array
     """
     low, high = _limits(arm, q)
     middle = 0.5 * (low + high)
-    near = middle if near_rad is None else np.clip(near_rad.reshape(low.shape), low, high)
+    central = middle + wrap_angle(q - middle)
+    if near_rad is None:
+        return central
+    near = np.clip(near_rad.reshape(low.shape), low, high)
     best = near + wrap_angle(q - near)
     inside = (best >= low) & (best <= high)
-    return np.where(inside, best, middle + wrap_angle(q - middle))
+    return np.where(inside, best, central)
 
 
 def limit_excess(arm: Arm, q: Array) -> Array:

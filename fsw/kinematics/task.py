@@ -101,3 +101,17 @@ def task_jacobian(frames: Frames, X_RT: Pose, approach_R: Array) -> Array:
     # (w x y) . a = w . (y x a)
     turning = [dot(cross(X_RT.R[:, k], a)[:, None], J[:3]) for k in (1, 2)]
     return np.concatenate([J[3:], np.stack(turning)])
+
+
+def approach_jacobian(frames: Frames, X_RT: Pose) -> Array:
+    """Compute the derivative of position and approach of a tool by the joint angles, with the springs held.
+
+    Args:
+        frames: Frames of the arm.
+        X_RT: Poses of the tool, batch (...).
+
+    Returns:
+        The derivative, m/rad and then 1/rad, shape (6, 5, ...).
+    """
+    J = joint_jacobian(frames, X_RT.p)
+    return np.concatenate([J[3:], cross(J[:3], X_RT.R[:, :1])])
