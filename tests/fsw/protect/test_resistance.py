@@ -56,6 +56,7 @@ class Turning:
         arm = moving(
             move or a_move(setpoint_rad=self.angle, setpoint_rate_rad_s=self.rate),
             motor_rad=self.angle,
+            motor_rate_rad_s=self.rate,
             resolver_error_rad=self.resolver,
             **(self.changes | changes),
         )
@@ -84,11 +85,7 @@ def known(**kwargs):
 
 def least_torque_Nm(joint):
     """Torque of one joint that passes the bound for long, with the most readings in its mean."""
-    sigma_A = BOUNDS.current_sigma_A[-1]
-    rate_step = 0.02 if joint < Joint.WRIST else 0.04
-    assert JOINTS[joint].jerk_rad_s3 == rate_step
-    slack_Nm = JOINTS[joint].damping_Nms_rad * JOINTS[joint].jerk_rad_s3 * (UPDATE_CYCLES * CYCLE_S) ** 2
-    return np.sqrt(CONTACT) * sigma_A * CONSTANT[joint] + slack_Nm
+    return np.sqrt(CONTACT) * BOUNDS.current_sigma_A[-1] * CONSTANT[joint]
 
 
 @joints
@@ -170,6 +167,17 @@ def test_a_reading_that_jumps_is_a_sensor():
     noisy = known()
     for sign in (-1, 1) * 200:
         assert not noisy.cycle(torque_Nm=at(Joint.ELBOW, 300.0 * sign))
+
+
+@pytest.mark.parametrize("jumps", [False, True])
+def test_a_reading_that_jumps_hides_only_its_own_joint(jumps):
+    turning, torque = known(), at(Joint.ELEVATION, -2.0 * least_torque_Nm(Joint.ELEVATION))
+    found = [
+        turning.cycle(torque_Nm=torque + at(Joint.WRIST, 1000.0 if jumps and cycle == 2 else 0.0))
+        for cycle in range(3)
+    ]
+    assert [len(events) for events in found] == [0, 0, 1]
+    assert found[2][0].joint is Joint.ELEVATION
 
 
 def test_a_frozen_resolver_shows_nothing():
