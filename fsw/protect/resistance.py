@@ -89,10 +89,8 @@ class FreeMove(NamedTuple):
 
     cycles: int
     """Cycles since the last update of the slow means."""
-    read_A: tuple[float, ...]
-    """Current readings of the cycle before."""
-    gear_rad: tuple[float, ...]
-    """Resolver less motor angles of the cycle before."""
+    read: tuple[float, ...]
+    """Readings of the cycle before: currents, then resolver less motor angles, (10,)."""
     fast_A: tuple[float, ...]
     """Fast means of the currents."""
     expected_A: tuple[float, ...]
@@ -130,22 +128,21 @@ def monitor_free_move(
         return None, ()
     if move.homing is not None:
         return None, ()
-    read_A = readings[5:10]
-    gear_rad = tuple(map(sub, readings[:5], arm.motor_rad.tolist()))
+    read = (*readings[5:10], *map(sub, readings[:5], arm.motor_rad.tolist()))
     if last is None:
-        return FreeMove(0, read_A, gear_rad, read_A, read_A, NOTHING, NO_MEANS), ()
-    jumps = (*map(sub, read_A, last.read_A), *map(sub, gear_rad, last.gear_rad))
-    if any(map(gt, map(abs, jumps), bounds.reading_step)):
-        last = _forget_jumps(bounds, jumps, last, read_A)
-    cycles, _, _, fast_A, expected_A, per_A, means = last
+        return FreeMove(0, read, read[:5], read[:5], NOTHING, NO_MEANS), ()
+    if any(map(gt, map(abs, map(sub, read, last.read)), bounds.reading_step)):
+        last = _forget_jumps(bounds, last, read)
+    cycles, _, fast_A, expected_A, per_A, means = last
     means_A, total = [], 0.0
-    for reading, mean, expected, per in zip(read_A, fast_A, expected_A, per_A, strict=True):
+    # the readings of the resolvers follow those of the currents, and are left out
+    for reading, mean, expected, per in zip(read, fast_A, expected_A, per_A, strict=False):
         mean += CURRENT_GAIN * (reading - mean)
         means_A.append(mean)
         excess = (mean - expected) * per
         if excess > 0.0:
             total += excess * excess
-    now = FreeMove(cycles + 1, read_A, gear_rad, tuple(means_A), expected_A, per_A, means)
+    now = FreeMove(cycles + 1, read, tuple(means_A), expected_A, per_A, means)
     if total > CONTACT:
         contact = check_currents(bounds, now, arm, move)
         if contact:
@@ -156,18 +153,16 @@ def monitor_free_move(
     updated = update_means(bounds, now, arm, load_A, unchanged)
     contact = check_wind_up(bounds, now.means, updated, arm, move)
     expected_A, per_A = expect_currents(bounds, updated, load_A)
-    return FreeMove(0, read_A, gear_rad, now.fast_A, expected_A, per_A, updated), contact
+    return FreeMove(0, read, now.fast_A, expected_A, per_A, updated), contact
 
 
-def _forget_jumps(
-    bounds: ProtectionBounds, jumps: tuple[float, ...], last: FreeMove, read_A: tuple[float, ...]
-) -> FreeMove:
+def _forget_jumps(bounds: ProtectionBounds, last: FreeMove, read: tuple[float, ...]) -> FreeMove:
     """Begin the means of readings that jumped anew; until they are known these joints show nothing."""
-    jumped = list(map(gt, map(abs, jumps), bounds.reading_step))
+    jumped = list(map(gt, map(abs, map(sub, read, last.read)), bounds.reading_step))
     current, gear = jumped[:5], jumped[5:]
     means = [one._replace(updates=0) if jump else one for jump, one in zip(current, last.means, strict=True)]
     return last._replace(
-        fast_A=tuple([a if jump else b for jump, a, b in zip(current, read_A, last.fast_A, strict=True)]),
+        fast_A=tuple([a if jump else b for jump, a, b in zip(current, read[:5], last.fast_A, strict=True)]),
         per_A=tuple([0.0 if jump else per for jump, per in zip(current, last.per_A, strict=True)]),
         means=tuple(
             [one._replace(wind_up_updates=0) if jump else one for jump, one in zip(gear, means, strict=True)]
