@@ -145,7 +145,7 @@ class Preloaded(Evr):
 
 @dataclass(frozen=True, slots=True)
 class PreloadMissed(Evr):
-    """A press ends more than 10 % from the commanded force, or with a force not known to 10 %, for a reason."""
+    """A press ends with a force more than 10 % off, or not known to 10 %, for a reason."""
 
     severity = Severity.WARNING_LO
     text = "{e.tool} is pressed with about {e.force_N:.1f} N of {e.commanded_N:.1f} N: {e.reason}"

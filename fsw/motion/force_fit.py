@@ -26,7 +26,7 @@ from fsw.motion.preload import PRIOR_RATIO_STD, PreloadChange, PreloadState, pla
 MIN_CORRECTION_N: Final = 3.0
 """Least correction of a preload that is worth a further path."""
 MAX_ERROR_SHARE: Final = 0.1
-"""Error of a preload, or its standard deviation, as a share of the commanded force: beyond it a press missed."""
+"""Error of a preload or its standard deviation, as a share of the command, beyond which its end is a miss."""
 MAX_CORRECTIONS: Final = 3
 """Legs of a press after its first one."""
 MIN_RATE_SHARE: Final = 0.75

@@ -62,6 +62,11 @@ class ProtectionBounds:
     """Errors of the modelled loads over the torque constants, (5,)."""
     damping_As_rad: tuple[float, ...]
     """Most viscous friction in the cold over the torque constants, (5,)."""
+    steady_A: tuple[float, ...]
+    """Change of the current at a steady speed that is no contact, (5,).
+
+    It is what the jerk of a move adds to viscous friction between two updates; vibration draws as much.
+    """
     updates_Hz: float
     """Updates of the slow means a second."""
     turning_rad_s: tuple[float, ...]
@@ -118,6 +123,10 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         stiffness_A_rad=tuple((arm.gear_stiffness_Nm_rad / constant).tolist()),
         load_error_A=tuple((load_error / constant).tolist()),
         damping_As_rad=tuple(FRICTION_FACTOR * j.damping_Nms_rad / j.torque_constant_Nm_A for j in joints),
+        steady_A=tuple(
+            j.damping_Nms_rad * j.jerk_rad_s3 * (UPDATE_CYCLES * cycle_s) ** 2 / j.torque_constant_Nm_A
+            for j in joints
+        ),
         updates_Hz=1.0 / (UPDATE_CYCLES * cycle_s),
         turning_rad_s=tuple(2 * pi / (j.encoder_counts_per_turn * j.gear_ratio * cycle_s) for j in joints),
         reading_step=(

@@ -15,8 +15,9 @@ Noise alone gives S at most the chi-square distribution of five degrees of freed
 slow mean of n readings has the variance s^2 (g / (2 - g) + 1 / n).
 
 The slack is what is not noise. For a current it is the viscous friction in the cold times what the motor is
-faster than in its mean, and the error of the modelled load while the side of the backlash is uncertain. It is
-computed only where S passes the bound without it. For a wind-up it is the uncertainty of the gear angle.
+faster than in its mean, a share for vibration, and the error of the modelled load while the side of the
+backlash is uncertain. It is computed only where S passes the bound without it. For a wind-up it is the
+uncertainty of the gear angle.
 
 A joint shows nothing, and its slow means begin anew, in these cases:
 
@@ -192,18 +193,19 @@ def compute_slack(
 ) -> list[float]:
     """Compute the currents that friction at a higher speed and errors of the load explain, (5,)."""
     slack_A = []
-    for one, rate, motor_rate, count, damping, error_A in zip(
+    for one, rate, motor_rate, count, damping, steady_A, error_A in zip(
         means,
         move.setpoint_rate_rad_s.tolist(),
         arm.motor_rate_rad_s.tolist(),
         bounds.turning_rad_s,
         bounds.damping_As_rad,
+        bounds.steady_A,
         bounds.load_error_A,
         strict=True,
     ):
         # a motor that swings about its set-point draws what the swing takes; one count of it is rounding
         faster = max(abs(rate) - abs(one.rate_rad_s), 0.0) + max(abs(motor_rate - rate) - count, 0.0)
-        slack_A.append(damping * faster + (0.0 if one.last_side else error_A))
+        slack_A.append(damping * faster + steady_A + (0.0 if one.last_side else error_A))
     return slack_A
 
 

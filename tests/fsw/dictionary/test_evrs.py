@@ -107,6 +107,11 @@ def test_every_event_reads_as_a_sentence(evr, sentence):
     assert evr.message == sentence
 
 
+def test_a_contact_without_a_lever_tells_its_torque_only():
+    contact = faults.UnexpectedContact(Joint.ELBOW, 63.4, 0.0)
+    assert contact.message == "unexpected contact: ELBOW resists with 63 N m"
+
+
 def test_no_event_is_without_its_sentence():
     assert {type(evr) for evr in SENTENCES} == set(EVRS)
 

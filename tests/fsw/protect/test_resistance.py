@@ -85,7 +85,10 @@ def known(**kwargs):
 
 def least_torque_Nm(joint):
     """Torque of one joint that passes the bound for long, with the most readings in its mean."""
-    return np.sqrt(CONTACT) * BOUNDS.current_sigma_A[-1] * CONSTANT[joint]
+    rate_step = 0.02 if joint < Joint.WRIST else 0.04
+    assert JOINTS[joint].jerk_rad_s3 == rate_step
+    slack_Nm = JOINTS[joint].damping_Nms_rad * JOINTS[joint].jerk_rad_s3 * (UPDATE_CYCLES * CYCLE_S) ** 2
+    return np.sqrt(CONTACT) * BOUNDS.current_sigma_A[-1] * CONSTANT[joint] + slack_Nm
 
 
 @joints
@@ -190,6 +193,13 @@ def test_a_torque_that_rises_as_slowly_as_a_load_is_none():
     turning = known()
     for cycle in range(64):
         assert not turning.cycle(torque_Nm=at(Joint.ELEVATION, -2.6 * cycle * CYCLE_S))
+
+
+def test_vibration_of_the_arm_is_none():
+    turning = known()
+    swing_Nm = at(Joint.ELEVATION, 11.0) + at(Joint.ELBOW, 7.0)
+    for cycle in range(200):
+        assert not turning.cycle(torque_Nm=swing_Nm * np.sin(2 * np.pi * 2.0 * cycle * CYCLE_S))
 
 
 def test_friction_that_grows_with_speed_is_none():
