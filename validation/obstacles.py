@@ -53,7 +53,7 @@ REST_S: Final = 1.0
 """Time after the command in which the force is still measured."""
 KINDS: Final = tuple(kind for joint in Joint for kind in (joint.name, "line"))
 """Turn of each joint, and a straight move after it: the first four moves have two of them."""
-TOOL: Final = "DRILL"
+TOOL: Final = "drill"
 """Tool of the straight moves."""
 
 
