@@ -51,7 +51,8 @@ READY_SIGMA_RAD: Final = 0.25
 """Spread of the start around the ready pose."""
 REST_S: Final = 1.0
 """Time after the command in which the force is still measured."""
-KINDS: Final = (*(joint.name for joint in Joint), *["line"] * 5)
+KINDS: Final = tuple(kind for joint in Joint for kind in (joint.name, "line"))
+"""Turn of each joint, and a straight move after it: the first four moves have two of them."""
 TOOL: Final = "drill"
 """Tool of the straight moves."""
 

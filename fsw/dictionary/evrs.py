@@ -145,10 +145,10 @@ class Preloaded(Evr):
 
 @dataclass(frozen=True, slots=True)
 class PreloadMissed(Evr):
-    """A press ends with an estimated force more than 10 % from the commanded one, for a reason."""
+    """A press ends with a force more than 10 % off, or not known to 10 %, for a reason."""
 
     severity = Severity.WARNING_LO
-    text = "{e.tool} is pressed with {e.force_N:.1f} N, not {e.commanded_N:.1f} N: {e.reason}"
+    text = "{e.tool} is pressed with about {e.force_N:.1f} N of {e.commanded_N:.1f} N: {e.reason}"
     tool: ToolName
     force_N: float
     commanded_N: float

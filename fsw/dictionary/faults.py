@@ -187,6 +187,12 @@ class UnexpectedContact(Fault):
     force_N: float
     """Force against the motion of the tool that explains the torques of all joints; 0 without a lever."""
 
+    @property
+    def message(self) -> str:
+        """Text with its fields filled in; without a lever it tells the torque only."""
+        text = self.text if self.force_N else self.text.partition(",")[0]
+        return text.format(e=self)
+
 
 @dataclass(frozen=True, slots=True)
 class NoContact(Fault):

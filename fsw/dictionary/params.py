@@ -234,11 +234,11 @@ class MotionParams:
     tool_speed_m_s: Annotated[float, Limits(1e-3, 1.0)]
     """Largest speed of the farthest tool in a joint move; it limits the impact on an unforeseen obstacle."""
     guarded_speed_m_s: Annotated[float, Limits(1e-4, 0.02)]
-    """Speed of the tool in a guarded move."""
+    """Speed of the tool in straight moves that meet something, or may: guarded and free ones."""
     switch_force_N: Annotated[float, Limits(0.1, 50.0)]
     """Force at which a contact switch closes."""
     retract_speed_m_s: Annotated[float, Limits(1e-4, 0.05)]
-    """Speed of the tool in straight moves that do not seek contact."""
+    """Speed of the tool in retractions."""
     line_acceleration_m_s2: Annotated[float, Limits(1e-4, 0.1)]
     """Acceleration of the tool in straight moves."""
     line_jerk_m_s3: Annotated[float, Limits(1e-4, 1.0)]

@@ -346,7 +346,7 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         _new_move(config, context, command, TRANSITIONS[Mode.PRELOAD, done]),
         paths=plan.paths,
         preload_change=change,
-        force_fit=ForceFit(preload) if change.change_N > 0 else None,
+        force_fit=ForceFit(preload),
         current_limit_A=preload_limit_A(config, state.joints, change),
     )
     state = replace(

@@ -26,7 +26,7 @@ from fsw.motion.preload import PRIOR_RATIO_STD, PreloadChange, PreloadState, pla
 MIN_CORRECTION_N: Final = 3.0
 """Least correction of a preload that is worth a further path."""
 MAX_ERROR_SHARE: Final = 0.1
-"""Error of a preload, as a share of the commanded force, beyond which its end is reported as a miss."""
+"""Error of a preload or its standard deviation, as a share of the command, beyond which its end is a miss."""
 MAX_CORRECTIONS: Final = 3
 """Legs of a press after its first one."""
 MIN_RATE_SHARE: Final = 0.75
@@ -73,6 +73,12 @@ class LoadMean:
         terms = np.stack((np.full_like(push_Nm, model_N), push_Nm, direction)) * counts
         return LoadMean(self.begin_N, self.n + counts, self.sums + terms)
 
+    def complete(self, later: "LoadMean") -> "LoadMean":
+        """Return the means with those of a later knot for joints that did not count before it."""
+        absent = self.n <= MIN_CYCLES
+        n, sums = np.where(absent, later.n, self.n), np.where(absent, later.sums, self.sums)
+        return LoadMean(self.begin_N, n, sums)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceFit:
@@ -83,7 +89,7 @@ class ForceFit:
     legs_left: int = MAX_CORRECTIONS
     """Number of corrections that may follow."""
     knots: tuple[LoadMean, ...] = ()
-    """First knot, last complete knot and present knot of the press."""
+    """First knot in which each joint counts, last complete knot and present knot of the press."""
 
     def add_cycle(
         self, model_N: float, step_N: float, push_Nm: Array, direction: Array, counts: Flags
@@ -102,7 +108,8 @@ class ForceFit:
         """
         knots = self.knots
         if not knots or model_N >= knots[-1].begin_N + step_N:
-            knots = (*knots[:1], *knots[1:][-1:], LoadMean(model_N))
+            first = tuple(knot.complete(knots[-1]) for knot in knots[:1])
+            knots = (*first, *knots[1:][-1:], LoadMean(model_N))
         return replace(self, knots=(*knots[:-1], knots[-1].add_cycle(model_N, push_Nm, direction, counts)))
 
     def next_leg(self) -> "ForceFit":
@@ -250,8 +257,21 @@ def plan_correction(
 
 
 def report_miss(target_N: float, preload: PreloadState, refused: Refusal | None) -> tuple[Evr, ...]:
-    """Report a press that ends far from its target, with the reason for which it is not corrected."""
-    is_near = abs(target_N - preload.force_N) <= MAX_ERROR_SHARE * target_N
-    if refused is None or is_near:
+    """Report a press that ends far from its target, or with an unknown force.
+
+    Args:
+        target_N: Commanded force.
+        preload: Preload at the end, with the standard deviation of its force ratio.
+        refused: Reason for which it is not corrected, if there is one.
+
+    Returns:
+        The event, or none if the force is near the target.
+    """
+    error_N, max_N = preload.force_ratio_std * preload.model_N, MAX_ERROR_SHARE * target_N
+    if error_N > max_N:
+        reason = f"motor currents show the force to {error_N:.0f} N only"
+    elif refused is not None and abs(target_N - preload.force_N) > max_N:
+        reason = refused.reason
+    else:
         return ()
-    return (PreloadMissed(preload.tool, preload.force_N, target_N, refused.reason),)
+    return (PreloadMissed(preload.tool, preload.force_N, target_N, reason),)

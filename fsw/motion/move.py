@@ -76,7 +76,7 @@ class Move:
     homing: Homing | None = None
     preload_change: PreloadChange | None = None
     force_fit: ForceFit | None = None
-    """Fit of the motor currents while a preload rises; None once the preload is corrected."""
+    """Fit of the motor currents while a preload changes; None once the preload is corrected."""
     vibrate: bool = False
     stopped: bool = False
     """True if a command or a fault stopped the move: it ends early and is reported as aborted."""
@@ -262,8 +262,6 @@ def _advance_preload(
     done = _follow_paths(config, move, joints, sensors)
     if done.move is None or done.move.phase is not Phase.SETTLE or fit is None or move.stopped:
         return done
-    if preload_change.change_N <= 0:  # a release is not corrected
-        return done
     return _correct_force(config, done.move, preload_change, fit, joints)
 
 
@@ -273,8 +271,9 @@ def _correct_force(
     """Correct the estimated force by the fit of a leg, and plan another leg if the target is not near."""
     evrs: tuple[Evr, ...] = ()
     planned_for = change.state_after(distance_travelled(move))
-    ratio = estimate_force_ratio(config, fit, joints, planned_for)
-    preload = replace(planned_for, force_ratio_std=ESTIMATED_RATIO_STD)
+    # on the way down motors turn against the friction of the press: its ratio stays
+    ratio = estimate_force_ratio(config, fit, joints, planned_for) if change.change_N > 0 else None
+    preload = planned_for
     if ratio is not None:
         preload = correct_preload(change, fit.start, ratio)
         evrs = (ForceEstimated(change.start.tool, ratio.along, ratio.across),)

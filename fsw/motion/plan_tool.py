@@ -215,7 +215,7 @@ def _plan_straight(
     problem = _check_line_length(config, line)
     if problem is not None:
         return Refusal(problem)
-    return _plan_line(config, joints, line, config.params.motion.retract_speed_m_s)
+    return _plan_line(config, joints, line, config.params.motion.guarded_speed_m_s)
 
 
 def plan_retract(config: Config, joints: JointEstimate, command: Retract) -> Plan | Refusal:

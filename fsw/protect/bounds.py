@@ -11,6 +11,8 @@ from fsw.dictionary.params import MonitorParams, Params
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import Array
 
+FRICTION_FACTOR: Final = 1.5
+"""Factor by which friction may exceed what was measured or modelled: two sigmas of a built gear."""
 LOAD_ERROR_FACTOR: Final = 5.0
 """On an approach, a gear counts if its torque exceeds this many times the error of its modelled load."""
 
@@ -59,13 +61,16 @@ class ProtectionBounds:
     load_error_A: tuple[float, ...]
     """Errors of the modelled loads over the torque constants, (5,)."""
     damping_As_rad: tuple[float, ...]
-    """Viscous friction in the cold over the torque constants, (5,)."""
+    """Most viscous friction in the cold over the torque constants, (5,)."""
+    steady_A: tuple[float, ...]
+    """Change of the current at a steady speed that is no contact, (5,).
+
+    It is what the jerk of a move adds to viscous friction between two updates; vibration draws as much.
+    """
     updates_Hz: float
     """Updates of the slow means a second."""
     turning_rad_s: tuple[float, ...]
     """Rates of one encoder count a cycle, (5,)."""
-    rate_step_rad_s: tuple[float, ...]
-    """Change of a rate between two updates by the jerk alone, (5,)."""
     reading_step: tuple[float, ...]
     """Changes in a cycle that noise, speed and stiffness explain: of the currents, then of resolver less
     motor angles, (10,)."""
@@ -117,10 +122,13 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         approach_wind_up_rad=LOAD_ERROR_FACTOR * load_error / arm.gear_stiffness_Nm_rad,
         stiffness_A_rad=tuple((arm.gear_stiffness_Nm_rad / constant).tolist()),
         load_error_A=tuple((load_error / constant).tolist()),
-        damping_As_rad=tuple(j.damping_Nms_rad / j.torque_constant_Nm_A for j in joints),
+        damping_As_rad=tuple(FRICTION_FACTOR * j.damping_Nms_rad / j.torque_constant_Nm_A for j in joints),
+        steady_A=tuple(
+            j.damping_Nms_rad * j.jerk_rad_s3 * (UPDATE_CYCLES * cycle_s) ** 2 / j.torque_constant_Nm_A
+            for j in joints
+        ),
         updates_Hz=1.0 / (UPDATE_CYCLES * cycle_s),
         turning_rad_s=tuple(2 * pi / (j.encoder_counts_per_turn * j.gear_ratio * cycle_s) for j in joints),
-        rate_step_rad_s=tuple(j.jerk_rad_s3 * (UPDATE_CYCLES * cycle_s) ** 2 for j in joints),
         reading_step=(
             *(
                 _jump(monitors.current_noise_A) + arm.gear_stiffness_Nm_rad * speed * cycle_s / constant

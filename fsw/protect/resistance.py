@@ -14,8 +14,9 @@ Noise alone gives S at most the chi-square distribution of five degrees of freed
 1e9 independent readings: at nine a second, once in three years of motion. A fast mean with gain g less the
 slow mean of n readings has the variance s^2 (g / (2 - g) + 1 / n).
 
-The slack is what is not noise. For a current it is the viscous friction in the cold times the change of
-speed, and the error of the modelled load while the side of the backlash is uncertain. For a wind-up it is the
+The slack is what is not noise. For a current it is the viscous friction in the cold times what the motor is
+faster than in its mean, a share for vibration, and the error of the modelled load while the side of the
+backlash is uncertain. It is computed only where S passes the bound without it. For a wind-up it is the
 uncertainty of the gear angle.
 
 A joint shows nothing, and its slow means begin anew, in these cases:
@@ -89,18 +90,14 @@ class FreeMove(NamedTuple):
 
     cycles: int
     """Cycles since the last update of the slow means."""
-    read_A: tuple[float, ...]
-    """Current readings of the cycle before."""
-    gear_rad: tuple[float, ...]
-    """Resolver less motor angles of the cycle before."""
+    read: tuple[float, ...]
+    """Readings of the cycle before: currents, then resolver less motor angles, (10,)."""
     fast_A: tuple[float, ...]
     """Fast means of the currents."""
     expected_A: tuple[float, ...]
     """Currents without a contact."""
     per_A: tuple[float, ...]
     """Sigmas per ampere, positive for a motor that turns forward; 0 for one that shows nothing."""
-    slack: tuple[float, ...]
-    """Excess of the currents in sigmas that is explained."""
     means: tuple[JointMeans, ...]
 
 
@@ -132,46 +129,84 @@ def monitor_free_move(
         return None, ()
     if move.homing is not None:
         return None, ()
-    read_A = readings[5:10]
-    gear_rad = tuple(map(sub, readings[:5], arm.motor_rad.tolist()))
+    read = (*readings[5:10], *map(sub, readings[:5], arm.motor_rad.tolist()))
     if last is None:
-        return FreeMove(0, read_A, gear_rad, read_A, read_A, NOTHING, NOTHING, NO_MEANS), ()
-    cycles, before_A, before_rad, fast_A, expected_A, per_A, slack, means = last
+        return FreeMove(0, read, read[:5], read[:5], NOTHING, NO_MEANS), ()
+    if any(map(gt, map(abs, map(sub, read, last.read)), bounds.reading_step)):
+        last = _forget_jumps(bounds, last, read)
+    cycles, _, fast_A, expected_A, per_A, means = last
     means_A, total = [], 0.0
-    for reading, mean, expected, per, less in zip(read_A, fast_A, expected_A, per_A, slack, strict=True):
+    # the readings of the resolvers follow those of the currents, and are left out
+    for reading, mean, expected, per in zip(read, fast_A, expected_A, per_A, strict=False):
         mean += CURRENT_GAIN * (reading - mean)
         means_A.append(mean)
-        excess = (mean - expected) * per - less
+        excess = (mean - expected) * per
         if excess > 0.0:
             total += excess * excess
-    now = FreeMove(cycles + 1, read_A, gear_rad, tuple(means_A), expected_A, per_A, slack, means)
-    jumps = (*map(sub, read_A, before_A), *map(sub, gear_rad, before_rad))
-    if any(map(gt, map(abs, jumps), bounds.reading_step)):
-        now = _forget_jumps(bounds, jumps, now)
-    elif total > CONTACT:
-        return now, (_describe_currents(bounds, arm, move, now),)
+    now = FreeMove(cycles + 1, read, tuple(means_A), expected_A, per_A, means)
+    if total > CONTACT:
+        contact = check_currents(bounds, now, arm, move)
+        if contact:
+            return now, contact
     if now.cycles < UPDATE_CYCLES:
         return now, ()
     load_A = compute_load_current(bounds, arm)
     updated = update_means(bounds, now, arm, load_A, unchanged)
     contact = check_wind_up(bounds, now.means, updated, arm, move)
-    return FreeMove(
-        0, read_A, gear_rad, now.fast_A, *expect_currents(bounds, updated, arm, load_A), updated
-    ), contact
+    expected_A, per_A = expect_currents(bounds, updated, load_A)
+    return FreeMove(0, read, now.fast_A, expected_A, per_A, updated), contact
 
 
-def _forget_jumps(bounds: ProtectionBounds, jumps: tuple[float, ...], now: FreeMove) -> FreeMove:
+def _forget_jumps(bounds: ProtectionBounds, last: FreeMove, read: tuple[float, ...]) -> FreeMove:
     """Begin the means of readings that jumped anew; until they are known these joints show nothing."""
-    jumped = list(map(gt, map(abs, jumps), bounds.reading_step))
+    jumped = list(map(gt, map(abs, map(sub, read, last.read)), bounds.reading_step))
     current, gear = jumped[:5], jumped[5:]
-    means = [one._replace(updates=0) if jump else one for jump, one in zip(current, now.means, strict=True)]
-    return now._replace(
-        fast_A=tuple([a if jump else b for jump, a, b in zip(current, now.read_A, now.fast_A, strict=True)]),
-        per_A=tuple([0.0 if jump else per for jump, per in zip(current, now.per_A, strict=True)]),
+    means = [one._replace(updates=0) if jump else one for jump, one in zip(current, last.means, strict=True)]
+    return last._replace(
+        fast_A=tuple([a if jump else b for jump, a, b in zip(current, read[:5], last.fast_A, strict=True)]),
+        per_A=tuple([0.0 if jump else per for jump, per in zip(current, last.per_A, strict=True)]),
         means=tuple(
             [one._replace(wind_up_updates=0) if jump else one for jump, one in zip(gear, means, strict=True)]
         ),
     )
+
+
+def check_currents(
+    bounds: ProtectionBounds, now: FreeMove, arm: ArmStatus, move: MoveStatus
+) -> tuple[Evr, ...]:
+    """Check the currents of a cycle, less their slack, against those that are expected."""
+    off_A = [mean - expected for mean, expected in zip(now.fast_A, now.expected_A, strict=True)]
+    slack_A = compute_slack(bounds, now.means, arm, move)
+    excess = [
+        max(off * per - slack * abs(per), 0.0)
+        for off, per, slack in zip(off_A, now.per_A, slack_A, strict=True)
+    ]
+    if sum(one * one for one in excess) <= CONTACT:
+        return ()
+    off_rad = np.array(off_A) / bounds.stiffness_A_rad
+    torque_Nm = np.where(np.array(now.per_A) == 0.0, 0.0, -off_rad * bounds.arm.gear_stiffness_Nm_rad)
+    return (describe_contact(bounds, arm, move, torque_Nm, excess.index(max(excess))),)
+
+
+def compute_slack(
+    bounds: ProtectionBounds, means: tuple[JointMeans, ...], arm: ArmStatus, move: MoveStatus
+) -> list[float]:
+    """Compute the currents that friction at a higher speed and errors of the load explain, (5,)."""
+    slack_A = []
+    for one, rate, motor_rate, count, damping, steady_A, error_A in zip(
+        means,
+        move.setpoint_rate_rad_s.tolist(),
+        arm.motor_rate_rad_s.tolist(),
+        bounds.turning_rad_s,
+        bounds.damping_As_rad,
+        bounds.steady_A,
+        bounds.load_error_A,
+        strict=True,
+    ):
+        # a motor that swings about its set-point draws what the swing takes; one count of it is rounding
+        faster = max(abs(rate) - abs(one.rate_rad_s), 0.0) + max(abs(motor_rate - rate) - count, 0.0)
+        slack_A.append(damping * faster + steady_A + (0.0 if one.last_side else error_A))
+    return slack_A
 
 
 def compute_load_current(bounds: ProtectionBounds, arm: ArmStatus) -> list[float]:
@@ -234,21 +269,16 @@ def update_means(
 
 
 def expect_currents(
-    bounds: ProtectionBounds, means: tuple[JointMeans, ...], arm: ArmStatus, load_A: list[float]
-) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """Compute expected currents, sigmas per ampere and slack until the next update, as in FreeMove."""
-    expected_A, per_A, slack = [], [], []
-    for one, loaded_A, damping, change, error_A in zip(
-        means, load_A, bounds.damping_As_rad, bounds.rate_step_rad_s, bounds.load_error_A, strict=True
-    ):
+    bounds: ProtectionBounds, means: tuple[JointMeans, ...], load_A: list[float]
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Compute expected currents and sigmas per ampere until the next update, as in FreeMove."""
+    expected_A, per_A = [], []
+    for one, loaded_A in zip(means, load_A, strict=True):
         per = 1.0 / bounds.current_sigma_A[one.updates]
-        # until the next update the rate changes by no more than its lag, and what the jerk adds
-        change += 2.0 * abs(one.last_rate_rad_s - one.rate_rad_s)
         expected_A.append(one.friction_A + loaded_A)
-        slack.append((damping * change + (0.0 if one.last_side else error_A)) * per)
         is_known = one.updates >= LEAST_UPDATES
         per_A.append(0.0 if not is_known else per if one.last_rate_rad_s > 0.0 else -per)
-    return tuple(expected_A), tuple(per_A), tuple(slack)
+    return tuple(expected_A), tuple(per_A)
 
 
 def check_wind_up(
@@ -281,18 +311,6 @@ def check_wind_up(
     wound_rad = _wind_up(arm, arm.gear_rad + np.array(off_rad)) - _wind_up(arm, arm.gear_rad)
     torque_Nm = bounds.arm.gear_stiffness_Nm_rad * wound_rad
     return (describe_contact(bounds, arm, move, torque_Nm, excess.index(max(excess))),)
-
-
-def _describe_currents(
-    bounds: ProtectionBounds, arm: ArmStatus, move: MoveStatus, now: FreeMove
-) -> UnexpectedContact:
-    """Describe a contact that currents show."""
-    off_A = np.array(now.fast_A) - now.expected_A
-    per_A = np.array(now.per_A)
-    torque_Nm = np.where(
-        per_A == 0.0, 0.0, -off_A * bounds.arm.gear_stiffness_Nm_rad / bounds.stiffness_A_rad
-    )
-    return describe_contact(bounds, arm, move, torque_Nm, int(np.argmax(off_A * per_A - now.slack)))
 
 
 def describe_contact(

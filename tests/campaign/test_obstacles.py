@@ -2,10 +2,10 @@
 
 import pytest
 
-from validation.obstacles import STRAIGHT_N, meet
+from validation.obstacles import STRAIGHT_N, draw, meet
 
-STRAIGHT = (10, 31)
-TURNS = (1, 2, 24)
+STRAIGHT = (10, 31, 34)
+TURNS = (1, 8, 24)
 
 
 @pytest.mark.parametrize("index", STRAIGHT)
@@ -14,6 +14,10 @@ def test_an_obstacle_in_a_straight_move_is_reported_below_50_newtons(index):
     assert met.reported, met.report
     assert met.kind == "line"
     assert met.true_N <= STRAIGHT_N
+
+
+def test_turns_and_straight_moves_are_among_the_first_four():
+    assert {draw(0, index, 0).kind for index in range(4)} == {"AZIMUTH", "line"}
 
 
 @pytest.mark.parametrize("index", TURNS)

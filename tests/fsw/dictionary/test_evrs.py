@@ -90,7 +90,7 @@ SENTENCES = {
     evrs.FaultCleared(): "fault cleared",
     evrs.Preloaded("drill", 300.0): "drill pressed with 300.0 N",
     evrs.PreloadMissed("drill", 262.04, 300.0, "3 corrections did not reach the force"): (
-        "drill is pressed with 262.0 N, not 300.0 N: 3 corrections did not reach the force"
+        "drill is pressed with about 262.0 N of 300.0 N: 3 corrections did not reach the force"
     ),
     evrs.ForceEstimated("drill", 0.9123, 0.1): (
         "drill: a newton of the model is 0.912 N along its axis, 0.100 N across"
@@ -105,6 +105,11 @@ SENTENCES = {
 @pytest.mark.parametrize(("evr", "sentence"), SENTENCES.items(), ids=lambda v: getattr(v, "name", ""))
 def test_every_event_reads_as_a_sentence(evr, sentence):
     assert evr.message == sentence
+
+
+def test_a_contact_without_a_lever_tells_its_torque_only():
+    contact = faults.UnexpectedContact(Joint.ELBOW, 63.4, 0.0)
+    assert contact.message == "unexpected contact: ELBOW resists with 63 N m"
 
 
 def test_no_event_is_without_its_sentence():

@@ -7,10 +7,11 @@ import pytest
 
 from fsw.dictionary.commands import ClearFault, Preload, Retract, Stop
 from fsw.dictionary.enums import Mode
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, Preloaded
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, Preloaded, PreloadMissed
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
-from fsw.motion.preload import anchor_contact, locate_by_resolvers, model_contact
+from fsw.motion.force_fit import MIN_CORRECTION_N
+from fsw.motion.preload import PRIOR_RATIO_STD, anchor_contact, locate_by_resolvers, model_contact
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
 from tests.fsw.rig import Rig
 
@@ -43,8 +44,21 @@ def test_the_force_rises_and_the_tool_ends_where_it_touched():
     touched, ends = rig.state.preload, tool_under_force(rig)
     assert np.linalg.norm(ends.p - touched.p_RoTo_R_m) < STAYS_M
     assert np.abs(ends.R[:, 0] - touched.axis_R).max() < STAYS_M
-    assert Preloaded("apxs", 300.0) in rig.evrs
+    assert touched.force_N == pytest.approx(300.0, abs=MIN_CORRECTION_N)
+    assert Preloaded("apxs", touched.force_N) in rig.evrs
     assert rig.state.mode is Mode.PRELOAD
+
+
+def test_a_press_that_no_current_shows_is_reported_also_when_it_is_lowered_but_not_when_it_is_released():
+    rig = pressed_with(300.0)
+    rig.run(Preload("apxs", 150.0), **TOUCHED)
+    rig.run(Preload("apxs", 0.0), **TOUCHED)
+    missed = [evr for evr in rig.evrs if isinstance(evr, PreloadMissed)]
+    assert [evr.commanded_N for evr in missed] == [300.0, 150.0]
+    assert [evr.reason for evr in missed] == [
+        f"motor currents show the force to {PRIOR_RATIO_STD * force_N:.0f} N only"
+        for force_N in (298.4, 150.0)
+    ]
 
 
 def test_a_press_begins_where_the_tool_has_slid_to():

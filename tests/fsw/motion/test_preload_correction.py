@@ -8,7 +8,7 @@ import pytest
 from fsw.dictionary.commands import Preload
 from fsw.dictionary.evrs import ForceEstimated, Preloaded, PreloadMissed
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
-from fsw.motion.force_fit import MIN_CORRECTION_N, ForceFit, estimate_force_ratio, report_miss
+from fsw.motion.force_fit import MIN_CORRECTION_N, MIN_RATIO_STD, ForceFit, estimate_force_ratio, report_miss
 from fsw.motion.move import Phase
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import model_contact, plan_preload
@@ -115,15 +115,20 @@ def test_a_force_across_is_told_from_the_one_along(across):
         assert event.across == pytest.approx(np.hypot(*across), abs=0.05)
 
 
-def fit_of(force_N):
-    """Estimate the ratio of a press to 300 N of the model, in which the arm applies `force_N(model_N)`."""
+def fit_of(force_N, turns_from_N=(0.0,) * 5):
+    """Estimate the ratio of a press to 300 N of the model, in which the arm applies `force_N(model_N)`.
+
+    Args:
+        force_N: True force by that of the model.
+        turns_from_N: Force of the model from which each motor turns.
+    """
     rig = guarded_in_contact()
     config, joints = rig.config, rig.state.joints
     preload = model_contact(config, joints, "apxs")
     per_N = plan_preload(config, joints, preload, 300.0)[1].torque_per_N
-    fit, turns = ForceFit(preload), np.ones(5)
+    fit, turns, turns_from_N = ForceFit(preload), np.ones(5), np.array(turns_from_N)
     for model_N in np.linspace(20.0, 300.0, 1000):
-        fit = fit.add_cycle(model_N, 10.0, per_N * force_N(model_N), turns, turns > 0)
+        fit = fit.add_cycle(model_N, 10.0, per_N * force_N(model_N), turns, turns_from_N <= model_N)
     return estimate_force_ratio(config, fit, joints, preload)
 
 
@@ -137,6 +142,12 @@ def test_a_force_that_stands_still_while_a_backlash_is_crossed_is_not_counted():
     assert ratio.along == pytest.approx((300.0 - 50.0 - 20.0) / (300.0 - 20.0), abs=0.03)
 
 
+def test_motors_that_turn_only_from_a_later_force_count_from_there():
+    never, late = (fit_of(lambda model_N: 0.8 * model_N, (n, 0, n, n, n)) for n in (400.0, 60.0))
+    assert late.along == pytest.approx(0.8, abs=0.03)
+    assert late.std < 0.7 * never.std
+
+
 def test_nothing_felt_tells_nothing():
     rig = guarded_in_contact()
     preload = model_contact(rig.config, rig.state.joints, "apxs")
@@ -148,6 +159,16 @@ def test_nothing_felt_tells_nothing():
 )
 def test_a_press_that_ends_more_than_a_tenth_off_says_why(target_N, is_missed):
     rig = guarded_in_contact()
-    preload = replace(model_contact(rig.config, rig.state.joints, "apxs"), model_N=100.0)
+    contact = model_contact(rig.config, rig.state.joints, "apxs")
+    preload = replace(contact, model_N=100.0, force_ratio_std=MIN_RATIO_STD)
     events = report_miss(target_N, preload, Refusal("out of reach"))
     assert events == ((PreloadMissed("apxs", 100.0, target_N, "out of reach"),) if is_missed else ())
+
+
+@pytest.mark.parametrize(("std", "is_missed"), [(0.09, False), (0.11, True)])
+def test_a_press_whose_force_is_not_known_to_a_tenth_says_so(std, is_missed):
+    rig = guarded_in_contact()
+    contact = model_contact(rig.config, rig.state.joints, "apxs")
+    events = report_miss(100.0, replace(contact, model_N=100.0, force_ratio_std=std), None)
+    reason = "motor currents show the force to 11 N only"
+    assert events == ((PreloadMissed("apxs", 100.0, 100.0, reason),) if is_missed else ())

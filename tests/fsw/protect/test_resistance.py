@@ -56,6 +56,7 @@ class Turning:
         arm = moving(
             move or a_move(setpoint_rad=self.angle, setpoint_rate_rad_s=self.rate),
             motor_rad=self.angle,
+            motor_rate_rad_s=self.rate,
             resolver_error_rad=self.resolver,
             **(self.changes | changes),
         )
@@ -84,11 +85,10 @@ def known(**kwargs):
 
 def least_torque_Nm(joint):
     """Torque of one joint that passes the bound for long, with the most readings in its mean."""
-    sigma_A = BOUNDS.current_sigma_A[-1]
     rate_step = 0.02 if joint < Joint.WRIST else 0.04
     assert JOINTS[joint].jerk_rad_s3 == rate_step
     slack_Nm = JOINTS[joint].damping_Nms_rad * JOINTS[joint].jerk_rad_s3 * (UPDATE_CYCLES * CYCLE_S) ** 2
-    return np.sqrt(CONTACT) * sigma_A * CONSTANT[joint] + slack_Nm
+    return np.sqrt(CONTACT) * BOUNDS.current_sigma_A[-1] * CONSTANT[joint] + slack_Nm
 
 
 @joints
@@ -172,6 +172,17 @@ def test_a_reading_that_jumps_is_a_sensor():
         assert not noisy.cycle(torque_Nm=at(Joint.ELBOW, 300.0 * sign))
 
 
+@pytest.mark.parametrize("jumps", [False, True])
+def test_a_reading_that_jumps_hides_only_its_own_joint(jumps):
+    turning, torque = known(), at(Joint.ELEVATION, -2.0 * least_torque_Nm(Joint.ELEVATION))
+    found = [
+        turning.cycle(torque_Nm=torque + at(Joint.WRIST, 1000.0 if jumps and cycle == 2 else 0.0))
+        for cycle in range(3)
+    ]
+    assert [len(events) for events in found] == [0, 0, 1]
+    assert found[2][0].joint is Joint.ELEVATION
+
+
 def test_a_frozen_resolver_shows_nothing():
     frozen = (1, *FRESH[1:])
     turning = known(rate_rad_s=ZERO)
@@ -182,6 +193,13 @@ def test_a_torque_that_rises_as_slowly_as_a_load_is_none():
     turning = known()
     for cycle in range(64):
         assert not turning.cycle(torque_Nm=at(Joint.ELEVATION, -2.6 * cycle * CYCLE_S))
+
+
+def test_vibration_of_the_arm_is_none():
+    turning = known()
+    swing_Nm = at(Joint.ELEVATION, 11.0) + at(Joint.ELBOW, 7.0)
+    for cycle in range(200):
+        assert not turning.cycle(torque_Nm=swing_Nm * np.sin(2 * np.pi * 2.0 * cycle * CYCLE_S))
 
 
 def test_friction_that_grows_with_speed_is_none():
