@@ -9,6 +9,8 @@ from rich.table import Table
 
 from fsw.dictionary.enums import Frame
 from ground.accuracy.budget import COMPONENTS, Budget, BudgetReport
+from ground.accuracy.combine import COVERAGE
+from ground.accuracy.confidence import min_sample_size
 from ground.accuracy.reproduce import MagnitudeFit
 from ground.accuracy.sources import sources_sha256
 from ground.common.command_text import command_text
@@ -46,6 +48,7 @@ def budget_json(report: BudgetReport) -> dict[str, Any]:
                 "required": row.required,
                 "paper": row.estimated,
                 "ours": value,
+                "ratio": value / row.estimated,
             }
             for row, value in report.rows
         ],
@@ -118,11 +121,11 @@ def _rows(report: BudgetReport) -> Table:
     request = report.request
     title = f"Error budget by the paper's rule, {request.poses} poses, tool {request.tool}"
     table = Table(title=title, title_justify="left")
-    for name in ("", "case", "required", "paper", "ours"):
+    for name in ("", "case", "required", "paper", "ours", "ratio"):
         table.add_column(name, justify="left" if name in ("", "case") else "right")
     for row, value in report.rows:
         limits = (format_value(row.component, v) for v in (row.required, row.estimated, value))
-        table.add_row(row.name, row.case, *limits)
+        table.add_row(row.name, row.case, *limits, f"{value / row.estimated:.2f}")
     return table
 
 
@@ -170,12 +173,14 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
     Raises:
         BadOutput: The file cannot be written.
     """
+    poses, enough = report.request.poses, min_sample_size(COVERAGE)
+    sample = f"{poses} poses" if poses >= enough else f"{poses} of {enough} poses"
     requirements = [
         Requirement(
             f"{row.name} {WHEN[row.case]}",
             f"± {format_value(row.component, row.required)}",
-            f"± {format_value(row.component, value)}",
-            value <= row.required,
+            f"± {format_value(row.component, value)}, {sample}",
+            False if value > row.required else True if poses >= enough else None,
         )
         for row, value in report.rows
     ]
@@ -185,6 +190,7 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
             WHEN[row.case],
             format_value(row.component, row.estimated),
             format_value(row.component, value),
+            f"{value / row.estimated:.2f}",
         )
         for row, value in report.rows
     ]
@@ -195,7 +201,7 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
             "the paper's rule."
         ),
         heading("Beside the paper"),
-        table(("", "", "paper", "ours"), rows),
+        table(("", "", "paper", "ours", "ours to the paper's"), rows),
         *(part for budget in report.budgets.values() for part in _case(budget)),
         heading("Sources"),
         table(("source", "", "kind", "basis"), sources),
