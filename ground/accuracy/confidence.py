@@ -145,7 +145,7 @@ def quantile_interval(values: Array, share: float, count: int) -> Interval:
         count: Number of independent values.
 
     Returns:
-        Lower and upper end around the quantile of these values; the upper one is infinite if there are too few.
+        Lower and upper end around the quantile of these values; the upper one is infinite for too few values.
     """
     tail = (1 - CONFIDENCE) / 2
     below, most = (int(binom.ppf(p, count, share)) for p in (tail, 1 - tail))

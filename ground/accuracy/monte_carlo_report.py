@@ -209,7 +209,9 @@ def sigma_rows(report: MonteCarloReport) -> list[tuple[str, ...]]:
 
 
 def _three_sigma(report: MonteCarloReport) -> Table:
-    table = Table(title="Three sigma, and its upper bound with 95 % confidence", title_justify="left")
+    sample = f"{len(report.trials)} arms, {report.request.places} places each"
+    title = f"Three sigma, and its upper bound with 95 % confidence: {sample}"
+    table = Table(title=title, title_justify="left")
     for name in SIGMA_HEAD:
         table.add_column(name, justify="left" if name == "three sigma" else "right")
     for row in sigma_rows(report):
@@ -249,7 +251,8 @@ def list_requirements(report: MonteCarloReport) -> list[Requirement]:
         if report.three_sigma is not None and (row.case == report.request.case or is_same_day):
             measured = report.three_sigma[row.component]
             value = (measured.repeatability if is_same_day else measured.accuracy).upper
-            what, passed = "three sigma, upper bound with 95 % confidence", value <= row.required
+            what = "three sigma, upper bound with 95 % confidence"
+            passed: bool | None = value <= row.required
         elif row.case == report.request.case:
             value = report.coverage.percentile[row.component]
             what = f"not exceeded by {100 * COVERAGE:.2f} % of errors"
@@ -270,7 +273,7 @@ def list_requirements(report: MonteCarloReport) -> list[Requirement]:
 
 
 def is_within(interval: Interval, bound: float) -> bool | None:
-    """Return whether a value with this interval stays within a bound; None if the interval holds the bound."""
+    """Return whether a value with this interval stays within a bound; None if the interval holds it."""
     low, high = interval
     return True if high <= bound else False if low > bound else None
 
@@ -303,7 +306,8 @@ def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
             paragraph(additivity_sentence(found)),
         ]
     if report.three_sigma is not None:
-        parts += [heading("Accuracy and repeatability"), table(SIGMA_HEAD, sigma_rows(report))]
+        sample = f"{len(report.trials)} arms, {request.places} places each"
+        parts += [heading(f"Accuracy and repeatability: {sample}"), table(SIGMA_HEAD, sigma_rows(report))]
     digests = {
         "parameters": report.params_sha256,
         "sources of error": sources_sha256(),

@@ -90,12 +90,19 @@ def test_bad_input_is_named(wrong, words):
         run_budget(BudgetRequest(**wrong), quiet)
 
 
-def test_the_command_prints_one_document_and_writes_a_page(tmp_path):
+def test_few_poses_show_nothing(tmp_path):
+    page = tmp_path / "budget.html"
+    save_budget_page(run_budget(BudgetRequest(case="mars", tool="apxs", poses=1000), quiet), page)
+    assert "Not shown: 0 of 3 requirements are met, 3 are not shown." in page.read_text()
+    assert "1000 of 1365 poses" in page.read_text()
+
+
+def test_the_command_prints_one_document_and_writes_a_page_and_a_picture(tmp_path):
     words = ("budget", "--case", "accuracy", "--tool", "apxs", "--poses", "300", "--json")
-    done = marsarm(tmp_path, *words, "--report", "page.html")
+    done = marsarm(tmp_path, *words, "--report", "page.html", "--picture", "rows.png")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["cases"]["accuracy"]["tools"] == ["apxs"]
-    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["page.html", "rows.png"]
 
 
 def test_the_command_refuses_and_writes_nothing(tmp_path):
