@@ -6,7 +6,7 @@ import numpy as np
 from marsarm import Placement, Surface, World, placement_commands, run_commands, start_loop
 
 rock = Surface(p_N_m=(2.05, 0.1, -0.25), normal_N=(-0.5, 0.1, -0.85))
-placement = Placement("APXS", rock.p_N_m, rock.normal_N)
+placement = Placement("apxs", rock.p_N_m, rock.normal_N)
 loop = start_loop("calibrated:7", World(surface=rock))
 result = run_commands(loop, *placement_commands(placement, stowed=True))
 for at_s, event in result.evrs:

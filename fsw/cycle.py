@@ -1,7 +1,6 @@
 """One control cycle: estimate, decide, move, protect; from sensors and commands to outputs."""
 
 from dataclasses import replace
-from math import isnan
 
 from fsw.config import CYCLE_S, Config, configure_at
 from fsw.dictionary.arguments import Wrong, read_arguments
@@ -42,9 +41,9 @@ def step(
     before, config = state, state.changed_config or config
     unusable = check_readings(config.protection, sensors)
     usable = not unusable
-    structure_C = state.structure_C
+    structure_C, readings = state.structure_C, state.structure_readings
     if usable and state.tick % config.params.motion.load_period_cycles == 0:
-        structure_C = _filter_structure(config, state, sensors.structure_C)
+        structure_C, readings = _filter_structure(config, state, sensors.structure_C)
         # a move and its protection keep the arm that the move was planned with
         if state.move is None and abs(structure_C - config.structure_C) >= config.params.heat.step_K:
             config = configure_at(config, structure_C)
@@ -75,19 +74,22 @@ def step(
         monitors=monitors,
         drive=command_actuators(config, after.move, joints, state.drive),
         structure_C=structure_C,
+        structure_readings=readings,
         surface=state.surface,
         changed_config=state.changed_config,
     )
     return state, _make_outputs(config, before, state, backlash_state, tool_channels, decided + after.evrs)
 
 
-def _filter_structure(config: Config, state: State, reading_C: float) -> float:
-    """Filter the temperature of the structure in each load period; in the first ones, take their mean."""
-    if isnan(state.structure_C):
-        return reading_C
-    period = config.params.motion.load_period_cycles
-    share = max(CYCLE_S * period / config.params.heat.filter_s, period / (state.tick + period))
-    return state.structure_C + min(share, 1.0) * (reading_C - state.structure_C)
+def _filter_structure(config: Config, state: State, reading_C: float) -> tuple[float, int]:
+    """Filter the temperature of the structure in each load period; take the mean of the first readings.
+
+    Returns:
+        The temperature, and the number of usable readings until now.
+    """
+    period_s, readings = CYCLE_S * config.params.motion.load_period_cycles, state.structure_readings + 1
+    share = min(max(period_s / config.params.heat.filter_s, 1 / readings), 1.0)
+    return state.structure_C + share * (reading_C - state.structure_C), readings
 
 
 def _estimate(

@@ -1,7 +1,6 @@
 """State of flight software: the record that a cycle leaves for the next, its first value, its channels."""
 
 from dataclasses import dataclass
-from math import nan
 
 import numpy as np
 
@@ -61,8 +60,10 @@ class State:
     fault: StandingFault | None
     monitors: MonitorState
     drive: ActuatorCommand
-    structure_C: float = nan
-    """Filtered temperature of the structure; NaN before the first usable reading."""
+    structure_C: float = 0.0
+    """Filtered temperature of the structure; without a meaning before the first usable reading."""
+    structure_readings: int = 0
+    """Number of usable readings in it."""
     surface: Surface | None = None
     """Surface of the last target, from the last touch if there was one; None after an unstow."""
     changed_config: Config | None = None

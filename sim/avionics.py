@@ -37,7 +37,7 @@ class Avionics:
     def __init__(self, plant: Plant, hardware: Hardware, rng: np.random.Generator):
         model = plant.model
         motors = plant.at.actuators
-        switches = [model.sensor(switch.lower()).id for switch in plant.switches]
+        switches = [model.sensor(switch).id for switch in plant.switches]
         self._plant = plant
         self._hardware = hardware
         self._rng = rng

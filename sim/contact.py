@@ -26,7 +26,7 @@ def tool_forces(plant: Plant) -> Array:
     wrench = np.zeros(6)
     bodies = model.geom_bodyid[data.contact.geom]
     for n, tool in enumerate(plant.tools):
-        is_tool = bodies == model.body(tool.lower()).id
+        is_tool = bodies == model.body(tool).id
         for k in np.flatnonzero(is_tool.any(axis=1)):
             mujoco.mj_contactForce(model, data, k, wrench)
             force_W = data.contact.frame[k].reshape(3, 3).T @ wrench[:3]  # of the first geom on the second

@@ -185,7 +185,7 @@ def placement_sessions(params: Params) -> list[DiagnosisSession]:
         flank = np.sign(settle_output(config.arm, start, gravity).torque_Nm)
         deflected = settle(config.arm, start, flank * config.half_backlash_rad, gravity)
         X_RT = tool_pose(config.arm, deflected.frames, tool)
-        sessions.append(placement_session(f"place-{tool.lower()}", tool, start, X_RT.p, X_RT.R[:, 0]))
+        sessions.append(placement_session(f"place-{tool}", tool, start, X_RT.p, X_RT.R[:, 0]))
     return sessions
 
 

@@ -49,7 +49,7 @@ def frame_body(frame: Frame, tool: str | None) -> str:
         return LINK_BODIES[frame]
     if tool is None:
         raise ValueError("an effect at TOOL names its tool")
-    return tool.lower()
+    return tool
 
 
 NO_CHANGE: Final = np.zeros(len(Joint))

@@ -24,7 +24,7 @@ WARM_C: Final = 20.0
 
 def attach_drawing(spec: mujoco.MjSpec, params: Params) -> None:
     """Add the temperature of the drawing, and expansion and length of its parts, to a specification."""
-    expansion = {tool.name.lower(): tool.expansion_1_K for tool in params.tools}
+    expansion = {tool.name: tool.expansion_1_K for tool in params.tools}
     length = {}
     for body, link in zip(LINK_BODIES, params.links.in_order(), strict=True):
         X = transform6_to_pose(link.transform)
@@ -72,4 +72,4 @@ def length_of(spec: mujoco.MjSpec, frame: Frame) -> Array:
 
 def tools_of(spec: mujoco.MjSpec) -> tuple[str, ...]:
     """Return the names of the tools: the bodies on the turret."""
-    return tuple(body.name.upper() for body in spec.body(TURRET).bodies)
+    return tuple(body.name for body in spec.body(TURRET).bodies)

@@ -1,7 +1,6 @@
 """Tables of flight parameters, as they stand in a TOML file; all errors are in one message."""
 
 import json
-import tomllib
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import asdict, fields, is_dataclass
@@ -14,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
 from sim.old_names import find_new_name, renamed_text
-from sim.text_file import UnreadableText, read_text
+from sim.text_file import UnreadableText, load_toml, read_text
 
 WANTED: Final = {
     "missing": "is missing",
@@ -43,8 +42,8 @@ def params_table(params: Params) -> dict[str, Any]:
     table = asdict(params)
     for place in NAMED:
         owner, key = _owner(table, place)
-        owner[key] = {str(record.pop("name")).lower(): record for record in owner[key]}
-    table["switches"] = {name: record["tool"].lower() for name, record in table["switches"].items()}
+        owner[key] = {record.pop("name"): record for record in owner[key]}
+    table["switches"] = {name: record["tool"] for name, record in table["switches"].items()}
     return table
 
 
@@ -65,10 +64,10 @@ def read_params_toml(path: Path) -> dict[str, Any]:
         BadParams: the file cannot be read.
     """
     try:
-        return tomllib.loads(read_text(path))
+        return load_toml(read_text(path))
     except UnreadableText as error:
         raise BadParams(f"{path}: {error}") from error
-    except (ValueError, RecursionError) as error:  # cut off, or an endless number or list
+    except ValueError as error:
         raise BadParams(f"{path}: is not TOML: {error}") from error
 
 
@@ -121,11 +120,11 @@ def _owner(table: dict[str, Any], place: str) -> tuple[dict[str, Any], str]:
 
 def _named_record(place: str, name: str, value: Any) -> Any:
     if place == "switches":
-        return {"name": name.upper(), "tool": value.upper() if isinstance(value, str) else value}
+        return {"name": name, "tool": value}
     if not isinstance(value, dict):
         return value
     if place == "tools":
-        return {"title": name.replace("_", " "), **value, "name": name.upper()}
+        return {"title": name.replace("_", " "), **value, "name": name}
     return {**value, "name": name}
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.commands import Command, PlaceTool, Retract, Unstow
+from fsw.dictionary.commands import AUTO, Command, PlaceTool, Retract, Unstow
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import BranchChosen, CommandCompleted, ContactMade, Evr
 from fsw.dictionary.types import Vector3, vector3
@@ -27,7 +27,7 @@ class Placement:
     standoff_m: float = 0.10
     overtravel_m: float = 0.05
     """Distance beyond the target at which the guarded move ends without contact."""
-    branch: str = "AUTO"
+    branch: str = AUTO
 
 
 @dataclass(frozen=True, slots=True)

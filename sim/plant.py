@@ -102,12 +102,12 @@ class Plant:
         of_steps = np.arange(self.steps_per_cycle) - (self.steps_per_cycle - 1) / 2
         self._middle_s = (model.opt.timestep * of_steps).tolist()
         turret = model.body("turret").id
-        self.tools = tuple(model.body(k).name.upper() for k in np.flatnonzero(model.body_parentid == turret))
+        self.tools = tuple(model.body(k).name for k in np.flatnonzero(model.body_parentid == turret))
         """Names of the tools: the bodies on the turret."""
         touch = np.flatnonzero(model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH)
-        self.switches = tuple(model.sensor(k).name.upper() for k in touch)
+        self.switches = tuple(model.sensor(k).name for k in touch)
         """Names of the contact switches, in the order of the sensor word."""
-        self.frame_bodies = (*LINK_BODIES, *(tool.lower() for tool in self.tools))
+        self.frame_bodies = (*LINK_BODIES, *self.tools)
         # full arrays for axes and origins of all tools: broadcasting would take twice as long
         self._flip_rows = np.tile(FLIP[:, None], (len(self.tools), 1, 3))
         self._flip = np.tile(FLIP, (len(self.tools), 1))
@@ -122,8 +122,8 @@ class Plant:
             springs=np.array(
                 [[model.joint(f"{s}_{axis}").qposadr[0] for axis in SCREW_AXES] for s in SPRING_NAMES]
             ),
-            tools=np.array([model.site(tool.lower()).id for tool in self.tools]),
-            pads=np.array([model.site(switch.lower()).id for switch in self.switches]),
+            tools=np.array([model.site(tool).id for tool in self.tools]),
+            pads=np.array([model.site(switch).id for switch in self.switches]),
             bodies=np.array([model.body(name).id for name in self.frame_bodies]),
         )
         self._built_quat = model.body_quat[self.at.bodies]

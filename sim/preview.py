@@ -8,13 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fsw.config import Config, configure
+from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import Unstow
 from fsw.estimate.joints import JointEstimate, uninitialised_estimate
 from fsw.estimate.reference import Reference, no_reference
+from fsw.executive.checks import known_names
 from fsw.executive.expansion import locate_surface
 from fsw.executive.planning import plan_command, plan_sequence
 from fsw.kinematics.transforms import Array
-from fsw.motion.plan import Plan, Refusal
+from fsw.motion.plan import JointPositions, Plan, Refusal, estimate_at
 from sim.arms import BuiltArm
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementResult, PlacementRun, place_command
@@ -50,14 +52,16 @@ class Preview:
 def preview_placement(arm: BuiltArm, world: World, placement: Placement, stowed: bool = False) -> Preview:
     """Plan a placement from the ready pose; from the stowed pose, the way to the ready pose too."""
     config = configure(params_in_world(world, arm.params))
-    joints = _joint_estimate(config, np.array(arm.params.poses.ready_rad), world.gravity_N_m_s2)
+    command = read_arguments(place_command(placement), known_names(config.params))
+    if isinstance(command, Wrong):
+        return Preview(placement, command.text)
+    joints = first_estimate(config, np.array(arm.params.poses.ready_rad), world.gravity_N_m_s2)
     if stowed:
         unstow = _plan_unstow(config, joints)
         if isinstance(unstow, Refusal):
             return Preview(placement, f"{unstow.reason} on the way from the stowed to the ready pose")
-    command = place_command(placement)
-    surface = locate_surface(config, joints, placement.tool, command, None)
-    planned = plan_sequence(config, joints, placement.tool, command, surface)
+    surface = locate_surface(config, joints, command.tool, command, None)
+    planned = plan_sequence(config, joints, command.tool, command, surface)
     if isinstance(planned, Refusal):
         return Preview(placement, planned.reason)
     return Preview(placement, None, planned.plans)
@@ -66,18 +70,24 @@ def preview_placement(arm: BuiltArm, world: World, placement: Placement, stowed:
 def unstow_duration_s(arm: BuiltArm) -> float:
     """Compute the duration of the move from the stowed to the ready pose."""
     config = configure(arm.params)
-    plan = _plan_unstow(config, _joint_estimate(config, np.array(arm.params.poses.ready_rad), np.zeros(3)))
+    plan = _plan_unstow(config, first_estimate(config, np.array(arm.params.poses.ready_rad), np.zeros(3)))
     return 0.0 if isinstance(plan, Refusal) else sum(path.duration_s for path in plan.paths)
 
 
 def _plan_unstow(config: Config, joints: JointEstimate) -> Plan | Refusal:
-    stowed = replace(joints, motor_rad=np.array(config.params.poses.stowed_rad))
+    stowed = joints_at(joints, np.array(config.params.poses.stowed_rad))
     return plan_command(config, stowed, config.params.tools[0].name, Unstow(), None)
 
 
-def _joint_estimate(config: Config, motor_rad: Array, gravity_R_m_s2: Array) -> JointEstimate:
+def first_estimate(config: Config, output_rad: Array, gravity_R_m_s2: Array) -> JointEstimate:
+    """Build the estimate of calibrated joints at rest at these outputs, with gravity from the IMU."""
     joints = uninitialised_estimate(config, no_reference(config))
-    return replace(joints, motor_rad=motor_rad, imu_R_m_s2=gravity_R_m_s2)
+    return joints_at(replace(joints, imu_R_m_s2=gravity_R_m_s2), output_rad)
+
+
+def joints_at(joints: JointEstimate, output_rad: Array) -> JointEstimate:
+    """Return the estimate with each output at an angle, in the middle of its backlash."""
+    return estimate_at(joints, JointPositions(output_rad, np.zeros_like(output_rad)))
 
 
 def random_placement(seed: int, arm: BuiltArm, tool: str, max_tilt_rad: float) -> tuple[World, Preview]:

@@ -1,8 +1,10 @@
 """Reading of small text files, with one sentence for each reason why one cannot be read."""
 
 import os
+import sys
+import tomllib
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 MAX_BYTES: Final = 1_000_000
 """Largest size of a text file, seventy times that of all flight parameters."""
@@ -35,6 +37,24 @@ def read_text(path: Path) -> str:
     except ValueError as error:  # a null byte in the name
         raise UnreadableText(f"cannot be read ({error})") from error
     return decode_text(data)
+
+
+def load_toml(text: str) -> dict[str, Any]:
+    """Parse a text as TOML.
+
+    Raises:
+        ValueError: it is no TOML, or holds what Python cannot print; the message says why.
+    """
+    try:
+        table = tomllib.loads(text)
+        repr(table)  # a hexadecimal number is read with any number of digits
+    except tomllib.TOMLDecodeError:
+        raise
+    except RecursionError as error:
+        raise ValueError("lists or tables are nested too deeply") from error
+    except ValueError as error:
+        raise ValueError(f"a whole number has more than {sys.get_int_max_str_digits()} digits") from error
+    return table
 
 
 def decode_text(data: bytes) -> str:

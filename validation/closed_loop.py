@@ -32,7 +32,7 @@ REPEATS = 5
 BARE_STEPS = 40_000
 SETTLING_STEPS = 4_096
 REFERENCE_MODEL = Path(__file__).with_name("plant-50fd31b.mjb")
-TARGET = Placement("APXS", (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
+TARGET = Placement("apxs", (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
 
 
 @cache

@@ -52,7 +52,7 @@ READY_SIGMA_RAD: Final = 0.25
 REST_S: Final = 1.0
 """Time after the command in which the force is still measured."""
 KINDS: Final = (*(joint.name for joint in Joint), *["line"] * 5)
-TOOL: Final = "DRILL"
+TOOL: Final = "drill"
 """Tool of the straight moves."""
 
 

@@ -74,7 +74,7 @@ def group(index: int, seed: int, poses: int, reference: Reference) -> list[Predi
     rng = np.random.default_rng([seed, index, 6])
     inside = round(SHOULDER_IN_SHARE * poses)
     shoulders = ["out"] * (poses - inside) + ["in"] * inside
-    goals = [pose_in_workspace(config, rng, "DRILL", WITH_SHOULDER[shoulder]) for shoulder in shoulders]
+    goals = [pose_in_workspace(config, rng, "drill", WITH_SHOULDER[shoulder]) for shoulder in shoulders]
     settled = visit_poses(arm, reference, world, goals, "off", seed)
     return [_predict(config, s, shoulder == "in") for s, shoulder in zip(settled, shoulders, strict=True)]
 
@@ -99,7 +99,7 @@ def _predict(config: Config, s: RestState, shoulder_in: bool) -> Prediction:
     pressed = settle(config.arm, s.motor_rad, config.half_backlash_rad, s.gravity_R_m_s2)
     believed = settle_output(config.arm, s.motor_rad + s.believed_gear_rad, s.gravity_R_m_s2)
     error_mm = [
-        1e3 * float(np.linalg.norm(tool_pose(config.arm, pose.frames, "DRILL").p - s.p_RoTo_R_m))
+        1e3 * float(np.linalg.norm(tool_pose(config.arm, pose.frames, "drill").p - s.p_RoTo_R_m))
         for pose in (pressed, believed)
     ]
     return Prediction(shoulder_in, error_mm[0], error_mm[1], int(np.count_nonzero(s.true_side < 0)))

@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from fsw.dictionary.commands import Command, Retract, ToolChange
+from fsw.dictionary.commands import AUTO, Command, Retract, ToolChange
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
 from fsw.dictionary.types import joints5
@@ -49,7 +49,7 @@ MOST_FAILED = 3 / 60
 """Largest share of accepted changes that are not completed."""
 MOST_REFUSED = 0.15
 """Largest share of changes in reach that are refused."""
-FIRST, SECOND = "APXS", "MAHLI"
+FIRST, SECOND = "apxs", "mahli"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors |
     first = _touch(loop, (place,))
     if isinstance(first, str):
         return NotChanged("first tool not placed", first)
-    again = replace(place, tool=SECOND, branch="AUTO")
+    again = replace(place, tool=SECOND, branch=AUTO)
     changing = loop.fork()
     relative = _touch(changing, (ToolChange(SECOND),))
     if isinstance(relative, str) and changing.state.mode is loop.state.mode:

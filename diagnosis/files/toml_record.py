@@ -36,15 +36,19 @@ def read_toml(path: Path) -> dict[str, Any]:
             raise RobotError(f"{path}: is no regular file; name a TOML file")
         if path.stat().st_size > MAX_BYTES:
             raise RobotError(f"{path}: is larger than 1 MB; name a TOML file")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise RobotError(f"{path}: cannot be read ({error.strerror}); name a file that exists") from error
     except UnicodeDecodeError as error:
         raise RobotError(f"{path}: is not UTF-8 text; name a TOML file") from error
-    except tomllib.TOMLDecodeError as error:
-        raise RobotError(f"{path}: is not TOML: {error}") from error
     except ValueError as error:  # a zero byte in the name
         raise RobotError(f"{str(path)!r}: is no name of a file; name a TOML file") from error
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RobotError(f"{path}: is not TOML: {error}") from error
+    except (ValueError, RecursionError) as error:
+        raise RobotError(f"{path}: has a number with too many digits or a list in too many lists") from error
 
 
 def parse_record(kind: type[R], content: dict[str, Any], path: Path) -> R:

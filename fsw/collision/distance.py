@@ -212,13 +212,13 @@ def limit_surface(geometry: CollisionGeometry, frames: Frames, surface: Surface)
 
     Args:
         geometry: Shapes of the arm.
-        frames: Frames of the links in RMECH at the start of a path, batch (1).
+        frames: Frames of the links in RMECH along a path, batch (n); the first is its start.
         surface: Surface of a target.
 
     Returns:
         The surface; its half ball ends half-way to the nearest of these parts.
     """
-    X_RS = place_shapes(geometry, frames)
+    X_RS = place_shapes(geometry, Frames(*(X[:, :1] for X in (frames.X_RL, frames.X_LD, frames.X_RF))))
     height = _compute_heights(geometry, X_RS, surface)[:, 0]
     is_below = (geometry.arm.carrier >= SURFACE_FRAME) & (height < -BELOW_M)
     nearest_m = _compute_distances_beside(geometry, X_RS, surface)[is_below, 0].min(initial=np.inf)

@@ -14,7 +14,7 @@ from typing import Any, Final, Literal, TypeVar, Union, get_args, get_origin, ge
 import numpy as np
 
 from fsw.dictionary.commands import Command
-from fsw.dictionary.types import DirectionMark, Limits, NameMark
+from fsw.dictionary.types import DirectionMark, Limits, NameMark, match_name
 
 COMMAND_TYPES: Final = frozenset(get_args(Command))
 MAX_TEXT_LENGTH: Final = 100
@@ -54,7 +54,9 @@ def read_arguments(command: C, names: Names) -> C | Wrong:
         return Wrong(f"is no command; there are {', '.join(sorted(one.__name__ for one in COMMAND_TYPES))}")
     values: dict[str, Any] = {}
     for field, hint in _hints(kind).items():
-        value = _read_value(hint, getattr(command, field, None), names)
+        if not hasattr(command, field):
+            return Wrong(f"{field}: is missing")
+        value = _read_value(hint, getattr(command, field), names)
         if isinstance(value, Wrong):
             return Wrong(f"{field}: {value.text}")
         values[field] = value
@@ -127,28 +129,31 @@ def _read_vector(hint: Any, marks: tuple[Any, ...], value: object) -> tuple[floa
 
 def _read_name(known: tuple[str, ...], value: object) -> str | Wrong:
     """Return the known name that a text stands for, in any case."""
-    if isinstance(value, str):
-        for name in known:
-            if name.lower() == value.lower():
-                return name
-    return Wrong(f"{_describe(value)} is not known; there are {', '.join(known)}")
+    name = match_name(value, known)
+    return Wrong(f"{_describe(value)} is not known; there are {', '.join(known)}") if name is None else name
 
 
 def _read_text(value: object) -> str | Wrong:
     if not isinstance(value, str) or not value.isprintable():
         return Wrong(f"{_describe(value)} is not printable text")
+    if not value:
+        return Wrong("is empty; a name is right")
     if len(value) > MAX_TEXT_LENGTH:
         return Wrong(f"{_describe(value)} has {len(value)} characters; at most {MAX_TEXT_LENGTH} are allowed")
     return str(value)
 
 
 def _read_member(kind: type[IntEnum], value: object) -> IntEnum | Wrong:
-    """Return the member with this number."""
+    """Return the member with this number or, in any case, this name."""
+    names = [one.name.lower() for one in kind]
+    name = match_name(value, names)
+    if name is not None:
+        return kind[name.upper()]
     if _is_number(value) and isinstance(value, int | np.integer):
         for member in kind:
             if member == value:
                 return member
-    return Wrong(f"{_describe(value)} is not known; there are {', '.join(one.name.lower() for one in kind)}")
+    return Wrong(f"{_describe(value)} is not known; there are {', '.join(names)}")
 
 
 def _describe(value: object) -> str:

@@ -23,9 +23,9 @@ DeflectionMode = Literal["off", "absolute", "relative"]
 """Gravity compensation: none, of the whole deflection, or of its change from the present pose."""
 JointDeflectionMode = Literal["off", "absolute"]
 """Gravity compensation of a move to joint angles, which has no tool as reference."""
-ROVER: Final = "ROVER"
+ROVER: Final = "rover"
 """Name of frame RMECH in a command."""
-AUTO: Final = "AUTO"
+AUTO: Final = "auto"
 """Name of a branch that flight software chooses."""
 
 JointAngles = Annotated[Joints5, Limits(-7.0, 7.0)]
@@ -104,7 +104,7 @@ class MoveTool:
     approach_F: Direction
     """Target direction of the tool's x axis, of any length."""
     frame: FrameName = ROVER
-    """Frame F of position and approach: ROVER, or an arm frame or a tool at its estimated pose."""
+    """Frame F of position and approach: rover, or an arm frame or a tool at its estimated pose."""
     straight: bool = False
     """True for a straight line with an even turn of the tool; false for an even motion of the joints."""
     line_m: DistanceOrZero = 0.0
@@ -112,7 +112,7 @@ class MoveTool:
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"
     branch: BranchName = AUTO
-    """AUTO, or the name of a branch."""
+    """auto, or the name of a branch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +150,7 @@ class PlaceTool:
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"
     branch: BranchName = AUTO
-    """AUTO, or the name of a branch."""
+    """auto, or the name of a branch."""
     normal_R: Direction | None = None
     """Normal out of the surface, of any length; None for against the approach."""
 
@@ -184,7 +184,7 @@ class ToolChange:
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "relative"
     branch: BranchName = AUTO
-    """AUTO, or the name of a branch."""
+    """auto, or the name of a branch."""
 
 
 @dataclass(frozen=True, slots=True)

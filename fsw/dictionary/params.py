@@ -87,7 +87,7 @@ class ToolParams:
     """
 
     name: str
-    """Name in commands, in capitals."""
+    """Name in commands, in small letters."""
     title: str
     """Name in sentences."""
     transform: Transform6
@@ -102,7 +102,7 @@ class SwitchParams:
     """Contact switch, with a bit in the sensor word."""
 
     name: str
-    """Name in events, in capitals."""
+    """Name in events, in small letters."""
     tool: str
     """Name of the tool that it is on."""
 
@@ -278,13 +278,13 @@ class TeachPoint:
     name: str
     """Name of the point in commands."""
     tool: str
-    """Name of the taught tool, in any case."""
+    """Name of the taught tool."""
     p_RoTo_R_m: Vector3
     """Estimated position of the tool."""
     approach_R: Vector3
     """Estimated direction of the tool's x axis."""
-    branch: str = "AUTO"
-    """Branch of the inverse kinematics: AUTO, or one of the names in kinematics.branches.BRANCHES."""
+    branch: str = "auto"
+    """Branch of the inverse kinematics: auto, or one of the names in kinematics.branches.BRANCHES."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ class NameMark(Enum):
     TOOL = "tool of the arm"
     SWITCH = "contact switch of the arm"
     FRAME = "frame in which a command is given"
-    BRANCH = "branch of the inverse kinematics, or AUTO"
+    BRANCH = "branch of the inverse kinematics, or auto"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +42,18 @@ class DirectionMark:
 
 
 ToolName = Annotated[str, NameMark.TOOL]
-"""Name of a tool, in capitals."""
+"""Name of a tool, in small letters."""
 SwitchName = Annotated[str, NameMark.SWITCH]
-"""Name of a contact switch, in capitals."""
+"""Name of a contact switch, in small letters."""
 FrameName = Annotated[str, NameMark.FRAME]
-"""Name of a frame, in capitals."""
+"""Name of a frame, in small letters."""
 BranchName = Annotated[str, NameMark.BRANCH]
-"""AUTO, or one of the names in kinematics.branches.BRANCHES."""
+"""auto, or one of the names in kinematics.branches.BRANCHES."""
+
+
+def match_name(text: object, known: Iterable[str]) -> str | None:
+    """Return the known name that a text stands for, in any case; None if it is none of them."""
+    return next((name for name in known if isinstance(text, str) and name.lower() == text.lower()), None)
 
 
 def names_tool(hint: Any) -> bool:

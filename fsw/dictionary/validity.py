@@ -44,7 +44,7 @@ def check_limits(record: Any, place: str = "") -> Iterator[str]:
             continue
         if isinstance(value, tuple) and value and is_dataclass(value[0]):
             for k, item in enumerate(value):
-                yield from check_limits(item, f"{where}.{str(getattr(item, 'name', k)).lower()}.")
+                yield from check_limits(item, f"{where}.{getattr(item, 'name', k)}.")
             continue
         if not all(math.isfinite(v) for v in _leaf_numbers(value)):
             yield f"{where}: must be finite, is {value}"
@@ -107,13 +107,11 @@ def _check_names(params: Params) -> Iterator[str]:
         yield from (
             f"{place}: {name} is there twice" for name in sorted({n for n in given if given.count(n) > 1})
         )
-    known = ", ".join(name.lower() for name in names)
-    uses = [(f"switches.{switch.name.lower()}", switch.tool) for switch in params.switches]
+    known = ", ".join(names)
+    uses = [(f"switches.{switch.name}", switch.tool) for switch in params.switches]
     uses += [(f"teach.{point.name}.tool", point.tool) for point in params.teach]
     yield from (
-        f"{place}: tool {tool!r} is not known; there are {known}"
-        for place, tool in uses
-        if tool.upper() not in names
+        f"{place}: tool {tool!r} is not known; there are {known}" for place, tool in uses if tool not in names
     )
 
 
@@ -122,7 +120,7 @@ def _check_boresights(tools: tuple[ToolParams, ...]) -> Iterator[str]:
     for tool in tools:
         beta = tool.transform.beta_rad
         if math.asin(abs(math.cos(beta))) < MIN_LEAN_RAD:
-            where = f"tools.{tool.name.lower()}.transform.beta_rad"
+            where = f"tools.{tool.name}.transform.beta_rad"
             yield f"{where}: {beta} brings the boresight within {MIN_LEAN_RAD} of the turret axis"
 
 
@@ -167,7 +165,7 @@ def _check_geometry(params: Params) -> Iterator[str]:
         (f"collision.arm.{field.name}", getattr(params.collision.arm, field.name))
         for field in fields(params.collision.arm)
     ]
-    parts += [(f"tools.{tool.name.lower()}.geometry", tool.geometry) for tool in params.tools]
+    parts += [(f"tools.{tool.name}.geometry", tool.geometry) for tool in params.tools]
     parts += [(f"collision.rover.{part.name}", part) for part in params.collision.rover]
     for where, shapes in parts:
         if not shapes.capsules and not shapes.boxes:

@@ -21,7 +21,7 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import NameMark
 from fsw.kinematics.branches import BRANCHES
 
-LINK_FRAMES = tuple(frame.name for frame in Frame if frame is not Frame.TOOL)
+LINK_FRAMES = tuple(frame.name.lower() for frame in Frame if frame is not Frame.TOOL)
 
 
 def known_names(params: Params) -> Names:
@@ -47,7 +47,7 @@ def check_arguments(params: Params, command: Command) -> str | None:
                 return f"{tool} has no contact switch to end a guarded move"
             return None if isinstance(command, ToolChange) else _check_normal(command)
         case ToolChange(hover_m=hover_m, standoff_m=standoff_m) if hover_m >= standoff_m:
-            return f"hover_m {hover_m:g} m is not below the standoff, {standoff_m:g} m"
+            return f"hover at {hover_m:g} m is not below the standoff, {standoff_m:g} m"
         case _:
             return None
 
@@ -63,4 +63,4 @@ def check_force(params: Params, command: Preload) -> str | None:
 def _check_normal(command: GuardedMove | PlaceTool) -> str | None:
     if command.normal_R is None or np.dot(command.normal_R, command.approach_R) < 0:
         return None
-    return "normal_R points along the approach, not out of the surface"
+    return "the normal points along the approach, not out of the surface"

@@ -7,6 +7,7 @@ import numpy as np
 from fsw.collision.geometry import Surface
 from fsw.config import Config
 from fsw.dictionary.commands import (
+    AUTO,
     Calibrate,
     DeflectionMode,
     Dock,
@@ -85,11 +86,6 @@ def find_teach_point(config: Config, name: str) -> TeachPoint | Refusal:
     if name in points:
         return points[name]
     return Refusal(f"point {name!r} was not taught; there are {', '.join(points) or 'none'}")
-
-
-def teach_point_tool(point: TeachPoint) -> str:
-    """Return the tool of a taught point."""
-    return point.tool.upper()
 
 
 def locate_spot(config: Config, joints: JointEstimate, touching: str, command: ToolChange) -> Line:
@@ -225,14 +221,14 @@ def _expand_teach_point(
     approach = normalize(gravity if command.along_gravity else np.array(point.approach_R))
     p = np.array(point.p_RoTo_R_m) - command.standoff_m * approach
     move = MoveTool(
-        teach_point_tool(point),
+        point.tool,
         vector3(p),
         vector3(approach),
         straight=command.straight,
         line_m=0.0 if command.straight else command.standoff_m,
         backlash=command.backlash,
         deflection=command.deflection,
-        branch="AUTO" if command.straight else point.branch,
+        branch=AUTO if command.straight else point.branch,
     )
     return (move,)
 
@@ -243,7 +239,7 @@ def _expand_dock(config: Config, command: Dock) -> tuple[SequenceStep, ...] | Re
         return point
     approach = normalize(np.array(point.approach_R))
     end = np.array(point.p_RoTo_R_m) + command.overtravel_m * approach
-    return (GuardedMove(teach_point_tool(point), vector3(end), vector3(approach), backlash=command.backlash),)
+    return (GuardedMove(point.tool, vector3(end), vector3(approach), backlash=command.backlash),)
 
 
 def expand_calibrate_all(params: Params, accept_moved: bool = False) -> Sequence:

@@ -114,7 +114,7 @@ def _plan_checked(
             collision = check_paths(config, joints, plan.paths, padding_m, touching, surface)
         case _:
             collision = check_paths(config, joints, plan.paths, padding_m, surface=surface)
-    return plan if collision is None else Refusal(collision)
+    return plan if collision is None else Refusal(collision, is_blocked=True)
 
 
 def _plan_motion(
@@ -183,9 +183,9 @@ def _plan_fastest(
     """
     branches = find_branches(config, joints, standoff)
     if isinstance(branches, Refusal):
-        return Refusal(f"MoveTool: {branches.reason}")
+        return branches
     fastest: PlannedSequence | None = None
-    reasons = []
+    refusals = []
     for branch in branches:
         if fastest is not None and fastest.duration_s <= branch.least_s:
             break
@@ -198,12 +198,14 @@ def _plan_fastest(
             if isinstance(planned, PlannedSequence):
                 fastest = min(fastest or planned, planned, key=lambda one: one.duration_s)
                 break
-            reasons.append(planned.reason)
+            refusals.append(planned)
     if fastest is not None:
         return fastest
+    if not refusals[0].is_blocked:
+        return refusals[0]
     most_m = command.standoff_m + FARTHER_M[-1]
     which = "no" if command.branch == AUTO else f"on branch {command.branch}, no"
-    return Refusal(f"{reasons[0]}; {which} way from up to {most_m:.2g} m above the surface is clear")
+    return Refusal(f"{refusals[0].reason}; {which} way from up to {most_m:.2g} m above the surface is clear")
 
 
 def plan_steps(
@@ -220,13 +222,13 @@ def plan_steps(
             continue
         problem = check_arguments(config.params, step)
         if problem is not None:
-            return Refusal(f"{type(step).__name__}: {problem}")
+            return Refusal(problem)
         surface = locate_surface(config, joints, tool, step, surface)
         # a search for a retraction at each move of a placement would take long
         plan_step = plan_command if isinstance(step, Stow) else _plan_checked
         plan = plan_step(config, joints, tool, step, surface)
         if isinstance(plan, Refusal):
-            return Refusal(f"{type(step).__name__}: {plan.reason}")
+            return plan
         plans.append(plan)
         joints = estimate_at(joints, plan.end)
         tool = step.tool if isinstance(step, MoveTool | GuardedMove | Retract) else tool

@@ -11,6 +11,7 @@ from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, ParamSet, TiltSet
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
+from fsw.estimate.joints import JointEstimate
 from fsw.estimate.reference import forget_joint
 from fsw.executive.context import CommandContext, check_ready, command_name, refuse, with_events
 from fsw.kinematics.transforms import angle_between, gravity_direction
@@ -24,18 +25,25 @@ def set_tilt(config: Config, context: CommandContext, command: SetTilt) -> Comma
     problem = check_ready(context)
     if problem is not None:
         return refuse(context, command, problem)
-    down_R = gravity_direction(command.roll_rad, command.pitch_rad)
-    joints, bound = context.state.joints, config.params.monitors.tilt_rad
-    measured_R = joints.imu_R_m_s2 / np.linalg.norm(joints.imu_R_m_s2)
-    error_rad = angle_between(measured_R, down_R)
-    if error_rad > bound:
-        return refuse(
-            context,
-            command,
-            f"the IMU reads gravity {error_rad:.4f} rad from there, at most {bound:.4f} are allowed",
-        )
-    state = replace(context.state, joints=replace(joints, down_R=down_R))
-    return _complete(replace(context, state=state), command, TiltSet(error_rad))
+    tilted = tilt_joints(config, context.state.joints, command)
+    if isinstance(tilted, str):
+        return refuse(context, command, tilted)
+    joints, difference_rad = tilted
+    state = replace(context.state, joints=joints)
+    return _complete(replace(context, state=state), command, TiltSet(difference_rad))
+
+
+def tilt_joints(config: Config, joints: JointEstimate, command: SetTilt) -> tuple[JointEstimate, float] | str:
+    """Return the estimate with gravity from an attitude, or the reason that the attitude is refused.
+
+    Returns:
+        The estimate, and the angle [rad] between this gravity and that of the IMU.
+    """
+    down_R, bound = gravity_direction(command.roll_rad, command.pitch_rad), config.params.monitors.tilt_rad
+    difference_rad = angle_between(joints.imu_R_m_s2 / np.linalg.norm(joints.imu_R_m_s2), down_R)
+    if difference_rad > bound:
+        return f"the IMU reads gravity {difference_rad:.4f} rad from there, at most {bound:.4f} are allowed"
+    return replace(joints, down_R=down_R), difference_rad
 
 
 def set_param(config: Config, context: CommandContext, command: SetParam) -> CommandContext:

@@ -27,6 +27,8 @@ class Refusal:
     """Reason that a move cannot be planned."""
 
     reason: str
+    is_blocked: bool = False
+    """True if something is in the way."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -95,7 +95,7 @@ def plan_tool(
     branches = find_branches(config, joints, command, reference)
     if isinstance(branches, Refusal):
         return branches
-    reasons = []
+    refusals = []
     for branch in branches:
         pose = branch.output_rad
         load_Nm = settle_output(config.arm, pose, joints.gravity_R_m_s2).torque_Nm
@@ -104,8 +104,8 @@ def plan_tool(
         plan = _refuse_blocked(config, joints, move, surface)
         if not isinstance(plan, Refusal):
             return replace(plan, branch=branch.name)
-        reasons.append(f"{branch.name}: {plan.reason}")
-    return Refusal(f"{command.tool}: {reasons[0]}")
+        refusals.append(replace(plan, reason=f"{command.tool}: {branch.name}: {plan.reason}"))
+    return refusals[0]
 
 
 def find_branches(
@@ -145,7 +145,7 @@ def _refuse_blocked(
 ) -> Plan | Refusal:
     """Return the plan, or a refusal if its paths are not clear."""
     collision = check_paths(config, joints, plan.paths, config.params.collision.padding_m, surface=surface)
-    return plan if collision is None else Refusal(collision)
+    return plan if collision is None else Refusal(collision, is_blocked=True)
 
 
 def _target(
@@ -175,7 +175,7 @@ def _frame_pose(config: Config, frames: Frames, name: str) -> Pose:
     """Return the pose of an arm frame or a tool in RMECH by its name."""
     if name in config.arm.X_FT:
         return tool_pose(config.arm, frames, name)
-    k = Frame[name]
+    k = Frame[name.upper()]
     return Pose(frames.X_RF.R[:, :, k], frames.X_RF.p[:, k])
 
 

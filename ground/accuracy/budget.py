@@ -103,7 +103,7 @@ def compute_budgets(
     """
     found: dict[str, dict[str, ToolBudget]] = {name: {} for name in names}
     for k, tool in enumerate(tools):
-        progress(k, len(tools), tool.lower())
+        progress(k, len(tools), tool)
         poses = workspace_poses(config.arm, tool, gravity_R_m_s2, -(-count // len(tools)), seed)
         sensitivity = compute_sensitivity(config, poses, gravity_R_m_s2)
         for name in names:
@@ -209,6 +209,5 @@ def run_budget(request: BudgetRequest, progress: Progress = no_progress) -> Budg
 
 
 def _parse_tools(name: str, params: Params) -> tuple[str, ...]:
-    if name.lower() == ALL:
-        return params.tool_names
-    return (parse_tool(name, params.tool_names, ALL),)
+    tool = parse_tool(name, (*params.tool_names, ALL))
+    return params.tool_names if tool == ALL else (tool,)

@@ -72,7 +72,7 @@ def _case_json(budget: Budget) -> dict[str, Any]:
     return {
         "text": budget.case.text,
         "sources": dict(budget.case.sources),
-        "tools": [tool.lower() for tool in budget.tools],
+        "tools": [*budget.tools],
         "estimates": {
             rule: {component: budget.estimate(rule, component) for component in COMPONENTS} for rule in RULES
         },

@@ -65,7 +65,7 @@ def run_job(job: ArmJob) -> dict[str, Any]:
         return {**_job_key(job), "failed": str(error)}
     return {
         **_job_key(job),
-        "tool": found[0].tool.lower(),
+        "tool": found[0].tool,
         "places": [_measurement_record(m) for m in found],
     }
 
@@ -123,7 +123,7 @@ def read_measurements(record: dict[str, Any]) -> Iterator[MeasuredPlacement]:
         output, error, position = (
             np.array(place[name]) for name in ("output_rad", "error", "backlash_position")
         )
-        yield MeasuredPlacement(str(record["tool"]).upper(), output, error, position)
+        yield MeasuredPlacement(str(record["tool"]), output, error, position)
 
 
 def _measurement_record(measured: MeasuredPlacement) -> dict[str, Any]:

@@ -87,7 +87,7 @@ def _coverage_json(found: CoverageReport) -> dict[str, Any]:
 def _measured_json(report: MonteCarloReport) -> list[dict[str, Any]]:
     return [
         {
-            "tool": m.tool.lower(),
+            "tool": m.tool,
             **{k: getattr(m, k).tolist() for k in ("output_rad", "error", "backlash_position")},
         }
         for trial in report.trials
@@ -227,7 +227,7 @@ def one_arm_table(report: MonteCarloReport) -> None:
         table.add_column(name, justify="left" if name == "tool" else "right")
     for m in (m for trial in report.trials for m in trial):
         shift, turn = (f"{1e3 * v:+.2f}" for v in m.error[3:]), (f"{degrees(v):+.3f}" for v in m.error[1:3])
-        table.add_row(m.tool.lower(), *shift, *turn)
+        table.add_row(m.tool, *shift, *turn)
     console = plain_console()
     console.print(table)
     _print_rest(console, report)

@@ -82,7 +82,7 @@ def describe_arm(model: ArmModel) -> dict[str, Any]:
         "upper_arm_m": links[2].transform.a_m,
         "forearm_m": links[3].transform.a_m,
         "mass_kg": round(mass_kg, 6),
-        "tools": [tool.lower() for tool in model.params.tool_names],
+        "tools": [*model.params.tool_names],
         "instrument": model.description.instrument,
         "sha256": model.params.model.sha256,
         "is_default": model.name == default_arm().name,

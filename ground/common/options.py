@@ -4,10 +4,12 @@ A field is declared as `poses: Annotated[int, Option("Number of poses.", within=
 line makes an option of it with the default of the field; `check_options` refuses what is not allowed.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, is_dataclass
+from numbers import Integral, Real
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, NamedTuple, get_args, get_origin, get_type_hints
+from types import UnionType
+from typing import Annotated, Any, Final, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
 from ground.common.errors import BadRequest
 from ground.common.files import check_distinct_files, check_output
@@ -34,6 +36,16 @@ class Option:
     """Help of the flag `--no-NAME`, which sets the field to None."""
 
 
+TYPES: Final[dict[type, tuple[tuple[type, ...], str]]] = {
+    float: ((Real,), "a number"),
+    int: ((Integral,), "a whole number"),
+    bool: ((bool,), "True or False"),
+    str: ((str,), "a text"),
+    Path: ((Path,), "a pathlib.Path"),
+}
+"""Types that a value may have, and what an error calls them, by the type of a field."""
+
+
 class Field(NamedTuple):
     """Field of a request with its option, or a group of options: a field that is a request itself."""
 
@@ -48,7 +60,7 @@ class Field(NamedTuple):
     def label(self) -> str:
         """Name of the option in errors."""
         name = None if self.option is None else self.option.name
-        return (name or self.name.replace("_", "-")).removeprefix("--")
+        return (name or self.name.replace("_", "-")).removeprefix("--").partition("/")[0]
 
 
 def option_fields(request_type: type) -> Iterator[Field]:
@@ -80,19 +92,42 @@ def check_options(request: Any) -> None:
 
 
 def _values(request: Any) -> Iterator[tuple[Field, Option, Any]]:
-    """Yield each option with its value, except None, which is allowed where the type has it."""
+    """Yield each option with its value, except None where the type has it; refuse a value of another type."""
     for field in option_fields(type(request)):
         value = getattr(request, field.name)
+        misfit = _find_misfit(field.type, value)
+        if misfit is not None:
+            raise BadRequest(f"{field.label}: takes {misfit}, not {value!r:.60}")
         if field.option is None:
             yield from _values(value)
         elif value is not None:
             yield field, field.option, value
 
 
+def _find_misfit(kind: Any, value: Any) -> str | None:
+    """Return in words what a type takes if a value is not of it; numbers may be of numpy, tuples lists."""
+    if get_origin(kind) in (UnionType, Union):
+        return None if value is None else _find_misfit(get_args(kind)[0], value)
+    if get_origin(kind) is Literal:
+        return None  # _check_value lists what there is
+    if get_origin(kind) is not tuple:
+        types, words = TYPES.get(kind, ((kind,), f"a {kind.__name__}"))
+        return None if isinstance(value, types) and (kind is bool) is isinstance(value, bool) else words
+    first, *more = get_args(kind)
+    count = 1 + len(more)
+    is_any_count = more == [...]
+    words = f"a tuple, each item {TYPES[first][1]}" if is_any_count else f"{count} numbers"
+    is_list = isinstance(value, Iterable) and not isinstance(value, str | bytes)
+    items = list(value) if is_list else []
+    fits = is_list and (is_any_count or len(items) == count)
+    return None if fits and all(_find_misfit(first, item) is None for item in items) else words
+
+
 def _files(field: Field, value: Any) -> Iterator[tuple[str, Path]]:
     """Yield the files that an option names; an effect or a scenario is a file if it ends in .toml."""
-    for one in value if isinstance(value, tuple) else (value,):
-        label = f"{field.label} {one}" if isinstance(value, tuple) else field.label
+    is_one = isinstance(value, str | Path)
+    for one in (value,) if is_one else value:
+        label = field.label if is_one else f"{field.label} {one}"
         if isinstance(one, Path) or one.endswith(".toml"):
             yield label, Path(one)
 

@@ -3,12 +3,12 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Literal, cast
+from typing import Final, Literal, cast, get_args
 
 import numpy as np
 
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Vector3
+from fsw.dictionary.types import Position, Vector3, match_name
 from ground.common.errors import BadRequest
 from sim.arm_model.load import ArmModel
 from sim.arm_model.mismatch import find_mismatches
@@ -20,8 +20,8 @@ from sim.scenario.effect_file import read_effect_file
 from sim.scenario.effects import BadEffect, parse_effect_text
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
 
-MAX_TARGET_DISTANCE_M: Final = 100.0
-"""Largest distance of a target: farther ones are typing errors, and their squares may overflow."""
+MAX_TARGET_DISTANCE_M: Final[float] = get_args(Position)[1].high
+"""Largest distance of a target, that of a command; the squares of farther ones may overflow."""
 NOMINAL_ARM: Final = "nominal"
 """Arm name of the nominal parameters, with which any arm may be flown."""
 MIN_COMPONENT: Final = 1e-6
@@ -165,21 +165,16 @@ def fit_effects(arm: BuiltArm, effects: tuple[Effect, ...]) -> BuiltArm:
         raise BadRequest(str(error)) from error
 
 
-def parse_tool(name: str, tools: Sequence[str], *others: str) -> str:
+def parse_tool(name: str, tools: Sequence[str]) -> str:
     """Return the tool of this name, in any case.
-
-    Args:
-        name: Name that was given.
-        tools: Names of the tools of the arm.
-        others: Other words that are allowed, for the error.
 
     Raises:
         BadRequest: the arm has no such tool.
     """
-    if name.upper() not in tools:
-        known = ", ".join([*(tool.lower() for tool in tools), *others])
-        raise BadRequest(f"tool: {name!r} is not known; there are {known}")
-    return name.upper()
+    tool = match_name(name, tools)
+    if tool is None:
+        raise BadRequest(f"tool: {name!r} is not known; there are {', '.join(tools)}")
+    return tool
 
 
 def make_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: str = "scene") -> World:

@@ -118,7 +118,7 @@ def _branch_json(report: IkReport, slot: int) -> dict[str, Any]:
 def _model_json(model: IkModel) -> dict[str, Any]:
     request, gravity = model.request, model.gravity_R_m_s2
     return {
-        "tool": model.tool.lower(),
+        "tool": model.tool,
         "arm": request.arm,
         "compensate": request.compensate,
         "gravity": request.gravity,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import Params
+from fsw.dictionary.types import match_name
 from ground.common.errors import BadRequest
 from ground.common.files import reserve
 from ground.common.options import check_options
@@ -90,12 +91,13 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
 
 
 def _parse_tool(name: str, params: Params) -> str:
-    known = {tool.lower(): tool for tool, switches in params.tool_switches.items() if switches}
-    if name.lower() not in known:
+    known = [tool for tool, switches in params.tool_switches.items() if switches]
+    tool = match_name(name, known)
+    if tool is None:
         raise BadRequest(
             f"tool: {name!r} cannot be placed; the tools with contact switches are {', '.join(known)}"
         )
-    return known[name.lower()]
+    return tool
 
 
 @dataclass(frozen=True, slots=True)

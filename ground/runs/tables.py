@@ -32,7 +32,7 @@ def place_json(report: PlaceReport) -> dict[str, Any]:
     contact, standoff = result.contact, result.standoff
     return {
         "outcome": result.outcome.value,
-        "tool": report.tool.lower(),
+        "tool": report.tool,
         "arm": request.arm,
         "branch": result.branch,
         "duration_s": result.duration_s,

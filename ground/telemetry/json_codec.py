@@ -8,6 +8,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from fsw.dictionary.arguments import MAX_FLOAT
 from fsw.dictionary.commands import Command
 from ground.telemetry.errors import SchemaError
 from ground.telemetry.topics import strip_optional
@@ -72,6 +73,8 @@ def record_from_json(kind: Any, value: Any, place: str, notes: list[str], base: 
         return _check_choice(get_args(kind), value, place)
     if issubclass(kind, IntEnum):
         return kind[_check_choice(tuple(kind.__members__), value, place)]
+    if kind is float and not _fits_float(value):
+        raise BadJson(f"{place}: {value!r:.80} is larger than any float")
     # A person may write an integer where a float is due; it stays an integer.
     if not isinstance(value, (int, float) if kind is float else kind) or (
         isinstance(value, bool) and kind is not bool
@@ -136,9 +139,14 @@ def _decode_tuple(kinds: tuple[Any, ...], value: Any, place: str, notes: list[st
 def _decode_array(dtype: np.dtype[Any], value: Any, place: str) -> Any:
     """Decode an array of one dimension, of flags or floats."""
     kinds = (bool,) if dtype.kind == "b" else (int, float)
-    if not isinstance(value, list) or not all(type(item) in kinds for item in value):
+    if not isinstance(value, list) or not all(type(item) in kinds and _fits_float(item) for item in value):
         raise BadJson(f"{place}: {value!r:.80} is no list of {dtype}")
     return np.array(value, dtype)
+
+
+def _fits_float(value: Any) -> bool:
+    """Return whether a value is not an integer beyond all floats."""
+    return not isinstance(value, int) or abs(value) <= MAX_FLOAT
 
 
 def _check_choice(words: tuple[str, ...], value: Any, place: str) -> str:

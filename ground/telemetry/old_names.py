@@ -62,11 +62,13 @@ def rename_header(header: Mapping[str, str]) -> dict[str, str]:
     A part that is not JSON of the known form stays as it is; its reader says so.
     """
     parts: dict[str, Callable[[Any], Any]] = {
-        "params": lambda part: _list_tools(
-            {
-                group: _rename_fields(group, values, PARAMETERS) if isinstance(values, dict) else values
-                for group, values in part.items()
-            }
+        "params": lambda part: _lower_names(
+            _list_tools(
+                {
+                    group: _rename_fields(group, values, PARAMETERS) if isinstance(values, dict) else values
+                    for group, values in part.items()
+                }
+            )
         ),
         "boot": lambda part: (
             {**part, "reference": _rename_fields("reference", part["reference"], REFERENCE_FIELDS)}
@@ -91,7 +93,7 @@ def _list_tools(params: dict[str, Any]) -> dict[str, Any]:
     nominal, collision = nominal_params(), params["collision"]
     titles = {tool.name: tool.title for tool in nominal.tools}
     tools = [
-        {"name": name.upper(), "title": titles[name.upper()], **tool, "geometry": collision["arm"][name]}
+        {"name": name, "title": titles[name], **tool, "geometry": collision["arm"][name]}
         for name, tool in params["tools"].items()
     ]
     links = {name: part for name, part in collision["arm"].items() if name not in params["tools"]}
@@ -103,6 +105,16 @@ def _list_tools(params: dict[str, Any]) -> dict[str, Any]:
         "switches": record_to_json(nominal.switches),
         "collision": {**collision, "arm": links, "rover": rover},
     }
+
+
+def _lower_names(params: dict[str, Any]) -> dict[str, Any]:
+    """Return parameters with names of tools and switches in small letters; they were capitals once."""
+    named = {"tools": ("name",), "switches": ("name", "tool"), "teach": ("tool",)}
+    lower = {
+        place: [{**one, **{key: one[key].lower() for key in keys}} for one in params[place]]
+        for place, keys in named.items()
+    }
+    return {**params, **lower}
 
 
 def _rename_json(text: str, rename: Callable[[Any], Any]) -> str:

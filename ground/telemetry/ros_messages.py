@@ -227,7 +227,7 @@ class RosEncoder:
         shapes, placed = self._config.collision_geometry, []
         for k, carrier in enumerate(shapes.arm.carrier):
             frame = TURRET_FRAME if carrier == TURRET_CARRIER else f"link{carrier}"
-            name, X_CS = shapes.parts[shapes.arm.part[k]].lower(), shapes.arm.X_CS[k]
+            name, X_CS = shapes.parts[shapes.arm.part[k]], shapes.arm.X_CS[k]
             placed.append((name, frame, X_CS, shapes.arm, k, ARM_COLOUR))
         placed += [
             ("rover", ROVER_FRAME, shapes.rover.X_CS[k], shapes.rover, k, ROVER_COLOUR)
@@ -251,7 +251,7 @@ def fixed_frames(arm: Arm, scene: Mapping[str, Pose]) -> tuple[FixedFrame, ...]:
         *(FixedFrame(ROOT_FRAME, name, X) for name, X in scene.items()),
         FixedFrame(ROVER_FRAME, "arm1", Pose(rotation_z(arm.theta_rad[0]), np.zeros(3)) @ X_LF[0]),
         *(FixedFrame(f"link{k}", f"arm{k + 1}", X_LF[k]) for k in range(1, 6)),
-        *(FixedFrame(TURRET_FRAME, tool.lower(), X_FT) for tool, X_FT in arm.X_FT.items()),
+        *(FixedFrame(TURRET_FRAME, tool, X_FT) for tool, X_FT in arm.X_FT.items()),
     )
 
 

@@ -4,7 +4,6 @@ The arrangement is fixed: azimuth, elevation, elbow, wrist, turret. Everything e
 """
 
 import json
-import tomllib
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Final, Literal
 
@@ -14,6 +13,7 @@ from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import TeachPoint, Transform6
 from fsw.dictionary.types import Angle, Joints5, Limits, Vector3
 from sim.params_table import describe_error
+from sim.text_file import load_toml
 
 Expansion = Annotated[float, Limits(-1e-4, 1e-4)]
 Gain = Annotated[float, Limits(0.0, 1e9)]
@@ -270,8 +270,8 @@ def read_description(text: str, path: str) -> ArmDescription:
         BadArm: fields in it are missing, not known or of a wrong type; the message names each.
     """
     try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
+        table = load_toml(text)
+    except ValueError as error:
         raise BadArm(f"{path}: is not TOML: {error}") from error
     try:
         return _ADAPTER.validate_json(json.dumps(table, default=str), strict=True, extra="forbid")

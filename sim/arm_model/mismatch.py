@@ -44,7 +44,7 @@ def find_mismatches(params: Params, arm: ArmModel) -> Iterator[str]:
     ):
         yield from _compare_link(f"links.arm{k}", link, drawn, sigma)
     for tool, drawn_tool in zip(params.tools, drawing.tools, strict=True):
-        where = f"tools.{tool.name.lower()}"
+        where = f"tools.{tool.name}"
         X = transform6_to_pose(tool.transform), transform6_to_pose(drawn_tool.transform)
         yield from _compare_frames(where, *X, sigma)
         yield from _compare_exact(where, tool, drawn_tool, "geometry")

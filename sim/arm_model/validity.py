@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any, Final
 
+from fsw.dictionary.commands import AUTO
 from fsw.dictionary.validity import check_limits
 from fsw.kinematics.branches import BRANCHES
 from sim.arm_model.description import LINK_PARTS, ArmDescription, BadArm, LinkDescription, Lump, Shape
@@ -130,8 +131,8 @@ def _check_teach(arm: ArmDescription) -> Iterator[str]:
     for k, point in enumerate(arm.teach):
         if point.name in (other.name for other in arm.teach[:k]):
             yield f"teach.{k}.name: {point.name!r} is given twice; give each point a name of its own"
-        if point.branch not in ("AUTO", *BRANCHES):
-            yield f"teach.{k}.branch: {point.branch!r} is not known; there are AUTO, {', '.join(BRANCHES)}"
+        if point.branch not in (AUTO, *BRANCHES):
+            yield f"teach.{k}.branch: {point.branch!r} is not known; there are {AUTO}, {', '.join(BRANCHES)}"
         if not any(point.approach_R):
             yield f"teach.{k}.approach_R: {point.approach_R} has no direction"
 

@@ -138,7 +138,7 @@ def effect_place_text(kind: type[Effect], place: Mapping[str, Any]) -> str:
 
 def place_word(field: PlaceField, value: Any) -> str:
     """Return the word for a value of a place: the name of a member, or that of a tool of any arm."""
-    return next((name for name, member in field.members.items() if member == value), str(value).lower())
+    return next((name for name, member in field.members.items() if member == value), str(value))
 
 
 def _neutral_value(parameter: ParameterField) -> Any:
@@ -151,7 +151,7 @@ def _neutral_value(parameter: ParameterField) -> Any:
 
 def _choices_of(hint: Any, tools: Sequence[str] | None) -> dict[str, Any]:
     if NameMark.TOOL in getattr(hint, "__metadata__", ()):
-        return {tool.lower(): tool for tool in tools or nominal_params().tool_names}
+        return {tool: tool for tool in tools or nominal_params().tool_names}
     if isinstance(hint, type) and issubclass(hint, IntEnum):
         return {member.name.lower(): member for member in hint}
     return {word: word for word in get_args(hint)} if get_origin(hint) is Literal else {}

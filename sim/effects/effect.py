@@ -194,8 +194,8 @@ class Effect:
         for field in fields(self):
             tool = getattr(self, field.name)
             if names_tool(hints[field.name]) and tool not in (None, *params.tool_names):
-                known = ", ".join(params.tool_names).lower()
-                return f"{field.name}: {str(tool).lower()} is not a tool of this arm; there are {known}"
+                known = ", ".join(params.tool_names)
+                return f"{field.name}: {tool} is not a tool of this arm; there are {known}"
         return None
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from math import pi
 from typing import Annotated, Final, Literal
 
-from fsw.dictionary.commands import Command
+from fsw.dictionary.commands import AUTO, Command
 from fsw.dictionary.types import Direction, Limits, Position, ToolName
 from sim.arms import BuiltArm
 from sim.drawing import WARM_C
@@ -172,7 +172,7 @@ class TaughtPoint:
     p_N_m: Position
     """Position in RNAV."""
     approach_N: Direction
-    branch: str = "AUTO"
+    branch: str = AUTO
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,6 @@
 import hashlib
 import re
 import sys
-import tomllib
 import traceback
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
@@ -12,6 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Final, get_type_hints
 
+from fsw.dictionary.types import match_name
 from sim.effects.catalogue import (
     PlaceField,
     catalogue,
@@ -24,6 +24,7 @@ from sim.effects.catalogue import (
 from sim.effects.effect import Effect
 from sim.scenario.names import did_you_mean, field_keys, list_choices, shorten
 from sim.scenario.toml_record import Findings, read_record
+from sim.text_file import load_toml
 
 FILE_PATTERN: Final = re.compile(r"(?P<file>.+?\.py):(?P<rest>.*)", re.DOTALL)
 COMMA_PATTERN: Final = re.compile(r",(?![^\[]*\])")
@@ -226,7 +227,7 @@ def _parse_place(known: Sequence[PlaceField], name: str, text: str) -> dict[str,
         sits = f"it sits at a {what}" if known else "it has no place"
         raise BadEffect(f"effect {name}: place {shorten(text)!r} has too many words; {sits}")
     for where, word in zip(known, words, strict=False):
-        if word not in where.members:
+        if match_name(word, where.members) is None:
             raise BadEffect(
                 f"effect {name}: place: {where.field} {shorten(word)!r} is not known; "
                 f"{did_you_mean(word, where.members)}"
@@ -251,8 +252,8 @@ def _parse_parameters(name: str, text: str) -> dict[str, Any]:
 
 def _parse_value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except (ValueError, RecursionError):  # no TOML, or nested too deeply
+        return load_toml(f"value = {text}")["value"]
+    except ValueError:
         return text
 
 

@@ -133,10 +133,10 @@ def _refusal_reason(before: SequenceState, command: Command) -> str | None:
         here = " or ".join(mode.name for mode in sorted(modes - {Mode.FAULTED}))
         return f"{name} is refused in mode {here}; before it comes {_enabling_commands(modes, command)}"
     if isinstance(command, ToolChange) and command.tool == before.tool:
-        return f"{name}: {command.tool.lower()} is the tool that touches already; name another"
+        return f"{name}: {command.tool} is the tool that touches already; name another"
     wrong_tool = isinstance(command, GuardedMove | Retract | Preload) and command.tool != before.tool
     if wrong_tool and before.tool is not None:
-        touching = before.tool.lower()
+        touching = before.tool
         return f"{name}: {touching} is the tool that touches; write {touching}"
     return None
 

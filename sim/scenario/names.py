@@ -75,10 +75,13 @@ def list_choices(known: Iterable[str]) -> str:
     return f"there are {', '.join(known) or 'none'}"
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Suggest the closest name, or part of `one or other`, and list all names; or say its name of today."""
+def did_you_mean(value: object, known: Iterable[str]) -> str:
+    """Suggest the closest name, or part of `one or other`, and list all names; or say its name of today.
+
+    A value that is no text is near to no name.
+    """
     names = list(known)
-    advice = suggest_name(name, names)
+    advice = suggest_name(value, names) if isinstance(value, str) else ""
     return advice.removesuffix("; ") if advice.endswith("; ") else advice + list_choices(names)
 
 

@@ -26,17 +26,17 @@ from fsw.dictionary.commands import (
 )
 from fsw.dictionary.params import TeachPoint
 from fsw.dictionary.types import vector3
-from fsw.estimate.joints import JointEstimate, uninitialised_estimate
-from fsw.estimate.reference import no_reference
+from fsw.estimate.joints import JointEstimate
 from fsw.executive.checks import check_arguments, check_force
 from fsw.executive.expansion import CompoundCommand, locate_surface
 from fsw.executive.planning import SingleMoveCommand, plan_sequence, plan_steps
-from fsw.executive.settings import replace_param
-from fsw.kinematics.transforms import Array, gravity_direction, normalize
-from fsw.motion.plan import JointPositions, Refusal, estimate_at
+from fsw.executive.settings import replace_param, tilt_joints
+from fsw.kinematics.transforms import normalize
+from fsw.motion.plan import Refusal
 from fsw.motion.preload import model_contact, plan_preload
 from sim.arms import BuiltArm
 from sim.frames import p_R_from_N
+from sim.preview import first_estimate, joints_at
 from sim.scenario.data import Scenario, TaughtPoint
 from sim.scenario.names import upper_snake
 from sim.world import Surface, params_in_world
@@ -60,44 +60,43 @@ def find_impossible(scenario: Scenario, arm: BuiltArm) -> str | None:
     params = params_in_world(scenario.world, replace(arm.params, teach=(*arm.params.teach, *taught)))
     config = configure(params)
     start_rad = params.poses.stowed_rad if scenario.start == "stowed" else params.poses.ready_rad
-    joints = replace(
-        uninitialised_estimate(config, no_reference(config)), imu_R_m_s2=scenario.world.gravity_N_m_s2
-    )
-    before = Rehearsed(config, _joints_at(joints, np.array(start_rad)), params.tool_names[0], None)
+    joints = first_estimate(config, np.array(start_rad), scenario.world.gravity_N_m_s2)
+    before = Rehearsed(config, joints, params.tool_names[0], None)
     for number, command in enumerate(scenario.commands, 1):
-        if isinstance(command, ClearFault):
-            return None  # where a fault stops the arm is not known before
         ended = _rehearse(before, command, scenario.world.surface)
         if isinstance(ended, Refusal):
-            reason = ended.reason.removeprefix(f"{type(command).__name__}: ")
-            return f"command {number}, {upper_snake(type(command))}: {reason}"
+            return f"command {number}, {upper_snake(type(command))}: {ended.reason}"
+        if ended is None:
+            return None
         before = ended
     return None
 
 
-def _rehearse(before: Rehearsed, command: Command, surface: Surface | None) -> Rehearsed | Refusal:
-    """Plan a command, and return what is known after it."""
+def _rehearse(before: Rehearsed, command: Command, surface: Surface | None) -> Rehearsed | Refusal | None:
+    """Plan a command, and return what is known after it; None if that is nothing."""
     config, joints = before.config, before.joints
     problem = check_arguments(config.params, command)
     if problem is not None:
         return Refusal(problem)
     match command:
-        case Stop() | ClearFault():
+        case Stop():
             return before
+        case ClearFault():
+            return None  # where a fault stops the arm is not known before
         case SetTilt():
-            down_R = gravity_direction(command.roll_rad, command.pitch_rad)
-            return replace(before, joints=replace(joints, down_R=down_R))
+            tilted = tilt_joints(config, joints, command)
+            return Refusal(tilted) if isinstance(tilted, str) else replace(before, joints=tilted[0])
         case SetParam():
             changed = replace_param(config.params, command)
             if isinstance(changed, str):
                 return Refusal(changed)
             return replace(before, config=configure(changed))
         case CalibrateAll():
-            return replace(before, joints=_joints_at(joints, np.array(config.params.hardstop.park_rad)))
+            return replace(before, joints=joints_at(joints, np.array(config.params.hardstop.park_rad)))
         case Calibrate():
             at_stop = np.array([joint.hardstop_rad for joint in config.params.joints.in_order()])
             moved = np.arange(at_stop.size) == command.joint
-            return replace(before, joints=_joints_at(joints, np.where(moved, at_stop, joints.output_rad)))
+            return replace(before, joints=joints_at(joints, np.where(moved, at_stop, joints.output_rad)))
         case Preload():
             refused = _refuse_preload(before, command)
             return before if refused is None else refused
@@ -152,12 +151,8 @@ def _end_on_surface(command: MotionCommand, surface: Surface | None) -> MotionCo
 def _nominal_point(point: TaughtPoint) -> TeachPoint:
     return TeachPoint(
         name=point.name,
-        tool=point.tool.lower(),
+        tool=point.tool,
         p_RoTo_R_m=vector3(p_R_from_N(np.array(point.p_N_m))),
         approach_R=vector3(normalize(np.array(point.approach_N))),
         branch=point.branch,
     )
-
-
-def _joints_at(joints: JointEstimate, output_rad: Array) -> JointEstimate:
-    return estimate_at(joints, JointPositions(output_rad, np.zeros_like(output_rad)))

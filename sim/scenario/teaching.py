@@ -71,7 +71,7 @@ def _teach_point(
     approach = believed.R_RT[:, 0] + axis_error
     return TeachPoint(
         name=point.name,
-        tool=point.tool.lower(),
+        tool=point.tool,
         p_RoTo_R_m=vector3(believed.p_RoTo_R_m + error_m + SURVEY_DISTANCE_M * approach),
         approach_R=vector3(approach),
         branch=point.branch,
@@ -90,7 +90,7 @@ def _pose_near(arm: BuiltArm, point: TaughtPoint, p_R_m: Array, axis: Array, wor
         if point.branch in (AUTO, BRANCHES[slot % len(BRANCHES)])
     ]
     if not poses:
-        raise NotTaught(f"{arm.name}: {point.name} is out of reach of the {point.tool.lower()}")
+        raise NotTaught(f"{arm.name}: {point.name} is out of reach of the {point.tool}")
     nearest = min(poses, key=lambda pose: float(np.abs(pose - ready).max()))
     return np.asarray(nearest + TEACH_OFFSET_RAD * np.sign(ready - nearest))
 

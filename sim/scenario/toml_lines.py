@@ -4,6 +4,8 @@ import re
 import tomllib
 from typing import Any, Final
 
+from sim.text_file import load_toml
+
 TomlPath = tuple[str | int, ...]
 """Keys and indices that lead to a value."""
 
@@ -32,13 +34,13 @@ def parse_toml(text: str) -> tuple[dict[str, Any], dict[TomlPath, int]]:
         NotToml: Python's parser refuses the text.
     """
     try:
-        return tomllib.loads(text), find_lines(text)
+        return load_toml(text), find_lines(text)
     except tomllib.TOMLDecodeError as error:
         match = re.fullmatch(r"(.*) \(at (?:line (\d+), column \d+|end of document)\)", str(error), re.DOTALL)
         if match is None:
             raise NotToml(1, str(error)) from error
         raise NotToml(int(match[2]) if match[2] else text.count("\n") + 1, match[1]) from error
-    except (ValueError, RecursionError) as error:  # a number or a list without end
+    except ValueError as error:
         raise NotToml(1, str(error)) from error
 
 

@@ -1,19 +1,17 @@
 """Frozen dataclasses from tables of a scenario file: names, units, types and limits by reflection."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from enum import IntEnum
 from types import UnionType
 from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from fsw.dictionary.types import DirectionMark, Limits, names_tool
+from fsw.dictionary.types import DirectionMark, Limits, match_name, names_tool
 from sim.scenario.names import FieldKeys, did_you_mean, field_keys, list_choices, shorten
 from sim.scenario.toml_lines import TomlPath
 
 T = TypeVar("T")
-Words = tuple[str, ...] | Mapping[str, str]
-"""Values that a field may have; a mapping has the value for each word of the file."""
 Choices = Mapping[str, tuple[str, ...]]
 """Allowed texts, by name of a field."""
 
@@ -72,7 +70,7 @@ def read_record(
                 (*place, key),
                 findings,
                 words[f.name].factors[key],
-                tool_words(findings.tools) if names_tool(hints[f.name]) else choices.get(f.name),
+                findings.tools if names_tool(hints[f.name]) else choices.get(f.name),
             )
         elif key is None and f.default is MISSING and f.default_factory is MISSING:
             findings.report(place, f"{words[f.name]}: is missing")
@@ -83,11 +81,6 @@ def read_record(
     except ValueError as error:  # fields that contradict each other
         findings.report(place, str(error))
         return None
-
-
-def tool_words(tools: Iterable[str]) -> dict[str, str]:
-    """Return the names of tools by the words that a file has for them."""
-    return {tool.lower(): tool for tool in tools}
 
 
 def require_table(value: Any, place: TomlPath, findings: Findings) -> dict[str, Any] | None:
@@ -109,7 +102,7 @@ def read_kind(
     if isinstance(name, str) and name in kinds:
         return kinds[name]
     findings.report(
-        (*place, TYPE_KEY), f"{TYPE_KEY}: {_show(name)} is not known; {did_you_mean(str(name), kinds)}"
+        (*place, TYPE_KEY), f"{TYPE_KEY}: {_show(name)} is not known; {did_you_mean(name, kinds)}"
     )
     return None
 
@@ -142,7 +135,7 @@ def _without_unit(key: str, words: list[FieldKeys]) -> FieldKeys | None:
 
 
 def _read_value(
-    kind: Any, value: Any, place: TomlPath, findings: Findings, factor: float, choices: Words | None
+    kind: Any, value: Any, place: TomlPath, findings: Findings, factor: float, choices: tuple[str, ...] | None
 ) -> Any:
     plain = _bare_type(kind)
     if is_dataclass(plain):
@@ -160,15 +153,13 @@ def _read_value(
     return read
 
 
-def _convert_value(kind: Any, value: Any, factor: float, choices: Words | None) -> Any:
+def _convert_value(kind: Any, value: Any, factor: float, choices: tuple[str, ...] | None) -> Any:
     if kind is float:
         return _read_number(value, factor)
     if kind is bool:
         return _check_type(bool, value, "true or false")
     if kind is int:
         return _check_type(int, value, "a whole number")
-    if isinstance(choices, Mapping):
-        return choices[_match_choice(tuple(choices), value)]
     if get_origin(kind) is Literal or choices is not None:
         return _match_choice(get_args(kind) if choices is None else choices, value)
     if kind is str:
@@ -219,9 +210,10 @@ def _check_type(kind: type, value: Any, what: str) -> Any:
 
 
 def _match_choice(known: tuple[str, ...], value: Any) -> str:
-    if isinstance(value, str) and value in known:
-        return value
-    raise _BadValue(f"{_show(value)} is not known; {did_you_mean(str(value), known)}")
+    name = match_name(value, known)
+    if name is None:
+        raise _BadValue(f"{_show(value)} is not known; {did_you_mean(value, known)}")
+    return name
 
 
 def _check_limits(limits: Any, value: Any, factor: float) -> None:

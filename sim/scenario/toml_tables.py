@@ -10,7 +10,7 @@ from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import AUTO, ROVER, Command, Dock
 from fsw.dictionary.faults import Fault
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Limits, NameMark, vector3
+from fsw.dictionary.types import Limits, NameMark, match_name, vector3
 from fsw.executive.checks import check_arguments, known_names
 from fsw.kinematics.branches import BRANCHES
 from sim.effects.effect import Effect, Timed
@@ -19,7 +19,7 @@ from sim.effects.faults import InjectedFault, RockGone, SensorFault
 from sim.frames import p_R_from_N
 from sim.scenario.data import Check, Injection, Placed, Preloaded, SameSpot, TaughtPoint
 from sim.scenario.effects import BadEffect, find_effect_class
-from sim.scenario.names import did_you_mean, is_position, upper_snake
+from sim.scenario.names import did_you_mean, field_keys, is_position, upper_snake
 from sim.scenario.toml_lines import TomlPath
 from sim.scenario.toml_record import TYPE_KEY, Findings, read_kind, read_record
 
@@ -98,34 +98,34 @@ def read_command(
     kind = read_kind(COMMAND_CLASSES, table, place, findings)
     if kind is None:
         return None
-    names, known = [field.name for field in fields(kind)], known_names(params)
-    positions = [name for name in names if is_position(name)]
-    frames = (*ROVER_FRAMES, *known[NameMark.FRAME][1:]) if "frame" in names else ROVER_FRAMES
+    own, known = [field.name for field in fields(kind)], known_names(params)
+    positions = [one for one in own if is_position(one)]
+    frames = (*ROVER_FRAMES, *known[NameMark.FRAME][1:]) if "frame" in own else ROVER_FRAMES
     rest = {key: value for key, value in table.items() if key != TYPE_KEY}
     frame = rest.pop("frame", RNAV) if positions else None
     command = read_record(kind, rest, place, findings, {"branch": (AUTO, *BRANCHES), "point": tuple(points)})
-    words = {name.lower(): name for name in frames}
-    if frame is not None and str(frame).lower() not in words:
-        findings.report(
-            (*place, "frame"), f"frame: {frame!r} is not known; {did_you_mean(str(frame), frames)}"
-        )
+    where = match_name(frame, frames)
+    if frame is not None and where is None:
+        findings.report((*place, "frame"), f"frame: {frame!r} is not known; {did_you_mean(frame, frames)}")
         return None
     if command is None:
         return None
-    frame = None if frame is None else words[str(frame).lower()]
     changed: dict[str, Any] = {}
-    if frame == RNAV:
-        changed = {name: vector3(p_R_from_N(np.array(getattr(command, name)))) for name in positions}
-    if "frame" in names:
-        changed["frame"] = ROVER if frame in ROVER_FRAMES else frame
+    if where == RNAV:
+        changed = {one: vector3(p_R_from_N(np.array(getattr(command, one)))) for one in positions}
+    if "frame" in own:
+        changed["frame"] = ROVER if where in ROVER_FRAMES else where
     command = replace(command, **changed)
     read = read_arguments(command, known)
     if isinstance(read, Wrong):
-        findings.report(place, f"{table[TYPE_KEY]}: {read.text}")
+        field, _, wrong = read.text.partition(": ")
+        key = next(key for key in field_keys(field, tuple).factors if key in table)
+        note = "in RMECH, " if field in positions else ""
+        findings.report((*place, key), f"{key}: {note}{wrong}")
         return None
     command, problem = read, check_arguments(params, read)
     if isinstance(command, Dock) and not params.tool_switches[points[command.point]]:
-        problem = f"the {points[command.point].lower()} has no contact switch to dock with"
+        problem = f"the {points[command.point]} has no contact switch to dock with"
     if problem is not None:
         findings.report(place, f"{table[TYPE_KEY]}: {problem}")
     return command

@@ -151,7 +151,7 @@ def test_each_joint_of_a_built_arm_finds_its_hardstop(joint: Joint) -> None:
 def test_it_places_its_instrument(arm: str) -> None:
     report = place(PlaceRequest(arm=arm, files=RunFiles()), quiet)
     result = report.execution.result
-    assert report.tool == MODEL.description.instrument.upper()
+    assert report.tool == MODEL.description.instrument
     assert result.outcome is Outcome.DONE
     assert result.contact is not None
     assert result.contact.total_m < (1e-3 if arm == NAME else 5e-3)

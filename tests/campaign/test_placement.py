@@ -27,7 +27,7 @@ def found_at_its_hardstops(name: str) -> Reference:
 @pytest.mark.parametrize("seed", TARGETS)
 def test_the_nominal_arm_touches_within_a_millimetre_and_a_fifth_of_a_degree(seed):
     arm = arm_named("nominal")
-    world, seen = random_placement(seed, arm, "APXS", MAX_TILT_RAD)
+    world, seen = random_placement(seed, arm, "apxs", MAX_TILT_RAD)
     result = run_placement(arm, found_at_its_hardstops("nominal"), world, seen.placement, seed)
     assert result.outcome is Outcome.DONE
     assert result.contact is not None
@@ -38,7 +38,7 @@ def test_the_nominal_arm_touches_within_a_millimetre_and_a_fifth_of_a_degree(see
 @pytest.mark.parametrize("seed", TARGETS)
 def test_an_as_built_arm_touches_too_and_its_error_is_told(seed):
     arm = arm_named(f"as-built:{seed}")
-    world, seen = random_placement(seed, arm, "APXS", MAX_TILT_RAD)
+    world, seen = random_placement(seed, arm, "apxs", MAX_TILT_RAD)
     result = run_placement(arm, found_at_its_hardstops(arm.name), world, seen.placement, seed)
     assert result.outcome is Outcome.DONE
     assert result.contact is not None

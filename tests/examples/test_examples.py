@@ -59,7 +59,7 @@ def test_an_example_uses_public_names_only_and_stands_on_the_page_with_its_pictu
 def test_the_closed_loop_places_an_instrument(tmp_path):
     printed = run_example("closed_loop", tmp_path)
     assert printed.endswith("outcome: done\n")
-    assert "contact on APXS" in printed
+    assert "contact on apxs" in printed
 
 
 def test_an_effect_of_ones_own_changes_the_motor_current(tmp_path):

@@ -17,7 +17,7 @@ from tests.fsw.rig import Rig, alive, config_of, facing, floats, quiet_sensors, 
 from tests.tools import TOOL_SWITCHES, TOOLS, tool_index
 
 CONFIG = config_of()
-START = facing(CONFIG, "APXS")
+START = facing(CONFIG, "apxs")
 
 
 def seal(record) -> None:
@@ -52,8 +52,8 @@ def session():
     script = {
         5: (MoveJoints(floats(START + 0.01)),),
         60: (Stop(),),
-        150: (rig.here("APXS", 0.005),),
-        420: (rig.touch("APXS", 0.004),),
+        150: (rig.here("apxs", 0.005),),
+        420: (rig.touch("apxs", 0.004),),
         440: (),
     }
     return rig, script
@@ -65,7 +65,7 @@ def test_same_arguments_same_outputs_bit_for_bit_and_arguments_unchanged():
     seal(config)
     state, count = rig.state, rig.count
     for tick in range(700):
-        commands = script.get(tick, (Retract("APXS", 0.003),) if tick == 650 else ())
+        commands = script.get(tick, (Retract("apxs", 0.003),) if tick == 650 else ())
         bad = {"current_A": [np.nan] * 5} if tick == 600 else {}
         read = count * config.rad_per_count + alive(tick)
         sensors = quiet_sensors(count, cycle=tick, resolver_rad=read, **bad)
@@ -132,14 +132,14 @@ def test_without_calibrated_joints_nothing_moves_but_the_tool_pose_that_resolver
 
 def test_the_tool_channels_come_at_their_period_and_are_where_the_settled_arm_is():
     rig = Rig(CONFIG, start_rad=START)
-    rig.cycle(rig.here("APXS", 0.001))
+    rig.cycle(rig.here("apxs", 0.001))
     rig.run()
     channels = [out.tool for out in (rig.cycle() for _ in range(160)) if out.tool is not None]
     assert len(channels) == 160 // CONFIG.params.motion.load_period_cycles
-    X = rig.tool_pose("APXS")
+    X = rig.tool_pose("apxs")
     np.testing.assert_allclose(channels[-1].p_RoTo_R_m, X.p, atol=1e-7)
     np.testing.assert_allclose(channels[-1].R_RT, X.R, atol=1e-7)
-    assert channels[-1].tool == tool_index("APXS")
+    assert channels[-1].tool == tool_index("apxs")
 
 
 @pytest.mark.parametrize("joint", Joint)
@@ -180,11 +180,11 @@ def test_a_guarded_move_to_a_near_surface_is_planned_for_every_tool_with_switche
 
 
 def test_a_tool_without_switches_is_not_guarded():
-    rig = Rig(CONFIG, start_rad=facing(CONFIG, "PORTION"))
-    rig.cycle(rig.touch("PORTION", 0.05))
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, "portion"))
+    rig.cycle(rig.touch("portion", 0.05))
     assert rig.state.mode is Mode.DEPLOYED
     refusals = [evr.reason for evr in rig.evrs if isinstance(evr, CommandRefused)]
-    assert refusals == ["PORTION has no contact switch to end a guarded move"]
+    assert refusals == ["portion has no contact switch to end a guarded move"]
 
 
 def test_the_cycle_is_the_only_public_function_of_its_file():

@@ -9,7 +9,7 @@ from fsw.kinematics.chain import forward, tool_pose
 from tests.fsw.rig import Rig, config_of, facing, floats
 
 CONFIG = config_of()
-START = facing(CONFIG, "APXS")
+START = facing(CONFIG, "apxs")
 HEAT = CONFIG.params.heat
 
 
@@ -35,7 +35,7 @@ def test_a_colder_arm_is_shorter_by_its_expansion():
     rig = Rig(CONFIG, start_rad=START, warm_C=-55.0)
     arm = present(rig).arm
     frames, cold = forward(CONFIG.arm, START), forward(arm, START)
-    shift_m = np.linalg.norm(tool_pose(arm, cold, "APXS").p - tool_pose(CONFIG.arm, frames, "APXS").p)
+    shift_m = np.linalg.norm(tool_pose(arm, cold, "apxs").p - tool_pose(CONFIG.arm, frames, "apxs").p)
     assert 1e-3 < shift_m < 4e-3
     assert present(rig).protection.arm is arm
 
@@ -65,6 +65,15 @@ def test_a_reading_that_is_no_number_leaves_the_last_temperature():
     assert rig.state.structure_C == before_C
     rig.cycle(structure_C=200.0)
     assert rig.state.structure_C == before_C
+
+
+def test_the_first_temperature_is_the_mean_of_usable_readings_alone():
+    rig, period = Rig(CONFIG, start_rad=START, calibrated=False), CONFIG.params.motion.load_period_cycles
+    for _ in range(100 * period):
+        rig.cycle(structure_C=float("nan"))
+    for warm_C in (20.0, 23.0, 26.0):
+        reads(rig, warm_C, period)
+    assert rig.state.structure_C == pytest.approx(23.0, abs=1e-3)
 
 
 def test_a_frozen_reading_is_a_fault():

@@ -169,7 +169,7 @@ def test_a_calibration_leaves_a_tenth_of_what_it_found() -> None:
         for kind in ("as-built", "calibrated"):
             believed = build_arm(arm_named(f"{kind}:{seed}").params)
             p = [
-                tool_pose(arm, forward(arm, lab.READY_RAD), "APXS").p
+                tool_pose(arm, forward(arm, lab.READY_RAD), "apxs").p
                 for arm in (build_arm(perfect), believed)
             ]
             miss[kind].append(float(np.linalg.norm(p[1] - p[0])))
@@ -214,7 +214,7 @@ def tool_jacobian() -> lab.Array:
     rows = []
     for _ in range(60):
         frames = forward(arm, rng.uniform(arm.soft_min_rad, arm.soft_max_rad))
-        X_RT = tool_pose(arm, frames, "APXS")
+        X_RT = tool_pose(arm, frames, "apxs")
         poses = (*(frames.X_RF[k] for k in range(6)), X_RT)
         rows.append(np.hstack([adjoint(inverse(X_RT) @ X) for X in poses]))
     return np.vstack(rows)
@@ -248,11 +248,11 @@ def test_the_columns_are_what_frame_errors_do(tool_jacobian: lab.Array, frame: F
     params = nominal_params()
     arm = build_arm(params)
     pose = np.random.default_rng(17).uniform(arm.soft_min_rad, arm.soft_max_rad)
-    X = tool_pose(arm, forward(arm, pose), "APXS")
+    X = tool_pose(arm, forward(arm, pose), "apxs")
     for axis in range(6):
         step = 1e-6 * np.eye(6)[axis]
-        tool = "APXS" if frame is Frame.TOOL else None
+        tool = "apxs" if frame is Frame.TOOL else None
         other = build_arm(FrameError(frame, tuple(float(s) for s in step), tool).on_params(params))
-        moved = inverse(X) @ tool_pose(other, forward(other, pose), "APXS")
+        moved = inverse(X) @ tool_pose(other, forward(other, pose), "apxs")
         screw = np.array([moved.R[2, 1], moved.R[0, 2], moved.R[1, 0], *moved.p]) / 1e-6
         np.testing.assert_allclose(tool_jacobian[:6, 6 * frame + axis], screw, rtol=0, atol=1e-5)

@@ -219,7 +219,7 @@ def test_a_winding_cools_without_power(ready: Plant) -> None:
 @pytest.mark.parametrize("switch", SWITCHES)
 def test_a_switch_closes_above_its_force_and_no_other_with_it(ready: Plant, switch: str) -> None:
     sensors = avionics_of(ready)
-    address = ready.model.sensor(switch.lower()).adr[0]
+    address = ready.model.sensor(switch).adr[0]
     ready.data.sensordata[:] = 0.0
     ready.data.sensordata[address] = 1.99
     assert not sensors.sense().switch_closed.any()
@@ -260,7 +260,7 @@ def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready: Pl
 
 def pad_forces_N(plant: Plant) -> lab.Array:
     """Return the normal force on the pad of each switch, from the contacts."""
-    pads = [plant.model.geom(f"{switch.lower()}_pad").id for switch in SWITCHES]
+    pads = [plant.model.geom(f"{switch}_pad").id for switch in SWITCHES]
     total, force = np.zeros(len(SWITCHES)), np.zeros(6)
     for k, contact in enumerate(plant.data.contact):
         mujoco.mj_contactForce(plant.model, plant.data, k, force)

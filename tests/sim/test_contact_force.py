@@ -75,14 +75,14 @@ def run_without_switches(tool, switches) -> tuple[float, list]:
 DEAD = [(tool, switch) for tool in TOUCHING for switch in TOOL_SWITCHES[tool]]
 
 
-@pytest.mark.parametrize(("tool", "dead"), slow_but(DEAD, ("APXS", TOOL_SWITCHES["APXS"][0])))
+@pytest.mark.parametrize(("tool", "dead"), slow_but(DEAD, ("apxs", TOOL_SWITCHES["apxs"][0])))
 def test_a_guarded_tool_meets_a_rock_with_less_than_50_N_whichever_switch_is_dead(tool, dead):
     peak, evrs = run_without_switches(tool, (dead,))
     assert any(isinstance(evr, ContactMade | PreloadOutside) for evr in evrs)
     assert 0.0 < peak < 50.0
 
 
-@pytest.mark.parametrize("tool", slow_but(TOUCHING, "APXS"))
+@pytest.mark.parametrize("tool", slow_but(TOUCHING, "apxs"))
 def test_a_guarded_tool_whose_switches_are_all_dead_is_felt_before_it_presses_with_100_N(tool):
     peak, evrs = run_without_switches(tool, TOOL_SWITCHES[tool])
     assert any(isinstance(evr, PreloadOutside) for evr in evrs)
@@ -104,7 +104,7 @@ def with_turret_angle(pose_rad, turned_rad):
     ids=["azimuth", "elevation", "elbow", "wrist", "all"],
 )
 @pytest.mark.parametrize("stretched", [False, True], ids=["ready", "stretched"])
-@pytest.mark.parametrize("tool", ["APXS", "DRILL"])
+@pytest.mark.parametrize("tool", ["apxs", "drill"])
 def test_joints_at_full_speed_that_drive_a_tool_into_a_rock_press_with_less_than_250_N(
     tool, stretched, joints
 ):
@@ -127,9 +127,9 @@ def test_joints_at_full_speed_that_drive_a_tool_into_a_rock_press_with_less_than
 
 
 def test_a_rock_that_is_gone_is_not_touched_any_more():
-    loop, X_RT = facing_rock("APXS", facing(CONFIG, "APXS"), ahead_m=0.04)
+    loop, X_RT = facing_rock("apxs", facing(CONFIG, "apxs"), ahead_m=0.04)
     axis = X_RT.R[:, 0]
-    loop.cycle((GuardedMove("APXS", floats(X_RT.p + 0.07 * axis), floats(axis)),))
+    loop.cycle((GuardedMove("apxs", floats(X_RT.p + 0.07 * axis), floats(axis)),))
     assert any(isinstance(evr, ContactMade) for evr in run_to_rest(loop))
     gone = loop.fork((RockGone(NOW_S),))
     for _ in range(CYCLE_HZ):

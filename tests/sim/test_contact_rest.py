@@ -15,7 +15,7 @@ POINT_N_M, NORMAL_N = (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arm_name", ["nominal", "calibrated:1"])
-@pytest.mark.parametrize("tool", ["APXS", "DRILL"])
+@pytest.mark.parametrize("tool", ["apxs", "drill"])
 def test_a_touch_rests_half_a_second_after_the_last_set_point(tool: str, arm_name: str) -> None:
     """The force is within 20 % of the mean of the last second, and within 5 % from 2 s or the brakes on."""
     arm = arm_named(arm_name)

@@ -74,8 +74,8 @@ def make_cases(turret_kg: float) -> tuple[Case, ...]:
     """
     rng, arm = np.random.default_rng([2264, round(turret_kg)]), arm_with(turret_kg)
     pose = rng.uniform(arm.soft_min_rad, arm.soft_max_rad, (1000, 5)).T
-    X_RT = tool_pose(arm, forward(arm, pose), "DRILL")
-    answers = inverse_kinematics(arm, "DRILL", X_RT.p, X_RT.R[:, 0])
+    X_RT = tool_pose(arm, forward(arm, pose), "drill")
+    answers = inverse_kinematics(arm, "drill", X_RT.p, X_RT.R[:, 0])
     valid = [iter(np.flatnonzero(verdicts == BranchVerdict.VALID)) for verdicts in answers.verdict]
     drawn: list[Case] = []
     while len(drawn) < POSES_PER_TURRET:
@@ -152,5 +152,5 @@ def test_on_earth_the_arm_hangs_by_centimetres() -> None:
     arm = arm_with(30.0)
     case = next(case for case in make_cases(30.0) if case.world.scene == "earth")
     straight = settle(arm, lab.STRAIGHT_RAD, np.zeros(5), case.world.gravity_N_m_s2)
-    rigid = tool_pose(arm, forward(arm, lab.STRAIGHT_RAD), "DRILL")
-    assert np.linalg.norm(tool_pose(arm, straight.frames, "DRILL").p - rigid.p) > 0.05
+    rigid = tool_pose(arm, forward(arm, lab.STRAIGHT_RAD), "drill")
+    assert np.linalg.norm(tool_pose(arm, straight.frames, "drill").p - rigid.p) > 0.05

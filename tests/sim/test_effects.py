@@ -132,11 +132,11 @@ def test_a_small_frame_error_moves_the_tools_of_the_plant_as_the_frame_jacobian_
 
 
 def test_a_frame_error_at_a_tool_moves_that_tool_only() -> None:
-    plant = build(FrameError(Frame.TOOL, SCREW, "DRT"))
+    plant = build(FrameError(Frame.TOOL, SCREW, "drt"))
     mujoco.mj_resetData(plant.model, plant.data)
     truth, frames = plant.truth(), forward(NOMINAL, np.zeros(5))
     apart = [truth.p_RoTo_R_m[tool_index(tool)] - tool_pose(NOMINAL, frames, tool).p for tool in TOOLS]
-    assert [tool for tool in TOOLS if np.linalg.norm(apart[tool_index(tool)]) > 1e-9] == ["DRT"]
+    assert [tool for tool in TOOLS if np.linalg.norm(apart[tool_index(tool)]) > 1e-9] == ["drt"]
 
 
 def test_a_frame_error_at_a_tool_names_its_tool() -> None:

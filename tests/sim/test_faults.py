@@ -123,11 +123,11 @@ def test_a_frozen_sensor_keeps_what_it_read_when_its_time_came():
 
 @pytest.mark.parametrize(("size", "closed"), [(1.0, True), (-1.0, False)])
 def test_a_switch_biased_by_one_is_stuck_whatever_touches(size, closed):
-    sensors = avionics_with(SensorFault(NOW_S, "switch_closed", "biased", switch_index("DRT_1"), size))
+    sensors = avionics_with(SensorFault(NOW_S, "switch_closed", "biased", switch_index("drt_1"), size))
     plant = sensors._plant
     for force_N in (0.0, 50.0):
         plant.data.sensordata[:] = force_N
-        expected = np.where(np.isin(SWITCHES, ["DRT_1"]), closed, force_N > 2.0)
+        expected = np.where(np.isin(SWITCHES, ["drt_1"]), closed, force_N > 2.0)
         np.testing.assert_array_equal(sensors.sense().switch_closed, expected)
 
 

@@ -26,7 +26,7 @@ PLAY = (1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)
 BODIES = (*LINK_BODIES, *(frame_body(Frame.TOOL, tool) for tool in TOOLS))
 BY_CHANCE = (
     FramePlay(Frame.ARM3, PLAY),
-    FramePlay(Frame.TOOL, PLAY, "DRILL"),
+    FramePlay(Frame.TOOL, PLAY, "drill"),
     Windup(Joint.ELBOW, 2e-4),
     ServoError(Joint.WRIST, 6e-5),
 )
@@ -104,7 +104,7 @@ def test_what_presses_on_something_stays_where_it_is():
         Setup(NOMINAL, world, NOMINAL.params.poses.ready_rad, 1, true_reference(NOMINAL), BY_CHANCE)
     )
     at_end = {}
-    for record in PlacementRun(loop, Placement("APXS", point, normal)):
+    for record in PlacementRun(loop, Placement("apxs", point, normal)):
         for evr in record.outputs.evrs:
             if isinstance(evr, CommandCompleted):
                 at_end[evr.command] = drawn(loop)
@@ -115,20 +115,20 @@ def test_what_presses_on_something_stays_where_it_is():
 def test_a_displaced_frame_moves_what_it_carries_and_the_next_draw_begins_where_it_was_built():
     plant = lab.plant()
     plant.show(lab.READY_RAD, np.zeros((6, 6)))
-    before = plant.truth().p_RoTo_R_m[tool_index("APXS")]
+    before = plant.truth().p_RoTo_R_m[tool_index("apxs")]
     screw = np.array((1e-4, -2e-4, 3e-4, 1e-4, 2e-4, -1e-4))
     scatter = replace(no_move_disturbance(), screws={frame_body(Frame.ARM4, None): screw})
     for _ in range(2):
         plant.set_move_disturbance(scatter)
     plant.show(lab.READY_RAD, np.zeros((6, 6)))
-    moved = plant.truth().p_RoTo_R_m[tool_index("APXS")] - before
+    moved = plant.truth().p_RoTo_R_m[tool_index("apxs")] - before
     arm = build_arm(NOMINAL.params)
     frames = forward(arm, lab.READY_RAD)
-    J = frame_jacobian(frames, tool_pose(arm, frames, "APXS"))
+    J = frame_jacobian(frames, tool_pose(arm, frames, "apxs"))
     assert np.allclose(moved, (J[:, :, Frame.ARM4] @ screw)[3:], atol=3e-7)
     plant.set_move_disturbance(no_move_disturbance())
     plant.show(lab.READY_RAD, np.zeros((6, 6)))
-    assert np.allclose(plant.truth().p_RoTo_R_m[tool_index("APXS")], before, atol=1e-12)
+    assert np.allclose(plant.truth().p_RoTo_R_m[tool_index("apxs")], before, atol=1e-12)
 
 
 def test_a_shifted_gear_is_not_taken_for_a_gap():

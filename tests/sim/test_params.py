@@ -256,7 +256,7 @@ def test_the_compliance_of_every_link_is_looked_at(tmp_path: Path, link: str) ->
 @pytest.mark.parametrize(
     ("missing", "sentence"),
     [
-        ("tools.drill", "switches.drill_1: tool 'DRILL' is not known; there are drt, mahli, apxs, portion"),
+        ("tools.drill", "switches.drill_1: tool 'drill' is not known; there are drt, mahli, apxs, portion"),
         (
             "tools.portion",
             "teach.inlet_1.tool: tool 'portion' is not known; there are drill, drt, mahli, apxs",

@@ -17,7 +17,7 @@ from sim.preview import Preview, preview_placement
 from sim.sequence import Outcome
 from sim.world import Surface, World
 from tests.sim import lab
-from tests.tools import TOOL_SWITCHES
+from tests.tools import TOOL_SWITCHES, TOOLS
 
 NOMINAL = arm_named("nominal")
 OPEN: tuple[Vector3, Vector3] = ((2.1, 0.2, -0.3), (-0.3, 0.0, -1.0))
@@ -25,7 +25,7 @@ BEHIND_AN_EDGE: tuple[Vector3, Vector3] = ((2.166, -0.129, -0.127), (-0.927, 0.2
 """Face so steep that the path from the ready pose leads through the rock."""
 
 
-def preview(surface: tuple[Vector3, Vector3], tool: str = "APXS") -> Preview:
+def preview(surface: tuple[Vector3, Vector3], tool: str = "apxs") -> Preview:
     return preview_placement(NOMINAL, World(surface=Surface(*surface)), Placement(tool, *surface))
 
 
@@ -43,6 +43,13 @@ def test_an_open_target_has_a_direct_way() -> None:
     assert found.problem is None
     assert len(found.plans) == 2
     assert 10.0 < found.duration_s < 300.0
+
+
+def test_a_preview_takes_a_tool_in_any_case_and_tells_what_no_command_may_hold() -> None:
+    assert preview(OPEN, tool="APXS").branch == preview(OPEN).branch
+    assert preview(OPEN, tool="spoon").problem == "tool: 'spoon' is not known; there are " + ", ".join(TOOLS)
+    problem = preview(((100.0, 0.0, 0.0), (0.0, 0.0, -1.0))).problem
+    assert problem == "p_RoTo_R_m: number 1: 99.90998 is outside -20 .. 20"
 
 
 def test_a_target_behind_an_edge_has_a_way_from_farther_away() -> None:
@@ -69,7 +76,7 @@ def test_a_target_without_a_way_is_told_with_what_is_in_it(
 
 
 def test_the_way_from_the_stowed_pose_is_looked_at_where_the_arm_starts_there() -> None:
-    world, placement = World(surface=Surface(*OPEN)), Placement("APXS", *OPEN)
+    world, placement = World(surface=Surface(*OPEN)), Placement("apxs", *OPEN)
     poses = replace(NOMINAL.params.poses, unstow_via_rad=((-3.0, 0.0, 0.0, 0.0, 0.0),))
     through_the_rover = replace(NOMINAL, params=replace(NOMINAL.params, poses=poses))
     assert preview_placement(NOMINAL, world, placement, stowed=True).problem is None
@@ -83,7 +90,7 @@ def test_the_way_from_the_stowed_pose_is_looked_at_where_the_arm_starts_there() 
 @pytest.mark.parametrize("surface", [OPEN, BEHIND_AN_EDGE], ids=["open", "behind an edge"])
 def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface: tuple[Vector3, Vector3]) -> None:
     world = World(tilt_roll_rad=0.1, tilt_pitch_rad=-0.15, surface=Surface(*surface))
-    found = preview_placement(NOMINAL, world, Placement("APXS", *surface))
+    found = preview_placement(NOMINAL, world, Placement("apxs", *surface))
     assert found.problem is None
     loop, result = place(found.placement, world)
     evrs = [evr for _, evr in result.evrs]
@@ -92,7 +99,7 @@ def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface: tuple[Vect
     assert not any(isinstance(evr, ContactInFreeSpace) for evr in evrs)
     touched = [evr.switch for evr in evrs if isinstance(evr, ContactMade)]
     assert touched
-    assert set(touched) <= set(TOOL_SWITCHES["APXS"])
+    assert set(touched) <= set(TOOL_SWITCHES["apxs"])
     assert CommandCompleted("Retract") in evrs
     assert result.contact is not None
     assert result.contact.total_m < 1e-3

@@ -27,7 +27,7 @@ POINT_N_M = (2.05, 0.1, -0.25)
 NORMAL = np.array((-0.5, 0.1, -0.85)) / np.linalg.norm((-0.5, 0.1, -0.85))
 PRESSED_N = 20.0
 """Force below which a tool only touches."""
-PLACE = PlaceTool("DRILL", tuple(p_R_from_N(np.array(POINT_N_M)).tolist()), tuple((-NORMAL).tolist()))
+PLACE = PlaceTool("drill", tuple(p_R_from_N(np.array(POINT_N_M)).tolist()), tuple((-NORMAL).tolist()))
 
 
 @pytest.mark.parametrize("force_R_N", [(0.0, 0.0, -200.0), (120.0, -80.0, 0.0), (-50.0, 60.0, 90.0)])
@@ -40,21 +40,21 @@ def test_a_push_on_a_tool_moves_it_as_it_does_in_the_plant(force_R_N):
     force_W = FLIP * np.array(force_R_N)
 
     def pushed(share: float) -> None:
-        at = free.data.site_xpos[free.at.tools[tool_index("DRILL")]] - free.data.xipos[body]
+        at = free.data.site_xpos[free.at.tools[tool_index("drill")]] - free.data.xipos[body]
         free.data.xfrc_applied[body] = share * np.concatenate([force_W, np.cross(at, force_W)])
 
     run(free, 6.0, pushed)
     run(free, 6.0, lambda _: pushed(1.0))
     after = free.truth()
-    push = ToolForce("DRILL", np.array(force_R_N))
+    push = ToolForce("drill", np.array(force_R_N))
     ours = [
-        tool_pose(arm, settle_output(arm, truth.output_rad, world.gravity_N_m_s2, p).frames, "DRILL").p
+        tool_pose(arm, settle_output(arm, truth.output_rad, world.gravity_N_m_s2, p).frames, "drill").p
         for truth, p in ((before, None), (after, push))
     ]
-    moved = after.p_RoTo_R_m[tool_index("DRILL")] - before.p_RoTo_R_m[tool_index("DRILL")]
+    moved = after.p_RoTo_R_m[tool_index("drill")] - before.p_RoTo_R_m[tool_index("drill")]
     assert np.linalg.norm(moved) > 5e-3
-    assert np.linalg.norm(ours[1] - after.p_RoTo_R_m[tool_index("DRILL")]) < 2e-5 + np.linalg.norm(
-        ours[0] - before.p_RoTo_R_m[tool_index("DRILL")]
+    assert np.linalg.norm(ours[1] - after.p_RoTo_R_m[tool_index("drill")]) < 2e-5 + np.linalg.norm(
+        ours[0] - before.p_RoTo_R_m[tool_index("drill")]
     )
 
 
@@ -62,7 +62,7 @@ def test_a_push_on_a_tool_moves_it_as_it_does_in_the_plant(force_R_N):
 def half_pressed() -> ClosedLoop:
     """Return a run with the drill on its rock at half of its preload; tests fork it and never run it."""
     loop = on_the_rock()
-    for _ in run_sequence(loop, (PLACE, Preload("DRILL", 300.0))):
+    for _ in run_sequence(loop, (PLACE, Preload("drill", 300.0))):
         if loop.state.preload is not None and loop.state.preload.force_N > 150.0:
             return loop
     raise AssertionError("the press did not come so far")
@@ -88,7 +88,7 @@ def test_a_rock_that_gives_way_ends_a_press_without_refusing_what_comes_then():
     loop = half_pressed()
     loop = loop.fork((RockGone(loop.plant.data.time),))
     evrs = until_at_rest(loop)
-    assert ContactLost("DRILL") in evrs
+    assert ContactLost("drill") in evrs
     assert FaultResponse("STOP_AND_BRAKE") in evrs
     assert loop.state.mode is Mode.PRELOAD
     assert not loop.state.drive.power_on.any()
@@ -106,14 +106,14 @@ def test_a_force_that_the_resolvers_do_not_believe_in_is_a_fault():
 def press_and_release() -> tuple[ClosedLoop, np.ndarray, np.ndarray, list[float]]:
     """Press with 300 N and release: forces (n, 3), places (n, 3), normal force at each `Preloaded`."""
     loop = on_the_rock()
-    commands = (PLACE, Preload("DRILL", 300.0), Preload("DRILL", 0.0), Retract("DRILL", 0.1))
+    commands = (PLACE, Preload("drill", 300.0), Preload("drill", 0.0), Retract("drill", 0.1))
     forces, places, pressed = [], [], []
     cycles = run_sequence(loop, commands)
     for record in cycles:
         assert not any(isinstance(evr, FaultResponse) for evr in record.outputs.evrs)
         if loop.state.preload is not None:
-            forces.append(tool_forces(loop.plant)[tool_index("DRILL")])
-            places.append(loop.plant.truth().p_RoTo_R_m[tool_index("DRILL")])
+            forces.append(tool_forces(loop.plant)[tool_index("drill")])
+            places.append(loop.plant.truth().p_RoTo_R_m[tool_index("drill")])
             if any(isinstance(evr, Preloaded) for evr in record.outputs.evrs):
                 pressed.append(float(forces[-1] @ NORMAL))
     return loop, np.array(forces), np.array(places), pressed

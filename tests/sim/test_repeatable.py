@@ -138,7 +138,7 @@ def test_a_run_that_vibrates_has_the_same_bits_whether_its_truth_is_read_or_not(
         loop = ClosedLoop(setup, with_truth)
         vibrated = [
             record.outputs.drive.vibrate
-            for record in run_sequence(loop, (Process("PORTION", (-0.02, 0.0, -1.0), 1.0),))
+            for record in run_sequence(loop, (Process("portion", (-0.02, 0.0, -1.0), 1.0),))
         ]
         assert any(vibrated)
         ends.append(loop.plant.data.qpos.tobytes())

@@ -73,7 +73,7 @@ def _frame_nuisances() -> Iterator[NuisanceEffect]:
     """Yield rotations and shifts of frames; the last frame has those of every tool."""
     for frame, tool in list_frames(nominal_params().tool_names):
         for axis in IDENTIFIABLE_AXES[frame]:
-            named = (frame.name if tool is None else tool).lower()
+            named = frame.name.lower() if tool is None else tool
             unit, sigma = ("rad", LEFT.frame_rad) if axis < 3 else ("m", LEFT.frame_m)
             word = SCREW_AXES[axis]
             yield NuisanceEffect(

@@ -13,7 +13,6 @@ from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, Limits
 from fsw.estimate.reference import Reference
-from fsw.executive.expansion import teach_point_tool
 from ground.telemetry.imports.files import BadImport
 from ground.telemetry.imports.mapping import (
     TICK,
@@ -84,14 +83,12 @@ def parse_start(data: dict[str, Any], folder: Path, findings: Findings) -> Fligh
     if table is None:
         return None
     own = {key: value for key, value in table.items() if key != "reference"}
-    if isinstance(own.get("mode"), str):
-        own["mode"] = own["mode"].lower()  # case does not matter, as for names in columns
     start = read_record(_Start, own, ("start",), findings)
     params = None if start is None else _load_params(start.params, folder, findings)
     if start is None or params is None:
         return None
     reference = _parse_reference(table, params, findings)
-    points = {point.name: teach_point_tool(point) for point in params.teach}
+    points = {point.name: point.tool for point in params.teach}
     commands = [_parse_command(table, place, findings, points, params) for place, table in command_tables]
     in_order = sorted((one for one in commands if one is not None), key=lambda one: one.tick)
     return FlightStart(params, start.mode, reference, tuple(in_order))
@@ -365,7 +362,7 @@ def _check_value(item: Any, target: ChannelTarget) -> str | None:
         case _ if target.members is not None:
             if isinstance(item, str) and target.member(item) is not None:
                 return None
-            hint = did_you_mean(str(item)[:60], list(target.members))
+            hint = did_you_mean(item, target.members)
             return f"{item!r:.60} is not known; {hint}"
         case "|b1":
             return None if isinstance(item, bool) else f"{item!r:.60} is not true or false"

@@ -10,6 +10,7 @@ from typing import Final, get_type_hints
 import numpy as np
 
 from fsw.dictionary.enums import Joint
+from fsw.dictionary.types import match_name
 from ground.common.fields import UNIT_SYMBOLS, unit_of
 from ground.telemetry.imports.units import UNIT_CONVERSIONS, Conversion
 from ground.telemetry.schema import (
@@ -51,7 +52,9 @@ class ChannelTarget:
 
     def member(self, word: str) -> int | None:
         """Return the value of a member of the enumeration; case does not matter; None if there is none."""
-        return None if self.members is None else self.members.get(word.upper())
+        members = self.members or {}
+        name = match_name(word, members)
+        return None if name is None else members[name]
 
     @property
     def size(self) -> int:

@@ -221,6 +221,6 @@ def _convert_names(
     unknown = np.flatnonzero(found < 0)
     if unknown.size:
         word = column.words[values[unknown[0]]]
-        hint = did_you_mean(word[:60], list(members))
+        hint = did_you_mean(word[:60], members)
         raise table.error_at(f"{word!r:.60} is not known; {hint}", int(rows[unknown[0]]), column.name)
     return found

@@ -9,7 +9,6 @@ from fsw.collision.geometry import SURFACE
 from sim.plant import Plant
 from sim.world import World, build
 from tests.fsw.rig import beside_the_rover
-from tests.tools import TOOLS
 
 NAMES = {
     "shoulder": "shoulder_bracket",
@@ -30,7 +29,7 @@ def plant() -> Plant:
 
 def part_of(model: mujoco.MjModel, geom: int) -> str:
     name: str = model.body(model.geom_bodyid[geom]).name
-    return name.upper() if name.upper() in TOOLS else name
+    return name
 
 
 def obstacle_of(model: mujoco.MjModel, geom: int) -> str:

@@ -33,7 +33,7 @@ def collides_only(params):
     turret = replace(arm.turret, boxes=arm.turret.boxes[:-1])
     tools = tuple(
         replace(tool, geometry=replace(tool.geometry, capsules=tool.geometry.capsules[:-1]))
-        if tool.name in ("DRILL", "MAHLI")
+        if tool.name in ("drill", "mahli")
         else tool
         for tool in params.tools
     )
@@ -82,18 +82,18 @@ def test_every_geom_that_collides_belongs_to_a_part_or_an_obstacle():
     model = plant().model
     of_arm = {part_of(model, geom) for geom in range(model.ngeom) if model.geom_contype[geom] == 1}
     others = {obstacle_of(model, geom) for geom in range(model.ngeom) if model.geom_contype[geom] == 2}
-    assert of_arm == set(PARTS) - {"link5", "PORTION"}
+    assert of_arm == set(PARTS) - {"link5", "portion"}
     assert others == set(OBSTACLES)
 
 
 def test_parts_in_the_turret_frame_move_with_the_tools_of_the_parameters():
     """A drill that is calibrated as 3 cm longer is 3 cm closer to the obstacle ahead of it."""
     drill, *others = CONFIG.params.tools
-    assert drill.name == "DRILL"
+    assert drill.name == "drill"
     longer = replace(drill, transform=replace(drill.transform, a_m=0.39))
     other = with_params(tools=(longer, *others))
-    X_FT, X_FT_longer = CONFIG.arm.X_FT["DRILL"], other.arm.X_FT["DRILL"]
-    of_drill = GEOMETRY.arm.part == PARTS.index("DRILL")
+    X_FT, X_FT_longer = CONFIG.arm.X_FT["drill"], other.arm.X_FT["drill"]
+    of_drill = GEOMETRY.arm.part == PARTS.index("drill")
     shift = (other.collision_geometry.arm.X_CS.p - GEOMETRY.arm.X_CS.p)[:, of_drill]
     np.testing.assert_allclose(shift, np.tile((X_FT_longer.p - X_FT.p)[:, None], shift.shape[1]), atol=1e-15)
 

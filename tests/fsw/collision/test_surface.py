@@ -83,7 +83,7 @@ def test_what_is_clear_of_a_surface_is_clear_of_a_plane_in_mujoco():
 
 
 def test_the_rock_ends_half_way_to_a_part_that_starts_below_its_surface():
-    X_RT = tool_pose(CONFIG.arm, READY, "APXS")
+    X_RT = tool_pose(CONFIG.arm, READY, "apxs")
     above = Surface(X_RT.p[:, 0] - 0.6 * UP, UP, radius_m=0.65)
     far_below = replace(above, p_R_m=above.p_R_m + 1.2 * UP)
     assert limit_surface(GEOMETRY, READY, above).radius_m == 0.65
@@ -92,9 +92,9 @@ def test_the_rock_ends_half_way_to_a_part_that_starts_below_its_surface():
     assert heights(READY, limited)[COUNTED].min() >= 0.0
 
 
-@pytest.mark.parametrize(("touching", "said"), [("APXS", None), (None, "would be 2 mm below the surface")])
+@pytest.mark.parametrize(("touching", "said"), [("apxs", None), (None, "would be 2 mm below the surface")])
 def test_only_a_touching_tool_may_start_below_the_surface(touching, said):
-    X_RT = tool_pose(CONFIG.arm, READY, "APXS")
+    X_RT = tool_pose(CONFIG.arm, READY, "apxs")
     normal = -X_RT.R[:, 0, 0]
     found = find_violation(
         GEOMETRY, READY, PADDING_M, touching, Surface(X_RT.p[:, 0] + 0.002 * normal, normal, 0.65)

@@ -53,8 +53,8 @@ SENTENCES = {
     faults.ResolverDisagrees(
         Joint.ELEVATION, -0.006, 0.0055
     ): "ELEVATION: resolver off by -0.00600 rad, bound 0.00550 rad",
-    evrs.BranchChosen("APXS", "b"): "APXS: branch b",
-    evrs.ContactMade("APXS_1", 0.1): "contact on APXS_1 after 0.1000 m",
+    evrs.BranchChosen("apxs", "b"): "apxs: branch b",
+    evrs.ContactMade("apxs_1", 0.1): "contact on apxs_1 after 0.1000 m",
     faults.SensorNotFinite("current_A"): "non-finite reading in current_A",
     faults.StructureTemperatureImplausible(90.04, -130.0, 70.0): (
         "structure reads 90.0 degC, bounds -130.0 .. 70.0 degC"
@@ -66,7 +66,7 @@ SENTENCES = {
     faults.FollowingErrorHigh(
         Joint.TURRET, 0.003, 0.002
     ): "TURRET is 0.00300 rad from its set-point, bound 0.00200 rad",
-    faults.ContactInFreeSpace("DRT_2"): "contact on DRT_2 in free space",
+    faults.ContactInFreeSpace("drt_2"): "contact on drt_2 in free space",
     faults.UnexpectedContact(
         Joint.ELBOW, 63.4, 52.4
     ): "unexpected contact: ELBOW resists with 63 N m, about 52 N at the tool",
@@ -81,21 +81,21 @@ SENTENCES = {
     faults.CyclesMissed(9, 4): "9 cycles missed, at most 4 are tolerated",
     faults.CycleCountWrong(7, 57): "cycle count 7 after 57, it must rise",
     faults.TiltChanged(0.0123, 0.01): "gravity turned by 0.0123 rad, bound 0.0100 rad",
-    faults.ContactLost("DRILL"): "DRILL lost contact",
-    faults.PreloadOutside("DRILL", 300.0, -120.04, 100.0): (
-        "force on DRILL off by -120.0 N from 300.0 N, bound 100.0 N"
+    faults.ContactLost("drill"): "drill lost contact",
+    faults.PreloadOutside("drill", 300.0, -120.04, 100.0): (
+        "force on drill off by -120.0 N from 300.0 N, bound 100.0 N"
     ),
     evrs.CyclesSkipped(3): "3 cycles missed",
     evrs.FaultResponse("BRAKE_AND_REFUSE"): "response BRAKE_AND_REFUSE",
     evrs.FaultCleared(): "fault cleared",
-    evrs.Preloaded("DRILL", 300.0): "DRILL pressed with 300.0 N",
-    evrs.PreloadMissed("DRILL", 262.04, 300.0, "3 corrections did not reach the force"): (
-        "DRILL is pressed with 262.0 N, not 300.0 N: 3 corrections did not reach the force"
+    evrs.Preloaded("drill", 300.0): "drill pressed with 300.0 N",
+    evrs.PreloadMissed("drill", 262.04, 300.0, "3 corrections did not reach the force"): (
+        "drill is pressed with 262.0 N, not 300.0 N: 3 corrections did not reach the force"
     ),
-    evrs.ForceEstimated("DRILL", 0.9123, 0.1): (
-        "DRILL: a newton of the model is 0.912 N along its axis, 0.100 N across"
+    evrs.ForceEstimated("drill", 0.9123, 0.1): (
+        "drill: a newton of the model is 0.912 N along its axis, 0.100 N across"
     ),
-    evrs.SpotSet("APXS", 2.0, -0.1, 0.85): "spot of APXS at 2.0000 -0.1000 0.8500 m in RMECH",
+    evrs.SpotSet("apxs", 2.0, -0.1, 0.85): "spot of apxs at 2.0000 -0.1000 0.8500 m in RMECH",
     evrs.ParamSet("collision.ground_z_m", 1.25, "ab12"): "collision.ground_z_m is 1.25, parameters ab12",
     evrs.TiltSet(0.0012): "tilt set, 0.0012 rad from what the IMU reads",
     evrs.SoftwareError("KeyError: 'a'"): "software error: KeyError: 'a'",

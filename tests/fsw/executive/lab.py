@@ -33,10 +33,10 @@ from fsw.motion.force_fit import MIN_CORRECTION_N
 from tests.fsw.rig import Rig, config_of, facing, floats, with_params
 from tests.tools import SWITCHES
 
-START = facing(config_of(), "APXS")
+START = facing(config_of(), "apxs")
 STRONGER = replace(config_of().params.joints.elevation, hardstop_press_Nm=300.0)
 """Elevation with a larger pressing torque: in the ready pose gravity exceeds its share of the nominal one."""
-_X_RT = Rig(with_params(), start_rad=START).tool_pose("APXS")
+_X_RT = Rig(with_params(), start_rad=START).tool_pose("apxs")
 HERE = TeachPoint("here", "apxs", floats(_X_RT.p), floats(_X_RT.R[:, 0]))
 """Pose of the APXS at the start of these tests, as a taught point."""
 CONFIG = with_params(
@@ -47,7 +47,7 @@ CONFIG = with_params(
 """Configuration in which any joint may be homed from the pose in which these tests start."""
 NAN = float("nan")
 INF = float("inf")
-TOUCHED = {"switch_closed": np.isin(SWITCHES, ["APXS_1"])}
+TOUCHED = {"switch_closed": np.isin(SWITCHES, ["apxs_1"])}
 
 
 def stowed():
@@ -72,7 +72,7 @@ def moving_free():
 
 def guarded_moving():
     rig = deployed()
-    rig.until_moving(rig.touch("APXS", 0.05))
+    rig.until_moving(rig.touch("apxs", 0.05))
     return rig
 
 
@@ -85,7 +85,7 @@ def guarded_in_contact():
 
 def retracting():
     rig = deployed()
-    rig.until_moving(Retract("APXS", 0.05))
+    rig.until_moving(Retract("apxs", 0.05))
     return rig
 
 
@@ -109,7 +109,7 @@ def faulted():
 
 def preloading():
     rig = guarded_in_contact()
-    rig.cycle(Preload("APXS", 50.0), **TOUCHED)
+    rig.cycle(Preload("apxs", 50.0), **TOUCHED)
     while rig.state.preload.force_N < 10.0:
         rig.cycle(**TOUCHED)
     return rig
@@ -131,8 +131,8 @@ TOUCHING = (guarded_in_contact, preloading, preloaded)
 
 
 def _place(rig: Rig) -> PlaceTool:
-    ahead = rig.here("APXS", 0.02)
-    return PlaceTool("APXS", ahead.p_FoTo_F_m, ahead.approach_F, 0.02, 0.02)
+    ahead = rig.here("apxs", 0.02)
+    return PlaceTool("apxs", ahead.p_FoTo_F_m, ahead.approach_F, 0.02, 0.02)
 
 
 COMMANDS = {
@@ -142,15 +142,15 @@ COMMANDS = {
     Stow: lambda rig: Stow(),
     MoveJoint: lambda rig: MoveJoint(Joint.WRIST, float(rig.state.joints.output_rad[Joint.WRIST])),
     MoveJoints: lambda rig: MoveJoints(floats(rig.state.joints.motor_rad)),
-    MoveTool: lambda rig: rig.here("APXS"),
-    GuardedMove: lambda rig: rig.touch("APXS", 0.02),
+    MoveTool: lambda rig: rig.here("apxs"),
+    GuardedMove: lambda rig: rig.touch("apxs", 0.02),
     PlaceTool: _place,
-    Preload: lambda rig: Preload("APXS", 100.0),
-    ToolChange: lambda rig: ToolChange("MAHLI"),
+    Preload: lambda rig: Preload("apxs", 100.0),
+    ToolChange: lambda rig: ToolChange("mahli"),
     MoveTeachPoint: lambda rig: MoveTeachPoint(HERE.name),
     Dock: lambda rig: Dock(HERE.name, 0.02),
-    Process: lambda rig: Process("PORTION", (1.0, 0.0, 0.2), 1.0),
-    Retract: lambda rig: Retract("APXS", 0.02),
+    Process: lambda rig: Process("portion", (1.0, 0.0, 0.2), 1.0),
+    Retract: lambda rig: Retract("apxs", 0.02),
     SetTilt: lambda rig: SetTilt(0.0, 0.0),
     SetParam: lambda rig: SetParam("motion.settle_time_s", 0.5),
     Stop: lambda rig: Stop(),

@@ -70,21 +70,21 @@ def test_numbers_of_a_command_that_are_not_finite_are_refused(bad, place):
     where = f"number {place + 1}: {bad} is outside"
     assert refusal(rig, MoveJoints(five)) == f"angle_rad: {where} -7 .. 7"
     assert refusal(rig, MoveJoint(Joint(place), bad)) == f"angle_rad: {bad} is outside -7 .. 7"
-    assert refusal(rig, MoveTool("APXS", not_finite, fine)) == f"p_FoTo_F_m: {where} -20 .. 20"
-    assert refusal(rig, MoveTool("APXS", fine, not_finite)) == f"approach_F: {where} -1e+09 .. 1e+09"
-    assert refusal(rig, GuardedMove("APXS", not_finite, fine)) == f"end_p_RoTo_R_m: {where} -20 .. 20"
-    assert refusal(rig, GuardedMove("APXS", fine, not_finite)) == f"approach_R: {where} -1e+09 .. 1e+09"
+    assert refusal(rig, MoveTool("apxs", not_finite, fine)) == f"p_FoTo_F_m: {where} -20 .. 20"
+    assert refusal(rig, MoveTool("apxs", fine, not_finite)) == f"approach_F: {where} -1e+09 .. 1e+09"
+    assert refusal(rig, GuardedMove("apxs", not_finite, fine)) == f"end_p_RoTo_R_m: {where} -20 .. 20"
+    assert refusal(rig, GuardedMove("apxs", fine, not_finite)) == f"approach_R: {where} -1e+09 .. 1e+09"
 
 
 @pytest.mark.parametrize("kind", [MoveTool, GuardedMove])
 def test_an_approach_without_length_is_refused(kind):
-    assert ": has no length; " in refusal(deployed(), kind("APXS", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    assert ": has no length; " in refusal(deployed(), kind("apxs", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
 @pytest.mark.parametrize("distance", [0.0, -0.1, 1.01, NAN, INF])
 def test_a_retraction_is_a_millimetre_at_least_and_a_metre_at_most(distance):
     words = f"distance_m: {distance} is outside 0.001 .. 1"
-    assert refusal(deployed(), Retract("APXS", distance)) == words
+    assert refusal(deployed(), Retract("apxs", distance)) == words
 
 
 @pytest.mark.parametrize("joint", [-1, 5, 2.5, 2.0])
@@ -103,7 +103,7 @@ def test_a_joint_that_does_not_exist_is_refused_and_the_joints_there_are_are_tol
 def test_what_is_no_tool_is_refused_and_the_tools_there_are_are_told(kind, tool):
     rig = deployed()
     command = replace(COMMANDS[kind](rig), tool=tool)
-    assert refusal(rig, command) == f"tool: {tool!r} is not known; there are DRILL, DRT, MAHLI, APXS, PORTION"
+    assert refusal(rig, command) == f"tool: {tool!r} is not known; there are drill, drt, mahli, apxs, portion"
 
 
 def test_a_joint_may_be_given_by_its_number():
@@ -129,22 +129,22 @@ def test_what_cannot_be_planned_is_refused_with_the_plan_s_own_sentence():
     assert refusal(rig, joints) == "joint elbow: 171.9 deg is outside its soft limits -164.2 .. 164.2 deg"
     joint = MoveJoint(Joint.ELBOW, 3.0)
     assert refusal(rig, joint) == "joint elbow: 171.9 deg is outside its soft limits -164.2 .. 164.2 deg"
-    assert "out of reach by" in refusal(rig, MoveTool("APXS", (9.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
-    assert "m long, the longest allowed is" in refusal(rig, rig.touch("APXS", 3.0))
+    assert "out of reach by" in refusal(rig, MoveTool("apxs", (9.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
+    assert "m long, the longest allowed is" in refusal(rig, rig.touch("apxs", 3.0))
 
 
 @pytest.mark.parametrize("line_m", [NAN, INF, -INF, -0.001, 1.001, 1e6])
 def test_a_line_length_is_at_least_nothing_and_at_most_a_metre(line_m):
     rig = deployed()
     words = f"line_m: {line_m} is outside 0 .. 1"
-    assert refusal(rig, rig.here("APXS", line_m=line_m)) == words
+    assert refusal(rig, rig.here("apxs", line_m=line_m)) == words
 
 
 def test_a_branch_that_does_not_exist_is_refused_by_its_name_and_the_names_there_are_are_told():
     for name in ("sideways", "", "elbow-up", "shoulder-out elbow-up wrist-upright"):
         rig = deployed()
-        reason = refusal(rig, rig.here("APXS", branch=name))
-        assert reason == f"branch: {name!r} is not known; there are AUTO, {', '.join(BRANCHES)}"
+        reason = refusal(rig, rig.here("apxs", branch=name))
+        assert reason == f"branch: {name!r} is not known; there are auto, {', '.join(BRANCHES)}"
 
 
 @pytest.mark.parametrize("kind", [MoveTool, GuardedMove, Retract])
@@ -164,7 +164,7 @@ def test_a_backlash_mode_that_does_not_exist_is_refused_by_its_name(kind):
 @pytest.mark.parametrize("kind", [MoveTool, GuardedMove])
 @pytest.mark.parametrize("length", [1e-10, 1e10, 1e300])
 def test_an_approach_of_no_believable_length_is_refused(kind, length):
-    reason = refusal(deployed(), kind("APXS", (1.0, 0.0, 0.0), (0.0, length, 0.0)))
+    reason = refusal(deployed(), kind("apxs", (1.0, 0.0, 0.0), (0.0, length, 0.0)))
     assert ": has no length; " in reason if length < 1.0 else f"number 2: {length} is outside" in reason
 
 
@@ -172,34 +172,34 @@ def test_an_approach_of_no_believable_length_is_refused(kind, length):
 def test_a_target_beyond_belief_is_refused_as_such(far):
     rig = deployed()
     for kind in (MoveTool, GuardedMove):
-        reason = refusal(rig, kind("APXS", (far, far, -far), (1.0, 0.0, 0.0)))
+        reason = refusal(rig, kind("apxs", (far, far, -far), (1.0, 0.0, 0.0)))
         assert reason.endswith(f"_m: number 1: {far} is outside -20 .. 20")
 
 
 @pytest.mark.parametrize("far", [5.0, 20.0])
 def test_a_target_beyond_reach_is_refused_without_a_warning(far):
     rig = deployed()
-    assert "out of reach" in refusal(rig, MoveTool("APXS", (far, far, -far), (1.0, 0.0, 0.0)))
-    assert "m long" in refusal(rig, GuardedMove("APXS", (far, far, -far), (1.0, 0.0, 0.0)))
+    assert "out of reach" in refusal(rig, MoveTool("apxs", (far, far, -far), (1.0, 0.0, 0.0)))
+    assert "m long" in refusal(rig, GuardedMove("apxs", (far, far, -far), (1.0, 0.0, 0.0)))
 
 
 def test_a_named_branch_is_refused_for_its_own_reason():
     reasons = {}
     for name in BRANCHES:
         rig = deployed()
-        rig.cycle(rig.here("APXS", branch=name))
+        rig.cycle(rig.here("apxs", branch=name))
         reasons.update((name, evr.reason) for evr in rig.evrs if isinstance(evr, CommandRefused))
     assert reasons
     for name, reason in reasons.items():
-        assert reason.startswith(f"APXS: the target: {name}: ")
+        assert reason.startswith(f"apxs: the target: {name}: ")
         assert "soft limit" in reason or "out of reach" in reason
 
 
 def test_a_tool_move_says_which_branch_it_takes():
     rig = deployed()
-    rig.cycle(rig.here("APXS", 0.01))
+    rig.cycle(rig.here("apxs", 0.01))
     chosen = [evr for evr in rig.evrs if isinstance(evr, BranchChosen)]
-    assert [evr.tool for evr in chosen] == ["APXS"]
+    assert [evr.tool for evr in chosen] == ["apxs"]
     assert chosen[0].branch in BRANCHES
 
 
@@ -344,8 +344,8 @@ def test_after_a_fault_and_its_clearing_the_calibration_of_all_joints_does_not_g
 
 def test_contact_then_retraction_is_a_placement_without_a_fault():
     rig = guarded_in_contact()
-    assert any(isinstance(evr, ContactMade) and evr.switch == "APXS_1" for evr in rig.evrs)
-    rig.cycle(Retract("APXS", 0.02), **TOUCHED)
+    assert any(isinstance(evr, ContactMade) and evr.switch == "apxs_1" for evr in rig.evrs)
+    rig.cycle(Retract("apxs", 0.02), **TOUCHED)
     for _ in range(30):
         rig.cycle(**TOUCHED)
     evrs = rig.run()
@@ -412,13 +412,13 @@ def test_stops_may_be_repeated_every_cycle():
 def test_the_end_of_a_guarded_move_is_within_the_arm_s_reach_before_anything_is_planned():
     rig = deployed()
     for metres in (10.0, 18.0):
-        reason = refusal(rig, rig.touch("APXS", metres))
+        reason = refusal(rig, rig.touch("apxs", metres))
         assert reason == f"the straight move is {metres:.3g} m long, the longest allowed is 0.6 m"
 
 
 def test_a_guarded_move_against_the_tool_s_own_direction_is_refused():
     rig = deployed()
-    ahead = rig.touch("APXS", 0.02)
+    ahead = rig.touch("apxs", 0.02)
     reason = refusal(rig, replace(ahead, approach_R=floats(-np.array(ahead.approach_R))))
     assert reason == "the approach is 180.0 deg from where the tool looks, at most 5.7 deg are allowed"
 
@@ -497,7 +497,7 @@ def test_a_fault_cleared_in_contact_leaves_the_arm_where_only_a_retraction_is_al
     rig.evrs.clear()
     rig.cycle(MoveJoints(floats(START)), **TOUCHED)
     assert rig.evrs == [CommandRefused("MoveJoints", IN_GUARDED)]
-    rig.cycle(Retract("APXS", 0.02), **TOUCHED)
+    rig.cycle(Retract("apxs", 0.02), **TOUCHED)
     for _ in range(30):
         rig.cycle(**TOUCHED)
     assert CommandCompleted("Retract") in rig.run()
@@ -536,7 +536,7 @@ def test_after_a_fault_where_it_may_touch_the_arm_retracts_before_it_moves_freel
     rig.evrs.clear()
     rig.cycle(MoveJoints(floats(START)))
     assert rig.evrs == [CommandRefused("MoveJoints", IN_GUARDED)]
-    assert CommandCompleted("Retract") in rig.run(Retract("APXS", 0.02))
+    assert CommandCompleted("Retract") in rig.run(Retract("apxs", 0.02))
     assert rig.state.mode is Mode.DEPLOYED
 
 
@@ -567,14 +567,14 @@ def test_a_cleared_fault_lets_the_arm_move_again():
 def test_only_the_first_of_two_moves_in_one_cycle_begins():
     rig = deployed()
     rig.evrs.clear()
-    rig.cycle(MoveJoints(floats(START + 0.05)), Retract("APXS", 0.1))
+    rig.cycle(MoveJoints(floats(START + 0.05)), Retract("apxs", 0.1))
     assert CommandAccepted("MoveJoints") in rig.evrs
     assert CommandRefused("Retract", "MoveJoints is under way") in rig.evrs
 
 
 def test_a_move_without_deflection_is_another_move():
     rig = deployed()
-    command = rig.here("APXS", 0.01)
+    command = rig.here("apxs", 0.01)
     ends = []
     for deflection in ("off", "absolute"):
         rig = deployed()
@@ -586,14 +586,14 @@ def test_a_move_without_deflection_is_another_move():
 @pytest.mark.parametrize("command", [GuardedMove, Retract])
 def test_the_tool_channels_follow_the_tool_of_the_last_tool_command(command):
     rig = deployed()
-    rig.cycle(rig.touch("APXS", 0.02) if command is GuardedMove else Retract("APXS", 0.02))
-    assert rig.state.tool == "APXS"
+    rig.cycle(rig.touch("apxs", 0.02) if command is GuardedMove else Retract("apxs", 0.02))
+    assert rig.state.tool == "apxs"
 
 
 def test_only_the_tool_that_may_touch_is_retracted_from_contact():
     rig = guarded_in_contact()
-    reason = refusal(rig, Retract("DRILL", 0.05))
-    assert reason == "APXS is the tool that may touch; retract it first"
+    reason = refusal(rig, Retract("drill", 0.05))
+    assert reason == "apxs is the tool that may touch; retract it first"
 
 
 def test_a_stop_before_the_arm_has_left_its_stow_leaves_it_stowed():
@@ -616,22 +616,22 @@ def test_a_fault_on_contact_clears_to_where_the_arm_may_touch_though_the_switch_
 
 def test_after_an_unforeseen_contact_the_tool_that_touched_is_the_one_to_retract():
     rig = deployed()
-    assert rig.state.tool != "APXS"
+    assert rig.state.tool != "apxs"
     rig.run(**TOUCHED)
     assert rig.state.mode is Mode.FAULTED
     rig.cycle(ClearFault())
-    assert (rig.state.mode, rig.state.tool) == (Mode.GUARDED, "APXS")
+    assert (rig.state.mode, rig.state.tool) == (Mode.GUARDED, "apxs")
     rig.evrs.clear()
-    rig.cycle(Preload("DRILL", 100.0), **TOUCHED)
-    rig.cycle(Retract("APXS", 0.02), **TOUCHED)
-    assert rig.evrs[0] == CommandRefused("Preload", "APXS is the tool that may touch; retract it first")
+    rig.cycle(Preload("drill", 100.0), **TOUCHED)
+    rig.cycle(Retract("apxs", 0.02), **TOUCHED)
+    assert rig.evrs[0] == CommandRefused("Preload", "apxs is the tool that may touch; retract it first")
     assert CommandAccepted("Retract") in rig.evrs
 
 
 def test_another_tool_s_contact_is_a_fault_while_one_is_retracted():
     rig = guarded_in_contact()
-    rig.cycle(Retract("APXS", 0.02), **TOUCHED)
+    rig.cycle(Retract("apxs", 0.02), **TOUCHED)
     for _ in range(30):
         rig.cycle(**TOUCHED)
-    rig.cycle(switch_closed=np.isin(SWITCHES, ["MAHLI_1A"]))
+    rig.cycle(switch_closed=np.isin(SWITCHES, ["mahli_1a"]))
     assert rig.state.mode is Mode.FAULTED

@@ -57,13 +57,13 @@ REFUSED = {
     lab.deployed: {
         Unstow: "not allowed in mode DEPLOYED",
         Preload: "not allowed in mode DEPLOYED",
-        ToolChange: "DRILL touches nothing: there is no spot to go back to",
+        ToolChange: "drill touches nothing: there is no spot to go back to",
         ClearFault: "no fault stands",
     },
     lab.moving_free: under_way("MoveJoints"),
     lab.guarded_moving: under_way("GuardedMove"),
     lab.guarded_in_contact: in_mode("GUARDED", GuardedMove, Retract, Preload, ToolChange, Dock)
-    | {Dock: "APXS is the tool that may touch; retract it first"},
+    | {Dock: "apxs is the tool that may touch; retract it first"},
     lab.retracting: under_way("Retract"),
     lab.calibrating: under_way("Calibrate"),
     lab.preloading: under_way("Preload"),

@@ -27,12 +27,12 @@ from tests.fsw.executive.lab import CONFIG, HERE, TOUCHED, deployed, guarded_in_
 from tests.fsw.rig import Rig, floats
 from tests.tools import SWITCHES
 
-MAHLI_TOUCHED = {"switch_closed": np.isin(SWITCHES, ["MAHLI_1A"])}
+MAHLI_TOUCHED = {"switch_closed": np.isin(SWITCHES, ["mahli_1a"])}
 
 
 def test_a_placement_is_a_standoff_and_a_guarded_line_through_the_place():
     p, approach = np.array(HERE.p_RoTo_R_m), np.array(HERE.approach_R)
-    command = PlaceTool("APXS", HERE.p_RoTo_R_m, floats(3 * approach), 0.04, 0.02)
+    command = PlaceTool("apxs", HERE.p_RoTo_R_m, floats(3 * approach), 0.04, 0.02)
     rig = deployed()
     to_standoff, touch = expand_command(CONFIG, rig.state.joints, rig.state.tool, command)
     assert isinstance(to_standoff, MoveTool)
@@ -44,8 +44,8 @@ def test_a_placement_is_a_standoff_and_a_guarded_line_through_the_place():
 
 def test_a_placement_runs_through_its_moves_and_ends_in_contact():
     rig = deployed()
-    ahead = rig.here("APXS", 0.02)
-    rig.cycle(PlaceTool("APXS", ahead.p_FoTo_F_m, ahead.approach_F, 0.02, 0.02))
+    ahead = rig.here("apxs", 0.02)
+    rig.cycle(PlaceTool("apxs", ahead.p_FoTo_F_m, ahead.approach_F, 0.02, 0.02))
     while rig.state.mode is not Mode.GUARDED:
         rig.cycle()
     evrs = rig.run(**TOUCHED)
@@ -57,34 +57,36 @@ def test_a_placement_runs_through_its_moves_and_ends_in_contact():
 
 def test_a_step_that_cannot_be_is_found_before_the_first_begins():
     rig = deployed()
-    far = rig.here("APXS", 0.0)
-    command = PlaceTool("APXS", far.p_FoTo_F_m, far.approach_F, standoff_m=0.9, overtravel_m=0.9)
-    assert refusal(rig, command).startswith(("MoveTool: ", "GuardedMove: "))
+    far = rig.here("apxs", 0.0)
+    command = PlaceTool("apxs", far.p_FoTo_F_m, far.approach_F, standoff_m=0.9, overtravel_m=0.9)
+    reason = refusal(rig, command)
+    assert reason.startswith("apxs: the target: ")
+    assert "clear" not in reason
 
 
 def test_a_tool_change_counts_from_where_the_touching_tool_is_believed_to_be():
     rig = guarded_in_contact()
-    X = rig.tool_pose("APXS")
-    back, to_standoff, touch = expand_command(CONFIG, rig.state.joints, rig.state.tool, ToolChange("MAHLI"))
-    assert back == Retract("APXS", 0.10, "on", "absolute")
+    X = rig.tool_pose("apxs")
+    back, to_standoff, touch = expand_command(CONFIG, rig.state.joints, rig.state.tool, ToolChange("mahli"))
+    assert back == Retract("apxs", 0.10, "on", "absolute")
     np.testing.assert_allclose(to_standoff.p_FoTo_F_m, X.p - 0.10 * X.R[:, 0], atol=2e-5)
     np.testing.assert_allclose(touch.approach_R, X.R[:, 0], atol=1e-5)
-    assert (to_standoff.tool, touch.tool) == ("MAHLI", "MAHLI")
+    assert (to_standoff.tool, touch.tool) == ("mahli", "mahli")
 
 
 def test_without_compensation_a_tool_change_counts_from_the_rigid_arm():
     rig = guarded_in_contact()
-    command = ToolChange("MAHLI", deflection="off")
+    command = ToolChange("mahli", deflection="off")
     back, to_standoff, touch = expand_command(CONFIG, rig.state.joints, rig.state.tool, command)
     assert {back.deflection, to_standoff.deflection, touch.deflection} == {"off"}
-    deflected = rig.tool_pose("APXS")
+    deflected = rig.tool_pose("apxs")
     spot = np.array(to_standoff.p_FoTo_F_m) + 0.10 * np.array(to_standoff.approach_F)
     assert 2e-3 < np.linalg.norm(spot - deflected.p) < 0.1
 
 
 def test_a_tool_that_is_not_to_touch_stops_in_front_of_the_spot():
     rig = guarded_in_contact()
-    command = ToolChange("PORTION", hover_m=0.03)
+    command = ToolChange("portion", hover_m=0.03)
     *_, to_standoff, hover = expand_command(CONFIG, rig.state.joints, rig.state.tool, command)
     assert hover.straight
     apart = np.array(hover.p_FoTo_F_m) - np.array(to_standoff.p_FoTo_F_m)
@@ -94,9 +96,9 @@ def test_a_tool_that_is_not_to_touch_stops_in_front_of_the_spot():
 def test_a_tool_change_ends_with_the_other_tool_in_contact():
     rig = guarded_in_contact()
     rig.evrs.clear()
-    rig.cycle(ToolChange("MAHLI", standoff_m=0.05), **TOUCHED)
+    rig.cycle(ToolChange("mahli", standoff_m=0.05), **TOUCHED)
     assert isinstance(rig.evrs[1], SpotSet)
-    while rig.state.mode is not Mode.GUARDED or rig.state.tool != "MAHLI":
+    while rig.state.mode is not Mode.GUARDED or rig.state.tool != "mahli":
         rig.cycle()
     rig.run(**MAHLI_TOUCHED)
     done = [evr.command for evr in rig.evrs if isinstance(evr, CommandCompleted)]
@@ -105,7 +107,7 @@ def test_a_tool_change_ends_with_the_other_tool_in_contact():
 
 def test_a_fault_in_one_step_ends_the_whole_command():
     rig = guarded_in_contact()
-    rig.cycle(ToolChange("MAHLI", standoff_m=0.05), **TOUCHED)
+    rig.cycle(ToolChange("mahli", standoff_m=0.05), **TOUCHED)
     for _ in range(60):
         rig.cycle()
     evrs = rig.run(winding_C=[float("nan")] * 5)
@@ -117,8 +119,8 @@ def test_a_fault_in_one_step_ends_the_whole_command():
 def test_the_tool_that_touches_is_not_changed_for_itself():
     rig = guarded_in_contact()
     rig.evrs.clear()
-    rig.cycle(ToolChange("APXS"), **TOUCHED)
-    assert rig.evrs == [CommandRefused("ToolChange", "APXS is the tool that touches")]
+    rig.cycle(ToolChange("apxs"), **TOUCHED)
+    assert rig.evrs == [CommandRefused("ToolChange", "apxs is the tool that touches")]
 
 
 def test_a_taught_point_is_stood_off_along_its_approach_or_against_gravity():
@@ -153,7 +155,7 @@ def test_docking_goes_straight_on_beyond_the_taught_point_until_it_touches():
 
 def test_the_turret_vibrates_on_its_brakes_while_it_is_held_against_gravity():
     rig = deployed()
-    rig.cycle(Process("PORTION", (1.0, 0.0, 0.2), 2.0))
+    rig.cycle(Process("portion", (1.0, 0.0, 0.2), 2.0))
     assert isinstance(rig.state.sequence.remaining[-1], Hold)
     vibrating = 0
     while rig.outputs.joint.busy:
@@ -180,57 +182,57 @@ def test_relative_angles_count_from_where_the_outputs_are():
 
 
 @pytest.mark.parametrize(
-    "name", [ROVER, *(frame.name for frame in Frame if frame is not Frame.TOOL), "MAHLI"]
+    "name", [ROVER, *(frame.name.lower() for frame in Frame if frame is not Frame.TOOL), "mahli"]
 )
 def test_a_place_may_be_given_in_any_frame_of_the_arm_as_it_stands(name):
     rig = deployed()
-    X_RT = rig.tool_pose("APXS")
+    X_RT = rig.tool_pose("apxs")
     frames = settle_output(CONFIG.arm, rig.state.joints.output_rad, rig.state.joints.gravity_R_m_s2).frames
     R, p = np.eye(3), np.zeros(3)
-    if name == "MAHLI":
-        X = tool_pose(CONFIG.arm, frames, "MAHLI")
+    if name == "mahli":
+        X = tool_pose(CONFIG.arm, frames, "mahli")
         R, p = X.R, X.p
     elif name != ROVER:
-        k = Frame[name]
+        k = Frame[name.upper()]
         R, p = frames.X_RF.R[:, :, k], frames.X_RF.p[:, k]
     wanted = X_RT.p + 0.01 * X_RT.R[:, 0]
-    rig.run(MoveTool("APXS", floats(R.T @ (wanted - p)), floats(R.T @ X_RT.R[:, 0]), frame=name))
-    np.testing.assert_allclose(rig.tool_pose("APXS").p, wanted, atol=3e-5)
+    rig.run(MoveTool("apxs", floats(R.T @ (wanted - p)), floats(R.T @ X_RT.R[:, 0]), frame=name))
+    np.testing.assert_allclose(rig.tool_pose("apxs").p, wanted, atol=3e-5)
 
 
 def test_a_straight_move_keeps_the_tool_on_its_line():
     rig = deployed()
-    start = rig.tool_pose("APXS")
+    start = rig.tool_pose("apxs")
     end = start.p + np.array([0.05, 0.08, -0.04])
-    rig.cycle(MoveTool("APXS", floats(end), floats(start.R[:, 0]), straight=True))
+    rig.cycle(MoveTool("apxs", floats(end), floats(start.R[:, 0]), straight=True))
     along = (end - start.p) / np.linalg.norm(end - start.p)
     while rig.outputs.joint.busy:
         rig.cycle()
         if rig.state.tick % 32 == 0:
-            off = rig.tool_pose("APXS").p - start.p
+            off = rig.tool_pose("apxs").p - start.p
             assert np.linalg.norm(off - (off @ along) * along) < 5e-4
-    np.testing.assert_allclose(rig.tool_pose("APXS").p, end, atol=3e-5)
+    np.testing.assert_allclose(rig.tool_pose("apxs").p, end, atol=3e-5)
 
 
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
         (
-            MoveTool("APXS", (0, 0, 0), (1, 0, 0), frame="TOOL"),
-            "frame: 'TOOL' is not known; there are ROVER",
+            MoveTool("apxs", (0, 0, 0), (1, 0, 0), frame="TOOL"),
+            "frame: 'TOOL' is not known; there are rover",
         ),
         (
-            MoveTool("APXS", (0, 0, 0), (1, 0, 0), straight=True, branch=BRANCHES[0]),
+            MoveTool("apxs", (0, 0, 0), (1, 0, 0), straight=True, branch=BRANCHES[0]),
             "a straight move stays",
         ),
-        (PlaceTool("PORTION", (2, 0, 0), (0, 0, 1)), "PORTION has no contact switch"),
-        (PlaceTool("APXS", (2, 0, 0), (0, 0, 1), standoff_m=0.0), "standoff_m: 0.0 is outside 0.001 .. 1"),
+        (PlaceTool("portion", (2, 0, 0), (0, 0, 1)), "portion has no contact switch"),
+        (PlaceTool("apxs", (2, 0, 0), (0, 0, 1), standoff_m=0.0), "standoff_m: 0.0 is outside 0.001 .. 1"),
         (
-            PlaceTool("APXS", (2, 0, 0), (0, 0, 1), overtravel_m=2.0),
+            PlaceTool("apxs", (2, 0, 0), (0, 0, 1), overtravel_m=2.0),
             "overtravel_m: 2.0 is outside 0.001 .. 1",
         ),
-        (Process("PORTION", (0, 0, 0), 1.0), "gravity_T: has no length"),
-        (Process("PORTION", (1, 0, 0), -1.0), "duration_s: -1.0 is outside 0 .. 3600"),
+        (Process("portion", (0, 0, 0), 1.0), "gravity_T: has no length"),
+        (Process("portion", (1, 0, 0), -1.0), "duration_s: -1.0 is outside 0 .. 3600"),
         (Dock("here", 0.0), "overtravel_m: 0.0 is outside 0.001 .. 1"),
         (MoveTeachPoint("here", -0.1), "standoff_m: -0.1 is outside 0 .. 1"),
     ],

@@ -22,7 +22,7 @@ from fsw.state import Sequence, last_setpoint
 from tests.fsw.rig import Rig, config_of, facing, floats
 
 CONFIG = config_of()
-START = facing(CONFIG, "APXS")
+START = facing(CONFIG, "apxs")
 RESPONDED = FaultResponse("BRAKE_AND_REFUSE")
 NO_NUMBER = {"current_A": [np.nan] * 5}
 NO_GRAVITY = {"gravity_R_m_s2": [0.0, 0.0, 0.0]}
@@ -52,7 +52,7 @@ def test_what_is_no_fault_changes_nothing_and_is_reported(mode):
 @pytest.mark.parametrize("mode", [mode for mode in Mode if (mode, ModeEvent.STOP) in TRANSITIONS])
 def test_a_stop_leaves_the_mode_to_the_end_of_the_move_and_drops_the_sequence(mode):
     rig = moving()
-    sequence, lost = Sequence("CalibrateAll", ()), ContactLost("DRILL")
+    sequence, lost = Sequence("CalibrateAll", ()), ContactLost("drill")
     after = respond(rig, MoveOutcome(mode, rig.state.move, sequence, None, ()), lost)
     assert (after.mode, after.sequence, after.fault) == (mode, None, None)
     assert after.move.stopped

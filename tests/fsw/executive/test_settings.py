@@ -90,7 +90,7 @@ def test_a_joint_whose_zero_rests_on_a_parameter_is_to_be_calibrated_again(name)
             float("inf"),
             "value: inf is outside -1e+09 .. 1e+09",
         ),
-        ("", 1.0, ": '' is not a parameter"),
+        ("", 1.0, "name: is empty; a name is right"),
     ],
 )
 def test_what_is_no_parameter_or_no_believable_value_is_refused(name, value, reason):

@@ -30,14 +30,14 @@ JOINTS = replace(
     motor_rad=np.array(PARAMS.poses.ready_rad),
     imu_R_m_s2=MARS_R_m_s2,
 )
-STEEP = PlaceTool("APXS", vector3(p_R_from_N(np.array([2.1, -0.1, -0.3]))), (0.6, 0.0, 0.8))
+STEEP = PlaceTool("apxs", vector3(p_R_from_N(np.array([2.1, -0.1, -0.3]))), (0.6, 0.0, 0.8))
 """Rock so steep that the fastest branch takes the turret through it."""
 INTO_THE_ROCK = "shoulder-out elbow-up wrist-down"
 
 
 def plan(command, surface=None):
-    surface = surface or locate_surface(CONFIG, JOINTS, "APXS", command, None)
-    return plan_sequence(CONFIG, JOINTS, "APXS", command, surface)
+    surface = surface or locate_surface(CONFIG, JOINTS, "apxs", command, None)
+    return plan_sequence(CONFIG, JOINTS, "apxs", command, surface)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def test_the_branch_into_the_rock_is_refused_with_the_part_and_its_depth():
     refusal = plan(replace(STEEP, branch=INTO_THE_ROCK))
     assert isinstance(refusal, Refusal)
     assert refusal.reason == (
-        f"MoveTool: APXS: {INTO_THE_ROCK}: the turret would be 115 mm below the surface; 13 % of the way are "
+        f"apxs: {INTO_THE_ROCK}: the turret would be 115 mm below the surface; 13 % of the way are "
         f"clear; on branch {INTO_THE_ROCK}, no way from up to 0.5 m above the surface is clear"
     )
 
@@ -74,29 +74,29 @@ def test_a_surface_that_leans_into_the_turret_is_refused():
 
 def test_a_normal_along_the_approach_is_refused():
     problem = check_arguments(PARAMS, replace(STEEP, normal_R=STEEP.approach_R))
-    assert problem == "normal_R points along the approach, not out of the surface"
+    assert problem == "the normal points along the approach, not out of the surface"
 
 
 def test_a_stow_near_the_rock_begins_with_a_retraction(steep):
-    surface = locate_surface(CONFIG, JOINTS, "APXS", STEEP, None)
+    surface = locate_surface(CONFIG, JOINTS, "apxs", STEEP, None)
     at_standoff = estimate_at(JOINTS, steep.plans[-2].end)
-    stow = plan_command(CONFIG, at_standoff, "APXS", Stow(), surface)
+    stow = plan_command(CONFIG, at_standoff, "apxs", Stow(), surface)
     assert isinstance(stow, Plan)
-    alone = plan_command(CONFIG, at_standoff, "APXS", Stow(), None)
-    back = plan_command(CONFIG, at_standoff, "APXS", Retract("APXS", 0.1), surface)
+    alone = plan_command(CONFIG, at_standoff, "apxs", Stow(), None)
+    back = plan_command(CONFIG, at_standoff, "apxs", Retract("apxs", 0.1), surface)
     assert len(stow.paths) >= len(alone.paths) + len(back.paths)
 
 
 def test_an_unstow_forgets_the_surface():
-    surface = locate_surface(CONFIG, JOINTS, "APXS", STEEP, None)
-    assert locate_surface(CONFIG, JOINTS, "APXS", Retract("APXS", 0.1), surface) is surface
-    assert locate_surface(CONFIG, JOINTS, "APXS", Unstow(), surface) is None
+    surface = locate_surface(CONFIG, JOINTS, "apxs", STEEP, None)
+    assert locate_surface(CONFIG, JOINTS, "apxs", Retract("apxs", 0.1), surface) is surface
+    assert locate_surface(CONFIG, JOINTS, "apxs", Unstow(), surface) is None
 
 
 def test_a_tool_that_touches_may_retract_wherever_a_close_look_finds_the_way_clear(steep):
     """A plane that leans more than the rock has parts above and below it at the start."""
     joints = estimate_at(JOINTS, steep.plans[-1].end)
-    paths = plan_retract(CONFIG, joints, Retract("APXS", 0.1)).paths
+    paths = plan_retract(CONFIG, joints, Retract("apxs", 0.1)).paths
     frames = compute_deflected_frames(CONFIG, joints, sample_paths(CONFIG, paths, FINE_STEP_M))
     geometry, padding_m = CONFIG.collision_geometry, PARAMS.collision.padding_m
     tip_m, axis = np.array(steep.commands[-1].end_p_RoTo_R_m), np.array(STEEP.approach_R)
@@ -106,8 +106,8 @@ def test_a_tool_that_touches_may_retract_wherever_a_close_look_finds_the_way_cle
         for across in (sideways, -sideways, np.cross(axis, sideways), -np.cross(axis, sideways)):
             normal = -np.cos(lean_rad) * axis + np.sin(lean_rad) * across
             surface = limit_surface(geometry, frames, Surface(tip_m, normal, geometry.surface_radius_m))
-            close = find_violation(geometry, frames, padding_m, "APXS", surface)
+            close = find_violation(geometry, frames, padding_m, "apxs", surface)
             if close is None:
-                assert check_paths(CONFIG, joints, paths, padding_m, "APXS", surface) is None
+                assert check_paths(CONFIG, joints, paths, padding_m, "apxs", surface) is None
             clear += close is None
     assert 20 < clear < 60

@@ -26,11 +26,11 @@ DH = {
 SHOULDER_R_M = (1.11285, -0.4515, 0.2660)
 # angle [deg], radius [m], z [m]
 TOOLS = {
-    "DRILL": (0.0, 0.360, -0.0718),
-    "DRT": (70.25, 0.299, -0.0868),
-    "MAHLI": (122.5, 0.2973, -0.0798),
-    "APXS": (-133.0, 0.2983, -0.0771),
-    "PORTION": (-89.79, 0.2761, -0.1105),
+    "drill": (0.0, 0.360, -0.0718),
+    "drt": (70.25, 0.299, -0.0868),
+    "mahli": (122.5, 0.2973, -0.0798),
+    "apxs": (-133.0, 0.2983, -0.0771),
+    "portion": (-89.79, 0.2761, -0.1105),
 }
 MAHLI_CLOCK_DEG = 120.0
 SOFT_LIMITS_DEG = [(-180.2, 91.2), (-187.2, 7.2), (-164.2, 164.2), (-190.2, 210.2), (-20.2, 330.0)]
@@ -67,7 +67,7 @@ def drawn_interface(output_rad) -> np.ndarray:
 def drawn_tool(tool: str) -> np.ndarray:
     angle_deg, radius_m, z_m = TOOLS[tool]
     X = turn(rotation_z(np.radians(angle_deg))) @ translation([radius_m, 0, z_m])
-    clock = MAHLI_CLOCK_DEG if tool == "MAHLI" else 0.0
+    clock = MAHLI_CLOCK_DEG if tool == "mahli" else 0.0
     return X @ turn(rotation_x(np.radians(clock)))
 
 
@@ -184,11 +184,11 @@ BENT = (
 def test_a_hundred_kelvin_move_the_drill_by_the_hand_calculation(pose_deg, pieces, sum_mm):
     """The pieces are from the drawing: expansion, length, and direction in this pose."""
     arm, q = config_of().arm, np.radians(pose_deg)
-    cold = tool_position(arm, q, "DRILL")
+    cold = tool_position(arm, q, "drill")
     np.testing.assert_allclose(cold, sum(length * way for _, length, way in pieces), atol=1e-14)
     grown_m = sum(100.0 * expansion * length * way for expansion, length, way in pieces)
     np.testing.assert_allclose(1e3 * grown_m, sum_mm, atol=1e-6)
-    np.testing.assert_allclose(tool_position(heat_arm(arm, 100.0), q, "DRILL") - cold, grown_m, atol=1e-13)
+    np.testing.assert_allclose(tool_position(heat_arm(arm, 100.0), q, "drill") - cold, grown_m, atol=1e-13)
 
 
 @pytest.mark.parametrize("tool", TOOLS)
@@ -215,9 +215,9 @@ def test_a_warm_tool_turns_as_its_screw_says():
     """The expansion has a rotation, which the drawing has not: a finite turn about the tool's z axis."""
     arm = config_of().arm
     expansion = np.zeros((6, 5))
-    expansion[2, tool_index("APXS")] = 1e-3
+    expansion[2, tool_index("apxs")] = 1e-3
     warm = heat_arm(replace(arm, expansion_T=expansion), 100.0)
-    X, Y = arm.X_FT["APXS"], warm.X_FT["APXS"]
+    X, Y = arm.X_FT["apxs"], warm.X_FT["apxs"]
     np.testing.assert_allclose(X.R.T @ Y.R, rotation_z(np.array(0.1)), atol=1e-15)
     np.testing.assert_array_equal(Y.p, X.p)
-    np.testing.assert_array_equal(warm.X_FT["DRT"].R, arm.X_FT["DRT"].R)
+    np.testing.assert_array_equal(warm.X_FT["drt"].R, arm.X_FT["drt"].R)

@@ -26,9 +26,9 @@ ARMS = pytest.mark.parametrize(
 
 def feet(arm, q):
     """Compute foot and approach in frame Arm1, with azimuth and wrist sine of the poses."""
-    s = arm.orthogonal["DRILL"]
+    s = arm.orthogonal["drill"]
     frames = forward(arm, q)
-    X = tool_pose(arm, frames, "DRILL")
+    X = tool_pose(arm, frames, "drill")
     p, a = to_shoulder_frame(s, X.p, X.R[:, 0])
     n, z5 = frames.X_RF.R[:, 2, 1], frames.X_RF.R[:, 2, 4]
     sine = np.sum(np.cross(n, X.R[:, 0], axis=0) * z5, axis=0)
@@ -37,7 +37,7 @@ def feet(arm, q):
 
 def hard(arm):
     """Draw joint vectors near and far from double roots."""
-    return vectors(Trial("", arm, "DRILL", None), np.random.default_rng(2), N)[0]
+    return vectors(Trial("", arm, "drill", None), np.random.default_rng(2), N)[0]
 
 
 def lateral_condition(s, foot, a, q1, sine):
@@ -72,7 +72,7 @@ def test_the_azimuth_and_the_sine_of_the_pose_are_among_them(arm, find):
 @ARMS
 def test_near_the_wrist_s_fold_its_sine_is_that_of_the_pose(arm, find, sine):
     """The square of the sine has lost half its digits there; the azimuth has not."""
-    s = arm.orthogonal["DRILL"]
+    s = arm.orthogonal["drill"]
     q = in_limits(config_of(), np.random.default_rng(4), N)
     lean = np.sqrt(1 - s.boresight_z**2)
     q[4] = np.arccos(sine / lean) - s.clock_rad
@@ -104,7 +104,7 @@ def test_from_beside_an_azimuth_one_comes_back_to_it(arm, near):
 
 
 def test_a_foot_nearer_than_the_lateral_offset_is_missing_the_difference():
-    s = DRAWING.orthogonal["DRILL"]
+    s = DRAWING.orthogonal["drill"]
     _, _, missing = solve_azimuths(s, np.array([0.03, 0.04, 0.5]), np.array([1.0, 0.0, 0.0]))
     np.testing.assert_allclose(missing, abs(s.lateral_m) - 0.05, atol=1e-15)
 

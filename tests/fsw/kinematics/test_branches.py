@@ -12,7 +12,7 @@ from tests.tools import TOOLS
 N = 3000
 ARM = config_of().arm
 # distance from the turret axis to each tool point, from the drawing
-RADIUS_M = {"DRILL": 0.360, "DRT": 0.299, "MAHLI": 0.2973, "APXS": 0.2983, "PORTION": 0.2761}
+RADIUS_M = {"drill": 0.360, "drt": 0.299, "mahli": 0.2973, "apxs": 0.2983, "portion": 0.2761}
 
 
 def poses(n=N):
@@ -60,7 +60,7 @@ def test_up_is_the_elbow_above_the_line_from_shoulder_to_wrist():
     chord = wrist - shoulder
     share = np.sum((elbow - shoulder) * chord, axis=0) / np.sum(chord * chord, axis=0)
     above_m = (shoulder + share * chord - elbow)[2]
-    signs = fold_distances(ARM.orthogonal["APXS"], q)
+    signs = fold_distances(ARM.orthogonal["apxs"], q)
     clear = np.abs(above_m) > 1e-9
     up = named("elbow-up", branch_index(signs))
     np.testing.assert_array_equal(up[clear], (above_m > 0)[clear])
@@ -93,7 +93,7 @@ def test_the_roots_of_the_orthogonal_arm_are_on_the_branches_of_their_slots(tool
 
 
 def test_a_batch_of_poses_is_on_the_branches_of_its_single_poses():
-    q, s = poses(24), config_of("calibrated:3").arm.orthogonal["DRT"]
+    q, s = poses(24), config_of("calibrated:3").arm.orthogonal["drt"]
     many = branch_index(fold_distances(s, q.reshape(5, 2, 3, 4)))
     assert many.shape == (2, 3, 4)
     for k, index in enumerate(np.ndindex(2, 3, 4)):

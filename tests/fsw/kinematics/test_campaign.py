@@ -122,7 +122,7 @@ def test_the_jacobian_of_a_deflected_tool_counts_the_load_s_response():
     """The Jacobian differs from the rigid one by a few parts in a thousand."""
     q = np.array([[0.1, -1.0, 1.2, 1.0, 1.0]]).T
     rigid, deflected = (
-        task_jacobian(Trial("nominal", arm_of("nominal"), "DRILL", pull), q)
+        task_jacobian(Trial("nominal", arm_of("nominal"), "drill", pull), q)
         for pull in (None, np.array([0.0, 0.0, 3.711]))
     )
     change = np.abs(deflected - rigid).max()

@@ -146,7 +146,7 @@ def test_a_joint_turns_the_frame_before_its_link_about_z(name):
     """For Arm1 to Arm5, a zero offset is the rz of a frame."""
     config, rng = config_of(name), np.random.default_rng(7)
     frames = forward(config.arm, in_limits(config, rng, 20), rng.normal(0, STRAIN, (6, 6, 20)))
-    X_RT = tool_pose(config.arm, frames, "MAHLI")
+    X_RT = tool_pose(config.arm, frames, "mahli")
     by_frame = frame_jacobian(frames, X_RT)
     by_joint = joint_jacobian(frames, X_RT.p)
     for joint in Joint:
@@ -169,7 +169,7 @@ def test_the_poses_of_the_frames_are_those_of_the_chain_and_of_the_tool(tool):
 def test_an_error_of_the_tool_s_own_frame_is_itself_in_rover_axes():
     config = config_of()
     frames = forward(config.arm, in_limits(config, np.random.default_rng(9), 1)[:, 0])
-    X_RT = tool_pose(config.arm, frames, "APXS")
+    X_RT = tool_pose(config.arm, frames, "apxs")
     own = np.kron(np.eye(2), X_RT.R)
     np.testing.assert_allclose(frame_jacobian(frames, X_RT)[:, :, Frame.TOOL], own, atol=1e-15)
 
@@ -190,7 +190,7 @@ def test_a_batch_of_poses_is_its_single_poses():
     config, rng = config_of("calibrated:3"), np.random.default_rng(5)
     q, strain = in_limits(config, rng, 12).reshape(5, 3, 4), rng.normal(0, STRAIN, (6, 6, 3, 4))
     many = forward(config.arm, q, strain)
-    X = tool_pose(config.arm, many, "APXS")
+    X = tool_pose(config.arm, many, "apxs")
     J, J_frame = joint_jacobian(many, X.p), frame_jacobian(many, X)
     for index in np.ndindex(3, 4):
         one = forward(config.arm, q[:, *index], strain[:, :, *index])
@@ -198,7 +198,7 @@ def test_a_batch_of_poses_is_its_single_poses():
             several, single = getattr(many, name), getattr(one, name)
             np.testing.assert_allclose(several.R[..., *index], single.R, rtol=0, atol=1e-15)
             np.testing.assert_allclose(several.p[..., *index], single.p, rtol=0, atol=2e-15)
-        X_one = tool_pose(config.arm, one, "APXS")
+        X_one = tool_pose(config.arm, one, "apxs")
         np.testing.assert_allclose(X.p[:, *index], X_one.p, rtol=0, atol=2e-15)
         np.testing.assert_allclose(J[..., *index], joint_jacobian(one, X_one.p), rtol=0, atol=4e-15)
         np.testing.assert_allclose(J_frame[..., *index], frame_jacobian(one, X_one), rtol=0, atol=4e-15)

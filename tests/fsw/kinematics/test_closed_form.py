@@ -19,7 +19,7 @@ from validation.kinematics_trials import Trial, skew_tool
 
 N = 2000
 ARM = config_of().arm
-TOOL = "DRILL"
+TOOL = "drill"
 OFFSET_M = 0.06
 TILT_RAD = 0.8
 MEETS = 1e-9
@@ -77,7 +77,7 @@ def test_every_root_of_the_drawing_meets_its_target_to_the_last_digits(tool):
 
 def tool_of_the_drawing_but(offset_m=0.0, lean_rad=0.0):
     """Return the drill frame moved sideways by a bracket, or tilted up."""
-    X = ARM.X_FT["DRILL"]
+    X = ARM.X_FT["drill"]
     R = X.R @ rotation_y(np.array(lean_rad))
     return with_tool(R, X.p + np.array([0.0, offset_m, 0.0]))
 

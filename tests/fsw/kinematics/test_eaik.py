@@ -29,7 +29,7 @@ def test_eaik_knows_the_arm_by_its_three_parallel_pitch_joints(eaik):
 
 def test_eaik_and_the_chain_agree_where_the_turret_interface_is(eaik):
     q = np.random.default_rng(1).uniform(-3, 3, (5, 100))
-    ours = interface_poses(Trial("nominal", ARM, "DRILL", None), q)
+    ours = interface_poses(Trial("nominal", ARM, "drill", None), q)
     theirs = np.stack([eaik.robot.fwdKin(q[:, k]) for k in range(100)])
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-14)
 
@@ -46,7 +46,7 @@ def test_eaik_finds_the_roots_that_we_find_and_no_other(eaik, tool, kind):
 
 def test_roots_that_differ_in_the_elbow_alone_share_their_full_pose():
     """One query gives two roots; every azimuth and wrist needs its own spin about the approach."""
-    trial = Trial("nominal", ARM, "APXS", None)
+    trial = Trial("nominal", ARM, "apxs", None)
     q = np.array([[0.1, -0.4, 1.2, 1.0, 1.0]]).T
     turned = q + np.array([[0.0], [0.0], [0.0], [0.0], [0.3]])
     poses = interface_poses(trial, np.concatenate([q, turned, q + 2 * np.pi], axis=1))

@@ -34,10 +34,10 @@ def nothing_known(n):
 
 @CASES
 def test_there_are_starts_for_every_target_and_one_near_every_original_pose(name, gravity):
-    solved = near_double_roots(name, gravity, "DRILL", N)
+    solved = near_double_roots(name, gravity, "drill", N)
     starts = search_grid(
         solved.trial.arm,
-        "DRILL",
+        "drill",
         solved.p,
         solved.a,
         gravity_of(solved),
@@ -54,11 +54,11 @@ def test_there_are_starts_for_every_target_and_one_near_every_original_pose(name
 
 
 def test_without_candidates_there_are_no_starts():
-    solved = near_double_roots("nominal", "mars", "DRILL", N)
+    solved = near_double_roots("nominal", "mars", "drill", N)
     none = np.zeros((8, N), bool)
     candidates = replace(all_candidates(solved), is_candidate=none, is_searched=none, wrist_is_free=none)
     starts = search_grid(
-        solved.trial.arm, "DRILL", solved.p, solved.a, gravity_of(solved), candidates, QUICK.grid
+        solved.trial.arm, "drill", solved.p, solved.a, gravity_of(solved), candidates, QUICK.grid
     )
     assert starts.output_rad.shape == (5, 0)
     assert starts.target.shape == (0,)
@@ -66,10 +66,10 @@ def test_without_candidates_there_are_no_starts():
 
 @CASES
 def test_with_nothing_known_the_original_poses_are_found(name, gravity):
-    solved = near_double_roots(name, gravity, "DRILL", N)
+    solved = near_double_roots(name, gravity, "drill", N)
     found = find_near_singular_roots(
         solved.trial.arm,
-        "DRILL",
+        "drill",
         solved.p,
         solved.a,
         gravity_of(solved),
@@ -87,13 +87,13 @@ def test_with_nothing_known_the_original_poses_are_found(name, gravity):
 
 def test_known_roots_that_are_not_candidates_are_kept_as_they_are():
     """The angles are equal bit for bit, in any slot."""
-    solved = near_double_roots("nominal", "mars", "DRILL", N)
+    solved = near_double_roots("nominal", "mars", "drill", N)
     known = solved.result
     first = FoundRoots(known.output_rad[:, :8], known.torque_Nm[:, :8], known.error[:8])
     none = np.zeros((8, N), bool)
     candidates = replace(all_candidates(solved), is_candidate=none, is_searched=none, wrist_is_free=none)
     kept = find_near_singular_roots(
-        solved.trial.arm, "DRILL", solved.p, solved.a, gravity_of(solved), candidates, first
+        solved.trial.arm, "drill", solved.p, solved.a, gravity_of(solved), candidates, first
     )
     for k in range(N):
         before, after = (set(v.output_rad[0, :, k][np.isfinite(v.error[:, k])]) for v in (first, kept))

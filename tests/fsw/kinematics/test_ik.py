@@ -122,7 +122,7 @@ def test_roots_for_the_warm_arm_put_the_warm_tool_on_its_target(name, tool, grav
 
 @pytest.mark.parametrize("gravity", ["mars", "tilted"])
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3", "calibrated:11"])
-@pytest.mark.parametrize("tool", ["DRILL", "MAHLI"])
+@pytest.mark.parametrize("tool", ["drill", "mahli"])
 def test_every_root_of_the_deflected_arm_meets_its_target_valid_or_not(name, tool, gravity):
     solved = random_poses(name, gravity, tool, N_LOADED)
     arm, result, there = solved.trial.arm, solved.result, claimed_roots(solved.result)
@@ -148,14 +148,14 @@ def test_the_pose_of_a_deflected_target_is_among_its_roots_and_no_root_is_there_
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 def test_roots_that_were_not_followed_are_outside_the_limits_by_about_as_much_as_estimated(name, gravity):
     """Newton from the orthogonal arm's root finds the root outside the limits, near the estimate."""
-    solved = random_poses(name, gravity, "DRILL", N_LOADED)
+    solved = random_poses(name, gravity, "drill", N_LOADED)
     arm, pull = solved.trial.arm, GRAVITIES[gravity]
     guessed = where_verdict(solved.result, BranchVerdict.OUTSIDE_LIMITS) & ~claimed_roots(solved.result)
     slot, target = np.nonzero(guessed)
     assert slot.size > 100
     p, a = solved.p[:, target], solved.a[:, target]
-    start = closed_form(arm, "DRILL", solved.p, solved.a).output_rad[:, slot, target]
-    found = refine_roots(arm, "DRILL", p, a, pull, start)
+    start = closed_form(arm, "drill", solved.p, solved.a).output_rad[:, slot, target]
+    found = refine_roots(arm, "drill", p, a, pull, start)
     near = found.converged & (np.abs(wrap_angle(found.output_rad - start)).max(axis=0) < 0.2)
     assert near.mean() > 0.9
     over = limit_excess(arm, wrap_into_limits(arm, found.output_rad[:, near])).max(axis=0)
@@ -166,7 +166,7 @@ def test_roots_that_were_not_followed_are_outside_the_limits_by_about_as_much_as
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("gravity", GRAVITIES)
 def test_every_root_for_a_skew_tool_meets_its_target_and_the_original_pose_is_among_them(seed, gravity):
-    solved = random_poses(f"skew:{seed}", gravity, "DRILL", 150)
+    solved = random_poses(f"skew:{seed}", gravity, "drill", 150)
     there = claimed_roots(solved.result)
     assert root_errors(solved.trial, solved.result, solved.p, solved.a)[there].max() < solved.tolerance
     assert_poses_found(solved)
@@ -179,11 +179,11 @@ def test_every_root_for_a_skew_tool_meets_its_target_and_the_original_pose_is_am
 def test_a_boresight_that_passes_the_turret_axis_at_next_to_nothing_loses_no_root(offset_m):
     arm = tool_of_the_drawing_but(offset_m)
     q = in_limits(config_of(), np.random.default_rng(9), N)
-    p, a = targets_of(q, "DRILL", arm)
-    result = inverse_kinematics(arm, "DRILL", p, a)
+    p, a = targets_of(q, "drill", arm)
+    result = inverse_kinematics(arm, "drill", p, a)
     lost = root_distances(result, q).min(axis=0) > SAME_RAD
     if lost.any():
-        sigma = smallest_singular_value(Trial("offset", arm, "DRILL", None), q[:, lost])
+        sigma = smallest_singular_value(Trial("offset", arm, "drill", None), q[:, lost])
         assert sigma.max() < CLEAR_SIGMA
 
 
@@ -196,8 +196,8 @@ def test_the_roots_of_a_target_are_eight_different_poses(tool):
 
 
 def test_every_verdict_but_singular_occurs_at_random_targets():
-    _, p, a, result = random_case("APXS")
-    far = inverse_kinematics(ARM, "APXS", p + np.array([[1.0], [0.0], [0.0]]), a)
+    _, p, a, result = random_case("apxs")
+    far = inverse_kinematics(ARM, "apxs", p + np.array([[1.0], [0.0], [0.0]]), a)
     seen = set(result.verdict.ravel()) | set(far.verdict.ravel())
     assert seen == {BranchVerdict.VALID, BranchVerdict.OUTSIDE_LIMITS, BranchVerdict.OUT_OF_REACH}
 
@@ -208,8 +208,8 @@ def test_a_target_beyond_the_straight_arm_is_out_of_reach_by_that_much(push_m):
     q = np.array([0.2, -0.4, 0.0, 0.9, 0.3])
     frames = forward(ARM, q)
     chord = frames.X_RF.p[:, 3] - frames.X_RF.p[:, 1]
-    p, a = targets_of(q, "DRILL")
-    result = inverse_kinematics(ARM, "DRILL", p + push_m * chord / np.linalg.norm(chord), a)
+    p, a = targets_of(q, "drill")
+    result = inverse_kinematics(ARM, "drill", p + push_m * chord / np.linalg.norm(chord), a)
     assert not where_verdict(result, BranchVerdict.VALID).any()
     missing = result.excess[where_verdict(result, BranchVerdict.OUT_OF_REACH)]
     assert missing.min() == pytest.approx(push_m, rel=1e-9)
@@ -220,7 +220,7 @@ def test_a_target_beyond_the_straight_arm_is_out_of_reach_by_that_much(push_m):
 def test_a_target_inside_the_shoulder_cylinder_says_so():
     # the turret axis would pass 0.01 m from the azimuth axis; the wrist's offset keeps it 0.1664 m away
     p = np.array([1.11285 + 0.36, -0.4515 + 0.01, 1.0])
-    result = inverse_kinematics(ARM, "DRILL", p, np.array([1.0, 0.0, 0.0]))
+    result = inverse_kinematics(ARM, "drill", p, np.array([1.0, 0.0, 0.0]))
     assert where_verdict(result, BranchVerdict.OUT_OF_REACH).all()
     np.testing.assert_allclose(result.excess, 0.1664 - 0.01, atol=1e-12)
 
@@ -248,14 +248,14 @@ def test_what_is_returned_near_double_roots_and_singular_directions_is_right(nam
     rng = np.random.default_rng(8)
     q = in_limits(config_of(), rng, 400)
     q[2, :200] = 10.0 ** rng.uniform(-9, -1, 200) * rng.choice([-1, 1], 200)
-    boresight = np.arctan2(*ARM.X_FT["APXS"].R[[1, 0], 0])
+    boresight = np.arctan2(*ARM.X_FT["apxs"].R[[1, 0], 0])
     q[4, 200:] = np.pi / 2 - boresight + 10.0 ** rng.uniform(-9, -1, 200) * rng.choice([-1, 1], 200)
-    p, a = targets_of(q, "APXS", arm, pull)
-    result = inverse_kinematics(arm, "APXS", p, a, pull)
+    p, a = targets_of(q, "apxs", arm, pull)
+    result = inverse_kinematics(arm, "apxs", p, a, pull)
     assert_consistent(arm, result)
     valid = where_verdict(result, BranchVerdict.VALID)
     p, a = (of_roots(v, valid) for v in (p, a))
-    error = np.abs(task_error(pose_of(arm, result.output_rad[:, valid], "APXS", pull), p, a))
+    error = np.abs(task_error(pose_of(arm, result.output_rad[:, valid], "apxs", pull), p, a))
     assert error.max() < (RIGID_M if pull is None else LOADED_M)
     for k in range(0, 400, 7):
         assert_sentences(arm, select_targets(result, k))
@@ -306,7 +306,7 @@ def test_where_the_rigid_arm_has_a_family_the_deflected_arm_has_single_poses(too
 @pytest.mark.parametrize("gravity", ["mars", "tilted"])
 def test_no_branch_of_the_deflected_arm_is_said_to_have_a_free_wrist(gravity):
     """The deflected arm has a pose or none, but no family."""
-    result = inverse_kinematics(ARM, "DRILL", *along_the_pitch_axis("DRILL"), GRAVITIES[gravity])
+    result = inverse_kinematics(ARM, "drill", *along_the_pitch_axis("drill"), GRAVITIES[gravity])
     for branch in np.flatnonzero(where_verdict(result, BranchVerdict.SINGULAR)):
         assert "singular, no pose" in describe_slot(ARM, result, branch)
 
@@ -357,7 +357,7 @@ UNREACHABLE = [
 @pytest.mark.parametrize("gravity", GRAVITIES)
 def test_an_unreachable_target_is_eight_sentences_and_no_exception(name, gravity, p, a):
     arm = arm_of(name)
-    result = inverse_kinematics(arm, "DRILL", np.array(p), np.array(a), GRAVITIES[gravity])
+    result = inverse_kinematics(arm, "drill", np.array(p), np.array(a), GRAVITIES[gravity])
     assert where_verdict(result, BranchVerdict.OUT_OF_REACH).all()
     assert_consistent(arm, result)
     assert_sentences(arm, result)
@@ -379,7 +379,7 @@ def test_no_sentence_and_no_number_of_any_target_is_nan(seed, gravity, name):
 
 def test_the_sentence_about_a_limit_names_joint_angle_and_limits():
     """The shown angle and limits agree with the excess."""
-    _, _, _, result = random_case("APXS", 200)
+    _, _, _, result = random_case("apxs", 200)
     pattern = re.compile(
         r"(?P<name>.+): joint (?P<joint>\w+): (?P<angle>-?[\d.]+) deg is outside "
         r"its soft limits (?P<low>-?[\d.]+) \.\. (?P<high>-?[\d.]+) deg"
@@ -397,12 +397,12 @@ def test_the_sentence_about_a_limit_names_joint_angle_and_limits():
 
 
 def test_a_valid_branch_says_so():
-    q, _, _, result = random_case("APXS", 1)
+    q, _, _, result = random_case("apxs", 1)
     one, branch = select_targets(result, 0), int(root_distances(result, q)[:, 0].argmin())
     assert describe_slot(ARM, one, branch) == f"{BRANCHES[branch]}: valid"
 
 
-@pytest.mark.parametrize("tool", ["APXS", "MAHLI"])
+@pytest.mark.parametrize("tool", ["apxs", "mahli"])
 def test_a_batch_of_rigid_targets_is_its_single_targets_bit_for_bit_in_any_shape(tool):
     n = 150
     _, p, a, result = random_case(tool, n)
@@ -418,12 +418,12 @@ def test_a_batch_of_rigid_targets_is_its_single_targets_bit_for_bit_in_any_shape
 @pytest.mark.slow
 def test_targets_of_more_than_one_chunk_are_answered_as_those_of_one():
     """Chunks may have different numbers of slots; the whole has the largest."""
-    solved = near_double_roots("calibrated:3", "rigid", "DRT", 40)
-    easy = random_poses("calibrated:3", "rigid", "DRT", N_LOADED)
+    solved = near_double_roots("calibrated:3", "rigid", "drt", 40)
+    easy = random_poses("calibrated:3", "rigid", "drt", N_LOADED)
     p, a = (np.tile(v, CHUNK // N_LOADED + 1)[:, :CHUNK] for v in (easy.p, easy.a))
     p, a = (np.concatenate([many, few], axis=1) for many, few in ((p, solved.p), (a, solved.a)))
     assert p.shape[1] == CHUNK + 40
-    result = inverse_kinematics(solved.trial.arm, "DRT", p, a)
+    result = inverse_kinematics(solved.trial.arm, "drt", p, a)
     assert result.verdict.shape[0] >= solved.result.verdict.shape[0] > 8
     for part, alone in ((slice(CHUNK, None), solved.result), (slice(0, N_LOADED), easy.result)):
         slots = alone.verdict.shape[0]
@@ -434,9 +434,9 @@ def test_targets_of_more_than_one_chunk_are_answered_as_those_of_one():
 
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 def test_a_batch_of_deflected_targets_is_its_single_targets(name):
-    solved = random_poses(name, "mars", "DRT", N_LOADED)
+    solved = random_poses(name, "mars", "drt", N_LOADED)
     for k in range(0, N_LOADED, 4):
-        one = inverse_kinematics(solved.trial.arm, "DRT", solved.p[:, k], solved.a[:, k], MARS_R_m_s2)
+        one = inverse_kinematics(solved.trial.arm, "drt", solved.p[:, k], solved.a[:, k], MARS_R_m_s2)
         own, many = one.verdict.shape[0], select_targets(solved.result, k)
         for word in ("verdict", "joint"):
             np.testing.assert_array_equal(getattr(many, word)[:own], getattr(one, word))
@@ -448,8 +448,8 @@ def test_a_batch_of_deflected_targets_is_its_single_targets(name):
 
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3", "skew:1"])
 def test_gravity_that_is_all_zeros_is_no_gravity(name):
-    solved = near_double_roots(name, "rigid", "APXS", 60)
-    result = inverse_kinematics(solved.trial.arm, "APXS", solved.p, solved.a, np.zeros(3))
+    solved = near_double_roots(name, "rigid", "apxs", 60)
+    result = inverse_kinematics(solved.trial.arm, "apxs", solved.p, solved.a, np.zeros(3))
     for word in IkResult.__slots__:
         np.testing.assert_array_equal(getattr(result, word), getattr(solved.result, word))
 
@@ -459,7 +459,7 @@ def test_gravity_that_is_all_zeros_is_no_gravity(name):
 @pytest.mark.parametrize("shape", [(0,), (2, 0), (0, 3)])
 def test_of_no_targets_there_are_no_roots(name, gravity, shape):
     nothing = np.zeros((3, *shape))
-    result = inverse_kinematics(arm_of(name), "DRILL", nothing, nothing, GRAVITIES[gravity])
+    result = inverse_kinematics(arm_of(name), "drill", nothing, nothing, GRAVITIES[gravity])
     assert result.verdict.shape == result.excess.shape == (8, *shape)
     assert result.output_rad.shape == result.torque_Nm.shape == (5, 8, *shape)
 
@@ -491,8 +491,8 @@ def test_the_answer_in_the_turn_next_to_where_the_arm_is(gravity):
     high, low = two_turns(Joint.WRIST)
     for wrist in (high, low):
         q = np.array([0.1, -1.0, 1.2, wrist, 1.0])
-        p, a = targets_of(q, "APXS", gravity=GRAVITIES[gravity])
-        result = inverse_kinematics(ARM, "APXS", p, a, GRAVITIES[gravity], near_rad=q)
+        p, a = targets_of(q, "apxs", gravity=GRAVITIES[gravity])
+        result = inverse_kinematics(ARM, "apxs", p, a, GRAVITIES[gravity], near_rad=q)
         same = np.where(
             claimed_roots(result), np.abs(wrap_angle(result.output_rad.T - q)).max(axis=1), 9.0
         ).argmin()

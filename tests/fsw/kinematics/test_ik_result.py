@@ -147,7 +147,7 @@ def test_one_target_is_selected_from_a_batch():
 
 
 def test_a_target_taken_out_of_a_wide_batch_stays_consistent():
-    solved = near_double_roots("nominal", "mars", "APXS", 40)
+    solved = near_double_roots("nominal", "mars", "apxs", 40)
     assert solved.result.verdict.shape[0] > 8
     for k in range(40):
         assert_consistent(solved.trial.arm, select_targets(solved.result, k))

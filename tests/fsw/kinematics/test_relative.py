@@ -33,8 +33,8 @@ def test_relative_to_the_reference_pose_the_target_there_is_the_reference_pose(n
 
 def test_without_deflection_relative_is_absolute():
     config = config_of()
-    _, p, a = deflected_targets(config, "DRT", 8, RIGID)
-    moved_p, moved_a = relative_target(config.arm, "DRILL", REFERENCE, RIGID, p, a)
+    _, p, a = deflected_targets(config, "drt", 8, RIGID)
+    moved_p, moved_a = relative_target(config.arm, "drill", REFERENCE, RIGID, p, a)
     np.testing.assert_allclose(moved_p, p, atol=1e-14)
     np.testing.assert_allclose(moved_a, a, atol=1e-14)
 
@@ -44,11 +44,11 @@ def test_only_the_difference_of_deflection_counts():
     config = config_of()
     rng = np.random.default_rng(12)
     q = REFERENCE[:, None] + rng.uniform(-0.01, 0.01, (5, 20))
-    drawn = tool_pose(config.arm, forward(config.arm, q), "APXS")
+    drawn = tool_pose(config.arm, forward(config.arm, q), "apxs")
     p, a = drawn.p, drawn.R[:, 0]
-    absolute = refine_roots(config.arm, "APXS", p, a, MARS_R_m_s2, q)
-    target = relative_target(config.arm, "APXS", REFERENCE, MARS_R_m_s2, p, a)
-    relative = refine_roots(config.arm, "APXS", *target, MARS_R_m_s2, q)
+    absolute = refine_roots(config.arm, "apxs", p, a, MARS_R_m_s2, q)
+    target = relative_target(config.arm, "apxs", REFERENCE, MARS_R_m_s2, p, a)
+    relative = refine_roots(config.arm, "apxs", *target, MARS_R_m_s2, q)
     assert absolute.converged.all()
     assert relative.converged.all()
     whole, rest_of_it = (np.abs(found.output_rad - q).max(axis=0) for found in (absolute, relative))
@@ -59,14 +59,14 @@ def test_over_one_spot_the_shifts_of_two_tools_relative_to_each_other_cancel():
     """The shift of one tool, relative to the other, is the opposite of the other's; stiff springs."""
     config = config_of()
     arm = replace(config.arm, compliance=1e-3 * config.arm.compliance)
-    spot = tool_pose(arm, forward(arm, REFERENCE), "APXS")
+    spot = tool_pose(arm, forward(arm, REFERENCE), "apxs")
     p, a = spot.p, spot.R[:, 0]
-    result = inverse_kinematics(arm, "DRT", p, a)
+    result = inverse_kinematics(arm, "drt", p, a)
     there = result.output_rad[:, np.flatnonzero(result.verdict == BranchVerdict.VALID)[-1]]
     shifts = []
     for tool, pose, other, other_pose in (
-        ("DRT", there, "APXS", REFERENCE),
-        ("APXS", REFERENCE, "DRT", there),
+        ("drt", there, "apxs", REFERENCE),
+        ("apxs", REFERENCE, "drt", there),
     ):
         target = relative_target(arm, other, other_pose, MARS_R_m_s2, p, a)
         found = refine_roots(arm, tool, *target, MARS_R_m_s2, pose)
@@ -78,21 +78,21 @@ def test_over_one_spot_the_shifts_of_two_tools_relative_to_each_other_cancel():
 
 def test_relative_targets_come_in_batches():
     config = config_of()
-    _, p, a = deflected_targets(config, "APXS", 6, MARS_R_m_s2)
+    _, p, a = deflected_targets(config, "apxs", 6, MARS_R_m_s2)
     batch = (v.reshape(3, 2, 3) for v in (p, a))
-    many = relative_target(config.arm, "DRILL", REFERENCE, MARS_R_m_s2, *batch)
+    many = relative_target(config.arm, "drill", REFERENCE, MARS_R_m_s2, *batch)
     for k in range(6):
-        one = relative_target(config.arm, "DRILL", REFERENCE, MARS_R_m_s2, p[:, k], a[:, k])
+        one = relative_target(config.arm, "drill", REFERENCE, MARS_R_m_s2, p[:, k], a[:, k])
         for several, single in zip(many, one, strict=True):
             np.testing.assert_allclose(several.reshape(3, 6)[:, k], single, rtol=0, atol=2e-15)
 
 
 def test_with_springs_half_as_stiff_the_relative_shift_doubles():
     config = config_of()
-    _, p, a = deflected_targets(config, "APXS", 1, MARS_R_m_s2)
+    _, p, a = deflected_targets(config, "apxs", 1, MARS_R_m_s2)
     shifts = []
     for softer in (1e-4, 2e-4):
         arm = replace(config.arm, compliance=softer * config.arm.compliance)
-        moved, _ = relative_target(arm, "APXS", REFERENCE, MARS_R_m_s2, p[:, 0], a[:, 0])
+        moved, _ = relative_target(arm, "apxs", REFERENCE, MARS_R_m_s2, p[:, 0], a[:, 0])
         shifts.append(moved - p[:, 0])
     np.testing.assert_allclose(shifts[1], 2 * shifts[0], atol=1e-4 * np.linalg.norm(shifts[0]))

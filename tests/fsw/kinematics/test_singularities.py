@@ -33,18 +33,18 @@ N = 110
 OVERHEAD_M = 0.02
 """A wrist this close above the elevation joint may have the name of the other elbow."""
 RADIAL = [
-    ("nominal", "mars", "DRILL"),
-    ("nominal", "mars", "APXS"),
-    ("nominal", "tilted", "MAHLI"),
-    ("nominal", "tilted", "PORTION"),
-    ("calibrated:3", "rigid", "DRT"),
-    ("calibrated:3", "mars", "DRILL"),
-    ("calibrated:3", "tilted", "APXS"),
-    ("calibrated:11", "rigid", "APXS"),
-    ("calibrated:11", "mars", "DRT"),
-    ("calibrated:11", "tilted", "MAHLI"),
+    ("nominal", "mars", "drill"),
+    ("nominal", "mars", "apxs"),
+    ("nominal", "tilted", "mahli"),
+    ("nominal", "tilted", "portion"),
+    ("calibrated:3", "rigid", "drt"),
+    ("calibrated:3", "mars", "drill"),
+    ("calibrated:3", "tilted", "apxs"),
+    ("calibrated:11", "rigid", "apxs"),
+    ("calibrated:11", "mars", "drt"),
+    ("calibrated:11", "tilted", "mahli"),
 ]
-SKEW = [("skew:1", "mars", "DRILL"), ("skew:5", "tilted", "DRILL"), ("skew:8", "mars", "DRILL")]
+SKEW = [("skew:1", "mars", "drill"), ("skew:5", "tilted", "drill"), ("skew:8", "mars", "drill")]
 SHORT = RADIAL[1], RADIAL[4], SKEW[0]
 radial = pytest.mark.parametrize(("name", "gravity", "tool"), slow_but(RADIAL, *SHORT[:2]))
 every = pytest.mark.parametrize(("name", "gravity", "tool"), slow_but([*RADIAL, *SKEW], *SHORT))
@@ -169,7 +169,7 @@ OVERHEAD = [
 
 @pytest.mark.parametrize(("name", "gravity", "q"), OVERHEAD)
 def test_with_the_wrist_right_over_the_elevation_joint_every_slot_has_a_root_or_a_reason(name, gravity, q):
-    solved = solve_poses(trial_of(name, gravity, "DRILL"), np.array(q)[:, None])
+    solved = solve_poses(trial_of(name, gravity, "drill"), np.array(q)[:, None])
     assert_poses_found(solved)
     assert not (solved.result.verdict == BranchVerdict.NOT_CONVERGED).any()
     assert_sentences(solved.trial.arm, select_targets(solved.result, 0))
@@ -216,7 +216,7 @@ def test_a_double_root_is_found_once():
         -1.712865964694209,
         0.7505001702083764,
     )
-    solved = solve_poses(trial_of("nominal", "mars", "APXS"), np.array(q)[:, None])
+    solved = solve_poses(trial_of("nominal", "mars", "apxs"), np.array(q)[:, None])
     roots = solved.result.output_rad[:, claimed_roots(solved.result)[:, 0], 0]
     first, second = np.triu_indices(roots.shape[1], 1)
     X = solved.trial.tool_pose(roots[:, first] + 0.5 * wrap_angle(roots[:, second] - roots[:, first]))
@@ -234,7 +234,7 @@ def test_two_roots_of_a_deflected_arm_a_hair_apart_are_both_found():
         1.5740133885359566,
     )
     gravity = np.array([0.7960427713268317, -0.503919487662086, 3.5894152805398094])
-    trial = replace(trial_of("nominal", "mars", "DRILL"), gravity_R_m_s2=gravity)
+    trial = replace(trial_of("nominal", "mars", "drill"), gravity_R_m_s2=gravity)
     solved = solve_poses(trial, np.array(q)[:, None])
     roots = solved.result.output_rad[:, claimed_roots(solved.result)[:, 0], 0]
     assert roots.shape[1] == 2
@@ -243,7 +243,7 @@ def test_two_roots_of_a_deflected_arm_a_hair_apart_are_both_found():
 
 def test_no_further_slots_are_made_where_no_branch_needs_them():
     for gravity in GRAVITIES:
-        trial = trial_of("nominal", gravity, "APXS")
+        trial = trial_of("nominal", gravity, "apxs")
         q = np.array([[0.1, -1.0, 1.2, 1.0, 1.0]]).T
         result: IkResult = solve_poses(trial, q).result
         assert result.verdict.shape == (8, 1)

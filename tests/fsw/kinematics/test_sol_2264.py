@@ -39,12 +39,12 @@ FLIGHT = Pose(from_quaternion(FLIGHT_Q_TR).T, FLIGHT_P_R_M)
 
 
 def drill(frames: Frames) -> Pose:
-    return tool_pose(ARM, frames, "DRILL")
+    return tool_pose(ARM, frames, "drill")
 
 
 def deflected_drill(backlash_rad, arm: Arm = ARM) -> Pose:
     """Compute the drill pose for the encoder angles, with wind-up beyond these positions in the backlash."""
-    return tool_pose(arm, settle(arm, ENCODER_RAD, backlash_rad, GRAVITY_R_m_s2).frames, "DRILL")
+    return tool_pose(arm, settle(arm, ENCODER_RAD, backlash_rad, GRAVITY_R_m_s2).frames, "drill")
 
 
 def across(*joints: Joint) -> Pose:

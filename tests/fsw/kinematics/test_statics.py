@@ -162,7 +162,7 @@ def test_a_batch_of_arms_at_rest_is_its_single_arms(name):
 @pytest.mark.parametrize("force_N", [None, (30.0, -20.0, 10.0)])
 def test_frames_and_load_of_a_batch_are_those_of_single_poses(name, force_N):
     arm, rng = config_of(name).arm, np.random.default_rng(10)
-    push = None if force_N is None else ToolForce("DRILL", np.array(force_N))
+    push = None if force_N is None else ToolForce("drill", np.array(force_N))
     q, strain = in_limits(config_of(name), rng, 200), rng.normal(0, 0.01, (6, 6, 200))
     frames, new_strain, torque = load_arm(arm, q, strain, TILTED_R_m_s2, push)
     for k in range(200):
@@ -176,7 +176,7 @@ def test_frames_and_load_of_a_batch_are_those_of_single_poses(name, force_N):
 
 def test_the_torque_of_a_push_is_what_it_adds_to_the_load():
     arm, rng = config_of("calibrated:3").arm, np.random.default_rng(12)
-    push = ToolForce("APXS", np.array([40.0, 5.0, -70.0]))
+    push = ToolForce("apxs", np.array([40.0, 5.0, -70.0]))
     for q in in_limits(config_of(), rng, 20).T:
         strain = rng.normal(0, 0.01, (6, 6))
         frames, _, pushed_Nm = load_arm(arm, q, strain, TILTED_R_m_s2, push)

@@ -14,16 +14,16 @@ from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 
 def test_the_task_jacobian_agrees_with_finite_differences():
     config, h = config_of("calibrated:3"), 1e-6
-    q, _, _ = deflected_targets(config, "MAHLI", 20, MARS_R_m_s2)
+    q, _, _ = deflected_targets(config, "mahli", 20, MARS_R_m_s2)
     rng = np.random.default_rng(3)
     for angles in q.T:
-        X = tool_pose(config.arm, forward(config.arm, angles), "MAHLI")
+        X = tool_pose(config.arm, forward(config.arm, angles), "mahli")
         p = X.p + rng.normal(0, 0.01, 3)
         a = X.R[:, 0] + rng.normal(0, 0.05, 3)
         a /= np.linalg.norm(a)
 
         def error(angles, p=p, a=a):
-            return task_error(tool_pose(config.arm, forward(config.arm, angles), "MAHLI"), p, a)
+            return task_error(tool_pose(config.arm, forward(config.arm, angles), "mahli"), p, a)
 
         J = task_jacobian(forward(config.arm, angles), X, a)
         for joint in range(5):
@@ -35,7 +35,7 @@ def test_the_task_jacobian_agrees_with_finite_differences():
 
 def test_on_its_target_the_error_is_nothing_and_a_tool_that_looks_the_other_way_is_far_off():
     q = in_limits(config_of(), np.random.default_rng(5), 50)
-    X = tool_pose(config_of().arm, forward(config_of().arm, q), "DRILL")
+    X = tool_pose(config_of().arm, forward(config_of().arm, q), "drill")
     assert np.abs(task_error(X, X.p, X.R[:, 0])).max() < 1e-15
     assert (np.abs(task_error(X, X.p, -X.R[:, 0])[3:]).max(axis=0) >= 1.0).all()
 
@@ -47,10 +47,10 @@ def test_repeated_evaluation_with_the_strain_that_was_found_leads_to_the_arm_at_
     arm = config_of(name).arm
     q = in_limits(config_of(), np.random.default_rng(6), 50)
     at_rest = settle_output(arm, q, gravity)
-    there = tool_pose(arm, at_rest.frames, "APXS").p
+    there = tool_pose(arm, at_rest.frames, "apxs").p
     tried, strain, off = None, None, []
     for _ in range(8):
-        tried = evaluate_pose(arm, "APXS", q, strain, gravity)
+        tried = evaluate_pose(arm, "apxs", q, strain, gravity)
         strain = tried.strain
         off.append((tried.strain_change.max(), np.abs(tried.X_RT.p - there).max()))
     for before, after in pairwise(off[:5]):
@@ -64,8 +64,8 @@ def test_repeated_evaluation_with_the_strain_that_was_found_leads_to_the_arm_at_
 def test_without_gravity_the_evaluation_is_of_the_rigid_arm():
     arm = config_of("calibrated:3").arm
     q = in_limits(config_of(), np.random.default_rng(7), 20)
-    tried = evaluate_pose(arm, "MAHLI", q, None, RIGID)
-    rigid = tool_pose(arm, forward(arm, q), "MAHLI")
+    tried = evaluate_pose(arm, "mahli", q, None, RIGID)
+    rigid = tool_pose(arm, forward(arm, q), "mahli")
     np.testing.assert_array_equal(tried.X_RT.p, rigid.p)
     np.testing.assert_array_equal(tried.X_RT.R, rigid.R)
     assert not tried.strain.any()

@@ -76,7 +76,7 @@ def test_paths_run_one_after_the_other_each_to_its_end():
 
 @pytest.mark.parametrize("phase", Phase)
 def test_a_stop_in_any_phase_ends_early_and_forgets_the_contact(phase):
-    stopped = stop_early(CONFIG, move_by(0.5, phase=phase, guarded_tool="APXS"), Mode.GUARDED)
+    stopped = stop_early(CONFIG, move_by(0.5, phase=phase, guarded_tool="apxs"), Mode.GUARDED)
     assert stopped.stopped
     assert stopped.guarded_tool is None
     assert stopped.end_mode is Mode.GUARDED
@@ -88,7 +88,7 @@ def test_a_stop_in_any_phase_ends_early_and_forgets_the_contact(phase):
 
 
 def test_a_tool_without_switches_never_touches():
-    assert find_closed_switch(CONFIG, "PORTION", np.ones(10, bool)) is None
+    assert find_closed_switch(CONFIG, "portion", np.ones(10, bool)) is None
     for tool, switches in TOOL_SWITCHES.items():
         for switch in switches:
             assert find_closed_switch(CONFIG, tool, np.isin(SWITCHES, [switch])) == switch

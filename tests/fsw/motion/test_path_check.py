@@ -81,10 +81,10 @@ def test_what_happens_between_two_samples_of_the_first_look_is_within_half_a_ste
 
 
 def test_samples_of_a_straight_move_are_as_close():
-    rig = Rig(CONFIG, start_rad=facing(CONFIG, "APXS"))
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, "apxs"))
     for plan in (
-        plan_guarded(CONFIG, rig.state.joints, rig.touch("APXS", 0.2)),
-        plan_retract(CONFIG, rig.state.joints, Retract("APXS", 0.15)),
+        plan_guarded(CONFIG, rig.state.joints, rig.touch("apxs", 0.2)),
+        plan_retract(CONFIG, rig.state.joints, Retract("apxs", 0.15)),
     ):
         assert isinstance(plan, Plan)
         motor = sample_paths(CONFIG, plan.paths, FINE_STEP_M)
@@ -165,11 +165,11 @@ def test_from_within_the_padding_the_way_up_is_free_and_the_way_down_is_not():
     assert check_paths(CONFIG, JOINTS, (joint_path(CONFIG, low, lower),), PADDING_M) is not None
 
 
-@pytest.mark.parametrize(("touching", "free"), [("APXS", True), ("DRILL", False), (None, False)])
+@pytest.mark.parametrize(("touching", "free"), [("apxs", True), ("drill", False), (None, False)])
 def test_only_the_tool_that_is_to_touch_may_reach_the_ground(touching, free):
     """The APXS points straight down and ends 10 mm above the ground."""
     above = (2.0, 0.0, PARAMS.collision.ground_z_m - 0.01)
-    plan = plan_tool(config_of(), JOINTS, MoveTool("APXS", above, (0.0, 0.0, 1.0)), "APXS")
+    plan = plan_tool(config_of(), JOINTS, MoveTool("apxs", above, (0.0, 0.0, 1.0)), "apxs")
     assert isinstance(plan, Plan)
     said = check_paths(CONFIG, JOINTS, plan.paths, PADDING_M, touching)
     assert (said is None) is free

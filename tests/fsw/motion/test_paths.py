@@ -164,9 +164,9 @@ def test_a_guarded_line_is_straight_and_keeps_its_axis(name, tool):
 def test_a_retraction_is_straight_and_goes_back_along_the_tool(name):
     config = without_play(name)
     rig = settled(config)
-    start = rig.tool_pose("APXS")
-    path = straight(plan_retract(config, rig.state.joints, Retract("APXS", 0.1)))
-    X, _ = along(config, "APXS", path, likely(rig.state.joints))
+    start = rig.tool_pose("apxs")
+    path = straight(plan_retract(config, rig.state.joints, Retract("apxs", 0.1)))
+    X, _ = along(config, "apxs", path, likely(rig.state.joints))
     off_m, turn_rad, length_m = line_errors(X)
     assert length_m == pytest.approx(0.1, abs=1e-6)
     assert off_m < STRAIGHT_M
@@ -181,7 +181,7 @@ CROSSING = [
         for kind in ("guarded", "retract")
         for start in ("facing", "ready")
         # in the ready pose the drill is parallel to the pitch axes: no line starts there
-        if (tool, start) != ("DRILL", "ready")
+        if (tool, start) != ("drill", "ready")
     ),
 ]
 
@@ -225,7 +225,7 @@ def test_a_line_is_straight_also_where_gaps_are_crossed_and_the_crossing_leaves_
 
 def test_some_line_does_cross_a_gap():
     rig = Rig(CONFIG)
-    plan = plan_guarded(CONFIG, rig.state.joints, rig.touch("DRT", 0.15))
+    plan = plan_guarded(CONFIG, rig.state.joints, rig.touch("drt", 0.15))
     assert np.abs(plan.backlash_rad - rig.state.joints.backlash_rad).max() > 0
     assert [type(path) for path in plan.paths].count(JointPath) >= 1
     for path, following in pairwise(plan.paths):
@@ -238,11 +238,11 @@ def test_some_line_does_cross_a_gap():
 def test_a_line_may_turn_the_tool_to_its_approach_on_the_way():
     config = without_play("nominal")
     rig = Rig(config)
-    X = rig.tool_pose("APXS")
+    X = rig.tool_pose("apxs")
     approach = X.R[:, 0] + 0.02 * X.R[:, 1]
-    command = GuardedMove("APXS", floats(X.p + 0.1 * X.R[:, 0]), floats(approach))
+    command = GuardedMove("apxs", floats(X.p + 0.1 * X.R[:, 0]), floats(approach))
     path = straight(plan_guarded(config, rig.state.joints, command))
-    end, _ = along(config, "APXS", path, likely(rig.state.joints))
+    end, _ = along(config, "apxs", path, likely(rig.state.joints))
     np.testing.assert_allclose(end.R[:, 0, -1], approach / np.linalg.norm(approach), atol=1e-7)
 
 
@@ -269,7 +269,7 @@ def test_a_line_runs_from_rest_to_rest_no_faster_than_told_and_no_joint_above_it
 def test_no_joint_is_above_its_speed_where_the_line_crosses_a_gap_close_to_a_singular_pose():
     pose = np.array([0.48507177, -0.71074232, 0.07864559, -1.19383176, 0.24471724])
     rig = Rig(CONFIG, start_rad=pose)
-    for path in plan_guarded(CONFIG, rig.state.joints, rig.touch("PORTION", 0.09)).paths:
+    for path in plan_guarded(CONFIG, rig.state.joints, rig.touch("portion", 0.09)).paths:
         _, _, rate = sampled(path, 800)
         assert (np.abs(rate) <= CONFIG.speed_rad_s * (1 + 1e-9)).all()
 

@@ -81,41 +81,41 @@ def test_a_named_branch_is_the_one_that_is_taken():
 
 
 def test_the_approach_need_not_have_unit_length():
-    joints, command = joints_at(), targets("APXS")[0]
+    joints, command = joints_at(), targets("apxs")[0]
     long = replace(command, approach_F=floats(7.0 * np.array(command.approach_F)))
     ends = [plan_tool(CONFIG, joints, one).end.motor_rad for one in (long, command)]
     np.testing.assert_allclose(*ends, atol=1e-9)
 
 
 def test_without_deflection_the_rigid_arm_meets_the_target():
-    joints, command = joints_at(), replace(targets("APXS")[0], deflection="off")
+    joints, command = joints_at(), replace(targets("apxs")[0], deflection="off")
     plan = plan_tool(CONFIG, joints, command)
     rigid = forward(CONFIG.arm, plan.end.motor_rad + plan.backlash_rad)
-    np.testing.assert_allclose(tool_pose(CONFIG.arm, rigid, "APXS").p, command.p_FoTo_F_m, atol=1e-8)
+    np.testing.assert_allclose(tool_pose(CONFIG.arm, rigid, "apxs").p, command.p_FoTo_F_m, atol=1e-8)
 
 
 def test_a_target_is_refused_if_the_line_beyond_it_cannot_be_run():
-    joints = joints_at(facing(CONFIG, "APXS"))
-    rig = Rig(CONFIG, start_rad=facing(CONFIG, "APXS"))
-    assert isinstance(plan_tool(CONFIG, joints, rig.here("APXS", line_m=0.05)), Plan)
-    far = plan_tool(CONFIG, joints, rig.here("APXS", line_m=4.0))
+    joints = joints_at(facing(CONFIG, "apxs"))
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, "apxs"))
+    assert isinstance(plan_tool(CONFIG, joints, rig.here("apxs", line_m=0.05)), Plan)
+    far = plan_tool(CONFIG, joints, rig.here("apxs", line_m=4.0))
     assert isinstance(far, Refusal)
-    assert far.reason.startswith("APXS: the end of the approach: ")
+    assert far.reason.startswith("apxs: the end of the approach: ")
     assert " out of reach by " in far.reason
 
 
 def test_out_of_reach_is_refused_with_the_nearest_branch_and_the_missing_metres():
-    refusal = plan_tool(CONFIG, joints_at(), MoveTool("APXS", (9.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
+    refusal = plan_tool(CONFIG, joints_at(), MoveTool("apxs", (9.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
     assert isinstance(refusal, Refusal)
-    match = re.fullmatch(r"APXS: the target: (.+): out of reach by ([\d.]+) m", refusal.reason)
+    match = re.fullmatch(r"apxs: the target: (.+): out of reach by ([\d.]+) m", refusal.reason)
     assert match[1] in BRANCHES
     # the largest reach from the rover's origin is 1.1 + 0.16 + 0.83 + 0.79 m and the tool
     assert 5.5 < float(match[2]) < 7.0
 
 
 def test_a_target_too_near_the_azimuth_axis_is_refused_with_the_missing_metres():
-    refusal = plan_tool(CONFIG, joints_at(), MoveTool("DRILL", (1.47285, -0.4415, 1.0), (1.0, 0.0, 0.0)))
-    assert refusal == Refusal("DRILL: the target: shoulder-out elbow-up wrist-up: out of reach by 0.156 m")
+    refusal = plan_tool(CONFIG, joints_at(), MoveTool("drill", (1.47285, -0.4415, 1.0), (1.0, 0.0, 0.0)))
+    assert refusal == Refusal("drill: the target: shoulder-out elbow-up wrist-up: out of reach by 0.156 m")
 
 
 @pytest.mark.parametrize("name", BRANCHES)
@@ -154,11 +154,11 @@ def test_beyond_the_soft_limits_the_refusal_names_the_joint_and_its_limits():
 def test_a_tool_target_beyond_the_soft_limits_is_refused_with_branch_joint_and_limits():
     # behind the rover's left shoulder: azimuth beyond +91.2 deg outward, and inward too high for the rest
     angles = np.array([np.radians(125), np.radians(-20), np.radians(40), np.radians(30), 1.0])
-    X = tool_pose(CONFIG.arm, settle(CONFIG.arm, angles, np.zeros(5), MARS_R_m_s2).frames, "DRILL")
-    refusal = plan_tool(CONFIG, joints_at(), MoveTool("DRILL", floats(X.p), floats(X.R[:, 0])))
+    X = tool_pose(CONFIG.arm, settle(CONFIG.arm, angles, np.zeros(5), MARS_R_m_s2).frames, "drill")
+    refusal = plan_tool(CONFIG, joints_at(), MoveTool("drill", floats(X.p), floats(X.R[:, 0])))
     assert isinstance(refusal, Refusal)
     assert refusal == Refusal(
-        "DRILL: the target: shoulder-out elbow-up wrist-down: "
+        "drill: the target: shoulder-out elbow-up wrist-down: "
         "joint azimuth: about 33.8 deg outside its soft limits -180.2 .. 91.2 deg"
     )
 
@@ -243,18 +243,18 @@ def test_relative_compensation_at_the_reference_pose_leaves_the_arm_where_it_is(
 
 def test_a_line_out_of_reach_says_where_it_ends():
     """The tool points outward; inverse kinematics along the line gives the reach."""
-    pose = facing(CONFIG, "APXS")
+    pose = facing(CONFIG, "apxs")
     pose[1:4] = [-0.4, 0.9, -0.9]
     rig = Rig(CONFIG, start_rad=pose)
-    refusal = plan_guarded(CONFIG, rig.state.joints, rig.touch("APXS", 0.5))
+    refusal = plan_guarded(CONFIG, rig.state.joints, rig.touch("apxs", 0.5))
     assert isinstance(refusal, Refusal)
     match = re.fullmatch(r"the straight move leaves the reach of the arm after ([\d.]+) m", refusal.reason)
     reached = float(match[1])
     assert 0.1 < reached < 0.5
-    X, ahead_m = rig.tool_pose("APXS"), np.array([0.0, reached - 0.02, reached + 0.02])
+    X, ahead_m = rig.tool_pose("apxs"), np.array([0.0, reached - 0.02, reached + 0.02])
     p = X.p[:, None] + ahead_m * X.R[:, [0]]
     axes = np.repeat(X.R[:, [0]], 3, axis=1)
-    result = inverse_kinematics(CONFIG.arm, "APXS", p, axes, MARS_R_m_s2)
+    result = inverse_kinematics(CONFIG.arm, "apxs", p, axes, MARS_R_m_s2)
     branch = np.nanargmin(np.abs(result.output_rad[..., 0] - pose[:, None]).max(axis=0))
     assert list(result.verdict[branch]) == [
         BranchVerdict.VALID,
@@ -269,8 +269,8 @@ def longest(config):
 
 @pytest.mark.parametrize("distance_m", [0.61, 4.0, 1e4, 1e9])
 def test_a_line_longer_than_the_longest_is_refused_before_anything_is_planned(distance_m):
-    rig = Rig(CONFIG, start_rad=facing(CONFIG, "APXS"))
-    refusal = plan_guarded(CONFIG, rig.state.joints, rig.touch("APXS", distance_m))
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, "apxs"))
+    refusal = plan_guarded(CONFIG, rig.state.joints, rig.touch("apxs", distance_m))
     reason = f"the straight move is {distance_m:.3g} m long, the longest allowed is {longest(CONFIG)} m"
     assert refusal == Refusal(reason)
 
@@ -284,9 +284,9 @@ def turned(X, angle_rad, about=1):
 @pytest.mark.parametrize("about", [1, 2])
 @pytest.mark.parametrize(("share", "refused"), [(0.98, False), (1.02, True), (20.0, True), (31.4, True)])
 def test_a_guarded_approach_may_turn_so_far_from_where_the_tool_looks(share, refused, about):
-    rig = Rig(CONFIG, start_rad=facing(CONFIG, "APXS"))
-    X, bound = rig.tool_pose("APXS"), CONFIG.params.motion.line_turn_rad
-    command = replace(rig.touch("APXS", 0.05), approach_R=floats(turned(X, share * bound, about)))
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, "apxs"))
+    X, bound = rig.tool_pose("apxs"), CONFIG.params.motion.line_turn_rad
+    command = replace(rig.touch("apxs", 0.05), approach_R=floats(turned(X, share * bound, about)))
     plan = plan_guarded(CONFIG, rig.state.joints, command)
     assert isinstance(plan, Refusal) is refused
     if refused:
@@ -299,24 +299,24 @@ def test_a_guarded_approach_may_turn_so_far_from_where_the_tool_looks(share, ref
 @pytest.mark.parametrize("about", [1, 2])
 @pytest.mark.parametrize(("share", "refused"), [(0.98, False), (1.02, True), (10.0, True)])
 def test_a_guarded_way_may_lead_so_far_from_where_the_tool_looks(share, refused, about):
-    rig = Rig(CONFIG, start_rad=facing(CONFIG, "APXS"))
-    X, bound = rig.tool_pose("APXS"), CONFIG.params.motion.line_turn_rad
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, "apxs"))
+    X, bound = rig.tool_pose("apxs"), CONFIG.params.motion.line_turn_rad
     end = X.p + 0.05 * turned(X, share * bound, about)
-    plan = plan_guarded(CONFIG, rig.state.joints, GuardedMove("APXS", floats(end), floats(X.R[:, 0])))
+    plan = plan_guarded(CONFIG, rig.state.joints, GuardedMove("apxs", floats(end), floats(X.R[:, 0])))
     assert isinstance(plan, Refusal) is refused
     if refused:
         assert plan.reason.startswith(f"the way to the end is {np.degrees(share * bound):.1f} deg from where")
 
 
 def test_a_guarded_move_does_not_lead_backward():
-    rig = Rig(CONFIG, start_rad=facing(CONFIG, "APXS"))
-    assert isinstance(plan_guarded(CONFIG, rig.state.joints, rig.touch("APXS", -0.05)), Refusal)
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, "apxs"))
+    assert isinstance(plan_guarded(CONFIG, rig.state.joints, rig.touch("apxs", -0.05)), Refusal)
 
 
 FALSELY_OUT_OF_REACH = [
-    ("PORTION", (0.48507177, -0.71074232, 0.07864559, -1.19383176, 0.24471724), 0.1),
-    ("APXS", (-0.7812698, -1.8119781, 0.4187753, 3.3423765, 2.4556754), 0.3),
-    ("DRILL", (-0.0786086, -1.7903838, 2.0318926, 1.0715055, 4.5379014), 0.4),
+    ("portion", (0.48507177, -0.71074232, 0.07864559, -1.19383176, 0.24471724), 0.1),
+    ("apxs", (-0.7812698, -1.8119781, 0.4187753, 3.3423765, 2.4556754), 0.3),
+    ("drill", (-0.0786086, -1.7903838, 2.0318926, 1.0715055, 4.5379014), 0.4),
 ]
 
 
@@ -335,7 +335,7 @@ def test_a_line_that_can_be_followed_knot_by_knot_is_planned(tool, pose, length_
 
 
 LOST_AT_ONCE = [
-    ("DRT", (-1.7069743, -1.4192549, 0.1796573, -1.2550237, 3.8179913), 0.2),
+    ("drt", (-1.7069743, -1.4192549, 0.1796573, -1.2550237, 3.8179913), 0.2),
 ]
 """Lines on which Newton's method from the start of the line diverges or leaves the branch."""
 
@@ -361,14 +361,14 @@ def test_a_line_that_newton_from_its_start_loses_is_followed_on_its_branch_to_it
 def test_a_line_beyond_a_soft_limit_names_place_joint_and_limits():
     pose = np.array(CONFIG.params.poses.ready_rad)
     pose[0] = CONFIG.arm.soft_max_rad[0] - 0.01
-    boresight = CONFIG.arm.X_FT["DRILL"].R[:, 0]
+    boresight = CONFIG.arm.X_FT["drill"].R[:, 0]
     pose[4] = np.pi / 2 + 0.6 - np.arctan2(boresight[1], boresight[0])
     refusals = []
     for distance in (0.1, 0.2):
         rig = Rig(CONFIG, start_rad=pose)
         for plan in (
-            plan_retract(CONFIG, rig.state.joints, Retract("DRILL", distance)),
-            plan_guarded(CONFIG, rig.state.joints, rig.touch("DRILL", distance)),
+            plan_retract(CONFIG, rig.state.joints, Retract("drill", distance)),
+            plan_guarded(CONFIG, rig.state.joints, rig.touch("drill", distance)),
         ):
             if isinstance(plan, Refusal):
                 refusals.append(plan.reason)
@@ -377,16 +377,16 @@ def test_a_line_beyond_a_soft_limit_names_place_joint_and_limits():
 
 def test_a_line_of_no_length_is_refused():
     rig = Rig(CONFIG)
-    X = rig.tool_pose("APXS")
-    command = GuardedMove("APXS", floats(X.p), floats(X.R[:, 0]))
+    X = rig.tool_pose("apxs")
+    command = GuardedMove("apxs", floats(X.p), floats(X.R[:, 0]))
     assert plan_guarded(CONFIG, rig.state.joints, command) == Refusal("the straight move has no length")
 
 
 def test_a_refusal_never_speaks_of_an_angle_that_is_no_number():
     joints = joints_at()
     pose = np.array([-2.98497774, -0.19283073, -0.98994392, 2.50209388, 3 * np.pi / 2])
-    X = tool_pose(CONFIG.arm, settle(CONFIG.arm, pose, np.zeros(5), np.zeros(3)).frames, "DRILL")
-    command = MoveTool("DRILL", floats(X.p), floats(X.R[:, 0]), deflection="off")
+    X = tool_pose(CONFIG.arm, settle(CONFIG.arm, pose, np.zeros(5), np.zeros(3)).frames, "drill")
+    command = MoveTool("drill", floats(X.p), floats(X.R[:, 0]), deflection="off")
     refusal = plan_tool(CONFIG, joints, command)
     assert isinstance(refusal, Refusal)
     assert "nan" not in refusal.reason
@@ -395,10 +395,10 @@ def test_a_refusal_never_speaks_of_an_angle_that_is_no_number():
 def test_a_target_next_to_a_double_root_is_planned_though_a_branch_has_several_roots():
     """One branch has three roots, so there are more slots than branches."""
     p, a = (1.55434449, -0.95322549, 0.15111527), (-0.52713579, -0.84977996, -0.00137068)
-    command = MoveTool("DRILL", p, a)
+    command = MoveTool("drill", p, a)
     plan = plan_tool(CONFIG, joints_at(), command)
     assert isinstance(plan, Plan)
     assert any(plan.branch.startswith(name) for name in BRANCHES)
-    np.testing.assert_allclose(tool_at(CONFIG, plan.end.output_rad, "DRILL").p, p, atol=MEETS)
+    np.testing.assert_allclose(tool_at(CONFIG, plan.end.output_rad, "drill").p, p, atol=MEETS)
     for name in BRANCHES:
         assert isinstance(plan_tool(CONFIG, joints_at(), replace(command, branch=name)), Plan | Refusal)

@@ -23,19 +23,19 @@ def tool_under_force(rig: Rig):
     state, arm = rig.state, rig.config.arm
     push = None if state.preload is None else state.preload.reaction
     here = settle_output(arm, state.joints.output_rad, state.joints.imu_R_m_s2, push)
-    return tool_pose(arm, here.frames, "APXS")
+    return tool_pose(arm, here.frames, "apxs")
 
 
 def pressed_with(force_N: float) -> Rig:
     rig = guarded_in_contact()
-    rig.run(Preload("APXS", force_N), **TOUCHED)
+    rig.run(Preload("apxs", force_N), **TOUCHED)
     return rig
 
 
 def test_the_force_rises_and_the_tool_ends_where_it_touched():
     rig = guarded_in_contact()
     forces = []
-    rig.cycle(Preload("APXS", 300.0), **TOUCHED)
+    rig.cycle(Preload("apxs", 300.0), **TOUCHED)
     while rig.outputs.joint.busy:
         rig.cycle(**TOUCHED)
         forces.append(rig.state.preload.force_N)
@@ -43,13 +43,13 @@ def test_the_force_rises_and_the_tool_ends_where_it_touched():
     touched, ends = rig.state.preload, tool_under_force(rig)
     assert np.linalg.norm(ends.p - touched.p_RoTo_R_m) < STAYS_M
     assert np.abs(ends.R[:, 0] - touched.axis_R).max() < STAYS_M
-    assert Preloaded("APXS", 300.0) in rig.evrs
+    assert Preloaded("apxs", 300.0) in rig.evrs
     assert rig.state.mode is Mode.PRELOAD
 
 
 def test_a_press_begins_where_the_tool_has_slid_to():
     rig = guarded_in_contact()
-    touch = model_contact(rig.config, rig.state.joints, "APXS")
+    touch = model_contact(rig.config, rig.state.joints, "apxs")
     aside = np.array([0.001, 0.0, 0.0])
     moved = replace(touch, p_RoTo_R_m=touch.p_RoTo_R_m + aside)
     anchored = anchor_contact(rig.config, rig.state.joints, moved)
@@ -60,7 +60,7 @@ def test_a_press_begins_where_the_tool_has_slid_to():
 @pytest.mark.parametrize(("error_rad", "believed_rad"), [(2e-4, 2e-4), (-2e-4, -2e-4), (5e-3, 3e-4)])
 def test_resolvers_are_believed_as_far_as_the_gear_angles_are_uncertain(error_rad, believed_rad):
     rig = guarded_in_contact()
-    touch = model_contact(rig.config, rig.state.joints, "APXS")
+    touch = model_contact(rig.config, rig.state.joints, "apxs")
     likely = rig.state.joints.gear_rad[:, 1]
     gear = np.column_stack((likely - 3e-4, likely, likely + 3e-4))
     off = touch.resolver_offset_rad + error_rad
@@ -71,11 +71,11 @@ def test_resolvers_are_believed_as_far_as_the_gear_angles_are_uncertain(error_ra
 
 def test_a_force_is_changed_and_released_the_way_it_came():
     rig = pressed_with(200.0)
-    rig.run(Preload("APXS", 80.0), **TOUCHED)
+    rig.run(Preload("apxs", 80.0), **TOUCHED)
     assert (rig.state.mode, rig.state.preload.force_N) == (Mode.PRELOAD, 80.0)
-    assert CommandCompleted("Preload") in rig.run(Preload("APXS", 0.0), **TOUCHED)
+    assert CommandCompleted("Preload") in rig.run(Preload("apxs", 0.0), **TOUCHED)
     assert (rig.state.mode, rig.state.preload.force_N) == (Mode.GUARDED, 0.0)
-    rig.cycle(Retract("APXS", 0.02), **TOUCHED)
+    rig.cycle(Retract("apxs", 0.02), **TOUCHED)
     assert (rig.state.mode, rig.state.preload) == (Mode.RETRACTING, None)
 
 
@@ -96,7 +96,7 @@ def test_every_joint_carries_the_force_times_its_lever():
 def test_current_limits_stop_a_press_well_before_the_joints_of_a_move():
     rig = guarded_in_contact()
     rig.state = replace_friction(rig, 170.0)
-    rig.cycle(Preload("APXS", 100.0), **TOUCHED)
+    rig.cycle(Preload("apxs", 100.0), **TOUCHED)
     rig.cycle(**TOUCHED)
     limit = rig.outputs.drive.current_limit_A
     assert np.all(limit <= rig.config.current_limit_A)
@@ -113,7 +113,7 @@ def replace_friction(rig: Rig, friction_Nm: float):
 def test_a_force_beyond_what_may_be_pressed_with_is_refused(force_N):
     rig = guarded_in_contact()
     rig.evrs.clear()
-    rig.cycle(Preload("APXS", force_N), **TOUCHED)
+    rig.cycle(Preload("apxs", force_N), **TOUCHED)
     (evr,) = rig.evrs
     assert isinstance(evr, CommandRefused)
     assert "force" in evr.reason
@@ -122,18 +122,18 @@ def test_a_force_beyond_what_may_be_pressed_with_is_refused(force_N):
 def test_nothing_is_pressed_where_no_switch_is_closed_nor_with_another_tool():
     rig = guarded_in_contact()
     rig.evrs.clear()
-    rig.cycle(Preload("APXS", 100.0))
-    rig.cycle(Preload("DRILL", 100.0), **TOUCHED)
+    rig.cycle(Preload("apxs", 100.0))
+    rig.cycle(Preload("drill", 100.0), **TOUCHED)
     assert [evr.reason for evr in rig.evrs] == [
-        "APXS touches nothing: there is nothing to press on",
-        "APXS is the tool that may touch; retract it first",
+        "apxs touches nothing: there is nothing to press on",
+        "apxs is the tool that may touch; retract it first",
     ]
 
 
 @pytest.mark.parametrize("end", ["stop", "fault"])
 def test_a_press_that_ends_early_is_remembered_and_can_be_released(end):
     rig = guarded_in_contact()
-    rig.cycle(Preload("APXS", 200.0), **TOUCHED)
+    rig.cycle(Preload("apxs", 200.0), **TOUCHED)
     while rig.state.preload.force_N < 100.0:
         rig.cycle(**TOUCHED)
     if end == "stop":
@@ -146,23 +146,23 @@ def test_a_press_that_ends_early_is_remembered_and_can_be_released(end):
         rig.cycle(ClearFault(), **TOUCHED)
     assert rig.state.mode is Mode.PRELOAD
     assert 95.0 < rig.state.preload.force_N < 120.0
-    rig.run(Preload("APXS", 0.0), **TOUCHED)
+    rig.run(Preload("apxs", 0.0), **TOUCHED)
     assert (rig.state.mode, rig.state.preload.force_N) == (Mode.GUARDED, 0.0)
 
 
 @pytest.mark.parametrize("left_N", [6.0, 0.0])
 def test_a_release_that_is_stopped_near_its_end_can_be_ended_and_the_tool_taken_off(left_N):
     rig = pressed_with(100.0)
-    rig.cycle(Preload("APXS", 0.0), **TOUCHED)
+    rig.cycle(Preload("apxs", 0.0), **TOUCHED)
     while rig.state.preload.force_N > left_N:
         rig.cycle(**TOUCHED)
     rig.run(Stop(), **TOUCHED)
     assert rig.state.mode is Mode.PRELOAD
     stopped = rig.state.preload.force_N
     assert stopped <= left_N
-    evrs = rig.run(Preload("APXS", 0.0), **TOUCHED)
-    assert Preloaded("APXS", stopped) in evrs
+    evrs = rig.run(Preload("apxs", 0.0), **TOUCHED)
+    assert Preloaded("apxs", stopped) in evrs
     assert CommandCompleted("Preload") in evrs
     assert rig.state.mode is Mode.GUARDED
-    rig.cycle(Retract("APXS", 0.02), **TOUCHED)
+    rig.cycle(Retract("apxs", 0.02), **TOUCHED)
     assert rig.state.mode is Mode.RETRACTING

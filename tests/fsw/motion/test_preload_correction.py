@@ -42,7 +42,7 @@ def pressed(
 
 
 def press(rig, force_N: float, stiffness: float, friction=1.0, offset_Nm=0.0, across=(0.0, 0.0)) -> None:
-    rig.cycle(Preload("APXS", force_N), **TOUCHED)
+    rig.cycle(Preload("apxs", force_N), **TOUCHED)
     while rig.outputs.joint.busy:
         rig.cycle(current_A=currents(rig, stiffness, friction, offset_Nm, across), **TOUCHED)
 
@@ -119,7 +119,7 @@ def fit_of(force_N):
     """Estimate the ratio of a press to 300 N of the model, in which the arm applies `force_N(model_N)`."""
     rig = guarded_in_contact()
     config, joints = rig.config, rig.state.joints
-    preload = model_contact(config, joints, "APXS")
+    preload = model_contact(config, joints, "apxs")
     per_N = plan_preload(config, joints, preload, 300.0)[1].torque_per_N
     fit, turns = ForceFit(preload), np.ones(5)
     for model_N in np.linspace(20.0, 300.0, 1000):
@@ -139,7 +139,7 @@ def test_a_force_that_stands_still_while_a_backlash_is_crossed_is_not_counted():
 
 def test_nothing_felt_tells_nothing():
     rig = guarded_in_contact()
-    preload = model_contact(rig.config, rig.state.joints, "APXS")
+    preload = model_contact(rig.config, rig.state.joints, "apxs")
     assert estimate_force_ratio(rig.config, ForceFit(preload), rig.state.joints, preload) is None
 
 
@@ -148,6 +148,6 @@ def test_nothing_felt_tells_nothing():
 )
 def test_a_press_that_ends_more_than_a_tenth_off_says_why(target_N, is_missed):
     rig = guarded_in_contact()
-    preload = replace(model_contact(rig.config, rig.state.joints, "APXS"), model_N=100.0)
+    preload = replace(model_contact(rig.config, rig.state.joints, "apxs"), model_N=100.0)
     events = report_miss(target_N, preload, Refusal("out of reach"))
-    assert events == ((PreloadMissed("APXS", 100.0, target_N, "out of reach"),) if is_missed else ())
+    assert events == ((PreloadMissed("apxs", 100.0, target_N, "out of reach"),) if is_missed else ())

@@ -73,8 +73,8 @@ def test_what_the_wrist_cannot_do_with_this_azimuth_is_refused_with_what_it_can(
     rig = Rig(CONFIG)
     gravity = 3.711 * np.array([0.0, np.sin(0.3), np.cos(0.3)])
     joints = replace(rig.state.joints, imu_R_m_s2=gravity)
-    axis_T = CONFIG.arm.X_FT["PORTION"].R[2]
-    answer = find_gravity_pose(CONFIG, joints, Process("PORTION", floats(axis_T), 1.0, deflection="off"))
+    axis_T = CONFIG.arm.X_FT["portion"].R[2]
+    answer = find_gravity_pose(CONFIG, joints, Process("portion", floats(axis_T), 1.0, deflection="off"))
     assert isinstance(answer, Refusal)
     assert "with this azimuth the wrist can bring it to 17.2 .. 162.8 deg" in answer.reason
     wrist = np.linspace(-np.pi, np.pi, 721)

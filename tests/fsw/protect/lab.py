@@ -29,7 +29,7 @@ STILL = MoveStatus(
 )
 RESTING = ArmStatus(
     mode=Mode.DEPLOYED,
-    tool="APXS",
+    tool="apxs",
     calibrated=np.ones(5, bool),
     motor_rad=READY,
     motor_rate_rad_s=ZERO,
@@ -61,7 +61,7 @@ def a_move(**changes):
     return STILL._replace(**changes)
 
 
-def a_press(tool="DRILL", force_N=100.0, torque_per_N=ZERO, at_touch_rad=ZERO):
+def a_press(tool="drill", force_N=100.0, torque_per_N=ZERO, at_touch_rad=ZERO):
     return PressStatus(tool, force_N, np.asarray(torque_per_N, float), at_touch_rad)
 
 

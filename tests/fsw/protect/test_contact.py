@@ -81,8 +81,8 @@ def test_where_a_tool_may_touch_its_own_switches_may_close_and_no_other(mode, to
 
 
 def test_of_several_closed_switches_the_first_is_named():
-    found = check_unexpected_contact(BOUNDS, Mode.DEPLOYED, "APXS", closed("DRT_2", "DRT_1"))
-    assert found == (ContactInFreeSpace(min("DRT_1", "DRT_2")),)
+    found = check_unexpected_contact(BOUNDS, Mode.DEPLOYED, "apxs", closed("drt_2", "drt_1"))
+    assert found == (ContactInFreeSpace(min("drt_1", "drt_2")),)
 
 
 @with_switches
@@ -119,10 +119,10 @@ def wound_by(torque_Nm, **changes):
 
 def test_at_the_ready_pose_the_drill_has_leverage_enough_for_its_force_to_be_told():
     """By virtual work: how far each joint moves the tool along its axis, by finite differences."""
-    axis_R = tool_pose(CONFIG.arm, forward(CONFIG.arm, READY), "DRILL").R[:, 0]
+    axis_R = tool_pose(CONFIG.arm, forward(CONFIG.arm, READY), "drill").R[:, 0]
 
     def along_m(q):
-        return tool_pose(CONFIG.arm, forward(CONFIG.arm, q), "DRILL").p @ axis_R
+        return tool_pose(CONFIG.arm, forward(CONFIG.arm, q), "drill").p @ axis_R
 
     levers_m = np.array([along_m(READY - step) - along_m(READY + step) for step in 1e-5 * np.eye(5)]) / 2e-5
     found_N, lever_m = force_error(wound_by(200.0 * levers_m), levers_m)
@@ -220,14 +220,14 @@ def test_what_the_resolvers_were_off_at_the_touch_is_no_force(lever_m, off_rad):
 def test_a_press_may_be_off_by_its_bound_and_more_with_a_short_lever(sign, lever_m, factor, force_N):
     bound_N = (MONITORS.preload_error_N + SHARE * force_N) * factor
     levers_m = at(Joint.ELEVATION, lever_m)
-    press = a_press("DRILL", force_N, levers_m)
+    press = a_press("drill", force_N, levers_m)
     for share, said in ((0.999999, False), (1.000001, True)):
         arm = wound_by(sign * share * bound_N * levers_m)
         count, found = check_press_force(BOUNDS, 1000, arm, press)
         assert count == (1001 if said else 0)
         if said:
             (evr,) = found
-            assert evr == PreloadOutside("DRILL", force_N, evr.error_N, evr.bound_N)
+            assert evr == PreloadOutside("drill", force_N, evr.error_N, evr.bound_N)
             assert (evr.error_N, evr.bound_N) == pytest.approx((sign * share * bound_N, bound_N))
 
 
@@ -238,11 +238,11 @@ def with_stiffness_and_lever_exact(force_N):
 
 
 def test_a_force_at_its_bound_is_none_and_the_persistence_of_one_beyond_it_is_exact():
-    bound_N, press = MONITORS.preload_error_N, a_press("DRT", 0.0, at(Joint.ELEVATION, 1.0))
+    bound_N, press = MONITORS.preload_error_N, a_press("drt", 0.0, at(Joint.ELEVATION, 1.0))
     bounds, arm = with_stiffness_and_lever_exact(bound_N)
     assert check_press_force(bounds, 100, arm, press) == (0, ())
     bounds, arm = with_stiffness_and_lever_exact(above(bound_N))
-    event = PreloadOutside("DRT", 0.0, above(bound_N), bound_N)
+    event = PreloadOutside("drt", 0.0, above(bound_N), bound_N)
     persistence = MONITORS.preload_persistence
     assert_reports_from(persistence, lambda count: check_press_force(bounds, count, arm, press), event)
 
@@ -251,7 +251,7 @@ def approach(arm, last, **readings):
     return monitor_approach(BOUNDS, last, arm, sensors(**readings))
 
 
-def approaching(tool="APXS", **changes):
+def approaching(tool="apxs", **changes):
     return moving(a_move(approaching=tool), **changes)
 
 
@@ -336,7 +336,7 @@ def test_a_gear_that_is_not_known_well_enough_shows_nothing_from_then_on(joint):
     assert approach(approaching(gear_uncertainty_rad=np.ones(5)), last, **pushed(50.0)) == (last, ())
 
 
-EXACT = moving(a_move(approaching="MAHLI"), motor_rad=ZERO, gear_rad=ZERO)
+EXACT = moving(a_move(approaching="mahli"), motor_rad=ZERO, gear_rad=ZERO)
 
 
 @pytest.mark.parametrize(
@@ -349,7 +349,7 @@ def test_a_force_beyond_its_bound_or_the_noise_is_reported_and_one_at_it_is_not(
     state, found = approach(EXACT, last, resolver_rad=at(joint, bound_N * per_N))
     assert (state.force_N, found) == (bound_N, ())
     state, found = approach(EXACT, last, resolver_rad=at(joint, (bound_N + 1.0) * per_N))
-    assert found == (PreloadOutside("MAHLI", 0.0, state.force_N, bound_N),)
+    assert found == (PreloadOutside("mahli", 0.0, state.force_N, bound_N),)
     assert state.force_N == pytest.approx(bound_N + FORCE_GAIN)
 
 

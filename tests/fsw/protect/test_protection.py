@@ -49,8 +49,8 @@ from tests.tools import SWITCHES
 
 ELBOW, WRIST = Joint.ELBOW, Joint.WRIST
 LEVERS_M = at(Joint.ELEVATION, 1.0)
-PRESS = a_press("DRILL", 300.0, LEVERS_M)
-PRESSED = closed("DRILL_1")
+PRESS = a_press("drill", 300.0, LEVERS_M)
+PRESSED = closed("drill_1")
 
 
 def live(cycle, **readings):
@@ -64,7 +64,7 @@ def live(cycle, **readings):
 
 
 def pressing(**changes):
-    return moving(a_move(press=PRESS), Mode.PRELOAD, tool="DRILL", **changes)
+    return moving(a_move(press=PRESS), Mode.PRELOAD, tool="drill", **changes)
 
 
 def stalling():
@@ -101,7 +101,7 @@ PERSISTENT = {
 }
 """Persistence, name of the count, and an arm with readings beyond the bound."""
 AT_ONCE = {
-    ContactInFreeSpace: (resting(), {"switch_closed": closed("DRT_1")}),
+    ContactInFreeSpace: (resting(), {"switch_closed": closed("drt_1")}),
     SoftLimitPassed: (
         moving(a_move(setpoint_rad=OUTSIDE, setpoint_rate_rad_s=at(ELBOW, 0.01)), motor_rad=OUTSIDE),
         {},
@@ -156,12 +156,12 @@ def test_all_that_happens_in_a_cycle_is_reported_in_one_order():
         setpoint_rad=OUTSIDE + at(ELBOW, 0.02),
         setpoint_rate_rad_s=at(ELBOW, 0.01),
         press=PRESS,
-        approaching="DRT",
+        approaching="drt",
     )
-    arm = moving(move, motor_rad=motor_rad, imu_R_m_s2=TURNED_R, resolver_error_rad=LEVERS_M, tool="DRILL")
+    arm = moving(move, motor_rad=motor_rad, imu_R_m_s2=TURNED_R, resolver_error_rad=LEVERS_M, tool="drill")
     last = MonitorState()
     counts = replace(last.counts, **dict.fromkeys(last.counts.__slots__, 1000))
-    readings = live(9, winding_C=HOT, current_A=HIGH_A, switch_closed=closed("DRT_1"))
+    readings = live(9, winding_C=HOT, current_A=HIGH_A, switch_closed=closed("drt_1"))
     last = MonitorState(
         counts, 7, noisy_readings(readings), (1000,) * 14, MARS_R_m_s2, ApproachState(LEVERS_M, ZERO, 1e6)
     )
@@ -229,7 +229,7 @@ def test_a_move_is_held_to_the_gravity_with_which_it_began():
 
 def test_monitors_remember_readings_counts_and_the_approach():
     readings = live(5)
-    state, found = run_monitors(BOUNDS, MonitorState(), moving(a_move(approaching="APXS")), readings, True)
+    state, found = run_monitors(BOUNDS, MonitorState(), moving(a_move(approaching="apxs")), readings, True)
     assert found == ()
     assert (state.cycle, state.readings, state.unchanged) == (5, noisy_readings(readings), NONE_UNCHANGED)
     assert state.approach.force_N == 0.0
@@ -240,13 +240,13 @@ def test_monitors_remember_readings_counts_and_the_approach():
 
 
 def test_a_force_on_a_tool_that_approaches_is_reported():
-    arm, state = moving(a_move(approaching="APXS")), MonitorState()
+    arm, state = moving(a_move(approaching="apxs")), MonitorState()
     state, _ = run_monitors(BOUNDS, state, arm, live(1), usable=True)
     shown = READY + arm.gear_rad + 500.0 * state.approach.rad_per_N
     for cycle in range(2, 4):
         state, found = run_monitors(BOUNDS, state, arm, live(cycle, resolver_rad=shown), usable=True)
     assert kinds(found) == [PreloadOutside]
-    assert found[0].tool == "APXS"
+    assert found[0].tool == "apxs"
 
 
 def test_of_unusable_readings_only_the_cycle_counts_and_whether_the_arm_moves():
@@ -272,7 +272,7 @@ def test_if_nothing_happens_nothing_is_decided():
 
 
 def test_any_and_all_switches_that_close_in_free_space_are_noticed():
-    for closed_ones in (closed("DRT_1"), closed(*SWITCHES)):
+    for closed_ones in (closed("drt_1"), closed(*SWITCHES)):
         _, decision = protected(resting(), switch_closed=closed_ones)
         assert kinds(decision.evrs) == [ContactInFreeSpace, FaultResponse]
 
@@ -301,7 +301,7 @@ def test_a_set_point_is_compared_with_the_last_one_and_only_that_of_a_move():
 
 def test_with_unusable_readings_nothing_is_monitored_by_them():
     unusable = (SensorNotFinite("current_A"),)
-    _, decision = protected(resting(), None, unusable, switch_closed=closed("DRT_1"))
+    _, decision = protected(resting(), None, unusable, switch_closed=closed("drt_1"))
     assert decision.evrs == (*unusable, FaultResponse("BRAKE_AND_REFUSE"))
 
 

@@ -123,7 +123,7 @@ def test_torques_of_several_joints_add_up_in_squares():
 def test_the_force_is_that_which_explains_the_torques_along_the_motion_of_the_tool():
     turning = known()
     frames = forward(CONFIG.arm, turning.angle + WOUND_RAD)
-    J = joint_jacobian(frames, tool_pose(CONFIG.arm, frames, "APXS").p)[3:]
+    J = joint_jacobian(frames, tool_pose(CONFIG.arm, frames, "apxs").p)[3:]
     way = J @ RATE / np.linalg.norm(J @ RATE)
     event, cycle = turning.until_found(20, torque_Nm=-100.0 * J.T @ way)
     seen = 1.0 - (1.0 - CURRENT_GAIN) ** cycle

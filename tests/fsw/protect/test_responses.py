@@ -65,20 +65,20 @@ def test_an_arm_may_touch_where_it_was_to_touch_and_where_it_did(mode):
     other = identify(OverCurrent(Joint.WRIST, 3.0, 2.0))
     assert StandingFault(mode, frozenset()).may_touch is to_touch
     assert StandingFault(mode, frozenset({other})).may_touch is to_touch
-    assert StandingFault(mode, frozenset({other, identify(ContactInFreeSpace("DRT_1"))})).may_touch
+    assert StandingFault(mode, frozenset({other, identify(ContactInFreeSpace("drt_1"))})).may_touch
 
 
 def test_two_events_are_the_same_news_if_they_are_of_one_class_and_about_the_same():
     assert identify(OverCurrent(Joint.WRIST, 3.0, 2.0)) == (OverCurrent, Joint.WRIST)
     assert identify(SensorNotFinite("current_A")) == (SensorNotFinite, "current_A")
-    assert identify(ContactInFreeSpace("DRT_1")) == (ContactInFreeSpace, "DRT_1")
+    assert identify(ContactInFreeSpace("drt_1")) == (ContactInFreeSpace, "drt_1")
     assert identify(NoContact(0.1)) == identify(NoContact(0.2)) == (NoContact, None)
 
 
 def test_what_is_no_fault_has_no_response():
     quiet: tuple[Evr, ...] = (
         CommandCompleted("Stop"),
-        ContactMade("APXS_1", 0.1),
+        ContactMade("apxs_1", 0.1),
         CommandAborted("Stop"),
     )
     assert response_to(quiet) is None
@@ -126,7 +126,7 @@ def test_a_fault_that_brakes_stands_in_the_mode_in_which_it_happened(trouble, mo
 
 
 def test_a_fault_that_only_stops_does_not_stand():
-    lost = ContactLost("DRILL")
+    lost = ContactLost("drill")
     done = decision(lost)
     assert (done.response, done.fault) == (Response.STOP_AND_BRAKE, None)
     assert done.evrs == (lost, FaultResponse("STOP_AND_BRAKE"))
@@ -151,7 +151,7 @@ def test_motors_are_held_where_they_read_but_no_farther_from_the_set_point_than_
     joint, off_rad, fault
 ):
     bound = MONITORS.following_error_rad
-    for trouble in (NoContact(0.1), ContactLost("DRILL"), CommandCompleted("Stop")):
+    for trouble in (NoContact(0.1), ContactLost("drill"), CommandCompleted("Stop")):
         done = decision(trouble, fault=fault, motor_rad=READY + at(joint, off_rad))
         np.testing.assert_allclose(
             done.hold_rad - READY, at(joint, np.clip(off_rad, -bound, bound)), atol=1e-15

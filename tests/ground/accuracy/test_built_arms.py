@@ -24,7 +24,7 @@ def errors_m(name, how, seed, count):
         if how == "statics"
         else closed_loop_model(arm, true_reference(arm), "on")
     )
-    found = measure_placements(moved, random_placements(believed, "APXS", count, SeedSequence(seed)))
+    found = measure_placements(moved, random_placements(believed, "apxs", count, SeedSequence(seed)))
     return np.array([np.linalg.norm(one.error[3:]) for one in found])
 
 

@@ -23,7 +23,7 @@ MODEL = load_error_model()
 
 @pytest.fixture(scope="module")
 def poses() -> Poses:
-    return workspace_poses(ARM, "MAHLI", MARS, 60, 3)
+    return workspace_poses(ARM, "mahli", MARS, 60, 3)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_poses_are_as_many_as_asked_for_and_put_the_tool_on_its_target(poses):
 
 
 def test_the_same_seed_gives_the_same_poses(poses):
-    again = workspace_poses(ARM, "MAHLI", MARS, 60, 3)
+    again = workspace_poses(ARM, "mahli", MARS, 60, 3)
     assert np.array_equal(again.output_rad, poses.output_rad)
 
 

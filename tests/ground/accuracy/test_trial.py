@@ -31,7 +31,7 @@ from sim.world import World
 MODEL = load_error_model()
 NOMINAL = arm_named("nominal")
 CONFIG = configure(NOMINAL.params)
-TOOL = "MAHLI"
+TOOL = "mahli"
 PLACE = random_placements(CONFIG, TOOL, 1, np.random.SeedSequence(4))[0]
 LARGER = {"slop": 20.0, "wobble": 10.0, "encoder": 10.0, "distortion_gradient": 5.0, "motor_controller": 5.0}
 """Factors that make errors larger than the other errors of the plant."""

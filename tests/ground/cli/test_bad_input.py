@@ -112,7 +112,7 @@ CASES = {
     # numbers
     "place --target nan 0 0": "not three finite numbers",
     "place --target 1e400 0 0": "not three finite numbers",
-    "place --target 1e9 0 0": "farther than 100 m",
+    "place --target 1e9 0 0": "farther than 20 m",
     "place --normal 0 0 0": "has no direction",
     "place --tilt-roll nan": "is not finite",
     "place --seed -1": "seed: -1 is below 0",

@@ -8,6 +8,7 @@ from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
+import numpy as np
 import pytest
 import typer
 
@@ -90,6 +91,14 @@ class Request:
     [
         (Request(size=3.0), "size: 3 is not within 0.5 .. 2"),
         (Request(seed=-1), "seed: -1 is below 0"),
+        (Request(size="3"), "size: takes a number, not '3'"),
+        (Request(size=True), "size: takes a number, not True"),
+        (Request(seed=1.5), "seed: takes a whole number, not 1.5"),
+        (Request(seed=None), "seed: takes a whole number, not None"),
+        (Request("a.csv"), "table: takes a tuple, each item a text, not 'a.csv'"),
+        (Request(files=None), "files: takes a Files, not None"),
+        (Request(files=Files("out.csv")), "out: takes a pathlib.Path, not 'out.csv'"),
+        (Request(kind=3), "kind: 3 is not known; there are a, b"),
         (Request(kind="c"), "kind: 'c' is not known; there are a, b"),
         (Request(files=Files(Path("out.txt"))), "out out.txt: its name must end in .csv"),
         (
@@ -107,6 +116,7 @@ def test_a_value_that_is_not_allowed_is_refused(request_, sentence):
 def test_what_is_allowed_is_not_refused(tmp_path):
     check_options(Request(("name", "a.toml"), 0.5, 3, "b", Files(tmp_path / "out.csv")))
     check_options(Request(files=Files(None)))
+    check_options(Request(["name"], np.float32(1.0), np.int64(3)))
 
 
 def test_a_request_is_built_from_the_options(capsys):

@@ -39,12 +39,12 @@ def misses(X_RT, position, approach) -> tuple[float, float]:
     return np.abs(X_RT.p - p_R_m[:, None]).max(), np.abs(X_RT.R[:, 0] - unit[:, None]).max()
 
 
-@pytest.mark.parametrize("tool", [tool.lower() for tool in TOOLS])
+@pytest.mark.parametrize("tool", TOOLS)
 def test_the_rigid_arm_points_every_tool_where_it_was_asked(tool):
     document = answer(tool=tool, compensate="off")
     assert document["valid"] > 0
     arm = build_arm(arm_named("nominal").params)
-    X_RT = tool_pose(arm, forward(arm, valid_poses(document)), tool.upper())
+    X_RT = tool_pose(arm, forward(arm, valid_poses(document)), tool)
     assert max(misses(X_RT, POSITION, APPROACH)) < 1e-9
 
 
@@ -60,7 +60,7 @@ def test_the_tilted_hanging_arm_meets_its_target_where_the_rigid_one_would_not(g
         motor_rad, gap = output_rad, np.zeros_like(output_rad)
         for _ in range(20):  # find the motor angle for which the wound-up gear gives this output
             motor_rad = motor_rad + output_rad - settle(arm, motor_rad, gap, world.gravity_N_m_s2).output_rad
-        return tool_pose(arm, settle(arm, motor_rad, gap, world.gravity_N_m_s2).frames, "DRILL")
+        return tool_pose(arm, settle(arm, motor_rad, gap, world.gravity_N_m_s2).frames, "drill")
 
     assert max(misses(deflected(compensated), POSITION, APPROACH)) < 1e-7
     assert misses(deflected(rigid), POSITION, APPROACH)[0] > 1e-3
@@ -69,7 +69,7 @@ def test_the_tilted_hanging_arm_meets_its_target_where_the_rigid_one_would_not(g
 def test_a_warm_arm_is_answered_as_the_warm_arm_that_it_is():
     document = answer(tool="mahli", compensate="off", warming_K=60.0)
     arm = heat_arm(build_arm(arm_named("nominal").params), 60.0)
-    X_RT = tool_pose(arm, forward(arm, valid_poses(document)), "MAHLI")
+    X_RT = tool_pose(arm, forward(arm, valid_poses(document)), "mahli")
     assert max(misses(X_RT, POSITION, APPROACH)) < 1e-9
 
 
@@ -99,12 +99,12 @@ def test_a_branch_out_of_limits_says_which_joint_and_by_how_much():
 
 
 def test_a_target_out_of_reach_is_an_answer_and_no_error(tmp_path):
-    done = marsarm(tmp_path, "ik", "--position", "50", "0", "0", "--approach", "1", "0", "0", "--json")
+    done = marsarm(tmp_path, "ik", "--position", "15", "0", "0", "--approach", "1", "0", "0", "--json")
     assert (done.returncode, done.stderr) == (0, "")
     document = json.loads(done.stdout)
     assert document["valid"] == 0
     assert len(document["branches"]) >= 8
-    assert all("out of reach by 4" in branch["reason"] for branch in document["branches"])
+    assert all("out of reach by 1" in branch["reason"] for branch in document["branches"])
     assert all(branch["output_deg"] is None for branch in document["branches"])
 
 
@@ -125,7 +125,7 @@ BAD_FIELDS = {
     "next to no direction": ({"approach": (0.0, 1e-9, 0.0)}, "approach: 0 1e-09 0 has no direction"),
     "NaN position": ({"position": (np.nan, 0.0, 0.0)}, "position: nan 0 0 is not three finite"),
     "infinite approach": ({"approach": (np.inf, 0.0, 0.0)}, "approach: inf 0 0 is not three finite"),
-    "absurdly far": ({"position": (1e300, 1e300, 0.0)}, "position: 1e+300 1e+300 0 m is farther than 100 m"),
+    "absurdly far": ({"position": (1e300, 1e300, 0.0)}, "position: 1e+300 1e+300 0 m is farther than 20 m"),
     "no position": ({"position": None}, "position and approach: give both"),
     "no approach": ({"approach": None}, "position and approach: give both"),
     "no such tool": ({"tool": "spoon"}, "there are drill, drt, mahli, apxs, portion"),

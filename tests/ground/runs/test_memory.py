@@ -23,8 +23,8 @@ EMPTY_OBJECT_BYTES = 16
 
 
 def test_a_run_that_shakes_and_moves_keeps_no_object_of_each_cycle():
-    commands = (Process("PORTION", GRAVITY_T, 12.0), MoveJoint(Joint.TURRET, 1.2))
-    checks = (Done(), GravityHeld(1, "PORTION", GRAVITY_T))
+    commands = (Process("portion", GRAVITY_T, 12.0), MoveJoint(Joint.TURRET, 1.2))
+    checks = (Done(), GravityHeld(1, "portion", GRAVITY_T))
     scenario = Scenario("test", "T", "S.", World(), commands, checks, "ready")
     arm = arm_named("nominal")
     loop = ClosedLoop(scenario_setup(scenario, arm, lab.true_reference(arm), 1))

@@ -25,7 +25,7 @@ BAD = {
     "normal without length": (("--normal", "0", "0", "0"), "no direction"),
     "normal next to nothing": (("--normal", "0", "2e-9", "0"), "normal: 0 2e-09 0 has no direction"),
     "normal too long for a square": (("--normal", "1e200", "0", "1e200"), "cannot be reached"),
-    "too far for a square": (("--target", "1e200", "0", "0"), "target: 1e+200 0 0 m is farther than 100 m"),
+    "too far for a square": (("--target", "1e200", "0", "0"), "target: 1e+200 0 0 m is farther than 20 m"),
     "NaN target": (("--target", "nan", "0", "0"), "finite"),
     "infinite normal": (("--normal", "0", "inf", "0"), "finite"),
     "NaN tilt": (("--tilt-roll", "nan"), "finite"),

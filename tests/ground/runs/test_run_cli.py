@@ -42,7 +42,8 @@ approach = [0.0, 0.0, 1.0]
 [[check]]
 type = "done"
 """
-REFUSED = SHORT.replace(
+REFUSED = SHORT + '\n[[command]]\ntype = "CALIBRATE"\njoint = "elbow"\n'
+TILTED = SHORT.replace(
     "[[command]]", '[[command]]\ntype = "SET_TILT"\nroll_deg = 10\npitch_deg = 0\n\n[[command]]'
 )
 MISSED = SHORT + '\n[[check]]\ntype = "stowed"\n'
@@ -63,7 +64,11 @@ BAD = {
         ("beyond.toml",),
         "beyond.toml: command 1, MOVE_JOINT: joint turret: 390.0 deg",
     ),
-    "a place out of reach": (("far.toml",), "far.toml: command 2, PLACE_TOOL: MoveTool: "),
+    "a place out of reach": (("far.toml",), "far.toml: command 2, PLACE_TOOL: apxs: the target: "),
+    "a tilt that the IMU contradicts": (
+        ("tilted.toml",),
+        "tilted.toml: command 1, SET_TILT: the IMU reads gravity 0.1745 rad from there, at most",
+    ),
     "no such parameters": (("short.toml", "--params", "none.toml"), "none.toml"),
     "parameters of another arm": (
         ("short.toml", "--params", "arm7.toml"),
@@ -89,6 +94,7 @@ def folder(tmp_path):
         ("far", FAR),
         ("arm7", 'arm_name = "as-built:7"\n'),
         ("refused", REFUSED),
+        ("tilted", TILTED),
         ("missed", MISSED),
         ("cut", CUT),
         ("wrong", WRONG),
@@ -147,7 +153,7 @@ def test_a_run_that_passes_says_what_was_measured_and_keeps_what_was_asked_for(f
 @pytest.mark.parametrize(
     ("name", "outcome", "said"),
     [
-        ("refused", "refused", "ended in command 1, SET_TILT"),
+        ("refused", "refused", "ended in command 2, CALIBRATE"),
         ("cut", "faulted", "response BRAKE_AND_REFUSE"),
         ("missed", "done", "NOT passed"),
     ],

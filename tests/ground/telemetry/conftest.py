@@ -22,8 +22,8 @@ from sim.record import CycleRecord
 
 ARM = arm_names(nominal_params())
 EVENTS = {
-    "commands": (Stop(), GuardedMove("APXS", (1.0, 0.25, -0.5), (0.0, 0.0, float("nan")))),
-    "evrs": (Booted("é" * 3), ContactMade("APXS_1", 0.1)),
+    "commands": (Stop(), GuardedMove("apxs", (1.0, 0.25, -0.5), (0.0, 0.0, float("nan")))),
+    "evrs": (Booted("é" * 3), ContactMade("apxs_1", 0.1)),
 }
 
 Bytes = Callable[[int], bytes]

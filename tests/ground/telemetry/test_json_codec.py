@@ -113,6 +113,11 @@ WRONG = {
     "a flag for a number": ("SetParam", {"name": "a", "value": True}, "SetParam.value: True is no float"),
     "text for a number": ("SetParam", {"name": "a", "value": "1"}, "SetParam.value: '1' is no float"),
     "a number for text": ("SetParam", {"name": 1, "value": 1.0}, "SetParam.name: 1 is no str"),
+    "a number beyond all floats": (
+        "SetParam",
+        {"name": "a", "value": 10**400},
+        "SetParam.value: 1000",
+    ),
     "nothing": ("SetParam", {"name": "a"}, "SetParam.value is missing"),
     "too few": ("MoveJoints", {"angle_rad": [1.0, 2.0]}, "has 2 items, 5 would be right"),
     "no list": ("MoveJoints", {"angle_rad": 1.0}, "MoveJoints.angle_rad: 1.0 is no list"),
@@ -126,6 +131,13 @@ def test_what_is_no_command_is_a_sentence(case):
     with pytest.raises(BadJson) as caught:
         command_from_json(name, arguments, [])
     assert message in str(caught.value)
+
+
+def test_an_array_with_an_integer_beyond_all_floats_is_a_sentence():
+    table = record_to_json(no_reference(configure(arm_named("nominal").params)))
+    table["zero_rad"][1] = -(10**400)
+    with pytest.raises(BadJson, match=r"^reference.zero_rad: \[0.0, -1000.* is no list of float64$"):
+        record_from_json(Reference, table, "reference", [])
 
 
 def test_a_whole_number_where_a_float_may_be_stays_what_it_is():

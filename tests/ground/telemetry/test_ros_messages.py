@@ -99,7 +99,7 @@ def test_the_frames_are_those_of_forward_kinematics(messages: Any) -> None:
                 pose_in_rover(poses, f"arm{k + 1}").R, frames.X_RF.R[:, :, k], atol=1e-12
             )
         for tool in TOOLS:
-            X_RT, X = tool_pose(CONFIG.arm, frames, tool), pose_in_rover(poses, tool.lower())
+            X_RT, X = tool_pose(CONFIG.arm, frames, tool), pose_in_rover(poses, tool)
             np.testing.assert_allclose(np.c_[X.R, X.p], np.c_[X_RT.R, X_RT.p], atol=1e-12)
 
 

@@ -70,10 +70,10 @@ def test_events_come_back_with_their_fields(make: Any, tmp_path: Path) -> None:
     booted, contact = log.evrs
     assert (booted.tick, booted.name, booted.fields) == (5, "Booted", {"params_sha256": "ééé"})
     assert booted.message == "flight software up, parameters ééé"
-    assert (contact.severity, contact.fields) == (2, {"switch": "APXS_1", "travel_m": 0.1})
+    assert (contact.severity, contact.fields) == (2, {"switch": "apxs_1", "travel_m": 0.1})
     stop, guarded = log.commands
     assert (stop.name, stop.fields) == ("Stop", {})
-    assert guarded.fields["tool"] == "APXS"
+    assert guarded.fields["tool"] == "apxs"
     assert guarded.fields["end_p_RoTo_R_m"] == [1.0, 0.25, -0.5]
     assert np.isnan(guarded.fields["approach_R"][2])
 

@@ -40,7 +40,7 @@ class Packet:
     current_A: Annotated[float, Limits(-2.0, 2.5)]
 
 
-ARM = ArmNames(("DRILL",), ("DRILL_1",))
+ARM = ArmNames(("drill",), ("drill_1",))
 NAMES = ("valid", "colour", "switch", "count", "R_RT", "level", "current_A")
 PACKET = Packet(
     valid=True,

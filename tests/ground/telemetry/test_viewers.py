@@ -47,7 +47,7 @@ needs_ros2 = pytest.mark.skipif(
     find_spec("mcap_ros2") is None, reason="mcap-ros2-support is not installed; `make viewers` installs it"
 )
 RIGID_PARTS = {"rover", "rock", "ground", "arm1", "arm6", *(f"link{k}" for k in range(1, 6))}
-PARTS = RIGID_PARTS | {tool.lower() for tool in TOOLS}
+PARTS = RIGID_PARTS | set(TOOLS)
 BLUEPRINT = Path(__file__).parents[3] / "docs" / "marsarm.rbl"
 
 

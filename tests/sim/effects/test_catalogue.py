@@ -135,7 +135,7 @@ def test_places_that_a_class_refuses_are_none() -> None:
     }
     of_tools = [place["tool"] for place in all_places(FrameError) if place["frame"] is Frame.TOOL]
     assert of_tools == list(TOOLS)
-    assert effect_place_text(FrameError, {"frame": Frame.TOOL, "tool": "MAHLI"}) == "tool.mahli"
+    assert effect_place_text(FrameError, {"frame": Frame.TOOL, "tool": "mahli"}) == "tool.mahli"
 
 
 def test_parameters_are_written_in_units_of_the_house() -> None:

@@ -22,8 +22,8 @@ RIGHT = {
     "coulomb-friction:joint=elbow,torque_Nm=25": CoulombFriction(Joint.ELBOW, 25.0),
     " stribeck-friction : elbow : torque_Nm = 3 ": StribeckFriction(Joint.ELBOW, 3.0),
     "link-angle:arm3.x:angle_deg=90e-3": LinkAngle(Frame.ARM3, "x", 0.09 * (pi / 180)),
-    "tool-offset:drill.y:offset_mm=2": ToolOffset("DRILL", "y", 0.002),
-    "frame-error:tool.drt:screw=[0,0,1e-3,0,0,0]": FrameError(Frame.TOOL, (0, 0, 1e-3, 0, 0, 0), "DRT"),
+    "tool-offset:drill.y:offset_mm=2": ToolOffset("drill", "y", 0.002),
+    "frame-error:tool.drt:screw=[0,0,1e-3,0,0,0]": FrameError(Frame.TOOL, (0, 0, 1e-3, 0, 0, 0), "drt"),
     "link-mass:arm3:factor=1.1,shift_mm=[1, 2, 3]": LinkMass(Frame.ARM3, 1.1, (0.001, 0.002, 0.003)),
 }
 WRONG = {

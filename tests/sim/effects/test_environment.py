@@ -19,8 +19,8 @@ DEEP_M = 2e-4
 def put_in_rock(*effects: Effect, deep_m: float = DEEP_M, calm: bool = False) -> Plant:
     """Put the pads of the APXS slightly inside a rock, at rest."""
     truth = bench.set_angles(bench.build_arm()[0], lab.READY_RAD).truth()
-    normal = -truth.R_RT[tool_index("APXS")][:, 0]
-    face = truth.p_RoTo_R_m[tool_index("APXS")] + P_NR_M + deep_m * normal
+    normal = -truth.R_RT[tool_index("apxs")][:, 0]
+    face = truth.p_RoTo_R_m[tool_index("apxs")] + P_NR_M + deep_m * normal
     world = World(surface=Surface(vector3(face), vector3(normal)))
     plant, _ = bench.build_arm(*effects, world=world, calm=calm)
     return bench.set_angles(plant, lab.READY_RAD)

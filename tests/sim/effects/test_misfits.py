@@ -27,10 +27,10 @@ NO_SUCH_SWITCH = f"index: {LAST + 1} is outside 0 .. {LAST}, the range of switch
 DEAD = SensorFault(1.0, "switch_closed", "biased", LAST + 1, -1.0)
 MISFITS = {
     "fault of a switch": (DEAD, NO_SUCH_SWITCH),
-    "offset": (ToolOffset("SCOOP", "x", 1e-3), NO_SUCH_TOOL),
-    "frame error": (FrameError(Frame.TOOL, NO_SCREW, "SCOOP"), NO_SUCH_TOOL),
-    "warming": (LinkWarming(Frame.TOOL, 10.0, "SCOOP"), NO_SUCH_TOOL),
-    "play": (FramePlay(Frame.TOOL, NO_SCREW, "SCOOP"), NO_SUCH_TOOL),
+    "offset": (ToolOffset("scoop", "x", 1e-3), NO_SUCH_TOOL),
+    "frame error": (FrameError(Frame.TOOL, NO_SCREW, "scoop"), NO_SUCH_TOOL),
+    "warming": (LinkWarming(Frame.TOOL, 10.0, "scoop"), NO_SUCH_TOOL),
+    "play": (FramePlay(Frame.TOOL, NO_SCREW, "scoop"), NO_SUCH_TOOL),
 }
 
 

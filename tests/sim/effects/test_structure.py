@@ -32,7 +32,7 @@ TILTED = lab.tilted_world(15, -10, "earth")
 GRAVITY = TILTED.gravity_N_m_s2
 TIMES = pytest.mark.parametrize("times", [0.5, 1.0, 2.0])
 TITANIUM_1_K = 8.6e-6
-TOOL = "DRILL"
+TOOL = "drill"
 
 SHIFTS = [
     LinkLength(Frame.ARM1, "z", 2e-3),

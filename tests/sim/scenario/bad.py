@@ -224,9 +224,39 @@ BAD = {
     ),
     "a branch that does not exist": (
         'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
-        'approach = [0.0, 0.0, 1.0]\nbranch = "auto"\n\n[[command]]\ntype = "PLACE',
+        'approach = [0.0, 0.0, 1.0]\nbranch = "aut"\n\n[[command]]\ntype = "PLACE',
         22,
-        "branch: 'auto' is not known; did you mean AUTO?",
+        "branch: 'aut' is not known; did you mean auto?",
+    ),
+    "a tool that is no text": (
+        'tool = "apxs"\ndistance',
+        "tool = 3\ndistance",
+        31,
+        "tool: 3 is not known; there are drill",
+    ),
+    "a normal into the rock": (
+        "position_m = [2.0, 0.0, -0.2]\napproach = [0.0, 0.0, 1.0]\n",
+        "position_m = [2.0, 0.0, -0.2]\napproach = [0.0, 0.0, 1.0]\nnormal = [0.0, 0.0, 1.0]\n",
+        23,
+        "PLACE_TOOL: the normal points along the approach, not out of the surface",
+    ),
+    "a position beyond the limit in RMECH": (
+        "position_m = [2.0, 0.0, -0.3]",
+        "position_mm = [-20000.0, 0.0, -300.0]",
+        20,
+        "position_mm: in RMECH, number 1: -20.09002 is outside -20 .. 20",
+    ),
+    "a parameter without a name": (
+        'type = "MOVE_JOINT"\njoint = "elbow"\nangle_deg = 100',
+        'type = "SET_PARAM"\nname = ""\nvalue = 1.0',
+        36,
+        "name: is empty; a name is right",
+    ),
+    "a number with too many digits": (
+        "angle_deg = 100",
+        f"angle_deg = {'9' * 4301}",
+        1,
+        "is not TOML: a whole number has more than 4300 digits",
     ),
     "a place that is not taught": (
         'type = "MOVE_JOINT"\njoint = "elbow"\nangle_deg = 100',

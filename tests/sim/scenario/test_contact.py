@@ -34,7 +34,7 @@ def press_tool(
     return plant
 
 
-@pytest.fixture(scope="module", params=[("DRILL", (0.0, 0.0, -1.0)), ("APXS", (-0.5, 0.1, -0.85))])
+@pytest.fixture(scope="module", params=[("drill", (0.0, 0.0, -1.0)), ("apxs", (-0.5, 0.1, -0.85))])
 def contact(request):
     tool, normal = request.param
     plant = press_tool(tool, (2.05, 0.1, -0.25), normal)
@@ -50,7 +50,7 @@ def test_a_pressed_tool_is_pushed_out_of_the_rock_and_no_other_is(contact):
 
 def test_the_normal_force_is_what_the_touch_sensors_feel(contact):
     plant, tool, normal = contact
-    sensors = [plant.model.sensor(switch.lower()).id for switch in TOOL_SWITCHES[tool]]
+    sensors = [plant.model.sensor(switch).id for switch in TOOL_SWITCHES[tool]]
     measured_N = plant.data.sensordata[plant.model.sensor_adr[sensors]].sum()
     assert tool_forces(plant)[tool_index(tool)] @ normal == pytest.approx(measured_N, rel=1e-6)
 
@@ -58,7 +58,7 @@ def test_the_normal_force_is_what_the_touch_sensors_feel(contact):
 def test_the_whole_force_is_what_mujoco_adds_up_on_the_body_of_the_tool(contact):
     plant, tool, _ = contact
     mujoco.mj_rnePostConstraint(plant.model, plant.data)
-    external = plant.data.cfrc_ext[plant.model.body(tool.lower()).id, 3:]
+    external = plant.data.cfrc_ext[plant.model.body(tool).id, 3:]
     assert tool_forces(plant)[tool_index(tool)] == pytest.approx(FLIP * external, rel=1e-9, abs=1e-9)
 
 

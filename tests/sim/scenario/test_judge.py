@@ -37,8 +37,8 @@ STOWED_RAD = np.array([1.5, -0.3, -2.8, 3.1, 0.6])
 POINT_N = np.array([2.0, 0.1, -0.2])
 UP_N = (0.0, 0.0, -1.0)
 """Upward normal of the level surface."""
-INLET = TaughtPoint("inlet", "PORTION", (0.6, 0.1, -1.2), (0.0, 0.0, 1.0))
-BOX = TaughtPoint("box", "DRILL", (0.94, 0.28, -0.86), (-1.0, 0.0, 0.0))
+INLET = TaughtPoint("inlet", "portion", (0.6, 0.1, -1.2), (0.0, 0.0, 1.0))
+BOX = TaughtPoint("box", "drill", (0.94, 0.28, -0.86), (-1.0, 0.0, 0.0))
 ENDING = Ending(Outcome.DONE, Mode.DEPLOYED, STOWED_RAD + 1.0, True, False, ())
 REST = Snapshot(
     command=1,
@@ -93,7 +93,7 @@ def results(
         title="",
         summary="",
         world=world or World(surface=surface),
-        commands=(MoveJoints((0.0,) * 5), Preload("DRILL", 300.0)),
+        commands=(MoveJoints((0.0,) * 5), Preload("drill", 300.0)),
         checks=(check,),
         taught=(INLET, BOX),
     )
@@ -107,7 +107,7 @@ def results(
 def test_a_check_says_its_name_as_the_file_does():
     (found,) = results(Done()).values()
     assert (found.check, found.passed) == ("done", True)
-    assert results(SameSpot(2, "MAHLI", 1, "APXS"))["lateral"].check == "same_spot"
+    assert results(SameSpot(2, "mahli", 1, "apxs"))["lateral"].check == "same_spot"
 
 
 @pytest.mark.parametrize("outcome", Outcome)
@@ -119,70 +119,70 @@ def test_done_is_done_and_nothing_else_is(outcome):
 @pytest.mark.parametrize(("lateral_m", "passed"), [(0.0149, True), (0.0151, False)])
 def test_placed_is_beside_the_point_along_the_surface_however_deep(lateral_m, passed):
     where = POINT_N + off_by(0.6 * lateral_m, -0.8 * lateral_m, 0.2)
-    found = results(Placed(1, "APXS"), snapshot_at("APXS", where))
+    found = results(Placed(1, "apxs"), snapshot_at("apxs", where))
     assert found["lateral"].value == pytest.approx(lateral_m)
     assert found["lateral"].passed == passed
     assert found["apxs in contact"].passed
 
 
 def test_placed_needs_a_switch_of_that_tool():
-    off = results(Placed(1, "APXS"), snapshot_at("APXS", touching=False))
+    off = results(Placed(1, "apxs"), snapshot_at("apxs", touching=False))
     assert not off["apxs in contact"].passed
-    other = replace(snapshot_at("APXS"), closed=snapshot_at("DRILL").closed)
-    assert not results(Placed(1, "APXS"), other)["apxs in contact"].passed
+    other = replace(snapshot_at("apxs"), closed=snapshot_at("drill").closed)
+    assert not results(Placed(1, "apxs"), other)["apxs in contact"].passed
 
 
 def test_what_counts_is_the_last_cycle_of_the_command():
     far = POINT_N + off_by(0.5, 0.0, 0.0)
     run = (
-        snapshot_at("APXS", far),
-        snapshot_at("APXS"),
-        snapshot_at("APXS", far, command=2, touching=False),
+        snapshot_at("apxs", far),
+        snapshot_at("apxs"),
+        snapshot_at("apxs", far, command=2, touching=False),
     )
-    found = results(Placed(1, "APXS"), *run)
+    found = results(Placed(1, "apxs"), *run)
     assert all(measured.passed for measured in found.values())
 
 
 def test_what_was_not_reached_is_not_a_number_and_has_not_passed():
     for check in (
-        Placed(2, "APXS"),
-        SameSpot(2, "MAHLI", 1, "APXS"),
-        Preloaded(2, "DRILL", 300.0),
+        Placed(2, "apxs"),
+        SameSpot(2, "mahli", 1, "apxs"),
+        Preloaded(2, "drill", 300.0),
         Loaded(2, "box", 100.0),
-        GravityHeld(2, "DRILL", (1.0, 0.0, 0.0)),
+        GravityHeld(2, "drill", (1.0, 0.0, 0.0)),
         OverInlet(2, "inlet"),
         Docked(2, "box"),
     ):
-        found = results(check, snapshot_at("APXS")).values()
+        found = results(check, snapshot_at("apxs")).values()
         assert any(isnan(measured.value) for measured in found)
         assert not any(measured.passed for measured in found if isnan(measured.value))
 
 
 def test_same_spot_counts_from_where_the_first_tool_truly_was():
     off = np.array([0.004, 0.0, 0.0])
-    first = snapshot_at("APXS", POINT_N + off)
-    second = snapshot_at("MAHLI", POINT_N + off + off_by(0.0, 0.003, 0.05), command=2)
-    found = results(SameSpot(2, "MAHLI", 1, "APXS"), first, second)
+    first = snapshot_at("apxs", POINT_N + off)
+    second = snapshot_at("mahli", POINT_N + off + off_by(0.0, 0.003, 0.05), command=2)
+    found = results(SameSpot(2, "mahli", 1, "apxs"), first, second)
     assert found["lateral"].value == pytest.approx(0.003)
     assert all(measured.passed for measured in found.values())
 
 
 def press(normal_N: float, lateral_N: float = 0.0, slip_m: float = 0.0, command: int = 2) -> Snapshot:
     """Make snapshots of the drill pressed on the surface: the contact force points up."""
-    return snapshot_at("DRILL", POINT_N + off_by(slip_m, 0.0, 0.0), command, (lateral_N, 0.0, -normal_N))
+    return snapshot_at("drill", POINT_N + off_by(slip_m, 0.0, 0.0), command, (lateral_N, 0.0, -normal_N))
 
 
 @pytest.mark.parametrize(
     ("force_N", "passed"), [(269.0, False), (271.0, True), (329.0, True), (331.0, False)]
 )
 def test_preloaded_is_within_its_share_at_the_end(force_N, passed):
-    found = results(Preloaded(2, "DRILL", 300.0), press(5.0), press(force_N))
+    found = results(Preloaded(2, "drill", 300.0), press(5.0), press(force_N))
     assert found["force"].value == pytest.approx(force_N)
     assert found["force"].passed == passed
 
 
 def test_preloaded_watches_peaks_on_the_way_and_while_it_is_let_go():
-    check = Preloaded(2, "DRILL", 300.0)
+    check = Preloaded(2, "drill", 300.0)
     run = [
         press(3.0),
         press(150.0, 45.0, 1e-4),
@@ -204,13 +204,13 @@ def test_preloaded_watches_peaks_on_the_way_and_while_it_is_let_go():
 
 
 def test_preloaded_asks_nothing_of_ratio_and_slip_where_the_tool_hardly_presses():
-    found = results(Preloaded(2, "DRILL", 300.0), press(3.0), press(300.0), press(19.0, 15.0, 0.1, command=3))
+    found = results(Preloaded(2, "drill", 300.0), press(3.0), press(300.0), press(19.0, 15.0, 0.1, command=3))
     assert all(measured.passed for measured in found.values())
 
 
 def test_loaded_is_a_force_against_the_way_that_the_taught_tool_looks():
     for force, passed in ((119.0, True), (121.0, False), (79.0, False), (-100.0, False)):
-        pushed_back = snapshot_at("DRILL", command=2, force_N=(force, 30.0, -50.0))
+        pushed_back = snapshot_at("drill", command=2, force_N=(force, 30.0, -50.0))
         found = results(Loaded(2, "box", 100.0), pushed_back)["force"]
         assert (found.value, found.passed) == (pytest.approx(force), passed)
 
@@ -222,9 +222,9 @@ def test_gravity_is_held_against_true_gravity_tilt_included(roll, pitch, off_deg
     down = world.gravity_N_m_s2
     R = axes_along(down)  # gravity lies along tool x
     turned = R @ rotation_y(np.radians(off_deg))
-    check = GravityHeld(1, "PORTION", (2.0, 0.0, 0.0))
-    held, shaken = snapshot_at("PORTION", R=R), snapshot_at("PORTION", R=turned, vibrates=True)
-    on_the_way = snapshot_at("PORTION", R=R @ rotation_y(1.0))
+    check = GravityHeld(1, "portion", (2.0, 0.0, 0.0))
+    held, shaken = snapshot_at("portion", R=R), snapshot_at("portion", R=turned, vibrates=True)
+    on_the_way = snapshot_at("portion", R=R @ rotation_y(1.0))
     found = results(check, on_the_way, shaken, held, world=world)["gravity off"]
     assert np.degrees(found.value) == pytest.approx(off_deg)
     assert found.passed == passed
@@ -232,7 +232,7 @@ def test_gravity_is_held_against_true_gravity_tilt_included(roll, pitch, off_deg
 
 def test_gravity_along_another_axis_of_the_tool_is_not_along_this_one():
     R = axes_along(World().gravity_N_m_s2)
-    found = results(GravityHeld(1, "PORTION", (0.0, 1.0, 0.0)), snapshot_at("PORTION", R=R))
+    found = results(GravityHeld(1, "portion", (0.0, 1.0, 0.0)), snapshot_at("portion", R=R))
     assert np.degrees(found["gravity off"].value) == pytest.approx(90.0)
 
 
@@ -240,11 +240,11 @@ def test_over_the_inlet_is_near_its_upright_axis_at_any_height_with_the_tube_alo
     world = World(tilt_pitch_rad=0.3)
     along = axes_along(world.gravity_N_m_s2)
     where = np.array(INLET.p_N_m) + off_by(0.003, 0.004, -0.03)
-    found = results(OverInlet(1, "inlet"), snapshot_at("PORTION", where, R=along), world=world)
+    found = results(OverInlet(1, "inlet"), snapshot_at("portion", where, R=along), world=world)
     assert found["from the axis"].value == pytest.approx(0.005)
     assert found["from gravity"].value == pytest.approx(0.0, abs=1e-9)
     upright = axes_along(np.array([0.0, 0.0, 1.0]))
-    found = results(OverInlet(1, "inlet"), snapshot_at("PORTION", where, R=upright), world=world)
+    found = results(OverInlet(1, "inlet"), snapshot_at("portion", where, R=upright), world=world)
     assert found["from gravity"].value == pytest.approx(0.3)
     assert not found["from gravity"].passed
 
@@ -252,18 +252,18 @@ def test_over_the_inlet_is_near_its_upright_axis_at_any_height_with_the_tube_alo
 def test_docked_is_at_the_point_along_its_axis_and_in_contact():
     R = axes_along(np.array([-1.0, 0.0, 0.0])) @ rotation_x(0.7)
     where = np.array(BOX.p_N_m) + off_by(0.002, 0.0, 0.002)
-    good = results(Docked(1, "box"), snapshot_at("DRILL", where, R=R))
+    good = results(Docked(1, "box"), snapshot_at("drill", where, R=R))
     assert good["from the point"].value == pytest.approx(np.hypot(0.002, 0.002))
     assert all(measured.passed for measured in good.values())
-    askew = results(Docked(1, "box"), snapshot_at("DRILL", where, R=R @ rotation_y(np.radians(1.6))))
+    askew = results(Docked(1, "box"), snapshot_at("drill", where, R=R @ rotation_y(np.radians(1.6))))
     assert [name for name, measured in askew.items() if not measured.passed] == ["from the axis"]
-    loose = results(Docked(1, "box"), snapshot_at("DRILL", where, R=R, touching=False))
+    loose = results(Docked(1, "box"), snapshot_at("drill", where, R=R, touching=False))
     assert [name for name, measured in loose.items() if not measured.passed] == ["drill in contact"]
 
 
 def test_released_is_no_force_from_any_side_at_the_end():
-    assert results(Released("DRILL"), press(300.0), press(0.0))["force"].passed
-    assert not results(Released("DRILL"), press(0.0), press(0.0, 2.0))["force"].passed
+    assert results(Released("drill"), press(300.0), press(0.0))["force"].passed
+    assert not results(Released("drill"), press(0.0), press(0.0, 2.0))["force"].passed
 
 
 def test_stowed_is_the_true_pose_and_that_flight_software_knows_it():

@@ -28,22 +28,22 @@ from sim.scenario.mode_check import COMMAND_EVENTS, find_refusals, modes_after
 
 UP = (0.0, 0.0, 1.0)
 HERE = (2.0, 0.0, 0.8)
-MOVE = MoveTool("APXS", HERE, UP)
-PLACE = PlaceTool("APXS", HERE, UP)
-TOUCH = GuardedMove("APXS", HERE, UP)
-CHANGE = ToolChange("MAHLI")
-PRESS, RELEASE = Preload("APXS", 50.0), Preload("APXS", 0.0)
-BACK = Retract("APXS", 0.1)
+MOVE = MoveTool("apxs", HERE, UP)
+PLACE = PlaceTool("apxs", HERE, UP)
+TOUCH = GuardedMove("apxs", HERE, UP)
+CHANGE = ToolChange("mahli")
+PRESS, RELEASE = Preload("apxs", 50.0), Preload("apxs", 0.0)
+BACK = Retract("apxs", 0.1)
 
 FINE = {
     "a placement": (Mode.STOWED, (Unstow(), MOVE, PLACE, BACK, Stow())),
     "contact again and again": (Mode.DEPLOYED, (TOUCH, TOUCH, BACK, TOUCH)),
-    "a tool change": (Mode.DEPLOYED, (PLACE, CHANGE, Retract("MAHLI", 0.1), MOVE)),
-    "a tool that hovers": (Mode.DEPLOYED, (PLACE, ToolChange("MAHLI", hover_m=0.05), MOVE)),
+    "a tool change": (Mode.DEPLOYED, (PLACE, CHANGE, Retract("mahli", 0.1), MOVE)),
+    "a tool that hovers": (Mode.DEPLOYED, (PLACE, ToolChange("mahli", hover_m=0.05), MOVE)),
     "a press": (Mode.DEPLOYED, (PLACE, PRESS, PRESS, RELEASE, BACK)),
-    "a dock": (Mode.DEPLOYED, (Dock("box"), Preload("DRILL", 100.0), Preload("DRILL", 0.0))),
+    "a dock": (Mode.DEPLOYED, (Dock("box"), Preload("drill", 100.0), Preload("drill", 0.0))),
     "there and back": (Mode.STOWED, (Unstow(), Stow(), Unstow())),
-    "joints": (Mode.DEPLOYED, (CalibrateAll(), MoveJoint(Joint.ELBOW, 1.0), Process("DRILL", UP, 1.0))),
+    "joints": (Mode.DEPLOYED, (CalibrateAll(), MoveJoint(Joint.ELBOW, 1.0), Process("drill", UP, 1.0))),
     "settings anywhere": (Mode.STOWED, (SetTilt(0.0, 0.0), Stop(), Unstow(), SetTilt(0.0, 0.0))),
 }
 
@@ -87,7 +87,7 @@ REFUSED = {
     ),
     "another tool in contact": (
         Mode.DEPLOYED,
-        (PLACE, Retract("DRILL", 0.1)),
+        (PLACE, Retract("drill", 0.1)),
         2,
         "RETRACT: apxs is the tool that touches",
     ),

@@ -47,7 +47,7 @@ SAMPLES = {
     "backlash": "off",
     "deflection": "off",
     "branch": "shoulder-out elbow-up wrist-down",
-    "frame": "DRILL",
+    "frame": "drill",
     "point": "inlet",
     "evr": "NoContact",
     "name": "motion.settle_time_s",
@@ -62,7 +62,7 @@ def scenario(text: str) -> Scenario:
 
 def command(**table: object) -> Command:
     findings = Findings(NOTHING_FOUND, TOOLS)
-    found = read_command(table, (), findings, {"inlet": "DRILL"}, nominal_params())
+    found = read_command(table, (), findings, {"inlet": "drill"}, nominal_params())
     assert not findings.problems
     assert found is not None
     return found
@@ -97,8 +97,8 @@ def test_every_field_of_every_dataclass_can_be_said_and_comes_back(kind, unit):
             expected *= 100  # the least distance of a command is 1 mm
         table[key] = expected
         if field.name in ("tool", "first_tool", "joint"):
-            word = str(expected).upper()
-            wanted[field.name] = Joint[word] if field.name == "joint" else word
+            table[key] = str(expected).upper()  # a name may have any case
+            wanted[field.name] = Joint[table[key]] if field.name == "joint" else expected
         elif isinstance(expected, list):
             wanted[field.name] = tuple(value * factor for value in expected)
         else:
@@ -166,9 +166,9 @@ def test_positions_are_in_rnav_unless_another_frame_is_said():
             found = command(type=name, **{key: place}, **expected, **frame)
             assert getattr(found, field) == wanted
             assert getattr(found, "frame", ROVER) == ROVER
-    moved = command(type="MOVE_TOOL", position_mm=[0, 0, -10], frame="DRILL", **expected)
+    moved = command(type="MOVE_TOOL", position_mm=[0, 0, -10], frame="drill", **expected)
     assert isinstance(moved, MoveTool)
-    assert (moved.p_FoTo_F_m, moved.frame) == ((0.0, 0.0, -0.01), "DRILL")
+    assert (moved.p_FoTo_F_m, moved.frame) == ((0.0, 0.0, -0.01), "drill")
 
 
 def test_degrees_and_millimetres_are_read_as_radians_and_metres():
@@ -176,8 +176,8 @@ def test_degrees_and_millimetres_are_read_as_radians_and_metres():
     pose = command(type="MOVE_JOINTS", angle_deg=[0, -60, 110, 130, 90])
     assert isinstance(pose, MoveJoints)
     assert pose.angle_rad == pytest.approx(np.radians([0, -60, 110, 130, 90]))
-    assert command(type="RETRACT", tool="apxs", distance_mm=100) == Retract("APXS", 0.1)
-    assert command(type="PRELOAD", tool="drill", force_N=300) == Preload("DRILL", 300.0)
+    assert command(type="RETRACT", tool="apxs", distance_mm=100) == Retract("apxs", 0.1)
+    assert command(type="PRELOAD", tool="drill", force_N=300) == Preload("drill", 300.0)
 
 
 def test_a_whole_file_says_a_whole_scenario():
@@ -245,12 +245,12 @@ evr = "FollowingErrorHigh"
     assert found.world.surface == Surface((2.0, 0.0, -0.2), (0.0, 0.0, -1.0))
     (point,) = found.taught
     assert point.p_N_m == pytest.approx((0.94, 0.28, -0.86))
-    assert (point.name, point.tool, point.approach_N) == ("box", "DRILL", (-1.0, 0.0, 0.0))
+    assert (point.name, point.tool, point.approach_N) == ("box", "drill", (-1.0, 0.0, 0.0))
     assert isinstance(point, TaughtPoint)
-    assert found.commands[2] == Process("PORTION", (1.0, 0.0, 0.0), 5.0)
+    assert found.commands[2] == Process("portion", (1.0, 0.0, 0.0), 5.0)
     assert found.faults == (Injection(PowerLoss(2.5), 3), Injection(PowerLoss(900.0)))
-    assert found.checks[:2] == (Placed(1, "APXS", 7.0 * 1e-3), Docked(2, "box"))
-    assert found.checks[2] == GravityHeld(3, "PORTION", (1.0, 0.0, 0.0), 2.0 * pi / 180)
+    assert found.checks[:2] == (Placed(1, "apxs", 7.0 * 1e-3), Docked(2, "box"))
+    assert found.checks[2] == GravityHeld(3, "portion", (1.0, 0.0, 0.0), 2.0 * pi / 180)
 
 
 @pytest.mark.parametrize("name", built_in_scenarios())

@@ -44,7 +44,7 @@ def test_commands_follow_each_other_and_are_counted():
 
 
 def test_a_refusal_ends_the_scenario_and_its_command_is_told():
-    result = run(scenario(A_LITTLE, Preload("DRILL", 100.0), BACK))
+    result = run(scenario(A_LITTLE, Preload("drill", 100.0), BACK))
     assert (result.outcome, result.command, result.passed) == (Outcome.REFUSED, 2, False)
     assert isinstance(result.evrs[-1][1], CommandRefused)
 

@@ -16,7 +16,7 @@ from sim.world import World
 from tests.sim import lab
 from tests.tools import tool_index
 
-AIR = TaughtPoint("air", "APXS", (2.0, 0.2, -0.5), (0.3, 0.0, 1.0))
+AIR = TaughtPoint("air", "apxs", (2.0, 0.2, -0.5), (0.3, 0.0, 1.0))
 """Place in free air."""
 WORLD = World(tilt_roll_rad=0.1, tilt_pitch_rad=-0.2)
 
@@ -67,6 +67,6 @@ def test_places_of_the_drawing_stay_and_those_of_the_same_name_are_taught_anew()
 
 def test_a_place_out_of_reach_is_told():
     arm = arm_named("nominal")
-    far = TaughtPoint("far", "DRILL", (9.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    far = TaughtPoint("far", "drill", (9.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     with pytest.raises(NotTaught, match="nominal: far is out of reach of the drill"):
         teach(arm, lab.true_reference(arm), (far,), World())

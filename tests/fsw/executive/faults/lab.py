@@ -10,7 +10,7 @@ from tests.tools import SWITCHES
 
 CONFIG = config_of()
 BOUNDS = CONFIG.params.monitors
-START = facing(CONFIG, "APXS")
+START = facing(CONFIG, "apxs")
 REFUSED = FaultResponse(Response.BRAKE_AND_REFUSE)
 UNPOWERED = FaultResponse(Response.POWER_OFF)
 STOPPED = FaultResponse(Response.STOP_AND_BRAKE)
@@ -35,7 +35,7 @@ def moving(command=None):
     return rig
 
 
-def in_guarded_motion(tool="APXS"):
+def in_guarded_motion(tool="apxs"):
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
     rig.until_moving(rig.touch(tool, 0.05), cycles=240)  # past the crossing of the gaps
     rig.evrs.clear()

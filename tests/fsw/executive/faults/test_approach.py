@@ -61,20 +61,20 @@ def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool):
 @pytest.mark.parametrize("force_N", [0.8 * BOUNDS.guarded_force_N, -3.0 * BOUNDS.guarded_force_N])
 def test_a_small_force_or_one_that_pulls_does_not(force_N):
     rig = in_guarded_motion()
-    pushed(rig, "APXS", force_N, LATEST)
+    pushed(rig, "apxs", force_N, LATEST)
     assert not found(rig, Fault)
 
 
 def test_a_large_force_is_felt_within_three_cycles():
     rig = in_guarded_motion()
-    pushed(rig, "APXS", 10.0 * BOUNDS.guarded_force_N, 3)
+    pushed(rig, "apxs", 10.0 * BOUNDS.guarded_force_N, 3)
     assert found(rig, PreloadOutside)
 
 
 def test_with_a_switch_closed_a_force_is_as_it_should_be():
     rig = in_guarded_motion()
-    contact = closed(TOOL_SWITCHES["APXS"][0])
-    pushed(rig, "APXS", 2.0 * BOUNDS.guarded_force_N, LATEST, **contact)
+    contact = closed(TOOL_SWITCHES["apxs"][0])
+    pushed(rig, "apxs", 2.0 * BOUNDS.guarded_force_N, LATEST, **contact)
     assert not found(rig, Fault)
 
 
@@ -82,7 +82,7 @@ def test_in_free_space_a_force_is_an_unexpected_contact():
     rig = moving()
     for _ in range(CYCLE_HZ):  # until the mean of the wind-up is known
         rig.cycle()
-    pushed(rig, "APXS", 4.0 * BOUNDS.guarded_force_N, 2 * LATEST)
+    pushed(rig, "apxs", 4.0 * BOUNDS.guarded_force_N, 2 * LATEST)
     (evr,) = found(rig, Fault)
     assert isinstance(evr, UnexpectedContact)
     assert REFUSED in rig.evrs
@@ -93,7 +93,7 @@ def test_in_free_space_a_force_is_an_unexpected_contact():
 
 def test_what_grows_slowly_is_no_touch():
     rig = in_guarded_motion()
-    wound = wind_up_rad_N(rig, "APXS")
+    wound = wind_up_rad_N(rig, "apxs")
     for cycle in range(400):
         rig.cycle(resolver_rad=rig.resolver_rad() + 0.1 * cycle * wound)
     assert not found(rig, Fault)

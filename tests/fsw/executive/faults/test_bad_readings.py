@@ -13,7 +13,7 @@ from fsw.messages import Sensors
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, quiet_sensors
 
 CONFIG = config_of()
-START = facing(CONFIG, "APXS")
+START = facing(CONFIG, "apxs")
 QUIET = {
     "resolver_rad": np.zeros(5),
     "current_A": np.zeros(5),
@@ -25,8 +25,8 @@ BAD = [float("nan"), float("inf"), float("-inf")]
 PLACES = [(name, k) for name, values in QUIET.items() for k in range(values.size)]
 MOVES = {
     "joints": lambda rig: MoveJoints(floats(START + 0.05)),
-    "guarded": lambda rig: rig.touch("APXS", 0.1),
-    "retract": lambda rig: Retract("APXS", 0.1),
+    "guarded": lambda rig: rig.touch("apxs", 0.1),
+    "retract": lambda rig: Retract("apxs", 0.1),
 }
 
 

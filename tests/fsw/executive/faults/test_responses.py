@@ -110,7 +110,7 @@ PERSISTENT = {
     OverTemperature: (BOUNDS.winding_persistence, lambda rig: windings(Joint.WRIST, 150.0)),
     UnderTemperature: (BOUNDS.winding_persistence, lambda rig: windings(Joint.WRIST, -100.0)),
     ResolverDisagrees: (BOUNDS.resolver_persistence, lambda rig: resolver_off(rig, Joint.ELBOW, 1.0)),
-    ContactInFreeSpace: (1, lambda rig: closed("DRT_1")),
+    ContactInFreeSpace: (1, lambda rig: closed("drt_1")),
 }
 """How long, and which readings of a moving arm, passing the bound with the first of them."""
 BY_A_CALL = {faults.ContactLost, faults.PreloadOutside, faults.UnexpectedContact}
@@ -222,7 +222,7 @@ def test_stop_and_brake_of_a_move_that_is_being_stopped_changes_nothing_but_says
 def test_a_severer_fault_while_the_arm_is_being_stopped_is_answered():
     rig = moving(MoveJoints(floats(START + 0.3)))
     skip(rig)
-    rig.cycle(**closed("DRILL_1"))
+    rig.cycle(**closed("drill_1"))
     assert rig.state.mode is Mode.FAULTED
     assert braked(rig)
 
@@ -253,7 +253,7 @@ def test_power_off_takes_power_and_brakes_in_one_cycle_and_refuses_until_cleared
 SEQUENCE = Sequence("CalibrateAll", (MoveJoints(floats(START)), MoveJoints(floats(START + 0.1))))
 TROUBLES = {
     Response.STOP_AND_BRAKE: {"winding_C": np.full(5, -100.0)},
-    Response.BRAKE_AND_REFUSE: {"switch_closed": closed("DRT_1")["switch_closed"]},
+    Response.BRAKE_AND_REFUSE: {"switch_closed": closed("drt_1")["switch_closed"]},
     Response.POWER_OFF: {"winding_C": np.full(5, 150.0)},
 }
 
@@ -318,7 +318,7 @@ def test_an_arm_beyond_a_soft_limit_can_be_cleared_and_moved_back(joint, end):
 def test_a_fault_holds_what_is_read_but_no_farther_from_the_set_point_than_a_motor_may_follow(joint, off_rad):
     rig = moving()
     last = rig.state.move.setpoint.motor_rad
-    rig.cycle(**off_set_point(rig, joint, off_rad), switch_closed=closed("DRT_1")["switch_closed"])
+    rig.cycle(**off_set_point(rig, joint, off_rad), switch_closed=closed("drt_1")["switch_closed"])
     assert rig.state.mode is Mode.FAULTED
     held = rig.state.move.setpoint.motor_rad - last
     bound = BOUNDS.following_error_rad

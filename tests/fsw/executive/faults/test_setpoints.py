@@ -13,7 +13,7 @@ from fsw.motion.paths import Setpoint
 from tests.fsw.rig import Rig, config_of, facing, floats
 
 CONFIG = config_of()
-START = facing(CONFIG, "APXS")
+START = facing(CONFIG, "apxs")
 
 
 def at(joint, value, pose=START):

@@ -81,7 +81,7 @@ def assert_safe(rig):
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 1.0]))
 def test_random_sensors_and_commands_never_make_the_arm_unsafe(seed, trouble):
     rng = np.random.default_rng(seed)
-    start = facing(CONFIG, "APXS") if rng.random() < 0.5 else in_limits(CONFIG, rng, 1)[:, 0]
+    start = facing(CONFIG, "apxs") if rng.random() < 0.5 else in_limits(CONFIG, rng, 1)[:, 0]
     rig = Rig(CONFIG, Mode(rng.integers(2)), start)
     for _ in range(CYCLES):
         commands = (command(rng, rig),) if rng.random() < 0.06 else ()

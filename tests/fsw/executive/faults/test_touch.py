@@ -34,8 +34,8 @@ def test_a_contact_in_free_space_faults_at_once(switch):
 
 def test_a_contact_while_the_arm_stands_deployed_faults():
     rig = Rig(CONFIG, start_rad=START)
-    rig.cycle(**closed("DRT_2"))
-    assert ContactInFreeSpace("DRT_2") in rig.evrs
+    rig.cycle(**closed("drt_2"))
+    assert ContactInFreeSpace("drt_2") in rig.evrs
 
 
 @pytest.mark.parametrize("tool", [tool for tool in TOOLS if TOOL_SWITCHES[tool]])
@@ -61,71 +61,71 @@ def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
 
 
 def test_a_contact_that_is_lost_while_it_is_made_firm_stops_the_move():
-    rig = in_guarded_motion("APXS")
-    rig.cycle(**closed("APXS_1"))
+    rig = in_guarded_motion("apxs")
+    rig.cycle(**closed("apxs_1"))
     rig.run()
     assert found(rig, ContactLost)
     assert CommandAborted("GuardedMove") in rig.evrs
 
 
 def test_a_stop_while_a_contact_is_made_firm_keeps_what_it_presses_with():
-    rig = in_guarded_motion("APXS")
+    rig = in_guarded_motion("apxs")
     for _ in range(150):
-        rig.cycle(**closed("APXS_1"))
-    rig.run(Stop(), **closed("APXS_1"))
+        rig.cycle(**closed("apxs_1"))
+    rig.run(Stop(), **closed("apxs_1"))
     assert rig.state.mode is Mode.GUARDED
     assert CONFIG.params.motion.switch_force_N <= rig.state.preload.force_N < holding_force_N(CONFIG)
 
 
 def test_a_guarded_move_that_touches_before_it_moves_presses_no_further():
-    rig = in_guarded_motion("APXS")
-    rig.run(**closed("APXS_1"))
+    rig = in_guarded_motion("apxs")
+    rig.run(**closed("apxs_1"))
     pressing, motor_rad = rig.state.preload, rig.state.joints.motor_rad
-    rig.run(rig.touch("APXS", 0.05), **closed("APXS_1"))
+    rig.run(rig.touch("apxs", 0.05), **closed("apxs_1"))
     assert rig.state.preload is pressing
     assert rig.state.joints.motor_rad == pytest.approx(motor_rad, abs=CONFIG.params.motion.settle_error_rad)
 
 
 def test_a_touch_that_may_not_press_stays_where_its_switch_closed(monkeypatch):
     monkeypatch.setattr("fsw.motion.move.plan_preload", lambda *_: Refusal("for this test"))
-    rig = in_guarded_motion("APXS")
-    rig.cycle(**closed("APXS_1"))
-    rig.run(**closed("APXS_1"))
+    rig = in_guarded_motion("apxs")
+    rig.cycle(**closed("apxs_1"))
+    rig.run(**closed("apxs_1"))
     assert CommandCompleted("GuardedMove") in rig.evrs
     assert rig.state.preload is None
 
 
 def test_a_touch_can_be_released_before_it_is_pressed():
-    rig = in_guarded_motion("APXS")
-    rig.run(**closed("APXS_1"))
-    rig.run(Preload("APXS", 0.0), **closed("APXS_1"))
+    rig = in_guarded_motion("apxs")
+    rig.run(**closed("apxs_1"))
+    rig.run(Preload("apxs", 0.0), **closed("apxs_1"))
     assert CommandCompleted("Preload") in rig.evrs
     assert rig.state.preload.force_N == 0.0
 
 
 def test_a_fault_by_the_contact_of_another_tool_ends_what_the_first_pressed_with():
-    rig = in_guarded_motion("APXS")
-    rig.run(**closed("APXS_1"))
-    rig.cycle(**closed("DRT_1"))
-    rig.run(**closed("DRT_1"))
-    rig.run(ClearFault(), **closed("DRT_1"))
-    assert rig.state.tool == "DRT"
+    rig = in_guarded_motion("apxs")
+    rig.run(**closed("apxs_1"))
+    rig.cycle(**closed("drt_1"))
+    rig.run(**closed("drt_1"))
+    rig.run(ClearFault(), **closed("drt_1"))
+    assert rig.state.tool == "drt"
     assert rig.state.preload is None
 
 
 def test_the_travel_at_contact_is_how_far_the_tool_went():
     rig = Rig(CONFIG, start_rad=START)
-    start = rig.tool_pose("APXS").p
-    rig.until_moving(rig.touch("APXS", 0.05), cycles=300)
-    rig.cycle(**closed("APXS_2"))
+    start = rig.tool_pose("apxs").p
+    rig.until_moving(rig.touch("apxs", 0.05), cycles=300)
+    rig.cycle(**closed("apxs_2"))
     (evr,) = found(rig, ContactMade)
-    went = np.linalg.norm(rig.tool_pose("APXS").p - start)
+    went = np.linalg.norm(rig.tool_pose("apxs").p - start)
     assert evr.travel_m == pytest.approx(went, abs=3e-4)
 
 
-@pytest.mark.parametrize("switch", [s for s in SWITCHES if s not in TOOL_SWITCHES["APXS"]])
+@pytest.mark.parametrize("switch", [s for s in SWITCHES if s not in TOOL_SWITCHES["apxs"]])
 def test_the_contact_of_another_tool_in_a_guarded_move_is_a_fault(switch):
-    rig = in_guarded_motion("APXS")
+    rig = in_guarded_motion("apxs")
     rig.cycle(**closed(switch))
     assert ContactInFreeSpace(switch) in rig.evrs
     assert rig.state.mode is Mode.FAULTED
@@ -134,7 +134,7 @@ def test_the_contact_of_another_tool_in_a_guarded_move_is_a_fault(switch):
 def test_no_contact_to_the_end_of_the_travel_is_a_fault_with_brakes():
     rig = Rig(CONFIG, start_rad=START)
     rig.evrs.clear()
-    rig.cycle(rig.touch("APXS", 0.03))
+    rig.cycle(rig.touch("apxs", 0.03))
     while rig.state.mode is Mode.GUARDED:
         rig.cycle()
     (evr,) = found(rig, NoContact)
@@ -146,17 +146,17 @@ def test_no_contact_to_the_end_of_the_travel_is_a_fault_with_brakes():
     assert rig.state.mode is Mode.FAULTED
     assert not rig.outputs.drive.power_on.any()
     rig.run(ClearFault())
-    assert CommandCompleted("Retract") in rig.run(Retract("APXS", 0.02))
+    assert CommandCompleted("Retract") in rig.run(Retract("apxs", 0.02))
 
 
 def test_an_arm_that_faulted_in_contact_can_be_cleared_and_then_retracted():
     rig = in_guarded_motion()
-    contact = closed("APXS_1")
+    contact = closed("apxs_1")
     rig.run(**contact)
     rig.cycle(**contact, current_A=[np.nan] * 5)
     rig.cycle(ClearFault(), **contact)
     assert rig.state.mode is Mode.GUARDED
-    rig.cycle(Retract("APXS", 0.02), **contact)
+    rig.cycle(Retract("apxs", 0.02), **contact)
     for _ in range(30):
         rig.cycle(**contact)
     assert CommandCompleted("Retract") in rig.run()

@@ -122,7 +122,7 @@ def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording
     assert AffectedMotions((GearStiffness(Joint.ELBOW, 1.1),))(touch)
     assert AffectedMotions((TurretMass(1.0),))(touch)
     assert not AffectedMotions((LinkLength(Frame.ARM3, "x", 1e-3),))(touch)
-    assert not AffectedMotions((ToolOffset("DRILL", "x", 1e-3),))(touch)
+    assert not AffectedMotions((ToolOffset("drill", "x", 1e-3),))(touch)
 
 
 def test_no_tick_after_the_last_bin_influences_a_feature(recordings: list[Recording]) -> None:
