@@ -65,7 +65,7 @@ def show_arm(request: ArmShowRequest) -> ArmLayout:
     }
     for tool in model.params.tool_names:
         X = tool_pose(config.arm, frames, tool)
-        placed[tool.lower()] = Pose(X.R[:, :, 0], X.p[:, 0])
+        placed[tool] = Pose(X.R[:, :, 0], X.p[:, 0])
     return ArmLayout(model, config, output, placed)
 
 
@@ -172,10 +172,10 @@ def _draw_turret(axes: Any, layout: ArmLayout) -> None:
     axes.plot(0.0, 0.0, "o", color=svg.INK)
     axes.annotate("Arm6", (0.0, 0.0), xytext=(6, 6), textcoords="offset points")
     for tool in layout.model.params.tool_names:
-        X = layout.X_RF[tool.lower()]
+        X = layout.X_RF[tool]
         R, p = turret.R.T @ X.R, turret.R.T @ (X.p - turret.p)
         axes.plot((0.0, p[0]), (0.0, p[1]), color=svg.FAINT)
-        _draw_triad(axes, Pose(R[:2], p[:2]), tool.lower(), is_above=True)
+        _draw_triad(axes, Pose(R[:2], p[:2]), tool, is_above=True)
     axes.set(title="Tools, in Arm6, along its z axis", xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.margins(0.25)
 

@@ -114,7 +114,7 @@ def test_the_camera_of_a_target_sees_the_whole_arm_and_the_rock(seed: int) -> No
     arm = configure(nominal_params()).arm
     p_N_m, angles = random_targets(np.random.default_rng(seed), 1)
     approach = approach_from(angles)
-    found = inverse_kinematics(arm, "APXS", p_R_from_N(p_N_m.T).T, approach)
+    found = inverse_kinematics(arm, "apxs", p_R_from_N(p_N_m.T).T, approach)
     spec = build(World(), for_pictures=True)
     add_rock(spec, p_N_m[:, 0], -approach[:, 0])
     model = spec.compile()

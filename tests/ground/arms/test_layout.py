@@ -21,7 +21,7 @@ def test_frames_are_where_the_kinematics_of_the_rigid_arm_place_them(name):
     frames = forward(arm, layout.output_rad[:, None])
     assert np.array_equal(layout.X_RF["arm6"].p, frames.X_RF.p[:, 5, 0])
     for tool in arm.X_FT:
-        assert np.array_equal(layout.X_RF[tool.lower()].p, tool_pose(arm, frames, tool).p[:, 0])
+        assert np.array_equal(layout.X_RF[tool].p, tool_pose(arm, frames, tool).p[:, 0])
     json.dumps(layout_json(layout), allow_nan=False)
 
 
