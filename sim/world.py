@@ -26,6 +26,12 @@ MAX_TILT_RAD: Final = float(np.radians(30.0))
 REQUIRED_MUJOCO: Final = "4.0.1"
 ROCK_RADIUS_M: Final = 0.1
 ROCK_HALF_DEPTH_M: Final = 0.04
+ROCK_HEIGHT_M: Final = 0.15
+ELBOW_ABOVE_M: Final = 0.4
+"""Height above the shoulder that a picture keeps for the elbow."""
+FIELD_OF_VIEW_DEG: Final = 38.0
+CAMERA_SIDE: Final = np.array([0.9, -1.0, 0.2])
+"""Direction from the arm to the camera `target`, world axes."""
 
 
 class WrongMujoco(RuntimeError):
@@ -179,14 +185,17 @@ def add_rock(spec: mujoco.MjSpec, p_N_m: Array, normal_N: Array) -> None:
 
 
 def _add_camera(spec: mujoco.MjSpec, face: Array) -> None:
-    """Add the camera `target`, which sees face, turret and arm from the front starboard corner."""
-    eye, look_at = face + np.array([1.25, -1.0, 0.55]), face + np.array([-0.2, 0.05, 0.28])
-    back = (eye - look_at) / np.linalg.norm(eye - look_at)
+    """Add the camera `target`, which sees the whole arm and the rock from the front starboard corner."""
+    shoulder = spec.body("rmech").pos + spec.body("arm1").pos
+    lowest, highest = face - (0.0, 0.0, ROCK_HEIGHT_M), shoulder + np.array([0.0, 0.0, ELBOW_ABOVE_M])
+    middle, radius_m = 0.5 * (lowest + highest), 0.5 * float(np.linalg.norm(highest - lowest))
+    back = CAMERA_SIDE / np.linalg.norm(CAMERA_SIDE)
+    eye = middle + back * radius_m / np.sin(0.5 * np.radians(FIELD_OF_VIEW_DEG))
     right = np.cross([0.0, 0.0, 1.0], back)
     right = right / np.linalg.norm(right)
     quat = np.zeros(4)
     mujoco.mju_mat2Quat(quat, np.column_stack([right, np.cross(back, right), back]).ravel())
-    spec.worldbody.add_camera(name="target", pos=eye, quat=quat, fovy=42)
+    spec.worldbody.add_camera(name="target", pos=eye, quat=quat, fovy=FIELD_OF_VIEW_DEG)
 
 
 def lower_ground(spec: mujoco.MjSpec, height_m: float) -> None:

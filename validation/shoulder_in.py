@@ -21,6 +21,7 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle, settle_output
+from ground.calibration.campaign import PAPER_GROUPS, SHOULDER_IN_SHARE
 from ground.common.pool import Runner, in_order
 from ground.render.figures import save_figure
 from sim.arms import BuiltArm, arm_named
@@ -31,12 +32,8 @@ from sim.world import World
 from validation.options import campaign_parser, campaign_runner
 
 EXAMPLE = "example: python -m validation.shoulder_in --picture docs/shoulder-in.png"
-GROUPS: Final = ((8.0, 0.0), (8.0, 20.0), (19.0, 0.0), (19.0, 20.0))
-"""Mass of the stand-in turret [kg], roll of the rover [deg]."""
-POSES: Final = 40
+POSES: Final = PAPER_GROUPS[0].count
 """Number of poses in each group."""
-SHOULDER_IN: Final = 0.3
-"""Share of shoulder-in poses in a group."""
 MOST_LEFT: Final = 0.1
 """Largest ratio of the prediction error with the estimated side to that with the side at the hardstop."""
 WITH_SHOULDER: Final = {
@@ -70,20 +67,27 @@ def with_stand_in_turret(mass_kg: float) -> BuiltArm:
 
 def group(index: int, seed: int, poses: int, reference: Reference) -> list[Prediction]:
     """Predict one group of poses, shoulder-out and then shoulder-in."""
-    mass_kg, roll_deg = GROUPS[index]
+    mass_kg, roll_rad = _load(index)
     arm = with_stand_in_turret(mass_kg)
-    world = World("earth", tilt_roll_rad=float(np.radians(roll_deg)))
+    world = World("earth", tilt_roll_rad=roll_rad)
     config = configure(arm.params)
     rng = np.random.default_rng([seed, index, 6])
-    inside = round(SHOULDER_IN * poses)
+    inside = round(SHOULDER_IN_SHARE * poses)
     shoulders = ["out"] * (poses - inside) + ["in"] * inside
     goals = [pose_in_workspace(config, rng, "drill", WITH_SHOULDER[shoulder]) for shoulder in shoulders]
     settled = visit_poses(arm, reference, world, goals, "off", seed)
     return [_predict(config, s, shoulder == "in") for s, shoulder in zip(settled, shoulders, strict=True)]
 
 
+def _load(index: int) -> tuple[float, float]:
+    """Return mass [kg] of the stand-in turret and roll [rad] of the rover of a group of the campaign."""
+    group = PAPER_GROUPS[index]
+    assert group.turret_kg is not None
+    return group.turret_kg, group.roll_rad
+
+
 def predictions(
-    seed: int, run: Runner, poses: int = POSES, groups: int = len(GROUPS)
+    seed: int, run: Runner, poses: int = POSES, groups: int = len(PAPER_GROUPS)
 ) -> list[list[Prediction]]:
     """Predict the first groups, or all."""
     reference = initial_reference(arm_named("nominal"), seed)
@@ -131,11 +135,11 @@ def draw(groups: Sequence[Sequence[Prediction]], path: Path) -> None:
             inside = sum(p.shoulder_in for p in poses)
             last = (k + 1) * len(poses) + 0.5
             axes.axvspan(last - inside, last, color="0.92", label="shoulder-in" if k == 0 else None)
-            mass_kg, roll_deg = GROUPS[k]
+            mass_kg, roll_rad = _load(k)
             axes.text(
                 k * len(poses) + 1,
                 0.97,
-                f"{mass_kg:g} kg, roll {roll_deg:g} deg",
+                f"{mass_kg:g} kg, roll {np.degrees(roll_rad):.0f} deg",
                 va="top",
                 fontsize=8,
                 transform=axes.get_xaxis_transform(),
@@ -162,11 +166,11 @@ def main() -> int:
     parser.add_argument("--picture", type=Path, help="file for the picture, .png")
     parser.add_argument("--poses", type=int, default=POSES, help="poses in each group (default %(default)s)")
     parser.add_argument(
-        "--groups", type=int, default=len(GROUPS), help="number of groups (default %(default)s)"
+        "--groups", type=int, default=len(PAPER_GROUPS), help="number of groups (default %(default)s)"
     )
     options = parser.parse_args()
-    if not 1 <= options.groups <= len(GROUPS):
-        parser.error(f"groups: {options.groups} is not within 1 .. {len(GROUPS)}")
+    if not 1 <= options.groups <= len(PAPER_GROUPS):
+        parser.error(f"groups: {options.groups} is not within 1 .. {len(PAPER_GROUPS)}")
     if options.poses < 2 or options.seed < 0:
         parser.error("poses are 2 or more, the seed is not negative")
     groups = predictions(options.seed, campaign_runner(options), options.poses, options.groups)

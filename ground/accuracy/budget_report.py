@@ -8,7 +8,9 @@ import numpy as np
 from rich.table import Table
 
 from fsw.dictionary.enums import Frame
-from ground.accuracy.budget import COMPONENTS, Budget, BudgetReport
+from ground.accuracy.budget import ALL, COMPONENTS, Budget, BudgetReport
+from ground.accuracy.combine import COVERAGE
+from ground.accuracy.confidence import min_sample_size
 from ground.accuracy.reproduce import MagnitudeFit
 from ground.accuracy.sources import sources_sha256
 from ground.common.command_text import command_text
@@ -25,8 +27,8 @@ WHEN: Final = {
     "mars-repeatability": "on Mars",
 }
 """Words for the cases that the paper has requirements for."""
-FRAME_COLOURS: Final = ("#4e79a7", "#f28e2b", "#76b7b2", "#e15759", "#59a14f", "#b07aa1", "#9c755f")
-"""Colours that are distinct in the light and in the dark."""
+FRAME_COLOURS: Final = ("#482878", "#3e4a89", "#31688e", "#21918c", "#35b779", "#90d743", "#fde725")
+"""Colours from the base to the tool that grow brighter, so that all readers can tell them apart."""
 CELLS: Final = 14
 """Number of cells along each side of the map."""
 
@@ -46,6 +48,7 @@ def budget_json(report: BudgetReport) -> dict[str, Any]:
                 "required": row.required,
                 "paper": row.estimated,
                 "ours": value,
+                "ratio": value / row.estimated,
             }
             for row, value in report.rows
         ],
@@ -101,7 +104,7 @@ def format_value(component: str, value: float) -> str:
     return f"{degrees(value):.2f} deg" if component.endswith("_rad") else f"{value * 1e3:.1f} mm"
 
 
-def budget_table(report: BudgetReport) -> None:
+def budget_table(report: BudgetReport, picture_problem: str | None) -> None:
     """Print the paper's rows beside ours, the shares of the sources, and the other combination rules."""
     console = plain_console()
     console.print(_rows(report))
@@ -112,17 +115,19 @@ def budget_table(report: BudgetReport) -> None:
         console.print(_reproduced(found))
     if report.request.report is not None:
         console.print(f"report  {report.request.report}")
+    if report.request.picture is not None:
+        console.print(f"picture  {picture_problem or report.request.picture}")
 
 
 def _rows(report: BudgetReport) -> Table:
     request = report.request
     title = f"Error budget by the paper's rule, {request.poses} poses, tool {request.tool}"
     table = Table(title=title, title_justify="left")
-    for name in ("", "case", "required", "paper", "ours"):
+    for name in ("", "case", "required", "paper", "ours", "ratio"):
         table.add_column(name, justify="left" if name in ("", "case") else "right")
     for row, value in report.rows:
         limits = (format_value(row.component, v) for v in (row.required, row.estimated, value))
-        table.add_row(row.name, row.case, *limits)
+        table.add_row(row.name, row.case, *limits, f"{value / row.estimated:.2f}")
     return table
 
 
@@ -170,12 +175,14 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
     Raises:
         BadOutput: The file cannot be written.
     """
+    poses, enough = report.request.poses, min_sample_size(COVERAGE)
+    sample = f"{poses} poses" if poses >= enough else f"{poses} of {enough} poses"
     requirements = [
         Requirement(
             f"{row.name} {WHEN[row.case]}",
             f"± {format_value(row.component, row.required)}",
-            f"± {format_value(row.component, value)}",
-            value <= row.required,
+            f"± {format_value(row.component, value)}, {sample}",
+            False if value > row.required else True if poses >= enough else None,
         )
         for row, value in report.rows
     ]
@@ -185,6 +192,7 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
             WHEN[row.case],
             format_value(row.component, row.estimated),
             format_value(row.component, value),
+            f"{value / row.estimated:.2f}",
         )
         for row, value in report.rows
     ]
@@ -195,7 +203,7 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
             "the paper's rule."
         ),
         heading("Beside the paper"),
-        table(("", "", "paper", "ours"), rows),
+        table(("", "", "paper", "ours", "ours to the paper's"), rows),
         *(part for budget in report.budgets.values() for part in _case(budget)),
         heading("Sources"),
         table(("source", "", "kind", "basis"), sources),
@@ -213,7 +221,8 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
 def _poses(report: BudgetReport) -> str:
     request = report.request
     place = request.gravity.title()
-    return f"{request.poses} poses over the workspace, tool {request.tool}, gravity of {place}."
+    tools = "all tools" if request.tool == ALL else f"tool {request.tool}"
+    return f"{request.poses} poses over the workspace, {tools}, gravity of {place}."
 
 
 def _case(budget: Budget) -> list[str]:
@@ -231,8 +240,49 @@ def _case(budget: Budget) -> list[str]:
     ]
 
 
+def save_budget_picture(report: BudgetReport, path: Path) -> str | None:
+    """Save the rows beside the paper's and the shares of the sources as PNG.
+
+    Returns:
+        The reason why there is no picture, or None.
+
+    Raises:
+        BadOutput: The file cannot be written.
+    """
+
+    def draw(figure: Any) -> None:
+        figure.suptitle(f"Error budget by the paper's rule. {_poses(report)}")
+        accuracies = [name for name in report.budgets if "repeatability" not in name] or [*report.budgets]
+        rows, *shares = figure.subplots(1, 1 + len(accuracies))
+        _draw_rows(rows, report)
+        for axes, name in zip(shares, accuracies, strict=True):
+            _draw_bars(axes, report.budgets[name])
+            axes.set_title(f"Shares of the total, {WHEN[name]}")
+
+    cases = sum("repeatability" not in name for name in report.budgets) or len(report.budgets)
+    return svg.save_png(path, (4.6 * (1 + cases), 4.4), draw)
+
+
+def _draw_rows(axes: Any, report: BudgetReport) -> None:
+    """Draw the rows of positions: required, the paper's, ours."""
+    rows = [(row, value) for row, value in report.rows if not row.component.endswith("_rad")]
+    at = np.arange(len(rows))
+    names = [f"{row.name.replace(' position', '')},\n{WHEN[row.case]}" for row, _ in rows]
+    axes.barh(at + 0.2, [1e3 * row.estimated for row, _ in rows], 0.38, color=svg.LIGHT, label="paper")
+    axes.barh(at - 0.2, [1e3 * value for _, value in rows], 0.38, color=svg.BLUE, label="ours")
+    required = [1e3 * row.required for row, _ in rows]
+    axes.plot(required, at, "|", color=svg.RED, markersize=22, markeredgewidth=2.0, label="required")
+    axes.set_yticks(at, names)
+    axes.invert_yaxis()
+    axes.set(title="Tables 3 and 4", xlabel="plus or minus [mm]", xlim=(0, None))
+    axes.legend(loc="lower right")
+
+
 def _draw_shares(figure: Any, budget: Budget) -> None:
-    bars = figure.subplots()
+    _draw_bars(figure.subplots(), budget)
+
+
+def _draw_bars(bars: Any, budget: Budget) -> None:
     share = budget.share_m * 1e3
     order = np.argsort(share.sum(axis=1))
     names = [name.replace("_", " ") for name in budget.case.sources]

@@ -145,11 +145,12 @@ def quantile_interval(values: Array, share: float, count: int) -> Interval:
         count: Number of independent values.
 
     Returns:
-        Lower and upper end; infinite if there are too few values.
+        Lower and upper end around the quantile of these values; the upper one is infinite for too few values.
     """
     tail = (1 - CONFIDENCE) / 2
     below, most = (int(binom.ppf(p, count, share)) for p in (tail, 1 - tail))
     # binomial bounds of the number of values below the quantile give the ranks of the interval
-    low = float(np.quantile(values, (below - 1) / max(count - 1, 1))) if below > 0 else -np.inf
+    # several values of one arm: their own quantile may be below the value of that rank
+    low = float(np.quantile(values, min((below - 1) / max(count - 1, 1), share))) if below > 0 else -np.inf
     high = float(np.quantile(values, most / (count - 1))) if most < count else np.inf
     return low, high

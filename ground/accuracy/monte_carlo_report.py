@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from matplotlib.ticker import NullFormatter
 from rich.console import Console
 from rich.table import Table
 
@@ -208,7 +209,9 @@ def sigma_rows(report: MonteCarloReport) -> list[tuple[str, ...]]:
 
 
 def _three_sigma(report: MonteCarloReport) -> Table:
-    table = Table(title="Three sigma, and its upper bound with 95 % confidence", title_justify="left")
+    sample = f"{len(report.trials)} arms, {report.request.places} places each"
+    title = f"Three sigma, and its upper bound with 95 % confidence: {sample}"
+    table = Table(title=title, title_justify="left")
     for name in SIGMA_HEAD:
         table.add_column(name, justify="left" if name == "three sigma" else "right")
     for row in sigma_rows(report):
@@ -234,32 +237,45 @@ def list_requirements(report: MonteCarloReport) -> list[Requirement]:
     """List the requirements that this result decides: of the paper, of the budget, and that arms move.
 
     With several places of each arm, accuracy and repeatability are upper bounds of three sigma with 95 %
-    confidence; else accuracy is the length that 99.73 % of the errors do not exceed.
+    confidence; else accuracy is the length that 99.73 % of the errors do not exceed. A sample that is too
+    small for a bound decides nothing.
     """
     trials, count = len(report.trials), len(report.trials) + len(report.failed)
     found = [Requirement("every arm completes its moves", f"{count} arms", f"{trials}", trials == count)]
     if report.coverage is None:
         return found
+    enough = min_sample_size(COVERAGE)
+    sample = f"{trials} arms" if report.three_sigma or trials >= enough else f"{trials} of {enough} arms"
     for row in (*TABLE_3, *TABLE_4):
         is_same_day = row.case == REPEATABILITY_OF.get(report.request.case)
         if report.three_sigma is not None and (row.case == report.request.case or is_same_day):
             measured = report.three_sigma[row.component]
             value = (measured.repeatability if is_same_day else measured.accuracy).upper
             what = "three sigma, upper bound with 95 % confidence"
+            passed: bool | None = value <= row.required
         elif row.case == report.request.case:
             value = report.coverage.percentile[row.component]
             what = f"not exceeded by {100 * COVERAGE:.2f} % of errors"
+            passed = is_within(report.coverage.percentile_interval[row.component], row.required)
         else:
             continue
         bound, shown = (f"± {format_value(row.component, v)}" for v in (row.required, value))
-        found.append(Requirement(f"{row.name}, {what}", bound, shown, value <= row.required))
+        found.append(Requirement(f"{row.name}, {what}", bound, f"{shown}, {sample}", passed))
     covered = report.coverage.by_rule[MOMENTS]
     least = min(covered[name].share for name in COMPONENTS)
     holds: bool | None = all(covered[name].holds(COVERAGE) for name in COMPONENTS)
-    if holds and trials < min_sample_size(COVERAGE):
+    shown = f"{100 * least:.2f} %, {trials} arms"
+    if holds and trials < enough:
         holds = None  # so few arms refute a rule, but do not confirm it
+        shown = f"{100 * least:.2f} %, {trials} of {enough} arms"
     text = "the budget, by moments, covers the errors"
-    return [*found, Requirement(text, f"{100 * COVERAGE:.2f} %", f"{100 * least:.2f} %", holds)]
+    return [*found, Requirement(text, f"{100 * COVERAGE:.2f} %", shown, holds)]
+
+
+def is_within(interval: Interval, bound: float) -> bool | None:
+    """Return whether a value with this interval stays within a bound; None if the interval holds it."""
+    low, high = interval
+    return True if high <= bound else False if low > bound else None
 
 
 def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
@@ -290,7 +306,8 @@ def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
             paragraph(additivity_sentence(found)),
         ]
     if report.three_sigma is not None:
-        parts += [heading("Accuracy and repeatability"), table(SIGMA_HEAD, sigma_rows(report))]
+        sample = f"{len(report.trials)} arms, {request.places} places each"
+        parts += [heading(f"Accuracy and repeatability: {sample}"), table(SIGMA_HEAD, sigma_rows(report))]
     digests = {
         "parameters": report.params_sha256,
         "sources of error": sources_sha256(),
@@ -318,5 +335,7 @@ def _draw(figure: Any, found: CoverageReport, name: str) -> None:
     axes.axvline(within, color=svg.INK, linestyle=":", zorder=5, label="99.73 % of the errors")
     for rule, value in estimates.items():
         axes.axvline(value, color=COLOURS[rule], label=rule)
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set(title=name.rsplit("_", 1)[0], xlabel=unit, xlim=(0, top), ylabel="moves", ylim=(0.7, None))
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)

@@ -27,6 +27,7 @@ REPEAT_AXIAL_RAD: Final = radians(2.0)
 POSES_A_TOOL: Final = 300
 ROW_TOLERANCE: Final = 0.01
 """A relative error of a row by this share costs as much as a change of a magnitude by a factor of e."""
+SHARE: Final = "share"
 SourcePart = tuple[str, str]
 """Name of a source, and name of a part of its magnitudes."""
 
@@ -138,9 +139,14 @@ def _over_frames(sensitivity: list[Sensitivity], source: ErrorSource) -> Array:
 
 
 def _parts(source: ErrorSource) -> dict[str, ErrorSource]:
-    """Split a source without a document into rotations and translations, of the arm and of the tool frame."""
-    if source.relative_to != "frames" or source.label == "S":
+    """Split a source without a document into rotations and translations, of the arm and of the tool frame.
+
+    A source relative to load or temperature has one part, its share.
+    """
+    if source.label == "S":
         return {}
+    if source.relative_to != "frames":
+        return {SHARE: source}
     arm = tuple(frame for frame in Frame if frame is not Frame.TOOL)
     parts = {
         f"{what}, {where}": replace(source, at=_select_frames(source, frames, what))
@@ -165,5 +171,7 @@ def _select_frames(source: ErrorSource, frames: tuple[Frame, ...], what: str) ->
 
 
 def _magnitude(source: ErrorSource, part: str, factor: float) -> tuple[float, str]:
+    if part == SHARE:
+        return factor * source.share * 1e2, "%"
     theta = _parts(source)[part].theta
     return float(theta.max() * 1e3 * factor), "mrad" if part.startswith("rotation") else "mm"

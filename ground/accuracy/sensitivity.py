@@ -81,9 +81,9 @@ class Sensitivity:
                 where = np.nonzero(theta)
                 return self.J[:, where[0], where[1]] * theta[where][:, None]
             case "load":
-                return source.share * self.deflection
+                return source.share_by_frame[:, None] * self.deflection
             case "temperature":
-                return source.share * source.warming_K * self.expansion_1_K
+                return source.share_by_frame[:, None] * source.warming_K * self.expansion_1_K
 
     def errors_by_frame(self, source: ErrorSource) -> Array:
         """Compute the absolute errors |J| theta of a source at each frame, shape (6, 7, n)."""

@@ -10,7 +10,7 @@ from functools import cache
 from hashlib import sha256
 from importlib import resources
 from importlib.resources.abc import Traversable
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -36,6 +36,7 @@ EffectName = Literal[
 ]
 
 FrameName = Literal["arm1", "arm2", "arm3", "arm4", "arm5", "arm6", "tool"]
+FRAME_NAMES: Final[tuple[FrameName, ...]] = get_args(FrameName)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +65,15 @@ class ErrorSource:
     relative_to: Literal["frames", "load", "temperature"] = "frames"
     """Reference of the magnitude: none, the deflection under load, or the expansion by warming."""
     at: tuple[FrameMagnitude, ...] = ()
+    frames: tuple[FrameName, ...] = FRAME_NAMES
+    """Frames of an error relative to load or temperature."""
     share: float = 0.0
     warming_K: float = 0.0
+
+    @property
+    def share_by_frame(self) -> Array:
+        """Compute the share at each frame, shape (7,); zero at other frames than those of the source."""
+        return self.share * np.array([frame.name.lower() in self.frames for frame in Frame])
 
     @property
     def theta(self) -> Array:

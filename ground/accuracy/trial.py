@@ -35,7 +35,15 @@ from sim.initialisation import RANDOM_TEMPERATURE_C, initial_reference, true_ref
 
 Z_TURN = 2
 """Index of the rotation about z in a screw."""
-ARM_SOURCES: Final = ("assembly", "calibration", "deflection", "zero_offset", "backlash", "distortion_bulk")
+ARM_SOURCES: Final = (
+    "assembly",
+    "calibration",
+    "deflection",
+    "rover_stiffness",
+    "zero_offset",
+    "backlash",
+    "distortion_bulk",
+)
 """Sources that a built, calibrated and initialised arm has itself."""
 
 
@@ -56,7 +64,7 @@ def sample_source(
 
     Backlash without compensation keeps its width. With compensation, the factor is the error of the width.
     """
-    theta, share = factor * source.theta, factor * source.share
+    theta, share = factor * source.theta, factor * source.share_by_frame
     match source.effect:
         case "frame error":
             for frame in _frames(theta):
@@ -81,8 +89,8 @@ def sample_source(
             )
             yield from (BacklashWidth(joint, float(width_factor[joint])) for joint in Joint)
         case "stiffness":
-            stiffness_factor = 1 / (1 + share * sample_errors(source.distribution, len(Joint), rng))
-            for joint in Joint:
+            stiffness_factor = 1 / (1 + share[:5] * sample_errors(source.distribution, len(Joint), rng))
+            for joint in [joint for joint in Joint if share[joint]]:
                 yield LinkStiffness(Frame(joint), float(stiffness_factor[joint]))
                 yield GearStiffness(joint, float(stiffness_factor[joint]))
         case "warming":

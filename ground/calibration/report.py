@@ -97,7 +97,7 @@ def _verification_json(found: Verification) -> dict[str, Any]:
     }
 
 
-def calibration_table(report: CalibrateReport) -> None:
+def calibration_table(report: CalibrateReport, picture_problem: str | None) -> None:
     """Print the calibration: errors, encoder zeros, unidentifiable parameters and verification."""
     console = plain_console()
     found = report.found
@@ -112,6 +112,8 @@ def calibration_table(report: CalibrateReport) -> None:
         path = getattr(report.request, name)
         if path is not None:
             console.print(f"{name.replace('_', '-'):<9} {path}")
+    if report.request.picture is not None:
+        console.print(f"picture   {picture_problem or report.request.picture}")
 
 
 def describe_group(group: UnidentifiableGroup) -> str:
@@ -291,6 +293,26 @@ def save_calibration_page(report: CalibrateReport, path: Path) -> None:
     origin = Origin(command_text("calibrate", report.request), digests)
     title = f"Calibration of {found.campaign.arm_name}"
     save_page(title, "", list_requirements(report), origin, parts, path)
+
+
+def save_calibration_picture(report: CalibrateReport, path: Path) -> str | None:
+    """Save the errors of each pose before and after the calibration as PNG.
+
+    Returns:
+        The reason why there is no picture, or None.
+
+    Raises:
+        BadOutput: The file cannot be written.
+    """
+    found = report.found
+
+    def draw(figure: Any) -> None:
+        name, poses = found.campaign.arm_name, found.before.shape[1]
+        figure.suptitle(f"Calibration of {name}: {poses} poses; shaded: shoulder-in")
+        for part, half in zip((POSITION, ROTATION), figure.subfigures(1, 2), strict=True):
+            _draw_errors(half, found, part)
+
+    return svg.save_png(path, (11.0, 4.2), draw)
 
 
 def errors_without_backlash(found: Calibration) -> Array:

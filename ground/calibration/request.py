@@ -47,6 +47,10 @@ class CalibrateRequest:
     ] = None
     out: Annotated[Path | None, Option("Write flight parameters.", "FILE.toml", suffixes=(".toml",))] = None
     report: ReportOption = None
+    picture: Annotated[
+        Path | None,
+        Option("Draw the errors of each pose before and after.", "FILE.png", suffixes=(".png",)),
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from ground.common.progress import Progress
 
 @verb
 def budget(request: BudgetRequest, progress: Progress) -> VerbResult:
-    """Predict the accuracy of the arm before it is built, from ten sources of error at seven frames.
+    """Predict the accuracy of the arm before it is built, from eleven sources of error at seven frames.
 
     Every source is a small rotation or translation of some frames. It is propagated to the tool over the
     primary workspace. The bound of 99.73 percent of the poses is compared with the paper's tables.
@@ -15,12 +15,20 @@ def budget(request: BudgetRequest, progress: Progress) -> VerbResult:
     Example: marsarm budget --case accuracy --tool apxs --report budget.html
     """
     from ground.accuracy.budget import run_budget
-    from ground.accuracy.budget_report import budget_json, budget_table, save_budget_page
+    from ground.accuracy.budget_report import (
+        budget_json,
+        budget_table,
+        save_budget_page,
+        save_budget_picture,
+    )
 
     result = run_budget(request, progress)
+    problem = None if request.picture is None else save_budget_picture(result, request.picture)
     if request.report is not None:
         save_budget_page(result, request.report)
-    return VerbResult(budget_json(result), lambda: budget_table(result))
+    return VerbResult(
+        {**budget_json(result), "picture_problem": problem}, lambda: budget_table(result, problem)
+    )
 
 
 @verb

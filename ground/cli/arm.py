@@ -1,12 +1,12 @@
-"""Define the verbs `arm list` and `arm build`."""
+"""Define the verbs `arm list`, `arm show` and `arm build`."""
 
 import typer
 
-from ground.arms.request import ArmBuildRequest
+from ground.arms.request import ArmBuildRequest, ArmShowRequest
 from ground.cli.verb import VerbResult, verb
 
 arm_app = typer.Typer(
-    help="List arms, and build the files of an arm from its arm.toml.", no_args_is_help=True
+    help="List and show arms, and build the files of an arm from its arm.toml.", no_args_is_help=True
 )
 
 
@@ -22,6 +22,23 @@ def list_arms() -> VerbResult:
 
     models = [load_arm(name) for name in arm_names()]
     return VerbResult({"arms": [describe_arm(model) for model in models]}, lambda: arms_table(models))
+
+
+@arm_app.command("show")
+@verb
+def show(request: ArmShowRequest) -> VerbResult:
+    """Show the links, joints and frames of an arm at its pose above the workspace.
+
+    Example: marsarm arm show m2020 --picture m2020-layout.png
+    """
+    from ground.arms.layout import layout_json, layout_table, save_layout_picture, show_arm
+
+    layout, picture = show_arm(request), request.picture
+    problem = None if picture is None else save_layout_picture(layout, picture)
+    return VerbResult(
+        {**layout_json(layout), "picture_problem": problem},
+        lambda: layout_table(layout, picture, problem),
+    )
 
 
 @arm_app.command("build")

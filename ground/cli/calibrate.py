@@ -32,9 +32,17 @@ def calibrate(request: CalibrateRequest, progress: Progress) -> VerbResult:
     Example: marsarm calibrate --arm as-built:7 --out arm7.toml --verify 10 --report calibration.html
     """
     from ground.calibration.execution import run_calibration
-    from ground.calibration.report import calibration_json, calibration_table, save_calibration_page
+    from ground.calibration.report import (
+        calibration_json,
+        calibration_table,
+        save_calibration_page,
+        save_calibration_picture,
+    )
 
     result = run_calibration(request, progress)
+    problem = None if request.picture is None else save_calibration_picture(result, request.picture)
     if request.report is not None:
         save_calibration_page(result, request.report)
-    return VerbResult(calibration_json(result), lambda: calibration_table(result))
+    return VerbResult(
+        {**calibration_json(result), "picture_problem": problem}, lambda: calibration_table(result, problem)
+    )

@@ -51,5 +51,5 @@ def render_png(size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], N
         FigureCanvasAgg(figure)
         draw(figure)
         image = BytesIO()
-        figure.savefig(image, format="png", dpi=dpi)
+        figure.savefig(image, format="png", dpi=dpi, facecolor=figure.get_facecolor())
     return image.getvalue()

@@ -87,22 +87,20 @@ def count_met(requirements: Sequence[Requirement]) -> str:
     decided = [one for one in requirements if one.passed is not None]
     met = sum(one.passed is True for one in decided)
     count, failed, undecided = len(requirements), len(decided) - met, len(requirements) - len(decided)
-    rest = f", {undecided} {'is' if undecided == 1 else 'are'} not decided" if undecided else ""
-    if not decided:
-        return "No requirement is decided."
-    if not failed:
-        return f"Pass: {met} of {count} requirements are met{rest}."
-    return f"Fail: {failed} of {count} requirements are not met{rest}."
+    rest = f", {undecided} {'is' if undecided == 1 else 'are'} not shown" if undecided else ""
+    if failed:
+        return f"Fail: {failed} of {count} requirements are not met{rest}."
+    return f"{'Not shown' if undecided else 'Pass'}: {met} of {count} requirements are met{rest}."
 
 
 def _kind(requirements: Sequence[Requirement]) -> str:
     """Return the class in the style sheet of the worst verdict."""
     verdicts = [one.passed for one in requirements]
-    return "fail" if False in verdicts else "pass" if True in verdicts else "open"
+    return "fail" if False in verdicts else "open" if None in verdicts or not verdicts else "pass"
 
 
 def _requirement_table(requirements: Sequence[Requirement]) -> str:
-    words = {True: ("pass", "pass"), False: ("fail", "FAIL"), None: ("open", "not decided")}
+    words = {True: ("pass", "pass"), False: ("fail", "FAIL"), None: ("open", "not shown")}
     head = ("requirement", "bound", "value", "verdict")
     rows = [(one.text, one.bound, one.value, words[one.passed][1]) for one in requirements]
     return _scrolling(head, rows, [words[one.passed][0] for one in requirements])

@@ -1,32 +1,39 @@
-"""Figures as SVG inside a page, whose colours follow the style of the page.
+"""Figures of pages: as SVG inside a page, whose colours follow the page, or as PNG for documents.
 
-Functions that draw use the colours below. They are markers: in the SVG each becomes a variable of the style
-sheet, so that one figure serves a light and a dark page.
+Functions that draw use the names of colours below. In an SVG they stand for the variables of the style sheet,
+so that one figure serves a light and a dark page. In a PNG they have the values of the light page.
 """
 
 import html
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from importlib import resources
 from io import StringIO
+from pathlib import Path
 from typing import Any, Final
+
+from ground.render.figures import save_figure
 
 WIDTH_INCH: Final = 5.2
 """Width of a figure: its text is readable on a phone, and two fit beside each other on a desk."""
-INK: Final = "#010101"
-MUTED: Final = "#010102"
-FAINT: Final = "#010103"
-SHADE: Final = "#010104"
-PAPER: Final = "#010105"
-BLUE: Final = "#010106"
-RED: Final = "#010107"
-GREEN: Final = "#010108"
-AMBER: Final = "#010109"
-VIOLET: Final = "#01010a"
-LIGHT: Final = "#01010b"
-VARIABLES: Final = {
-    INK: "ink", MUTED: "muted", FAINT: "faint", SHADE: "shade", PAPER: "paper", BLUE: "blue", RED: "red",
-    GREEN: "green", AMBER: "amber", VIOLET: "violet", LIGHT: "light",
-}  # fmt: skip
+INK: Final = "page:ink"
+MUTED: Final = "page:muted"
+FAINT: Final = "page:faint"
+SHADE: Final = "page:shade"
+PAPER: Final = "page:paper"
+BLUE: Final = "page:blue"
+RED: Final = "page:red"
+GREEN: Final = "page:green"
+AMBER: Final = "page:amber"
+VIOLET: Final = "page:violet"
+LIGHT: Final = "page:light"
+MARKERS: Final = {
+    name: f"#0101{number:02x}"
+    for number, name in enumerate(
+        (INK, MUTED, FAINT, SHADE, PAPER, BLUE, RED, GREEN, AMBER, VIOLET, LIGHT), start=1
+    )
+}
+"""Colours that stand in an SVG for the variables of the style sheet."""
 STYLE: Final[Any] = {
     "svg.fonttype": "none",
     "font.size": 10.0,
@@ -61,6 +68,7 @@ def render_svg(alt: str, height_inch: float, draw: Callable[[Any], None]) -> str
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
+    _name_colours(MARKERS)
     with matplotlib.rc_context(matplotlib.rcParamsDefault | STYLE | {"svg.hashsalt": alt}):
         figure = Figure(figsize=(WIDTH_INCH, height_inch), layout="constrained")
         FigureCanvasSVG(figure)
@@ -68,6 +76,38 @@ def render_svg(alt: str, height_inch: float, draw: Callable[[Any], None]) -> str
         written = StringIO()
         figure.savefig(written, format="svg", metadata={"Date": None, "Creator": None})
     return _embed(written.getvalue(), alt)
+
+
+def save_png(path: Path, size_inch: tuple[float, float], draw: Callable[[Any], None]) -> str | None:
+    """Draw a figure of a page, and save it as PNG in the colours of the light page.
+
+    Returns:
+        None, or the reason why there is no picture: matplotlib is missing.
+
+    Raises:
+        BadOutput: The file cannot be written.
+    """
+
+    def draw_in_colours(figure: Any) -> None:
+        import matplotlib
+
+        style = resources.files("ground.render").joinpath("page.css").read_text(encoding="utf-8")
+        light = re.findall(r"--(\w+): (#\w+);", style[: style.index("@media")])
+        _name_colours({f"page:{name}": value for name, value in light})
+        paper = {"figure.facecolor": PAPER, "axes.facecolor": PAPER}
+        matplotlib.rcParams.update(STYLE | paper)
+        figure.set_facecolor(PAPER)
+        draw(figure)
+
+    return save_figure(path, size_inch, 110, draw_in_colours)
+
+
+def _name_colours(values: Mapping[str, str]) -> None:
+    import matplotlib
+
+    names = matplotlib.colors.get_named_colors_mapping()
+    for name, value in values.items():
+        names[name] = value  # `update` would keep what matplotlib has cached
 
 
 def colour_bar(figure: Any, mapped: Any, axes: Any, label: str) -> Any:
@@ -87,7 +127,7 @@ def _embed(svg: str, alt: str) -> str:
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r'<g id="[\w.]+_\d+"', "<g", body)  # numbers that repeat in each figure
     body = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font: \1px system-ui, sans-serif", body)
-    for marker, name in VARIABLES.items():
-        body = body.replace(marker, f"var(--{name})")
+    for name, marker in MARKERS.items():
+        body = body.replace(marker, f"var(--{name.removeprefix('page:')})")
     label = html.escape(alt, quote=True)
     return f'<svg viewBox="{view_box[1]}" role="img" aria-label="{label}"><title>{label}</title>{body}'

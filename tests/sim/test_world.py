@@ -4,9 +4,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from fsw.config import configure
+from fsw.kinematics.chain import forward
+from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import rotation_x, rotation_y
 from sim.frames import FLIP, P_NR_M, gravity_in_rover, p_R_from_N
-from sim.world import Surface, World, WrongMujoco, build, inside_rover
+from sim.params import nominal_params
+from sim.workspace import approach_from, random_targets
+from sim.world import Surface, World, WrongMujoco, add_rock, build, inside_rover
 from tests.sim import lab
 
 APEX = (2.1, 0.1, -0.3)
@@ -102,3 +107,26 @@ def test_another_mujoco_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mujoco, "__version__", "4.0.0")
     with pytest.raises(WrongMujoco, match=r"4\.0\.0 is installed, 4\.0\.1 is required"):
         build(World())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_camera_of_a_target_sees_the_whole_arm_and_the_rock(seed: int) -> None:
+    arm = configure(nominal_params()).arm
+    p_N_m, angles = random_targets(np.random.default_rng(seed), 1)
+    approach = approach_from(angles)
+    found = inverse_kinematics(arm, "apxs", p_R_from_N(p_N_m.T).T, approach)
+    spec = build(World(), for_pictures=True)
+    add_rock(spec, p_N_m[:, 0], -approach[:, 0])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera = model.camera("target").id
+    eye, R = data.cam_xpos[camera], data.cam_xmat[camera].reshape(3, 3)
+    upward = np.tan(0.5 * np.radians(model.cam_fovy[camera]))
+    valid = found.verdict[:, 0] == BranchVerdict.VALID
+    for output in found.output_rad[:, valid, 0].T:
+        p_R = forward(arm, output[:, None]).X_RF.p[:, :, 0].T
+        seen = (np.vstack([FLIP * (p_R + P_NR_M), FLIP * p_N_m[:, 0]]) - eye) @ R
+        across, along = np.abs(seen[:, :2]).T / -seen[:, 2]
+        assert np.all(across < 16 / 9 * upward)
+        assert np.all(along < upward)

@@ -26,6 +26,13 @@ def test_too_few_arms_do_not_tell_how_wide_a_bound_must_be():
     assert quantile_interval(np.arange(100.0), 0.9973, 100)[1] == np.inf
 
 
+@pytest.mark.parametrize("arms", [1, 3, 50, 2000])
+def test_an_interval_holds_the_quantile_of_the_values_themselves(arms):
+    values = np.random.default_rng(4).random(20 * arms)
+    low, high = quantile_interval(values, 0.9973, arms)
+    assert low <= np.quantile(values, 0.9973) <= high
+
+
 def test_as_many_arms_as_are_said_to_be_enough_just_are():
     enough = min_sample_size(0.9973)
     assert np.isfinite(quantile_interval(np.arange(float(enough)), 0.9973, enough)[1])

@@ -8,11 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fsw.config import configure
 from ground.accuracy.budget import COMPONENTS, MOMENTS
+from ground.accuracy.coverage import check_coverage
 from ground.accuracy.monte_carlo import MonteCarloReport, run_monte_carlo
-from ground.accuracy.monte_carlo_report import monte_carlo_json, save_monte_carlo_page
+from ground.accuracy.monte_carlo_report import list_requirements, monte_carlo_json, save_monte_carlo_page
 from ground.accuracy.request import MonteCarloRequest
 from ground.common.errors import BadRequest
+from sim.params import nominal_params
+from sim.world import World
 from tests.ground.command import marsarm, marsarm_process
 
 STATICS = MonteCarloRequest(arms=150, move_model="statics", seed=3, workers=1)
@@ -139,6 +143,25 @@ def test_the_page_holds_its_picture(report, tmp_path):
     text = page.read_text()
     assert text.count("<svg ") == len(COMPONENTS)
     assert "equation 13" in text
+
+
+@pytest.mark.parametrize("arms", [1, 3])
+def test_a_sample_that_is_too_small_for_a_bound_shows_nothing(arms):
+    small = run_monte_carlo(replace(STATICS, case="mars", arms=arms, places=1), quiet)
+    moved, *rows = list_requirements(small)
+    assert moved.passed
+    assert len(rows) == 4
+    assert not any(row.passed for row in rows)
+    assert all(f"{arms} of 1365 arms" in row.value for row in rows if row.passed is None)
+
+
+def test_a_sample_that_is_large_enough_shows_what_it_bounds():
+    few = run_monte_carlo(replace(STATICS, case="mars", arms=5, places=1), quiet)
+    trials = few.trials * 273
+    found = check_coverage(few.model, "mars", configure(nominal_params()), World().gravity_N_m_s2, trials)
+    enough = replace(few, trials=trials, coverage=found)
+    assert [row.passed for row in list_requirements(enough)] == [True] * 5
+    assert all("1365 arms" in row.value for row in list_requirements(enough)[1:])
 
 
 @pytest.mark.slow

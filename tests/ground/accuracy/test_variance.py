@@ -40,6 +40,15 @@ def test_estimates_are_unbiased_and_upper_bounds_hold_as_often_as_they_say(name)
         assert np.mean([s.upper >= true for s in sigmas]) > 0.92
 
 
+@pytest.mark.parametrize("arms", [2, 3])
+@pytest.mark.parametrize("name", CASES)
+def test_upper_bounds_of_few_arms_hold_as_often_as_they_say(name, arms):
+    rng, (accuracy, repeatability) = np.random.default_rng(12), true_sigmas(name)
+    found = [estimate_accuracy(campaign(rng, name, arms)) for _ in range(600)]
+    assert np.mean([f.accuracy.upper >= accuracy for f in found]) > 0.92
+    assert np.mean([f.repeatability.upper >= repeatability for f in found]) > 0.92
+
+
 def test_arms_that_are_all_the_same_differ_by_nothing():
     error = np.zeros((3, 4, 5))
     assert estimate_accuracy(error).accuracy.upper == 0.0

@@ -51,7 +51,7 @@ def test_the_page_is_one_file_with_its_pictures_in_it(table, tmp_path):
     save_calibration_page(report, tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     assert page.count("<svg ") == 3
-    assert "Pass: 5 of 6 requirements are met, 1 is not decided." in page
+    assert "Not shown: 5 of 6 requirements are met, 1 is not shown." in page
     assert "arm2.tz, arm3.tz, arm4.tz, arm5.ty" in page
     json.dumps(calibration_json(report), allow_nan=False)
 
