@@ -1,4 +1,4 @@
-"""Check what ruff does not know: retired names and keys, retired phrases, docstrings, sizes.
+"""Check what ruff does not know: docstrings and sizes.
 
 `python .ci/style.py [FOLDER ..]` prints a line for each problem, and fails if there is any.
 """
@@ -6,7 +6,6 @@
 import ast
 import re
 import sys
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -36,27 +35,18 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 def main(folders: list[str]) -> int:
     """Check the files below these folders, or the whole project."""
     chosen = tuple(folders) or ("",)
-    retired = tomllib.loads((ROOT / ".ci" / "retired.toml").read_text(encoding="utf-8"))
     problems: list[str] = []
-    modules = sorted(path for name in (*PACKAGES, "tests") for path in (ROOT / name).rglob("*.py"))
+    modules = sorted(path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
     for path in modules:
         place = path.relative_to(ROOT).as_posix()
         if place.startswith(chosen):
-            found = dict.fromkeys(check_module(place, path, retired))
+            found = dict.fromkeys(check_module(place, path))
             problems += [f"{place}:{line}: {text}" for line, text in found]
-    for path in sorted(path for name in (*PACKAGES, "models") for path in (ROOT / name).rglob("*.toml")):
-        place = path.relative_to(ROOT).as_posix()
-        if place.startswith(chosen):
-            problems += [f"{place}:{line}: {text}" for line, text in check_toml(place, path, retired)]
-    for path in (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))):
-        place = path.relative_to(ROOT).as_posix()
-        if place.startswith(chosen):
-            problems += [f"{place}:{line}: {text}" for line, text in check_page(place, path, retired)]
     print("\n".join(problems) or f"style: {len(modules)} modules in order")
     return 1 if problems else 0
 
 
-def check_module(place: str, path: Path, retired: dict[str, dict[str, str]]) -> Iterator[tuple[int, str]]:
+def check_module(place: str, path: Path) -> Iterator[tuple[int, str]]:
     """Check one module.
 
     Yields:
@@ -64,17 +54,8 @@ def check_module(place: str, path: Path, retired: dict[str, dict[str, str]]) -> 
     """
     text = path.read_text(encoding="utf-8")
     tree = ast.parse(text)
-    is_test = place.startswith("tests/")
-    if not is_test and text.count("\n") > MAX_FILE:
+    if text.count("\n") > MAX_FILE:
         yield 1, f"{text.count(chr(10))} lines, {MAX_FILE} at most"
-    for line, name in (*identifiers(tree, place), *document_keys(tree)):
-        yield from ((line, problem) for problem in name_problems(name, place, retired))
-    for line, sentence in prose(tree):
-        for phrase, instead in retired["phrases"].items():
-            if re.search(phrase, sentence):
-                yield line, f"{phrase!r} is a retired phrase; {instead}"
-    if is_test:
-        return
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | Function):
             yield from check_opening(node)
@@ -87,41 +68,6 @@ def check_module(place: str, path: Path, retired: dict[str, dict[str, str]]) -> 
         for node in (*tree.body, *(one for kind in classes for one in kind.body)):
             if isinstance(node, Function) and not node.name.startswith("_"):
                 yield from check_arguments(node)
-
-
-def check_toml(place: str, path: Path, retired: dict[str, dict[str, str]]) -> Iterator[tuple[int, str]]:
-    """Check the keys and the names of tables of a TOML file.
-
-    Yields:
-        The line and the sentence of each problem.
-    """
-    for line, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
-        found = re.match(r"\s*(?:\[+([^\]]+)\]|([\w.-]+) *=)", text)
-        for name in (found[1] or found[2]).split(".") if found else ():
-            yield from ((line, problem) for problem in name_problems(f"key:{name}", place, retired))
-
-
-def name_problems(name: str, place: str, retired: dict[str, dict[str, str]]) -> Iterator[str]:
-    """Check a name by all patterns; a key is also checked by the patterns of identifiers."""
-    for pattern, instead in retired["names"].items():
-        is_retired = re.fullmatch(pattern, name) or re.fullmatch(pattern, name.removeprefix("key:"))
-        if is_retired and not allowed(retired, pattern, place):
-            yield f"{name.removeprefix('key:')} is a retired name; {instead}"
-
-
-def check_page(place: str, path: Path, retired: dict[str, dict[str, str]]) -> Iterator[tuple[int, str]]:
-    """Check a page for retired phrases, and for retired names among its words in backquotes.
-
-    Yields:
-        The line and the sentence of each problem.
-    """
-    for line, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
-        for phrase, instead in retired["phrases"].items():
-            if path.name != "glossary.md" and re.search(phrase, text):
-                yield line, f"{phrase!r} is a retired phrase; {instead}"
-        for name in re.findall(r"`([\w.-]+)`", text):
-            for part in name.split(".") if path.name != "CHANGELOG.md" else ():
-                yield from ((line, problem) for problem in name_problems(f"key:{part}", place, retired))
 
 
 def check_opening(node: ast.Module | ast.ClassDef | Function) -> Iterator[tuple[int, str]]:
@@ -187,55 +133,12 @@ def sections(text: str) -> dict[str, dict[str, str]]:
     return found
 
 
-def identifiers(tree: ast.Module, place: str) -> Iterator[tuple[int, str]]:
-    """List the names that a module defines, and its own name."""
-    yield 1, f"module:{Path(place).stem}"
-    for node in ast.walk(tree):
-        if isinstance(node, Function | ast.ClassDef):
-            yield node.lineno, node.name
-        elif isinstance(node, ast.arg):
-            yield node.lineno, node.arg
-        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            yield node.lineno, node.id
-        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-            yield node.lineno, node.attr
-
-
-def document_keys(tree: ast.Module) -> Iterator[tuple[int, str]]:
-    """List what may be a key of a document: strings in a dict or an index, and fields of records."""
-    for node in ast.walk(tree):
-        keys: list[ast.expr | None] = []
-        if isinstance(node, ast.Dict):
-            keys = node.keys
-        elif isinstance(node, ast.Subscript):
-            keys = [node.slice]
-        elif isinstance(node, ast.ClassDef):
-            fields = [one.target for one in node.body if isinstance(one, ast.AnnAssign)]
-            yield from ((one.lineno, f"key:{one.id}") for one in fields if isinstance(one, ast.Name))
-        for key in keys:
-            if isinstance(key, ast.Constant) and isinstance(key.value, str):
-                yield key.lineno, f"key:{key.value}"
-
-
-def prose(tree: ast.Module) -> Iterator[tuple[int, str]]:
-    """List the lines of all strings with a space in them: docstrings, errors, help."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
-            for k, line in enumerate(node.value.splitlines()):
-                yield node.lineno + k, line
-
-
 def docstring_lines(node: Function) -> int:
     """Count the lines of a docstring."""
     first = node.body[0]
     if ast.get_docstring(node) is None or not isinstance(first, ast.Expr):
         return 0
     return (first.end_lineno or first.lineno) - first.lineno + 1
-
-
-def allowed(retired: dict[str, dict[str, str]], pattern: str, place: str) -> bool:
-    """Check whether a name is right in this file."""
-    return bool(re.match(retired.get("allowed", {}).get(pattern, r"(?!)"), place))
 
 
 if __name__ == "__main__":
