@@ -18,6 +18,16 @@ NUMERIC: Final = (
     *("diagnosis/residuals/noise", "diagnosis/residuals/kinds", "diagnosis/assemble", "diagnosis/diagnose"),
 )
 """Folders whose public functions say shapes and units."""
+PLAIN: Final = (
+    "fsw/collision",
+    "fsw/cycle",
+    "fsw/dictionary",
+    "fsw/estimate",
+    "fsw/executive",
+    "fsw/state",
+    "sim",
+)
+"""Folders in which no entry of Args only restates name and type; the others are to follow."""
 ARRAYS: Final = re.compile(r"\b(Array|Flags|Integers|Indices|NDArray|Pose)\b")
 SHAPE: Final = re.compile(r"\((?:\d+|[a-z]\w*|\.\.\.)(?:, ?(?:\d+|[a-z]\w*|\.\.\.))*,?\)")
 UNITS: Final = "rad|deg|m|mm|N|Nm|kg|s|A|C|K|Hz|urad|s2|share|ratio|factor"
@@ -29,6 +39,7 @@ TEXT_UNIT: Final = re.compile(
 OPENINGS: Final = ("What", "Of", "Where", "Whether", "How", "Who")
 MAX_FILE: Final = 400
 MAX_FUNCTION: Final = 60
+ARTICLES: Final = frozenset(("a", "an", "the", "of", "or", "and", "its"))
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -63,6 +74,8 @@ def check_module(place: str, path: Path) -> Iterator[tuple[int, str]]:
             length = (node.end_lineno or node.lineno) - node.lineno + 1
             if length - docstring_lines(node) > MAX_FUNCTION:
                 yield node.lineno, f"{node.name} has {length} lines, {MAX_FUNCTION} at most"
+            if place.startswith(PLAIN):
+                yield from check_restated(node)
     if place.startswith(NUMERIC):
         classes = [one for one in tree.body if isinstance(one, ast.ClassDef) and not one.name.startswith("_")]
         for node in (*tree.body, *(one for kind in classes for one in kind.body)):
@@ -86,13 +99,12 @@ def check_opening(node: ast.Module | ast.ClassDef | Function) -> Iterator[tuple[
 
 
 def check_arguments(node: Function) -> Iterator[tuple[int, str]]:
-    """Check that a function of arrays names every argument, with shapes and units, and what it returns.
+    """Check that a function of arrays describes these, with shapes and units, and what it returns.
 
     Yields:
         The line and the sentence of each problem.
     """
-    arguments = [a for a in (*node.args.args, *node.args.kwonlyargs) if a.arg not in ("self", "cls")]
-    kinds = {a.arg: ast.unparse(a.annotation) if a.annotation else "" for a in arguments}
+    kinds = types_of_arguments(node)
     returned = ast.unparse(node.returns) if node.returns else "None"
     if not any(ARRAYS.search(kind) for kind in (*kinds.values(), returned)):
         return
@@ -104,15 +116,48 @@ def check_arguments(node: Function) -> Iterator[tuple[int, str]]:
     said = sections(text)
     for name, kind in kinds.items():
         entry = said["Args"].get(name)
-        if entry is None:
+        if entry is None and ARRAYS.search(kind):
             yield node.lineno, f"{node.name}: Args does not name {name}"
-        elif ARRAYS.search(kind) and "Pose" not in kind:
+        elif entry is not None and ARRAYS.search(kind) and "Pose" not in kind:
             if not SHAPE.search(entry):
                 yield node.lineno, f"{node.name}: Args gives no shape of {name}"
             if not NAME_UNIT.search(name) and not TEXT_UNIT.search(entry):
                 yield node.lineno, f"{node.name}: Args gives no unit of {name}"
     if returned != "None" and not said["Returns"] and not said["Yields"]:
         yield node.lineno, f"{node.name}: the docstring has no Returns"
+
+
+def check_restated(node: Function) -> Iterator[tuple[int, str]]:
+    """Check that no entry of Args only restates the name and the type of its argument.
+
+    Yields:
+        The line and the sentence of each problem.
+    """
+    kinds = types_of_arguments(node)
+    for name, entry in sections(ast.get_docstring(node) or "")["Args"].items():
+        if restates(name, kinds.get(name, ""), entry):
+            yield node.lineno, f"{node.name}: Args only restates {name}; leave it out"
+
+
+def restates(name: str, kind: str, entry: str) -> bool:
+    """Return whether each word of an entry is one of the name or of the type, in singular or plural."""
+    if not re.fullmatch(r"[\w\s-]*\.?", entry):  # a unit, a shape, a value or a second clause
+        return False
+    known = set(split_words(f"{name} {kind}"))
+    return {word.removesuffix("s") for word in split_words(entry)} <= {
+        word.removesuffix("s") for word in known | ARTICLES
+    }
+
+
+def split_words(text: str) -> list[str]:
+    """Split text and identifiers into words in small letters: `JointEstimate` has two."""
+    return [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+|\d+", text)]
+
+
+def types_of_arguments(node: Function) -> dict[str, str]:
+    """Return the annotation of each argument but `self` and `cls`; empty where there is none."""
+    arguments = [a for a in (*node.args.args, *node.args.kwonlyargs) if a.arg not in ("self", "cls")]
+    return {a.arg: ast.unparse(a.annotation) if a.annotation else "" for a in arguments}
 
 
 def sections(text: str) -> dict[str, dict[str, str]]:

@@ -55,6 +55,13 @@ def problems(folder: Path, place: str, text: str) -> list[tuple[int, str]]:
             "Args gives no unit of angle",
         ),
         ("fsw/kinematics/a.py", MODULE + FUNCTION + '    """Turn it."""\n', 2, "has no Returns"),
+        (
+            "sim/a.py",
+            MODULE + "def show(j: JointEstimate) -> None:\n"
+            '    """Show it.\n\n    Args:\n        j: Estimate of the joints.\n    """\n',
+            2,
+            "Args only restates j; leave it out",
+        ),
     ],
 )
 def test_a_problem_is_told_with_its_line(tmp_path, place, text, line, expected):
