@@ -19,13 +19,8 @@ NUMERIC: Final = (
 )
 """Folders whose public functions say shapes and units."""
 PLAIN: Final = (
-    "fsw/collision",
-    "fsw/cycle",
-    "fsw/dictionary",
-    "fsw/estimate",
-    "fsw/executive",
-    "fsw/state",
-    "sim",
+    *("fsw/collision", "fsw/cycle", "fsw/dictionary", "fsw/estimate", "fsw/executive", "fsw/state"),
+    *("sim", "diagnosis", "ground", "marsarm", "validation", "examples"),
 )
 """Folders in which no entry of Args only restates name and type; the others are to follow."""
 ARRAYS: Final = re.compile(r"\b(Array|Flags|Integers|Indices|NDArray|Pose)\b")
