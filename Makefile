@@ -46,7 +46,7 @@ help:
 	@echo "make examples  run the scripts of examples/, write their pictures to docs/examples"
 	@echo "make package   build the source distribution and the wheel in dist/"
 	@echo "make cluster   compare two Ray nodes on this machine with local processes, if Ray can be installed"
-	@echo "make lint      style, types, the direction of imports, retired names and docstrings"
+	@echo "make lint      style, types, the direction of imports, docstrings"
 	@echo "make lock      choose package versions anew (needs uv)"
 	@echo "make clean     remove what the other targets made"
 
@@ -214,7 +214,7 @@ cluster: $(VENV)/ready
 
 # All six speak before any of them stops the target.
 lint: $(VENV)/ready
-	@$(call say,ruff; mypy; import-linter; names and docstrings; files made from arm.toml; requirements)
+	@$(call say,ruff; mypy; import-linter; docstrings and sizes; files made from arm.toml; requirements)
 	@failed=0; \
 	$(BIN)/ruff check --quiet --no-cache . || failed=1; \
 	$(BIN)/mypy || failed=1; \

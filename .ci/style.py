@@ -1,4 +1,4 @@
-"""Check what ruff does not know: retired names and keys, retired phrases, docstrings, sizes.
+"""Check what ruff does not know: docstrings and sizes.
 
 `python .ci/style.py [FOLDER ..]` prints a line for each problem, and fails if there is any.
 """
@@ -6,7 +6,6 @@
 import ast
 import re
 import sys
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -19,6 +18,11 @@ NUMERIC: Final = (
     *("diagnosis/residuals/noise", "diagnosis/residuals/kinds", "diagnosis/assemble", "diagnosis/diagnose"),
 )
 """Folders whose public functions say shapes and units."""
+PLAIN: Final = (
+    *("fsw/collision", "fsw/cycle", "fsw/dictionary", "fsw/estimate", "fsw/executive", "fsw/state"),
+    *("sim", "diagnosis", "ground", "marsarm", "validation", "examples"),
+)
+"""Folders in which no entry of Args only restates name and type; the others are to follow."""
 ARRAYS: Final = re.compile(r"\b(Array|Flags|Integers|Indices|NDArray|Pose)\b")
 SHAPE: Final = re.compile(r"\((?:\d+|[a-z]\w*|\.\.\.)(?:, ?(?:\d+|[a-z]\w*|\.\.\.))*,?\)")
 UNITS: Final = "rad|deg|m|mm|N|Nm|kg|s|A|C|K|Hz|urad|s2|share|ratio|factor"
@@ -30,33 +34,25 @@ TEXT_UNIT: Final = re.compile(
 OPENINGS: Final = ("What", "Of", "Where", "Whether", "How", "Who")
 MAX_FILE: Final = 400
 MAX_FUNCTION: Final = 60
+ARTICLES: Final = frozenset(("a", "an", "the", "of", "or", "and", "its"))
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def main(folders: list[str]) -> int:
     """Check the files below these folders, or the whole project."""
     chosen = tuple(folders) or ("",)
-    retired = tomllib.loads((ROOT / ".ci" / "retired.toml").read_text(encoding="utf-8"))
     problems: list[str] = []
-    modules = sorted(path for name in (*PACKAGES, "tests") for path in (ROOT / name).rglob("*.py"))
+    modules = sorted(path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
     for path in modules:
         place = path.relative_to(ROOT).as_posix()
         if place.startswith(chosen):
-            found = dict.fromkeys(check_module(place, path, retired))
+            found = dict.fromkeys(check_module(place, path))
             problems += [f"{place}:{line}: {text}" for line, text in found]
-    for path in sorted(path for name in (*PACKAGES, "models") for path in (ROOT / name).rglob("*.toml")):
-        place = path.relative_to(ROOT).as_posix()
-        if place.startswith(chosen):
-            problems += [f"{place}:{line}: {text}" for line, text in check_toml(place, path, retired)]
-    for path in (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))):
-        place = path.relative_to(ROOT).as_posix()
-        if place.startswith(chosen):
-            problems += [f"{place}:{line}: {text}" for line, text in check_page(place, path, retired)]
     print("\n".join(problems) or f"style: {len(modules)} modules in order")
     return 1 if problems else 0
 
 
-def check_module(place: str, path: Path, retired: dict[str, dict[str, str]]) -> Iterator[tuple[int, str]]:
+def check_module(place: str, path: Path) -> Iterator[tuple[int, str]]:
     """Check one module.
 
     Yields:
@@ -64,17 +60,8 @@ def check_module(place: str, path: Path, retired: dict[str, dict[str, str]]) -> 
     """
     text = path.read_text(encoding="utf-8")
     tree = ast.parse(text)
-    is_test = place.startswith("tests/")
-    if not is_test and text.count("\n") > MAX_FILE:
+    if text.count("\n") > MAX_FILE:
         yield 1, f"{text.count(chr(10))} lines, {MAX_FILE} at most"
-    for line, name in (*identifiers(tree, place), *document_keys(tree)):
-        yield from ((line, problem) for problem in name_problems(name, place, retired))
-    for line, sentence in prose(tree):
-        for phrase, instead in retired["phrases"].items():
-            if re.search(phrase, sentence):
-                yield line, f"{phrase!r} is a retired phrase; {instead}"
-    if is_test:
-        return
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | Function):
             yield from check_opening(node)
@@ -82,46 +69,13 @@ def check_module(place: str, path: Path, retired: dict[str, dict[str, str]]) -> 
             length = (node.end_lineno or node.lineno) - node.lineno + 1
             if length - docstring_lines(node) > MAX_FUNCTION:
                 yield node.lineno, f"{node.name} has {length} lines, {MAX_FUNCTION} at most"
+            if place.startswith(PLAIN):
+                yield from check_restated(node)
     if place.startswith(NUMERIC):
         classes = [one for one in tree.body if isinstance(one, ast.ClassDef) and not one.name.startswith("_")]
         for node in (*tree.body, *(one for kind in classes for one in kind.body)):
             if isinstance(node, Function) and not node.name.startswith("_"):
                 yield from check_arguments(node)
-
-
-def check_toml(place: str, path: Path, retired: dict[str, dict[str, str]]) -> Iterator[tuple[int, str]]:
-    """Check the keys and the names of tables of a TOML file.
-
-    Yields:
-        The line and the sentence of each problem.
-    """
-    for line, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
-        found = re.match(r"\s*(?:\[+([^\]]+)\]|([\w.-]+) *=)", text)
-        for name in (found[1] or found[2]).split(".") if found else ():
-            yield from ((line, problem) for problem in name_problems(f"key:{name}", place, retired))
-
-
-def name_problems(name: str, place: str, retired: dict[str, dict[str, str]]) -> Iterator[str]:
-    """Check a name by all patterns; a key is also checked by the patterns of identifiers."""
-    for pattern, instead in retired["names"].items():
-        is_retired = re.fullmatch(pattern, name) or re.fullmatch(pattern, name.removeprefix("key:"))
-        if is_retired and not allowed(retired, pattern, place):
-            yield f"{name.removeprefix('key:')} is a retired name; {instead}"
-
-
-def check_page(place: str, path: Path, retired: dict[str, dict[str, str]]) -> Iterator[tuple[int, str]]:
-    """Check a page for retired phrases, and for retired names among its words in backquotes.
-
-    Yields:
-        The line and the sentence of each problem.
-    """
-    for line, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
-        for phrase, instead in retired["phrases"].items():
-            if path.name != "glossary.md" and re.search(phrase, text):
-                yield line, f"{phrase!r} is a retired phrase; {instead}"
-        for name in re.findall(r"`([\w.-]+)`", text):
-            for part in name.split(".") if path.name != "CHANGELOG.md" else ():
-                yield from ((line, problem) for problem in name_problems(f"key:{part}", place, retired))
 
 
 def check_opening(node: ast.Module | ast.ClassDef | Function) -> Iterator[tuple[int, str]]:
@@ -140,13 +94,12 @@ def check_opening(node: ast.Module | ast.ClassDef | Function) -> Iterator[tuple[
 
 
 def check_arguments(node: Function) -> Iterator[tuple[int, str]]:
-    """Check that a function of arrays names every argument, with shapes and units, and what it returns.
+    """Check that a function of arrays describes these, with shapes and units, and what it returns.
 
     Yields:
         The line and the sentence of each problem.
     """
-    arguments = [a for a in (*node.args.args, *node.args.kwonlyargs) if a.arg not in ("self", "cls")]
-    kinds = {a.arg: ast.unparse(a.annotation) if a.annotation else "" for a in arguments}
+    kinds = types_of_arguments(node)
     returned = ast.unparse(node.returns) if node.returns else "None"
     if not any(ARRAYS.search(kind) for kind in (*kinds.values(), returned)):
         return
@@ -158,15 +111,48 @@ def check_arguments(node: Function) -> Iterator[tuple[int, str]]:
     said = sections(text)
     for name, kind in kinds.items():
         entry = said["Args"].get(name)
-        if entry is None:
+        if entry is None and ARRAYS.search(kind):
             yield node.lineno, f"{node.name}: Args does not name {name}"
-        elif ARRAYS.search(kind) and "Pose" not in kind:
+        elif entry is not None and ARRAYS.search(kind) and "Pose" not in kind:
             if not SHAPE.search(entry):
                 yield node.lineno, f"{node.name}: Args gives no shape of {name}"
             if not NAME_UNIT.search(name) and not TEXT_UNIT.search(entry):
                 yield node.lineno, f"{node.name}: Args gives no unit of {name}"
     if returned != "None" and not said["Returns"] and not said["Yields"]:
         yield node.lineno, f"{node.name}: the docstring has no Returns"
+
+
+def check_restated(node: Function) -> Iterator[tuple[int, str]]:
+    """Check that no entry of Args only restates the name and the type of its argument.
+
+    Yields:
+        The line and the sentence of each problem.
+    """
+    kinds = types_of_arguments(node)
+    for name, entry in sections(ast.get_docstring(node) or "")["Args"].items():
+        if restates(name, kinds.get(name, ""), entry):
+            yield node.lineno, f"{node.name}: Args only restates {name}; leave it out"
+
+
+def restates(name: str, kind: str, entry: str) -> bool:
+    """Return whether each word of an entry is one of the name or of the type, in singular or plural."""
+    if not re.fullmatch(r"[\w\s-]*\.?", entry):  # a unit, a shape, a value or a second clause
+        return False
+    known = set(split_words(f"{name} {kind}"))
+    return {word.removesuffix("s") for word in split_words(entry)} <= {
+        word.removesuffix("s") for word in known | ARTICLES
+    }
+
+
+def split_words(text: str) -> list[str]:
+    """Split text and identifiers into words in small letters: `JointEstimate` has two."""
+    return [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+|\d+", text)]
+
+
+def types_of_arguments(node: Function) -> dict[str, str]:
+    """Return the annotation of each argument but `self` and `cls`; empty where there is none."""
+    arguments = [a for a in (*node.args.args, *node.args.kwonlyargs) if a.arg not in ("self", "cls")]
+    return {a.arg: ast.unparse(a.annotation) if a.annotation else "" for a in arguments}
 
 
 def sections(text: str) -> dict[str, dict[str, str]]:
@@ -187,55 +173,12 @@ def sections(text: str) -> dict[str, dict[str, str]]:
     return found
 
 
-def identifiers(tree: ast.Module, place: str) -> Iterator[tuple[int, str]]:
-    """List the names that a module defines, and its own name."""
-    yield 1, f"module:{Path(place).stem}"
-    for node in ast.walk(tree):
-        if isinstance(node, Function | ast.ClassDef):
-            yield node.lineno, node.name
-        elif isinstance(node, ast.arg):
-            yield node.lineno, node.arg
-        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            yield node.lineno, node.id
-        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-            yield node.lineno, node.attr
-
-
-def document_keys(tree: ast.Module) -> Iterator[tuple[int, str]]:
-    """List what may be a key of a document: strings in a dict or an index, and fields of records."""
-    for node in ast.walk(tree):
-        keys: list[ast.expr | None] = []
-        if isinstance(node, ast.Dict):
-            keys = node.keys
-        elif isinstance(node, ast.Subscript):
-            keys = [node.slice]
-        elif isinstance(node, ast.ClassDef):
-            fields = [one.target for one in node.body if isinstance(one, ast.AnnAssign)]
-            yield from ((one.lineno, f"key:{one.id}") for one in fields if isinstance(one, ast.Name))
-        for key in keys:
-            if isinstance(key, ast.Constant) and isinstance(key.value, str):
-                yield key.lineno, f"key:{key.value}"
-
-
-def prose(tree: ast.Module) -> Iterator[tuple[int, str]]:
-    """List the lines of all strings with a space in them: docstrings, errors, help."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
-            for k, line in enumerate(node.value.splitlines()):
-                yield node.lineno + k, line
-
-
 def docstring_lines(node: Function) -> int:
     """Count the lines of a docstring."""
     first = node.body[0]
     if ast.get_docstring(node) is None or not isinstance(first, ast.Expr):
         return 0
     return (first.end_lineno or first.lineno) - first.lineno + 1
-
-
-def allowed(retired: dict[str, dict[str, str]], pattern: str, place: str) -> bool:
-    """Check whether a name is right in this file."""
-    return bool(re.match(retired.get("allowed", {}).get(pattern, r"(?!)"), place))
 
 
 if __name__ == "__main__":

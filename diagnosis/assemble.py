@@ -50,7 +50,6 @@ def assemble(
     """Put the parts of a diagnosis together.
 
     Args:
-        robot: The robot.
         raw: Residuals of the motions that were fitted.
         selection: Models before and after.
         sets: Findings with their alternatives.
@@ -89,7 +88,6 @@ def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Arra
     """Return the residuals of some motions with models that were found on others.
 
     Args:
-        context: The context.
         model: Residuals of any motions.
         sizes: Sizes of each model, (n_sizes,), in their own units.
 
@@ -110,7 +108,6 @@ def describe_finding(
     families and effects are empty: none of the catalogue is known to be the cause of what is at the place.
 
     Args:
-        context: The context.
         chosen: The model with all findings.
         found: The finding with its alternatives.
         sets: All findings with their alternatives.
@@ -145,8 +142,6 @@ def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bo
     """Check whether a model explains less than MIN_CLOSURE of what can be explained in left-out motions.
 
     Args:
-        context: The context.
-        chosen: The model.
         place: Name of the joint; all joints count for another place.
 
     Returns:
@@ -167,7 +162,6 @@ def find_inflation(context: Context, chosen: FittedModel, effect: Effect) -> flo
     inflation is 1 / (1 - r^2) (Belsley, Kuh and Welsch 1980).
 
     Args:
-        context: The context.
         chosen: The model with all findings.
         effect: The finding.
 
@@ -197,7 +191,6 @@ def find_interval(
     It also holds the intervals that the size has where a member of its set stands for another finding.
 
     Args:
-        context: The context.
         chosen: The model with all findings.
         sets: All findings with their alternatives.
         column: Column of a size that the model has fitted.
@@ -221,9 +214,6 @@ def list_base(
     joint is fitted too and gravity gives it no scale.
 
     Args:
-        robot: The robot.
-        context: The context.
-        chosen: The model.
         sets: All findings with their alternatives.
 
     Returns:

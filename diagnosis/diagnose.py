@@ -111,8 +111,6 @@ def choose_shown(
     """Choose the effects that a kind of residual can show.
 
     Args:
-        robot: The robot.
-        kind: The kind.
         known: All effects of the catalogue.
 
     Returns:
@@ -154,7 +152,6 @@ def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Mo
     """Refuse motions that cannot be diagnosed.
 
     Args:
-        robot: The robot.
         motions: Motions that are fitted.
         held_out: Motions that only judge.
 
@@ -213,11 +210,7 @@ def check_audit(audit: Audit, motions: Sequence[Motion]) -> None:
 
 
 def describe_remark(one: Remark) -> str:
-    """Return a remark of the audit as a sentence.
-
-    Args:
-        one: The remark.
-    """
+    """Return a remark of the audit as a sentence."""
     return f"{one.joint or 'robot'}: {one.kind}: {one.text}."
 
 
@@ -244,7 +237,6 @@ def is_copy(one: Motion, other: Motion) -> bool:
     """Return whether two motions have the same positions, in which something moves.
 
     Args:
-        one: A motion.
         other: Another one.
     """
     if one.joints.keys() != other.joints.keys():

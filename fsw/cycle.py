@@ -32,8 +32,6 @@ def step(
     Args:
         config: Configuration at boot; `state.changed_config` replaces it if there is one.
         state: State after the cycle before.
-        sensors: Readings of this cycle.
-        commands: Commands that arrived in this cycle.
 
     Returns:
         The state and the outputs after this cycle.

@@ -74,7 +74,6 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
     """Build the state before the first cycle: brakes on, power off.
 
     Args:
-        config: Configuration of flight software.
         mode: Mode to begin in.
         reference: Result of an earlier hardstop initialisation; None if there was none.
 
@@ -118,7 +117,6 @@ def joint_channels(tick: int, state: State, backlash_state: Array) -> JointChann
     """Return the joint channels of a cycle.
 
     Args:
-        tick: Number of the cycle.
         state: State that the cycle left.
         backlash_state: Rows of `JointEstimate.backlash_state`: angle, side, uncertainty; shape (3, 5).
 

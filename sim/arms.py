@@ -77,7 +77,6 @@ def arm_named(name: str, params: Params | None = None) -> BuiltArm:
     comes with the project, or a folder with an `arm.toml`.
 
     Args:
-        name: Name of the arm.
         params: Flight parameters in place of those of the drawing.
 
     Raises:

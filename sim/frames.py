@@ -29,7 +29,6 @@ def gravity_in_rover(roll_rad: float, pitch_rad: float, gravity_m_s2: float) -> 
     Args:
         roll_rad: Roll, positive with the right side down.
         pitch_rad: Pitch, positive with the nose up.
-        gravity_m_s2: Magnitude of gravity.
     """
     pull: Array = gravity_m_s2 * gravity_direction(roll_rad, pitch_rad)
     return pull

@@ -62,7 +62,6 @@ def compute_hardstop_loads(params: Params, gravity_R_m_s2: Array) -> HardstopLoa
     """Compute the gravity torque on each joint at its hardstop.
 
     Args:
-        params: Flight parameters.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
     """
     poses = np.array([homing_start_poses(params, joint)[-1] for joint in Joint]).T
@@ -131,7 +130,6 @@ def equalise_loads(params: Params, gravity_R_m_s2: Array, wanted_Nm: Array) -> P
     The search starts at the poses of the parameters.
 
     Args:
-        params: Flight parameters.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
         wanted_Nm: Torques at the hardstops, shape (5,).
 

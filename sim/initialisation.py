@@ -178,9 +178,6 @@ def prepare_homing(
     """Prepare the homing of one joint near its hardstop.
 
     Args:
-        arm: Arm with its flight parameters.
-        joint: Joint to home.
-        world: World of the run.
         seed: Seed of the noise.
         effects: Effects beyond those of the arm.
         reference: Reference in the memory of flight software; None if no joint was homed.

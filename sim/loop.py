@@ -134,11 +134,8 @@ def step_flight_software(
     """Run one cycle of flight software.
 
     Args:
-        config: Configuration of flight software.
         state: State before the cycle.
         last: Outputs of the cycle before.
-        sensors: Sensor readings.
-        commands: Commands of this cycle.
 
     Returns:
         State and outputs after the cycle, and the exception that ended flight software, or None.

@@ -1,18 +1,17 @@
 """Tables of flight parameters, as they stand in a TOML file; all errors are in one message."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from copy import deepcopy
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict
 from datetime import date, time
 from pathlib import Path
-from typing import Any, Final, get_type_hints
+from typing import Any, Final
 
 from pydantic import TypeAdapter, ValidationError
 
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
-from sim.old_names import find_new_name, renamed_text
 from sim.text_file import UnreadableText, load_toml, read_text
 
 WANTED: Final = {
@@ -91,9 +90,7 @@ def params_from_table(table: dict[str, Any], name: str) -> Params:
     try:
         params = _ADAPTER.validate_json(json.dumps(listed), strict=True, extra="forbid")
     except ValidationError as error:
-        lines = [
-            f"{name}: {_place(table, e['loc'])}: {describe_error(e, params_names())}" for e in error.errors()
-        ]
+        lines = [f"{name}: {_place(table, e['loc'])}: {describe_error(e)}" for e in error.errors()]
         raise BadParams("\n".join(lines)) from error
     check_params(params, name)
     return params
@@ -145,17 +142,11 @@ def _refuse(name: str, problems: Iterator[str]) -> None:
         raise BadParams("\n".join(lines))
 
 
-def describe_error(error: Any, names: Sequence[str]) -> str:
-    """Return an error of pydantic in words of this project.
-
-    Args:
-        error: Error as pydantic lists it.
-        names: Names that there are, to tell what became of an old one.
-    """
+def describe_error(error: Any) -> str:
+    """Return an error, as pydantic lists it, in words of this project."""
     kind, context = error["type"], error.get("ctx", {})
     if kind in ("unexpected_keyword_argument", "extra_forbidden"):
-        new = find_new_name(".".join(str(part) for part in error["loc"]), names)
-        return "is not a parameter" + ("" if new is None else f"; {renamed_text(new)}")
+        return "is not a parameter"
     if kind in ("too_short", "too_long"):
         wanted = context.get("min_length", context.get("max_length"))
         return f"has {context['actual_length']} values; {wanted} are right"
@@ -163,19 +154,6 @@ def describe_error(error: Any, names: Sequence[str]) -> str:
         return f"{error['input']!r} is not known; there are {context['expected']}"
     wanted = next((text for start, text in WANTED.items() if kind.startswith(start)), None)
     return f"has a wrong value ({kind})" if wanted is None else wanted
-
-
-def params_names() -> tuple[str, ...]:
-    """List the names of all parameters that are not of a tool or a switch, such as `motion.takeup_rad`."""
-    return tuple(_list_names(Params, ""))
-
-
-def _list_names(kind: Any, place: str) -> Iterator[str]:
-    for field in fields(kind):
-        yield f"{place}{field.name}"
-        inner = get_type_hints(kind)[field.name]
-        if is_dataclass(inner):
-            yield from _list_names(inner, f"{place}{field.name}.")
 
 
 def _find_dates(value: Any, place: str = "") -> Iterator[str]:

@@ -99,7 +99,6 @@ def visit_poses(
     """Move the arm to each goal, from the ready pose on.
 
     Args:
-        arm: Arm with its flight parameters.
         reference: Reference in the memory of flight software.
         world: World of the run; only its gravity acts.
         goals: Output angles [rad], each of shape (5,).

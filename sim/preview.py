@@ -94,9 +94,6 @@ def random_placement(seed: int, arm: BuiltArm, tool: str, max_tilt_rad: float) -
     """Draw placements of random point, normal and tilt until flight software plans one.
 
     Args:
-        seed: Seed of the draws.
-        arm: Arm with its flight parameters.
-        tool: Tool to place.
         max_tilt_rad: Largest tilt of the rover, in any direction.
     """
     rng = np.random.default_rng([seed, 3])

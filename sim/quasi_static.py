@@ -60,7 +60,6 @@ def solve_quasi_static_move(
         goal_rad: Commanded output angles, shape (5,).
         tool: Tool of the returned pose.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
-        backlash: Compensation of the backlash.
         disturbance: Displacements of frames, gears and motors in this move.
     """
     believed, true, reference = arm.believed, arm.true, arm.reference

@@ -30,7 +30,6 @@ def start_loop(
     Args:
         arm: Arm or its name: nominal, as-built:SEED or calibrated:SEED; MODEL/ before it for another drawing,
             or a folder with an arm.toml.
-        world: World around the arm.
         effects: Effects, or their texts as on the command line.
         start_rad: Output angles at the start; None for the stowed pose.
         reference: Reference in the memory of flight software; None for that of an initialisation without

@@ -143,11 +143,9 @@ def measure_targets(
     Noise is drawn for hidden targets too, so that what hides them changes no other reading.
 
     Args:
-        tracker: Pose and noise of the tracker.
         plant: Plant, whose geometry hides targets.
         X_GN: Pose of RNAV in the ground frame.
         X_RF: Pose of the interface of the turret in RMECH.
-        rng: Generator of the noise.
 
     Returns:
         Readings of ground, rover and turret.

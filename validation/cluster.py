@@ -85,7 +85,6 @@ def measure_arms(run: Runner, jobs: Sequence[ArmJob], after: Callable[[int], Non
 
     Args:
         run: Runner of parallel jobs.
-        jobs: Arms.
         after: Called with the number of results, after each.
     """
     records = []

@@ -110,7 +110,6 @@ def judge_read(made: Original, damaged: bytes, cut_ns: int | None = None) -> str
 
     Args:
         made: The undamaged file.
-        damaged: The damaged bytes.
         cut_ns: Log time up to which a truncated file holds complete chunks.
 
     Returns:
@@ -141,7 +140,6 @@ def judge_recovery(made: Original, damaged: bytes, is_hit: list[bool], folder: P
 
     Args:
         made: The undamaged file.
-        damaged: The damaged bytes.
         is_hit: True for each damaged chunk.
         folder: Folder for temporary files.
 

@@ -58,7 +58,6 @@ def record_run(loop: ClosedLoop, path: Path, stamps_s: Any) -> None:
     """Record the beginning of a placement, and the times when the log was opened and each cycle recorded.
 
     Args:
-        loop: The closed loop.
         path: The log.
         stamps_s: Array for the times, shape (1 + CYCLES,), in seconds of the monotonic clock.
     """
@@ -124,7 +123,6 @@ def one_kill(loop: ClosedLoop, path: Path, stamps_s: Any, after_s: float, whole:
     """Kill a run at a time after its fork, and check its log.
 
     Args:
-        loop: The closed loop.
         path: The log.
         stamps_s: Array for the times of the run, shape (1 + CYCLES,).
         after_s: Time from the fork to the kill.

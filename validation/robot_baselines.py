@@ -60,7 +60,6 @@ def fit_baselines(robot: Robot, logs: Logs, found: Audit) -> Iterator[Baseline]:
     """Fit sets of effects without a selection.
 
     Args:
-        robot: The robot.
         logs: Motions that are fitted, and motions that judge.
         found: Audit of all motions.
 

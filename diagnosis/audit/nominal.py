@@ -33,11 +33,7 @@ class NominalModel:
     """The model of a robot with one motor at each joint, as the robot file describes its controller."""
 
     def __init__(self, robot: Robot) -> None:
-        """Compile the model.
-
-        Args:
-            robot: Robot.
-        """
+        """Compile the model."""
         self.robot = compile_for(robot, ()).robot
         self.model = self.robot.model
         for joint in self.robot.joints:

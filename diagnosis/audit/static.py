@@ -88,8 +88,6 @@ def predict_free(robot: Robot, motions: Sequence[Motion], rest: Rest, is_held: F
     """Predict free positions.
 
     Args:
-        robot: Robot.
-        motions: Motions.
         rest: Their samples.
         is_held: Samples that something is known to hold back, (n, n_joints); the fit leaves them out.
 

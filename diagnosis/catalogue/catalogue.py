@@ -134,7 +134,6 @@ def catalogue(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
     """List the effects that make sense for a robot and its logs.
 
     Args:
-        robot: Robot.
         logs: Logs; bounds and typical sizes come from the motions that are fitted.
 
     Returns:
@@ -161,7 +160,6 @@ def base_effects(robot: Robot, logs: Logs) -> tuple[Effect, ...]:
     """List the nuisances of all joints that are not known.
 
     Args:
-        robot: Robot.
         logs: Logs, of which the motions that are fitted give bounds and scales.
 
     Returns:

@@ -35,7 +35,6 @@ def link_effects(robot: Robot, motions: Sequence[Motion], scales: Mapping[str, J
     vertical axis.
 
     Args:
-        robot: Robot.
         motions: Motions that are fitted.
         scales: Numbers of the joints.
 
@@ -112,7 +111,6 @@ def depends_on_angle(robot: Robot, place: str, scales: Mapping[str, JointScales]
     """Check whether a torque depends on the angle of a joint; that of a vertical first axis changes none.
 
     Args:
-        robot: Robot.
         place: Name of the joint.
         scales: Numbers of the joints.
 

@@ -29,7 +29,6 @@ def load_effects(path: str | Path, robot: Robot, logs: Logs) -> tuple[Effect, ..
 
     Args:
         path: Python file; it is executed.
-        robot: Robot.
         logs: Logs, of which the motions that are fitted give scales.
 
     Returns:

@@ -39,7 +39,6 @@ def transmission_effects(
     loop hides its own.
 
     Args:
-        robot: Robot.
         motions: Motions that are fitted.
         scales: Numbers of the joints.
 

@@ -183,7 +183,6 @@ class SupplySag(Effect):
         """Return the effect for a robot.
 
         Args:
-            robot: Robot.
             scales: Numbers of its joints.
             motions: Motions that are fitted; a voltage that they log bounds the effect.
         """
@@ -208,9 +207,6 @@ def largest_sag(motions: Sequence[Motion]) -> float:
 
     A logged voltage shows how far it fell. The logs may have had half of the largest torques only, so that
     twice as much is possible.
-
-    Args:
-        motions: Motions.
 
     Returns:
         Share from 0 to 1; 1 if no voltage is logged.

@@ -95,7 +95,6 @@ class PeriodicTorque(JointEffect):
         """Return the effect of an order at a joint.
 
         Args:
-            robot: Robot.
             place: Name of the joint.
             scales: Numbers of all joints.
             order: Periods in a turn of the joint.

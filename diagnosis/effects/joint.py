@@ -60,7 +60,6 @@ class JointEffect(Effect):
         """Return the effect at a joint.
 
         Args:
-            robot: Robot.
             place: Name of the joint.
             scales: Numbers of all joints, as `joint_scales` returns them.
         """
@@ -78,7 +77,6 @@ def joint_scales(robot: Robot, motions: Sequence[Motion]) -> dict[str, JointScal
     """Collect ranges of all joints over motions.
 
     Args:
-        robot: Robot.
         motions: Motions that are fitted; joints without a log in any of them are left out.
 
     Returns:

@@ -26,7 +26,6 @@ def save_page(diagnosis: Diagnosis, traces: Sequence[Trace], path: Path) -> None
     """Write the page; the same diagnosis gives the same bytes.
 
     Args:
-        diagnosis: Diagnosis.
         traces: Traces of held-out motions.
         path: The HTML file.
     """

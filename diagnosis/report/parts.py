@@ -37,7 +37,6 @@ def page_parts(diagnosis: Diagnosis, traces: Sequence[Trace]) -> list[str]:
     """Return the parts that follow the verdict.
 
     Args:
-        diagnosis: Diagnosis.
         traces: Traces of held-out motions; of each joint the worst, the middle and the best are shown.
     """
     return [

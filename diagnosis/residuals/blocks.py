@@ -138,7 +138,6 @@ def count_independent(model: ResidualModel, rows: Integers, residuals: Array) ->
     """Count the independent residuals that scatter like those of some rows.
 
     Args:
-        model: The residual model.
         rows: Rows of the model, (n_rows,) indices.
         residuals: Residuals in these rows, (n_rows,), in any unit.
 
@@ -181,7 +180,6 @@ def cut_rows(model: ResidualModel, rows: Integers, residuals: Array) -> Integers
     """Cut whole motions into blocks that are as long as the correlation time of residuals.
 
     Args:
-        model: The residual model.
         rows: Rows of the model, (n_rows,) indices.
         residuals: Residuals in these rows, (n_rows,), in any unit. Of joints, the longest memory counts.
 

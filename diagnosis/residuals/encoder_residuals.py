@@ -38,11 +38,7 @@ from diagnosis.robot import Robot
 
 
 def shows(effect: Effect) -> bool:
-    """Return whether the difference of two encoders can show an effect.
-
-    Args:
-        effect: Effect.
-    """
+    """Return whether the difference of two encoders can show an effect."""
     return effect.overrides(*ENCODER_HOOKS)
 
 
@@ -51,10 +47,6 @@ def why_refused(robot: Robot, effect: Effect) -> str:
 
     Without gravity the load of a gear is inertia times acceleration. Two encoders whose filters differ in the
     second order differ in proportion to the acceleration too, so the two are one.
-
-    Args:
-        robot: Robot.
-        effect: Effect.
 
     Returns:
         A sentence; empty if it may be named.
@@ -85,7 +77,6 @@ class EncoderResiduals:
         """Compare the encoders, and compute the loads.
 
         Args:
-            robot: Robot.
             motions: Motions; joints with a second encoder that moves have residuals.
             keep: By names of motion and joint, which position samples are used, (n,); all where absent.
 

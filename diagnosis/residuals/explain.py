@@ -19,7 +19,6 @@ def measured_variable(
     """Interpolate a variable of the measured motion.
 
     Args:
-        robot: Robot.
         motions: Its logs.
         name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC],
             "command".

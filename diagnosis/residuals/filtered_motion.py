@@ -97,7 +97,6 @@ def find_usable(log: JointLog, keep: Flags | None, time_s: Array, distance_s: fl
     """Find the times at which no refused position sample is near.
 
     Args:
-        log: Log of a joint.
         keep: Position samples that are used, (n,) flags; None: all are.
         time_s: Times, (n_times,) [s].
         distance_s: Times as near as this to a refused sample are not usable.
@@ -120,7 +119,6 @@ def choose_filter(robot: Robot, motions: Sequence[Motion]) -> LowPass:
     """Derive the cut-off of a filter from the noise of positions.
 
     Args:
-        robot: Robot.
         motions: Motions; the lowest cut-off that one of them needs is that of all.
 
     Returns:
@@ -171,7 +169,6 @@ def filter_motion(robot: Robot, motion: Motion, low_pass: LowPass) -> FilteredMo
 
     Args:
         robot: Robot; joints that are not logged stand at 0.
-        motion: Motion.
         low_pass: Filter.
 
     Returns:
@@ -250,7 +247,6 @@ def motion_time_s(motion: Motion, period_s: float) -> Array:
     """Return times at which all signals of positions and torques exist.
 
     Args:
-        motion: Motion.
         period_s: Their spacing [s].
 
     Returns:

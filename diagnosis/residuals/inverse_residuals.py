@@ -49,9 +49,6 @@ def shows(effect: Effect) -> bool:
     """Return whether torques at the measured motion can show an effect.
 
     Effects that add bodies or joints to the model are left out: their motion is not measured.
-
-    Args:
-        effect: Effect.
     """
     return not effect.overrides("vary") and effect.overrides(*TORQUE_HOOKS)
 
@@ -71,7 +68,6 @@ class InverseResiduals:
         """Filter the motions.
 
         Args:
-            robot: Robot.
             motions: Motions; joints with a logged torque have residuals.
             keep: By names of motion and joint, which position samples are used, (n,); all where absent.
                 Nothing is compared within a period of the cut-off from others.

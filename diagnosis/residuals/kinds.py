@@ -47,7 +47,6 @@ def list_kinds(
     is always compared with the first.
 
     Args:
-        robot: The robot.
         motions: Motions that are fitted.
         usable: Position samples that take part, (n,) flags; all where absent.
 

@@ -22,7 +22,6 @@ class WhitenedResiduals:
         """Whiten another residual model.
 
         Args:
-            raw: The residual model.
             correlation: Correlation of neighbouring samples of the noise, (n_joints,), as a ratio.
         """
         self.raw, self.correlation = raw, correlation
@@ -91,7 +90,6 @@ def repeat_pairs(model: ResidualModel, joint: int) -> list[tuple[Integers, Integ
     """List the rows of a joint in motions that repeat one another.
 
     Args:
-        model: The residual model.
         joint: Index of the joint.
 
     Returns:
@@ -123,7 +121,6 @@ def noise_residuals(model: ResidualModel, residuals: Array, joint: int) -> Array
     The model moves alike in motions that repeat one another, so that their difference is that of two noises.
 
     Args:
-        model: The residual model.
         residuals: (n,), in the unit of the model.
         joint: Index of the joint.
 
@@ -141,7 +138,6 @@ def noise_losses(model: ResidualModel, residuals: Array, scales: Array) -> Array
     Otherwise the motions that repeat one another show the loss.
 
     Args:
-        model: The residual model.
         residuals: (n,), in the unit of the model.
         scales: (n_joints,), in the unit of the model.
 
@@ -161,7 +157,6 @@ def whiten_noise(model: ResidualModel, residuals: Array) -> ResidualModel:
     """Whiten the residuals of a model by the noise that its repeated motions show.
 
     Args:
-        model: The residual model.
         residuals: Residuals of its base model, (n,), in the unit of the model.
 
     Returns:

@@ -72,7 +72,6 @@ def residuals_by_motion(model: ResidualModel, effects: Sequence[Effect], sizes: 
     """Return the residuals of candidates whose sizes differ from motion to motion.
 
     Args:
-        model: The residual model.
         effects: Union of the effects of all candidates.
         sizes: Sizes of all effects one after the other, in their own units, (n_candidates, n_motions, total
             sizes).

@@ -58,7 +58,6 @@ class SimulationResiduals:
         """Cut the motions into windows: a motion is one, until a stretch of samples that are not used.
 
         Args:
-            robot: Robot.
             motions: Motions, with the commands of all joints.
             spacing_s: Least time between residuals of a joint [s].
             keep: By names of motion and joint, which position samples are used, (n,); all where absent.

@@ -48,8 +48,6 @@ def choose(context: Context, present: FittedModel, candidates: Sequence[Candidat
     """Choose the best effect of each joint, or one at a body if it does more than they do.
 
     Args:
-        context: The context.
-        present: The present model.
         candidates: Effects that were judged.
 
     Returns:
@@ -79,7 +77,6 @@ def choose_simplest(context: Context, candidates: Sequence[Candidate]) -> Candid
     is known, the chance of an effect counts its sizes.
 
     Args:
-        context: The context.
         candidates: Effects for the same joints.
 
     Returns:
@@ -109,8 +106,6 @@ def worsens_another(context: Context, present: FittedModel, candidate: Candidate
     """Check whether an effect worsens a joint that is not its place.
 
     Args:
-        context: The context.
-        present: The present model.
         candidate: The effect.
 
     Returns:

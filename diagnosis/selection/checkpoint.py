@@ -152,7 +152,6 @@ def unpack(document: Any, arrays: Sequence[Array], effects: Mapping[str, Effect]
     """Make the result of a document: the inverse of `pack`.
 
     Args:
-        document: The document.
         arrays: Arrays of the result, (...) of any units.
         effects: Effects by their keys.
 
@@ -202,7 +201,6 @@ def digest_inputs(
         motions: Motions that are fitted.
         usable: By names of motion and joint, which samples take part, (n,) flags.
         effects: Effects of the user's own, whose files count.
-        seed: The seed.
 
     Returns:
         SHA-256 as hexadecimal text; None if an effect has no file, so that its code is not known.

@@ -12,7 +12,6 @@ def improvement_share(context: Context, rows: Integers, before: Array, after: Ar
     """Return the mean improvement of the losses of left-out motions, as a share of what can be explained.
 
     Args:
-        context: The context.
         rows: Rows of the residual model, (n_rows,) indices.
         before: Their residuals when their motion was left out, over their scales, (n_rows,), without a unit.
         after: The same of another model, (n_rows,), without a unit.
@@ -33,7 +32,6 @@ def improvement_z(context: Context, rows: Integers, before: Array, after: Array)
     acts in few motions, such as a limit. Else it is the scatter from motion to motion, which counts a misfit.
 
     Args:
-        context: The context.
         rows: Rows of the residual model, (n_rows,) indices.
         before: Their residuals when their motion was left out, over their scales, (n_rows,), without a unit.
         after: The same of another model, (n_rows,), without a unit.
@@ -50,7 +48,6 @@ def knows_noise(context: Context, rows: Integers) -> bool:
     """Return whether the noise of all joints is known, or shown by repeated motions.
 
     Args:
-        context: The context.
         rows: Rows of the joints in the residual model, (n_rows,) indices.
 
     Returns:
@@ -97,7 +94,6 @@ def compare_with_noise(context: Context, rows: Integers, before: Array, after: A
     the loss times the difference. Its totals over blocks of the noise are independent.
 
     Args:
-        context: The context.
         rows: Rows of the residual model, (n_rows,) indices.
         before: Their residuals over their scales, (n_rows,), without a unit.
         after: The same of another model, (n_rows,), without a unit.

@@ -48,11 +48,7 @@ class Context:
     checkpoint: Checkpoint
 
     def joint_of(self, effect: Effect) -> int:
-        """Return the index of the joint at which an effect is judged, or ALL_JOINTS.
-
-        Args:
-            effect: The effect.
-        """
+        """Return the index of the joint at which an effect is judged, or ALL_JOINTS."""
         return int(self.sharing.joint_of_column[self.union.columns([effect])[0]])
 
 
@@ -147,7 +143,6 @@ def list_joints(model: ResidualModel, union: Union, everywhere: Collection[str])
     Where a robot has one joint, effects at bodies are fitted with it.
 
     Args:
-        model: The residual model.
         union: Effects, and the columns of their sizes.
         everywhere: Keys of effects at a joint that are judged at all joints, because they move others too.
 
@@ -169,7 +164,6 @@ def draw_folds(model: ResidualModel, seed: int) -> tuple[frozenset[int], ...]:
     """Divide motions at random into folds of about equal numbers; blocks, those of each joint by themselves.
 
     Args:
-        model: The residual model.
         seed: Seed of the order.
 
     Returns:
@@ -188,7 +182,6 @@ def resume_step(
 
     Args:
         step: Function of the context, whose result `checkpoint.pack` can keep.
-        context: The context.
         *args: Its further arguments.
         **kwargs: Its named arguments.
 
@@ -204,8 +197,6 @@ def fit_together(
     """Fit hypotheses in this context.
 
     Args:
-        context: The context.
-        hypotheses: The hypotheses.
         text: Name of the work, for the progress.
         iterations: Most iterations.
 
@@ -227,7 +218,6 @@ def simulate(context: Context, points: Sequence[Point], text: str) -> list[Array
     """Simulate single points in this context.
 
     Args:
-        context: The context.
         points: Joint, or ALL_JOINTS, and sizes of the union in their units, for each: all (n_sizes,), or all
             (n_motions, n_sizes).
         text: Name of the work, for the progress.

@@ -14,7 +14,6 @@ def cross_validate(context: Context, fits: Sequence[Fit]) -> Array:
     """Predict the residuals of each motion by a fit without its fold.
 
     Args:
-        context: The context.
         fits: Fits of different joints.
 
     Returns:
@@ -34,10 +33,6 @@ def cross_validate_each(context: Context, fits: Sequence[Fit]) -> list[Array]:
 
     A fit without a fold begins at the optimum of all motions and takes one Newton step, with the
     Jacobian of that optimum. It is then simulated, so that nothing of its loss is linearised.
-
-    Args:
-        context: The context.
-        fits: Fits.
 
     Returns:
         The residuals of each fit when their motion was left out, over the scale of their joint, (n_rows,).
@@ -63,7 +58,6 @@ def step_without(context: Context, fit: Fit, fold: frozenset[int]) -> Array:
     alone, and the step does not go there.
 
     Args:
-        context: The context.
         fit: Fit of all motions.
         fold: Indices of motions that take no part.
 

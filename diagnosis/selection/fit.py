@@ -139,7 +139,6 @@ def scale_residuals(model: ResidualModel, residuals: Array) -> Array:
     Known noise is normal, and its loss is a sum of squares: that of a scale which no residual comes near.
 
     Args:
-        model: The residual model.
         residuals: (n,), in the unit of the model.
 
     Returns:
@@ -168,7 +167,6 @@ def fit_hypotheses(
     """Fit hypotheses together by Levenberg-Marquardt with a pseudo-Huber loss.
 
     Args:
-        model: The residual model.
         union: Effects, and the columns of their sizes.
         hypotheses: Problems to solve.
         scales: Scale of the residuals of each joint, (n_joints,), in the unit of the model.
@@ -208,7 +206,6 @@ def evaluate_points(
     """Simulate single points, those of different joints in one candidate if they may share it.
 
     Args:
-        model: The residual model.
         union: Effects, and the columns of their sizes.
         points: Joint, or ALL_JOINTS, and sizes of the union in their units, for each: all (n_sizes,), or all
             (n_motions, n_sizes).
@@ -385,7 +382,6 @@ def select_rows(model: ResidualModel, joint: int) -> Integers:
     """Return the rows of the residuals of a joint.
 
     Args:
-        model: The residual model.
         joint: Index of the joint, or ALL_JOINTS.
 
     Returns:

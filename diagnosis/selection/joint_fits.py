@@ -39,9 +39,6 @@ MIN_MOTIONS: Final = 4
 def fit_base(context: Context) -> tuple[Context, FittedModel]:
     """Fit the base parameters of each joint twice: scales and noise follow from the first fit.
 
-    Args:
-        context: The context.
-
     Returns:
         The context with scales and noise, residuals whitened where the noise is known; and the base model.
     """
@@ -88,9 +85,6 @@ def add_effects(
     A scale from before an effect was found is so wide that the loss is a sum of squares. Blocks are cut anew.
 
     Args:
-        context: The context.
-        base: The base model.
-        present: The present model.
         effects: Effects to add.
         found: The fit with each of them.
 
@@ -119,8 +113,6 @@ def recut_blocks(
     the misfit would be so few that a fit without one of them extrapolates.
 
     Args:
-        context: The context.
-        present: The present model.
         shortlist: Scores of the effects that will be judged.
 
     Returns:
@@ -141,7 +133,6 @@ def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[
     """Fit the base parameters of all joints.
 
     Args:
-        context: The context.
         sizes: Sizes from which the fits start, (n_sizes,), in their own units.
 
     Returns:
@@ -155,7 +146,6 @@ def free_columns(context: Context, effects: Sequence[Effect], joint: int) -> Int
     """Return the columns of the base and of these effects that are fitted at a joint.
 
     Args:
-        context: The context.
         effects: Accepted effects.
         joint: Index of the joint; ALL_JOINTS: all columns.
 
@@ -172,7 +162,6 @@ def start_fit(
     """Return the hypothesis of base and effects at a joint, with the derivatives that are known.
 
     Args:
-        context: The context.
         effects: Accepted effects.
         joint: Index of the joint, or ALL_JOINTS.
         sizes: Sizes from which the fit starts, (n_sizes,), in their own units.
@@ -199,7 +188,6 @@ def fit_joints(
     The residuals are those with the new sizes of all joints: a joint was fitted with the others as they were.
 
     Args:
-        context: The context.
         effects: Accepted effects.
         sizes: Sizes from which the fits start, (n_sizes,), in their own units.
         known: Fits of the same residual model at sizes that are near.
@@ -222,8 +210,6 @@ def fits_at(context: Context, present: FittedModel, joint: int) -> tuple[Fit, ..
     """Return the fits of the residuals of a joint.
 
     Args:
-        context: The context.
-        present: The model.
         joint: Index of the joint; ALL_JOINTS: all fits.
 
     Returns:
@@ -249,9 +235,7 @@ def merge_sizes(context: Context, sizes: Array, fits: Sequence[Fit]) -> Array:
     """Return the sizes with those that each fit has found.
 
     Args:
-        context: The context.
         sizes: (n_sizes,), in their own units.
-        fits: The fits.
 
     Returns:
         (n_sizes,).
@@ -266,8 +250,6 @@ def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect])
     """Refit the model without some of its effects.
 
     Args:
-        context: The context.
-        present: The model.
         effects: Effects to leave out.
 
     Returns:
@@ -283,10 +265,6 @@ def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect])
 
 def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:
     """Divide effects into groups that can be left out together, because none moves the joint of another.
-
-    Args:
-        context: The context.
-        effects: Effects.
 
     Returns:
         Groups, in the order of their first effects.
@@ -308,10 +286,6 @@ def _are_separate(context: Context, first: Effect, second: Effect) -> bool:
 
 def joints_of(context: Context, effect: Effect) -> tuple[int, ...]:
     """Return the joints at which an effect is judged.
-
-    Args:
-        context: The context.
-        effect: The effect.
 
     Returns:
         Indices of joints.

@@ -81,9 +81,6 @@ def measure_reach(context: Context, sizes: Array, columns: Sequence[tuple[Intege
 def list_fastest_motions(model: ResidualModel) -> list[str]:
     """List, for each joint, the motion in which it moves fastest.
 
-    Args:
-        model: The residual model.
-
     Returns:
         Names of motions, without repetition.
     """
@@ -100,9 +97,7 @@ def expected_change(context: Context, joint: int, trial: Trial) -> float:
     """Return the change that a trial should make at its joint, from that of typical sizes.
 
     Args:
-        context: The context.
         joint: Index of the joint, or ALL_JOINTS.
-        trial: The trial.
 
     Returns:
         RMS change over the scale of the joint, without a unit.

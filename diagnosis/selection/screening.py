@@ -40,7 +40,6 @@ def list_trials(union: Union, effect: Effect, at: Array) -> list[Trial]:
 
     Args:
         union: Effects, and the columns of their sizes.
-        effect: The effect.
         at: Sizes of the present model, (n_sizes,), in their own units.
 
     Returns:
@@ -108,7 +107,6 @@ def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Array) -> Whitened
 
     Args:
         fits: Present model of these joints.
-        model: The residual model.
         scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
 
     Returns:
@@ -223,7 +221,6 @@ def refit_p(
         fits: Fits, with the effect, of the joints at which it is judged.
         own: Columns of the effect, (n_sizes,) indices.
         without: Residuals of a fit without it, (n,), in the unit of the model.
-        model: The residual model.
         scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
         is_stationary: True if repeats show the noise.
 

@@ -124,8 +124,6 @@ def list_again(
     Where the present model is far from the motions, the screen ranks worse than a refit.
 
     Args:
-        context: The context.
-        present: The present model.
         open_joints: Joints at which effects are still looked for.
         shortlist: Effects that the screen has found.
         finalists: Effects of the round before, with their sizes and the share that they removed.
@@ -157,8 +155,6 @@ def screen(
     """Simulate every effect at a few sizes, and keep the best of each place.
 
     Args:
-        context: The context.
-        present: The present model.
         open_joints: Joints at which effects are still looked for.
         rounds_after: Rounds that are expected after this one, for the progress.
 
@@ -228,8 +224,6 @@ def find_winners(
     """Refit the shortlist, and choose what is accepted.
 
     Args:
-        context: The context.
-        present: The present model.
         shortlist: Effects, and the sizes from which they start.
 
     Returns:
@@ -257,7 +251,6 @@ def explain_loss(context: Context, fit: Fit, without: Array) -> float:
     """Return by how much a fit decreases the loss of its joints.
 
     Args:
-        context: The context.
         fit: A fit with an effect more.
         without: Residuals of the present model, (n,), in the unit of the model.
 
@@ -272,8 +265,6 @@ def start_refit(context: Context, present: FittedModel, score: Score) -> Hypothe
     """Return the hypothesis of an effect with the base parameters and the accepted effects of its joint.
 
     Args:
-        context: The context.
-        present: The present model.
         score: The effect, and the sizes from which it starts.
 
     Returns:
@@ -289,9 +280,6 @@ def judge(
     """Refit effects with all motions and without each fold.
 
     Args:
-        context: The context.
-        present: The present model.
-        effects: Effects.
         starts: The hypothesis of each.
 
     Returns:
@@ -315,9 +303,7 @@ def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit:
     A simulation works in steps: a delay of less than half a step is none in it.
 
     Args:
-        context: The context.
         others: The other effects of the model.
-        effect: The effect.
         fit: The fit with it.
 
     Returns:
@@ -348,7 +334,6 @@ def drop_needless(
     """Drop effects, the weakest first, until left-out motions need each of them and none is due to chance.
 
     Args:
-        context: The context.
         present: The model with all accepted effects.
 
     Returns:
@@ -380,9 +365,7 @@ def find_log_chance(context: Context, fits: Sequence[Fit], effect: Effect, witho
     """Return the logarithm of the probability of so strong an effect, beside all others, if none is present.
 
     Args:
-        context: The context.
         fits: Fits, with the effect, of the joints at which it is judged.
-        effect: The effect.
         without: Residuals of a fit without it, (n,), in the unit of the model.
 
     Returns:

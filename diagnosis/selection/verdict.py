@@ -81,7 +81,6 @@ def find_layer_sets(
     """Refit the competitors of findings that are left out together.
 
     Args:
-        context: The context.
         selection: The selected effects.
         without: The model without these findings.
         layer: The findings that are left out.
@@ -172,7 +171,6 @@ def size_intervals(context: Context, fit: Fit) -> Array:
     Where the noise is known, it is that of least squares, and the quantile is normal.
 
     Args:
-        context: The context.
         fit: A fit of one joint or of all.
 
     Returns:
@@ -210,7 +208,6 @@ def separating_motion(context: Context, found: ConfidenceSet) -> str:
     """Find the recorded motion in which the first two members of a set differ most.
 
     Args:
-        context: The context.
         found: A finding with its alternatives.
 
     Returns:

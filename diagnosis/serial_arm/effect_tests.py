@@ -53,7 +53,6 @@ def flag_parameters(fit: Fit, effects: list[TrackerEffect]) -> Flags:
 
     Args:
         fit: Fit with the parameters.
-        effects: The effects.
 
     Returns:
         Flags, shape (p,).
@@ -125,9 +124,6 @@ def _test(
 def widened_covariance(fit: Fit) -> Array:
     """Compute the covariance of a fit, widened where the noise is larger than stated.
 
-    Args:
-        fit: The fit.
-
     Returns:
         Covariance in the units of the parameters, shape (p, p).
     """
@@ -162,7 +158,6 @@ def wave_features(found: SerialCalibration, effect: PeriodicJointError) -> Array
     """Select the features of the periodic error of a joint.
 
     Args:
-        found: Calibration.
         effect: Periodic error of the joint, with k parameters.
 
     Returns:

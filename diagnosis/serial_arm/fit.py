@@ -138,7 +138,6 @@ def fit(
 
     Args:
         parameters: Parameters with scales and priors.
-        model: Residual model.
         start: Initial values in the units of the parameters, shape (p,); zeros by default.
         used: Boolean flags of the poses to fit, shape (n,); all by default.
 

@@ -52,7 +52,6 @@ def features(arm: SerialArm, series: PoseSeries, orders: int) -> Array:
 
     Args:
         arm: Arm with its masses.
-        series: Poses.
         orders: Number of orders of the periodic error.
 
     Returns:

@@ -79,8 +79,6 @@ def drift_gain(
     """Cross-validate a model in which base and link lengths follow a curve in time.
 
     Args:
-        found: Calibration.
-        validation: Its cross-validation.
         curve_K: Values at the fitted poses in kelvin, with a mean of 0, shape (n,).
 
     Returns:

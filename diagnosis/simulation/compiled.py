@@ -37,11 +37,7 @@ class Models:
     """Compiled models of a robot, each kept for the effects that vary it."""
 
     def __init__(self, robot: Robot) -> None:
-        """Keep the robot.
-
-        Args:
-            robot: Robot.
-        """
+        """Keep the robot."""
         self.robot = robot
         self._kept: dict[tuple[str, ...], Compiled] = {}
 
@@ -162,7 +158,6 @@ def nominal_fields(robot: Robot, n_sims: int, batch: mujoco.batch.Batch) -> Fiel
     """Return the numbers of model and controllers without effects.
 
     Args:
-        robot: Robot.
         n_sims: Number of simulations.
         batch: Models of the simulations, in which effects change other fields.
 

@@ -94,7 +94,6 @@ class Periods:
             batch: Batch, with the numbers of `fields` set.
             fields: Numbers of model and controllers.
             rotors: Rotors that motors turn in place of joints.
-            effects: Effects.
             temperature_degC: Temperatures, (n_sims, n_joints).
         """
         self._compiled, self._batch, self._fields = compiled, batch, fields

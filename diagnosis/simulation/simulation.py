@@ -53,7 +53,6 @@ class Simulation:
         Args:
             models: Models of the robot.
             effects: Effects with their sizes for each candidate.
-            windows: Windows.
             n_candidates: Number of candidates.
             n_threads: Most threads; 0: as many as there are processors.
         """

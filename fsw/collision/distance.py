@@ -81,11 +81,8 @@ def find_violation(
     where a tool touches may a part start below the surface.
 
     Args:
-        geometry: Shapes of arm and rover.
         frames: Frames of the links in RMECH along the path, batch (n).
-        padding_m: Distance to be kept.
         touching: Tool that is to touch; no distance is required of it.
-        surface: Surface of a target; None if there is none.
 
     Returns:
         The violation, or None if there is none.
@@ -128,7 +125,6 @@ def compute_clearances(
     """Compute the distance of each part of the arm to each obstacle.
 
     Args:
-        geometry: Shapes of arm and rover.
         frames: Frames of the links in RMECH, batch (n).
         within_m: Distances beyond this are infinite in the result.
         touching: Tool whose distances are infinite in the result.
@@ -211,9 +207,7 @@ def limit_surface(geometry: CollisionGeometry, frames: Frames, surface: Surface)
     """Limit the radius of a surface by the parts of the arm that start below it, where no rock can be.
 
     Args:
-        geometry: Shapes of the arm.
         frames: Frames of the links in RMECH along a path, batch (n); the first is its start.
-        surface: Surface of a target.
 
     Returns:
         The surface; its half ball ends half-way to the nearest of these parts.

@@ -44,7 +44,6 @@ def read_arguments(command: C, names: Names) -> C | Wrong:
 
     Args:
         command: Command; it may be any object.
-        names: Known names.
 
     Returns:
         The command with plain values, or the first problem.

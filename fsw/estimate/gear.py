@@ -46,7 +46,6 @@ def bound_gear(config: Config, half_backlash_rad: Array, load_Nm: Array) -> Gear
     """Compute the bounds of the gear angles under loads.
 
     Args:
-        config: Configuration of flight software.
         half_backlash_rad: Half the width of the backlash, shape (5,).
         load_Nm: Torques of the load, positive towards positive angles, shape (5, ...).
 
@@ -66,7 +65,6 @@ def bound_loads(config: Config, load_Nm: Array, gravity_R_m_s2: Array, more_Nm: 
     """Compute the lowest, likely and highest loads.
 
     Args:
-        config: Configuration of flight software.
         load_Nm: Modelled loads, shape (5,).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
         more_Nm: Further uncertainty of the loads, shape (5,).
@@ -85,7 +83,6 @@ def load_error(config: Config, gravity_R_m_s2: Array) -> Array:
     """Compute the error bound of modelled loads, in proportion to gravity, which causes most of it.
 
     Args:
-        config: Configuration of flight software.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
 
     Returns:

@@ -104,7 +104,6 @@ def uninitialised_estimate(config: Config, reference: Reference) -> JointEstimat
     """Build the estimate before the first reading, with gear angles that are unknown until a load is known.
 
     Args:
-        config: Configuration of flight software.
         reference: Encoder zeros and resolver biases.
 
     Returns:
@@ -166,11 +165,7 @@ def apply_calibration(
     The gear must just have dragged the joint off its hardstop, to positive angles.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate before the calibration.
         load_Nm: Modelled loads, shape (5,).
-        joint: Calibrated joint.
-        found: Result of the calibration.
 
     Returns:
         The estimate after the calibration.
@@ -206,7 +201,6 @@ def apply_load(
     """Update the gear angles under newly modelled loads.
 
     Args:
-        config: Configuration of flight software.
         joints: Estimate under the previous loads.
         load_Nm: Modelled loads, shape (5,).
         more_Nm: Further uncertainty of the loads, shape (5,).

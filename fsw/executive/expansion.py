@@ -51,10 +51,7 @@ def expand_command(
     """Expand a compound command into single moves from the present joint angles.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints.
         tool: Tool of the last tool command.
-        command: Compound command.
         surface: Surface of `locate_surface`; None if there is none.
         farther_m: Distance from the standoff to a way point farther from the surface; 0 for none.
 
@@ -128,10 +125,7 @@ def locate_surface(
     """Return the surface that a command is to keep away from.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints.
         tool: Tool of the last tool command.
-        command: Command or step of a sequence.
         known: Surface of the last target.
 
     Returns:

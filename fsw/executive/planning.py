@@ -65,10 +65,8 @@ def plan_command(
     """Plan the move of a command, and check its paths for collisions with rover, ground and surface.
 
     Args:
-        config: Configuration of flight software.
         joints: Estimate of the joints, from which the move starts.
         tool: Tool of the last tool command.
-        command: Command of a single move.
         surface: Surface of `locate_surface`; None if there is none.
 
     Returns:
@@ -151,10 +149,8 @@ def plan_sequence(
     """Plan a compound command; each step is planned from the end of the step before it.
 
     Args:
-        config: Configuration of flight software.
         joints: Estimate of the joints, from which the first step starts.
         tool: Tool of the last tool command.
-        command: Compound command.
         surface: Surface that the steps keep away from; None if there is none.
 
     Returns:

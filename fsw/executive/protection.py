@@ -43,12 +43,8 @@ def describe_arm(
     """Describe the arm to protection in plain values.
 
     Args:
-        mode: Mode of the arm.
         tool: Tool of the last tool command.
-        joints: Estimate of the joints.
         backlash_state: That of the estimate, shape (3, 5).
-        move: Move under way.
-        preload: Preload of the tool in contact.
 
     Returns:
         The values that protection needs; arrays are those of the arguments, not copies.

@@ -105,7 +105,6 @@ def sample_errors(distribution: Distribution, count: int, rng: np.random.Generat
     Args:
         distribution: Distribution of the errors.
         count: Number of errors.
-        rng: Random generator.
 
     Returns:
         Errors, shape (count,).

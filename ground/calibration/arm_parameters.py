@@ -110,7 +110,6 @@ def arm_with_values(nominal: Arm, x: Array, stand_in: bool) -> tuple[Arm, Pose]:
     difference is less than a micrometre.
 
     Args:
-        nominal: Nominal arm.
         x: Parameter values, shape (p,), in the units of `arm_parameters`.
         stand_in: True if a stand-in turret is mounted. Its mass was weighed and is not changed.
 
@@ -156,7 +155,6 @@ def turret_displacement(nominal: Arm, x: Array) -> Pose:
     """Compute the displacement of the turret's own mass by the frame error of Arm6.
 
     Args:
-        nominal: Nominal arm.
         x: Parameter values, shape (p,), in the units of `arm_parameters`.
 
     Returns:

@@ -69,7 +69,6 @@ def group_poses(arm: BuiltArm, group: PoseGroup, scene: World, rng: np.random.Ge
         arm: Arm with its flight parameters.
         group: Turret, tilt and number of poses.
         scene: World whose terrain the arm must clear.
-        rng: Random generator.
 
     Returns:
         Joint angles [rad] of each pose, shape (5,), ordered for short moves from the ready pose.

@@ -46,7 +46,6 @@ def reject_outliers(
 
     Args:
         parameters: Parameters with scales and priors.
-        model: Residual model.
         start: Initial values in the units of the parameters, shape (p,); zeros by default.
         used: Boolean flags of the poses to fit, shape (n,); all by default.
         false_alarm: Probability of reporting an outlier if there is none.

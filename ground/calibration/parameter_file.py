@@ -23,7 +23,6 @@ def calibrated_params(found: Calibration, tools: dict[str, Pose] | None = None) 
     """Build the parameters of the calibrated arm, with the encoder zeros in its hardstop angles.
 
     Args:
-        found: Calibration.
         tools: Poses X_FT of registered tools in frame Arm6; they replace the nominal ones.
 
     Returns:

@@ -318,9 +318,6 @@ def save_calibration_picture(report: CalibrateReport, path: Path) -> str | None:
 def errors_without_backlash(found: Calibration) -> Array:
     """Compute the errors with calibrated parameters, but without the state of the backlash.
 
-    Args:
-        found: Calibration.
-
     Returns:
         Error screws, rotation [rad] above translation [m], shape (6, n).
     """

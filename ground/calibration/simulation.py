@@ -187,7 +187,6 @@ def compare_with_truth(arm: BuiltArm, found: Calibration, motor_error_rad: Array
 
     Args:
         arm: Arm with its effects.
-        found: Calibration.
         motor_error_rad: True less believed motor angles, shape (5,).
 
     Returns:

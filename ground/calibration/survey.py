@@ -79,7 +79,6 @@ def turret_in_rover(rover: FrameFit, turret: FrameFit, X_NR: Pose) -> tuple[Pose
 
     Args:
         rover: Rover frame, whose targets are known in RNAV (N).
-        turret: Turret frame.
         X_NR: Frame RMECH (R) in RNAV.
 
     Returns:
@@ -131,7 +130,6 @@ def measure_pose(
         plant: Plant that shows the arm.
         roll_rad: Roll of the rover.
         X_RF: Interface of the turret in the rover frame.
-        rng: Random generator.
 
     Returns:
         The measurement.

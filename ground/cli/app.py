@@ -119,13 +119,9 @@ def _run() -> NoReturn:
 
 def _describe_usage_error(error: typer.TyperException) -> str:
     """Return one sentence about wrong usage; nothing if typer has printed the help instead."""
-    from sim.old_names import OPTIONS, renamed_text  # nothing of sim before a verb runs
-
     message = error.format_message().rstrip(".")
-    option, parameter = getattr(error, "option_name", None), getattr(error, "param", None)
-    if option in OPTIONS:
-        message = f"{option}: {renamed_text(OPTIONS[option])}"
-    elif parameter is not None and "Input should be" in message:  # the words of a library
+    parameter = getattr(error, "param", None)
+    if parameter is not None and "Input should be" in message:  # the words of a library
         number = "whole number" if "integer" in message else "number"
         plural = "s" if parameter.nargs > 1 else ""
         message = f"{parameter.get_error_hint()}: takes {parameter.nargs} {number}{plural}"

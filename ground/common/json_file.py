@@ -15,7 +15,6 @@ def read_json(path: Path, adapter: TypeAdapter[T], otherwise: str, advice: str) 
 
     Args:
         path: The file.
-        adapter: Adapter of the type.
         otherwise: What is said of a file of another type, such as "holds no keys".
         advice: What the user can do.
 

@@ -190,9 +190,7 @@ def plan_cases(
 
     Args:
         cases: Number of cases.
-        catalogue: Effects of the catalogue.
         outside: Effects outside the catalogue.
-        rng: Random generator.
     """
     known, unknown = ([one for one in some if can_sample(one)] for some in (catalogue, outside))
     counts = {kind: round(share * cases) for kind, share in KIND_SHARES.items()}

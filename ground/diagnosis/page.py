@@ -45,7 +45,6 @@ def save_diagnosis_page(result: DiagnosisResult, origin: Origin, path: Path) -> 
     """Write the page.
 
     Args:
-        result: Diagnosis.
         origin: Command and digests.
         path: The HTML file.
 

@@ -131,7 +131,6 @@ def find_lack_of_fit(
 
     Args:
         equations: Normal equations of the campaign.
-        groups: Groups of features.
         fit: Linear fit of the case.
         y: Whitened features, shape (m,).
 

@@ -56,7 +56,6 @@ def sample_amplitude(
 
     Args:
         one: Effect with its detection limit.
-        rng: Random generator.
         multiples: Least and greatest amplitude in detection limits.
     """
     times = float(np.exp(rng.uniform(*np.log(multiples))))

@@ -62,7 +62,6 @@ def save_picture(
     """Save the view of a camera of the model as a PNG file.
 
     Args:
-        model: The model.
         data: Its state, current (after mj_forward or mj_step).
         camera: Name of a camera of the model.
         path: The PNG file.
@@ -102,7 +101,6 @@ def save_movie(
     A run only stores poses, which are small; the frames are drawn after it.
 
     Args:
-        model: The model.
         poses: Positions qpos, each of shape (model.nq,), in metres and radians.
         camera: Name of a camera of the model.
         path: The file, MP4 or GIF by its suffix.

@@ -37,8 +37,6 @@ class Behaviour:
     """Number of cycles, from tick 0."""
     series: Mapping[str, TopicSeries]
     evrs: tuple[EvrEntry, ...]
-    has_today_digests: bool = True
-    """False if the digests of parameters in its events were made with the names of version 0.1."""
 
 
 def behaviour_from_log(log: Log, ticks: int) -> Behaviour:
@@ -53,7 +51,7 @@ def behaviour_from_log(log: Log, ticks: int) -> Behaviour:
                 log.ticks(topic.name)[:end], {name: packets[name] for name in names}
             )
     evrs = tuple(evr for evr in log.evrs if evr.tick < ticks)
-    return Behaviour(ticks, series, evrs, not log.has_old_parameters)
+    return Behaviour(ticks, series, evrs)
 
 
 def behaviour_from_outputs(outputs: Sequence[Outputs]) -> Behaviour:

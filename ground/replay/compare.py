@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.replay.behaviour import Behaviour, TopicSeries
-from ground.replay.compare_evrs import DIGEST, EvrDifference, evr_differences, without_digests
+from ground.replay.compare_evrs import EvrDifference, evr_differences
 from ground.telemetry.format import EVR_TOPIC
 from ground.telemetry.topics import channel_name
 
@@ -171,10 +171,6 @@ def compare_behaviours(
     not_compared = [
         f"{topic}: not recorded; not compared" for topic in (*lacking, *([EVR_TOPIC] if is_imported else []))
     ]
-    recorded_evrs, replayed_evrs = recorded.evrs, replayed.evrs
-    if not (recorded.has_today_digests and replayed.has_today_digests):
-        recorded_evrs, replayed_evrs = without_digests(recorded_evrs), without_digests(replayed_evrs)
-        not_compared.append(f"{EVR_TOPIC}.{DIGEST}: made with names of version 0.1; not compared")
     lengths = [_length_difference(topic, recorded, replayed) for topic in topics]
     channels, compared = [], 0
     for topic in topics:
@@ -194,7 +190,7 @@ def compare_behaviours(
             for one in (*lengths, None if is_imported else _evr_length_difference(recorded, replayed))
             if one is not None
         ),
-        evrs=() if is_imported else evr_differences(recorded_evrs, replayed_evrs, tolerance),
+        evrs=() if is_imported else evr_differences(recorded.evrs, replayed.evrs, tolerance),
         channels=tuple(one for one in channels if one is not None),
         channels_compared=compared,
         evrs_compared=not is_imported,

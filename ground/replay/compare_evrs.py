@@ -1,18 +1,14 @@
 """Comparison of the events of two runs: missing, added and changed events."""
 
-import json
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from itertools import zip_longest
 from math import isfinite, isnan
-from typing import Any, Final
+from typing import Any
 
 from ground.telemetry.events import EvrEntry
-
-DIGEST: Final = "params_sha256"
-"""Field of events with the digest of the parameters."""
 
 
 class EvrChange(StrEnum):
@@ -43,17 +39,6 @@ class EvrDifference:
     def tick(self) -> int:
         """Earlier one of its two ticks."""
         return min(one.tick for one in (self.recorded, self.replayed) if one is not None)
-
-
-def without_digests(evrs: Sequence[EvrEntry]) -> tuple[EvrEntry, ...]:
-    """Return events without digests of parameters, which change with the names of parameters."""
-    return tuple(_without_digest(evr) if DIGEST in evr.fields else evr for evr in evrs)
-
-
-def _without_digest(evr: EvrEntry) -> EvrEntry:
-    fields = {**evr.fields, DIGEST: ""}
-    message = evr.message.replace(evr.fields[DIGEST], "")
-    return replace(evr, message=message, fields_json=json.dumps(fields))
 
 
 def evr_differences(

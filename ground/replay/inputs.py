@@ -89,8 +89,7 @@ def _start_conditions(log: Log, notes: list[str]) -> tuple[Params, Mode, Referen
     document = _header_document(log, "params")
     count = len(notes)
     params: Params = record_from_json(Params, document, "params", notes, nominal_params())
-    is_same = len(notes) == count and not log.has_old_parameters
-    if is_same and digest(params) != log.header["params_sha256"]:
+    if len(notes) == count and digest(params) != log.header["params_sha256"]:
         raise BadJson(
             "its parameters do not match their own digest: the header was changed; "
             "give the log as it was written"

@@ -201,7 +201,6 @@ def record_cycles(
     """Run and record cycle by cycle.
 
     Args:
-        run: The run.
         log: Log in which each cycle is written.
         when_disk_full: Reaction to a log that can no longer be written: continue, or stop the arm.
 
@@ -341,7 +340,6 @@ def execute(
     """Carry out a run: record every cycle, then draw the picture and the movie.
 
     Args:
-        run: The run.
         loop: Closed loop of the run.
         header: Header of the log, which describes the run.
         files: Files that the run writes.

@@ -15,6 +15,8 @@ CHUNK_S: Final = 0.005
 
 FORMAT: Final = "2"
 """Version of the format; a reader refuses others."""
+UNREADABLE_VERSIONS: Final = ("0.1.", "0.2.")
+"""Versions of marsarm whose logs have the same format, but other names; a reader refuses them."""
 
 FORMAT_RECORD: Final = "marsarm.format"
 HEADER_RECORD: Final = "marsarm.header"
@@ -22,6 +24,8 @@ END_RECORD: Final = "marsarm.end"
 """Metadata at the end of the log of an interrupted run; other logs have none."""
 INTERRUPTED_KEY: Final = "interrupted_by"
 CRC_KEY: Final = "crc32"
+WRITER_KEY: Final = "marsarm"
+"""Key of the header: version of the marsarm that wrote the log."""
 CHANNELS_KEY: Final = "channels"
 """Key of the header: every channel by topic, so that a reader needs no schema or channel record."""
 
@@ -33,6 +37,17 @@ DERIVED_KEY: Final = "derived"
 EVR_TOPIC: Final = "/evr"
 COMMAND_TOPIC: Final = "/command"
 SENSOR_TOPIC: Final = "/sensors"
+
+
+def version_problem(metadata: Mapping[str, Mapping[str, str]]) -> str:
+    """Return why a log with these metadata records is not read; empty if it is of a known version."""
+    form = metadata.get(FORMAT_RECORD, {"version": FORMAT}).get("version")
+    if form != FORMAT:
+        return f"log format {form}; this marsarm reads format {FORMAT}"
+    writer = metadata.get(HEADER_RECORD, {}).get(WRITER_KEY, "")
+    if writer.startswith(UNREADABLE_VERSIONS):
+        return f"a log of marsarm {writer[:3]}, which reads it; this marsarm reads logs of 0.3 and later"
+    return ""
 
 
 def end_metadata(interrupted_by: str) -> list[Metadata]:

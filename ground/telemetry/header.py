@@ -20,6 +20,7 @@ from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
 from ground.common.git import git_revision
+from ground.telemetry.format import WRITER_KEY
 from ground.telemetry.json_codec import record_to_json
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
@@ -105,7 +106,7 @@ def flight_header(loop: ClosedLoop, commands: Sequence[Command]) -> dict[str, st
 def versions_header() -> dict[str, str]:
     """Return the versions of the software, and the processor."""
     return {
-        "marsarm": version("marsarm"),
+        WRITER_KEY: version("marsarm"),
         "mujoco": mujoco.__version__,
         "numpy": np.__version__,
         "python": platform.python_version(),

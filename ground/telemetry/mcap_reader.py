@@ -16,7 +16,7 @@ from mcap.records import Channel, DataEnd, Footer, Metadata
 from mcap.writer import MCAP0_MAGIC
 
 from ground.telemetry.errors import LogNotReadable
-from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
+from ground.telemetry.format import FORMAT_RECORD, HEADER_RECORD, header_crc32, version_problem
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
 CHUNK_HEAD: Final = struct.Struct("<QQQII4sQ")
@@ -156,8 +156,8 @@ def check_header(path: Path, found: McapContent) -> None:
     about = found.metadata.get(FORMAT_RECORD)
     if about is None:
         raise LogNotReadable(path, "an MCAP file, but not a marsarm log, or cut short before its header")
-    if about.get("version") != FORMAT:
-        raise LogNotReadable(path, f"log format {about.get('version')}; this marsarm reads format {FORMAT}")
+    if problem := version_problem(found.metadata):
+        raise LogNotReadable(path, problem)
     if HEADER_RECORD not in found.metadata:
         raise LogNotReadable(path, "cut short before the end of its header; it holds no cycle")
     if header_crc32(found.metadata[HEADER_RECORD]) != about.get("header_crc32"):

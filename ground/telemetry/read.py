@@ -38,7 +38,6 @@ from ground.telemetry.mcap_reader import (
     McapContent,
     read_records,
 )
-from ground.telemetry.old_names import rename_command, rename_evr, rename_header
 from ground.telemetry.salvage import has_intact_chunk, salvage
 from ground.telemetry.topic_arrays import (
     KnownTopic,
@@ -62,7 +61,7 @@ MAX_LOG_BYTES: Final = 1 << 32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Log:
-    """Content of a log under today's names; packets are read-only.
+    """Content of a log; packets are read-only.
 
     `log["/sensors"]["encoder_count"]` has one row for each message, shape (n, 5). Topics without messages are
     absent.
@@ -86,8 +85,6 @@ class Log:
     """Cause if the run was interrupted; empty if it was not, or if its writer died."""
     trailing_bytes: int = 0
     """Bytes in the file after the end of the log; they are not read."""
-    has_old_parameters: bool = False
-    """True if its parameters had names of version 0.1, which their digest depends on."""
 
     @property
     def end(self) -> Literal["closed", "interrupted", "cut short"]:
@@ -236,9 +233,8 @@ def _build_log(
     path: Path, found: McapContent, batches: Sequence[MessageBatch], selection: LogSelection, from_start: bool
 ) -> Log:
     """Build the log of the selected topics; a damaged message raises one of PARSE_ERRORS."""
-    written = found.metadata[HEADER_RECORD]
-    header = rename_header(written)
-    channels = _find_topics(written, batches)
+    header = found.metadata[HEADER_RECORD]
+    channels = _find_topics(header, batches)
     packets, times, bodies = {}, {}, dict[str, list[bytes]]()
     for number, channel in channels.items():
         topic, layout = channel.topic, channel.layout
@@ -264,13 +260,12 @@ def _build_log(
         truncated=not found.closed,
         packets=packets,
         time_ns=times,
-        evrs=tuple(rename_evr(EvrEntry.decode(body)) for body in bodies.get(EVR_TOPIC, [])),
-        commands=tuple(rename_command(CommandEntry.decode(body)) for body in bodies.get(COMMAND_TOPIC, [])),
+        evrs=tuple(EvrEntry.decode(body) for body in bodies.get(EVR_TOPIC, [])),
+        commands=tuple(CommandEntry.decode(body) for body in bodies.get(COMMAND_TOPIC, [])),
         truth=frozenset(channel.topic for channel in channels.values() if channel.is_truth),
         lost=losses_in(found.metadata.get(RECOVERED_RECORD, {})),
         interrupted_by=interruption_in(found.metadata.get(END_RECORD, {})),
         trailing_bytes=found.trailing_bytes if found.closed else 0,
-        has_old_parameters=header.get("params") != written.get("params"),
     )
 
 

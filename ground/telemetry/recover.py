@@ -18,6 +18,7 @@ from ground.telemetry.format import (
     HEADER_RECORD,
     end_metadata,
     header_crc32,
+    version_problem,
 )
 from ground.telemetry.lost_messages import RECOVERED_RECORD, LostMessages, loss_metadata
 from ground.telemetry.mcap_reader import PARSE_ERRORS
@@ -74,9 +75,8 @@ def recover(bad: Path, good: Path, progress: Progress) -> RecoveryReport:
 
 
 def _check_ours(bad: Path, found: SalvagedLog) -> None:
-    version = found.metadata.get(FORMAT_RECORD, {}).get("version", FORMAT)
-    if version != FORMAT:
-        raise LogNotReadable(bad, f"log format {version}; this marsarm reads format {FORMAT}")
+    if problem := version_problem(found.metadata):
+        raise LogNotReadable(bad, problem)
     if not found.chunks and HEADER_RECORD not in found.metadata:
         raise LogNotReadable(bad, "holds no undamaged part of a marsarm log; nothing can be saved")
     try:

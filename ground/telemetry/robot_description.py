@@ -76,7 +76,6 @@ def robot_description(
     """Return the URDF of the frames of a log and the shapes in them.
 
     Args:
-        fixed: Fixed frames.
         turning: Frames that joints turn; together with the fixed ones they are a tree.
         visuals: Shapes by frame.
     """

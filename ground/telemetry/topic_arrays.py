@@ -19,7 +19,6 @@ from ground.telemetry.format import (
     LAYOUT_KEY,
     TRUTH_KEY,
 )
-from ground.telemetry.old_names import rename_channel
 from ground.telemetry.schema import Layout
 
 
@@ -49,7 +48,7 @@ def known_topics(header: Mapping[str, str], records: Mapping[int, Channel]) -> d
     """
     topics = decode_topics(header) or {number: _topic_document(one) for number, one in records.items()}
     return {
-        number: KnownTopic(one["topic"], _parse_layout(one["topic"], one["layout"]), bool(one["truth"]))
+        number: KnownTopic(one["topic"], _parse_layout(one["layout"]), bool(one["truth"]))
         for number, one in topics.items()
         if one["topic"] in (EVR_TOPIC, COMMAND_TOPIC) or (one["layout"] is not None and not one["derived"])
     }
@@ -66,10 +65,8 @@ def _topic_document(channel: Channel) -> dict[str, Any]:
     }
 
 
-def _parse_layout(topic: str, rows: Any) -> Layout | None:
-    if rows is None:
-        return None
-    return Layout.from_json(json.dumps([[rename_channel(topic, name), *others] for name, *others in rows]))
+def _parse_layout(rows: Any) -> Layout | None:
+    return None if rows is None else Layout.from_json(json.dumps(rows))
 
 
 BatchRows = Sequence[NDArray[np.int64]]

@@ -137,8 +137,6 @@ def write_rows(
     """Write all rows of a stream, and the summary if the log is complete.
 
     Args:
-        stream: Rows.
-        log: Writer.
         expand: Function that adds the ROS 2 messages.
         chunk_s: Wall time of a chunk; 0 for one chunk each row.
         ended: Status to update.

@@ -85,7 +85,6 @@ def build_scene(world: World, drawing: ArmModel, has_turret: bool = True) -> Sce
 
     Args:
         world: World of the run.
-        drawing: Drawing of the arm.
         has_turret: False for an arm on which a mass stands in for the turret.
     """
     spec = build(world, drawing, for_pictures=True)

@@ -68,7 +68,6 @@ def build_surroundings(
         world: World of the run.
         params: Parameters of flight software.
         effects: All effects of arm and run; those that a parameter describes change the true arm.
-        drawing: Drawing of the arm.
     """
     normal = None if world.surface is None else normalize(world.surface.normal_N)
     true_params = params_with_effects(effects, drawing.params)

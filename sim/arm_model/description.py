@@ -276,5 +276,5 @@ def read_description(text: str, path: str) -> ArmDescription:
     try:
         return _ADAPTER.validate_json(json.dumps(table, default=str), strict=True, extra="forbid")
     except ValidationError as error:
-        lines = [f"{path}: {'.'.join(map(str, e['loc']))}: {describe_error(e, ())}" for e in error.errors()]
+        lines = [f"{path}: {'.'.join(map(str, e['loc']))}: {describe_error(e)}" for e in error.errors()]
         raise BadArm("\n".join(lines)) from error

@@ -27,7 +27,6 @@ def flight_params(arm: ArmDescription, digest: str, defaults: Path, rover: Path,
     """Make the flight parameters of the drawing.
 
     Args:
-        arm: Description of the arm.
         digest: SHA-256 of the description.
         defaults: TOML file of the flight parameters that do not depend on the arm.
         rover: TOML file of the shapes of the rover.

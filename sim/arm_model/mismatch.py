@@ -27,8 +27,7 @@ def find_mismatches(params: Params, arm: ArmModel) -> Iterator[str]:
     Parameters that are no property of the mechanism, such as speeds, may have any value.
 
     Args:
-        params: Flight parameters.
-        arm: Drawing of the arm that they are for.
+        arm: Drawing of the arm that the parameters are for.
     """
     drawing, sigma = arm.params, arm.description.tolerances.built
     if params.model.name != drawing.model.name:

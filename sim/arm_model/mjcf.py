@@ -68,7 +68,6 @@ def arm_mjcf(arm: ArmDescription, visual: str | None) -> str:
     """Write the MJCF of an arm.
 
     Args:
-        arm: Description of the arm.
         visual: Looks: materials, and geoms by body; None to show the shapes for collisions instead.
 
     Returns:

@@ -76,7 +76,6 @@ def place_fields_of(kind: type[Effect], tools: Sequence[str] | None = None) -> t
     """List the fields of an effect whose type is a joint, a frame, a tool or a literal.
 
     Args:
-        kind: Class of the effect.
         tools: Tools of the arm; None for those of the default arm.
     """
     hints = get_type_hints(kind, include_extras=True)

@@ -47,7 +47,6 @@ def effect_file_text(effects: Sequence[Effect], comments: Sequence[str]) -> str:
     """Write a file of these effects, which reads back exactly, below comments.
 
     Args:
-        effects: Effects to write.
         comments: Comments, one a line.
     """
     lines = [f"# {line}" for line in comments]

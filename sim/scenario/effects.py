@@ -46,10 +46,6 @@ class NotAnEffect(ValueError):
 def parse_effect_text(text: str, tools: Sequence[str]) -> Effect:
     """Make the effect of a text, from the catalogue or from FILE.py:CLASS:PLACE:PARAMETER=VALUE,...
 
-    Args:
-        text: The text.
-        tools: Tools of the arm.
-
     Raises:
         BadEffect: the name is not known, or its place or its parameters are wrong.
     """

@@ -118,7 +118,6 @@ def parse_scenario(text: str, name: str, file: str, arm: str | None = None) -> S
 
     Args:
         text: TOML text.
-        name: Name of the scenario.
         file: Name of the file in messages.
         arm: Arm in place of that of the scenario.
 

@@ -112,10 +112,8 @@ def evaluate_checks(
     """Evaluate every check of a scenario, in its order.
 
     Args:
-        scenario: Scenario that was run.
         stowed_rad: Output angles of the stowed pose, shape (5,).
         trace: True states of the run, from `note_snapshot`.
-        ending: State at its end.
     """
     found = [
         replace(measured, check=upper_snake(type(check)).lower())

@@ -71,8 +71,7 @@ def find_refusals(
     """Find the commands that would be refused.
 
     Args:
-        commands: Sequence.
-        start: Mode before it.
+        start: Mode before the commands.
         faulting: Numbers of commands that certainly end in a fault, if they move.
         troubled: Numbers of commands that may end in a fault.
 

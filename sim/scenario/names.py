@@ -7,8 +7,6 @@ from difflib import get_close_matches
 from math import pi
 from typing import Any, Final
 
-from sim.old_names import find_new_name, renamed_text
-
 UNIT_FACTORS: Final[dict[str, dict[str, float]]] = {
     "rad": {"rad": 1.0, "deg": pi / 180},
     "m": {"m": 1.0, "mm": 1e-3},
@@ -76,21 +74,18 @@ def list_choices(known: Iterable[str]) -> str:
 
 
 def did_you_mean(value: object, known: Iterable[str]) -> str:
-    """Suggest the closest name, or part of `one or other`, and list all names; or say its name of today.
+    """Suggest the closest name, or part of `one or other`, and list all names.
 
     A value that is no text is near to no name.
     """
     names = list(known)
     advice = suggest_name(value, names) if isinstance(value, str) else ""
-    return advice.removesuffix("; ") if advice.endswith("; ") else advice + list_choices(names)
+    return advice + list_choices(names)
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
-    """Return the name of today or the closest name, to put before more advice; else nothing."""
+    """Return a question about the closest name, to put before more advice; empty if none is close."""
     near = {part: whole for whole in known for part in whole.split(" or ")}
-    new = find_new_name(name, near)
-    if new is not None:
-        return f"{renamed_text(new)}; "
     lower = {part.lower(): whole for part, whole in near.items()}
     close = get_close_matches(name.lower(), lower, n=1)
     return f"did you mean {lower[close[0]]}? " if close else ""

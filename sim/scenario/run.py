@@ -48,7 +48,6 @@ def scenario_setup(scenario: Scenario, arm: BuiltArm, reference: Reference, seed
     """Make the setup of a scenario for an arm that has its effects and its taught places.
 
     Args:
-        scenario: Scenario to run.
         arm: Arm from `Scenario.fit_arm`, with its taught places.
         reference: Reference in the memory of flight software.
         seed: Seed of the noise.

@@ -86,11 +86,8 @@ def read_command(
     """Read a command, or return None and report problems.
 
     Args:
-        table: Table of the file.
-        place: Its place in the file.
         findings: Problems to add to.
         points: Tools of the taught places, by name.
-        params: Flight parameters of the arm.
 
     Returns:
         The command, its positions in RMECH.
@@ -137,8 +134,6 @@ def read_fault(
     """Read a fault and its time, or return None and report problems.
 
     Args:
-        table: Table of the file.
-        place: Its place in the file.
         findings: Problems to add to.
         commands: Number of commands.
         has_surface: True if the world has a rock face.

@@ -154,7 +154,6 @@ def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTru
 
     Args:
         model: Diagnosis model of the campaign.
-        rng: Random generator.
 
     Returns:
         The truth, and all effects of the arm.
@@ -225,7 +224,6 @@ def holds(model: DiagnosisModel, finding: Finding, true: int) -> bool:
 
     Args:
         model: Diagnosis model of the campaign.
-        finding: The finding.
         true: Index of the hypothesis.
     """
     alike = model.equivalence_class(true)

@@ -251,7 +251,6 @@ def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: 
     Args:
         feature_set: Features of all recordings, m of them.
         change: Change of the features in the units of the channels, shape (m,).
-        joint: The joint.
         turns: False if only the reading of its resolver changes.
 
     Returns:

@@ -41,7 +41,6 @@ def simulate_open_loop(
     Args:
         recording: Recorded session.
         effects: Effects that are switched on.
-        options: Simulation options.
         pose_ticks: Numbers of cycles after which the turret pose is taken.
         ticks: Number of ticks from the start that are simulated; None for all.
 

@@ -31,9 +31,6 @@ class NothingToWrite(Exception):
 def effects_of_findings(result: DiagnosisResult) -> tuple[Effect, ...]:
     """Return the effects of a diagnosis with their fitted values.
 
-    Args:
-        result: Diagnosis.
-
     Raises:
         NothingToWrite: No effect was found.
     """
@@ -119,7 +116,6 @@ def save_diagnosis_files(
     """Write the files of a request; return sentences about those without content.
 
     Args:
-        result: Diagnosis.
         request: Request with the paths of the files.
         job: Checked request, with the logs and the flight parameters of the arm.
 

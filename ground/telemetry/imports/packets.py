@@ -42,8 +42,6 @@ def build_topics(table: InputTable, mapping: TableMapping, cells: int) -> tuple[
     """Build the messages of every topic.
 
     Args:
-        table: Table.
-        mapping: Mapping.
         cells: Limit of the numbers in one topic.
 
     Raises:

@@ -183,7 +183,6 @@ def read_table(
         data: Content of the file.
         file: Name of the file; its ending selects Parquet or CSV.
         names: Columns.
-        form: Format of CSV.
         cells: Limit of rows times columns.
 
     Raises:

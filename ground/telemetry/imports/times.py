@@ -119,7 +119,6 @@ def check_grid(table: InputTable, time: TimeMapping, cycles: Cycles) -> None:
     """Check that each cycle has one row, if the grid is "exact".
 
     Args:
-        table: Table.
         time: Table [time] of the mapping.
         cycles: Times in cycles, shape (n,).
 
@@ -172,7 +171,6 @@ def pick_rows(
     """Select the rows that become the messages of a topic.
 
     Args:
-        table: Table.
         time: Table [time] of the mapping.
         cycles: Times of all rows in cycles, shape (n,).
         rows: One or more rows with values, shape (k,).

@@ -8,7 +8,9 @@ import pytest
 from ground.telemetry.format import FORMAT
 from ground.telemetry.mcap_reader import read_records
 from ground.telemetry.read import read_log
+from ground.telemetry.recorder import Recorder
 from tests.ground.command import marsarm, marsarm_process
+from tests.ground.telemetry.conftest import cycle_at
 from validation.sample_logs import record_log
 
 CYCLES = 130
@@ -32,6 +34,8 @@ def folder(tmp_path, written):
     version = b"version\x01\0\0\0" + FORMAT.encode()
     assert version in written
     (tmp_path / "later.mcap").write_bytes(written.replace(version, version[:-1] + b"9"))
+    with Recorder(tmp_path / "old.mcap", {"marsarm": "0.2.0"}) as recorder:
+        recorder.write(cycle_at(0))
     return tmp_path
 
 
@@ -132,6 +136,11 @@ BAD = {
     "flipped, its span": (("export", "broken.mcap", "out"), "lost, between 0."),
     "later": (("info", "later.mcap"), "log format 9"),
     "later, recovered": (("recover", "later.mcap", "g.mcap"), "log format 9"),
+    "of 0.2": (
+        ("info", "old.mcap"),
+        "marsarm 0.2, which reads it; this marsarm reads logs of 0.3",
+    ),
+    "of 0.2, recovered": (("recover", "old.mcap", "g.mcap"), "a log of marsarm 0.2, which reads it"),
     "empty, recovered": (("recover", "empty.mcap", "g.mcap"), "nothing can be saved"),
     "recovered into no log": (("recover", "broken.mcap", "g.txt"), "must end in .mcap"),
     "no such channel": (
