@@ -1,6 +1,7 @@
 """Search for poses in which the joints of an arm can find their hardstops."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import islice
 from typing import Final
 
 import numpy as np
@@ -15,10 +16,12 @@ from sim.arm_model.load import ArmModel
 from sim.hardstop_loads import NoPlan, PoseName
 
 HOMINGS: Final = (*HARDSTOP_ORDER, HOMED_TWICE)
-STARTS: Final = 1000
-"""Number of random start poses; the arms of the project find one among about a hundred."""
-PARKS: Final = 10
+STARTS: Final = 3000
+"""Number of random start poses; of Curiosity about one in a thousand leads to all hardstops."""
+PARKS: Final = 30
 """Number of random parking angles of each joint in each pose."""
+BRANCHES: Final = 2
+"""Number of these from which the search goes on: a start that is none costs little."""
 
 
 def find_homing_poses(
@@ -69,29 +72,36 @@ class _Search:
         """
         if k == len(HOMINGS):
             return pose_rad
-        joint = HOMINGS[k]
+        joint, problem = HOMINGS[k], self._find_problem_at_stop(pose_rad, HOMINGS[k])
         stop = self._at_stop(pose_rad, joint)
-        problem = self._room.find_load_problem(pose_rad, stop, joint)
-        problem = problem or self._room.find_way_problem(stop, stop, joint)  # most fail here already
         problem = problem or self._room.find_way_problem(pose_rad, stop, joint)
         if problem is not None:
             if k > self.farthest:
                 self.farthest, self.problem = k, problem
             return None
-        is_second = k == len(HARDSTOP_ORDER)
-        for end in [pose_rad] if is_second else [self._with(pose_rad, joint) for _ in range(PARKS)]:
-            if self._is_for_later(end, joint) and self._room.find_way_problem(stop, end, joint) is None:
-                found = self.park(end, k + 1)
-                if found is not None:
-                    return found
+        for end in islice(self._draw_ends(pose_rad, stop, k), BRANCHES):
+            found = self.park(end, k + 1)
+            if found is not None:
+                return found
         return None
 
-    def _is_for_later(self, pose_rad: Array, joint: Joint) -> bool:
-        """Return whether gravity allows to home the elevation with a parked wrist, and later elbow."""
-        if joint not in (Joint.WRIST, Joint.ELBOW):
-            return True
-        stop = self._at_stop(pose_rad, HOMED_TWICE)
-        return self._room.find_load_problem(stop, stop, HOMED_TWICE) is None
+    def _draw_ends(self, pose_rad: Array, stop_rad: Array, k: int) -> Iterator[Array]:
+        """Draw poses with parking angles to which joint k can go from its hardstop."""
+        is_second = k == len(HARDSTOP_ORDER)
+        for _ in range(1 if is_second else PARKS):
+            end = pose_rad if is_second else self._with(pose_rad, HOMINGS[k])
+            if self._is_for_later(end, k + 1) and not self._room.find_way_problem(stop_rad, end, HOMINGS[k]):
+                yield end
+
+    def _is_for_later(self, pose_rad: Array, k: int) -> bool:
+        """Return whether the next homing, and with a parked elbow the last, may end: most fail there."""
+        later = HOMINGS[k : k + 1] if k <= HARDSTOP_ORDER.index(Joint.ELBOW) else HOMINGS[k:]
+        return all(self._find_problem_at_stop(pose_rad, joint) is None for joint in later)
+
+    def _find_problem_at_stop(self, pose_rad: Array, joint: Joint) -> str | None:
+        stop = self._at_stop(pose_rad, joint)
+        problem = self._room.find_load_problem(pose_rad, stop, joint)
+        return problem or self._room.find_way_problem(stop, stop, joint)
 
     def _at_stop(self, pose_rad: Array, joint: Joint) -> Array:
         pose = pose_rad.copy()
