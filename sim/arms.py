@@ -10,6 +10,7 @@ import numpy as np
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Row6, row6
+from sim.arm_check import check_arm
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel, arm_names, default_arm, default_name, has_description, load_arm
 from sim.effects.effect import Effect, check_effects, params_with_effects
@@ -25,7 +26,6 @@ from sim.effects.joints import (
 from sim.effects.sensors import StructureSensor
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.params_table import BadParams
-from sim.world import check_plant
 
 MAX_SEED_DIGITS: Final = 9
 SPRING_FRAMES: Final = (Frame.ARM1, Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5)
@@ -142,7 +142,7 @@ def _parse_name(name: str) -> _ArmName:
     try:
         drawing = default_arm() if model == default_name() else load_arm(model)
         if not is_ours:
-            check_plant(drawing)
+            check_arm(drawing)
     except (BadArm, BadParams) as error:
         raise UnknownArm(str(error)) from error
     return _ArmName(drawing, None if is_ours else model, kind, int(seed or 0))

@@ -14,16 +14,43 @@ from sim.arm_model.load import ArmModel
 from sim.plant import Plant
 from sim.world import World, build
 
+PLANE: Final = int(mujoco.mjtGeom.mjGEOM_PLANE)
+"""As a number, which NumPy compares ten times faster."""
 MAX_CLEARANCE_M: Final = 0.3
 """Upper bound of the reported clearances."""
 
 
 @dataclass(frozen=True, slots=True)
-class Clearance:
-    """Least distance of the arm to rover or ground, and between its parts that are not neighbours."""
+class Gap:
+    """Least distance between two parts over some poses; negative where one is inside the other."""
 
-    outside_m: float
-    self_m: float
+    distance_m: float = MAX_CLEARANCE_M
+    parts: tuple[str, str] = ("", "")
+    pose: int = 0
+    """Index of the pose."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clearance:
+    """Least gap of the arm to rover or ground, and between its parts that are not neighbours."""
+
+    outside: Gap
+    within: Gap
+
+    @property
+    def outside_m(self) -> float:
+        """Return the least distance to rover or ground."""
+        return self.outside.distance_m
+
+    @property
+    def self_m(self) -> float:
+        """Return the least distance between parts of the arm."""
+        return self.within.distance_m
+
+    @property
+    def least(self) -> Gap:
+        """Return the lesser gap."""
+        return min(self.outside, self.within, key=lambda gap: gap.distance_m)
 
 
 class ClearanceModel:
@@ -46,15 +73,15 @@ class ClearanceModel:
             poses_rad: Output angles, shape (5, n).
         """
         strain = np.moveaxis(settle_output(self.arm, poses_rad, self.gravity_R_m_s2).strain, -1, 0)
-        outside = within = MAX_CLEARANCE_M
-        for output, springs in zip(poses_rad.T, strain, strict=True):
+        outside = within = Gap()
+        for pose, (output, springs) in enumerate(zip(poses_rad.T, strain, strict=True)):
             self.plant.show(output, springs)
-            outside = self._least(self._outside, outside)
-            within = self._least(self._self, within)
+            outside = self._least(self._outside, pose, outside)
+            within = self._least(self._self, pose, within)
         return Clearance(outside, within)
 
-    def _least(self, pairs: Array, least_m: float) -> float:
-        """Return the least distance [m] of these pairs of geoms, at most `least_m`.
+    def _least(self, pairs: Array, pose: int, least: Gap) -> Gap:
+        """Return the least gap of these pairs of geoms in the pose shown, or `least` if that is less.
 
         The pairs with the nearest bounding spheres come first, so that the search can stop early.
         """
@@ -62,14 +89,23 @@ class ClearanceModel:
         one, other = pairs.T
         spheres = np.linalg.norm(data.geom_xpos[one] - data.geom_xpos[other], axis=1)
         spheres -= model.geom_rbound[one] + model.geom_rbound[other]
-        plane = model.geom_type[other] == mujoco.mjtGeom.mjGEOM_PLANE
+        plane = model.geom_type[other] == PLANE
         spheres[plane] = data.geom_xpos[one[plane], 2] - model.geom_rbound[one[plane]]
         for k in np.argsort(spheres):
-            if spheres[k] >= least_m:
+            if spheres[k] >= least.distance_m:
                 break
-            distance_m = mujoco.mj_geomDistance(model, data, int(one[k]), int(other[k]), least_m, None)
-            least_m = min(least_m, distance_m)
-        return least_m
+            pair = int(one[k]), int(other[k])
+            distance_m = mujoco.mj_geomDistance(model, data, *pair, least.distance_m, None)
+            if distance_m < least.distance_m:
+                least = Gap(distance_m, (_part_name(model, pair[0]), _part_name(model, pair[1])), pose)
+        return least
+
+
+def _part_name(model: mujoco.MjModel, geom: int) -> str:
+    """Return the name of the body of the arm, or of the geom outside it, that a geom is."""
+    is_own = model.geom_contype[geom] == 1
+    name: str = model.body(model.geom_bodyid[geom]).name if is_own else model.geom(geom).name
+    return name.replace("_", " ")
 
 
 def _are_separate(model: mujoco.MjModel, one: int, other: int) -> bool:

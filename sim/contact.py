@@ -6,10 +6,10 @@ import mujoco
 import numpy as np
 
 from fsw.kinematics.transforms import Array
+from sim.arm_model.mjcf import HULL
 from sim.frames import FLIP
 from sim.plant import Plant
 
-HULL: Final = "rover_hull"
 DOCK: Final = "bit_box"
 
 

@@ -7,7 +7,7 @@ Its poses had the same gravity torque at each hardstop as later on Mars.
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final, Literal, get_args
+from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -23,10 +23,12 @@ from fsw.kinematics.arm import build_arm
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from sim.arm_model.description import PoseDescriptions
-from sim.arms import BuiltArm
 from sim.clearance import Clearance, ClearanceModel
 from sim.effects.structure import StandInTurret
 from sim.world import World
+
+if TYPE_CHECKING:
+    from sim.arms import BuiltArm
 
 SWEEP_SPACING_RAD: Final = 0.03
 HARDSTOP_CLEARANCE_M: Final = 0.015
@@ -98,12 +100,14 @@ def sweep_poses(params: Params, spacing_rad: float = SWEEP_SPACING_RAD) -> Array
     Returns:
         Output angles [rad], shape (5, n).
     """
-    poses = calibration_poses(params)
-    legs = []
-    for start, end in pairwise(poses):
-        samples = int(np.abs(end - start).max() / spacing_rad) + 2
-        legs.append(np.linspace(start, end, samples, axis=1))
-    return np.concatenate(legs, axis=1)
+    legs = pairwise(calibration_poses(params))
+    return np.concatenate([sample_leg(start, end, spacing_rad) for start, end in legs], axis=1)
+
+
+def sample_leg(start_rad: Array, end_rad: Array, spacing_rad: float = SWEEP_SPACING_RAD) -> Array:
+    """Sample the way from one pose to another, shape (5, n)."""
+    samples = int(np.abs(end_rad - start_rad).max() / spacing_rad) + 2
+    return np.linspace(start_rad, end_rad, samples, axis=1)
 
 
 def sweep_clearance(
@@ -154,7 +158,7 @@ def equalise_loads(params: Params, gravity_R_m_s2: Array, wanted_Nm: Array) -> P
     return _with_free_angles(params, solution.x)
 
 
-def without_turret(arm: BuiltArm, on_earth: bool) -> BuiltArm:
+def without_turret(arm: "BuiltArm", on_earth: bool) -> "BuiltArm":
     """Return the arm without its turret, which flight software knows.
 
     On Earth its poses have the torques of the whole arm in its own poses on Mars.

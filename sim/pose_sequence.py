@@ -19,7 +19,7 @@ from sim.effects.environment import NothingToTouch
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop, Setup
 from sim.sequence import run_sequence
-from sim.workspace import approach_from, random_targets
+from sim.workspace import PRIMARY, Workspace, approach_from, random_targets
 from sim.world import World
 
 WAKE_S: Final = 1.0
@@ -167,7 +167,11 @@ def _random_pose(config: Config, rng: np.random.Generator) -> Array:
 
 
 def pose_in_workspace(
-    config: Config, rng: np.random.Generator, tool: str, branches: Collection[str]
+    config: Config,
+    rng: np.random.Generator,
+    tool: str,
+    branches: Collection[str],
+    workspace: Workspace = PRIMARY,
 ) -> Array:
     """Draw a target of the workspace until one of these branches is valid, and return its pose.
 
@@ -176,7 +180,7 @@ def pose_in_workspace(
     """
     wanted = np.array([name in branches for name in BRANCHES])
     while True:
-        p_N_m, angles = random_targets(rng, 1)
+        p_N_m, angles = random_targets(rng, 1, workspace)
         approach = approach_from(angles)[:, 0]
         solutions = inverse_kinematics(
             config.arm, tool, p_R_from_N(p_N_m[:, 0]), approach, np.zeros(3), np.zeros(5)

@@ -98,7 +98,7 @@ def random_placement(seed: int, arm: BuiltArm, tool: str, max_tilt_rad: float) -
     """
     rng = np.random.default_rng([seed, 3])
     while True:
-        point, normal = random_surface(rng)
+        point, normal = random_surface(rng, arm.model.workspace)
         tilt, heading = rng.uniform(0.0, max_tilt_rad), rng.uniform(-np.pi, np.pi)
         roll, pitch = float(tilt * np.cos(heading)), float(tilt * np.sin(heading))
         world = World("mars", roll, pitch, Surface(point, normal))

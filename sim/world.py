@@ -13,11 +13,15 @@ from fsw.dictionary.types import Direction, Position, Vector3
 from fsw.kinematics.transforms import Array
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import SCENES, ArmModel, default_arm
+from sim.arm_model.mjcf import HULL
 from sim.drawing import attach_drawing
 from sim.frames import FLIP, P_NR_M, gravity_in_rover
 
 Scene = Literal["mars", "earth"]
 ARM_FILE: Final = "arm.xml"
+ROVER_FILE: Final = "rover.xml"
+NO_LOOKS: Final = b"<mujoco><worldbody><body name='rover' quat='0 1 0 0'/></worldbody></mujoco>"
+"""Takes the place of the looks of Curiosity for an arm on another rover."""
 INCLUDED_ARM: Final = re.compile(r'(?<=<include file=")[^"]*/arm\.xml')
 """Arm that a scene includes, so that it opens by itself; another arm may take its place."""
 GRAVITY_M_S2: Final = {"mars": 3.711, "earth": 9.81}
@@ -83,7 +87,7 @@ def build(world: World, arm: ArmModel | None = None, for_pictures: bool = False)
     if mujoco.__version__ != REQUIRED_MUJOCO:
         raise WrongMujoco(f"MuJoCo {mujoco.__version__} is installed, {REQUIRED_MUJOCO} is required")
     arm = arm or default_arm()
-    spec = _load_scene(world.scene, arm.mjcf, for_pictures).copy()
+    spec = _load_scene(world.scene, arm, for_pictures).copy()
     attach_drawing(spec, arm.params)
     spec.option.gravity = FLIP * world.gravity_N_m_s2
     if world.surface is not None:
@@ -100,25 +104,27 @@ def check_plant(arm: ArmModel) -> None:
     Raises:
         BadArm: it does not.
     """
-    problem = _find_plant_problem(arm.mjcf)
+    problem = _find_plant_problem(arm)
     if problem is not None:
         raise BadArm(f"arm {arm.name}: MuJoCo does not accept its plant: {problem}")
 
 
 @cache
-def _find_plant_problem(arm_mjcf: str) -> str | None:
+def _find_plant_problem(arm: ArmModel) -> str | None:
     try:
-        _load_scene("mars", arm_mjcf, for_pictures=True).copy().compile()
+        _load_scene("mars", arm, for_pictures=True).copy().compile()
     except ValueError as error:
         return " ".join(str(error).split())
     return None
 
 
 @cache
-def _load_scene(scene: Scene, arm_mjcf: str, for_pictures: bool) -> mujoco.MjSpec:
+def _load_scene(scene: Scene, arm: ArmModel, for_pictures: bool) -> mujoco.MjSpec:
     """Read a scene with an arm once in a process; callers change a copy."""
     parts = {path.name: path.read_bytes() for path in SCENES.glob("*.xml")}
-    parts[ARM_FILE] = arm_mjcf.encode()
+    parts[ARM_FILE] = arm.mjcf.encode()
+    if arm.has_own_rover:
+        parts[ROVER_FILE] = NO_LOOKS
     text = INCLUDED_ARM.sub(ARM_FILE, parts[f"{scene}.xml"].decode())
     spec = mujoco.MjSpec.from_string(text, include=parts)
     if not for_pictures:
@@ -143,22 +149,17 @@ def params_in_world(world: World, params: Params) -> Params:
     return replace(params, collision=replace(params.collision, ground_z_m=ground_z_m))
 
 
-def inside_rover(p_N_m: Vector3) -> bool:
-    """Return whether a point in RNAV is inside a collision geom of the rover."""
-    spec = mujoco.MjSpec.from_file(str(SCENES / "rover.xml"))
-    _remove_visuals(spec)
+def inside_rover(p_N_m: Vector3, arm: ArmModel | None = None) -> bool:
+    """Return whether a point in RNAV is inside the hull of the rover of an arm, None for the default one."""
+    spec = build(World(), arm)
     probe = spec.worldbody.add_geom(name="probe", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(1e-3, 0, 0))
     probe.pos = FLIP * np.array(p_N_m)
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    probe_id = model.geom("probe").id
-    others = (
-        geom
-        for geom in range(model.ngeom)
-        if geom != probe_id and model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_PLANE
-    )
-    return any(mujoco.mj_geomDistance(model, data, geom, probe_id, 1.0, None) < 0 for geom in others)
+    hull, probe_id = model.body(HULL), model.geom("probe").id
+    geoms = range(hull.geomadr[0], hull.geomadr[0] + hull.geomnum[0])
+    return any(mujoco.mj_geomDistance(model, data, geom, probe_id, 1.0, None) < 0 for geom in geoms)
 
 
 def add_rock(spec: mujoco.MjSpec, p_N_m: Array, normal_N: Array) -> None:

@@ -16,7 +16,7 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.soft_limits import limit_excess, wrap_into_limits
 from fsw.kinematics.transforms import Array, cross, dot, norm
 from sim.frames import P_NR_M
-from sim.workspace import BOTTOM_Z_M, CENTRE_X_M, RADIUS_M, TOP_Z_M, WEDGE_SIDE_RAD
+from sim.workspace import PRIMARY
 from validation.kinematics_trials import Trial, task_jacobian
 
 NEAREST: Final = 1e-6
@@ -205,8 +205,8 @@ def workspace_targets(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
 
 def _workspace(rng: np.random.Generator, n: int, edge: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Draw targets as `sim.workspace.random_surface` does; those of `edge` near a face, on either side."""
-    low = np.array([0.0, TOP_Z_M, 0.0, -WEDGE_SIDE_RAD])[:, None]
-    high = np.array([RADIUS_M, BOTTOM_Z_M, np.pi / 2, WEDGE_SIDE_RAD])[:, None]
+    low = np.array([0.0, PRIMARY.top_z_m, 0.0, -PRIMARY.wedge_side_rad])[:, None]
+    high = np.array([PRIMARY.radius_m, PRIMARY.bottom_z_m, np.pi / 2, PRIMARY.wedge_side_rad])[:, None]
     u = rng.random((4, n))
     u[0] = np.sqrt(u[0])
     values = low + (high - low) * u
@@ -217,7 +217,7 @@ def _workspace(rng: np.random.Generator, n: int, edge: NDArray[np.bool_]) -> tup
     values[face, at] = np.where(edge, on_face, values[face, at])
     radius, z, down, side = values
     heading = rng.uniform(-np.pi, np.pi, n)
-    p_N_m = np.stack([CENTRE_X_M + radius * np.cos(heading), radius * np.sin(heading), z])
+    p_N_m = np.stack([PRIMARY.centre_x_m + radius * np.cos(heading), radius * np.sin(heading), z])
     approach = np.stack([np.cos(down) * np.cos(side), np.cos(down) * np.sin(side), np.sin(down)])
     return p_N_m - P_NR_M[:, None], approach
 

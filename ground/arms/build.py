@@ -1,6 +1,10 @@
-"""Files that are made from the `arm.toml` of an arm: the MJCF of its plant and its flight parameters."""
+"""Files that are made from the `arm.toml` of an arm: the MJCF of its plant and its flight parameters.
 
-from collections.abc import Iterable
+Homing poses that it does not have are found and added to it.
+"""
+
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -11,11 +15,22 @@ from ground.arms.request import ArmBuildRequest
 from ground.common.errors import BadRequest
 from ground.common.files import atomic_write, check_output
 from ground.common.params_toml import full_params_toml
+from ground.common.progress import Progress, no_progress
 from ground.render.console import plain_console
+from sim.arm_check import check_arm
 from sim.arm_model.description import BadArm
-from sim.arm_model.load import ArmModel, arm_folder, arm_names, default_arm, load_arm
+from sim.arm_model.load import (
+    FILE_NAME,
+    ArmModel,
+    arm_folder,
+    arm_names,
+    default_arm,
+    has_description,
+    load_arm,
+)
+from sim.hardstop_loads import POSE_NAMES, NoPlan, PoseName
+from sim.homing_search import find_homing_poses
 from sim.params_table import BadParams
-from sim.world import check_plant
 
 MADE_FROM: Final = "Made from arm.toml by `marsarm arm build`; change that file, not this one."
 
@@ -38,15 +53,17 @@ class ArmFiles:
         )
 
 
-def build_arms(request: ArmBuildRequest) -> tuple[ArmFiles, ...]:
+def build_arms(request: ArmBuildRequest, progress: Progress = no_progress) -> tuple[ArmFiles, ...]:
     """Make the files of an arm, or of all arms of the project, and write those that have changed.
 
     Raises:
-        BadRequest: there is no such arm, its description is wrong, or a file is stale and was to be checked.
+        BadRequest: there is no such arm, its description is wrong, it cannot be homed, or a file is stale and
+            was to be checked.
     """
     try:
-        found = tuple(_make_files(name) for name in (arm_names() if request.arm is None else [request.arm]))
-    except (BadArm, BadParams) as error:
+        names = arm_names() if request.arm is None else (request.arm,)
+        found = tuple(_make_files(name, progress) for name in names)
+    except (BadArm, BadParams, NoPlan) as error:
         raise BadRequest(str(error)) from error
     stale = {path: one.texts[path] for one in found for path in one.stale}
     if request.check and stale:
@@ -59,17 +76,41 @@ def build_arms(request: ArmBuildRequest) -> tuple[ArmFiles, ...]:
     return found
 
 
-def _make_files(name: str) -> ArmFiles:
-    model, folder = load_arm(name), arm_folder(name)
-    check_plant(model)
+def _make_files(name: str, progress: Progress) -> ArmFiles:
+    folder, completed = arm_folder(name), _complete_poses(name, progress)
+    model = load_arm(name, completed)
+    check_arm(model)
     comments = [f"Flight parameters of the drawing of {model.description.title}.", MADE_FROM, "SI units."]
     return ArmFiles(
         model,
-        {
+        ({} if completed is None else {folder / FILE_NAME: completed})
+        | {
             folder / "arm.xml": f"<!-- {MADE_FROM} -->\n{model.mjcf}",
             folder / "flight.toml": full_params_toml(model.params, comments),
         },
     )
+
+
+def _complete_poses(name: str, progress: Progress) -> str | None:
+    """Return the description with homing poses; None if it has some, or cannot be read."""
+    path = arm_folder(name) / FILE_NAME
+    text = path.read_text(encoding="utf-8") if has_description(name) else ""
+    header = re.search(r"^\[poses\].*\n", text, re.MULTILINE)
+    ready = re.search(r"^ready_rad *= *(\[.*\])", text, re.MULTILINE)
+    if header is None or ready is None or any(f"hardstop_{pose}" in text for pose in POSE_NAMES):
+        return None
+
+    def completed(poses: Mapping[PoseName, object]) -> str:
+        lines = [
+            f"{kind}{pose} = {poses[pose]}\n"
+            for kind in ("hardstop_", "bare_hardstop_")
+            for pose in POSE_NAMES
+        ]
+        return text[: header.end()] + "".join(lines) + text[header.end() :]
+
+    draft = load_arm(name, completed(dict.fromkeys(POSE_NAMES, ready.group(1))))
+    found = find_homing_poses(draft, progress)
+    return completed({pose: [round(angle, 4) for angle in angles] for pose, angles in found.items()})
 
 
 def describe_arm(model: ArmModel) -> dict[str, Any]:

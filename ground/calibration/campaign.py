@@ -28,6 +28,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.pose_sequence import free_air_loop, pose_in_workspace, run_and_rest
 from sim.sequence import Outcome
 from sim.tracker import TYPICAL_TRACKER, Tracker, turret_pose
+from sim.workspace import Workspace
 from sim.world import World
 
 SHOULDER_IN_SHARE: Final = 0.3
@@ -77,15 +78,19 @@ def group_poses(arm: BuiltArm, group: PoseGroup, scene: World, rng: np.random.Ge
     space = ClearanceModel(config.params, scene, arm.model)
     inside = round(SHOULDER_IN_SHARE * group.count)
     branches = [SHOULDER_IN_BRANCHES] * inside + [SHOULDER_OUT_BRANCHES] * (group.count - inside)
-    goals = [_clear_pose(config, space, rng, names) for names in branches]
+    goals = [_clear_pose(config, space, rng, names, arm.model.workspace) for names in branches]
     return order_by_time(config, np.array(config.params.poses.ready_rad), goals)
 
 
 def _clear_pose(
-    config: Config, space: ClearanceModel, rng: np.random.Generator, names: tuple[str, ...]
+    config: Config,
+    space: ClearanceModel,
+    rng: np.random.Generator,
+    names: tuple[str, ...],
+    workspace: Workspace,
 ) -> Array:
     while True:
-        pose = pose_in_workspace(config, rng, config.farthest_tool, names)
+        pose = pose_in_workspace(config, rng, config.farthest_tool, names, workspace)
         clearance = space.clearance(pose[:, None])
         if min(clearance.outside_m, clearance.self_m) > MIN_CLEARANCE_M:
             return pose

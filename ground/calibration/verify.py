@@ -129,6 +129,7 @@ class VerificationRun:
         ready = arm.params.poses.ready_rad
         self._loop = free_air_loop(Setup(arm, world, ready, seed, reference, effects))
         self._rng = np.random.default_rng([seed, 4])
+        self._workspace = arm.model.workspace
 
     def tool_errors(self, targets: int) -> Iterator[tuple[str, Array]]:
         """Move to targets and measure the tool errors.
@@ -145,7 +146,7 @@ class VerificationRun:
 
     def _visit_target(self, tool: str) -> Array:
         for _ in range(MOST_TRIES):
-            p_N_m, angles = random_targets(self._rng, 1)
+            p_N_m, angles = random_targets(self._rng, 1, self._workspace)
             target, approach = p_R_from_N(p_N_m[:, 0]), approach_from(angles)[:, 0]
             problem = run_and_rest(self._loop, MoveTool(tool, vector3(target), vector3(approach)))
             if problem is None:

@@ -25,10 +25,11 @@ def ik(request: IkRequest, progress: Progress) -> VerbResult:
 
 @verb
 def reach(request: ReachRequest, progress: Progress) -> VerbResult:
-    """Count the valid branches in the primary workspace, and the reasons why others are invalid.
+    """Count the valid branches in the workspace of an arm, and the reasons why others are invalid.
 
-    The workspace is a cylinder 0.8 m across and 1.0 m tall around RNAV x = 2.1 m, from 0.2 m below the ground
-    up; approaches from horizontal to vertical down, to 45 deg on either side. Collisions are not checked.
+    That of Curiosity is a cylinder 0.8 m across and 1.0 m tall around RNAV x = 2.1 m, from 0.2 m below the
+    ground up; approaches from horizontal to vertical down, to 45 deg on either side. The file of another arm
+    may give another one. Collisions are not checked.
 
     Example: marsarm reach --tool drill --gravity earth --picture drill.png
     """

@@ -26,7 +26,7 @@ NOMINAL_ARM: Final = "nominal"
 """Arm name of the nominal parameters, with which any arm may be flown."""
 MIN_COMPONENT: Final = 1e-6
 """A vector whose largest component is below this has no direction."""
-WORKSPACE_HINT: Final = "the workspace is around 2.1 0 -0.3 in RNAV"
+NEAR_HINT: Final = "give metres, as in 2.1 0 -0.3"
 
 
 def check_finite(name: str, values: tuple[float, ...]) -> None:
@@ -40,7 +40,7 @@ def check_target_distance(name: str, position_m: tuple[float, ...]) -> None:
     if math.hypot(*position_m) > MAX_TARGET_DISTANCE_M:
         raise BadRequest(
             f"{name}: {format_numbers(position_m)} m is farther than {MAX_TARGET_DISTANCE_M:g} m from the "
-            f"rover; {WORKSPACE_HINT}"
+            f"rover; {NEAR_HINT}"
         )
 
 

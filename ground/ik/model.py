@@ -15,6 +15,7 @@ from ground.common.progress import Progress
 from ground.common.requests import make_world, parse_tool, select_arm
 from ground.ik.request import ModelRequest
 from ground.ik.targets import IkTargets
+from sim.workspace import Workspace
 
 MOST_WARMING_K: Final = 200.0
 """Largest temperature difference from calibration; the coldest night on Mars is nearer."""
@@ -31,6 +32,8 @@ class IkModel:
     tool: str
     gravity_R_m_s2: Array | None
     params_sha256: str
+    workspace: Workspace
+    """Workspace of the drawing."""
 
     @property
     def description(self) -> str:
@@ -76,4 +79,5 @@ def build_ik_model(request: ModelRequest) -> IkModel:
     params = arm.params
     tool = parse_tool(request.tool or arm.model.description.instrument, params.tool_names)
     gravity = world.gravity_N_m_s2 if request.compensate == "absolute" else None
-    return IkModel(request, heat_arm(build_arm(params), request.warming_K), tool, gravity, digest(params))
+    warm = heat_arm(build_arm(params), request.warming_K)
+    return IkModel(request, warm, tool, gravity, digest(params), arm.model.workspace)

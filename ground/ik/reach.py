@@ -1,4 +1,4 @@
-"""Reach map of the primary workspace: sampling, counts of valid branches, and plot."""
+"""Reach map of the workspace of an arm: sampling, counts of valid branches, and plot."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,16 +18,7 @@ from ground.ik.tally import Tally, tally
 from ground.ik.targets import IkTargets
 from ground.render.figures import save_figure
 from sim.frames import p_R_from_N
-from sim.workspace import (
-    BOTTOM_Z_M,
-    CENTRE_X_M,
-    RADIUS_M,
-    TOP_Z_M,
-    WEDGE_DOWN_RAD,
-    WEDGE_SIDE_RAD,
-    approach_from,
-    random_targets,
-)
+from sim.workspace import Workspace, approach_from, random_targets
 
 SAMPLES_PER_CELL: Final = 40
 CELLS: Final = (4, 30)
@@ -36,9 +27,6 @@ MIN_SAMPLES: Final = 5
 """Smallest number of samples in a cell; cells with fewer samples are grey."""
 GREY: Final = "0.85"
 BLUE: Final = "#31688e"
-X_RANGE: Final = (CENTRE_X_M - RADIUS_M, CENTRE_X_M + RADIUS_M)
-Y_RANGE: Final = (-RADIUS_M, RADIUS_M)
-Z_RANGE: Final = (TOP_Z_M, BOTTOM_Z_M)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +49,7 @@ def sample_workspace(
     Returns:
         The targets, and counts over all of them.
     """
-    p_N_m, angles = random_targets(np.random.default_rng(seed), count)
+    p_N_m, angles = random_targets(np.random.default_rng(seed), count, model.workspace)
     targets = IkTargets(p_R_from_N(p_N_m.T).T, approach_from(angles))
     valid, counted = [], Tally()
     for result in model.solve_in_batches(targets, run, progress):
@@ -83,14 +71,14 @@ def save_reach_figure(samples: ReachSamples, counted: Tally, model: IkModel, pat
     def draw(figure: Any) -> None:
         figure.get_layout_engine().set(w_pad=0.1, h_pad=0.1)
         figure.suptitle(_title(samples, counted, model), fontsize=11)
-        _draw(figure, samples, counted)
+        _draw(figure, samples, counted, model.workspace)
 
     return save_figure(path, (14, 9), 110, draw)
 
 
-def _draw(figure: Any, samples: ReachSamples, counted: Tally) -> None:
+def _draw(figure: Any, samples: ReachSamples, counted: Tally, workspace: Workspace) -> None:
     above, below = figure.subfigures(2, 1, height_ratios=(1.2, 1.0))
-    _draw_maps(above, samples)
+    _draw_maps(above, samples, workspace)
     branches, numbers, reasons = below.subplots(1, 3)
     targets, by_valid = counted.targets, counted.targets_by_valid
     _bars(branches, {name: counted.valid_by_branch[name] for name in counted.branches}, targets)
@@ -101,7 +89,11 @@ def _draw(figure: Any, samples: ReachSamples, counted: Tally) -> None:
     reasons.set(title="Why branches are out", xlabel="share of branches that are out [%]")
 
 
-def _draw_maps(figure: Any, samples: ReachSamples) -> None:
+def _draw_maps(figure: Any, samples: ReachSamples, workspace: Workspace) -> None:
+    radius_m = workspace.radius_m
+    x_range = (workspace.centre_x_m - radius_m, workspace.centre_x_m + radius_m)
+    y_range = (workspace.centre_y_m - radius_m, workspace.centre_y_m + radius_m)
+    z_range = (workspace.top_z_m, workspace.bottom_z_m)
     side, top, wedge = figure.subplots(1, 3)
     x, y, z = samples.p_NoTo_N_m
     down_deg, right_deg = np.degrees(samples.angles_rad)
@@ -110,17 +102,18 @@ def _draw_maps(figure: Any, samples: ReachSamples) -> None:
     def mapped(axes: Any, across: Array, along: Array, ranges: Any) -> Any:
         return _draw_map(axes, (across, along, samples.valid), ranges, scale_max)
 
-    mapped(side, x, z, (X_RANGE, Z_RANGE))
+    mapped(side, x, z, (x_range, z_range))
     side.axhline(0.0, color="white", linewidth=1.5, linestyle="--")
-    side.text(X_RANGE[0] + 0.01, -0.01, "ground", color="white", va="bottom")
+    side.text(x_range[0] + 0.01, -0.01, "ground", color="white", va="bottom")
     side.set(title="Side: mean over y, approach", xlabel="x forward [m]", ylabel="z down [m]")
     side.invert_yaxis()
-    mapped(top, y, x, (Y_RANGE, X_RANGE))
+    mapped(top, y, x, (y_range, x_range))
     top.set(title="Top: mean over z, approach", xlabel="y right [m]", ylabel="x forward [m]")
     for axes in (side, top):
         axes.set_aspect("equal")
         axes.xaxis.set_major_locator(_every(0.2))
-    degrees = (np.degrees((-WEDGE_SIDE_RAD, WEDGE_SIDE_RAD)), np.degrees((0.0, WEDGE_DOWN_RAD)))
+    side_rad, down_rad = workspace.wedge_side_rad, workspace.wedge_down_rad
+    degrees = (np.degrees((-side_rad, side_rad)), np.degrees((0.0, down_rad)))
     colours = mapped(wedge, right_deg, down_deg, degrees)
     wedge.set(
         title="Approach: mean over workspace",
@@ -173,7 +166,7 @@ def _bars(axes: Any, counts: dict[str, int], whole: int) -> None:
 def _title(samples: ReachSamples, counted: Tally, model: IkModel) -> str:
     reachable_percent = 100.0 * (1.0 - counted.targets_by_valid[0] / counted.targets)
     return (
-        f"Reach in the primary workspace, RNAV: {model.description}\n"
+        f"Reach in the workspace, RNAV: {model.description}\n"
         f"{counted.targets} random targets, {reachable_percent:.2f} % with a valid branch; "
         f"limits only, no collisions; grey: fewer than {MIN_SAMPLES} targets"
     )

@@ -83,7 +83,7 @@ def reach_json(report: ReachReport) -> dict[str, Any]:
 
 def reach_table(report: ReachReport) -> None:
     """Print a reach map: counts, and the path of the picture."""
-    title = f"{report.model.description}: {report.tally.targets} random targets of the primary workspace"
+    title = f"{report.model.description}: {report.tally.targets} random targets of the workspace"
     _print_tally(title, report.tally)
     if report.request.picture is not None:
         reason = f"none  ({report.picture_problem})" if report.picture_problem else report.request.picture

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fsw.kinematics.transforms import Array
 from ground.common.bad_tables import describe_bad_table
 from ground.common.errors import BadRequest
-from ground.common.requests import MAX_TARGET_DISTANCE_M, MIN_COMPONENT, WORKSPACE_HINT, format_numbers
+from ground.common.requests import MAX_TARGET_DISTANCE_M, MIN_COMPONENT, NEAR_HINT, format_numbers
 from ground.ik.request import BATCH_SUFFIXES
 from sim.frames import p_R_from_N
 
@@ -72,7 +72,7 @@ def make_targets(position_m: Array, approach: Array, frame: str, naming: TargetL
         position_m,
         naming,
         0,
-        f"m is farther than {MAX_TARGET_DISTANCE_M:g} m from the rover; {WORKSPACE_HINT}",
+        f"m is farther than {MAX_TARGET_DISTANCE_M:g} m from the rover; {NEAR_HINT}",
     )
     largest = np.abs(approach).max(axis=0)
     _refuse(

@@ -12,7 +12,6 @@ from ground.common.files import reserve
 from ground.common.options import check_options
 from ground.common.progress import Progress, no_progress, part_of
 from ground.common.requests import (
-    WORKSPACE_HINT,
     check_finite,
     check_target_distance,
     fit_effects,
@@ -78,9 +77,9 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
     tool = _parse_tool(request.tool or arm.model.description.instrument, arm.params)
     level = make_world("mars", request.tilt_roll_deg, request.tilt_pitch_deg)
     world = replace(level, surface=Surface(request.target_m, normal))
-    if inside_rover(request.target_m):
+    if inside_rover(request.target_m, arm.model):
         raise BadRequest(
-            f"target: {format_numbers(request.target_m)} m is inside the rover; {WORKSPACE_HINT}"
+            f"target: {format_numbers(request.target_m)} m is inside the rover; {arm.model.workspace.hint}"
         )
     preview = preview_placement(arm, world, Placement(tool, request.target_m, normal), stowed=True)
     if preview.problem is not None:

@@ -14,6 +14,7 @@ from fsw.kinematics.transforms import IDENTITY, Array, Pose, inverse
 from ground.render.rays import VISIBLE_GROUPS, geom_rgb
 from ground.telemetry.robot_description import ROVER_FRAME, TURRET_FRAME, DrawnScene, Visual
 from sim.arm_model.load import ArmModel
+from sim.arm_model.mjcf import HULL
 from sim.drawing import TURRET
 from sim.frames import FLIP, P_NR_M
 from sim.world import World, build
@@ -69,10 +70,10 @@ def _carrier(model: mujoco.MjModel, body: int) -> int | None:
     name = model.body(body).name
     if name == SCENERY_BODY:
         return None
-    if name == ROVER_BODY:
+    if name in (ROVER_BODY, HULL):
         return int(model.body("rmech").id)
     parent = int(model.body_parentid[body])
-    is_part = name.endswith(FAR_SIDE) or model.body(parent).name == ROVER_BODY
+    is_part = name.endswith(FAR_SIDE)
     return _carrier(model, parent) if is_part else body
 
 

@@ -14,6 +14,7 @@ from fsw.dictionary.params import TeachPoint, Transform6
 from fsw.dictionary.types import Angle, Joints5, Limits, Vector3
 from sim.params_table import describe_error
 from sim.text_file import load_toml
+from sim.workspace import Workspace
 
 Expansion = Annotated[float, Limits(-1e-4, 1e-4)]
 Gain = Annotated[float, Limits(0.0, 1e9)]
@@ -178,6 +179,20 @@ class Shape:
         return next((kind for kind, names in kinds.items() if names == given), None)
 
 
+Hull = dict[str, tuple[Shape, ...]]
+"""Shapes of each part of a rover."""
+
+
+@dataclass(frozen=True, slots=True)
+class RoverDescription:
+    """Rover that carries the arm: its frame V, parallel to RNAV, and its hull."""
+
+    p_NoVo_N_m: Vector3
+    """Origin of V, in which hull, arm1 and taught points are given."""
+    hull: Hull
+    """Shapes of its parts for collisions, in V."""
+
+
 @dataclass(frozen=True, slots=True)
 class PoseDescriptions:
     """Named poses, output angles."""
@@ -250,6 +265,10 @@ class ArmDescription:
     teach: tuple[TeachPoint, ...] = ()
     flight: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Flight parameters that replace the defaults of all arms."""
+    rover: RoverDescription | None = None
+    """Rover that carries the arm; None for Curiosity's."""
+    workspace: Workspace | None = None
+    """Workspace; None for the primary one of the paper."""
 
     def actuator_of(self, joint: str) -> Actuator:
         """Return the actuator of a joint."""

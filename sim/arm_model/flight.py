@@ -12,6 +12,7 @@ from sim.arm_model.description import (
     VISCOUS_COLD,
     ArmDescription,
     BadArm,
+    Hull,
     LinkDescription,
     Lump,
     Shape,
@@ -23,13 +24,13 @@ ROUNDING: Final = 1e-18
 """Expansions below this, in m/K, are rounding errors of a right angle."""
 
 
-def flight_params(arm: ArmDescription, digest: str, defaults: Path, rover: Path, source: str) -> Params:
+def flight_params(arm: ArmDescription, hull: Hull, digest: str, defaults: Path, source: str) -> Params:
     """Make the flight parameters of the drawing.
 
     Args:
+        hull: Shapes of the rover in RMECH.
         digest: SHA-256 of the description.
         defaults: TOML file of the flight parameters that do not depend on the arm.
-        rover: TOML file of the shapes of the rover.
         source: File of the description, for errors.
 
     Raises:
@@ -38,7 +39,6 @@ def flight_params(arm: ArmDescription, digest: str, defaults: Path, rover: Path,
     """
     shared = tomllib.loads(defaults.read_text(encoding="utf-8"))
     del shared["default_arm"]
-    shared["collision"]["rover"] = tomllib.loads(rover.read_text(encoding="utf-8"))
     own = {
         "arm_name": "nominal",
         "model": {"name": arm.name, "sha256": digest},
@@ -51,7 +51,10 @@ def flight_params(arm: ArmDescription, digest: str, defaults: Path, rover: Path,
             for name in ("start_rad", "park_rad", "second_start_rad")
         },
         "poses": {name: getattr(arm.poses, name) for name in ("stowed_rad", "unstow_via_rad", "ready_rad")},
-        "collision": {"arm": {part: _shape_tables(arm.shapes[part]) for part in LINK_PARTS}},
+        "collision": {
+            "arm": {part: _shape_tables(arm.shapes[part]) for part in LINK_PARTS},
+            "rover": {part: _shape_tables(shapes) for part, shapes in hull.items()},
+        },
         "teach": [asdict(point) for point in arm.teach],
     }
     reserved = [f"flight.{place}" for place in reserved_of_flight(own, shared, arm.flight)]

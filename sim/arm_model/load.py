@@ -14,13 +14,16 @@ from fsw.dictionary.params import Params
 from sim.arm_model.description import ArmDescription, BadArm, read_description
 from sim.arm_model.flight import flight_params
 from sim.arm_model.mjcf import BadLooks, arm_mjcf
+from sim.arm_model.rover import default_rover, on_rover
 from sim.arm_model.validity import check_description
 from sim.text_file import UnreadableText, read_text
+from sim.workspace import PRIMARY, Workspace
 
 MODELS: Final = Path(str(files("sim") / "models"))
 ARMS: Final = MODELS / "arms"
 SCENES: Final = MODELS / "mjcf"
 DEFAULTS: Final = ARMS / "defaults.toml"
+ROVER: Final = SCENES / "rover.toml"
 FILE_NAME: Final = "arm.toml"
 LOOKS_NAME: Final = "visual.xml"
 
@@ -33,12 +36,23 @@ class ArmModel:
     params: Params
     """Flight parameters of the drawing."""
     mjcf: str
-    """MJCF of the plant, which scenes include."""
+    """MJCF of arm and hull, which scenes include."""
+    has_own_rover: bool = False
+    """Whether the file gives the rover; that of the scenes looks like Curiosity."""
+
+    def __hash__(self) -> int:
+        """Return a number by which checks remember the arm."""
+        return hash(self.mjcf)
 
     @property
     def name(self) -> str:
         """Return the name of the arm."""
         return self.description.name
+
+    @property
+    def workspace(self) -> Workspace:
+        """Return the workspace of the arm."""
+        return self.description.workspace or PRIMARY
 
 
 def arm_names() -> tuple[str, ...]:
@@ -62,11 +76,12 @@ def has_description(name: str) -> bool:
     return bool(name) and os.path.isfile(arm_folder(name) / FILE_NAME)  # Path.is_file may raise
 
 
-def load_arm(name: str) -> ArmModel:
+def load_arm(name: str, text: str | None = None) -> ArmModel:
     """Make an arm from its files.
 
     Args:
         name: Name of an arm of the project, or a folder with an `arm.toml`.
+        text: Description in place of that file.
 
     Raises:
         BadArm: there is no such arm, or its description is wrong.
@@ -79,7 +94,7 @@ def load_arm(name: str) -> ArmModel:
         raise BadArm(f"arm {name!r} is not known; there are {known}, or give a folder with an {FILE_NAME}")
     looks = folder / LOOKS_NAME
     visual = _read(looks) if os.path.lexists(looks) else None
-    model = _make_arm(str(path), _read(path), str(looks), visual)
+    model = _make_arm(str(path), _read(path) if text is None else text, str(looks), visual)
     if name in arm_names() and model.name != name:
         raise BadArm(f"{path}: name: {model.name!r} is not that of its folder, {name!r}")
     return model
@@ -104,10 +119,13 @@ def _make_arm(path: str, text: str, looks: str, visual: str | None) -> ArmModel:
     """Make an arm once in a process; a changed file is another text."""
     description = read_description(text, path)
     check_description(description, path)
-    digest = hashlib.sha256(json.dumps(asdict(description), sort_keys=True).encode()).hexdigest()
-    params = flight_params(description, digest, DEFAULTS, SCENES / "rover.toml", path)
+    given = {name: value for name, value in asdict(description).items() if value is not None}
+    digest = hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
+    arm, hull = on_rover(description, description.rover or default_rover(ROVER))
+    params = flight_params(arm, hull, digest, DEFAULTS, path)
+    has_own_rover = description.rover is not None
     try:
-        mjcf = arm_mjcf(description, visual)
+        mjcf = arm_mjcf(arm, hull, visual, has_own_rover)
     except BadLooks as error:
         raise BadArm(f"{looks}: {error}") from error
-    return ArmModel(description, params, mjcf)
+    return ArmModel(arm, params, mjcf, has_own_rover)

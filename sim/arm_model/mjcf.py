@@ -1,4 +1,4 @@
-"""MJCF of the plant of an arm, from its description and the looks of its parts.
+"""MJCF of the plant of an arm and the hull of its rover, from its description and the looks of its parts.
 
 A body linkK is frame ArmK turned by its joint: hinge axis +z, x along the link. A joint is two hinges in
 series, the motor side and the gear side; their sum is the output angle. A body linkK_far is carried by the
@@ -17,7 +17,8 @@ from fsw.dictionary.params import Transform6
 from fsw.dictionary.types import Vector3
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Array
-from sim.arm_model.description import ArmDescription, LinkDescription, Lump, Shape
+from sim.arm_model.description import ArmDescription, Hull, LinkDescription, Lump, Shape
+from sim.arm_model.rover import move_shape
 from sim.frames import FLIP, P_NR_M
 
 DAMPING_S: Final = 0.005
@@ -32,6 +33,8 @@ SCREW_AXES: Final = (
     ("ty", "0 1 0"),
     ("tz", "0 0 1"),
 )
+HULL: Final = "rover_hull"
+"""Body of the hull."""
 MATERIAL: Final = "arm_titanium"
 """Material of what looks and names no other; in DEFAULTS."""
 SLIDES_FIRST: Final = (3, 4, 5, 0, 1, 2)
@@ -52,6 +55,9 @@ DEFAULTS: Final = """
         <geom type="sphere" size="0.006" priority="1" solimp="0.1 0.1 0.001" friction="0.5"/>
       </default>
     </default>
+    <default class="hull">
+      <geom contype="2" conaffinity="1" group="3" rgba="1 0.5 0.2 0.3"/>
+    </default>
     <equality solref="0.004 1" solimp="0.9999 0.9999 0.001"/>
     <default class="motor"><joint solreffriction="0.0004 1" solimpfriction="0.9999 0.9999 0.001"/></default>
     <default class="output"><tendon solreffriction="0.0004 1" solimpfriction="0.9999 0.9999 0.001"/></default>
@@ -64,11 +70,13 @@ OPTION: Final = """
 """
 
 
-def arm_mjcf(arm: ArmDescription, visual: str | None) -> str:
-    """Write the MJCF of an arm.
+def arm_mjcf(arm: ArmDescription, hull: Hull, visual: str | None, shows_hull: bool) -> str:
+    """Write the MJCF of an arm and of the hull of its rover.
 
     Args:
+        hull: Shapes of the rover in RMECH.
         visual: Looks: materials, and geoms by body; None to show the shapes for collisions instead.
+        shows_hull: True to show the shapes of the hull, for a rover that looks do not draw.
 
     Returns:
         The MJCF; it opens by itself, and scenes include it.
@@ -82,8 +90,9 @@ def arm_mjcf(arm: ArmDescription, visual: str | None) -> str:
     root.append(ElementTree.fromstring(DEFAULTS))
     looks = _Looks(visual)
     root.append(looks.materials)
+    world = SubElement(root, "worldbody")
     rmech = SubElement(
-        SubElement(root, "worldbody"),
+        world,
         "body",
         name="rmech",
         pos=_numbers(FLIP * P_NR_M),
@@ -92,6 +101,7 @@ def arm_mjcf(arm: ArmDescription, visual: str | None) -> str:
     )
     _add_bodies(arm, looks, rmech)
     looks.check_all_used(element.get("name", "") for element in rmech.iter("body"))
+    _add_hull(hull, world, ("hull", "visual") if shows_hull else ("hull",))
     _add_tendons(arm, SubElement(root, "tendon"))
     _add_actuators(arm, SubElement(root, "actuator"))
     brakes = SubElement(root, "equality")
@@ -200,6 +210,21 @@ def _add_bodies(arm: ArmDescription, looks: _Looks, rmech: Element) -> None:
         _add_tool(arm, name, looks, turret)
 
 
+def _add_hull(hull: Hull, world: Element, kinds: Iterable[str]) -> None:
+    """Add the shapes of the rover, in RNAV.
+
+    They are a body of their own, because MuJoCo's broad phase goes through every geom of a body that has one
+    that collides.
+    """
+    body = SubElement(world, "body", name=HULL, quat="0 1 0 0", childclass="arm")
+    for kind in kinds:
+        for part, shapes in hull.items():
+            for k, shape in enumerate(shapes, start=1):
+                geom = _add_shape(body, move_shape(shape, P_NR_M), kind)
+                if kind == "hull":
+                    geom.set("name", part if k == 1 else f"{part}_{k}")
+
+
 def _add_tool(arm: ArmDescription, name: str, looks: _Looks, turret: Element) -> None:
     tool = arm.tools[name]
     body = _body(turret, name, tool.transform, (0.0, 0.0, 0.0))
@@ -271,19 +296,19 @@ def _add_shapes(body: Element, shapes: Iterable[Shape]) -> None:
             _add_shape(body, shape, "collision")
 
 
-def _add_shape(body: Element, shape: Shape, kind: str) -> None:
+def _add_shape(body: Element, shape: Shape, kind: str) -> Element:
     geom = SubElement(body, "geom", attrib={"class": kind})
     if shape.kind == "capsule":
         if shape.from_m == shape.to_m:
             geom.set("type", "sphere")
             geom.set("size", _numbers(shape.radius_m))
             geom.set("pos", _numbers(shape.from_m))
-            return
-        if kind == "visual":
+            return geom
+        if kind != "collision":
             geom.set("type", "capsule")
         geom.set("size", _numbers(shape.radius_m))
         geom.set("fromto", f"{_numbers(shape.from_m)} {_numbers(shape.to_m)}")
-        return
+        return geom
     geom.set("type", str(shape.kind))
     if shape.kind == "box":
         geom.set("size", _numbers(shape.half_m))
@@ -292,6 +317,7 @@ def _add_shape(body: Element, shape: Shape, kind: str) -> None:
     geom.set("pos", _numbers(shape.centre_m))
     if shape.turn_rad:
         geom.set("euler", f"0 0 {_numbers(shape.turn_rad)}")
+    return geom
 
 
 def _add_tendons(arm: ArmDescription, tendons: Element) -> None:

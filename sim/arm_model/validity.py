@@ -10,6 +10,10 @@ from fsw.dictionary.validity import check_limits
 from fsw.kinematics.branches import BRANCHES
 from sim.arm_model.description import LINK_PARTS, ArmDescription, BadArm, LinkDescription, Lump, Shape
 
+MOST_HULL_M: Final = 5.0
+"""Largest half length of a part of a rover."""
+NO_HULL: Final = ("ground", "surface")
+"""Obstacles beside the rover."""
 LEAST_STIFFNESS: Final = 1e4
 """Least stiffness of a link, in N m/rad or N/m; flight software accepts no softer one."""
 NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
@@ -34,6 +38,7 @@ def check_description(arm: ArmDescription, path: str) -> None:
         *_check_tools(arm),
         *_check_shapes(arm),
         *_check_teach(arm),
+        *_check_rover(arm),
     ]
     if problems:
         raise BadArm("\n".join(f"{path}: {problem}" for problem in problems))
@@ -43,12 +48,18 @@ def _check_numbers(arm: ArmDescription) -> Iterator[str]:
     """Yield a sentence for each number that is not finite or outside its limits."""
     for field in fields(arm):
         value = getattr(arm, field.name)
-        if field.name in ("joints", "links", "poses", "tolerances"):
+        if field.name in ("joints", "links", "poses", "tolerances", "rover", "workspace") and value:
             yield from check_limits(value, f"{field.name}.")
         elif field.name in ("actuators", "tools", "switches"):
             for name, record in value.items():
                 yield from check_limits(record, f"{field.name}.{name}.")
-    for place, record in [*_places("shapes", arm.shapes), *_places("teach", {"": arm.teach})]:
+    hull = {} if arm.rover is None else arm.rover.hull
+    lists: list[tuple[str, dict[str, Any]]] = [
+        ("shapes", arm.shapes),
+        ("teach", {"": arm.teach}),
+        ("rover.hull", hull),
+    ]
+    for place, record in (one for table, records in lists for one in _places(table, records)):
         yield from check_limits(record, f"{place}.")
 
 
@@ -165,7 +176,22 @@ def _check_shapes(arm: ArmDescription) -> Iterator[str]:
             yield f"shapes.{part}: is missing; flight software needs at least one shape for each part"
 
 
-def _check_shape(shape: Shape) -> Iterator[str]:
+def _check_rover(arm: ArmDescription) -> Iterator[str]:
+    """Yield a sentence for each wrong part of rover and workspace."""
+    for part, shapes in {} if arm.rover is None else arm.rover.hull.items():
+        if not NAME.fullmatch(part) or OTHER_BODIES.fullmatch(part) or part in (*arm.tools, *NO_HULL):
+            yield f"rover.hull.{part}: is no name, or that of another part; write small letters, digits, _"
+        if not any(shape.of != "plant" for shape in shapes):
+            yield f"rover.hull.{part}: flight software needs at least one shape for each part"
+        for k, shape in enumerate(shapes):
+            yield from (f"rover.hull.{part}.{k}: {problem}" for problem in _check_shape(shape, MOST_HULL_M))
+    if arm.rover is not None and not arm.rover.hull:
+        yield "rover.hull: is empty; give the shapes of the rover"
+    if arm.workspace is not None and not arm.workspace.top_z_m < arm.workspace.bottom_z_m:
+        yield f"workspace.top_z_m: {arm.workspace.top_z_m} is not above the bottom; z is down"
+
+
+def _check_shape(shape: Shape, most_m: float = 1.0) -> Iterator[str]:
     if shape.kind is None or (shape.kind == "cylinder" and shape.of != "plant"):
         yield (
             "is no shape; write a capsule (from_m, to_m, radius_m), a box (centre_m, half_m) or a cylinder "
@@ -175,8 +201,8 @@ def _check_shape(shape: Shape) -> Iterator[str]:
     lengths = [("radius_m", shape.radius_m), ("half_length_m", shape.half_length_m)]
     lengths += [("half_m", length) for length in shape.half_m or ()]
     for name, length in lengths:
-        if length is not None and not 1e-3 <= length <= 1.0:
-            yield f"{name}: {length} is outside 0.001 .. 1.0"
+        if length is not None and not 1e-3 <= length <= most_m:
+            yield f"{name}: {length} is outside 0.001 .. {most_m}"
     if shape.turn_rad and shape.kind != "box":
         yield f"turn_rad: turns a box only; leave it out of a {shape.kind}"
 

@@ -10,12 +10,7 @@ from sim.plant import Plant
 from sim.world import World, build
 from tests.fsw.rig import beside_the_rover
 
-NAMES = {
-    "shoulder": "shoulder_bracket",
-    "shoulder_bottom": "shoulder_bracket",
-    "wheels_port": "port_wheels",
-    "wheels_starboard": "starboard_wheels",
-}
+NAMES = {"shoulder_bracket_2": "shoulder_bracket"}
 FAR_M = 10.0
 GEOMETRY = beside_the_rover().collision_geometry
 PARTS, OBSTACLES = GEOMETRY.parts, GEOMETRY.obstacles[:SURFACE]

@@ -1,0 +1,174 @@
+"""A small arm on a small rover, of about the size of Spirit's: it is refused unless it can be homed.
+
+It is Curiosity's arm at 0.4 of its lengths. Its shoulder is 0.6 m above the ground, its rover is one box.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsw.kinematics.arm import build_arm
+from fsw.kinematics.chain import forward
+from ground.common.pool import local_runner
+from ground.common.progress import no_progress
+from ground.ik.model import build_ik_model
+from ground.ik.reach import sample_workspace
+from ground.ik.request import ModelRequest
+from sim import homing_search
+from sim.arm_check import check_arm
+from sim.arm_model.description import BadArm
+from sim.arm_model.load import ARMS, default_arm, load_arm
+from sim.frames import P_NR_M
+from sim.world import World, build, inside_rover
+from tests.ground.command import marsarm
+
+SCALE = 0.4
+V_m = (0.0, 0.0, -0.3)
+"""Origin of the frame of its rover, in RNAV."""
+SHOULDER_m = (0.55, -0.15, -0.3)
+"""Azimuth joint in that frame."""
+CLEAR_m, TOO_NEAR_m = 0.2, 0.5
+"""Fronts of its rover in that frame, which leave room for the arm, and which do not."""
+BASE = f"""[links.arm1]
+transform = {{ a_m = {SHOULDER_m[0]}, b_m = {SHOULDER_m[1]}, d_m = {SHOULDER_m[2]} }}
+expansion_1_K = 23e-6
+elastic_centre_m = {list(SHOULDER_m)}
+stiffness = [40e3, 60e3, 80e3, 2e6, 2e6, 2e6]
+far = {{ mass_kg = 19.3, com_m = {list(SHOULDER_m)}, inertia_kg_m2 = [0.3, 0.3, 0.3] }}
+
+"""
+ROVER = """
+[rover]
+p_NoVo_N_m = {origin}
+[rover.hull]
+body = [{{ centre_m = [{middle}, 0.0, -0.25], half_m = [0.4, 0.3, 0.15] }}]
+[workspace]
+centre_x_m = 0.95
+centre_y_m = -0.15
+radius_m = 0.1
+top_z_m = -0.5
+bottom_z_m = -0.1
+"""
+
+
+def scaled(text: str) -> str:
+    """Scale all lengths of an arm, but neither what taught points are, nor the pads."""
+    text = text[: text.index("[[teach]]")]
+
+    def of(match: re.Match[str]) -> str:
+        return match[1] + re.sub(r"-?\d+\.\d+", lambda number: repr(SCALE * float(number[0])), match[2])
+
+    names = r"(?<![a-z])(?:[abd]|from|to|centre|half|half_length|radius|elastic_centre|com|p)_m = "
+    return re.sub(rf"({names})(\[[^\]]*\]|-?\d+\.\d+)", of, text)
+
+
+def small_arm(folder: Path, front_m: float) -> Path:
+    """Write the arm on a rover whose front is at this x."""
+    text = scaled((ARMS / default_arm().name / "arm.toml").read_text())
+    text = text.replace(f'name = "{default_arm().name}"', 'name = "small"', 1)
+    text = re.sub(r"\[links\.arm1\].*?(?=\[links\.arm2\])", BASE, text, flags=re.DOTALL)
+    text += ROVER.format(origin=list(V_m), middle=front_m - 0.4)
+    folder.mkdir(exist_ok=True)
+    (folder / "arm.toml").write_text(text)
+    return folder
+
+
+def test_with_room_it_can_be_homed_and_stowed_and_reaches_its_workspace(tmp_path: Path) -> None:
+    check_arm(load_arm(str(small_arm(tmp_path, CLEAR_m))))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("arm", "build", "small"),
+        ("place", "--arm", "small"),
+        ("calibrate", "--arm", "small"),
+        ("hardstop", "--arm", "small", "--plan"),
+        ("run", "sampling", "--arm", "small"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_near_its_rover_it_is_refused_with_joint_and_distance(tmp_path: Path, words: tuple[str, ...]) -> None:
+    small_arm(tmp_path / "small", TOO_NEAR_m)
+    done = marsarm(tmp_path, *words)
+    assert done.returncode == 2
+    assert re.search(
+        r"joint azimuth cannot be homed: at -?\d+\.\d deg the link2 is \d+ mm inside the body", done.stderr
+    )
+    assert [path.name for path in (tmp_path / "small").iterdir()] == ["arm.toml"]
+
+
+def test_a_stowed_pose_in_the_rover_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadArm, match="cannot be stowed: the link2 is 39 mm inside the body"):
+        check_arm(load_arm(str(small_arm(tmp_path, TOO_NEAR_m))))
+
+
+def test_a_workspace_out_of_its_reach_is_refused(tmp_path: Path) -> None:
+    path = small_arm(tmp_path, CLEAR_m) / "arm.toml"
+    path.write_text(path.read_text().replace("centre_x_m = 0.95", "centre_x_m = 2.1"))
+    with pytest.raises(BadArm, match=r"tool APXS reaches none of 300 .* around 2\.1 -0\.15 -0\.3"):
+        check_arm(load_arm(str(tmp_path)))
+
+
+def test_a_start_from_which_gravity_stalls_the_joint_is_refused(tmp_path: Path) -> None:
+    text = (ARMS / "m2020" / "arm.toml").read_text()
+    (tmp_path / "arm.toml").write_text(
+        text.replace("park_rad = [-2.9752, -1.7,", "park_rad = [-2.9752, -2.014,")
+    )
+    with pytest.raises(
+        BadArm, match=r"joint elbow .* 132\.1 deg, where it starts, gravity pulls it away with 155"
+    ):
+        check_arm(load_arm(str(tmp_path)))
+
+
+def test_its_base_and_hull_are_where_its_own_frame_says(tmp_path: Path) -> None:
+    arm = load_arm(str(small_arm(tmp_path, CLEAR_m)))
+    start_R_m = forward(build_arm(arm.params), np.zeros((5, 1)), np.zeros((6, 6, 1))).X_RF[0].p[:, 0]
+    np.testing.assert_allclose(start_R_m + P_NR_M, np.add(V_m, SHOULDER_m), atol=1e-12)
+    model = build(World(), arm).compile()
+    np.testing.assert_allclose(model.geom("body").pos, [CLEAR_m - 0.4, 0.0, -0.55], atol=1e-12)
+    assert [part.name for part in arm.params.collision.rover] == ["body"]
+    assert inside_rover((0.1, 0.0, -0.5), arm)
+    assert not inside_rover((0.68, 0.48, -1.5), arm)  # Curiosity's mast
+
+
+def without_poses(folder: Path) -> str:
+    path = folder / "arm.toml"
+    text = re.sub(r"^(bare_)?hardstop_\w+_rad = \[.*\n", "", path.read_text(), flags=re.MULTILINE)
+    path.write_text(text)
+    return text
+
+
+def test_building_adds_homing_poses_that_the_file_does_not_have(tmp_path: Path) -> None:
+    text = without_poses(small_arm(tmp_path, CLEAR_m))
+    assert marsarm(tmp_path, "arm", "build", str(tmp_path)).returncode == 0
+    lines = (tmp_path / "arm.toml").read_text().splitlines()
+    assert [line for line in lines if "hardstop_" not in line or line in text] == text.splitlines()
+    assert marsarm(tmp_path, "arm", "build", "--check", str(tmp_path)).returncode == 0
+
+
+def test_without_room_there_are_no_homing_poses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(homing_search, "STARTS", 2)
+    without_poses(small_arm(tmp_path, TOO_NEAR_m))
+    done = marsarm(tmp_path, "arm", "build", str(tmp_path))
+    assert done.returncode == 2
+    assert re.search(r"joint \w+ cannot be homed in any of 2 random poses; in one, .*\d mm", done.stderr)
+    assert [path.name for path in tmp_path.iterdir()] == ["arm.toml"]
+
+
+def test_reach_draws_from_its_own_workspace(tmp_path: Path) -> None:
+    model = build_ik_model(ModelRequest(arm=str(small_arm(tmp_path, CLEAR_m))))
+    samples, counted = sample_workspace(model, 200, 1, local_runner(1), no_progress)
+    x, y, z = samples.p_NoTo_N_m
+    assert np.hypot(x - 0.95, y + 0.15).max() <= 0.1
+    assert -0.5 <= z.min() < z.max() <= -0.1
+    assert counted.targets_by_valid[0] < 20
+
+
+def test_a_file_without_rover_and_workspace_has_those_of_curiosity() -> None:
+    arm = default_arm()
+    assert (arm.workspace.centre_x_m, arm.workspace.radius_m) == (2.1, 0.4)
+    assert [part.name for part in arm.params.collision.rover][:2] == ["chassis", "shoulder_bracket"]
+    assert not arm.has_own_rover
