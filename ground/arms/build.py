@@ -1,10 +1,6 @@
-"""Files that are made from the `arm.toml` of an arm: the MJCF of its plant and its flight parameters.
+"""Files that are made from the `arm.toml` of an arm: the MJCF of its plant and its flight parameters."""
 
-Homing poses that it does not have are found and added to it.
-"""
-
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,21 +11,10 @@ from ground.arms.request import ArmBuildRequest
 from ground.common.errors import BadRequest
 from ground.common.files import atomic_write, check_output
 from ground.common.params_toml import full_params_toml
-from ground.common.progress import Progress, no_progress
 from ground.render.console import plain_console
 from sim.arm_check import check_arm
 from sim.arm_model.description import BadArm
-from sim.arm_model.load import (
-    FILE_NAME,
-    ArmModel,
-    arm_folder,
-    arm_names,
-    default_arm,
-    has_description,
-    load_arm,
-)
-from sim.hardstop_loads import POSE_NAMES, NoPlan, PoseName
-from sim.homing_search import find_homing_poses
+from sim.arm_model.load import ArmModel, arm_folder, arm_names, default_arm, load_arm
 from sim.params_table import BadParams
 
 MADE_FROM: Final = "Made from arm.toml by `marsarm arm build`; change that file, not this one."
@@ -53,7 +38,7 @@ class ArmFiles:
         )
 
 
-def build_arms(request: ArmBuildRequest, progress: Progress = no_progress) -> tuple[ArmFiles, ...]:
+def build_arms(request: ArmBuildRequest) -> tuple[ArmFiles, ...]:
     """Make the files of an arm, or of all arms of the project, and write those that have changed.
 
     Raises:
@@ -62,8 +47,8 @@ def build_arms(request: ArmBuildRequest, progress: Progress = no_progress) -> tu
     """
     try:
         names = arm_names() if request.arm is None else (request.arm,)
-        found = tuple(_make_files(name, progress) for name in names)
-    except (BadArm, BadParams, NoPlan) as error:
+        found = tuple(_make_files(name) for name in names)
+    except (BadArm, BadParams) as error:
         raise BadRequest(str(error)) from error
     stale = {path: one.texts[path] for one in found for path in one.stale}
     if request.check and stale:
@@ -76,41 +61,17 @@ def build_arms(request: ArmBuildRequest, progress: Progress = no_progress) -> tu
     return found
 
 
-def _make_files(name: str, progress: Progress) -> ArmFiles:
-    folder, completed = arm_folder(name), _complete_poses(name, progress)
-    model = load_arm(name, completed)
+def _make_files(name: str) -> ArmFiles:
+    model, folder = load_arm(name), arm_folder(name)
     check_arm(model)
     comments = [f"Flight parameters of the drawing of {model.description.title}.", MADE_FROM, "SI units."]
     return ArmFiles(
         model,
-        ({} if completed is None else {folder / FILE_NAME: completed})
-        | {
+        {
             folder / "arm.xml": f"<!-- {MADE_FROM} -->\n{model.mjcf}",
             folder / "flight.toml": full_params_toml(model.params, comments),
         },
     )
-
-
-def _complete_poses(name: str, progress: Progress) -> str | None:
-    """Return the description with homing poses; None if it has some, or cannot be read."""
-    path = arm_folder(name) / FILE_NAME
-    text = path.read_text(encoding="utf-8") if has_description(name) else ""
-    header = re.search(r"^\[poses\].*\n", text, re.MULTILINE)
-    ready = re.search(r"^ready_rad *= *(\[.*\])", text, re.MULTILINE)
-    if header is None or ready is None or any(f"hardstop_{pose}" in text for pose in POSE_NAMES):
-        return None
-
-    def completed(poses: Mapping[PoseName, object]) -> str:
-        lines = [
-            f"{kind}{pose} = {poses[pose]}\n"
-            for kind in ("hardstop_", "bare_hardstop_")
-            for pose in POSE_NAMES
-        ]
-        return text[: header.end()] + "".join(lines) + text[header.end() :]
-
-    draft = load_arm(name, completed(dict.fromkeys(POSE_NAMES, ready.group(1))))
-    found = find_homing_poses(draft, progress)
-    return completed({pose: [round(angle, 4) for angle in angles] for pose, angles in found.items()})
 
 
 def describe_arm(model: ArmModel) -> dict[str, Any]:

@@ -4,7 +4,6 @@ import typer
 
 from ground.arms.request import ArmBuildRequest, ArmShowRequest
 from ground.cli.verb import VerbResult, verb
-from ground.common.progress import Progress
 
 arm_app = typer.Typer(
     help="List and show arms, and build the files of an arm from its arm.toml.", no_args_is_help=True
@@ -44,17 +43,16 @@ def show(request: ArmShowRequest) -> VerbResult:
 
 @arm_app.command("build")
 @verb
-def build(request: ArmBuildRequest, progress: Progress) -> VerbResult:
+def build(request: ArmBuildRequest) -> VerbResult:
     """Make arm.xml, the MJCF of the plant, and flight.toml, the flight parameters, from arm.toml.
 
-    An arm that cannot be homed, stowed or brought to its workspace is refused. Homing poses that arm.toml
-    does not have are found and added to it. The files are for people and other tools; marsarm itself reads
-    arm.toml alone, so they are never needed to run.
+    An arm that cannot be homed, stowed or brought to its workspace is refused. The files are for people and
+    other tools; marsarm itself reads arm.toml alone, so they are never needed to run.
 
     Example: marsarm arm build my-arm
     """
     from ground.arms.build import build_arms, describe_arm, files_table
 
-    found = build_arms(request, progress)
+    found = build_arms(request)
     arms = [{**describe_arm(one.model), "files": [str(path) for path in one.texts]} for one in found]
     return VerbResult({"arms": arms}, lambda: files_table(found))

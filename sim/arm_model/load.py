@@ -76,12 +76,11 @@ def has_description(name: str) -> bool:
     return bool(name) and os.path.isfile(arm_folder(name) / FILE_NAME)  # Path.is_file may raise
 
 
-def load_arm(name: str, text: str | None = None) -> ArmModel:
+def load_arm(name: str) -> ArmModel:
     """Make an arm from its files.
 
     Args:
         name: Name of an arm of the project, or a folder with an `arm.toml`.
-        text: Description in place of that file.
 
     Raises:
         BadArm: there is no such arm, or its description is wrong.
@@ -94,7 +93,7 @@ def load_arm(name: str, text: str | None = None) -> ArmModel:
         raise BadArm(f"arm {name!r} is not known; there are {known}, or give a folder with an {FILE_NAME}")
     looks = folder / LOOKS_NAME
     visual = _read(looks) if os.path.lexists(looks) else None
-    model = _make_arm(str(path), _read(path) if text is None else text, str(looks), visual)
+    model = _make_arm(str(path), _read(path), str(looks), visual)
     if name in arm_names() and model.name != name:
         raise BadArm(f"{path}: name: {model.name!r} is not that of its folder, {name!r}")
     return model

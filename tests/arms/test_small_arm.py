@@ -16,7 +16,6 @@ from ground.common.progress import no_progress
 from ground.ik.model import build_ik_model
 from ground.ik.reach import sample_workspace
 from ground.ik.request import ModelRequest
-from sim import homing_search
 from sim.arm_check import check_arm
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ARMS, default_arm, load_arm
@@ -132,30 +131,6 @@ def test_its_base_and_hull_are_where_its_own_frame_says(tmp_path: Path) -> None:
     assert [part.name for part in arm.params.collision.rover] == ["body"]
     assert inside_rover((0.1, 0.0, -0.5), arm)
     assert not inside_rover((0.68, 0.48, -1.5), arm)  # Curiosity's mast
-
-
-def without_poses(folder: Path) -> str:
-    path = folder / "arm.toml"
-    text = re.sub(r"^(bare_)?hardstop_\w+_rad = \[.*\n", "", path.read_text(), flags=re.MULTILINE)
-    path.write_text(text)
-    return text
-
-
-def test_building_adds_homing_poses_that_the_file_does_not_have(tmp_path: Path) -> None:
-    text = without_poses(small_arm(tmp_path, CLEAR_m))
-    assert marsarm(tmp_path, "arm", "build", str(tmp_path)).returncode == 0
-    lines = (tmp_path / "arm.toml").read_text().splitlines()
-    assert [line for line in lines if "hardstop_" not in line or line in text] == text.splitlines()
-    assert marsarm(tmp_path, "arm", "build", "--check", str(tmp_path)).returncode == 0
-
-
-def test_without_room_there_are_no_homing_poses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(homing_search, "STARTS", 2)
-    without_poses(small_arm(tmp_path, TOO_NEAR_m))
-    done = marsarm(tmp_path, "arm", "build", str(tmp_path))
-    assert done.returncode == 2
-    assert re.search(r"joint \w+ cannot be homed in any of 2 random poses; in one, .*\d mm", done.stderr)
-    assert [path.name for path in tmp_path.iterdir()] == ["arm.toml"]
 
 
 def test_reach_draws_from_its_own_workspace(tmp_path: Path) -> None:
