@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
+from fsw.collision.geometry import RoundedBoxes, build_collision_geometry
 from fsw.config import digest
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.ik import IkResult, inverse_kinematics
@@ -34,6 +35,8 @@ class IkModel:
     params_sha256: str
     workspace: Workspace
     """Workspace of the drawing."""
+    rover: RoundedBoxes
+    """Hull of the rover in RMECH."""
 
     @property
     def description(self) -> str:
@@ -79,5 +82,7 @@ def build_ik_model(request: ModelRequest) -> IkModel:
     params = arm.params
     tool = parse_tool(request.tool or arm.model.description.instrument, params.tool_names)
     gravity = world.gravity_N_m_s2 if request.compensate == "absolute" else None
-    warm = heat_arm(build_arm(params), request.warming_K)
-    return IkModel(request, warm, tool, gravity, digest(params), arm.model.workspace)
+    cold = build_arm(params)
+    rover = build_collision_geometry(params, cold).rover
+    warm = heat_arm(cold, request.warming_K)
+    return IkModel(request, warm, tool, gravity, digest(params), arm.model.workspace, rover)

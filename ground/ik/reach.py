@@ -17,14 +17,17 @@ from ground.ik.request import ReachRequest
 from ground.ik.tally import Tally, tally
 from ground.ik.targets import IkTargets
 from ground.render.figures import save_figure
-from sim.frames import p_R_from_N
-from sim.workspace import Workspace, approach_from, random_targets
+from ground.render.outlines import draw_outlines, project_outlines
+from sim.frames import P_NR_M, p_R_from_N
+from sim.workspace import approach_from, random_targets
 
 SAMPLES_PER_CELL: Final = 40
 CELLS: Final = (4, 30)
 """Smallest and largest number of cells along each side of a map."""
 MIN_SAMPLES: Final = 5
 """Smallest number of samples in a cell; cells with fewer samples are grey."""
+ROVER_SEEN_M: Final = 1.5
+"""Length in front of the workspace that the picture shows of the rover."""
 GREY: Final = "0.85"
 BLUE: Final = "#31688e"
 
@@ -71,14 +74,14 @@ def save_reach_figure(samples: ReachSamples, counted: Tally, model: IkModel, pat
     def draw(figure: Any) -> None:
         figure.get_layout_engine().set(w_pad=0.1, h_pad=0.1)
         figure.suptitle(_title(samples, counted, model), fontsize=11)
-        _draw(figure, samples, counted, model.workspace)
+        _draw(figure, samples, counted, model)
 
     return save_figure(path, (14, 9), 110, draw)
 
 
-def _draw(figure: Any, samples: ReachSamples, counted: Tally, workspace: Workspace) -> None:
+def _draw(figure: Any, samples: ReachSamples, counted: Tally, model: IkModel) -> None:
     above, below = figure.subfigures(2, 1, height_ratios=(1.2, 1.0))
-    _draw_maps(above, samples, workspace)
+    _draw_maps(above, samples, model)
     branches, numbers, reasons = below.subplots(1, 3)
     targets, by_valid = counted.targets, counted.targets_by_valid
     _bars(branches, {name: counted.valid_by_branch[name] for name in counted.branches}, targets)
@@ -89,12 +92,14 @@ def _draw(figure: Any, samples: ReachSamples, counted: Tally, workspace: Workspa
     reasons.set(title="Why branches are out", xlabel="share of branches that are out [%]")
 
 
-def _draw_maps(figure: Any, samples: ReachSamples, workspace: Workspace) -> None:
-    radius_m = workspace.radius_m
-    x_range = (workspace.centre_x_m - radius_m, workspace.centre_x_m + radius_m)
-    y_range = (workspace.centre_y_m - radius_m, workspace.centre_y_m + radius_m)
-    z_range = (workspace.top_z_m, workspace.bottom_z_m)
-    side, top, wedge = figure.subplots(1, 3)
+def _draw_maps(figure: Any, samples: ReachSamples, model: IkModel) -> None:
+    from matplotlib.patches import Circle, Rectangle, Wedge
+
+    space = model.workspace
+    x_m, y_m, radius_m = space.centre_x_m, space.centre_y_m, space.radius_m
+    x_range, y_range = (x_m - radius_m, x_m + radius_m), (y_m - radius_m, y_m + radius_m)
+    z_range = (space.top_z_m, space.bottom_z_m)
+    side, top, wedge = figure.subplots(1, 3, width_ratios=(1.35, 1.0, 0.9))
     x, y, z = samples.p_NoTo_N_m
     down_deg, right_deg = np.degrees(samples.angles_rad)
     scale_max = max(float(np.quantile(samples.valid, 0.99)), 1.0)
@@ -102,19 +107,32 @@ def _draw_maps(figure: Any, samples: ReachSamples, workspace: Workspace) -> None
     def mapped(axes: Any, across: Array, along: Array, ranges: Any) -> Any:
         return _draw_map(axes, (across, along, samples.valid), ranges, scale_max)
 
+    for axes, plane in ((side, (0, 2)), (top, (1, 0))):
+        outlines = project_outlines(model.rover, model.rover.X_CS, plane)
+        draw_outlines(axes, outlines, P_NR_M[list(plane)], facecolor="0.93", edgecolor="0.6")
+    down, right = np.degrees((space.wedge_down_rad, space.wedge_side_rad))
+    outline: dict[str, Any] = {"fill": False, "edgecolor": "black", "linewidth": 1.2}
+    approach: dict[str, Any] = {"facecolor": "white", "alpha": 0.45, "edgecolor": "black"}
+    size = (2.0 * radius_m, z_range[1] - z_range[0])
+    side.add_patch(Rectangle((x_range[0], z_range[0]), *size, color=GREY))
     mapped(side, x, z, (x_range, z_range))
-    side.axhline(0.0, color="white", linewidth=1.5, linestyle="--")
-    side.text(x_range[0] + 0.01, -0.01, "ground", color="white", va="bottom")
-    side.set(title="Side: mean over y, approach", xlabel="x forward [m]", ylabel="z down [m]")
-    side.invert_yaxis()
+    side.add_patch(Rectangle((x_range[0], z_range[0]), *size, **outline))
+    side.add_patch(Wedge((x_m, sum(z_range) / 2), 0.6 * radius_m, 0.0, down, **approach))
+    side.axhline(0.0, color="black", linewidth=1.0, linestyle="--")
+    around = (x_range[0] - ROVER_SEEN_M, x_range[1] + 0.25 * radius_m)
+    side.text(around[0] + 0.03, 0.0, "ground", va="bottom")
+    side.set(title="Side: mean over y, approach", xlabel="x forward [m]", ylabel="z down [m]", xlim=around)
+    side.set_ylim(max(z_range[1], 0.0) + 0.1, min(z_range[0], -1.5) - 0.1)
+    top.add_patch(Circle((y_m, x_m), radius_m, color=GREY))
     mapped(top, y, x, (y_range, x_range))
-    top.set(title="Top: mean over z, approach", xlabel="y right [m]", ylabel="x forward [m]")
+    top.add_patch(Circle((y_m, x_m), radius_m, **outline))
+    top.add_patch(Wedge((y_m, x_m), 0.6 * radius_m, 90.0 - right, 90.0 + right, **approach))
+    top.set(title="Top: mean over z, approach", xlabel="y right [m]", ylabel="x forward [m]", ylim=around)
+    top.set_xlim(y_m - 2.4 * radius_m, y_m + 2.4 * radius_m)
     for axes in (side, top):
         axes.set_aspect("equal")
-        axes.xaxis.set_major_locator(_every(0.2))
-    side_rad, down_rad = workspace.wedge_side_rad, workspace.wedge_down_rad
-    degrees = (np.degrees((-side_rad, side_rad)), np.degrees((0.0, down_rad)))
-    colours = mapped(wedge, right_deg, down_deg, degrees)
+    colours = mapped(wedge, right_deg, down_deg, ((-right, right), (0.0, down)))
+    wedge.set_facecolor(GREY)
     wedge.set(
         title="Approach: mean over workspace",
         xlabel="to the right of straight ahead [deg]",
@@ -139,7 +157,6 @@ def _draw_map(axes: Any, points: tuple[Array, Array, Any], ranges: Any, scale_ma
     sums, edges_across, edges_along = np.histogram2d(across, along, cells, ranges, weights=valid)
     counts, _, _ = np.histogram2d(across, along, cells, ranges)
     mean = np.ma.masked_where(counts < MIN_SAMPLES, sums / np.maximum(counts, 1))
-    axes.set_facecolor(GREY)
     return axes.pcolormesh(edges_across, edges_along, mean.T, vmin=0.0, vmax=scale_max, cmap="viridis")
 
 
@@ -168,7 +185,7 @@ def _title(samples: ReachSamples, counted: Tally, model: IkModel) -> str:
     return (
         f"Reach in the workspace, RNAV: {model.description}\n"
         f"{counted.targets} random targets, {reachable_percent:.2f} % with a valid branch; "
-        f"limits only, no collisions; grey: fewer than {MIN_SAMPLES} targets"
+        f"limits only, no collisions; sector: wedge of approaches; grey: rover, and fewer than {MIN_SAMPLES} targets"
     )
 
 
