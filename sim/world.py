@@ -30,7 +30,7 @@ MAX_TILT_RAD: Final = float(np.radians(30.0))
 REQUIRED_MUJOCO: Final = "4.0.1"
 ROCK_RADIUS_M: Final = 0.1
 ROCK_HALF_DEPTH_M: Final = 0.04
-ROCK_HEIGHT_M: Final = 0.15
+ROCK_HEIGHT_M: Final = 0.3
 ELBOW_ABOVE_M: Final = 0.4
 """Height above the shoulder that a picture keeps for the elbow."""
 FIELD_OF_VIEW_DEG: Final = 38.0

@@ -185,7 +185,7 @@ def _title(samples: ReachSamples, counted: Tally, model: IkModel) -> str:
     return (
         f"Reach in the workspace, RNAV: {model.description}\n"
         f"{counted.targets} random targets, {reachable_percent:.2f} % with a valid branch; "
-        f"limits only, no collisions; sector: wedge of approaches; grey: rover, and fewer than {MIN_SAMPLES} targets"
+        f"limits only, no collisions; sector: approaches; grey: rover, or fewer than {MIN_SAMPLES} targets"
     )
 
 
