@@ -63,7 +63,7 @@ test: $(VENV)/ready
 
 test-all: $(VENV)/ready
 	@$(call say,running all tests in $(WORKERS) processes)
-	@$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile $(ARGS)
+	@$(BIN)/python -m pytest -q --durations 15 -n $(WORKERS) --dist loadfile $(ARGS)
 
 bench: $(VENV)/ready
 	@$(call say,measuring; leave the machine alone for two minutes)
