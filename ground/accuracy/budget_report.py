@@ -275,7 +275,7 @@ def _draw_rows(axes: Any, report: BudgetReport) -> None:
     axes.set_yticks(at, names)
     axes.invert_yaxis()
     axes.set(title="Tables 3 and 4", xlabel="plus or minus [mm]", xlim=(0, None))
-    axes.legend(loc="lower right")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, markerscale=0.5)
 
 
 def _draw_shares(figure: Any, budget: Budget) -> None:
