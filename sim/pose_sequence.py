@@ -8,7 +8,7 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ, Config
 from fsw.dictionary.commands import BacklashMode, Command, MoveJoints
-from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.evrs import CommandCompleted, Severity
 from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
 from fsw.kinematics.branches import BRANCHES
@@ -44,11 +44,12 @@ def run_and_rest(loop: ClosedLoop, command: Command) -> str | None:
     """Run a command and let the arm rest.
 
     Returns:
-        The message of the event that prevented completion, or None.
+        The messages of the warnings that prevented completion, or None.
     """
     evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
     if CommandCompleted(type(command).__name__) not in evrs:
-        return evrs[-1].message
+        warnings = [evr.message for evr in evrs if evr.severity >= Severity.WARNING_LO]
+        return "; ".join(warnings) or "it was not completed"
     _run_idle(loop, REST_S)
     return None
 
@@ -115,7 +116,7 @@ def visit_poses(
     for goal in goals:
         problem = run_and_rest(loop, MoveJoints(joints5(goal), backlash))
         if problem is not None:
-            raise RuntimeError(f"{arm.name}: no way to {np.degrees(goal)} deg: {problem}")
+            raise RuntimeError(f"{arm.name}: no way to {np.degrees(goal).round(1)} deg: {problem}")
         yield _rest_state(loop, goal)
 
 

@@ -30,8 +30,8 @@ MAX_TILT_RAD: Final = float(np.radians(30.0))
 REQUIRED_MUJOCO: Final = "4.0.1"
 ROCK_RADIUS_M: Final = 0.1
 ROCK_HALF_DEPTH_M: Final = 0.04
-ROCK_HEIGHT_M: Final = 0.3
-ELBOW_ABOVE_M: Final = 0.4
+ROCK_HEIGHT_M: Final = 0.45
+ELBOW_ABOVE_M: Final = 0.9
 """Height above the shoulder that a picture keeps for the elbow."""
 FIELD_OF_VIEW_DEG: Final = 38.0
 CAMERA_SIDE: Final = np.array([0.9, -1.0, 0.2])
@@ -187,7 +187,7 @@ def add_rock(spec: mujoco.MjSpec, p_N_m: Array, normal_N: Array) -> None:
 
 def _add_camera(spec: mujoco.MjSpec, face: Array) -> None:
     """Add the camera `target`, which sees the whole arm and the rock from the front starboard corner."""
-    shoulder = spec.body("rmech").pos + spec.body("arm1").pos
+    shoulder = spec.body("rmech").pos + FLIP * spec.body("arm1").pos
     lowest, highest = face - (0.0, 0.0, ROCK_HEIGHT_M), shoulder + np.array([0.0, 0.0, ELBOW_ABOVE_M])
     middle, radius_m = 0.5 * (lowest + highest), 0.5 * float(np.linalg.norm(highest - lowest))
     back = CAMERA_SIDE / np.linalg.norm(CAMERA_SIDE)

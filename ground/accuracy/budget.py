@@ -23,6 +23,7 @@ from ground.accuracy.combine import (
     squared_length,
     worst_case,
 )
+from ground.accuracy.confidence import Interval, quantile_interval
 from ground.accuracy.reproduce import TABLE_3, TABLE_4, MagnitudeFit, PaperRow, reproduce
 from ground.accuracy.request import BudgetRequest
 from ground.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity, workspace_poses
@@ -66,8 +67,15 @@ class Budget:
         if rule == MOMENTS:
             k = COMPONENTS.index(component)
             return pooled_quantile([tool.lengths[k] for tool in self.tools.values()], COVERAGE)
-        values = [getattr(tool.by_rule[rule], component) for tool in self.tools.values()]
-        return float(np.quantile(np.concatenate(values), COVERAGE))
+        return float(np.quantile(self._values(rule, component), COVERAGE))
+
+    def interval(self, rule: str, component: str) -> Interval:
+        """Compute the 95 % confidence interval of the bound that holds at 99.73 % of the poses."""
+        values = self._values(rule, component)
+        return quantile_interval(values, COVERAGE, values.size)
+
+    def _values(self, rule: str, component: str) -> Array:
+        return np.concatenate([getattr(tool.by_rule[rule], component) for tool in self.tools.values()])
 
     @property
     def share_m(self) -> Array:

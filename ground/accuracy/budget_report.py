@@ -10,7 +10,7 @@ from rich.table import Table
 from fsw.dictionary.enums import Frame
 from ground.accuracy.budget import ALL, COMPONENTS, Budget, BudgetReport
 from ground.accuracy.combine import COVERAGE
-from ground.accuracy.confidence import min_sample_size
+from ground.accuracy.confidence import is_within, min_sample_size
 from ground.accuracy.reproduce import MagnitudeFit
 from ground.accuracy.sources import sources_sha256
 from ground.common.command_text import command_text
@@ -169,23 +169,27 @@ def _reproduced(found: MagnitudeFit) -> Table:
     return table
 
 
+def list_requirements(report: BudgetReport) -> list[Requirement]:
+    """List the requirements of the cases; poses that are too few for a bound decide nothing."""
+    poses, enough = report.request.poses, min_sample_size(COVERAGE)
+    sample = f"{poses} poses" if poses >= enough else f"{poses} of {enough} poses"
+    return [
+        Requirement(
+            f"{row.name} {WHEN[row.case]}",
+            f"± {format_value(row.component, row.required)}",
+            f"± {format_value(row.component, value)}, {sample}",
+            is_within(report.budgets[row.case].interval("paper", row.component), row.required),
+        )
+        for row, value in report.rows
+    ]
+
+
 def save_budget_page(report: BudgetReport, path: Path) -> None:
     """Write the page.
 
     Raises:
         BadOutput: The file cannot be written.
     """
-    poses, enough = report.request.poses, min_sample_size(COVERAGE)
-    sample = f"{poses} poses" if poses >= enough else f"{poses} of {enough} poses"
-    requirements = [
-        Requirement(
-            f"{row.name} {WHEN[row.case]}",
-            f"± {format_value(row.component, row.required)}",
-            f"± {format_value(row.component, value)}, {sample}",
-            False if value > row.required else True if poses >= enough else None,
-        )
-        for row, value in report.rows
-    ]
     rows = [
         (
             row.name,
@@ -215,7 +219,7 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
         "result": json_sha256(budget_json(report)),
     }
     origin = Origin(command_text("budget", report.request), digests)
-    save_page("Error budget of the arm", "", requirements, origin, parts, path)
+    save_page("Error budget of the arm", "", list_requirements(report), origin, parts, path)
 
 
 def _poses(report: BudgetReport) -> str:
@@ -275,7 +279,7 @@ def _draw_rows(axes: Any, report: BudgetReport) -> None:
     axes.set_yticks(at, names)
     axes.invert_yaxis()
     axes.set(title="Tables 3 and 4", xlabel="plus or minus [mm]", xlim=(0, None))
-    axes.legend(loc="lower right")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, markerscale=0.5)
 
 
 def _draw_shares(figure: Any, budget: Budget) -> None:

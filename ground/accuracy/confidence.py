@@ -154,3 +154,9 @@ def quantile_interval(values: Array, share: float, count: int) -> Interval:
     low = float(np.quantile(values, min((below - 1) / max(count - 1, 1), share))) if below > 0 else -np.inf
     high = float(np.quantile(values, most / (count - 1))) if most < count else np.inf
     return low, high
+
+
+def is_within(interval: Interval, bound: float) -> bool | None:
+    """Return whether a value with this interval stays within a bound; None if the interval holds it."""
+    low, high = interval
+    return True if high <= bound else False if low > bound else None

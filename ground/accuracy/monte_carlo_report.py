@@ -14,7 +14,7 @@ from fsw.dictionary.enums import Joint
 from ground.accuracy.budget import COMPONENTS, MOMENTS
 from ground.accuracy.budget_report import RULES, format_value
 from ground.accuracy.combine import COVERAGE
-from ground.accuracy.confidence import Interval, min_sample_size
+from ground.accuracy.confidence import Interval, is_within, min_sample_size
 from ground.accuracy.coverage import AdditivityCheck, CoverageReport
 from ground.accuracy.monte_carlo import MonteCarloReport
 from ground.accuracy.reproduce import TABLE_3, TABLE_4
@@ -270,12 +270,6 @@ def list_requirements(report: MonteCarloReport) -> list[Requirement]:
         shown = f"{100 * least:.2f} %, {trials} of {enough} arms"
     text = "the budget, by moments, covers the errors"
     return [*found, Requirement(text, f"{100 * COVERAGE:.2f} %", shown, holds)]
-
-
-def is_within(interval: Interval, bound: float) -> bool | None:
-    """Return whether a value with this interval stays within a bound; None if the interval holds it."""
-    low, high = interval
-    return True if high <= bound else False if low > bound else None
 
 
 def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:

@@ -145,7 +145,9 @@ def closed_loop_model(arm: BuiltArm, reference: Reference, backlash: BacklashMod
         command = MoveTool(place.tool, vector3(X_RT.p), vector3(X_RT.R[:, 0]), backlash=backlash)
         problem = run_and_rest(loop, command)
         if problem is not None:
-            raise RuntimeError(f"{arm.name}: no way to {np.degrees(place.output_rad)} deg: {problem}")
+            raise RuntimeError(
+                f"{arm.name}: no way to {np.degrees(place.output_rad).round(1)} deg: {problem}"
+            )
         truth, plant = loop.truth(), loop.plant
         index = plant.tools.index(place.tool)
         X_RT = Pose(truth.R_RT[index], truth.p_RoTo_R_m[index])

@@ -194,7 +194,7 @@ def group_rows(arm: BuiltArm, reference: Reference, plan: CampaignPlan, k: int) 
     for goal in goals:
         problem = run_and_rest(loop, MoveJoints(joints5(goal), "on"))
         if problem is not None:
-            raise CampaignFailed(f"{arm.name}: no way to {np.degrees(goal)} deg: {problem}")
+            raise CampaignFailed(f"{arm.name}: no way to {np.degrees(goal).round(1)} deg: {problem}")
         try:
             yield _row(loop, group, k, plan.tracker, rng)
         except TooFewTargets:

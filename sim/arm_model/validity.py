@@ -12,8 +12,8 @@ from sim.arm_model.description import LINK_PARTS, ArmDescription, BadArm, LinkDe
 
 MOST_HULL_M: Final = 5.0
 """Largest half length of a part of a rover."""
-NO_HULL: Final = ("ground", "surface")
-"""Obstacles beside the rover."""
+NO_HULL: Final = ("ground", "surface", "rock_face", "terrace", "probe")
+"""Obstacles beside the rover, and shapes that worlds add to the scene."""
 LEAST_STIFFNESS: Final = 1e4
 """Least stiffness of a link, in N m/rad or N/m; flight software accepts no softer one."""
 NAME: Final = re.compile(r"[a-z][a-z0-9_]*")

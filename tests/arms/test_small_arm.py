@@ -133,6 +133,16 @@ def test_its_base_and_hull_are_where_its_own_frame_says(tmp_path: Path) -> None:
     assert not inside_rover((0.68, 0.48, -1.5), arm)  # Curiosity's mast
 
 
+@pytest.mark.parametrize("name", ["ground", "surface", "rock_face", "terrace", "probe"])
+def test_a_part_of_its_rover_with_the_name_of_a_shape_of_the_scene_is_refused(
+    tmp_path: Path, name: str
+) -> None:
+    path = small_arm(tmp_path, CLEAR_m) / "arm.toml"
+    path.write_text(path.read_text().replace("\nbody = [", f"\n{name} = ["))
+    with pytest.raises(BadArm, match=f"rover.hull.{name}: is no name, or that of another part"):
+        load_arm(str(tmp_path))
+
+
 def test_reach_draws_from_its_own_workspace(tmp_path: Path) -> None:
     model = build_ik_model(ModelRequest(arm=str(small_arm(tmp_path, CLEAR_m))))
     samples, counted = sample_workspace(model, 200, 1, local_runner(1), no_progress)

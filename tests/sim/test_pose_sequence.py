@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from fsw.config import configure
+from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.enums import Joint
+from fsw.dictionary.types import joints5
 from sim.arms import arm_named
-from sim.pose_sequence import RestState, random_goals, visit_poses
+from sim.effects.faults import JointSeized
+from sim.loop import Setup
+from sim.pose_sequence import RestState, free_air_loop, random_goals, run_and_rest, visit_poses
 from sim.world import World
 from tests.sim import lab
 
@@ -78,3 +83,13 @@ def test_an_as_built_arm_is_not_claimed_to_lie_where_it_does_not():
     for pose in visit("on", "as-built:6", poses=8):
         known = pose.side != 0
         np.testing.assert_array_equal(pose.side[known], pose.true_side[known])
+
+
+def test_a_move_that_fails_is_told_with_the_fault_that_ended_it():
+    loop = free_air_loop(Setup(ARM, World(), ARM.params.poses.ready_rad, 0, lab.true_reference(ARM)))
+    loop = loop.fork((JointSeized(2.0, Joint.ELBOW),))
+    goal = np.add(ARM.params.poses.ready_rad, (0.0, 0.0, 0.5, 0.0, 0.0))
+    problem = run_and_rest(loop, MoveJoints(joints5(goal)))
+    assert problem is not None
+    assert "ELBOW" in problem
+    assert problem.endswith("MoveJoints aborted")

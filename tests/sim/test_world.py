@@ -123,6 +123,8 @@ def test_the_camera_of_a_target_sees_the_whole_arm_and_the_rock(seed: int) -> No
     camera = model.camera("target").id
     eye, R = data.cam_xpos[camera], data.cam_xmat[camera].reshape(3, 3)
     upward = np.tan(0.5 * np.radians(model.cam_fovy[camera]))
+    middle = 0.5 * (data.body("arm1").xpos + FLIP * p_N_m[:, 0])
+    np.testing.assert_allclose((middle - eye) @ R[:, 0], 0.0, atol=1e-9)  # between shoulder and rock
     valid = found.verdict[:, 0] == BranchVerdict.VALID
     for output in found.output_rad[:, valid, 0].T:
         p_R = forward(arm, output[:, None]).X_RF.p[:, :, 0].T

@@ -193,8 +193,9 @@ def make_page(table: RequirementTable, measured: dict[str, Any]) -> str:
     for row in table.rows:
         if row.paper is not None:
             ours = values[row.name]
-            pair = f"{row.bound:g} | {row.paper:g} {row.unit} | {ours:.3g} {row.unit}"
-            lines.append(f"| {row.name} | {pair} | {ours / row.paper:.2f} | {row.why} |")
+            numbers = (f"{row.bound:g}", f"{row.paper:g}", f"{ours:.3g}")
+            cells = " | ".join(f"{number} {row.unit}" for number in numbers)
+            lines.append(f"| {row.name} | {cells} | {ours / row.paper:.2f} | {row.why} |")
     lines += ["", "## Campaigns", "| name | what is measured | command | commit |", "|---|---|---|---|"]
     for campaign in table.campaigns:
         commit = shorten_commit(measured[campaign.name]["commit"])

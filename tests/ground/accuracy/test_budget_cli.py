@@ -1,13 +1,14 @@
 """`marsarm budget`: the paper's rows beside ours; errors are named and nothing is written."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ground.accuracy.budget import BudgetReport, run_budget
-from ground.accuracy.budget_report import budget_json, save_budget_page
+from ground.accuracy.budget_report import budget_json, list_requirements, save_budget_page
 from ground.accuracy.reproduce import TABLE_3, TABLE_4
 from ground.accuracy.request import BudgetRequest
 from ground.common.errors import BadRequest
@@ -95,6 +96,15 @@ def test_few_poses_show_nothing(tmp_path):
     save_budget_page(run_budget(BudgetRequest(case="mars", tool="apxs", poses=1000), quiet), page)
     assert "Not shown: 0 of 3 requirements are met, 3 are not shown." in page.read_text()
     assert "1000 of 1365 poses" in page.read_text()
+
+
+@pytest.mark.parametrize(
+    ("times", "passed"), [(1.5, True), (1.001, None), (0.999, None), (0.5, False)], ids=str
+)
+def test_a_bound_within_the_interval_of_the_estimate_is_not_shown(times, passed):
+    report = run_budget(BudgetRequest(case="mars", tool="apxs", poses=2000), quiet)
+    rows = tuple((replace(row, required=times * value), value) for row, value in report.rows)
+    assert [row.passed for row in list_requirements(replace(report, rows=rows))] == [passed] * 3
 
 
 def test_the_command_prints_one_document_and_writes_a_page_and_a_picture(tmp_path):
