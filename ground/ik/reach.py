@@ -139,8 +139,8 @@ def _draw_maps(figure: Any, samples: ReachSamples, model: IkModel) -> None:
         ylabel="below horizontal [deg]",
     )
     wedge.invert_yaxis()
-    for axis in (wedge.xaxis, wedge.yaxis):
-        axis.set_major_locator(_every(15.0))
+    for axis, widest in ((wedge.xaxis, 2.0 * right), (wedge.yaxis, down)):
+        axis.set_major_locator(_every(15.0 if widest <= 90.0 else 60.0))
     figure.colorbar(colours, ax=[side, top, wedge], label="valid branches, mean", extend="max", pad=0.02)
 
 
