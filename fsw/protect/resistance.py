@@ -22,7 +22,8 @@ uncertainty of the gear angle.
 A joint shows nothing, and its slow means begin anew, in these cases:
 
 - The gear does not drag the output: while it takes up its backlash, friction and load come and go.
-- The side of the backlash is uncertain, for the wind-up: a crossing looks like any torque.
+- The side of the backlash changes: the output falls across, and its impact swings. For the wind-up also while
+  the side is uncertain: a crossing looks like any torque.
 - The motor turns by less than a count a cycle, or turns back: its friction may have any value.
 - The wind-up changes with the motion, which no obstacle does, or while its mean is young. The mean then holds
   what came before, such as a backlash that was crossed later than estimated.
@@ -248,7 +249,8 @@ def update_means(
         n, friction_A, slow_rate, m, slow, last_motor, last_rate, last_wound, last_side = last
         rate = (motor - last_motor) * bounds.updates_Hz
         is_dragged = abs(gear - (low if rate > 0.0 else high)) < DRAGGED_RAD
-        if is_dragged and abs(rate) > turning and rate * last_rate > 0.0:
+        is_steady = abs(rate) > turning and rate * last_rate > 0.0
+        if is_dragged and is_steady and side == last_side:
             n = n + 1 if n < CURRENT_UPDATES else n
             friction_A += (mean_A - loaded_A - friction_A) / n
             slow_rate += (rate - slow_rate) / n
