@@ -148,10 +148,10 @@ def percentile_sentence(found: CoverageReport) -> str:
     values = ", ".join(
         f"{name.rsplit('_', 1)[0]} {format_value(name, found.percentile[name])}" for name in COMPONENTS
     )
-    text = f"{100 * COVERAGE:.2f} % of the errors stay within {values}."
-    if found.arms >= min_sample_size(COVERAGE):
-        return text
-    return f"{text} A confidence bound needs {min_sample_size(COVERAGE)} arms."
+    enough = min_sample_size(COVERAGE)
+    if found.arms >= enough:
+        return f"{100 * COVERAGE:.2f} % of the errors stay within {values}."
+    return f"The errors of these arms stay within {values}; what 99.73 % of all do needs {enough} arms."
 
 
 def _rules(report: MonteCarloReport, found: CoverageReport) -> Table:
