@@ -195,9 +195,10 @@ def _solve_real(arm: Arm, tool: str, p: Array, a: Array, gravity: Array, near_ra
     output = np.where(fixed_point.converged, fixed_point.output_rad, np.nan)
     torque, error = fixed_point.torque_Nm, fixed_point.error
     straight = find_straight(roots).reshape(-1) & near_limits
-    newton = solve_straight(arm, tool, p, a, gravity, straight.reshape(each))
-    output[:, straight] = np.where(newton.converged, newton.output_rad, np.nan)
-    torque[:, straight], error[straight] = newton.torque_Nm, newton.error
+    if straight.any():
+        newton = solve_straight(arm, tool, p, a, gravity, straight.reshape(each))
+        output[:, straight] = np.where(newton.converged, newton.output_rad, np.nan)
+        torque[:, straight], error[straight] = newton.torque_Nm, newton.error
     found = _Found(
         _drop_twins(output.reshape(5, *each), roots), torque.reshape(5, *each), error.reshape(each)
     )
@@ -231,6 +232,8 @@ def _mark_outside(arm: Arm, estimate_rad: Array, outside: Flags, reasons: _Reaso
 def _drop_twins(output_rad: Array, roots: Roots) -> Array:
     """Drop a root (5, 8, n) that two slots of a target found, from the slot that started farther away."""
     close = np.flatnonzero((roots.from_fold.min(axis=0) < CLEAR_OF_FOLD).any(axis=0))
+    if not close.size:
+        return output_rad
     q = output_rad[:, :, close]
     moved = np.abs(wrap_angle(q - roots.output_rad[:, :, close])).max(axis=0)
     rank = np.argsort(np.argsort(moved, axis=0), axis=0)
