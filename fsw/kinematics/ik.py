@@ -41,7 +41,7 @@ The smaller the sine, the more the wrist turns for the same error.
 REGULAR_SINE: Final = 0.1
 """Sine between approach and pitch axes of a regular approach.
 
-Of a million targets in the workspace of twenty calibrated arms, none with a larger sine lost a root.
+Of two million targets in the workspace of twenty calibrated arms, none with a larger sine lost a root.
 """
 TURNS: Final = 5
 """Iterations of the regular approach; its azimuth changes by about a tenth of the turn."""
