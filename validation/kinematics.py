@@ -22,11 +22,11 @@ from ground.common.pool import Runner, in_order, run_here
 from validation.kinematics_samples import Aim, Kinds, near_name, targets, vectors
 from validation.kinematics_trials import (
     CASES,
-    CLEAR_SIGMA,
     SAME_RAD,
     Case,
     Trial,
     claimed_roots,
+    find_regular,
     root_distances,
     root_errors,
     smallest_singular_value,
@@ -69,15 +69,15 @@ class Tally:
     """Roots beyond the tolerance of their case."""
     valid_outside_limits: int = 0
     missed: Counter[str] = field(default_factory=Counter)
-    """Vectors clear of double roots that are no solution of their targets, by kind of the nearest one."""
+    """Regular vectors that are no solution of their targets, by kind of the nearest double root."""
     near: Counter[str] = field(default_factory=Counter)
     """All vectors, by kind of the double root nearby."""
     not_called_valid: int = 0
     """Vectors found and inside the limits, but called something else than valid."""
     indistinct: int = 0
-    """Vectors not found where two roots meet; there any solution that meets the target is enough."""
+    """Vectors not found close to where two roots meet."""
     unanswered: Counter[str] = field(default_factory=Counter)
-    """Indistinct vectors whose target has neither a correct solution nor a branch named as singular."""
+    """Indistinct vectors of exact arms whose target has neither a solution nor a branch named as singular."""
     workspace: int = 0
     workspace_at_most_four: int = 0
     verdicts: Counter[str] = field(default_factory=Counter)
@@ -248,12 +248,12 @@ def _sort_lost(
     distance: Array,
     near: Kinds,
 ) -> None:
-    """Count vectors that are no solution as missed if they are clear of double roots, else as indistinct."""
-    sigma = smallest_singular_value(trial, q[:, lost])
-    for k, s in zip(lost, sigma, strict=True):
-        name, clear = near_name(near[k]), bool(s > CLEAR_SIGMA)
+    """Count vectors that are no solution as missed if they are regular, else as indistinct."""
+    sigma, regular = smallest_singular_value(trial, q[:, lost]), find_regular(trial, q[:, lost])
+    for k, s, clear in zip(lost, sigma, regular.tolist(), strict=True):
+        name = near_name(near[k])
         tally.indistinct += not clear
-        if not clear and answered[k]:
+        if not clear and (answered[k] or not trial.is_exact):
             continue
         (tally.missed if clear else tally.unanswered)[name] += 1
         nearest = None if np.isinf(distance[k]) else float(distance[k])

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.arm import Arm, build_arm, build_orthogonal_arm
+from fsw.kinematics.branches import fold_distances
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.ik import BranchVerdict, IkResult
 from fsw.kinematics.statics import settle_output
@@ -39,7 +40,9 @@ STEP_RAD: Final = 1e-4
 SAME_RAD: Final = 1e-6
 """Joint vectors closer than this are the same root."""
 CLEAR_SIGMA: Final = 1e-4
-"""A pose with a larger smallest singular value must be among the solutions of its own target."""
+"""Smallest singular value above which a pose of the orthogonal rigid arm is clear of double roots."""
+CLEAR_OF_FOLDS: Final = 0.2
+"""Distance from every fold [m, sine] above which a pose of any other arm is clear of double roots."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +91,11 @@ class Trial:
         if self.gravity_R_m_s2 is None:
             return tool_pose(self.arm, forward(self.arm, output_rad), self.tool)
         return tool_pose(self.arm, settle_output(self.arm, output_rad, self.gravity_R_m_s2).frames, self.tool)
+
+    @property
+    def is_exact(self) -> bool:
+        """True if the closed form solves the arm: all its roots are then found."""
+        return self.gravity_R_m_s2 is None and self.arm.orthogonal[self.tool].is_exact
 
     @property
     def is_drawing(self) -> bool:
@@ -215,3 +223,11 @@ def smallest_singular_value(trial: Trial, q: Array) -> Array:
     """Compute the smallest singular value of the task Jacobian, shape (n,); it is 0 where two roots meet."""
     J = np.moveaxis(task_jacobian(trial, q), -1, 0)
     return np.asarray(np.linalg.svd(J, compute_uv=False)[:, -1], np.float64)
+
+
+def find_regular(trial: Trial, q: Array) -> Flags:
+    """Find the joint vectors, shape (n,), that must be among the solutions of their own targets."""
+    regular: Flags = smallest_singular_value(trial, q) > CLEAR_SIGMA
+    if not trial.is_exact:
+        regular &= np.abs(fold_distances(trial.arm.orthogonal[trial.tool], q)).min(axis=0) > CLEAR_OF_FOLDS
+    return regular

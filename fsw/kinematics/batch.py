@@ -1,4 +1,4 @@
-"""Records of arrays with the targets on their last axis: select, concatenate, replace and pad."""
+"""Records of arrays with the targets on their last axis: select and concatenate."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -49,38 +49,3 @@ def concatenate_records(parts: Sequence[Record]) -> Record:
         return parts[0]
     columns = zip(*(record_arrays(part) for part in parts), strict=True)
     return type(parts[0])(*(np.concatenate(column, axis=-1) for column in columns))
-
-
-def replace_targets(record: Record, where: NDArray[np.intp], others: Record) -> Record:
-    """Replace some targets of a record.
-
-    Args:
-        record: Data class of arrays, shape (..., n).
-        where: Target indices to replace, shape (k,).
-        others: Record of the new values, shape (..., k).
-
-    Returns:
-        A copy of the record with the new values.
-    """
-    columns = [values.copy() for values in record_arrays(record)]
-    for values, new in zip(columns, record_arrays(others), strict=True):
-        values[..., where] = new
-    return type(record)(*columns)
-
-
-def pad_slots(values: NDArray[Any], slots: int, fill: float) -> NDArray[Any]:
-    """Pad an array to a least number of slots.
-
-    Args:
-        values: Values of any unit, shape (..., slots, n).
-        slots: Least number of slots of the result.
-        fill: Value of the new slots.
-
-    Returns:
-        The padded array, shape (..., slots, n).
-    """
-    more = slots - values.shape[-2]
-    if more <= 0:
-        return values
-    filler = np.full((*values.shape[:-2], more, values.shape[-1]), fill, values.dtype)
-    return np.concatenate([values, filler], axis=-2)

@@ -17,12 +17,6 @@ BRANCHES: Final = tuple(
 """Names of the eight branches, in the order of the slots."""
 
 
-def slot_name(slot: int) -> str:
-    """Return the name of a slot: its branch, with a number for further roots of that branch."""
-    count, branch = divmod(slot, len(BRANCHES))
-    return BRANCHES[branch] if count == 0 else f"{BRANCHES[branch]}, root {count + 1}"
-
-
 def fold_distances(s: OrthogonalArm, output_rad: Array) -> Array:
     """Compute signed distances of poses from the folds of shoulder, elbow and wrist.
 

@@ -5,14 +5,14 @@ error of the real arm. The others are Newton steps with the springs held. The lo
 iterations, so few suffice; each costs one evaluation of the real arm.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import Arm
+from fsw.kinematics.branches import fold_distances
 from fsw.kinematics.closed_form import closed_form_branch
 from fsw.kinematics.newton import damped_solution
 from fsw.kinematics.soft_limits import limit_excess, wrap_into_limits
@@ -32,7 +32,7 @@ MAX_ITERATIONS: Final = 20
 LIMIT_MARGIN_RAD: Final = 0.03
 """Excess over the limits up to which a root is followed after the first iteration."""
 NEAR_FOLD: Final = 0.2
-"""The same excess for an elbow this close to straight or folded [sine]: one iteration is less accurate."""
+"""The same excess for a root this close to a fold [m, sine]: one iteration is less accurate."""
 BLOCK: Final = 6000
 """Roots per block, to bound the memory."""
 
@@ -49,8 +49,8 @@ class FixedPointRoots:
     """Larger of position error [m] and axis error [rad], (n,); infinite if not selected."""
     followed: Flags
     """True if the iteration went on after its first step, (n,)."""
-    first_error: Array
-    """Difference of the real from the orthogonal arm at the start, (n,); 0 if not evaluated."""
+    converged: Flags
+    """True if the error is within the tolerance, (n,)."""
 
 
 def solve_fixed_point(
@@ -81,13 +81,13 @@ def solve_fixed_point(
     n = selected.size
     tolerance = root_tolerance(gravity_R_m_s2) * np.minimum(fold_distance / CLEAR_OF_FOLD, 1.0) ** 2
     roots = FixedPointRoots(
-        start_rad.copy(), np.zeros_like(start_rad), np.full(n, np.inf), selected.copy(), np.zeros(n)
+        start_rad.copy(), np.zeros_like(start_rad), np.full(n, np.inf), selected.copy(), np.zeros(n, bool)
     )
     indices = np.flatnonzero(selected)
     for block in np.split(indices, range(BLOCK, indices.size, BLOCK)):
         targets = p.take(block, axis=-1), a.take(block, axis=-1)
         _solve_block(arm, tool, *targets, gravity_R_m_s2, tolerance[block], block, roots)
-    return roots
+    return replace(roots, converged=roots.error < tolerance)
 
 
 def root_tolerance(gravity_R_m_s2: Array) -> float:
@@ -132,11 +132,10 @@ def _solve_block(
         else:
             q = q - damped_solution(approach_jacobian(evaluation.frames, X_RT), miss)
         if not active.all():
-            where, tolerance, error = where[active], tolerance[active], error[active]
+            where, tolerance = where[active], tolerance[active]
             p, a, q, strain = (v.compress(active, axis=-1) for v in (p, a, q, strain))
         roots.output_rad[:, where] = q
         if iteration == 0:
-            roots.first_error[where] = error
             follow = _may_enter_limits(arm, tool, q)
             roots.followed[where] = follow
             if not follow.any():
@@ -147,7 +146,7 @@ def _solve_block(
 
 def _may_enter_limits(arm: Arm, tool: str, q: Array) -> Flags:
     """Find the roots (5, k) that may be inside the limits, judged after one iteration."""
-    elbow = np.sin(q[Joint.ELBOW] + arm.orthogonal[tool].theta_rad[Joint.ELBOW])
-    margin = np.where(np.abs(elbow) < NEAR_FOLD, NEAR_FOLD, LIMIT_MARGIN_RAD)
+    fold_distance = np.abs(fold_distances(arm.orthogonal[tool], q)).min(axis=0)
+    margin = np.where(fold_distance < NEAR_FOLD, NEAR_FOLD, LIMIT_MARGIN_RAD)
     may: Flags = limit_excess(arm, wrap_into_limits(arm, q)).max(axis=0) < margin
     return may

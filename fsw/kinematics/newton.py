@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.batch import select_targets
 from fsw.kinematics.task import ROOT_TOLERANCE, evaluate_pose, task_error, task_jacobian
-from fsw.kinematics.transforms import Array, Flags, norm, wrap_angle
+from fsw.kinematics.transforms import Array, Flags
 
 TASK_TOLERANCE: Final = 1e-11
 """Bound of position error [m], axis error [rad] and change of strain at a root."""
@@ -23,16 +23,6 @@ HOPELESS_ERROR: Final = 1e-3
 """Task error above which a start is far from a root."""
 DAMPING: Final = 1e-12
 """Damping of the least-squares inverse."""
-CURVATURE: Final = 8.0
-"""Bound of the second derivative of the task along steps of length one [m, rad].
-
-The largest is 3.5 for these links. The rest allows for the learned part of the Jacobian.
-"""
-CERTAIN: Final = 0.25
-"""Bound of the product of CURVATURE, inverse Jacobian and step.
-
-Below 1/2 a root exists and is unique (Kantorovich). The radii in _first_of_each_root follow from this value.
-"""
 BLOCK: Final = 8000
 """Starts per block, to bound the memory; late steps of few starts have a fixed cost per block."""
 
@@ -58,8 +48,6 @@ def refine_roots(
     approach_R: Array,
     gravity_R_m_s2: Array,
     start_rad: Array,
-    patience: int = PATIENCE,
-    target: NDArray[np.intp] | None = None,
 ) -> NewtonRoots:
     """Refine starts by Newton steps until the tool meets its target.
 
@@ -73,9 +61,6 @@ def refine_roots(
         approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,); zero for the rigid arm.
         start_rad: Output angles to start from, shape (5, ...); starts that are not finite do not converge.
-        patience: Number of steps after which starts far from a root are dropped.
-        target: Ascending target index of each start, shape (n,). Of the starts that certainly lead to the
-            same root of a target, only one is followed. None to follow all.
 
     Returns:
         The roots, batch (...).
@@ -87,59 +72,30 @@ def refine_roots(
     done = NewtonRoots(start.astype(float), np.zeros_like(start), np.full(n, np.inf), np.zeros(n, bool))
     finite = np.flatnonzero(np.isfinite(start).all(axis=0))
     for block in np.split(finite, range(BLOCK, finite.size, BLOCK)):
-        _refine_block(_Newton(arm, tool, p, a, gravity_R_m_s2), block, done, patience, target)
+        _refine_block(_Newton(arm, tool, p, a, gravity_R_m_s2), block, done)
     values = (done.output_rad, done.torque_Nm, done.error, done.error < ROOT_TOLERANCE)
     return NewtonRoots(*(v.reshape((*v.shape[:-1], *batch)) for v in values))
 
 
-def _refine_block(
-    newton: "_Newton",
-    where: NDArray[np.intp],
-    done: NewtonRoots,
-    patience: int,
-    target: NDArray[np.intp] | None,
-) -> None:
+def _refine_block(newton: "_Newton", where: NDArray[np.intp], done: NewtonRoots) -> None:
     """Iterate the starts `where` and write the results into `done`."""
     if not where.size:
         return
     current = newton.begin(done.output_rad.take(where, axis=-1), where)
-    for count in range(2 * patience):
+    for count in range(2 * PATIENCE):
         J_inv = damped_inverse(current.J + current.load_J)
         step = -np.einsum("ij...,j...->i...", J_inv, current.residual)
-        if target is not None:
-            first = _first_of_each_root(current, J_inv, step, target[current.where])
-            if not first.all():
-                current, step = select_targets(current, first), step[:, first]
         step *= np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(np.max(np.abs(step), axis=0), 1e-300))
         current = newton.take_step(current, step)
         error = current.error()
         done.output_rad[:, current.where] = current.output_rad
         done.torque_Nm[:, current.where], done.error[current.where] = current.torque_Nm, error
         active = (error >= TASK_TOLERANCE) | (np.max(np.abs(step), axis=0) >= STEP_TOLERANCE_RAD)
-        active &= np.isfinite(error) & ((count < patience) | (error < HOPELESS_ERROR))
+        active &= np.isfinite(error) & ((count < PATIENCE) | (error < HOPELESS_ERROR))
         if not active.any():
             return
         if not active.all():
             current = select_targets(current, active)
-
-
-def _first_of_each_root(current: "_Iterate", J_inv: Array, step: Array, target: NDArray[np.intp]) -> Flags:
-    """Find the iterates that are the first of their target to lead certainly to their root.
-
-    By Kantorovich's theorem with CERTAIN, a root is within 6/5 of the step of an iterate. No other root is
-    within 1.7 / (CURVATURE times the inverse Jacobian).
-    """
-    bound = CURVATURE * np.sqrt(np.einsum("ij...,ij...->...", J_inv, J_inv))
-    length = norm(step)
-    certain = np.flatnonzero((bound * length < CERTAIN) & (current.strain_change < length))
-    end = wrap_angle(current.output_rad + step)[:, certain]
-    order = np.lexsort((end[0] + end[1] + end[2], target[certain]))
-    certain, end = certain[order], end[:, order]
-    distance = norm(wrap_angle(np.diff(end))) + length[certain[:-1]] + length[certain[1:]] / 5
-    same = (np.diff(target[certain]) == 0) & (distance < 1.7 / bound[certain[:-1]])
-    first = np.ones(target.size, bool)
-    first[certain[1:][same]] = False
-    return first
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,12 +8,18 @@ from numpy.typing import NDArray
 from fsw.collision.geometry import Surface
 from fsw.config import Config
 from fsw.dictionary.commands import AUTO, ROVER, GuardedMove, MoveTool, Retract
-from fsw.dictionary.enums import Frame
+from fsw.dictionary.enums import Frame, Joint
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.batch import select_targets
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import Frames, tool_pose
-from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics
+from fsw.kinematics.ik import (
+    BranchVerdict,
+    IkResult,
+    describe_slot,
+    find_regular_approach,
+    inverse_kinematics,
+)
 from fsw.kinematics.newton import NewtonRoots, refine_roots
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, norm
@@ -130,14 +136,13 @@ def find_branches(
         config.arm, command.tool, targets, approaches, compensation.gravity(joints), joints.motor_rad
     )
     valid = np.all(result.verdict == BranchVerdict.VALID, axis=-1)
-    names = [BRANCHES[slot % len(BRANCHES)] for slot in range(len(valid))]
-    wanted = np.array([command.branch in (AUTO, name) for name in names])
+    wanted = np.array([command.branch in (AUTO, name) for name in BRANCHES])
     if not np.any(valid & wanted):
-        return Refusal(_explain_refusal(config, command.tool, result, wanted))
+        return Refusal(_explain_refusal(config, command.tool, targets, approaches, result, wanted))
     output = np.where(valid & wanted, result.output_rad[..., 0], np.nan)
     duration_s = np.max(np.abs(output - joints.output_rad[:, None]) / config.speed_rad_s[:, None], axis=0)
     fastest = np.argsort(duration_s, kind="stable")[: np.count_nonzero(valid & wanted)]
-    return [Branch(names[slot], output[:, slot], float(duration_s[slot])) for slot in fastest]
+    return [Branch(BRANCHES[slot], output[:, slot], float(duration_s[slot])) for slot in fastest]
 
 
 def _refuse_blocked(
@@ -179,14 +184,20 @@ def _frame_pose(config: Config, frames: Frames, name: str) -> Pose:
     return Pose(frames.X_RF.R[:, :, k], frames.X_RF.p[:, k])
 
 
-def _explain_refusal(config: Config, tool: str, result: IkResult, wanted: NDArray[np.bool_]) -> str:
+def _explain_refusal(
+    config: Config, tool: str, targets: Array, approaches: Array, result: IkResult, wanted: NDArray[np.bool_]
+) -> str:
     """Explain why no wanted branch is valid: the reason of the nearest one, at the target or after it."""
     for k, name in enumerate(("the target", "the end of the approach")):
         verdict, excess = result.verdict[:, k], result.excess[:, k]
         if not np.any(wanted & (verdict == BranchVerdict.VALID)):
             # by verdict first (a limit is nearer than the reach), then by excess
             nearest = int(np.lexsort((excess, verdict, ~wanted))[0])
-            return f"{tool}: {name}: {describe_slot(config.arm, select_targets(result, k), nearest)}"
+            reason = f"{tool}: {name}: {describe_slot(config.arm, select_targets(result, k), nearest)}"
+            if (verdict[nearest], result.joint[nearest, k]) != (BranchVerdict.SINGULAR, Joint.WRIST):
+                return reason
+            x, y, z = find_regular_approach(config.arm, tool, targets[:, k], approaches[:, k], nearest)
+            return f"{reason}; the nearest regular approach in RMECH is {x:.3f} {y:.3f} {z:.3f}"
     return f"{tool}: no branch asked for reaches the target and the end of the approach alike"
 
 

@@ -52,7 +52,7 @@ class IkModel:
         return text + f", deflected by the gravity of {request.gravity.title()}" + ("" if level else tilted)
 
     def solve_in_batches(self, targets: IkTargets, run: Runner, progress: Progress) -> Iterator[IkResult]:
-        """Solve the inverse kinematics in parts, (S, n) each; the number of slots S may differ."""
+        """Solve the inverse kinematics in parts, (8, n) each."""
         starts = range(0, len(targets), BATCH_SIZE)
         parts = ((self, targets.part(start, BATCH_SIZE)) for start in starts)
         progress(0, len(targets), "solving")
@@ -61,7 +61,7 @@ class IkModel:
             yield result
 
     def solve(self, targets: IkTargets) -> IkResult:
-        """Solve the inverse kinematics of all targets for every branch, shape (S, n)."""
+        """Solve the inverse kinematics of all targets for every branch, shape (8, n)."""
         return inverse_kinematics(
             self.arm, self.tool, targets.p_RoTo_R_m, targets.approach_R, self.gravity_R_m_s2
         )

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
 from ground.common.options import check_options
@@ -84,7 +85,7 @@ def _draw(figure: Any, samples: ReachSamples, counted: Tally, model: IkModel) ->
     _draw_maps(above, samples, model)
     branches, numbers, reasons = below.subplots(1, 3)
     targets, by_valid = counted.targets, counted.targets_by_valid
-    _bars(branches, {name: counted.valid_by_branch[name] for name in counted.branches}, targets)
+    _bars(branches, {name: counted.valid_by_branch[name] for name in BRANCHES}, targets)
     branches.set(title="Valid branches", xlabel="share of targets [%]")
     _bars(numbers, {str(valid): by_valid[valid] for valid in range(max(by_valid) + 1)}, targets)
     numbers.set(title="Valid branches of a target", xlabel="share of targets [%]", ylabel="how many")

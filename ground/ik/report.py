@@ -7,8 +7,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from fsw.kinematics.branches import slot_name
-from fsw.kinematics.ik import BranchVerdict, describe_slot
+from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.ik import describe_slot
 from ground.ik.model import IkModel
 from ground.ik.reach import ReachReport
 from ground.ik.solve import BatchReport, IkReport
@@ -21,7 +21,7 @@ WIDEST: Final = 240
 
 def ik_json(report: IkReport) -> dict[str, Any]:
     """Convert the result for one target to a JSON document."""
-    branches = [_branch_json(report, slot) for slot in _present_slots(report)]
+    branches = [_branch_json(report, slot) for slot in range(len(BRANCHES))]
     return {
         "valid": sum(branch["verdict"] == "valid" for branch in branches),
         **_model_json(report.model),
@@ -35,7 +35,7 @@ def ik_json(report: IkReport) -> dict[str, Any]:
 
 def ik_table(report: IkReport) -> None:
     """Print the joint angles of each branch of a target, or the reason why it is invalid."""
-    branches = [_branch_json(report, slot) for slot in _present_slots(report)]
+    branches = [_branch_json(report, slot) for slot in range(len(BRANCHES))]
     valid = sum(branch["verdict"] == "valid" for branch in branches)
     table = Table()
     table.add_column("branch", no_wrap=True)
@@ -90,12 +90,8 @@ def reach_table(report: ReachReport) -> None:
         plain_console().print(f"picture   {reason}", soft_wrap=True)
 
 
-def _present_slots(report: IkReport) -> list[int]:
-    return [int(slot) for slot in np.flatnonzero(report.result.verdict != BranchVerdict.ABSENT)]
-
-
 def _branch_json(report: IkReport, slot: int) -> dict[str, Any]:
-    result, name = report.result, slot_name(slot)
+    result, name = report.result, BRANCHES[slot]
     verdict = VERDICT_NAMES[int(result.verdict[slot])]
     angles, error, excess = (
         result.output_rad[:, slot],
@@ -138,7 +134,7 @@ def _tally_json(tally: Tally) -> dict[str, Any]:
             str(valid): count / tally.targets for valid, count in sorted(tally.targets_by_valid.items())
         },
         "targets_with_at_most_four": at_most_four / tally.targets,
-        "valid_by_branch": {name: tally.valid_by_branch[name] / tally.targets for name in tally.branches},
+        "valid_by_branch": {name: tally.valid_by_branch[name] / tally.targets for name in BRANCHES},
         "out_by_verdict": _shares_out(tally, {k: n for k, n in tally.by_verdict.items() if k != "valid"}),
         "outside_limits_by_joint": _shares_out(tally, tally.outside_by_joint),
     }

@@ -26,7 +26,7 @@ class IkReport:
     request: IkRequest
     model: IkModel
     result: IkResult
-    """Result of every branch, shape (S,)."""
+    """Result of every branch, shape (8,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.branches import BRANCHES, slot_name
+from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult
 
 JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
@@ -23,7 +23,6 @@ class Tally:
     """Number of targets by their number of valid branches."""
     valid_by_branch: Counter[str] = field(default_factory=Counter)
     by_verdict: Counter[str] = field(default_factory=Counter)
-    """Number of branches by verdict, without absent ones."""
     outside_by_joint: Counter[str] = field(default_factory=Counter)
     """Number of branches outside limits, by the joint farthest beyond its limit."""
 
@@ -41,11 +40,6 @@ class Tally:
         return self.targets_by_valid.total()
 
     @property
-    def branches(self) -> list[str]:
-        """List the names of all branches, then of all other roots that were valid for any target."""
-        return list(dict.fromkeys((*BRANCHES, *sorted(self.valid_by_branch))))
-
-    @property
     def out(self) -> int:
         """Return the number of invalid branches."""
         return self.by_verdict.total() - self.by_verdict["valid"]
@@ -55,17 +49,10 @@ def tally(result: IkResult) -> Tally:
     """Count the results of a batch."""
     valid = result.verdict == BranchVerdict.VALID
     outside = result.verdict == BranchVerdict.OUTSIDE_LIMITS
-    verdicts = Counter(
-        {
-            VERDICT_NAMES[k]: int(count)
-            for k, count in _count_values(result.verdict)
-            if k != BranchVerdict.ABSENT
-        }
-    )
     return Tally(
         Counter(dict(_count_values(valid.sum(axis=0)))),
-        Counter({slot_name(slot): int(count) for slot, count in enumerate(valid.sum(axis=1)) if count}),
-        verdicts,
+        Counter(dict(zip(BRANCHES, valid.sum(axis=1).tolist(), strict=True))),
+        Counter({VERDICT_NAMES[k]: count for k, count in _count_values(result.verdict)}),
         Counter({Joint(k).name.lower(): count for k, count in _count_values(result.joint[outside])}),
     )
 

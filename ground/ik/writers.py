@@ -1,6 +1,7 @@
 """Writers of batch results, part by part, so that memory does not grow with the batch."""
 
 import json
+import shutil
 import tempfile
 import zipfile
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pyarrow import parquet
 
-from fsw.kinematics.branches import slot_name
+from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult
 from ground.common.files import atomic_write
 from ground.ik.tally import JOINT_NAMES, VERDICT_NAMES
@@ -21,21 +22,21 @@ from ground.ik.tally import JOINT_NAMES, VERDICT_NAMES
 NO_JOINT: Final = -1
 NAME_TYPE: Final = pa.dictionary(pa.int8(), pa.string())
 
-FIELDS: Final[dict[str, tuple[type, float, tuple[int, ...]]]] = {
-    "output_rad": (np.float64, np.nan, (5,)),
-    "verdict": (np.int8, BranchVerdict.ABSENT, ()),
-    "joint": (np.int8, NO_JOINT, ()),
-    "excess": (np.float64, 0.0, ()),
-    "forward_error": (np.float64, np.nan, ()),
+FIELDS: Final[dict[str, tuple[type, tuple[int, ...]]]] = {
+    "output_rad": (np.float64, (8, 5)),
+    "verdict": (np.int8, (8,)),
+    "joint": (np.int8, (8,)),
+    "excess": (np.float64, (8,)),
+    "forward_error": (np.float64, (8,)),
 }
-"""Arrays (n, S, ...) of an .npz file: type, value of an absent slot, and shape of one result."""
+"""Arrays (n, 8, ...) of an .npz file: type, and shape of the results of one target."""
 
 
 class BatchWriter(Protocol):
     """Protocol of writers that take the results of a batch part by part."""
 
     def add(self, result: IkResult) -> None:
-        """Write the results of the next targets, shape (S, n)."""
+        """Write the results of the next targets, shape (8, n)."""
 
 
 @contextmanager
@@ -65,13 +66,11 @@ class NpzWriter:
 
     def __init__(self, spools: dict[str, IO[bytes]]) -> None:
         self._spools = spools
-        self._parts: list[tuple[int, int]] = []
-        """Number of targets and of slots in each part."""
+        self._targets = 0
 
     def add(self, result: IkResult) -> None:
-        """Write the results of the next targets, shape (S, n)."""
-        slots, count = result.verdict.shape
-        self._parts.append((count, slots))
+        """Write the results of the next targets, shape (8, n)."""
+        self._targets += result.verdict.shape[1]
         outside = result.verdict == BranchVerdict.OUTSIDE_LIMITS
         arrays = {
             "output_rad": result.output_rad.transpose(2, 1, 0),
@@ -80,14 +79,13 @@ class NpzWriter:
             "excess": result.excess.T,
             "forward_error": result.error.T,
         }
-        for name, (dtype, _, _) in FIELDS.items():
+        for name, (dtype, _) in FIELDS.items():
             self._spools[name].write(np.ascontiguousarray(arrays[name], dtype=dtype).tobytes())
 
     def pack(self, file: BinaryIO, about: dict[str, Any]) -> None:
-        """Assemble the file; every part gets the largest number of slots."""
-        slots = max(part[1] for part in self._parts)
+        """Assemble the file."""
         names = {
-            "branch_names": np.array([slot_name(slot) for slot in range(slots)]),
+            "branch_names": np.array(BRANCHES),
             "verdict_names": np.array(VERDICT_NAMES),
             "joint_names": np.array(JOINT_NAMES),
             "about": np.array(json.dumps(about)),
@@ -95,27 +93,22 @@ class NpzWriter:
         with zipfile.ZipFile(file, "w") as archive:
             for name in FIELDS:
                 with archive.open(_entry(name), "w", force_zip64=True) as member:
-                    self._copy(name, slots, member)
+                    self._copy(name, member)
             for name, values in names.items():
                 with archive.open(_entry(name), "w") as member:
                     np.lib.format.write_array(member, values, allow_pickle=False)
 
-    def _copy(self, name: str, slots: int, member: Any) -> None:
-        dtype, absent, shape = FIELDS[name]
+    def _copy(self, name: str, member: Any) -> None:
+        dtype, shape = FIELDS[name]
         header = {
             "descr": np.lib.format.dtype_to_descr(np.dtype(dtype)),
             "fortran_order": False,
-            "shape": (sum(part[0] for part in self._parts), slots, *shape),
+            "shape": (self._targets, *shape),
         }
         np.lib.format.write_array_header_1_0(member, header)
         spool = self._spools[name]
         spool.seek(0)
-        for count, used in self._parts:
-            size = count * used * int(np.prod(shape)) * np.dtype(dtype).itemsize
-            part: NDArray[Any] = np.frombuffer(spool.read(size), dtype).reshape(count, used, *shape)
-            whole: NDArray[Any] = np.full((count, slots, *shape), absent, dtype)
-            whole[:, :used] = part
-            member.write(whole.tobytes())
+        shutil.copyfileobj(spool, member)
 
 
 def _entry(name: str) -> zipfile.ZipInfo:
@@ -145,14 +138,14 @@ class ParquetWriter:
         self._next = 0
 
     def add(self, result: IkResult) -> None:
-        """Write the results of the next targets, shape (S, n); values that do not apply are null."""
-        slots, count = result.verdict.shape
-        target, slot = np.nonzero(result.verdict.T != BranchVerdict.ABSENT)
+        """Write the results of the next targets, shape (8, n); values that do not apply are null."""
+        count = result.verdict.shape[1]
+        target, slot = np.indices((count, len(BRANCHES))).reshape(2, -1)
         verdict, excess = result.verdict[slot, target], result.excess[slot, target]
         outside, unreachable = verdict == BranchVerdict.OUTSIDE_LIMITS, verdict == BranchVerdict.OUT_OF_REACH
         columns = [
             pa.array(self._next + target),
-            _name_column(slot, [slot_name(k) for k in range(slots)]),
+            _name_column(slot, BRANCHES),
             _name_column(verdict, VERDICT_NAMES),
             *(_number_column(angle[slot, target]) for angle in result.output_rad),
             _name_column(result.joint[slot, target], JOINT_NAMES, ~outside),

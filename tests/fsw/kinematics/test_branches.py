@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances, slot_name
+from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import closed_form
 from tests.fsw.rig import config_of, in_limits
@@ -30,14 +30,6 @@ def test_there_are_eight_branches_with_names_of_their_own():
     assert {w[0] for w in words} == {"shoulder-out", "shoulder-in"}
     assert {w[1] for w in words} == {"elbow-up", "elbow-down"}
     assert {w[2] for w in words} == {"wrist-up", "wrist-down"}
-
-
-def test_the_first_eight_slots_have_the_names_of_the_branches_and_further_ones_are_numbered():
-    assert tuple(slot_name(k) for k in range(8)) == BRANCHES
-    assert slot_name(8) == "shoulder-out elbow-up wrist-up, root 2"
-    assert slot_name(21) == "shoulder-in elbow-up wrist-down, root 3"
-    assert slot_name(31) == "shoulder-in elbow-down wrist-down, root 4"
-    assert len({slot_name(k) for k in range(32)}) == 32
 
 
 @pytest.mark.parametrize("tool", TOOLS)

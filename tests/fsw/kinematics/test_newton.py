@@ -9,7 +9,7 @@ from fsw.kinematics.newton import TASK_TOLERANCE, refine_roots
 from fsw.kinematics.soft_limits import limit_excess, wrap_into_limits
 from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error
-from fsw.kinematics.transforms import dot, wrap_angle
+from fsw.kinematics.transforms import dot
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 from tests.tools import TOOLS, tool_index
 
@@ -184,21 +184,3 @@ def test_one_target_may_have_many_starts():
     found = refine_roots(config.arm, "apxs", p[:, 0], a[:, 0], MARS_R_m_s2, starts)
     assert found.converged.all()
     np.testing.assert_allclose(found.output_rad, np.repeat(q, 7, axis=1), atol=1e-8)
-
-
-@pytest.mark.parametrize("gravity", [RIGID, TILTED_R_m_s2], ids=["rigid", "tilted"])
-def test_of_the_starts_that_lead_to_one_root_of_a_target_one_is_followed_and_no_root_is_lost(gravity):
-    config = config_of("calibrated:3")
-    _, p, a = deflected_targets(config, "drill", 40, gravity)
-    roots = closed_form(config.arm, "drill", p, a).output_rad.reshape(5, -1)
-    target = np.tile(np.arange(40), 8 * 5)
-    start = np.concatenate([roots + shift for shift in np.linspace(-0.02, 0.02, 5)], axis=1)
-    order = np.argsort(target, kind="stable")
-    start, target = start[:, order], target[order]
-    arguments = (config.arm, "drill", p[:, target], a[:, target], gravity, start)
-    every, few = refine_roots(*arguments), refine_roots(*arguments, target=target)
-    assert few.converged.sum() < 0.5 * every.converged.sum()
-    for k in range(40):
-        found, kept = (r.output_rad[:, r.converged & (target == k)] for r in (every, few))
-        apart = np.abs(wrap_angle(found[:, :, None] - kept[:, None])).max(axis=0)
-        assert apart.min(axis=1).max(initial=0.0) < 1e-6

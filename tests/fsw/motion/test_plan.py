@@ -392,13 +392,15 @@ def test_a_refusal_never_speaks_of_an_angle_that_is_no_number():
     assert "nan" not in refusal.reason
 
 
-def test_a_target_next_to_a_double_root_is_planned_though_a_branch_has_several_roots():
-    """One branch has three roots, so there are more slots than branches."""
-    p, a = (1.55434449, -0.95322549, 0.15111527), (-0.52713579, -0.84977996, -0.00137068)
-    command = MoveTool("drill", p, a)
-    plan = plan_tool(CONFIG, joints_at(), command)
-    assert isinstance(plan, Plan)
-    assert any(plan.branch.startswith(name) for name in BRANCHES)
-    np.testing.assert_allclose(tool_at(CONFIG, plan.end.output_rad, "drill").p, p, atol=MEETS)
-    for name in BRANCHES:
-        assert isinstance(plan_tool(CONFIG, joints_at(), replace(command, branch=name)), Plan | Refusal)
+def test_a_target_with_its_approach_along_the_pitch_axes_is_refused_with_the_nearest_regular_approach():
+    pose = np.array([0.3, -0.8, 1.5, 1.0, 0.0])
+    boresight = CONFIG.arm.X_FT["drill"].R[:, 0]
+    pose[4] = np.pi / 2 - np.arctan2(boresight[1], boresight[0])
+    X = tool_pose(CONFIG.arm, settle(CONFIG.arm, pose, np.zeros(5), np.zeros(3)).frames, "drill")
+    command = MoveTool("drill", floats(X.p), floats(X.R[:, 0]), branch=BRANCHES[0], deflection="off")
+    refusal = plan_tool(CONFIG, joints_at(), command)
+    assert isinstance(refusal, Refusal)
+    what, words = refusal.reason.split("; the nearest regular approach in RMECH is ")
+    assert "singular" in what
+    regular = floats(np.array(words.split(), float))
+    assert isinstance(plan_tool(CONFIG, joints_at(), replace(command, approach_F=regular)), Plan)

@@ -1,21 +1,19 @@
 """Inverse kinematics of many targets, from a file into a file."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from pyarrow import parquet
 
 from fsw.kinematics.batch import select_targets
-from fsw.kinematics.branches import slot_name
+from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.ik import BranchVerdict
 from ground.ik.model import BATCH_SIZE
-from ground.ik.tally import JOINT_NAMES, VERDICT_NAMES, tally
-from ground.ik.writers import open_writer
+from ground.ik.tally import JOINT_NAMES, VERDICT_NAMES
 from sim.workspace import approach_from, random_targets
 from tests.ground.command import marsarm
-from tests.ground.ik.batch import P_M, expected, save, solved
+from tests.ground.ik.batch import expected, save, solved
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".parquet"])
@@ -23,13 +21,12 @@ def test_a_file_of_arrays_holds_every_answer_to_every_target(tmp_path, suffix):
     save(tmp_path / f"in{suffix}")
     solved(tmp_path / f"in{suffix}", tmp_path / "out.npz", tool="mahli", tilt_roll_deg=10.0)
     answers = expected(tool="mahli", tilt_roll_deg=10.0)
-    slots = len(answers.verdict)
     with np.load(tmp_path / "out.npz", allow_pickle=False) as file:
         angles = answers.output_rad.transpose(2, 1, 0)
         assert np.allclose(file["output_rad"], angles, atol=1e-9, equal_nan=True)
         assert np.array_equal(file["verdict"], answers.verdict.T)
-        assert file["output_rad"].shape == (4, slots, 5)
-        assert [str(name) for name in file["branch_names"]] == [slot_name(slot) for slot in range(slots)]
+        assert file["output_rad"].shape == (4, 8, 5)
+        assert tuple(file["branch_names"]) == BRANCHES
         assert tuple(file["verdict_names"]) == VERDICT_NAMES
         outside = file["verdict"] == BranchVerdict.OUTSIDE_LIMITS
         assert np.all((file["joint"] >= 0) == outside)
@@ -44,9 +41,9 @@ def test_a_table_has_a_row_for_each_target_and_branch(tmp_path, suffix):
     solved(tmp_path / f"in{suffix}", tmp_path / "out.parquet", compensate="off")
     answers = expected(compensate="off")
     rows = parquet.read_table(tmp_path / "out.parquet").to_pylist()
-    assert len(rows) == np.sum(answers.verdict != BranchVerdict.ABSENT)
+    assert len(rows) == answers.verdict.size
     for row in rows:
-        slot = next(k for k in range(len(answers.verdict)) if slot_name(k) == row["branch"])
+        slot = BRANCHES.index(row["branch"])
         one = select_targets(answers, row["target"])
         angles = np.array([row[f"{joint}_rad"] for joint in JOINT_NAMES], dtype=float)
         assert row["verdict"] == VERDICT_NAMES[one.verdict[slot]]
@@ -65,7 +62,7 @@ def test_targets_beyond_one_part_are_answered_as_if_they_were_alone(tmp_path):
     alone = expected(p_m.T[BATCH_SIZE:], approach[BATCH_SIZE:])
     with np.load(tmp_path / "out.npz") as file:
         assert file["verdict"].shape[0] == BATCH_SIZE + 2
-        assert np.array_equal(file["verdict"][BATCH_SIZE:, : len(alone.verdict)], alone.verdict.T)
+        assert np.array_equal(file["verdict"][BATCH_SIZE:], alone.verdict.T)
 
 
 def test_the_same_targets_give_the_same_bytes(tmp_path):
@@ -75,53 +72,6 @@ def test_the_same_targets_give_the_same_bytes(tmp_path):
         solved(tmp_path / "in.npz", first)
         solved(tmp_path / "in.npz", second)
         assert first.read_bytes() == second.read_bytes()
-
-
-def more_slots(answers):
-    """Return the same results with a second root of the first branch, at the first target only."""
-    verdict = np.full_like(answers.verdict, BranchVerdict.ABSENT)
-    verdict[0, 0] = BranchVerdict.VALID
-
-    def doubled(values):
-        return np.concatenate([values, values], axis=-2)
-
-    return replace(
-        answers,
-        output_rad=doubled(answers.output_rad),
-        torque_Nm=doubled(answers.torque_Nm),
-        verdict=np.concatenate([answers.verdict, verdict]),
-        joint=doubled(answers.joint),
-        excess=doubled(answers.excess),
-        error=doubled(answers.error),
-    )
-
-
-def test_parts_with_more_roots_than_others_fit_into_one_file(tmp_path):
-    few = expected()
-    many = more_slots(few)
-    slots = len(few.verdict)
-    for name in ("out.npz", "out.parquet"):
-        with open_writer(tmp_path / name, {}) as file:
-            file.add(few)
-            file.add(many)
-    with np.load(tmp_path / "out.npz") as file:
-        assert file["verdict"].shape == (8, 2 * slots)
-        assert np.all(file["verdict"][:4, slots:] == BranchVerdict.ABSENT)
-        assert np.isnan(file["output_rad"][:4, slots:]).all()
-        assert file["verdict"][4, slots] == BranchVerdict.VALID
-        assert np.array_equal(file["output_rad"][4, slots], few.output_rad[:, 0, 0], equal_nan=True)
-        assert file["branch_names"][slots] == slot_name(slots)
-    table = parquet.read_table(tmp_path / "out.parquet")
-    assert table.num_rows == 8 * slots + 1
-    assert table.to_pylist()[4 * slots : 6 * slots][slots]["branch"] == slot_name(slots)
-
-
-def test_roots_that_are_absent_are_not_counted():
-    few = expected()
-    counts, more = tally(few), tally(more_slots(few))
-    assert more.by_verdict.total() == counts.by_verdict.total() + 1
-    assert more.valid_by_branch[slot_name(len(few.verdict))] == 1
-    assert (counts + more).targets == 2 * len(P_M)
 
 
 def test_a_summary_for_programs_and_for_people(tmp_path):
