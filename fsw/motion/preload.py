@@ -27,7 +27,6 @@ from fsw.motion.plan import (
     plan_over_knots,
     worst_limit_excess,
 )
-from fsw.protect.bounds import FRICTION_FACTOR
 
 MAX_NEWTON_STEPS: Final = 20
 ROUNDING_N: Final = 1e-6
@@ -39,6 +38,8 @@ ESTIMATED_RATIO_STD: Final = 0.1
 """Standard deviation of the force ratio below which it counts as known."""
 RATIO_SIGMAS: Final = 1.5
 """Standard deviations by which an unknown force ratio may exceed its estimate."""
+FRICTION_FACTOR: Final = 1.5
+"""Factor by which friction may have risen since it was measured at the hardstop."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,8 +11,6 @@ from fsw.dictionary.params import MonitorParams, Params
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import Array
 
-FRICTION_FACTOR: Final = 1.5
-"""Factor by which friction may exceed what was measured or modelled: two sigmas of a built gear."""
 LOAD_ERROR_FACTOR: Final = 5.0
 """On an approach, a gear counts if its torque exceeds this many times the error of its modelled load."""
 
@@ -61,7 +59,7 @@ class ProtectionBounds:
     load_error_A: tuple[float, ...]
     """Errors of the modelled loads over the torque constants, (5,)."""
     damping_As_rad: tuple[float, ...]
-    """Most viscous friction in the cold over the torque constants, (5,)."""
+    """Viscous friction in the cold over the torque constants, (5,)."""
     steady_A: tuple[float, ...]
     """Change of the current at a steady speed that is no contact, (5,).
 
@@ -122,7 +120,7 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
         approach_wind_up_rad=LOAD_ERROR_FACTOR * load_error / arm.gear_stiffness_Nm_rad,
         stiffness_A_rad=tuple((arm.gear_stiffness_Nm_rad / constant).tolist()),
         load_error_A=tuple((load_error / constant).tolist()),
-        damping_As_rad=tuple(FRICTION_FACTOR * j.damping_Nms_rad / j.torque_constant_Nm_A for j in joints),
+        damping_As_rad=tuple(j.damping_Nms_rad / j.torque_constant_Nm_A for j in joints),
         steady_A=tuple(
             j.damping_Nms_rad * j.jerk_rad_s3 * (UPDATE_CYCLES * cycle_s) ** 2 / j.torque_constant_Nm_A
             for j in joints

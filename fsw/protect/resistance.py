@@ -14,16 +14,14 @@ Noise alone gives S at most the chi-square distribution of five degrees of freed
 1e9 independent readings: at nine a second, once in three years of motion. A fast mean with gain g less the
 slow mean of n readings has the variance s^2 (g / (2 - g) + 1 / n).
 
-The slack is what is not noise. For a current it is the viscous friction in the cold times what the motor is
-faster than in its mean, a share for vibration, and the error of the modelled load while the side of the
-backlash is uncertain. It is computed only where S passes the bound without it. For a wind-up it is the
-uncertainty of the gear angle.
+The slack is what is not noise. For a current it is the viscous friction in the cold times the change of the
+rate, a share for vibration, and the error of the modelled load while the side of the backlash is uncertain.
+It is computed only where S passes the bound without it. For a wind-up it is the uncertainty of the gear angle.
 
 A joint shows nothing, and its slow means begin anew, in these cases:
 
 - The gear does not drag the output: while it takes up its backlash, friction and load come and go.
-- The side of the backlash changes: the output falls across, and its impact swings. For the wind-up also while
-  the side is uncertain: a crossing looks like any torque.
+- The side of the backlash is uncertain, for the wind-up: a crossing looks like any torque.
 - The motor turns by less than a count a cycle, or turns back: its friction may have any value.
 - The wind-up changes with the motion, which no obstacle does, or while its mean is young. The mean then holds
   what came before, such as a backlash that was crossed later than estimated.
@@ -177,7 +175,7 @@ def check_currents(
 ) -> tuple[Evr, ...]:
     """Check the currents of a cycle, less their slack, against those that are expected."""
     off_A = [mean - expected for mean, expected in zip(now.fast_A, now.expected_A, strict=True)]
-    slack_A = compute_slack(bounds, now.means, arm, move)
+    slack_A = compute_slack(bounds, now.means)
     excess = [
         max(off * per - slack * abs(per), 0.0)
         for off, per, slack in zip(off_A, now.per_A, slack_A, strict=True)
@@ -189,24 +187,15 @@ def check_currents(
     return (describe_contact(bounds, arm, move, torque_Nm, excess.index(max(excess))),)
 
 
-def compute_slack(
-    bounds: ProtectionBounds, means: tuple[JointMeans, ...], arm: ArmStatus, move: MoveStatus
-) -> list[float]:
-    """Compute the currents that friction at a higher speed and errors of the load explain, (5,)."""
+def compute_slack(bounds: ProtectionBounds, means: tuple[JointMeans, ...]) -> list[float]:
+    """Compute the currents that friction at another speed and errors of the load explain, (5,)."""
     slack_A = []
-    for one, rate, motor_rate, count, damping, steady_A, error_A in zip(
-        means,
-        move.setpoint_rate_rad_s.tolist(),
-        arm.motor_rate_rad_s.tolist(),
-        bounds.turning_rad_s,
-        bounds.damping_As_rad,
-        bounds.steady_A,
-        bounds.load_error_A,
-        strict=True,
+    for one, damping, steady_A, error_A in zip(
+        means, bounds.damping_As_rad, bounds.steady_A, bounds.load_error_A, strict=True
     ):
-        # a motor that swings about its set-point draws what the swing takes; one count of it is rounding
-        faster = max(abs(rate) - abs(one.rate_rad_s), 0.0) + max(abs(motor_rate - rate) - count, 0.0)
-        slack_A.append(damping * faster + steady_A + (0.0 if one.last_side else error_A))
+        # until the next update the rate changes by no more than its lag, and what the jerk adds
+        lag = 2.0 * abs(one.last_rate_rad_s - one.rate_rad_s)
+        slack_A.append(damping * lag + steady_A + (0.0 if one.last_side else error_A))
     return slack_A
 
 
@@ -249,8 +238,7 @@ def update_means(
         n, friction_A, slow_rate, m, slow, last_motor, last_rate, last_wound, last_side = last
         rate = (motor - last_motor) * bounds.updates_Hz
         is_dragged = abs(gear - (low if rate > 0.0 else high)) < DRAGGED_RAD
-        is_steady = abs(rate) > turning and rate * last_rate > 0.0
-        if is_dragged and is_steady and side == last_side:
+        if is_dragged and abs(rate) > turning and rate * last_rate > 0.0:
             n = n + 1 if n < CURRENT_UPDATES else n
             friction_A += (mean_A - loaded_A - friction_A) / n
             slow_rate += (rate - slow_rate) / n

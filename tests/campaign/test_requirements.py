@@ -25,8 +25,8 @@ SHORT = ("reach", "budget", "mars", "calibration")
 """Campaigns of less than a minute."""
 SAME = 1e-3
 """Largest relative change of a number that counts as the same: another processor rounds otherwise."""
-NOT_MET = {"Error budget before calibration: total position"}
-"""Requirements that are not met, as the paper's own budget does not meet them."""
+NOT_MET = {row.name for row in TABLE.rows if row.paper is not None and row.margin(row.paper) < 0}
+"""Requirements that the paper's own budget does not meet."""
 
 
 def test_the_page_is_that_of_the_requirements_and_the_measured_numbers():
@@ -34,9 +34,10 @@ def test_the_page_is_that_of_the_requirements_and_the_measured_numbers():
     assert PAGE.read_text() == make_page(TABLE, KEPT)
 
 
-def test_every_requirement_is_met_but_for_the_one_that_the_paper_does_not_meet():
+def test_every_requirement_is_met_but_for_those_that_the_paper_does_not_meet():
     values = {name: value for kept in KEPT.values() for name, value in kept["values"].items()}
     assert {row.name for row in TABLE.rows if row.margin(values[row.name]) < 0} == NOT_MET
+    assert len(NOT_MET) == 3
 
 
 def test_every_subject_of_the_paper_has_a_requirement():
