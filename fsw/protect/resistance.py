@@ -16,7 +16,7 @@ slow mean of n readings has the variance s^2 (g / (2 - g) + 1 / n).
 
 The slack is what is not noise. For a current it is the viscous friction in the cold times the change of the
 rate, a share for vibration, and the error of the modelled load while the side of the backlash is uncertain.
-It is computed only where S passes the bound without it. For a wind-up it is the uncertainty of the gear angle.
+It is computed only where S passes the bound without it. For a wind-up: the uncertainty of the gear angle.
 
 A joint shows nothing, and its slow means begin anew, in these cases:
 
