@@ -89,6 +89,11 @@ class RestState:
         return side
 
 
+def describe_no_way(arm: BuiltArm, goal_rad: Array, problem: str) -> str:
+    """Say that an arm did not come to a pose, shape (5,), and why."""
+    return f"{arm.name}: no way to {np.degrees(goal_rad).round(1)} deg: {problem}"
+
+
 def visit_poses(
     arm: BuiltArm,
     reference: Reference,
@@ -116,7 +121,7 @@ def visit_poses(
     for goal in goals:
         problem = run_and_rest(loop, MoveJoints(joints5(goal), backlash))
         if problem is not None:
-            raise RuntimeError(f"{arm.name}: no way to {np.degrees(goal).round(1)} deg: {problem}")
+            raise RuntimeError(describe_no_way(arm, goal, problem))
         yield _rest_state(loop, goal)
 
 

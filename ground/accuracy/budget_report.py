@@ -10,7 +10,7 @@ from rich.table import Table
 from fsw.dictionary.enums import Frame
 from ground.accuracy.budget import ALL, COMPONENTS, Budget, BudgetReport
 from ground.accuracy.combine import COVERAGE
-from ground.accuracy.confidence import is_within, min_sample_size
+from ground.accuracy.confidence import describe_sample, is_within
 from ground.accuracy.reproduce import MagnitudeFit
 from ground.accuracy.sources import sources_sha256
 from ground.common.command_text import command_text
@@ -171,8 +171,7 @@ def _reproduced(found: MagnitudeFit) -> Table:
 
 def list_requirements(report: BudgetReport) -> list[Requirement]:
     """List the requirements of the cases; poses that are too few for a bound decide nothing."""
-    poses, enough = report.request.poses, min_sample_size(COVERAGE)
-    sample = f"{poses} poses" if poses >= enough else f"{poses} of {enough} poses"
+    sample = describe_sample(report.request.poses, "poses", COVERAGE)
     return [
         Requirement(
             f"{row.name} {WHEN[row.case]}",
@@ -253,18 +252,17 @@ def save_budget_picture(report: BudgetReport, path: Path) -> str | None:
     Raises:
         BadOutput: The file cannot be written.
     """
+    accuracies = [name for name in report.budgets if "repeatability" not in name] or [*report.budgets]
 
     def draw(figure: Any) -> None:
         figure.suptitle(f"Error budget by the paper's rule. {_poses(report)}")
-        accuracies = [name for name in report.budgets if "repeatability" not in name] or [*report.budgets]
         rows, *shares = figure.subplots(1, 1 + len(accuracies))
         _draw_rows(rows, report)
         for axes, name in zip(shares, accuracies, strict=True):
             _draw_bars(axes, report.budgets[name])
             axes.set_title(f"Shares of the total, {WHEN[name]}")
 
-    cases = sum("repeatability" not in name for name in report.budgets) or len(report.budgets)
-    return svg.save_png(path, (4.6 * (1 + cases), 4.4), draw)
+    return svg.save_png(path, (4.6 * (1 + len(accuracies)), 4.4), draw)
 
 
 def _draw_rows(axes: Any, report: BudgetReport) -> None:

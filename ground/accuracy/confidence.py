@@ -156,6 +156,12 @@ def quantile_interval(values: Array, share: float, count: int) -> Interval:
     return low, high
 
 
+def describe_sample(count: int, kind: str, share: float) -> str:
+    """Say how many values a bound of this share rests on, and how many it needs if they are too few."""
+    enough = min_sample_size(share)
+    return f"{count} {kind}" if count >= enough else f"{count} of {enough} {kind}"
+
+
 def is_within(interval: Interval, bound: float) -> bool | None:
     """Return whether a value with this interval stays within a bound; None if the interval holds it."""
     low, high = interval

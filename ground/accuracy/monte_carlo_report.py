@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.ticker import NullFormatter
 from rich.console import Console
 from rich.table import Table
 
@@ -14,7 +13,7 @@ from fsw.dictionary.enums import Joint
 from ground.accuracy.budget import COMPONENTS, MOMENTS
 from ground.accuracy.budget_report import RULES, format_value
 from ground.accuracy.combine import COVERAGE
-from ground.accuracy.confidence import Interval, is_within, min_sample_size
+from ground.accuracy.confidence import Interval, describe_sample, is_within, min_sample_size
 from ground.accuracy.coverage import AdditivityCheck, CoverageReport
 from ground.accuracy.monte_carlo import MonteCarloReport
 from ground.accuracy.reproduce import TABLE_3, TABLE_4
@@ -208,9 +207,12 @@ def sigma_rows(report: MonteCarloReport) -> list[tuple[str, ...]]:
     return rows
 
 
+def _sample(report: MonteCarloReport) -> str:
+    return f"{len(report.trials)} arms, {report.request.places} places each"
+
+
 def _three_sigma(report: MonteCarloReport) -> Table:
-    sample = f"{len(report.trials)} arms, {report.request.places} places each"
-    title = f"Three sigma, and its upper bound with 95 % confidence: {sample}"
+    title = f"Three sigma, and its upper bound with 95 % confidence: {_sample(report)}"
     table = Table(title=title, title_justify="left")
     for name in SIGMA_HEAD:
         table.add_column(name, justify="left" if name == "three sigma" else "right")
@@ -244,8 +246,7 @@ def list_requirements(report: MonteCarloReport) -> list[Requirement]:
     found = [Requirement("every arm completes its moves", f"{count} arms", f"{trials}", trials == count)]
     if report.coverage is None:
         return found
-    enough = min_sample_size(COVERAGE)
-    sample = f"{trials} arms" if report.three_sigma or trials >= enough else f"{trials} of {enough} arms"
+    sample = f"{trials} arms" if report.three_sigma else describe_sample(trials, "arms", COVERAGE)
     for row in (*TABLE_3, *TABLE_4):
         is_same_day = row.case == REPEATABILITY_OF.get(report.request.case)
         if report.three_sigma is not None and (row.case == report.request.case or is_same_day):
@@ -265,9 +266,9 @@ def list_requirements(report: MonteCarloReport) -> list[Requirement]:
     least = min(covered[name].share for name in COMPONENTS)
     holds: bool | None = all(covered[name].holds(COVERAGE) for name in COMPONENTS)
     shown = f"{100 * least:.2f} %, {trials} arms"
-    if holds and trials < enough:
+    if holds and trials < min_sample_size(COVERAGE):
         holds = None  # so few arms refute a rule, but do not confirm it
-        shown = f"{100 * least:.2f} %, {trials} of {enough} arms"
+        shown = f"{100 * least:.2f} %, {describe_sample(trials, 'arms', COVERAGE)}"
     text = "the budget, by moments, covers the errors"
     return [*found, Requirement(text, f"{100 * COVERAGE:.2f} %", shown, holds)]
 
@@ -300,8 +301,8 @@ def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
             paragraph(additivity_sentence(found)),
         ]
     if report.three_sigma is not None:
-        sample = f"{len(report.trials)} arms, {request.places} places each"
-        parts += [heading(f"Accuracy and repeatability: {sample}"), table(SIGMA_HEAD, sigma_rows(report))]
+        name = f"Accuracy and repeatability: {_sample(report)}"
+        parts += [heading(name), table(SIGMA_HEAD, sigma_rows(report))]
     digests = {
         "parameters": report.params_sha256,
         "sources of error": sources_sha256(),
@@ -319,6 +320,8 @@ def _histogram(found: CoverageReport, name: str) -> str:
 
 
 def _draw(figure: Any, found: CoverageReport, name: str) -> None:
+    from matplotlib.ticker import NullFormatter
+
     axes = figure.subplots()
     scale, unit = (np.degrees(1.0), "deg") if name.endswith("_rad") else (1e3, "mm")
     estimates = {rule: scale * found.budget.estimate(rule, name) for rule in RULES}

@@ -26,7 +26,7 @@ from sim.effects.effect import (
     params_with_effects,
 )
 from sim.loop import Setup, hardware_rng
-from sim.pose_sequence import free_air_loop, run_and_rest
+from sim.pose_sequence import describe_no_way, free_air_loop, run_and_rest
 from sim.quasi_static import StaticArm, solve_quasi_static_move
 from sim.world import World
 
@@ -145,9 +145,7 @@ def closed_loop_model(arm: BuiltArm, reference: Reference, backlash: BacklashMod
         command = MoveTool(place.tool, vector3(X_RT.p), vector3(X_RT.R[:, 0]), backlash=backlash)
         problem = run_and_rest(loop, command)
         if problem is not None:
-            raise RuntimeError(
-                f"{arm.name}: no way to {np.degrees(place.output_rad).round(1)} deg: {problem}"
-            )
+            raise RuntimeError(describe_no_way(arm, place.output_rad, problem))
         truth, plant = loop.truth(), loop.plant
         index = plant.tools.index(place.tool)
         X_RT = Pose(truth.R_RT[index], truth.p_RoTo_R_m[index])

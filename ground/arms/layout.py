@@ -60,8 +60,7 @@ def show_arm(request: ArmShowRequest) -> ArmLayout:
     output = np.array(model.params.poses.ready_rad)
     frames = forward(config.arm, output[:, None])
     placed = {
-        frame.name.lower(): Pose(frames.X_RF.R[:, :, frame, 0], frames.X_RF.p[:, frame, 0])
-        for frame in list(Frame)[:-1]
+        name: Pose(frames.X_RF.R[:, :, k, 0], frames.X_RF.p[:, k, 0]) for k, name in enumerate(LINK_NAMES)
     }
     for tool in model.params.tool_names:
         X = tool_pose(config.arm, frames, tool)
@@ -77,15 +76,15 @@ def layout_json(layout: ArmLayout) -> dict[str, Any]:
         "title": layout.model.description.title,
         "output_rad": layout.output_rad.tolist(),
         "links": {
-            name: {key: getattr(getattr(links, name).transform, key) for key in TRANSFORM}
-            for name in LINK_NAMES
+            name: {key: getattr(link.transform, key) for key in TRANSFORM}
+            for name, link in zip(LINK_NAMES, links.in_order(), strict=True)
         },
         "joints": {
             joint.name.lower(): {
-                key: getattr(getattr(joints, joint.name.lower()), key)
+                key: getattr(params, key)
                 for key in ("soft_min_rad", "soft_max_rad", "hardstop_rad", "gear_ratio", "backlash_rad")
             }
-            for joint in Joint
+            for joint, params in zip(Joint, joints.in_order(), strict=True)
         },
         "frames": {
             name: {"position_R_m": X.p.tolist(), "rotation_R": X.R.tolist()}
@@ -101,11 +100,11 @@ def layout_table(layout: ArmLayout, picture: Path | None, picture_problem: str |
     for name in ("link", "d m", "b m", "alpha deg", "a m", "joint at its end", "from deg", "to deg"):
         links.add_column(name, justify="left" if name in ("link", "joint at its end") else "right")
     for number, name in enumerate(LINK_NAMES):
-        transform = getattr(params.links, name).transform
+        transform = params.links.in_order()[number].transform
         sizes = (transform.d_m, transform.b_m, degrees(transform.alpha_rad), transform.a_m)
         row = [name, *(f"{size:g}" for size in sizes)]
         if number < len(Joint):
-            joint = getattr(params.joints, Joint(number).name.lower())
+            joint = params.joints.in_order()[number]
             limits = (joint.soft_min_rad, joint.soft_max_rad)
             row += [Joint(number).name.lower(), *(f"{degrees(limit):.1f}" for limit in limits)]
         links.add_row(*row)

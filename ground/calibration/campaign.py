@@ -25,7 +25,7 @@ from sim.effects.structure import StandInTurret, params_with_stand_in
 from sim.hardstop_loads import NoPlan, without_turret
 from sim.initialisation import initialise_joints
 from sim.loop import ClosedLoop, Setup
-from sim.pose_sequence import free_air_loop, pose_in_workspace, run_and_rest
+from sim.pose_sequence import describe_no_way, free_air_loop, pose_in_workspace, run_and_rest
 from sim.sequence import Outcome
 from sim.tracker import TYPICAL_TRACKER, Tracker, turret_pose
 from sim.workspace import Workspace
@@ -194,7 +194,7 @@ def group_rows(arm: BuiltArm, reference: Reference, plan: CampaignPlan, k: int) 
     for goal in goals:
         problem = run_and_rest(loop, MoveJoints(joints5(goal), "on"))
         if problem is not None:
-            raise CampaignFailed(f"{arm.name}: no way to {np.degrees(goal).round(1)} deg: {problem}")
+            raise CampaignFailed(describe_no_way(arm, goal, problem))
         try:
             yield _row(loop, group, k, plan.tracker, rng)
         except TooFewTargets:
