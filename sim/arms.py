@@ -24,8 +24,10 @@ from sim.effects.joints import (
     ResolverBias,
 )
 from sim.effects.sensors import StructureSensor
-from sim.effects.structure import LinkMass, LinkStiffness
+from sim.effects.structure import LinkMass, LinkStiffness, StandInTurret
+from sim.hardstop_loads import POSE_NAMES, compute_hardstop_loads, equalise_loads, with_poses
 from sim.params_table import BadParams
+from sim.world import World
 
 MAX_SEED_DIGITS: Final = 9
 SPRING_FRAMES: Final = (Frame.ARM1, Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5)
@@ -207,3 +209,19 @@ def _draw_factor(rng: np.random.Generator, sigma: float) -> float:
 
 def _draw_screw(rng: np.random.Generator, angle_rad: float, length_m: float) -> Row6:
     return row6(rng.standard_normal(6) * np.repeat([angle_rad, length_m], 3))
+
+
+def without_turret(arm: BuiltArm, on_earth: bool) -> BuiltArm:
+    """Return the arm without its turret, which flight software knows.
+
+    On Earth its poses have the torques of the whole arm in its own poses on Mars.
+    """
+    turret = StandInTurret(0.0)
+    bare = replace(arm, effects=(*arm.effects, turret), params=turret.on_params(arm.params))
+    if not on_earth:
+        return bare
+    wanted_Nm = compute_hardstop_loads(arm.params, World().gravity_N_m_s2).torque_Nm
+    drawn = arm.model.description.poses
+    poses = {name: getattr(drawn, f"bare_hardstop_{name}") for name in POSE_NAMES}
+    guess = with_poses(bare.params, poses)
+    return replace(bare, params=equalise_loads(guess, World("earth").gravity_N_m_s2, wanted_Nm))

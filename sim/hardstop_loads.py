@@ -7,7 +7,7 @@ Its poses had the same gravity torque at each hardstop as later on Mars.
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final, Literal, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -22,13 +22,7 @@ from fsw.executive.homing_poses import homing_start_poses
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
-from sim.arm_model.description import PoseDescriptions
 from sim.clearance import Clearance, ClearanceModel
-from sim.effects.structure import StandInTurret
-from sim.world import World
-
-if TYPE_CHECKING:
-    from sim.arms import BuiltArm
 
 SWEEP_SPACING_RAD: Final = 0.03
 HARDSTOP_CLEARANCE_M: Final = 0.015
@@ -156,29 +150,6 @@ def equalise_loads(params: Params, gravity_R_m_s2: Array, wanted_Nm: Array) -> P
     if np.abs(solution.fun).max() > LOAD_TOLERANCE_NM:
         raise NoPlan(f"the best torques differ from the wanted ones by {np.round(solution.fun, 1)} N m")
     return _with_free_angles(params, solution.x)
-
-
-def without_turret(arm: "BuiltArm", on_earth: bool) -> "BuiltArm":
-    """Return the arm without its turret, which flight software knows.
-
-    On Earth its poses have the torques of the whole arm in its own poses on Mars.
-    """
-    turret = StandInTurret(0.0)
-    bare = replace(arm, effects=(*arm.effects, turret), params=turret.on_params(arm.params))
-    if not on_earth:
-        return bare
-    wanted_Nm = compute_hardstop_loads(arm.params, World().gravity_N_m_s2).torque_Nm
-    guess = with_poses(bare.params, _poses_without_turret(arm.model.description.poses))
-    return replace(bare, params=equalise_loads(guess, World("earth").gravity_N_m_s2, wanted_Nm))
-
-
-def _poses_without_turret(poses: PoseDescriptions) -> dict[PoseName, Joints5]:
-    """Return the first guess of the poses for the arm without a turret on Earth."""
-    return {
-        "start_rad": poses.bare_hardstop_start_rad,
-        "park_rad": poses.bare_hardstop_park_rad,
-        "second_start_rad": poses.bare_hardstop_second_start_rad,
-    }
 
 
 def _with_free_angles(params: Params, angles: Array) -> Params:

@@ -15,8 +15,7 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from ground.common.pool import Runner
-from sim.arms import BuiltArm, arm_named
-from sim.hardstop_loads import without_turret
+from sim.arms import BuiltArm, arm_named, without_turret
 from sim.initialisation import InitialisationResult, prepare_random_homing
 from sim.sequence import Outcome
 from sim.world import World

@@ -19,10 +19,10 @@ from ground.calibration.campaign_data import Campaign
 from ground.calibration.survey import CampaignRow, TooFewTargets, measure_pose, stack_rows
 from ground.common.errors import BadRequest, UserError
 from ground.common.progress import Progress
-from sim.arms import BuiltArm
+from sim.arms import BuiltArm, without_turret
 from sim.clearance import ClearanceModel
 from sim.effects.structure import StandInTurret, params_with_stand_in
-from sim.hardstop_loads import NoPlan, without_turret
+from sim.hardstop_loads import NoPlan
 from sim.initialisation import initialise_joints
 from sim.loop import ClosedLoop, Setup
 from sim.pose_sequence import describe_no_way, free_air_loop, pose_in_workspace, run_and_rest

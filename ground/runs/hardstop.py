@@ -19,12 +19,12 @@ from ground.common.progress import Progress, no_progress
 from ground.common.requests import fit_effects, make_world, parse_effects, select_arm
 from ground.runs.execution import open_view
 from ground.runs.request import HardstopRequest
-from sim.arms import BuiltArm, effects_of_run
+from sim.arms import BuiltArm, effects_of_run, without_turret
 from sim.clearance import Clearance, ClearanceModel
 from sim.drawing import WARM_C
 from sim.effects.effect import Effect
 from sim.effects.environment import default_ambient
-from sim.hardstop_loads import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance, without_turret
+from sim.hardstop_loads import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance
 from sim.initialisation import InitialisationResult, InitialisationRun, prepare_homing, prepare_random_homing
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord

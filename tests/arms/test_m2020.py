@@ -20,7 +20,7 @@ from ground.common.errors import BadRequest
 from ground.runs.place import place, prepare_placement
 from ground.runs.request import PlaceRequest, RunFiles
 from sim.arm_model.load import load_arm
-from sim.arms import BuiltArm, arm_named
+from sim.arms import BuiltArm, arm_named, without_turret
 from sim.clearance import ClearanceModel
 from sim.frames import P_NR_M
 from sim.hardstop_loads import (
@@ -29,7 +29,6 @@ from sim.hardstop_loads import (
     LOAD_TOLERANCE_NM,
     compute_hardstop_loads,
     sweep_clearance,
-    without_turret,
 )
 from sim.initialisation import prepare_homing, prepare_random_homing
 from sim.plant import Plant

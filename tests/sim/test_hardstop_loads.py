@@ -8,7 +8,7 @@ import pytest
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
 from fsw.executive.homing_poses import homing_start_poses
-from sim.arms import arm_named
+from sim.arms import arm_named, without_turret
 from sim.clearance import ClearanceModel
 from sim.hardstop_loads import (
     EQUALISED_JOINTS,
@@ -19,7 +19,6 @@ from sim.hardstop_loads import (
     equalise_loads,
     sweep_clearance,
     sweep_poses,
-    without_turret,
 )
 from sim.world import World
 
