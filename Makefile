@@ -186,7 +186,7 @@ viewers: $(VENV)/ready
 	@$(call say,installing Rerun and other tools from the package index; without them their tests are skipped)
 	@$(INSTALL) --only-binary :all: "pymcap-cli>=0.34" "rerun-sdk>=0.41" "mcap-ros2-support>=0.6" || \
 	  $(call say,they were not installed; pip says why above)
-	@$(BIN)/python -m pytest -q tests/ground/telemetry/test_viewers.py $(ARGS)
+	@$(BIN)/python -m pytest -q tests/marsarm/telemetry/test_viewers.py $(ARGS)
 
 # What a script writes besides its picture stays in a folder that is deleted.
 examples: $(VENV)/ready
@@ -208,7 +208,7 @@ view: $(VENV)/ready
 cluster: $(VENV)/ready
 	@$(call say,installing Ray from the package index; without it nothing is tried)
 	@$(INSTALL) --only-binary :all: "ray~=2.60.0" || $(call say,Ray was not installed; pip says why above)
-	@$(BIN)/python -m pytest -q tests/ground/common/test_cluster.py >&2
+	@$(BIN)/python -m pytest -q tests/marsarm/common/test_cluster.py >&2
 	@$(call say,200 arms on two nodes; this takes five minutes)
 	@$(BIN)/python -m validation.cluster $(ARGS)
 
@@ -224,8 +224,8 @@ lint: $(VENV)/ready
 	$(BIN)/python -m validation.requirements --check || failed=1; \
 	exit $$failed
 
-$(VENV)/ready: $(VENV)/locked pyproject.toml
-	@$(INSTALL) --no-deps --no-build-isolation -e .
+$(VENV)/ready: $(VENV)/locked pyproject.toml simgap/pyproject.toml
+	@$(INSTALL) --no-deps --no-build-isolation -e simgap -e .
 	@touch $@
 
 $(VENV)/locked: requirements.lock
@@ -243,8 +243,8 @@ $(VENV)/locked: requirements.lock
 lock:
 	@command -v uv >/dev/null || { $(call say,uv is missing. Install it: pip install uv); exit 1; }
 	@uv pip compile --quiet --universal --fork-strategy fewest --python-version 3.11 --generate-hashes \
-	  --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock" \
-	  --extra test --group build $(ARGS) -o requirements.lock pyproject.toml
+	  --no-emit-package simgap --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock" \
+	  --extra test --group build $(ARGS) -o requirements.lock pyproject.toml simgap/pyproject.toml
 
 clean:
 	@rm -rf $(VENV) *.egg-info build dist mutants .hypothesis .mypy_cache .ruff_cache .pytest_cache place.png reach.png

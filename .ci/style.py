@@ -11,16 +11,21 @@ from pathlib import Path
 from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-PACKAGES: Final = ("fsw", "sim", "diagnosis", "ground", "marsarm", "validation", "examples")
+PACKAGES: Final = ("fsw", "sim", "simgap/src/simgap", "marsarm", "validation", "examples")
 NUMERIC: Final = (
-    *("fsw/kinematics", "fsw/estimate", "ground/calibration", "ground/diagnosis"),
-    *("diagnosis/serial_arm", "diagnosis/simulation/engine", "diagnosis/selection"),
-    *("diagnosis/residuals/noise", "diagnosis/residuals/kinds", "diagnosis/assemble", "diagnosis/diagnose"),
+    *("fsw/kinematics", "fsw/estimate", "marsarm/calibration", "marsarm/diagnosis"),
+    *(
+        f"simgap/src/simgap/{name}"
+        for name in (
+            *("serial_arm", "simulation/engine", "selection", "residuals/noise", "residuals/kinds"),
+            *("assemble", "diagnose"),
+        )
+    ),
 )
 """Folders whose public functions say shapes and units."""
 PLAIN: Final = (
     *("fsw/collision", "fsw/cycle", "fsw/dictionary", "fsw/estimate", "fsw/executive", "fsw/state"),
-    *("sim", "diagnosis", "ground", "marsarm", "validation", "examples"),
+    *("sim", "simgap/src/simgap", "marsarm", "validation", "examples"),
 )
 """Folders in which no entry of Args only restates name and type; the others are to follow."""
 ARRAYS: Final = re.compile(r"\b(Array|Flags|Integers|Indices|NDArray|Pose)\b")

@@ -6,12 +6,12 @@ import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
-from diagnosis.audit.audit import audit
-from diagnosis.diagnose import diagnose
-from diagnosis.load import load
-from diagnosis.report.sentences import verdict_lines
-from diagnosis.robot import Robot
-from diagnosis.simulation.compiled import HARD_IMPEDANCE
+from simgap.audit.audit import audit
+from simgap.diagnose import diagnose
+from simgap.load import load
+from simgap.report.sentences import verdict_lines
+from simgap.robot import Robot
+from simgap.simulation.compiled import HARD_IMPEDANCE
 
 MODEL = """
 <mujoco>

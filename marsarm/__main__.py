@@ -1,6 +1,6 @@
 """Run the command line: `python -m marsarm`."""
 
-from ground.cli.start import start
+from marsarm.cli.start import start
 
 if __name__ == "__main__":
     start()

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("fsw", "sim", "diagnosis", "ground", "marsarm")
+PACKAGES = ("fsw", "sim", "simgap", "marsarm")
 FILES = ", ".join(f"{name}.__file__" for name in PACKAGES)
 
 

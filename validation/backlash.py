@@ -15,7 +15,7 @@ from fsw.config import configure
 from fsw.dictionary.commands import BacklashMode
 from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
-from ground.common.pool import Runner, in_order
+from marsarm.common.pool import Runner, in_order
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
 from sim.pose_sequence import RestState, random_goals, visit_poses

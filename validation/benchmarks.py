@@ -17,8 +17,8 @@ import numpy as np
 from fsw.kinematics.chain import forward
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array
-from ground.accuracy.budget import run_budget
-from ground.accuracy.request import BudgetRequest
+from marsarm.accuracy.budget import run_budget
+from marsarm.accuracy.request import BudgetRequest
 from validation.closed_loop import closed_loop
 from validation.kinematics import run_kinematics_campaign
 from validation.kinematics_trials import Trial, arm_of, claimed_roots

@@ -14,26 +14,26 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from diagnosis.serial_arm.fit import fit
 from fsw.kinematics.transforms import Array
-from ground.calibration.arm_model import arm_model
-from ground.calibration.arm_parameters import arm_parameters
-from ground.calibration.calibrate import Calibration, calibrate, rms_m
-from ground.calibration.campaign import CampaignPlan, earth_reference, run_campaign
-from ground.calibration.campaign_data import Campaign
-from ground.calibration.checks import BadData, check_data, check_fit
-from ground.calibration.parameter_file import calibrated_params, save_parameter_file
-from ground.calibration.simulation import (
+from marsarm.calibration.arm_model import arm_model
+from marsarm.calibration.arm_parameters import arm_parameters
+from marsarm.calibration.calibrate import Calibration, calibrate, rms_m
+from marsarm.calibration.campaign import CampaignPlan, earth_reference, run_campaign
+from marsarm.calibration.campaign_data import Campaign
+from marsarm.calibration.checks import BadData, check_data, check_fit
+from marsarm.calibration.parameter_file import calibrated_params, save_parameter_file
+from marsarm.calibration.simulation import (
     compare_with_truth,
     hardstop_errors_rad,
     simulate_campaign,
     zero_errors_rad,
 )
-from ground.calibration.verify import register_tools
-from ground.common.pool import Runner
-from ground.common.rates import clopper_pearson
+from marsarm.calibration.verify import register_tools
+from marsarm.common.pool import Runner
+from marsarm.common.rates import clopper_pearson
 from sim.arms import arm_named
 from sim.params import nominal_params
+from simgap.serial_arm.fit import fit
 from validation.options import campaign_parser, campaign_runner
 
 EXAMPLE: Final = "example: python -m validation.calibration --arms 20 --closed-loop > calibration.json"

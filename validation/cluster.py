@@ -19,10 +19,10 @@ from typing import Any, Final
 
 from fsw.config import digest
 from fsw.dictionary.params import Params
-from ground.accuracy.monte_carlo import ArmJob, run_job
-from ground.accuracy.request import MoveModel
-from ground.common.errors import BadRequest
-from ground.common.pool import Runner, cluster_runner, local_runner
+from marsarm.accuracy.monte_carlo import ArmJob, run_job
+from marsarm.accuracy.request import MoveModel
+from marsarm.common.errors import BadRequest
+from marsarm.common.pool import Runner, cluster_runner, local_runner
 from sim.params import nominal_params
 from validation.options import campaign_parser
 

@@ -20,7 +20,7 @@ from fsw.dictionary.evrs import CommandAccepted, CommandRefused
 from fsw.dictionary.params import TeachPoint
 from fsw.messages import ActuatorCommand, Sensors
 from fsw.state import State
-from ground.common.pool import Runner
+from marsarm.common.pool import Runner
 from sim.arms import arm_named
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord

@@ -16,7 +16,7 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command, ToolChange
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.types import joints5
-from ground.common.pool import Runner, in_order
+from marsarm.common.pool import Runner, in_order
 from sim.arms import arm_named
 from sim.contact import tool_forces
 from sim.initialisation import true_reference

@@ -17,14 +17,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.telemetry.chunks import MESSAGE_DTYPE
-from ground.telemetry.errors import LogError, LogNotReadable
-from ground.telemetry.format import CHANNELS_KEY
-from ground.telemetry.lost_messages import LogDamaged, LostMessages
-from ground.telemetry.mcap_reader import ChunkLocation, read_records
-from ground.telemetry.read import Log, parse_log
-from ground.telemetry.recover import recover
-from ground.telemetry.salvage import salvage
+from marsarm.telemetry.chunks import MESSAGE_DTYPE
+from marsarm.telemetry.errors import LogError, LogNotReadable
+from marsarm.telemetry.format import CHANNELS_KEY
+from marsarm.telemetry.lost_messages import LogDamaged, LostMessages
+from marsarm.telemetry.mcap_reader import ChunkLocation, read_records
+from marsarm.telemetry.read import Log, parse_log
+from marsarm.telemetry.recover import recover
+from marsarm.telemetry.salvage import salvage
 from validation.sample_logs import record_log
 
 CUT_EVERY: Final = 4096

@@ -19,7 +19,7 @@ from fsw.dictionary.evrs import CommandRefused, FaultResponse
 from fsw.dictionary.faults import Fault as FaultEvr
 from fsw.motion.move import Phase
 from fsw.protect.responses import Response
-from ground.common.pool import Runner, in_order
+from marsarm.common.pool import Runner, in_order
 from sim.arms import arm_named
 from sim.contact import hull_force_N, tool_forces
 from sim.effects.environment import PowerLoss

@@ -24,10 +24,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from ground.telemetry.errors import LogError
-from ground.telemetry.inspection import range_of, select_channels, summarize_log
-from ground.telemetry.read import parse_log
-from ground.telemetry.recover import recover
+from marsarm.telemetry.errors import LogError
+from marsarm.telemetry.inspection import range_of, select_channels, summarize_log
+from marsarm.telemetry.read import parse_log
+from marsarm.telemetry.recover import recover
 from validation.fuzz_inputs import (
     Random,
     import_once,

@@ -16,12 +16,12 @@ from mcap.records import Metadata
 from mcap.writer import MCAP0_MAGIC
 from pyarrow import csv, parquet
 
-from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
-from ground.telemetry.imports.files import BadImport
-from ground.telemetry.imports.job import convert_table
-from ground.telemetry.imports.log_file import write_table_log
-from ground.telemetry.mcap_reader import CHUNK_HEAD, RECORD_HEAD, ChunkLocation, iter_records, parse_chunk
-from ground.telemetry.read import read_log
+from marsarm.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
+from marsarm.telemetry.imports.files import BadImport
+from marsarm.telemetry.imports.job import convert_table
+from marsarm.telemetry.imports.log_file import write_table_log
+from marsarm.telemetry.mcap_reader import CHUNK_HEAD, RECORD_HEAD, ChunkLocation, iter_records, parse_chunk
+from marsarm.telemetry.read import read_log
 
 Random = np.random.Generator
 NUMBERS: Final = (

@@ -14,7 +14,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from fsw.dictionary.enums import Joint
-from ground.common.pool import Runner
+from marsarm.common.pool import Runner
 from sim.arms import BuiltArm, arm_named, without_turret
 from sim.initialisation import InitialisationResult, prepare_random_homing
 from sim.sequence import Outcome

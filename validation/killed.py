@@ -26,11 +26,11 @@ from typing import Any
 
 import numpy as np
 
-from ground.common.errors import BadOutput
-from ground.telemetry.errors import LogError
-from ground.telemetry.read import Log, read_log
-from ground.telemetry.recorder import Recorder
-from ground.telemetry.recover import recover
+from marsarm.common.errors import BadOutput
+from marsarm.telemetry.errors import LogError
+from marsarm.telemetry.read import Log, read_log
+from marsarm.telemetry.recorder import Recorder
+from marsarm.telemetry.recover import recover
 from sim.loop import ClosedLoop
 from sim.placement import PlacementRun
 from validation.closed_loop import TARGET, placement_loop

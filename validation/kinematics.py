@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fsw.kinematics.ik import BranchVerdict, IkResult, inverse_kinematics
 from fsw.kinematics.soft_limits import limit_excess
 from fsw.kinematics.transforms import Array
-from ground.common.pool import Runner, in_order, run_here
+from marsarm.common.pool import Runner, in_order, run_here
 from validation.kinematics_samples import Aim, Kinds, near_name, targets, vectors
 from validation.kinematics_trials import (
     CASES,

@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 from mcap.reader import make_reader
 
-from ground.telemetry.format import CHUNK_S
-from ground.telemetry.read import read_log
+from marsarm.telemetry.format import CHUNK_S
+from marsarm.telemetry.read import read_log
 from validation.sample_logs import record_log
 
 CYCLES: Final = 38_400

@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
-from ground.runs.execution import FRAME_CYCLES
-from ground.runs.request import RunRequest
-from ground.runs.scenario import run_scenario
+from marsarm.runs.execution import FRAME_CYCLES
+from marsarm.runs.request import RunRequest
+from marsarm.runs.scenario import run_scenario
 
 FROM_CYCLE: Final = 2_000
 BY_CYCLE: Final = 10_000

@@ -15,11 +15,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from ground.accuracy.budget import COMPONENTS, MOMENTS
-from ground.accuracy.combine import COVERAGE
-from ground.accuracy.monte_carlo import MonteCarloReport, run_monte_carlo
-from ground.accuracy.monte_carlo_report import monte_carlo_json
-from ground.accuracy.request import MonteCarloRequest
+from marsarm.accuracy.budget import COMPONENTS, MOMENTS
+from marsarm.accuracy.combine import COVERAGE
+from marsarm.accuracy.monte_carlo import MonteCarloReport, run_monte_carlo
+from marsarm.accuracy.monte_carlo_report import monte_carlo_json
+from marsarm.accuracy.request import MonteCarloRequest
 from validation.options import campaign_parser
 
 EXAMPLE = "example: python -m validation.monte_carlo --statics 2000 --closed-loop 100 --calibrated 5"

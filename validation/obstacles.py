@@ -23,7 +23,7 @@ from fsw.dictionary.types import Joints5, Vector3, joints5, vector3
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Array
-from ground.common.pool import Runner, in_order
+from marsarm.common.pool import Runner, in_order
 from sim.arms import arm_named
 from sim.effects.environment import Ambient
 from sim.effects.faults import SensorFault

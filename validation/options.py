@@ -4,9 +4,9 @@ import argparse
 import sys
 from typing import Any
 
-from ground.common.errors import BadRequest
-from ground.common.options import CLUSTER_HELP, CLUSTER_HERE
-from ground.common.pool import Runner, select_runner
+from marsarm.common.errors import BadRequest
+from marsarm.common.options import CLUSTER_HELP, CLUSTER_HERE
+from marsarm.common.pool import Runner, select_runner
 
 
 def campaign_parser(

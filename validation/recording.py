@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.telemetry.recorder import Recorder
-from ground.telemetry.ros_messages import SAMPLE_CYCLES
+from marsarm.telemetry.recorder import Recorder
+from marsarm.telemetry.ros_messages import SAMPLE_CYCLES
 from sim.arms import arm_named
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord

@@ -13,12 +13,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fsw.config import CYCLE_HZ
-from ground.common.errors import BadRequest
-from ground.common.pool import Runner, in_order
-from ground.replay.replay import ReplayRequest, replay
-from ground.replay.tables import verdict_line
-from ground.runs.request import RunFiles, RunRequest
-from ground.runs.scenario import run_scenario
+from marsarm.common.errors import BadRequest
+from marsarm.common.pool import Runner, in_order
+from marsarm.replay.replay import ReplayRequest, replay
+from marsarm.replay.tables import verdict_line
+from marsarm.runs.request import RunFiles, RunRequest
+from marsarm.runs.scenario import run_scenario
 from sim.scenario.file import built_in_scenarios
 from validation.options import campaign_parser, campaign_runner
 

@@ -5,8 +5,8 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from diagnosis.selection.checkpoint import digest_code
-from ground.common.checkpoint import Checkpoint
+from marsarm.common.checkpoint import Checkpoint
+from simgap.selection.checkpoint import digest_code
 
 Result = dict[str, Any]
 Once = Callable[[str, Callable[[], Result]], Result]

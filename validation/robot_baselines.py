@@ -14,23 +14,23 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.assemble import simulate_models
-from diagnosis.audit.audit import audit
-from diagnosis.audit.records import Audit
-from diagnosis.catalogue.catalogue import base_effects, catalogue
-from diagnosis.diagnose import diagnose
-from diagnosis.effects.actuation import GainError
-from diagnosis.effects.effect import Effect
-from diagnosis.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
-from diagnosis.effects.inertia import Armature
-from diagnosis.errors import RobotError
-from diagnosis.load import load
-from diagnosis.logs import Logs
-from diagnosis.residuals.kinds import list_kinds
-from diagnosis.robot import Robot
-from diagnosis.selection.context import start_context
-from diagnosis.selection.joint_fits import fit_base
-from diagnosis.selection.meter import Meter
+from simgap.assemble import simulate_models
+from simgap.audit.audit import audit
+from simgap.audit.records import Audit
+from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.diagnose import diagnose
+from simgap.effects.actuation import GainError
+from simgap.effects.effect import Effect
+from simgap.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
+from simgap.effects.inertia import Armature
+from simgap.errors import RobotError
+from simgap.load import load
+from simgap.logs import Logs
+from simgap.residuals.kinds import list_kinds
+from simgap.robot import Robot
+from simgap.selection.context import start_context
+from simgap.selection.joint_fits import fit_base
+from simgap.selection.meter import Meter
 from validation.options import campaign_parser
 
 EXAMPLE: Final = (

@@ -21,21 +21,21 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.arrays import Array
-from diagnosis.diagnose import diagnose
-from diagnosis.errors import RobotError
-from diagnosis.load import load
-from diagnosis.logs import Logs, Motion, Signal
-from diagnosis.residuals.kinds import list_kinds
-from diagnosis.residuals.residuals import ResidualModel
-from diagnosis.residuals.simulation_residuals import SimulationResiduals
-from diagnosis.result import Diagnosis
-from diagnosis.robot import Robot
-from diagnosis.selection.context import start_context
-from diagnosis.selection.joint_fits import fit_base
-from diagnosis.selection.meter import Meter
-from ground.common.errors import UserError
-from ground.common.progress import show_progress
+from marsarm.common.errors import UserError
+from marsarm.common.progress import show_progress
+from simgap.arrays import Array
+from simgap.diagnose import diagnose
+from simgap.errors import RobotError
+from simgap.load import load
+from simgap.logs import Logs, Motion, Signal
+from simgap.residuals.kinds import list_kinds
+from simgap.residuals.residuals import ResidualModel
+from simgap.residuals.simulation_residuals import SimulationResiduals
+from simgap.result import Diagnosis
+from simgap.robot import Robot
+from simgap.selection.context import start_context
+from simgap.selection.joint_fits import fit_base
+from simgap.selection.meter import Meter
 from validation.options import campaign_parser
 from validation.resumable import Result, keep_results
 from validation.robot_cases.draw import draw_case

@@ -14,11 +14,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
-from diagnosis.diagnose import diagnose
-from diagnosis.selection.meter import Progress
-from ground.common.errors import UserError
-from ground.common.progress import show_progress
-from ground.render.figures import save_figure
+from marsarm.common.errors import UserError
+from marsarm.common.progress import show_progress
+from marsarm.render.figures import save_figure
+from simgap.diagnose import diagnose
+from simgap.selection.meter import Progress
 from validation.options import campaign_parser
 from validation.resumable import keep_results
 from validation.robot_cases.draw import Kind, draw_case

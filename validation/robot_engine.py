@@ -18,15 +18,15 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
-from diagnosis.arrays import Array
-from diagnosis.effects.effect import Effect
-from diagnosis.effects.friction import StribeckFriction
-from diagnosis.effects.joint import joint_scales
-from diagnosis.logs import JointLog, Motion, Signal
-from diagnosis.robot import Robot
-from diagnosis.simulation.compiled import Models, control_laws, nominal_gains
-from diagnosis.simulation.engine import Engine
-from diagnosis.simulation.windows import cut_windows
+from simgap.arrays import Array
+from simgap.effects.effect import Effect
+from simgap.effects.friction import StribeckFriction
+from simgap.effects.joint import joint_scales
+from simgap.logs import JointLog, Motion, Signal
+from simgap.robot import Robot
+from simgap.simulation.compiled import Models, control_laws, nominal_gains
+from simgap.simulation.engine import Engine
+from simgap.simulation.windows import cut_windows
 
 ROBOT: Final = "models/robots/so101/robot.toml"
 SECONDS: Final = 10.0

@@ -8,7 +8,7 @@ from typing import Final
 
 from fsw.config import configure
 from fsw.dictionary.commands import CalibrateAll
-from ground.telemetry.recorder import Recorder
+from marsarm.telemetry.recorder import Recorder
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord

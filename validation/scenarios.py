@@ -12,7 +12,7 @@ import numpy as np
 
 from fsw.dictionary.faults import Fault
 from fsw.estimate.reference import Reference
-from ground.common.pool import Runner, in_order
+from marsarm.common.pool import Runner, in_order
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop

@@ -21,9 +21,9 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle, settle_output
-from ground.calibration.campaign import PAPER_GROUPS, SHOULDER_IN_SHARE
-from ground.common.pool import Runner, in_order
-from ground.render.figures import save_figure
+from marsarm.calibration.campaign import PAPER_GROUPS, SHOULDER_IN_SHARE
+from marsarm.common.pool import Runner, in_order
+from marsarm.render.figures import save_figure
 from sim.arms import BuiltArm, arm_named
 from sim.effects.structure import StandInTurret
 from sim.initialisation import initial_reference

@@ -15,10 +15,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from diagnosis.arrays import Array
-from diagnosis.errors import RobotError
-from diagnosis.files.split_file import read_split
-from diagnosis.robot import Robot
+from simgap.arrays import Array
+from simgap.errors import RobotError
+from simgap.files.split_file import read_split
+from simgap.robot import Robot
 
 EXAMPLE: Final = "example: python -m validation.so101_logs sage/output/real/so101/custom so101.parquet"
 ROBOT: Final = Path(__file__).parents[1] / "models" / "robots" / "so101" / "robot.toml"

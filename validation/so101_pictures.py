@@ -13,22 +13,22 @@ from typing import Any, Final
 
 import numpy as np
 
-from diagnosis.arrays import Array
-from diagnosis.assemble import list_base, simulate_models
-from diagnosis.audit.audit import audit
-from diagnosis.audit.plane import site_heights
-from diagnosis.audit.records import Audit, RemarkKind
-from diagnosis.catalogue.catalogue import base_effects
-from diagnosis.errors import RobotError
-from diagnosis.load import load
-from diagnosis.logs import Logs, Motion
-from diagnosis.residuals.kinds import list_kinds
-from diagnosis.residuals.simulation_residuals import SimulationResiduals
-from diagnosis.robot import Robot
-from diagnosis.selection.context import start_context
-from diagnosis.selection.joint_fits import fit_base
-from diagnosis.selection.meter import Meter
-from ground.render.figures import save_figure
+from marsarm.render.figures import save_figure
+from simgap.arrays import Array
+from simgap.assemble import list_base, simulate_models
+from simgap.audit.audit import audit
+from simgap.audit.plane import site_heights
+from simgap.audit.records import Audit, RemarkKind
+from simgap.catalogue.catalogue import base_effects
+from simgap.errors import RobotError
+from simgap.load import load
+from simgap.logs import Logs, Motion
+from simgap.residuals.kinds import list_kinds
+from simgap.residuals.simulation_residuals import SimulationResiduals
+from simgap.robot import Robot
+from simgap.selection.context import start_context
+from simgap.selection.joint_fits import fit_base
+from simgap.selection.meter import Meter
 
 EXAMPLE: Final = "example: python -m validation.so101_pictures so101.parquet --out docs"
 ROBOT: Final = Path(__file__).parents[1] / "models" / "robots" / "so101" / "robot.toml"

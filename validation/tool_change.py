@@ -24,7 +24,7 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan_tool import start_line
-from ground.common.pool import Runner, in_order
+from marsarm.common.pool import Runner, in_order
 from sim.arms import SPRING_FRAMES, BuiltArm, arm_named
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError, Warming

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.serial_arm.calibrate import periodic_error_rad
 from fsw.kinematics.transforms import Array, Integers
-from ground.calibration.request import SerialRequest
-from ground.calibration.serial.execution import SerialReport, calibrate_serial
-from ground.calibration.serial.report import serial_json
+from marsarm.calibration.request import SerialRequest
+from marsarm.calibration.serial.execution import SerialReport, calibrate_serial
+from marsarm.calibration.serial.report import serial_json
+from simgap.serial_arm.calibrate import periodic_error_rad
 from validation.options import campaign_parser
 
 EXAMPLE = "example: MARSARM_DATA=~/data python -m validation.ur10 > ur10.json"

@@ -5,9 +5,9 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from diagnosis.arrays import Array
-from diagnosis.effects.effect import Family, Size, State
-from diagnosis.effects.joint import JointEffect
+from simgap.arrays import Array
+from simgap.effects.effect import Family, Size, State
+from simgap.effects.joint import JointEffect
 
 DETENTS: Final = 12
 """Per turn of the joint."""

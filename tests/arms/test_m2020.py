@@ -12,13 +12,13 @@ from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle_output
-from ground.calibration.calibrate import calibrate, rms_m
-from ground.calibration.campaign import PAPER_GROUPS, CampaignPlan, resize_groups
-from ground.calibration.checks import check_data, check_fit
-from ground.calibration.simulation import simulate_campaign
-from ground.common.errors import BadRequest
-from ground.runs.place import place, prepare_placement
-from ground.runs.request import PlaceRequest, RunFiles
+from marsarm.calibration.calibrate import calibrate, rms_m
+from marsarm.calibration.campaign import PAPER_GROUPS, CampaignPlan, resize_groups
+from marsarm.calibration.checks import check_data, check_fit
+from marsarm.calibration.simulation import simulate_campaign
+from marsarm.common.errors import BadRequest
+from marsarm.runs.place import place, prepare_placement
+from marsarm.runs.request import PlaceRequest, RunFiles
 from sim.arm_model.load import load_arm
 from sim.arms import BuiltArm, arm_named, without_turret
 from sim.clearance import ClearanceModel

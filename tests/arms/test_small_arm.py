@@ -11,17 +11,17 @@ import pytest
 
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward
-from ground.common.pool import local_runner
-from ground.common.progress import no_progress
-from ground.ik.model import build_ik_model
-from ground.ik.reach import sample_workspace
-from ground.ik.request import ModelRequest
+from marsarm.common.pool import local_runner
+from marsarm.common.progress import no_progress
+from marsarm.ik.model import build_ik_model
+from marsarm.ik.reach import sample_workspace
+from marsarm.ik.request import ModelRequest
 from sim.arm_check import check_arm
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ARMS, default_arm, load_arm
 from sim.frames import P_NR_M
 from sim.world import World, build, inside_rover
-from tests.ground.command import marsarm
+from tests.marsarm.command import marsarm
 
 SCALE = 0.4
 V_m = (0.0, 0.0, -0.3)

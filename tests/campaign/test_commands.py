@@ -2,7 +2,7 @@
 
 import pytest
 
-from ground.common.pool import run_here
+from marsarm.common.pool import run_here
 from validation.commands import campaign
 
 

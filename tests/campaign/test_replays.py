@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from ground.common.errors import BadRequest
+from marsarm.common.errors import BadRequest
 from validation import replays
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ground.common.errors import BadRequest
+from marsarm.common.errors import BadRequest
 from validation import resumable
 from validation.resumable import keep_results
 

@@ -10,11 +10,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from diagnosis.load import load
-from diagnosis.logs import JointLog, Logs, Motion, Signal
-from ground.common.errors import BadRequest
-from ground.common.pool import run_here
-from ground.common.progress import no_progress
+from marsarm.common.errors import BadRequest
+from marsarm.common.pool import run_here
+from marsarm.common.progress import no_progress
+from simgap.load import load
+from simgap.logs import JointLog, Logs, Motion, Signal
 from validation.robot_cases import solve
 from validation.robot_cases.arms import load_robot
 from validation.robot_cases.draw import DrawnEffect, Truth, draw_case

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.arrays import Array
+from simgap.arrays import Array
 from validation.robot_cases import inside, inside_friction, inside_structure
 from validation.robot_cases.arms import load_robot
 from validation.robot_cases.draw import measure

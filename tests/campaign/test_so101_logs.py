@@ -6,11 +6,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from diagnosis.errors import RobotError
-from diagnosis.files.split_file import read_split
-from diagnosis.load import load
-from diagnosis.robot import Robot
-from tests.diagnosis.real_robots import robot_path
+from helpers.real_robots import robot_path
+from simgap.errors import RobotError
+from simgap.files.split_file import read_split
+from simgap.load import load
+from simgap.robot import Robot
 from validation.so101_logs import convert
 
 JOINTS = tuple(one.name for one in Robot.from_toml(robot_path("so101")).joints)

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SCRIPTS = sorted(path.stem for path in (ROOT / "examples").glob("*.py"))
 PAGE = (ROOT / "docs" / "python.md").read_text()
 SNIPPETS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-ALLOWED = {"diagnosis", "marsarm", "matplotlib", "mujoco", "numpy"}
+ALLOWED = {"simgap", "marsarm", "matplotlib", "mujoco", "numpy"}
 
 
 def run_example(name: str, folder: Path) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import validation.fuzz
-from ground.telemetry.imports import table
+from marsarm.telemetry.imports import table
 from validation import fuzz_inputs
 from validation.fuzz import TARGETS, FuzzTarget, fuzz
 

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 import marsarm
-from tests.ground.command import ROOT
+from tests.marsarm.command import ROOT
 
 
 def run_python(text: str) -> str:

@@ -10,14 +10,14 @@ from tempfile import TemporaryDirectory
 
 from rich.console import Console
 
-from ground.replay.behaviour import behaviour_from_log
-from ground.replay.compare import Differences, compare_behaviours
-from ground.replay.inputs import SENSOR_TOPIC
-from ground.replay.tables import differences_table, verdict_line
-from ground.telemetry.errors import LogError
-from ground.telemetry.header import run_header
-from ground.telemetry.read import read_log
-from ground.telemetry.recorder import Recorder
+from marsarm.replay.behaviour import behaviour_from_log
+from marsarm.replay.compare import Differences, compare_behaviours
+from marsarm.replay.inputs import SENSOR_TOPIC
+from marsarm.replay.tables import differences_table, verdict_line
+from marsarm.telemetry.errors import LogError
+from marsarm.telemetry.header import run_header
+from marsarm.telemetry.read import read_log
+from marsarm.telemetry.recorder import Recorder
 from tests.replay.runs import RUNS, ReferenceRun
 
 FOLDER = Path(__file__).parent

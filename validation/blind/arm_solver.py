@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from ground.common.errors import BadRequest
-from ground.common.pool import Runner, local_runner
-from ground.common.progress import Progress
-from ground.diagnosis.arm.audit import load_checked_recordings
-from ground.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
-from ground.diagnosis.arm.case import FittedCase, diagnose_fitted_case, fit_case
-from ground.diagnosis.arm.logs import NotForDiagnosis
-from ground.diagnosis.arm.record import split_logs
-from ground.diagnosis.result import to_json
+from marsarm.common.errors import BadRequest
+from marsarm.common.pool import Runner, local_runner
+from marsarm.common.progress import Progress
+from marsarm.diagnosis.arm.audit import load_checked_recordings
+from marsarm.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
+from marsarm.diagnosis.arm.case import FittedCase, diagnose_fitted_case, fit_case
+from marsarm.diagnosis.arm.logs import NotForDiagnosis
+from marsarm.diagnosis.arm.record import split_logs
+from marsarm.diagnosis.result import to_json
 from sim.params import nominal_params
 from sim.plant import PlantDiverged
 from validation.blind.case_features import CampaignSensitivities, CaseFeatures, CaseResiduals

@@ -11,13 +11,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from ground.common.pool import Runner, local_runner
-from ground.common.progress import Progress
-from ground.diagnosis.arm.blind_case import check_leakage
-from ground.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
-from ground.diagnosis.arm.record import record_campaign, split_logs
-from ground.diagnosis.blind_case import seal
-from ground.diagnosis.sampling import list_detectable
+from marsarm.common.pool import Runner, local_runner
+from marsarm.common.progress import Progress
+from marsarm.diagnosis.arm.blind_case import check_leakage
+from marsarm.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
+from marsarm.diagnosis.arm.record import record_campaign, split_logs
+from marsarm.diagnosis.blind_case import seal
+from marsarm.diagnosis.sampling import list_detectable
 from sim.arms import arm_named
 from sim.initialisation import true_reference
 from validation.blind.arm_solver import diagnose_against

@@ -8,12 +8,12 @@ import numpy as np
 from pydantic import Field, FiniteFloat, TypeAdapter
 
 from fsw.kinematics.transforms import Array
-from ground.common.errors import BadRequest
-from ground.common.json_file import read_json
-from ground.diagnosis.closure import Closure, build_held_out_model, compute_closure
-from ground.diagnosis.normal_equations import form_normal_equations
-from ground.diagnosis.problem import Hypothesis, Ints
-from ground.diagnosis.sensitivity import Sensitivities
+from marsarm.common.errors import BadRequest
+from marsarm.common.json_file import read_json
+from marsarm.diagnosis.closure import Closure, build_held_out_model, compute_closure
+from marsarm.diagnosis.normal_equations import form_normal_equations
+from marsarm.diagnosis.problem import Hypothesis, Ints
+from marsarm.diagnosis.sensitivity import Sensitivities
 
 
 @dataclass(frozen=True, slots=True, eq=False)

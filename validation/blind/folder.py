@@ -9,11 +9,11 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 
-from ground.common.errors import BadOutput, BadRequest
-from ground.common.files import atomic_write, check_new_path
-from ground.common.json_file import describe_first_problem
-from ground.diagnosis.blind_case import DIGEST, read_digest
-from ground.diagnosis.diagnose import Level, Verdict
+from marsarm.common.errors import BadOutput, BadRequest
+from marsarm.common.files import atomic_write, check_new_path
+from marsarm.common.json_file import describe_first_problem
+from marsarm.diagnosis.blind_case import DIGEST, read_digest
+from marsarm.diagnosis.diagnose import Level, Verdict
 
 CAMPAIGN_FOLDER: Final = "campaign"
 CASES_FOLDER: Final = "cases"

@@ -9,13 +9,13 @@ from typing import Final
 
 import numpy as np
 
-from ground.common.errors import BadRequest
-from ground.common.pool import Runner
-from ground.common.progress import Progress, no_progress, part_of
-from ground.diagnosis.arm.blind_case import check_leakage, record_blind, sample_background
-from ground.diagnosis.arm.record import record_campaign
-from ground.diagnosis.arm.simulator import catalogue_effect
-from ground.diagnosis.blind_case import (
+from marsarm.common.errors import BadRequest
+from marsarm.common.pool import Runner
+from marsarm.common.progress import Progress, no_progress, part_of
+from marsarm.diagnosis.arm.blind_case import check_leakage, record_blind, sample_background
+from marsarm.diagnosis.arm.record import record_campaign
+from marsarm.diagnosis.arm.simulator import catalogue_effect
+from marsarm.diagnosis.blind_case import (
     PlannedCase,
     SealedTruth,
     TrueCase,
@@ -24,7 +24,7 @@ from ground.diagnosis.blind_case import (
     plan_cases,
     seal,
 )
-from ground.diagnosis.sampling import DetectableEffect, SampledEffect, list_detectable
+from marsarm.diagnosis.sampling import DetectableEffect, SampledEffect, list_detectable
 from sim.arms import arm_named
 from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
 from sim.effects.effect import Effect

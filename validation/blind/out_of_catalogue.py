@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Final
 
 from fsw.kinematics.transforms import Array
-from ground.common.errors import BadRequest
-from ground.diagnosis.arm.simulator import make_effect, to_hypothesis
-from ground.diagnosis.problem import Hypothesis
-from ground.diagnosis.sampling import DetectableEffect
+from marsarm.common.errors import BadRequest
+from marsarm.diagnosis.arm.simulator import make_effect, to_hypothesis
+from marsarm.diagnosis.problem import Hypothesis
+from marsarm.diagnosis.sampling import DetectableEffect
 from sim.effects import catalogue
 from sim.effects.effect import Effect
 from sim.params import nominal_params

@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import binom
 
-from ground.common.rates import Rate, estimate_rate
-from ground.diagnosis.blind_case import TrueCase, TrueEffect
+from marsarm.common.rates import Rate, estimate_rate
+from marsarm.diagnosis.blind_case import TrueCase, TrueEffect
 from validation.blind.classes import EquivalenceClasses, load_outside_effects, locate_outside
 
 SIZE_BINS: Final = ((0.5, 1.0), (1.0, 1.5), (1.5, 2.0), (2.0, 4.0))

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from ground.common.errors import BadRequest
-from ground.common.progress import Progress
-from ground.diagnosis.blind_case import TrueCase, load_truth
-from ground.diagnosis.problem import Hypothesis
+from marsarm.common.errors import BadRequest
+from marsarm.common.progress import Progress
+from marsarm.diagnosis.blind_case import TrueCase, load_truth
+from marsarm.diagnosis.problem import Hypothesis
 from validation.blind.case_features import (
     CampaignSensitivities,
     closure_of_truth,

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from ground.common.pool import Runner
-from ground.common.progress import Progress
+from marsarm.common.pool import Runner
+from marsarm.common.progress import Progress
 from validation.blind.case_features import CampaignSensitivities, CaseFeatures
 from validation.blind.folder import CAMPAIGN_FOLDER, list_cases, result_path, write_json
 

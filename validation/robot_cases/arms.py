@@ -7,7 +7,7 @@ from typing import Final
 
 import mujoco
 
-from diagnosis.robot import ControlMode, Robot, RobotJoint
+from simgap.robot import ControlMode, Robot, RobotJoint
 
 FOLDER: Final = Path(__file__).parent / "models"
 CONTROL_PERIOD_S: Final = 0.002

@@ -6,8 +6,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from ground.common.pool import local_runner
-from ground.common.progress import no_progress
+from marsarm.common.pool import local_runner
+from marsarm.common.progress import no_progress
 from validation.options import campaign_parser
 from validation.robot_cases.make import make_cases
 from validation.robot_cases.score import score_folder

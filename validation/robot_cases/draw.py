@@ -10,9 +10,9 @@ from typing import Final, Literal
 
 import numpy as np
 
-from diagnosis.arrays import Array
-from diagnosis.logs import JointLog, Logs, Motion, Signal
-from diagnosis.robot import Robot
+from simgap.arrays import Array
+from simgap.logs import JointLog, Logs, Motion, Signal
+from simgap.robot import Robot
 from validation.robot_cases.arms import ARMS, load_robot
 from validation.robot_cases.limits import (
     CORRELATION,

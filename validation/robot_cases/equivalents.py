@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from diagnosis.arrays import Array
+from simgap.arrays import Array
 from validation.robot_cases import inside, inside_friction, inside_structure
 from validation.robot_cases.draw import Campaign, DrawnEffect, change_of, make_effect
 from validation.robot_cases.limits import information, make_nuisance

@@ -2,7 +2,7 @@
 
 import math
 
-from diagnosis.effects.effect import Family
+from simgap.effects.effect import Family
 from validation.robot_cases.truth import Run, TrueEffect
 
 

@@ -4,7 +4,7 @@ import math
 
 import mujoco
 
-from diagnosis.effects.effect import Family
+from simgap.effects.effect import Family
 from validation.robot_cases.truth import Run, TrueEffect
 
 

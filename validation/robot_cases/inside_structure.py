@@ -5,8 +5,8 @@ import math
 import mujoco
 import numpy as np
 
-from diagnosis.effects.effect import Family
-from diagnosis.robot import Robot
+from simgap.effects.effect import Family
+from simgap.robot import Robot
 from validation.robot_cases.truth import GEAR, Run, Scene, TrueEffect
 
 

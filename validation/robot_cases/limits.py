@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import nct, t
 
-from diagnosis.arrays import Array
+from simgap.arrays import Array
 
 FALSE_ALARM: Final = 0.05
 POWER: Final = 0.9

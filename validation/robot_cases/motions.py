@@ -6,8 +6,8 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from diagnosis.arrays import Array
-from diagnosis.robot import Robot
+from simgap.arrays import Array
+from simgap.robot import Robot
 from validation.robot_cases.arms import ARMS
 from validation.robot_cases.truth import Scene
 

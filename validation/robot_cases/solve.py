@@ -5,13 +5,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from diagnosis.diagnose import diagnose
-from diagnosis.errors import RobotError
-from diagnosis.load import load
-from diagnosis.result import Diagnosis
-from diagnosis.robot import Robot
-from ground.common.pool import Runner
-from ground.common.progress import Progress
+from marsarm.common.pool import Runner
+from marsarm.common.progress import Progress
+from simgap.diagnose import diagnose
+from simgap.errors import RobotError
+from simgap.load import load
+from simgap.result import Diagnosis
+from simgap.robot import Robot
 from validation.blind.folder import SOLVED_FOLDER, write_json
 from validation.robot_cases.make import ROBOTS_FOLDER, log_path, read_index
 from validation.robot_cases.write import ROBOT_FILE

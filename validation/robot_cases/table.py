@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from diagnosis.robot import Robot, RobotJoint
+from simgap.robot import Robot, RobotJoint
 from validation.robot_cases import inside, inside_friction, inside_structure, outside
 from validation.robot_cases.truth import TrueEffect
 

@@ -14,9 +14,9 @@ from typing import Any, ClassVar, Final
 import mujoco
 import numpy as np
 
-from diagnosis.arrays import Array
-from diagnosis.effects.effect import Family
-from diagnosis.robot import Robot
+from simgap.arrays import Array
+from simgap.effects.effect import Family
+from simgap.robot import Robot
 
 TRUE_STEP_S: Final = 0.00025
 """Step of the truth: a quarter of it moves the samples by less than a tenth of the noise (see the tests)."""

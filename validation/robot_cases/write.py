@@ -9,8 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from diagnosis.logs import Logs
-from diagnosis.robot import Robot
+from simgap.logs import Logs
+from simgap.robot import Robot
 
 ROBOT_FILE: Final = "robot.toml"
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from fsw.dictionary.enums import Frame
-from ground.common.errors import BadRequest
-from ground.runs.place import prepare_placement
-from ground.runs.request import PlaceRequest
+from marsarm.common.errors import BadRequest
+from marsarm.runs.place import prepare_placement
+from marsarm.runs.request import PlaceRequest
 from sim.arms import arm_named
 from sim.effects.effect import Effect, EffectMisfit, check_effects
 from sim.effects.faults import SensorFault

@@ -1,0 +1,221 @@
+"""Error budget: bounds of tool errors over the workspace, from all error sources at all frames."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+
+from fsw.config import Config, configure, digest
+from fsw.dictionary.params import Params
+from fsw.kinematics.transforms import Array, Flags
+from marsarm.accuracy.combine import (
+    COVERAGE,
+    PARTS,
+    Bounds,
+    SquaredLength,
+    bounds,
+    moments_rule,
+    paper_rule,
+    pooled_quantile,
+    root_sum_square,
+    shares,
+    squared_length,
+    worst_case,
+)
+from marsarm.accuracy.confidence import Interval, quantile_interval
+from marsarm.accuracy.reproduce import TABLE_3, TABLE_4, MagnitudeFit, PaperRow, reproduce
+from marsarm.accuracy.request import BudgetRequest
+from marsarm.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity, workspace_poses
+from marsarm.accuracy.sources import BudgetCase, ErrorModel, is_compensated, load_error_model
+from marsarm.common.errors import BadRequest
+from marsarm.common.options import check_options
+from marsarm.common.progress import Progress, no_progress, part_of
+from marsarm.common.requests import make_world, parse_tool, select_arm
+
+MOMENTS: Final = "moments"
+ALL: Final = "all"
+COMPONENTS: Final = tuple(field.name for field in fields(Bounds))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolBudget:
+    """Bounds of the errors of one tool at each pose."""
+
+    poses: Poses
+    by_rule: Mapping[str, Bounds]
+    """Bounds by combination rule: paper (equation 13), worst case (10), root sum square (11), moments."""
+    lengths: tuple[SquaredLength, ...]
+    """Distributions of squared error lengths, one for each of COMPONENTS, for the moments rule."""
+    share_m: Array
+    """Share of each source at each frame in the paper's total, mean over the poses, shape (sources, 7)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Budget:
+    """Error budget of a case."""
+
+    name: str
+    case: BudgetCase
+    tools: Mapping[str, ToolBudget]
+
+    def estimate(self, rule: str, component: str) -> float:
+        """Compute the bound [m, rad] that holds at 99.73 % of the poses.
+
+        The moments rule gives the bound that holds for 99.73 % of the errors.
+        """
+        if rule == MOMENTS:
+            k = COMPONENTS.index(component)
+            return pooled_quantile([tool.lengths[k] for tool in self.tools.values()], COVERAGE)
+        return float(np.quantile(self._values(rule, component), COVERAGE))
+
+    def interval(self, rule: str, component: str) -> Interval:
+        """Compute the 95 % confidence interval of the bound that holds at 99.73 % of the poses."""
+        values = self._values(rule, component)
+        return quantile_interval(values, COVERAGE, values.size)
+
+    def _values(self, rule: str, component: str) -> Array:
+        return np.concatenate([getattr(tool.by_rule[rule], component) for tool in self.tools.values()])
+
+    @property
+    def share_m(self) -> Array:
+        """Compute the mean shares over all poses of all tools, shape (sources, 7)."""
+        counts = [tool.poses.output_rad.shape[1] for tool in self.tools.values()]
+        return np.asarray(np.average([tool.share_m for tool in self.tools.values()], axis=0, weights=counts))
+
+
+def compute_budgets(
+    model: ErrorModel,
+    names: tuple[str, ...],
+    config: Config,
+    gravity_R_m_s2: Array,
+    tools: tuple[str, ...],
+    count: int,
+    seed: int,
+    progress: Progress,
+) -> dict[str, Budget]:
+    """Compute the budgets of several cases.
+
+    Args:
+        model: Error sources and cases.
+        names: Names of the cases.
+        config: Configuration with the arm.
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
+        tools: Tools of the budget.
+        count: Number of poses in all, shared evenly by the tools.
+        seed: Seed of the poses.
+        progress: Callback for progress.
+
+    Returns:
+        The budgets by name of the case.
+    """
+    found: dict[str, dict[str, ToolBudget]] = {name: {} for name in names}
+    for k, tool in enumerate(tools):
+        progress(k, len(tools), tool)
+        poses = workspace_poses(config.arm, tool, gravity_R_m_s2, -(-count // len(tools)), seed)
+        sensitivity = compute_sensitivity(config, poses, gravity_R_m_s2)
+        for name in names:
+            found[name][tool] = compute_tool_budget(model, model.case[name], poses, sensitivity)
+    return {name: Budget(name, model.case[name], found[name]) for name in names}
+
+
+def compute_tool_budget(
+    model: ErrorModel, case: BudgetCase, poses: Poses, sensitivity: Sensitivity
+) -> ToolBudget:
+    """Compute the bounds of the errors of a case at these poses."""
+    u, at_limit = errors_by_source(model, case, sensitivity)
+    lengths = _squared_lengths(model, case, sensitivity)
+    worst = bounds(worst_case(u))
+    rules = {
+        "paper": bounds(paper_rule(u, at_limit)),
+        "worst case": worst,
+        "root sum square": bounds(root_sum_square(u)),
+        MOMENTS: moments_rule(lengths, worst, COVERAGE),
+    }
+    return ToolBudget(poses, rules, lengths, shares(u, at_limit).mean(axis=-1))
+
+
+def _squared_lengths(
+    model: ErrorModel, case: BudgetCase, sensitivity: Sensitivity
+) -> tuple[SquaredLength, ...]:
+    """Compute the distributions of squared error lengths of a case.
+
+    If gravity holds an output at a flank, the backlash is a known offset and not a random error.
+    """
+    errors, known = [], np.zeros((6, sensitivity.side.shape[1]))
+    for name, factor in case.sources.items():
+        source = model.source[name]
+        u = factor * sensitivity.errors(source)
+        if source.effect == "backlash" and not is_compensated(factor):
+            known += np.einsum("ikn,kn->in", u, sensitivity.side)
+            u = u * (sensitivity.side == 0)
+        errors.append((u, source.distribution))
+    return tuple(
+        squared_length([(u[part], distribution) for u, distribution in errors], known[part]) for part in PARTS
+    )
+
+
+def errors_by_source(model: ErrorModel, case: BudgetCase, sensitivity: Sensitivity) -> tuple[Array, Flags]:
+    """Compute the errors of a case by source.
+
+    Args:
+        model: Error sources and cases.
+        case: Sources with their factors.
+        sensitivity: Sensitivity of the tool at each pose.
+
+    Returns:
+        Absolute errors [rad, m], shape (sources, 6, 7, n), and flags of sources that are at their limits,
+        shape (sources,).
+    """
+    u = [factor * sensitivity.errors_by_frame(model.source[name]) for name, factor in case.sources.items()]
+    return np.array(u), np.array([model.source[name].at_limit for name in case.sources])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BudgetReport:
+    """Result of a request for an error budget."""
+
+    request: BudgetRequest
+    model: ErrorModel
+    budgets: Mapping[str, Budget]
+    rows: tuple[tuple[PaperRow, float], ...]
+    """Rows of the paper for the requested cases, with our values."""
+    reproduced: tuple[MagnitudeFit, ...]
+    """Magnitudes that reproduce Tables 3 and 4 of the paper, if requested."""
+    params_sha256: str
+
+
+def run_budget(request: BudgetRequest, progress: Progress = no_progress) -> BudgetReport:
+    """Compute the budgets of one case or of all cases.
+
+    Raises:
+        BadRequest: The request is wrong; nothing was written.
+    """
+    check_options(request)
+    model = load_error_model()
+    names = tuple(model.case) if request.case == ALL else (request.case,)
+    if request.case not in (ALL, *model.case):
+        raise BadRequest(f"case: {request.case!r} is not known; there are {', '.join(model.case)} and {ALL}")
+    gravity = make_world(request.gravity, 0.0, 0.0, "gravity").gravity_N_m_s2
+    params = select_arm("nominal", request.params, request.mismatch).params
+    tools = _parse_tools(request.tool, params)
+    config = configure(params)
+    share = 0.5 if request.reproduce else 1.0
+    budgets = compute_budgets(
+        model, names, config, gravity, tools, request.poses, request.seed, part_of(progress, 0.0, share)
+    )
+    rows = [
+        (row, budgets[row.case].estimate("paper", row.component))
+        for row in (*TABLE_3, *TABLE_4)
+        if row.case in budgets
+    ]
+    reproduced: list[MagnitudeFit] = []
+    for table in (TABLE_3, TABLE_4) if request.reproduce else ():
+        part_of(progress, share, 1.0)(len(reproduced), 2, "reproducing")
+        reproduced.append(reproduce(model, table, config, gravity, request.seed))
+    return BudgetReport(request, model, budgets, tuple(rows), tuple(reproduced), digest(params))
+
+
+def _parse_tools(name: str, params: Params) -> tuple[str, ...]:
+    tool = parse_tool(name, (*params.tool_names, ALL))
+    return params.tool_names if tool == ALL else (tool,)

@@ -1,0 +1,232 @@
+"""Monte Carlo of arms as a request of the command line: jobs, checkpoints, and comparison with the budget."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fsw.config import configure, digest
+from fsw.dictionary.params import Params
+from marsarm.accuracy.budget import COMPONENTS
+from marsarm.accuracy.combine import PARTS
+from marsarm.accuracy.confidence import AccuracyEstimate, estimate_accuracy
+from marsarm.accuracy.coverage import CoverageReport, check_coverage
+from marsarm.accuracy.placements import MeasuredPlacement
+from marsarm.accuracy.request import ArmKind, MonteCarloRequest, MoveModel
+from marsarm.accuracy.sources import ErrorModel, load_error_model, sources_sha256
+from marsarm.accuracy.trial import run_built_trial, run_sampled_trial
+from marsarm.common.checkpoint import Checkpoint
+from marsarm.common.errors import BadRequest
+from marsarm.common.options import check_options
+from marsarm.common.pool import Runner, select_runner
+from marsarm.common.progress import Progress, no_progress
+from marsarm.common.requests import load_params, select_arm
+from sim.world import World
+
+SEED_FIELD: Final = "{seed}"
+
+
+@dataclass(frozen=True, slots=True)
+class ArmJob:
+    """Job for one arm of a Monte Carlo; its result does not depend on other jobs."""
+
+    case: str
+    built: ArmKind
+    """Kind of arm.
+
+    sampled: the nominal arm with every source of the case. calibrated, as-built: an arm of that name, with
+    the sources that it does not have itself.
+    """
+    places: int
+    move_model: MoveModel
+    seed: int
+    arm: int
+    params: Params
+    """Parameters of flight software; for a calibrated arm, those before its calibration."""
+    params_sha256: str
+    """Their digest."""
+
+
+def run_job(job: ArmJob) -> dict[str, Any]:
+    """Simulate and measure one arm; return a JSON record of the measurements or of the reason for failure."""
+    model = load_error_model()
+    case, seed = model.case[job.case], np.random.SeedSequence(job.seed, spawn_key=(job.arm,))
+    try:
+        if job.built == "sampled":
+            found = run_sampled_trial(model, case, job.params, job.places, job.move_model, seed)
+        else:
+            name = f"{job.built}:{job.seed + job.arm}"
+            found = run_built_trial(model, case, name, job.params, job.places, job.move_model, seed)
+    except RuntimeError as error:
+        return {**_job_key(job), "failed": str(error)}
+    return {
+        **_job_key(job),
+        "tool": found[0].tool,
+        "places": [_measurement_record(m) for m in found],
+    }
+
+
+def _job_key(job: ArmJob) -> dict[str, Any]:
+    return {"arm": job.arm, "params_sha256": job.params_sha256}
+
+
+def run_jobs(
+    jobs: Sequence[ArmJob], runner: Runner, results: Checkpoint | None, progress: Progress
+) -> list[dict[str, Any]]:
+    """Run all jobs that have no record in the results yet.
+
+    Returns:
+        The records of all jobs in their order.
+
+    Raises:
+        BadRequest: A record was made with other parameters.
+    """
+    wanted = {job.arm: job.params_sha256 for job in jobs}
+    known = [] if results is None else [record for record in results.done if record["arm"] in wanted]
+    for record in known:
+        if record["params_sha256"] != wanted[record["arm"]]:
+            raise BadRequest(
+                f"results: arm {record['arm']} in it was run with other parameters; give the path of a new "
+                "file"
+            )
+    records = {record["arm"]: record for record in known}
+    missing = [job for job in jobs if job.arm not in records]
+    progress(len(records), len(jobs), "arms")
+    for record in runner(run_job, missing):
+        records[record["arm"]] = record
+        if results is not None:
+            results.add(record)
+        progress(len(records), len(jobs), "arms")
+    return [records[job.arm] for job in jobs]
+
+
+def check_arm_record(record: dict[str, Any]) -> None:
+    """Check that a record describes an arm.
+
+    Raises:
+        KeyError: A key is missing.
+        TypeError: A value has the wrong type.
+        ValueError: A value is wrong.
+    """
+    if not isinstance(record["arm"], int) or not isinstance(record["params_sha256"], str):
+        raise TypeError("arm and params_sha256 are a number and a digest")
+    list(read_measurements(record))
+
+
+def read_measurements(record: dict[str, Any]) -> Iterator[MeasuredPlacement]:
+    """Read the measurements of an arm from its record."""
+    for place in record.get("places", ()):
+        output, error, position = (
+            np.array(place[name]) for name in ("output_rad", "error", "backlash_position")
+        )
+        yield MeasuredPlacement(str(record["tool"]), output, error, position)
+
+
+def _measurement_record(measured: MeasuredPlacement) -> dict[str, Any]:
+    values = asdict(measured)
+    return {name: values[name].tolist() for name in ("output_rad", "error", "backlash_position")}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MonteCarloReport:
+    """Result of a request for a Monte Carlo."""
+
+    request: MonteCarloRequest
+    model: ErrorModel
+    trials: tuple[tuple[MeasuredPlacement, ...], ...]
+    """Measurements of each arm whose moves all succeeded."""
+    failed: Mapping[int, str]
+    """Reason for failure by index of the arm."""
+    coverage: CoverageReport | None
+    """Comparison with the budget; None if no arm succeeded."""
+    three_sigma: Mapping[str, AccuracyEstimate] | None
+    """Accuracy of each of COMPONENTS; None if there are too few arms or placements."""
+    params_sha256: str
+    """Digest of the flight parameters; if every arm has its own, digest of their digests."""
+
+
+def run_monte_carlo(request: MonteCarloRequest, progress: Progress = no_progress) -> MonteCarloReport:
+    """Simulate and measure arms of a case, and compare them with the budget.
+
+    Raises:
+        BadRequest: The request is wrong; nothing was moved or written.
+    """
+    model = load_error_model()
+    _check(request, model)
+    jobs = _jobs(request)
+    runner = select_runner(request.workers, request.cluster)
+    file = (
+        None
+        if request.results is None
+        else Checkpoint(request.results, _results_header(request, jobs), check_arm_record)
+    )
+    with nullcontext() if file is None else file:
+        records = run_jobs(jobs, runner, file, progress)
+    failed = {record["arm"]: record["failed"] for record in records if "failed" in record}
+    trials = tuple(tuple(read_measurements(record)) for record in records if "failed" not in record)
+    gravity = World().gravity_N_m_s2
+    found = (
+        check_coverage(model, request.case, configure(jobs[0].params), gravity, trials) if trials else None
+    )
+    three_sigma = _estimate_three_sigma(trials)
+    return MonteCarloReport(request, model, trials, failed, found, three_sigma, _params_sha256(jobs))
+
+
+def _check(request: MonteCarloRequest, model: ErrorModel) -> None:
+    check_options(request)
+    if request.case not in model.case:
+        raise BadRequest(f"case: {request.case!r} is not known; there are {', '.join(model.case)}")
+    if request.only is not None and not 0 <= request.only < request.arms:
+        raise BadRequest(f"only: {request.only} is not within 0 .. {request.arms - 1}")
+
+
+def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
+    arms = range(request.arms) if request.only is None else [request.only]
+    if _has_arm_files(request.params):
+        numbers = [request.seed + arm for arm in arms]
+        names = [
+            "nominal" if request.built == "sampled" else f"{request.built}:{number}" for number in numbers
+        ]
+        paths = [Path(str(request.params).replace(SEED_FIELD, str(number))) for number in numbers]
+        loaded = (load_params(name, path, request.mismatch) for name, path in zip(names, paths, strict=True))
+        with_digests = [(params, digest(params)) for params in loaded]
+    else:
+        params = select_arm("nominal", request.params, request.mismatch).params
+        with_digests = [(params, digest(params))] * len(arms)
+    return [
+        ArmJob(request.case, request.built, request.places, request.move_model, request.seed, arm, *own)
+        for arm, own in zip(arms, with_digests, strict=True)
+    ]
+
+
+def _params_sha256(jobs: Sequence[ArmJob]) -> str:
+    every = [job.params_sha256 for job in jobs]
+    return every[0] if len(set(every)) == 1 else sha256("".join(every).encode()).hexdigest()
+
+
+def _has_arm_files(params: Path | None) -> bool:
+    """Return whether every arm has a parameter file of its own."""
+    return params is not None and SEED_FIELD in str(params)
+
+
+def _results_header(request: MonteCarloRequest, jobs: list[ArmJob]) -> dict[str, Any]:
+    """Collect all inputs of the results except the number of arms, so that arms can be added later."""
+    same = ("case", "built", "places", "move_model", "seed")
+    return {
+        **{name: value for name, value in asdict(request).items() if name in same},
+        "params": str(request.params) if _has_arm_files(request.params) else jobs[0].params_sha256,
+        "sources": sources_sha256(),
+    }
+
+
+def _estimate_three_sigma(
+    trials: tuple[tuple[MeasuredPlacement, ...], ...],
+) -> dict[str, AccuracyEstimate] | None:
+    if len(trials) < 2 or len(trials[0]) < 2:
+        return None
+    error = np.array([[m.error for m in trial] for trial in trials]).transpose(2, 0, 1)
+    return {name: estimate_accuracy(error[part]) for name, part in zip(COMPONENTS, PARTS, strict=True)}

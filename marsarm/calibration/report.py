@@ -1,0 +1,373 @@
+"""Report of a calibration: JSON document, tables, and a page with a plot like paper Figure 7."""
+
+from math import degrees
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.table import Table
+
+from fsw.config import digest
+from fsw.dictionary.enums import Joint
+from fsw.kinematics.transforms import Array
+from marsarm.calibration.arm_model import arm_model
+from marsarm.calibration.calibrate import Calibration, rms_m
+from marsarm.calibration.checks import FRAME_RANK, MAX_HELD_OUT_RATIO, MAX_SIGMA0
+from marsarm.calibration.execution import CalibrateReport
+from marsarm.calibration.parameter_file import data_sha256, provenance
+from marsarm.calibration.verify import PlaceErrors, Verification
+from marsarm.common.command_text import command_text
+from marsarm.common.json_digest import json_sha256
+from marsarm.render import svg
+from marsarm.render.console import plain_console, pluralize
+from marsarm.render.page import Origin, Requirement, figures, heading, paragraph, save_page, table
+from simgap.serial_arm.identifiability import UnidentifiableGroup
+
+ROTATION: Final = slice(0, 3)
+POSITION: Final = slice(3, 6)
+"""Parts of an error screw."""
+LEAST_REDUCTION: Final = 5.0
+"""Least ratio of the errors before and after: "a factor of five", paper, Figure 7."""
+MAX_EARTH_ERROR_M: Final = 5e-3
+"""Largest error on Earth: "less than 5mm", paper, verification."""
+MAX_MARS_ERROR_M: Final = 20e-3
+"""Largest total position error on Mars: paper, positioning requirements."""
+SMALL_ERROR_M: Final = MAX_EARTH_ERROR_M / LEAST_REDUCTION
+"""Error before, below which nothing needs to fall."""
+
+
+def calibration_json(report: CalibrateReport) -> dict[str, Any]:
+    """Convert the calibration to a JSON document in SI units."""
+    found = report.found
+    best = found.best
+    return {
+        "arm": found.campaign.arm_name,
+        "poses": found.campaign.count,
+        "outliers": list(found.rejection.outliers),
+        "data_sha256": data_sha256(found.campaign),
+        "params_sha256": digest(report.params),
+        "position_error_m": {
+            "before": _error_statistics(found.before),
+            "after": _error_statistics(found.after[:, best.used]),
+            "held_out": _error_statistics(found.held_out_error),
+        },
+        "sigma0": best.sigma0,
+        "p_value": best.p_value,
+        "held_out_over_expected": found.hold_out.ratio,
+        "rank": {
+            "frames": found.frame_identifiability.rank,
+            "of_frames": len(found.frame_identifiability.parameters),
+            "all": found.identifiability.rank,
+            "of_all": len(best.parameters),
+            "condition_frames": found.frame_identifiability.condition,
+            "singular_values_frames": found.frame_identifiability.singular_values.tolist(),
+        },
+        "unidentifiable": [
+            {"names": list(group.names), "identified": group.identified}
+            for group in found.frame_identifiability.unidentifiable_groups()
+        ],
+        "parameters": {
+            parameter.name: {"unit": parameter.unit, "value": value, "sigma": sigma}
+            for parameter, value, sigma in zip(
+                best.parameters, best.values.tolist(), best.sigma.tolist(), strict=True
+            )
+        },
+        "verification": None if report.verification is None else _verification_json(report.verification),
+    }
+
+
+def _error_statistics(error: Array) -> dict[str, float]:
+    length = np.linalg.norm(error[3:], axis=0)
+    return {"rms": rms_m(error), "max": float(length.max(initial=0.0))}
+
+
+def _verification_json(found: Verification) -> dict[str, Any]:
+    return {
+        "zero_moved_rad": found.zero_rad.tolist(),
+        "zero_expected_rad": found.expected_rad.tolist(),
+        "places": {
+            place.name: {
+                "rms_m": float(np.sqrt(np.mean(place.total_m**2))),
+                "max_m": float(place.total_m.max()),
+                "max_lateral_m": float(place.lateral_m.max()),
+                "max_axis_rad": float(place.axis_rad.max()),
+            }
+            for place in found.places
+        },
+    }
+
+
+def calibration_table(report: CalibrateReport, picture_problem: str | None) -> None:
+    """Print the calibration: errors, encoder zeros, unidentifiable parameters and verification."""
+    console = plain_console()
+    found = report.found
+    console.print(_summary_table(found))
+    console.print(_zero_table(found))
+    console.print("Not identifiable from this campaign, kept at nominal values:")
+    for group in found.frame_identifiability.unidentifiable_groups():
+        console.print(f"  {describe_group(group)}")
+    if report.verification is not None:
+        console.print(_verification_table(report.verification))
+    for name in ("out", "save_data", "report"):
+        path = getattr(report.request, name)
+        if path is not None:
+            console.print(f"{name.replace('_', '-'):<9} {path}")
+    if report.request.picture is not None:
+        console.print(f"picture   {picture_problem or report.request.picture}")
+
+
+def describe_group(group: UnidentifiableGroup) -> str:
+    """Describe a group of unidentifiable parameters."""
+    names = ", ".join(group.names)
+    if group.identified == 0:
+        return f"{names}: not identified"
+    return f"{names}: identified as {pluralize(group.identified, 'combination')}"
+
+
+def summary_rows(found: Calibration) -> list[tuple[str, str]]:
+    """Build the rows of the summary."""
+    best = found.best
+    errors = (
+        ("before", found.before),
+        ("after", found.after[:, best.used]),
+        ("held out", found.held_out_error),
+    )
+    outliers = ", ".join(map(str, found.rejection.outliers)) or "none"
+    return [
+        ("poses", f"{found.campaign.count}; left out as outliers: {outliers}"),
+        *(
+            (
+                f"position error, {name}",
+                f"{1e3 * rms_m(e):.2f} mm rms, {1e3 * _error_statistics(e)['max']:.2f} mm at most",
+            )
+            for name, e in errors
+        ),
+        ("residuals", f"{best.sigma0:.3f} of the noise, p = {best.p_value:.2g}"),
+        ("held-out poses", f"{found.hold_out.ratio:.3f} of the error that noise and covariance predict"),
+        (
+            "rank, frames",
+            (
+                f"{found.frame_identifiability.rank} of 42, condition "
+                f"{found.frame_identifiability.condition:.0f}"
+            ),
+        ),
+        ("rank, all", f"{found.identifiability.rank} of {len(best.parameters)}"),
+    ]
+
+
+def _summary_table(found: Calibration) -> Table:
+    table = Table(title=f"Calibration of {found.campaign.arm_name}", title_justify="left", show_header=False)
+    for row in summary_rows(found):
+        table.add_row(*row)
+    return table
+
+
+def zero_rows(found: Calibration) -> list[tuple[str, str, str]]:
+    """Build the rows of encoder zeros, which are rotations about z of the frames before the joints."""
+    best = found.best
+    rows = []
+    for joint, of_joint in zip(Joint, found.nominal.joints.in_order(), strict=True):
+        k = best.index(f"arm{joint + 1}.rz")
+        zero, sigma = best.values[k], best.sigma[k]
+        hardstop = f"{degrees(of_joint.hardstop_rad + zero):.4f} deg"
+        rows.append((joint.name.lower(), f"{1e3 * zero:+.2f} ± {1e3 * sigma:.2f} mrad", hardstop))
+    return rows
+
+
+def _zero_table(found: Calibration) -> Table:
+    table = Table(title="Encoder zeros, as new hardstop angles", title_justify="left")
+    for name in ("joint", "zero (rz of its frame)", "hardstop at"):
+        table.add_column(name, justify="left" if name == "joint" else "right")
+    for row in zero_rows(found):
+        table.add_row(*row)
+    return table
+
+
+def place_rows(found: Verification) -> list[tuple[str, str, str, str, str]]:
+    """Build the rows of tool errors at fresh targets."""
+    return [_place_row(place) for place in found.places]
+
+
+def _place_row(place: PlaceErrors) -> tuple[str, str, str, str, str]:
+    rms = 1e3 * float(np.sqrt(np.mean(place.total_m**2)))
+    return (
+        place.name,
+        f"{rms:.2f} mm",
+        f"{1e3 * place.total_m.max():.2f} mm",
+        f"{1e3 * place.lateral_m.max():.2f} mm",
+        f"{degrees(float(place.axis_rad.max())):.3f} deg",
+    )
+
+
+def _verification_table(found: Verification) -> Table:
+    difference = 1e3 * np.abs(found.zero_rad - found.expected_rad).max()
+    title = f"Fresh targets, full turret; new hardstops within {difference:.3f} mrad of the parameters"
+    table = Table(title=title, title_justify="left")
+    for name in ("", "rms", "largest", "lateral", "axis"):
+        table.add_column(name, justify="right" if name else "left")
+    for row in place_rows(found):
+        table.add_row(*row)
+    return table
+
+
+def list_requirements(report: CalibrateReport) -> list[Requirement]:
+    """List the requirements of a calibration: those of the paper, and those without which it is refused."""
+    found, best = report.found, report.found.best
+    held = found.held_out_error
+    before_m, after_m = rms_m(found.before[:, found.held_out_poses]), rms_m(held)
+    largest_m = _error_statistics(held)["max"]
+    rank = found.frame_identifiability.rank
+    rows = [
+        Requirement(
+            "held-out position error, rms, before over after: at least",
+            f"{LEAST_REDUCTION:.1f}",
+            f"{before_m / after_m:.1f}",
+            None if before_m < SMALL_ERROR_M else before_m >= LEAST_REDUCTION * after_m,
+        ),
+        Requirement(
+            "largest held-out position error",
+            f"{1e3 * MAX_EARTH_ERROR_M:.0f} mm",
+            f"{1e3 * largest_m:.2f} mm",
+            largest_m < MAX_EARTH_ERROR_M,
+        ),
+        Requirement(
+            "residuals over the noise", f"{MAX_SIGMA0}", f"{best.sigma0:.3f}", best.sigma0 <= MAX_SIGMA0
+        ),
+        Requirement(
+            "held-out residuals over the expected",
+            f"{MAX_HELD_OUT_RATIO}",
+            f"{found.hold_out.ratio:.3f}",
+            found.hold_out.ratio <= MAX_HELD_OUT_RATIO,
+        ),
+        Requirement("rank of the frame parameters: at least", f"{FRAME_RANK}", f"{rank}", rank >= FRAME_RANK),
+    ]
+    if report.verification is None:
+        return [*rows, Requirement("tool error at new targets, which --verify N measures", "-", "-", None)]
+    return [*rows, *(_place_requirement(place) for place in report.verification.places)]
+
+
+def _place_requirement(place: PlaceErrors) -> Requirement:
+    bound_m = MAX_EARTH_ERROR_M if place.name == "earth" else MAX_MARS_ERROR_M
+    largest_m = float(place.total_m.max())
+    text = f"largest tool error at new targets, {place.name}"
+    return Requirement(text, f"{1e3 * bound_m:.0f} mm", f"{1e3 * largest_m:.2f} mm", largest_m < bound_m)
+
+
+def save_calibration_page(report: CalibrateReport, path: Path) -> None:
+    """Write the page.
+
+    Raises:
+        BadOutput: The file cannot be written.
+    """
+    found = report.found
+    groups = [describe_group(group) for group in found.frame_identifiability.unidentifiable_groups()]
+    parts = [
+        heading("Summary"),
+        table(("", ""), summary_rows(found)),
+        heading("Pose by pose"),
+        paragraph(
+            "Shaded: shoulder-in poses. Crosses: calibrated parameters, but every output always on one side "
+            "of its backlash, as if the backlash state were not known."
+        ),
+        figures(
+            svg.render_svg("position errors", 3.6, lambda figure: _draw_errors(figure, found, POSITION)),
+            svg.render_svg("rotation errors", 3.6, lambda figure: _draw_errors(figure, found, ROTATION)),
+        ),
+        heading("Encoder zeros"),
+        table(("joint", "zero (rz of its frame)", "hardstop at"), zero_rows(found)),
+        heading("Identifiability of the 42 frame parameters"),
+        figures(svg.render_svg("singular values", 2.8, lambda figure: _draw_singular_values(figure, found))),
+        paragraph("Not identifiable from this campaign, kept at nominal values:"),
+        *(paragraph(one) for one in groups),
+    ]
+    if report.verification is not None:
+        head = ("", "rms", "largest", "lateral", "axis")
+        parts += [heading("Fresh targets, full turret"), table(head, place_rows(report.verification))]
+    parts += [heading("Provenance"), *(paragraph(line) for line in provenance(found))]
+    digests = {
+        "poses": data_sha256(found.campaign),
+        "parameters before": digest(found.nominal),
+        "parameters after": digest(report.params),
+        "result": json_sha256(calibration_json(report)),
+    }
+    origin = Origin(command_text("calibrate", report.request), digests)
+    title = f"Calibration of {found.campaign.arm_name}"
+    save_page(title, "", list_requirements(report), origin, parts, path)
+
+
+def save_calibration_picture(report: CalibrateReport, path: Path) -> str | None:
+    """Save the errors of each pose before and after the calibration as PNG.
+
+    Returns:
+        The reason why there is no picture, or None.
+
+    Raises:
+        BadOutput: The file cannot be written.
+    """
+    found = report.found
+
+    def draw(figure: Any) -> None:
+        name, poses = found.campaign.arm_name, found.before.shape[1]
+        figure.suptitle(f"Calibration of {name}: {poses} poses; shaded: shoulder-in")
+        for part, half in zip((POSITION, ROTATION), figure.subfigures(1, 2), strict=True):
+            _draw_errors(half, found, part)
+
+    return svg.save_png(path, (11.0, 4.2), draw)
+
+
+def errors_without_backlash(found: Calibration) -> Array:
+    """Compute the errors with calibrated parameters, but without the state of the backlash.
+
+    Returns:
+        Error screws, rotation [rad] above translation [m], shape (6, n).
+    """
+    model = arm_model(found.nominal, found.campaign, with_backlash=False)
+    return model.errors(found.best.values)
+
+
+def _draw_errors(figure: Any, found: Calibration, part: slice) -> None:
+    axes = figure.subplots()
+    series = (
+        ("uncalibrated", found.before, svg.RED, "o"),
+        ("calibrated, backlash state left out", errors_without_backlash(found), svg.MUTED, "x"),
+        ("calibrated", found.after, svg.BLUE, "."),
+    )
+    for name, error, colour, marker in series:
+        axes.plot(_lengths(error, part), marker, color=colour, label=name, markersize=3)
+    _shade(axes, found)
+    unknown = np.flatnonzero(found.unknown.any(axis=0))
+    name = "calibrated, side of a backlash unknown"
+    after = _lengths(found.after, part)
+    axes.plot(unknown, after[unknown], "o", color=svg.BLUE, fillstyle="none", label=name, markersize=5)
+    out = np.flatnonzero(~found.best.used)
+    if out.size:
+        axes.plot(out, after[out], "o", color=svg.INK, fillstyle="none", label="outlier")
+    label = "position [mm]" if part == POSITION else "rotation [mrad]"
+    axes.set(xlabel="pose, in the order in which they were taken", ylabel=label, ylim=(0, None))
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside upper left", ncols=2, fontsize=8)
+
+
+def _lengths(error: Array, part: slice) -> Array:
+    """Compute the length of a part of each error, in mm or mrad."""
+    return np.asarray(1e3 * np.linalg.norm(error[part], axis=0))
+
+
+def _shade(axes: Any, found: Calibration) -> None:
+    for k, branch in enumerate(found.campaign.branch):
+        if branch.startswith("shoulder-in"):
+            axes.axvspan(k - 0.5, k + 0.5, color=svg.SHADE, linewidth=0, zorder=0)
+    for last in np.flatnonzero(np.diff(found.campaign.group)):
+        axes.axvline(last + 0.5, color=svg.FAINT, linewidth=0.8, zorder=0)
+
+
+def _draw_singular_values(figure: Any, found: Calibration) -> None:
+    axes, values = figure.subplots(), found.frame_identifiability.singular_values
+    rank = found.frame_identifiability.rank
+    shown = np.maximum(values, 1e-3)
+    axes.semilogy(np.arange(1, rank + 1), shown[:rank], "o", color=svg.BLUE, label="identified")
+    axes.semilogy(
+        np.arange(rank + 1, values.size + 1), shown[rank:], "o", color=svg.RED, label="not identified"
+    )
+    axes.axvline(rank + 0.5, color=svg.FAINT, linewidth=0.8)
+    axes.set(xlabel=f"combination; {rank} of {values.size} are identified", ylabel="sigmas per scale")
+    axes.legend()

@@ -1,0 +1,94 @@
+"""Define the verbs of the diagnosis: `gap record`, `gap demo` and `diagnose`."""
+
+import sys
+
+import typer
+
+from marsarm.cli.verb import VerbResult, verb
+from marsarm.common.errors import BadRequest
+from marsarm.common.progress import Progress
+from marsarm.diagnosis.arm.request import DemoRequest, DiagnoseRequest, RecordRequest
+
+gap_app = typer.Typer(
+    help="Record logs from which `marsarm diagnose` finds why arm and simulation differ, or try it.\n\n"
+    "Example: marsarm gap demo --seed 3",
+    no_args_is_help=True,
+)
+
+
+@gap_app.command()
+@verb
+def record(request: RecordRequest, progress: Progress) -> VerbResult:
+    """Record the campaign of motions for `marsarm diagnose`; it takes half a minute.
+
+    Logs hold no truth of the plant. Motions to validate a diagnosis on are in DIR/held-out.
+
+    Example: marsarm gap record --effect link-length:arm3.x:length_m=0.003 --out logs
+    """
+    from marsarm.diagnosis.arm.record import record_logs
+
+    paths = record_logs(request, progress)
+    document = {"logs": [str(path) for path in paths]}
+    return VerbResult(document, lambda: print(f"{len(paths)} logs in {request.out}"))
+
+
+@gap_app.command()
+@verb
+def demo(request: DemoRequest, progress: Progress) -> VerbResult:
+    """Draw an effect that is not printed, record an arm with it, diagnose the logs, and open the seal.
+
+    In one of four demonstrations the catalogue lacks the effect; in one of ten there is none. The first
+    demonstration computes the sensitivities of the campaign, which takes five minutes; later ones take one.
+
+    Example: marsarm gap demo --seed 3
+    """
+    from marsarm.diagnosis.arm.demo import demo_json, run_demo
+    from marsarm.diagnosis.tables import print_diagnosis
+    from marsarm.render.console import plain_console
+    from sim.plant import PlantDiverged
+
+    def publish(digest: str) -> None:
+        print(f"SHA-256 of the truth: {digest}", file=sys.stderr)
+
+    try:
+        found = run_demo(request, progress, publish)
+    except PlantDiverged as error:
+        raise BadRequest(str(error)) from error
+
+    def print_demo() -> None:
+        print_diagnosis(found.result)
+        truth = found.truth
+        on = f"{truth.spec}, {truth.times_limit:.1f} detection limits" if truth.spec else "no effect"
+        plain_console().print(
+            f"{'Truth:':<9}{on}{'; left out of the catalogue' if truth.kind == 'left out' else ''}"
+        )
+        plain_console().print(f"{'Right:':<9}{'yes' if found.is_right else 'no'}: {found.reason}.")
+
+    return VerbResult(demo_json(found), print_demo)
+
+
+@verb
+def diagnose(request: DiagnoseRequest, progress: Progress) -> VerbResult:
+    """Find why an arm and its simulation differ: the effect, its place and the residual that remains.
+
+    Four lines say where the gap is, its cause and how sure that is, how far it shrinks, and what to record.
+
+    Example: marsarm diagnose logs/ --held-out more/ --report gap.html --patch found.toml
+    """
+    from marsarm.diagnosis.arm.diagnose_logs import diagnose_logs, prepare_diagnosis
+    from marsarm.diagnosis.arm.output_files import save_diagnosis_files
+    from marsarm.diagnosis.result import to_json
+    from marsarm.diagnosis.tables import print_diagnosis
+    from sim.plant import PlantDiverged
+
+    job = prepare_diagnosis(request)
+    try:
+        result = diagnose_logs(job, progress)
+    except PlantDiverged as error:
+        raise BadRequest(str(error)) from error
+
+    def save() -> None:
+        for sentence in save_diagnosis_files(result, request, job):
+            print(sentence, file=sys.stderr)
+
+    return VerbResult(to_json(result), lambda: print_diagnosis(result), save=save)

@@ -1,0 +1,221 @@
+"""Define the verb `replay`, and `log` with `info`, `channels`, `plot`, `export`, `recover` and `import`."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from marsarm.cli.verb import VerbResult, verb
+from marsarm.common.errors import BadOutput, BadRequest
+from marsarm.common.progress import Progress
+
+if TYPE_CHECKING:
+    from marsarm.telemetry.read import Log
+
+LogArgument = Annotated[Path, typer.Argument(help="A telemetry log (MCAP).", metavar="LOG")]
+FromOption = Annotated[float | None, typer.Option("--from", help="First log time, in seconds.", metavar="S")]
+ToOption = Annotated[
+    float | None, typer.Option("--to", help="Log time to end before, in seconds.", metavar="S")
+]
+
+log_app = typer.Typer(
+    help="Inspect, plot, export, recover and import telemetry logs.\n\nExample: marsarm log info run.mcap",
+    no_args_is_help=True,
+)
+
+
+@log_app.command()
+@verb
+def info(log: LogArgument) -> VerbResult:
+    """Summarize a log: versions, duration, topics, events, and whether it is complete.
+
+    Example: marsarm log info run.mcap
+    """
+    from marsarm.telemetry.tables import info_json, info_table
+
+    read = _read(log)
+    return VerbResult(info_json(read), lambda: info_table(read))
+
+
+@log_app.command()
+@verb
+def channels(
+    log: LogArgument,
+    glob: Annotated[
+        list[str] | None, typer.Argument(help="Patterns such as '/joint.*'.", metavar="[GLOB]...")
+    ] = None,
+    start: FromOption = None,
+    stop: ToOption = None,
+) -> VerbResult:
+    """List the channels with type, unit, count and range.
+
+    Example: marsarm log channels run.mcap '/joint.*_rad'
+    """
+    from marsarm.telemetry.inspection import select_channels
+    from marsarm.telemetry.tables import channels_json, channels_table
+
+    read = _read(log, start, stop)
+    selected = select_channels(read, glob or ())
+    return VerbResult(channels_json(read, selected), lambda: channels_table(selected))
+
+
+@log_app.command()
+@verb
+def plot(
+    log: LogArgument,
+    channel: Annotated[
+        list[str],
+        typer.Argument(
+            help="Names or patterns such as '/joint.motor_rad', '/joint.motor_rad[2]', '/joint.backlash*'.",
+            metavar="CHANNEL...",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="File for the picture.", metavar="FILE.png")],
+    start: FromOption = None,
+    stop: ToOption = None,
+) -> VerbResult:
+    """Draw channels over time, with the events as marks.
+
+    Example: marsarm log plot run.mcap '/joint.motor_rad[2]' /drive.current_limit_A --out joints.png
+    """
+    from marsarm.common.files import check_distinct_files, check_output
+    from marsarm.render.console import pluralize
+    from marsarm.telemetry.figure import save_log_figure
+    from marsarm.telemetry.inspection import select_channels
+
+    check_distinct_files({"LOG": log, "out": check_output(out, (".png",), "out")})
+    read = _read(log, start, stop)
+    selected = select_channels(read, channel)
+    problem = save_log_figure(selected, read.evrs, out)
+    if problem is not None:
+        raise BadOutput(f"out {out}: not drawn, {problem}")
+    document = {"log": str(log), "picture": str(out), "channels": [one.name for one in selected]}
+    return VerbResult(document, lambda: print(f"{pluralize(len(selected), 'channel')} in {out}"))
+
+
+@log_app.command()
+@verb
+def export(
+    progress: Progress,
+    log: LogArgument,
+    out: Annotated[
+        Path,
+        typer.Argument(
+            help="A file for one topic, or a folder for several.", metavar="OUT.parquet|OUT.csv|DIR"
+        ),
+    ],
+    topic: Annotated[
+        list[str] | None, typer.Option(help="A topic, such as /joint; repeatable.", metavar="TOPIC")
+    ] = None,
+    as_csv: Annotated[bool, typer.Option("--csv", help="Write CSV files to a folder, not Parquet.")] = False,
+    start: FromOption = None,
+    stop: ToOption = None,
+) -> VerbResult:
+    """Write topics as tables; Parquet keeps exact values, units and the header of the log.
+
+    Example: marsarm log export run.mcap tables --topic /joint --topic /sensors
+    """
+    from marsarm.telemetry.export import export
+    from marsarm.telemetry.tables import export_json, export_table
+
+    read = _read(log, start, stop)
+    files = export(read, out, topic or (), progress, ".csv" if as_csv else ".parquet")
+    return VerbResult(export_json(read, files), lambda: export_table(read, files))
+
+
+@log_app.command()
+@verb
+def recover(
+    progress: Progress,
+    bad: Annotated[Path, typer.Argument(help="A damaged log.", metavar="BAD")],
+    good: Annotated[Path, typer.Argument(help="The log to write.", metavar="GOOD.mcap")],
+) -> VerbResult:
+    """Copy all undamaged messages of a log to a new one, and list what is lost.
+
+    Example: marsarm log recover run.mcap saved.mcap
+    """
+    from marsarm.telemetry.recover import recover
+    from marsarm.telemetry.tables import recovery_json, recovery_table
+
+    recovered = recover(bad, good, progress)
+    return VerbResult(recovery_json(bad, good, recovered), lambda: recovery_table(good, recovered))
+
+
+@log_app.command("import")
+@verb
+def import_log(
+    progress: Progress,
+    table: Annotated[
+        Path, typer.Argument(help="Telemetry as .parquet, .csv, .tsv or .txt.", metavar="TABLE")
+    ],
+    mapping: Annotated[Path, typer.Argument(help="The channel of each column.", metavar="MAPPING.toml")],
+    log: Annotated[
+        Path, typer.Argument(help="The log to write; an existing file is replaced.", metavar="OUT.mcap")
+    ],
+) -> VerbResult:
+    """Convert telemetry of another system, a table with named columns, into a log.
+
+    docs/import.md describes the mapping. Missing values are not invented: the log has no unmapped channel.
+    A packet that lacks a field is written under /imported/ with the fields that it has.
+
+    Example: marsarm log import arm.csv arm.toml arm.mcap
+    """
+    from marsarm.telemetry.imports.job import ImportRequest, import_json, import_table, import_tables
+
+    report = import_table(ImportRequest(table, mapping, log), progress)
+    return VerbResult(import_json(report), lambda: import_tables(report))
+
+
+def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) -> "Log":
+    """Read a log between two times.
+
+    Raises:
+        NoSuchChannel: the log has no message between these times.
+    """
+    from marsarm.telemetry.inspection import NoSuchChannel, bound_ns
+    from marsarm.telemetry.lost_messages import trailing_bytes_text
+    from marsarm.telemetry.read import read_log
+
+    start_ns, stop_ns = bound_ns("from", start_s), bound_ns("to", stop_s)
+    if start_ns is not None and stop_ns is not None and start_ns >= stop_ns:
+        raise BadRequest(f"from: {start_s} s is not before --to {stop_s} s; give a span of log time")
+    read = read_log(log, None, start_ns, stop_ns)
+    if not read.time_ns and (start_s, stop_s) != (None, None):
+        ends = {"from": start_s, "to": stop_s}
+        span = " ".join(f"{name} {time_s} s" for name, time_s in ends.items() if time_s is not None)
+        raise NoSuchChannel(f"log {log} has nothing in the time {span}")
+    if read.end_note:
+        print(f"log {log}: {read.end_note}", file=sys.stderr)
+    if read.trailing_bytes:
+        print(f"log {log}: {trailing_bytes_text(read.trailing_bytes)}", file=sys.stderr)
+    return read
+
+
+@verb
+def replay(
+    progress: Progress,
+    log: LogArgument,
+    channel: Annotated[
+        str,
+        typer.Option(
+            help="Compare only channels that match, such as '/joint.*'; events and lengths always.",
+            metavar="GLOB",
+        ),
+    ] = "*",
+    params: Annotated[
+        Path | None,
+        typer.Option(help="TOML file of parameters that replace those of the log.", metavar="FILE.toml"),
+    ] = None,
+) -> VerbResult:
+    """Feed the sensors and commands of a log to today's flight software, and compare its outputs.
+
+    The exit status is 0 if all outputs are identical, 3 if not.
+
+    Example: marsarm replay run.mcap --channel '/joint.*'
+    """
+    from marsarm.replay.replay import ReplayRequest, replay
+    from marsarm.replay.tables import replay_json, replay_table
+
+    report = replay(ReplayRequest(log, channel, params), progress)
+    return VerbResult(replay_json(report), lambda: replay_table(report), report.differences.identical)

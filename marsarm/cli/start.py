@@ -1,0 +1,12 @@
+"""Start of the command `marsarm`: Ctrl-C is answered from here on, also while the rest is imported."""
+
+from marsarm.common.interruption import report_interruption
+
+
+def start() -> None:
+    """Run the command `marsarm`."""
+    # An interruption is an exception, which unwinds the stack, so that temporary files are deleted.
+    with report_interruption():
+        from marsarm.cli.app import main
+
+        main()

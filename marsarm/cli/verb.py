@@ -1,0 +1,205 @@
+"""Verbs: functions whose options come from request classes, and whose results and errors are printed here."""
+
+import inspect
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import MISSING, dataclass, is_dataclass
+from itertools import pairwise
+from typing import Annotated, Any, Final, Literal, get_args, get_origin
+
+import typer
+from typer.core import TyperCommand
+
+from marsarm.cli.failed_effect import describe_failed_effect
+from marsarm.cli.stdout import EXIT_BAD_INPUT, release_stdout
+from marsarm.common.date import current_date
+from marsarm.common.errors import UserError, describe_problems
+from marsarm.common.options import CLUSTER_HERE, Field, Option, option_fields
+from marsarm.common.progress import show_progress
+from simgap.errors import RobotError
+
+ADDRESS: Final = re.compile(rf"{CLUSTER_HERE}|\S+:[0-9]+")
+"""Value of the option `--cluster`."""
+EXIT_ARM_SAFE: Final = 3
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+
+
+@dataclass(frozen=True, slots=True)
+class VerbResult:
+    """Result of a verb, as a JSON document and as a table."""
+
+    document: dict[str, Any]
+    print_table: Callable[[], None]
+    is_done: bool = True
+    """False if the arm refused or faulted and is safe."""
+    save: Callable[[], None] | None = None
+    """Function that writes files; a result that took minutes is printed first."""
+    play: Callable[[], None] | None = None
+    """Function that shows the result until Ctrl-C; a program can read the result before."""
+
+
+class VerbCommand(TyperCommand):
+    """Command with options that may stand without a value, which typer does not know."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words of the command line, after each such option has got a value."""
+        return super().parse_args(ctx, list(give_address(args)))
+
+
+def give_address(words: Sequence[str]) -> Iterator[str]:
+    """Put CLUSTER_HERE after an option `--cluster` that no HOST:PORT follows."""
+    for word, following in pairwise((*words, "")):
+        yield word
+        if word == "--cluster" and not ADDRESS.fullmatch(following):
+            yield CLUSTER_HERE
+
+
+def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:
+    """Make a command for typer from a function that carries out a verb.
+
+    The options are the fields of each parameter that is a request, all other parameters, and `--json`. A
+    parameter `progress` is no option: it gets the function that updates the progress bar. The function
+    imports its domain itself, so that `--help` does not load it.
+    """
+    parameters = tuple(inspect.signature(work, eval_str=True).parameters.values())
+
+    def command(as_json: bool, **values: Any) -> None:
+        with report_user_errors(as_json):
+            result = _carry_out(work, parameters, values)
+        print_result(result.document, as_json, result.print_table)
+        if result.save is not None:
+            with report_user_errors(as_json=False):  # the JSON document is complete
+                result.save()
+        if result.play is not None:
+            release_stdout()
+            with report_user_errors(as_json=False):
+                result.play()
+        if not result.is_done:
+            raise typer.Exit(EXIT_ARM_SAFE)
+
+    options = [option for parameter in parameters for option in _verb_options(parameter)]
+    signature = inspect.Signature([*options, _parameter("as_json", JsonOption, False)])
+    command.__signature__ = signature  # type: ignore[attr-defined]
+    command.__name__, command.__doc__ = work.__name__, _help_text(inspect.getdoc(work) or "")
+    return command
+
+
+def _help_text(doc: str) -> str:
+    """Return a docstring with each paragraph on one line, so that the screen decides its lines."""
+    paragraphs = doc.split("\n\n")
+    return _plain("\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs))
+
+
+def _plain(help_text: str) -> str:
+    """Return a help text in which brackets are brackets, not markup."""
+    from rich.markup import escape
+
+    return escape(help_text)
+
+
+def _carry_out(
+    work: Callable[..., VerbResult], parameters: tuple[inspect.Parameter, ...], values: dict[str, Any]
+) -> VerbResult:
+    for parameter in parameters:
+        if is_dataclass(parameter.annotation):
+            values[parameter.name] = _build_request(parameter.annotation, values)
+    current_date()  # a wrong one is refused before the work; numpy would raise an exception
+    if all(parameter.name != "progress" for parameter in parameters):
+        return work(**values)
+    with show_progress() as progress:
+        return work(progress=progress, **values)
+
+
+def _verb_options(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
+    if is_dataclass(parameter.annotation):
+        yield from _request_options(parameter.annotation, MISSING)
+    elif parameter.name != "progress":
+        yield parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+
+
+def _request_options(request_type: Any, group: Any) -> Iterator[inspect.Parameter]:
+    """Yield the options of a request class; `group` holds their defaults if they are a group in another."""
+    for field in option_fields(request_type):
+        default = field.default if group is MISSING else getattr(group, field.name)
+        if field.option is None:
+            yield from _request_options(field.type, default)
+            continue
+        kind = Annotated[_typer_type(field), _typer_option(field, field.option)]  # type: ignore[valid-type]
+        yield _parameter(field.name, kind, None if default == () else default)
+        if field.option.help_without is not None and default is not None:
+            flag = typer.Option(f"--no-{field.label}", help=_plain(field.option.help_without))
+            yield _parameter(f"no_{field.name}", Annotated[bool, flag], False)
+
+
+def _typer_type(field: Field) -> Any:
+    """Return the type for typer, which knows lists instead of tuples; `check_options` checks literals."""
+    if not _is_list(field):
+        return str if get_origin(field.type) is Literal else field.type
+    values = list[get_args(field.type)[0]]  # type: ignore[misc, valid-type]
+    return values | None if field.default == () else values
+
+
+def _typer_option(field: Field, option: Option) -> Any:
+    if option.is_argument:
+        return typer.Argument(help=_plain(option.help), metavar=option.metavar)
+    return typer.Option(option.name or f"--{field.label}", help=_plain(option.help), metavar=option.metavar)
+
+
+def _is_list(field: Field) -> bool:
+    return get_origin(field.type) is tuple and get_args(field.type)[1:] == (...,)
+
+
+def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
+    if default is MISSING:
+        default = inspect.Parameter.empty
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=kind, default=default)
+
+
+def _build_request(request_type: Any, values: dict[str, Any]) -> Any:
+    """Build a request, and remove its options from the values."""
+    made: dict[str, Any] = {}
+    for field in option_fields(request_type):
+        if field.option is None:
+            made[field.name] = _build_request(field.type, values)
+            continue
+        value = values.pop(field.name)
+        if values.pop(f"no_{field.name}", False):
+            value = None
+        made[field.name] = tuple(value or ()) if _is_list(field) else value
+    return request_type(**made)
+
+
+def print_result(document: dict[str, Any], as_json: bool, print_table: Callable[[], None]) -> None:
+    """Print a result as JSON for a program, or as a table for a person."""
+    if as_json:
+        print(json.dumps(document, indent=2, allow_nan=False))
+    else:
+        print_table()
+
+
+@contextmanager
+def report_user_errors(as_json: bool) -> Iterator[None]:
+    """Print an error of the user, and exit with its status; an exception in an effect of the user is one."""
+    try:
+        yield
+    except UserError as error:
+        _report(describe_problems(error), as_json)
+        raise typer.Exit(error.exit_status) from error
+    except RobotError as error:
+        _report(describe_problems(error), as_json)
+        raise typer.Exit(EXIT_BAD_INPUT) from error
+    except Exception as error:
+        sentence = describe_failed_effect(error)
+        if sentence is None:
+            raise  # a bug
+        _report(sentence, as_json)
+        raise typer.Exit(EXIT_BAD_INPUT) from error
+
+
+def _report(sentence: str, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps({"error": sentence}))
+    print(sentence, file=sys.stderr)

@@ -1,0 +1,219 @@
+"""Checks of output paths, and files that are written completely or not at all."""
+
+import fcntl
+import hashlib
+import os
+import secrets
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from itertools import combinations
+from pathlib import Path
+from typing import BinaryIO
+
+from marsarm.common.errors import BadOutput, BadRequest
+from marsarm.common.interruption import defer_interrupts
+
+
+def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: str) -> Path:
+    """Return the path if a file can be written there.
+
+    Args:
+        path: The path to check.
+        suffixes: Allowed suffixes, in lower case.
+        what: Name of the option that gave the path, for the error.
+
+    Raises:
+        BadOutput: wrong suffix, no such folder, impossible name, not a regular file, or no permission.
+    """
+    file = Path(path)
+    if file.suffix.lower() not in suffixes:
+        raise BadOutput(f"{what} {file}: its name must end in {' or '.join(suffixes)}")
+    check_new_path(file, what)
+    if os.path.isdir(file):
+        raise BadOutput(f"{what} {file}: this is a folder; name a file in it")
+    exists = os.path.exists(file)
+    if exists and not os.path.isfile(file):
+        raise BadOutput(f"{what} {file}: this is not a regular file; give the path of a new file")
+    if not os.access(file if exists else file.parent, os.W_OK):
+        raise BadOutput(f"{what} {file}: no right to write there")
+    return file
+
+
+def check_new_path(path: Path, what: str) -> None:
+    """Check that a file or folder can be made at this path.
+
+    Raises:
+        BadOutput: no parent folder, impossible name, or a link to a path that does not exist.
+    """
+    if not os.path.isdir(path.parent):  # unlike Path.is_dir, False for any bad name
+        raise BadOutput(f"{what} {path}: there is no folder {path.parent}")
+    try:
+        path.lstat()
+    except FileNotFoundError:
+        pass  # it is new
+    except OSError as error:
+        raise BadOutput(f"{what} {path}: cannot be written ({error.strerror})") from error
+    if os.path.islink(path) and not os.path.exists(path):
+        raise BadOutput(f"{what} {path}: this is a link to {os.readlink(path)}, which is not there")
+
+
+def check_distinct_files(files: dict[str, Path | None]) -> None:
+    """Refuse two options that name the same file, also through links.
+
+    Args:
+        files: Path of each option by its name; None if it is not given.
+    """
+    given = [(name, path) for name, path in files.items() if path is not None]
+    for (one, path), (other, same) in combinations(given, 2):
+        if _same_file(path, same):
+            raise BadRequest(f"{other} {same}: this is the file of {one} too; give each a file of its own")
+
+
+def _same_file(one: Path, other: Path) -> bool:
+    if os.path.realpath(one) == os.path.realpath(other):
+        return True
+    return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
+
+
+def digest_files(files: Mapping[str, Iterable[Path]]) -> dict[str, str]:
+    """Compute the SHA-256 of files.
+
+    Args:
+        files: Files of each kind.
+
+    Returns:
+        Digest by kind and path, as the user gave it.
+    """
+    digests = {}
+    for kind, paths in files.items():
+        for path in paths:
+            with path.open("rb") as file:
+                digests[f"{kind} {path}"] = hashlib.file_digest(file, "sha256").hexdigest()
+    return digests
+
+
+def cache_folder(name: str) -> Path:
+    """Return a cache folder of the user by the XDG specification; an empty variable counts as unset."""
+    base = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    return base / "marsarm" / name
+
+
+@contextmanager
+def reserve(path: Path | None, what: str) -> Iterator[None]:
+    """Reserve a file for this run in a block, so that no other run writes it at the same time.
+
+    The kernel holds the lock and ends it with the run, whatever ends the run. A new file is empty until it is
+    written, and is deleted if it stays empty.
+
+    Args:
+        path: The file; None reserves nothing.
+        what: Name of the option that gave the path, for the error.
+
+    Raises:
+        BadOutput: another run has reserved or is writing the file, or the file cannot be made.
+    """
+    if path is None:
+        yield
+        return
+    try:
+        file, is_new, locked = _open_reserved(path)
+    except OSError as error:
+        raise BadOutput(f"{what} {path}: cannot be written ({error.strerror or error})") from error
+    try:
+        if not locked:
+            raise BadOutput(f"{what} {path}: another run is writing it; wait for it, or give another file")
+        try:
+            yield
+        finally:
+            if is_new:
+                _delete_placeholder(file, path)
+    finally:
+        os.close(file)
+
+
+def lock_file(file: int) -> bool:
+    """Lock a file until its last descriptor is closed; return False if another process holds the lock.
+
+    A file system without locks locks nothing.
+    """
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _open_reserved(path: Path) -> tuple[int, bool, bool]:
+    """Open the file without a change, or make an empty one, and lock it.
+
+    Another run may delete its empty file between the steps; then all of them are repeated.
+
+    Returns:
+        The descriptor, whether the file is new, and whether it is locked.
+    """
+    while True:
+        try:
+            file, is_new = os.open(path, os.O_RDONLY | os.O_CREAT | os.O_EXCL, 0o666), True
+        except FileExistsError:
+            try:
+                file, is_new = os.open(path, os.O_RDONLY), False
+            except FileNotFoundError:
+                if path.is_symlink():
+                    raise
+                continue
+        if not lock_file(file):
+            return file, is_new, False
+        with suppress(FileNotFoundError):
+            if os.path.samestat(path.stat(), os.fstat(file)):
+                return file, is_new, True
+        os.close(file)
+
+
+def _delete_placeholder(file: int, path: Path) -> None:
+    """Delete the empty file that `reserve` made, unless it was replaced."""
+    with suppress(OSError):
+        there = path.stat()
+        if os.path.samestat(there, os.fstat(file)) and there.st_size == 0:
+            path.unlink()
+
+
+@contextmanager
+def atomic_write(path: Path, what: str) -> Iterator[BinaryIO]:
+    """Open a temporary file that replaces `path` when the block succeeds, and is deleted when it fails.
+
+    Raises:
+        BadOutput: the file cannot be opened, written or moved.
+    """
+    target = Path(os.path.realpath(path))  # a link stays a link
+    try:
+        with atomic_path(target) as part, part.open("xb") as file:
+            yield file
+    except OSError as error:
+        raise BadOutput(f"{what} {path}: cannot be written ({error.strerror or error})") from error
+
+
+@contextmanager
+def atomic_path(target: Path) -> Iterator[Path]:
+    """Give a temporary path for a file or folder that the block makes.
+
+    It replaces `target` when the block succeeds, and is deleted when the block fails. A folder can replace
+    only an empty folder.
+
+    Raises:
+        OSError: it cannot replace the target, which is then unchanged.
+    """
+    part = target.with_name(f".marsarm-{secrets.token_hex(8)}.part")
+    try:
+        yield part
+        os.replace(part, target)
+    except BaseException:
+        with defer_interrupts:
+            if part.is_dir():
+                shutil.rmtree(part, ignore_errors=True)
+            else:
+                with suppress(OSError):
+                    part.unlink()
+        raise

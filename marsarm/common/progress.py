@@ -1,0 +1,150 @@
+"""Progress of long work: its interface, and its output on standard error with the time left.
+
+On a terminal it is a bar. Elsewhere, in a file or a pipe, it is a line a minute.
+"""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from threading import Event, Thread
+from typing import Final
+
+from marsarm.common.interruption import block_signals
+
+Progress = Callable[[float, float, str], None]
+"""Function of the amount done, the total amount, and the name of the current activity."""
+
+LINE_PERIOD_S: Final = 60.0
+"""Time between two lines where there is no terminal."""
+
+
+def part_of(progress: Progress, begin: float, end: float) -> Progress:
+    """Make the progress of one stage of some work.
+
+    Args:
+        progress: Progress of the whole work.
+        begin: Share of the whole that is done when the stage begins.
+        end: Share of the whole that is done when the stage ends.
+    """
+
+    def update(done: float, total: float, what: str) -> None:
+        share = min(done / total, 1.0) if total > 0 else 0.0
+        progress(begin + (end - begin) * share, 1.0, what)
+
+    return update
+
+
+@dataclass(slots=True)
+class ProgressState:
+    """State of some work, and the estimate of its time left."""
+
+    started_s: float
+    """Time of the start, of a monotonic clock."""
+    what: str = "starting"
+    share: float = 0.0
+    """Share of the work that is done; it never falls."""
+    first_share: float | None = None
+    """Share at the first report: results of an earlier command, which took no time."""
+    first_s: float = 0.0
+    """Time of the first report."""
+    total_s: float | None = None
+    """Estimated time from the first report to the end; None before there is an estimate."""
+
+    def update(self, done: float, total: float, what: str, now_s: float) -> None:
+        """Take a report of progress at a time of the clock.
+
+        A total of 0 means that nobody knows yet how much of the work an earlier command has done.
+        """
+        self.what = what
+        if total <= 0:
+            return
+        self.share = max(self.share, min(done / total, 1.0))
+        if self.first_share is None:
+            self.first_share, self.first_s = self.share, now_s
+        elif self.share > self.first_share and now_s > self.first_s:
+            rest = (1.0 - self.first_share) / (self.share - self.first_share)
+            self.total_s = (now_s - self.first_s) * rest
+
+    def left_s(self, now_s: float) -> float | None:
+        """Estimate the time left; None before there is an estimate."""
+        return None if self.total_s is None else max(self.first_s + self.total_s - now_s, 0.0)
+
+    def left_text(self, now_s: float) -> str:
+        """Return the time left as text."""
+        left_s = self.left_s(now_s)
+        return "time left not known" if left_s is None else f"{format_duration(left_s)} left"
+
+    def line(self, now_s: float) -> str:
+        """Return the state as one line of text."""
+        spent = format_duration(now_s - self.started_s)
+        return f"{self.what}: {self.share:.0%} after {spent}, {self.left_text(now_s)}"
+
+
+def format_duration(duration_s: float) -> str:
+    """Format a duration as a person says it: 40 s, 12 min, 3 h 20 min."""
+    if duration_s < 99.5:
+        return f"{duration_s:.0f} s"
+    minutes = round(duration_s / 60)
+    return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def no_progress(done: float, total: float, what: str) -> None:
+    """Show nothing."""
+
+
+@contextmanager
+def show_progress() -> Iterator[Progress]:
+    """Show the progress and the time left of the work in a block; give the function that updates it."""
+    from rich.console import Console  # workers need no rich
+
+    console = Console(stderr=True)
+    state = ProgressState(time.monotonic())
+    show = _show_bar if console.is_terminal and not console.is_dumb_terminal else _print_lines
+    with show(state) as refresh:
+
+        def update(done: float, total: float, what: str) -> None:
+            state.update(done, total, what, time.monotonic())
+            refresh()
+
+        yield update
+
+
+@contextmanager
+def _show_bar(state: ProgressState) -> Iterator[Callable[[], None]]:
+    from rich import progress as rich_progress
+    from rich.console import Console
+    from rich.text import Text
+
+    class Left(rich_progress.ProgressColumn):
+        def render(self, task: rich_progress.Task) -> Text:
+            return Text(state.left_text(time.monotonic()))
+
+    columns = (
+        rich_progress.TextColumn("{task.description:<12}"),
+        rich_progress.BarColumn(),
+        rich_progress.TextColumn("{task.percentage:>3.0f} %"),
+        rich_progress.TimeElapsedColumn(),
+        Left(),
+    )
+    with rich_progress.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(state.what, total=1.0)
+        yield lambda: bar.update(task, completed=state.share, description=state.what)
+
+
+@contextmanager
+def _print_lines(state: ProgressState) -> Iterator[Callable[[], None]]:
+    """Print a line in each period, in a thread, so that one comes also while a step of the work lasts."""
+    done = Event()
+
+    def print_lines() -> None:
+        while not done.wait(LINE_PERIOD_S):
+            print(state.line(time.monotonic()), file=sys.stderr, flush=True)
+
+    with block_signals():  # the main thread receives them
+        Thread(target=print_lines, daemon=True).start()
+    try:
+        yield lambda: None
+    finally:
+        done.set()

@@ -1,0 +1,217 @@
+"""Checks and conversions of request fields that several verbs share, made before any work begins."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, Literal, cast, get_args
+
+import numpy as np
+
+from fsw.dictionary.params import Params
+from fsw.dictionary.types import Position, Vector3, match_name
+from marsarm.common.errors import BadRequest
+from sim.arm_model.load import ArmModel
+from sim.arm_model.mismatch import find_mismatches
+from sim.arms import BuiltArm, UnknownArm, arm_named, own_name
+from sim.effects.effect import Effect, EffectMisfit
+from sim.params import params_over
+from sim.params_table import BadParams
+from sim.scenario.effect_file import read_effect_file
+from sim.scenario.effects import BadEffect, parse_effect_text
+from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
+
+MAX_TARGET_DISTANCE_M: Final[float] = get_args(Position)[1].high
+"""Largest distance of a target, that of a command; the squares of farther ones may overflow."""
+NOMINAL_ARM: Final = "nominal"
+"""Arm name of the nominal parameters, with which any arm may be flown."""
+MIN_COMPONENT: Final = 1e-6
+"""A vector whose largest component is below this has no direction."""
+NEAR_HINT: Final = "give metres, as in 2.1 0 -0.3"
+
+
+def check_finite(name: str, values: tuple[float, ...]) -> None:
+    """Refuse NaN and infinity."""
+    if not np.all(np.isfinite(values)):
+        raise BadRequest(f"{name}: {format_numbers(values)} is not three finite numbers")
+
+
+def check_target_distance(name: str, position_m: tuple[float, ...]) -> None:
+    """Refuse a point that is much too far from the rover."""
+    if math.hypot(*position_m) > MAX_TARGET_DISTANCE_M:
+        raise BadRequest(
+            f"{name}: {format_numbers(position_m)} m is farther than {MAX_TARGET_DISTANCE_M:g} m from the "
+            f"rover; {NEAR_HINT}"
+        )
+
+
+def scale_direction(name: str, vector: Vector3, what: str) -> Vector3:
+    """Scale a vector to a largest component of 1, so that its length cannot overflow.
+
+    Args:
+        name: Name of the option, for the error.
+        vector: Vector of any length.
+        what: Description of a correct value, for the error.
+
+    Raises:
+        BadRequest: the vector has no direction.
+    """
+    largest = max(abs(component) for component in vector)
+    if largest < MIN_COMPONENT:
+        raise BadRequest(f"{name}: {format_numbers(vector)} has no direction; give {what}")
+    x, y, z = (component / largest for component in vector)
+    return (x, y, z)
+
+
+def select_arm(name: str, params: Path | None, mismatch: bool = False) -> BuiltArm:
+    """Return the arm of this name, with the flight parameters of a TOML file if one is given.
+
+    Args:
+        name: Name of the arm.
+        params: TOML file of flight parameters; None for those of the drawing.
+        mismatch: True to take parameters that do not fit the drawing.
+
+    Raises:
+        BadRequest: the name or the file is wrong.
+    """
+    try:
+        return arm_named(name, None if params is None else load_params(name, params, mismatch))
+    except UnknownArm as error:
+        raise BadRequest(str(error)) from error
+
+
+def load_params(name: str, path: Path, mismatch: bool = False) -> Params:
+    """Read a TOML file of flight parameters over those of the drawing of an arm.
+
+    Args:
+        name: Name of the arm that is flown with them.
+        path: The TOML file.
+        mismatch: True to take parameters that do not fit the drawing.
+
+    Raises:
+        BadRequest: the file is wrong, or its parameters belong to another arm.
+    """
+    try:
+        model, own = arm_named(name).model, own_name(name)
+    except UnknownArm as error:
+        raise BadRequest(str(error)) from error
+    params = load_fitting_params(model, path, mismatch)
+    if params.arm_name not in (NOMINAL_ARM, own):
+        raise BadRequest(
+            f"params {path}: these are of the arm {params.arm_name}, not of {own}; give its own, or leave "
+            "arm_name out"
+        )
+    return params
+
+
+def load_fitting_params(model: ArmModel, path: Path, mismatch: bool = False) -> Params:
+    """Read a TOML file of flight parameters over those of a drawing.
+
+    Args:
+        model: Drawing of the arm.
+        path: The TOML file.
+        mismatch: True to take parameters that do not fit the drawing.
+
+    Raises:
+        BadRequest: the file is wrong, or no arm of this drawing can have its parameters.
+    """
+    try:
+        params = params_over(model.params, path)
+    except BadParams as error:
+        raise BadRequest(str(error)) from error
+    problems = () if mismatch else tuple(find_mismatches(params, model))
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise BadRequest(
+            f"params {path}: {problems[0]}{more}; no built arm is so far from its drawing: give parameters "
+            "of this arm, or --mismatch if it is meant"
+        )
+    return params
+
+
+def parse_effects(texts: tuple[str, ...], tools: Sequence[str]) -> tuple[Effect, ...]:
+    """Parse effects, each written as text or as the name of a TOML file of effects.
+
+    Args:
+        texts: Texts and names.
+        tools: Tools of the arm.
+
+    Raises:
+        BadRequest: some are wrong; the message lists all errors.
+    """
+    effects: list[Effect] = []
+    problems: list[str] = []
+    for text in texts:
+        try:
+            if text.endswith(".toml"):
+                effects += read_effect_file(Path(text), tools)
+            else:
+                effects.append(parse_effect_text(text, tools))
+        except BadEffect as error:
+            problems.append(str(error))
+    if problems:
+        raise BadRequest("\n".join(problems))
+    return tuple(effects)
+
+
+def fit_effects(arm: BuiltArm, effects: tuple[Effect, ...]) -> BuiltArm:
+    """Return the arm with those of these effects that it has before a run begins.
+
+    Raises:
+        BadRequest: the arm cannot have one of them.
+    """
+    try:
+        return arm.with_effects(effects)
+    except EffectMisfit as error:
+        raise BadRequest(str(error)) from error
+
+
+def parse_tool(name: str, tools: Sequence[str]) -> str:
+    """Return the tool of this name, in any case.
+
+    Raises:
+        BadRequest: the arm has no such tool.
+    """
+    tool = match_name(name, tools)
+    if tool is None:
+        raise BadRequest(f"tool: {name!r} is not known; there are {', '.join(tools)}")
+    return tool
+
+
+def make_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: str = "scene") -> World:
+    """Make a world without a surface, with a rover tilted up to the limit of the arm.
+
+    Args:
+        scene: mars or earth.
+        roll_deg: Roll of the rover, right side down.
+        pitch_deg: Pitch of the rover, nose up.
+        scene_option: Name of the option that gave the scene, for the error.
+
+    Raises:
+        BadRequest: the scene is unknown, or the tilt is not finite or too large.
+    """
+    if scene not in GRAVITY_M_S2:
+        raise BadRequest(f"{scene_option}: {scene!r} is not known; there are {', '.join(GRAVITY_M_S2)}")
+    if not np.all(np.isfinite((roll_deg, pitch_deg))):
+        raise BadRequest(f"tilt: {format_numbers((roll_deg, pitch_deg))} deg is not finite")
+    roll, pitch = (float(np.radians(angle)) for angle in (roll_deg, pitch_deg))
+    world = World(cast(Literal["mars", "earth"], scene), roll, pitch)
+    largest_rad = max(abs(roll), abs(pitch), world.tilt_rad)
+    if largest_rad > MAX_TILT_RAD + 1e-12:
+        limit_deg = round(math.degrees(MAX_TILT_RAD), 9)
+        raise BadRequest(
+            f"tilt: roll {roll_deg} and pitch {pitch_deg} deg tilt the rover by "
+            f"{_format_beyond(math.degrees(largest_rad), limit_deg)} deg; the arm is used up to "
+            f"{limit_deg:g} deg"
+        )
+    return world
+
+
+def format_numbers(values: tuple[float, ...]) -> str:
+    """Format numbers as a user types them."""
+    return " ".join(f"{value:g}" for value in values)
+
+
+def _format_beyond(value: float, limit: float) -> str:
+    """Format a number with three digits, or with as many as show that it exceeds its limit."""
+    texts = (f"{value:.{digits}g}" for digits in range(3, 17))
+    return next((text for text in texts if float(text) > limit), f"{value!r}")

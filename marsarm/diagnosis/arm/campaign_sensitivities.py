@@ -1,0 +1,395 @@
+"""Sensitivities of a campaign: parallel finite differences of the arm's simulator, cached in files.
+
+`compute_sensitivities` is the entry. It adapts the step of every column to the noise, in a part of the
+motions. Then it simulates both sides in all motions, and fits a parabola (`finite_differences`). The name of
+the cache file holds a digest of logs, model, parameters, catalogue and code.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Final
+
+import numpy as np
+from pydantic import TypeAdapter
+
+import fsw
+import sim
+from fsw.config import digest
+from fsw.kinematics.transforms import Array
+from marsarm.common.errors import BadRequest
+from marsarm.common.files import atomic_write
+from marsarm.common.json_file import read_json
+from marsarm.common.pool import Runner
+from marsarm.common.progress import Progress, part_of
+from marsarm.diagnosis.arm.audit import load_checked_recordings
+from marsarm.diagnosis.arm.case_simulator import feature_keys
+from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, every_motion
+from marsarm.diagnosis.arm.features import MotionFeatures
+from marsarm.diagnosis.arm.finite_differences import (
+    MAX_ROUNDS,
+    JacobianColumn,
+    OneSidedStep,
+    adapt_step,
+    count_sides,
+    find_equal_columns,
+    find_shared_slopes,
+    group_columns,
+    list_columns,
+    simulate_side,
+    step_error,
+    step_size,
+)
+from marsarm.diagnosis.arm.noise_floor import estimate_floor
+from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
+from marsarm.diagnosis.arm.simulator import ArmSimulator, build_simulator
+from marsarm.diagnosis.normal_equations import form_normal_equations
+from marsarm.diagnosis.problem import FeatureLayout
+from marsarm.diagnosis.sensitivity import Sensitivities, fit_parabola, load_sensitivities, save_sensitivities
+from marsarm.telemetry.header import model_digest
+from sim.effects.catalogue import catalogue
+from sim.params import nominal_params
+from sim.world import World, build
+
+Logs = tuple[Path, ...]
+Names = tuple[str, ...]
+_NAMES: Final = TypeAdapter(Names)
+
+
+COMPARING_MODULES: Final = (
+    "simgap.serial_arm.screws",
+    "marsarm.diagnosis.problem",
+    "marsarm.diagnosis.normal_equations",
+    "marsarm.diagnosis.sensitivity",
+)
+"""Modules outside the simulator and this package that influence the result."""
+STEPS_SHARE: Final = 0.2
+"""Share of the time in which the steps are chosen, for the progress."""
+NUMERICS_SHARE: Final = 0.1
+"""Share of the difference to another time step that remains as numerical error after the fit."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    logs: Logs
+    kinds: Names
+    columns: tuple[int, ...]
+    """Indices of the columns that are simulated at once."""
+    side: int
+    shares: tuple[float, ...]
+    nominal: Array
+    """Prediction without effects, shape (m,)."""
+    is_probe: bool
+    """True to simulate only the rests and the motions that move most joints at once."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CachedSensitivities:
+    """Sensitivities and the path of their cache file; other files of the campaign stand beside it."""
+
+    sensitivities: Sensitivities
+    path: Path
+
+    def keys(self) -> Names:
+        """Load the keys of the rows; BadRequest if they are missing or of another number."""
+        return load_keys(self.path, self.sensitivities.layout.size)
+
+
+def compute_sensitivities(
+    logs: Sequence[Path],
+    kept_in: Path,
+    run: Runner,
+    progress: Progress,
+    kinds: Sequence[str] | None = None,
+    steps_of: Sequence[Path] = (),
+) -> CachedSensitivities:
+    """Compute the sensitivities of a campaign, or load them from the cache.
+
+    Args:
+        logs: Logs of the campaign.
+        kept_in: Cache folder.
+        run: Runner of parallel jobs.
+        progress: Called with done, total and step.
+        kinds: Names of the effects of the catalogue; None for all.
+        steps_of: Logs with cached sensitivities, whose steps are taken; none to adapt the steps.
+
+    Raises:
+        NotForDiagnosis: A log cannot be compared.
+        BadRequest: A cached file cannot be read, or the folder cannot be made.
+        BadOutput: A file cannot be written.
+    """
+    # absolute, as a worker may be in another folder
+    paths, others = (tuple(path.absolute() for path in sorted(some)) for some in (logs, steps_of))
+    names = tuple(catalogue() if kinds is None else kinds)
+    path = kept_in / _cache_name(paths, names, others)
+    if path.exists():
+        return CachedSensitivities(_load_cache(path), path)
+    check_cache_folder(kept_in)
+    whole = kept_in / _cache_name(paths, tuple(catalogue()), others)
+    if whole.exists():
+        return _select_effects(CachedSensitivities(_load_cache(whole), whole), names, path)
+    steps = _load_cache(kept_in / _cache_name(others, names, ())).reach if others else None
+    result = _difference_all(paths, names, run, progress, steps)
+    return _save_cache(result, feature_keys(_simulator(paths, names).feature_set), path)
+
+
+def _cache_name(logs: Logs, kinds: Names, steps_of: Logs) -> str:
+    digests = [campaign_digest(some, kinds)[:16] for some in (logs, steps_of) if some]
+    return f"sensitivities-{'-'.join(digests)}.npz"
+
+
+def _select_effects(whole: CachedSensitivities, names: Names, path: Path) -> CachedSensitivities:
+    """Select some effects from the sensitivities of all, and cache them."""
+    return _save_cache(whole.sensitivities.only(names), whole.keys(), path)
+
+
+def _save_cache(found: Sensitivities, keys: Sequence[str], path: Path) -> CachedSensitivities:
+    with atomic_write(keys_path(path), "keys") as file:
+        file.write(json.dumps(keys).encode())
+    save_sensitivities(path, found)
+    return CachedSensitivities(found, path)
+
+
+def _difference_all(
+    paths: Logs, names: Names, run: Runner, progress: Progress, given: Array | None
+) -> Sensitivities:
+    """Simulate every column to both sides, with given steps or with adapted ones.
+
+    Args:
+        paths: Logs of the campaign.
+        names: Names of the effects.
+        run: Runner of parallel jobs.
+        progress: Called with done, total and step.
+        given: Step of each column of a hypothesis in typical sizes, shape (k,); None to adapt the steps.
+    """
+    simulator = _simulator(paths, names)
+    columns = list_columns(simulator)
+    same = find_equal_columns(simulator, columns)
+    shares = {k: 1.0 for k in range(len(columns)) if k not in same}
+    if given is None:
+        shares = _choose_steps(paths, names, run, part_of(progress, 0.0, STEPS_SHARE), shares)
+    else:
+        shares |= dict(enumerate(given.tolist()))
+    two_sided = {k: by for k, by in shares.items() if count_sides(simulator, columns[k]) > 1}
+    jobs = [*_list_jobs(paths, names, shares, 0), *_list_jobs(paths, names, two_sided, 1)]
+    sides: tuple[dict[int, OneSidedStep], ...] = {}, {}
+    rest = part_of(progress, STEPS_SHARE if given is None else 0.0, 1.0)
+    for done, (side, found) in enumerate(run(_run_job, jobs), 1):
+        sides[side].update(found)
+        rest(done, len(jobs), "sensitivities")
+    return _assemble(paths, names, *sides)
+
+
+def _list_jobs(
+    paths: Logs, names: Names, shares: Mapping[int, float], side: int, is_probe: bool = False
+) -> list[_Job]:
+    """List the jobs that simulate one side of columns with these steps."""
+    simulator = _simulator(paths, names)
+    at_once = group_columns(simulator, list_columns(simulator), sorted(shares))
+    nominal = _nominal_features(paths, names)
+    return [_Job(paths, names, of, side, tuple(shares[k] for k in of), nominal, is_probe) for of in at_once]
+
+
+def _choose_steps(
+    paths: Logs, names: Names, run: Runner, progress: Progress, first: Mapping[int, float]
+) -> dict[int, float]:
+    """Adapt the steps to the noise: in the rests, and in the motions that move most joints at once.
+
+    A column with its slope from a nuisance keeps its step: another step would not change that slope.
+    Numerical errors keep theirs too. They are left out, as their rests take long.
+
+    Returns:
+        Step of each column as a share of its typical size.
+    """
+    simulator = _simulator(paths, names)
+    columns = list_columns(simulator)
+    fixed = find_shared_slopes(simulator, columns)
+    last: dict[int, OneSidedStep] = {}
+    begin, numerical = len(columns) - len(simulator.nuisances), _list_numerical(simulator)
+    wanted = {k: by for k, by in first.items() if k - begin not in numerical}
+    chosen, best = dict(first), dict.fromkeys(first, math.inf)
+    for attempt in range(MAX_ROUNDS + 1):
+        update = part_of(progress, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
+        jobs = _list_jobs(paths, names, wanted, 0, is_probe=True)
+        for done, (_, found) in enumerate(run(_run_job, jobs), 1):
+            last |= found
+            update(done, len(jobs), "steps")
+        scale = form_normal_equations(_assemble(paths, names, last, {})).scale
+        seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in fixed}
+        nearer = [k for k in seen if step_error(seen[k]) < best[k]]
+        chosen |= {k: last[k].share for k in nearer}
+        best |= {k: step_error(seen[k]) for k in nearer}
+        wanted = _adapt_steps(simulator, columns, last, seen)
+        if not wanted:
+            break
+    return chosen
+
+
+def _list_numerical(simulator: ArmSimulator) -> list[int]:
+    """List the indices of the nuisances of numerics."""
+    return [k for k, one in enumerate(simulator.nuisance_effects) if one.only_place]
+
+
+def _adapt_steps(
+    simulator: ArmSimulator,
+    columns: Sequence[JacobianColumn],
+    last: Mapping[int, OneSidedStep],
+    seen: Mapping[int, float],
+) -> dict[int, float]:
+    """Return better steps for columns whose steps are too small or too large."""
+    found: dict[int, float] = {}
+    for k, by in seen.items():
+        share = adapt_step(last[k].share, by)
+        if share is not None and step_size(simulator, columns[k], share) != last[k].size:
+            found[k] = share
+    return found
+
+
+def _assemble(
+    paths: Logs, names: Names, up: Mapping[int, OneSidedStep], down: Mapping[int, OneSidedStep]
+) -> Sensitivities:
+    """Fit parabolas through the simulated steps, or lines where there is one side.
+
+    A hypothesis that is also a nuisance takes its slope from the nuisance, and only its curvature from its
+    own steps.
+    """
+    simulator = _simulator(paths, names)
+    columns = list_columns(simulator)
+    slope, curvature = np.zeros((2, simulator.layout.size, len(columns)))
+    reach = np.ones(len(columns))
+    for k, side in up.items():
+        sides = [side, down[k]] if k in down else [side]
+        slope[:, k], curvature[:, k] = fit_parabola([(one.change, one.size) for one in sides])
+        reach[k] = max(abs(one.size) for one in sides)
+    for k, (other, typical) in find_equal_columns(simulator, columns).items():
+        slope[:, k] = slope[:, other] / typical
+    for k, (other, typical) in find_shared_slopes(simulator, columns).items():
+        slope[:, k] = slope[:, other] * typical
+    owner = [column.hypothesis for column in columns if column.hypothesis is not None]
+    sized = len(owner)
+    nuisance = _restrict_nuisances(simulator, slope[:, sized:])
+    return Sensitivities(
+        _raise_floor(simulator, nuisance),
+        simulator.hypotheses,
+        simulator.nuisances,
+        slope[:, :sized],
+        curvature[:, :sized],
+        reach[:sized],
+        np.array(owner, np.intp),
+        nuisance,
+    )
+
+
+def _restrict_nuisances(simulator: ArmSimulator, column: Array) -> Array:
+    """Return the nuisance columns (m, q), each restricted to its place.
+
+    Rests are simulated with STEP_NUMERICS only; other numerics share their change.
+    """
+    cut = column.copy()
+    rests = np.arange(len(cut)) >= sum(len(one.features) for one in simulator.feature_set.motions)
+    effects, numerical = simulator.nuisance_effects, _list_numerical(simulator)
+    stepped = next(k for k in numerical if effects[k].effect(1.0) == STEP_NUMERICS)
+    for k in numerical:
+        cut[rests, k] = column[rests, stepped]
+        own = effects[k].only_place
+        cut[[simulator.layout.places[place] != own for place in simulator.layout.place], k] = 0.0
+    return cut
+
+
+def _raise_floor(simulator: ArmSimulator, nuisance: Array) -> FeatureLayout:
+    """Add a share of the numerical errors to the noise floor: the fit removes them only in part."""
+    own = nuisance[:, _list_numerical(simulator)]
+    sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
+    return replace(simulator.layout, sigma=sigma)
+
+
+def keys_path(path: Path) -> Path:
+    """Return the path of the keys of a sensitivity file."""
+    return path.with_suffix(".keys.json")
+
+
+def load_keys(path: Path, rows: int) -> Names:
+    """Load the keys of the rows of a sensitivity file; BadRequest if there are not `rows` of them."""
+    keys, advice = keys_path(path), f"remove {path}, and both are made anew"
+    names = read_json(keys, _NAMES, "cannot be read", advice)
+    if len(names) != rows:
+        raise BadRequest(f"{keys}: names {len(names)} of {rows} rows; {advice}")
+    return names
+
+
+def _load_cache(path: Path) -> Sensitivities:
+    try:
+        return load_sensitivities(path)
+    except ValueError as error:
+        raise BadRequest(f"{error}; remove it, and they are computed anew") from error
+
+
+def check_cache_folder(kept_in: Path) -> None:
+    """Make the folder of a cache; BadRequest if it cannot be made."""
+    try:
+        kept_in.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadRequest(f"{kept_in}: no sensitivities can be kept there ({error.strerror})") from error
+
+
+def campaign_digest(logs: Logs, kinds: Names) -> str:
+    """Return the SHA-256 of all inputs of the sensitivities: logs, parameters, model and code."""
+    total = hashlib.sha256("\n".join(kinds).encode())
+    for path in logs:
+        total.update(path.read_bytes())
+        tracker = path.with_suffix(".tracker.csv")
+        total.update(tracker.read_bytes() if tracker.exists() else b"")
+    total.update(digest(nominal_params()).encode())
+    total.update(model_digest(build(World()).compile()).encode())
+    own = (
+        *sorted(Path(__file__).parent.glob("*.py")),
+        *(Path(str(import_module(name).__file__)) for name in COMPARING_MODULES),
+    )
+    for source in (*list_sources(fsw), *list_sources(sim), *own):
+        total.update(source.read_bytes())
+    return total.hexdigest()
+
+
+def list_sources(package: ModuleType) -> list[Path]:
+    """Return all modules of a package."""
+    return sorted(Path(package.__path__[0]).rglob("*.py"))
+
+
+@cache
+def _simulator(logs: Logs, kinds: Names) -> ArmSimulator:
+    """Build the simulator; once in each process."""
+    feature_set = build_feature_set(load_checked_recordings(logs))
+    return build_simulator(
+        feature_set, estimate_floor(feature_set).sigma, {name: catalogue()[name] for name in kinds}
+    )
+
+
+@cache
+def _nominal_features(logs: Logs, kinds: Names) -> Array:
+    return _simulator(logs, kinds).predict_effects(())
+
+
+def _run_job(job: _Job) -> tuple[int, dict[int, OneSidedStep]]:
+    """Simulate the columns of a job; return its side, and the step of each column."""
+    simulator = _simulator(job.logs, job.kinds)
+    every = list_columns(simulator)
+    only = _moves_most_joints(simulator.feature_set) if job.is_probe else every_motion
+    columns = [every[k] for k in job.columns]
+    sides = simulate_side(simulator, columns, job.nominal, job.side, job.shares, only)
+    return job.side, dict(zip(job.columns, sides, strict=True))
+
+
+def _moves_most_joints(feature_set: FeatureSet) -> Callable[[MotionFeatures], bool]:
+    """Return the predicate of the motions that move as many joints as any, away from a surface."""
+
+    def count(one: MotionFeatures) -> int:
+        return len({segment.joint for segment in one.segments}) if one.recording.world.surface is None else 0
+
+    most = max(map(count, feature_set.motions), default=0)
+    return lambda one: count(one) == most

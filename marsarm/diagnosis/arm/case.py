@@ -1,0 +1,298 @@
+"""Diagnosis of one case of this arm, with a campaign whose sensitivities are known.
+
+`diagnose_case` restricts the campaign to the features of the case, and fits the nuisances with the simulator
+(`nuisance_fit`). It diagnoses the residual (`marsarm.diagnosis.diagnose`), and tests the findings on held-out
+motion (`marsarm.diagnosis.closure`).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import Final
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ, configure
+from fsw.kinematics.transforms import Array, skew
+from marsarm.diagnosis.arm.audit import audit_recordings
+from marsarm.diagnosis.arm.campaign_model import CampaignModel
+from marsarm.diagnosis.arm.case_simulator import CaseSimulator, build_case_simulator
+from marsarm.diagnosis.arm.feature_set import build_feature_set, measure_features
+from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording
+from marsarm.diagnosis.arm.noise_floor import estimate_floor
+from marsarm.diagnosis.arm.nuisance_fit import fit_nuisances
+from marsarm.diagnosis.arm.segments import BIN_TICKS
+from marsarm.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_simulator
+from marsarm.diagnosis.closure import Closure, build_held_out_model, compute_held_out_residuals
+from marsarm.diagnosis.diagnose import Diagnosis, diagnose, effect_values
+from marsarm.diagnosis.experiment_design import rank_repeats
+from marsarm.diagnosis.model import DiagnosisModel, build_model
+from marsarm.diagnosis.problem import Ints, Residuals
+from marsarm.diagnosis.result import DiagnosisResult, ToolError
+from marsarm.diagnosis.selection import Selection
+from sim.effects.catalogue import catalogue
+from sim.effects.effect import Effect
+from sim.params import nominal_params
+from sim.plant import SCREW_AXES
+from simgap.report.traces import Trace
+
+MIN_FEATURE_SHARE: Final = 0.5
+"""Least share of the campaign's features that a case must have."""
+OWN_FLOOR_RATIO: Final = 1.2
+"""Ratio to the campaign's noise floor from which on the noise floor of the case replaces it."""
+
+
+def compute_tool_error(keys: Sequence[str], before: Array, after: Array, sigma: Array) -> ToolError | None:
+    """Compute the root mean square tool error over rests and the five tools.
+
+    A turret that is rotated by w and shifted by v moves its tool at p by v + w x p.
+
+    Args:
+        keys: Keys of the m features.
+        before: Residual without the findings, rotation in rad and shift in m, turret frame, shape (m,).
+        after: Residual with the findings, rotation in rad and shift in m, turret frame, shape (m,).
+        sigma: Noise floor in the same units, shape (m,).
+
+    Returns:
+        Errors in mm; None if no rest has all six components of a pose.
+    """
+    rows = _screw_rows(keys)
+    if not rows.size:
+        return None
+    tools = configure(nominal_params()).arm.X_FT
+    J = np.stack(
+        [np.hstack([-skew(X.p[:, None])[:, :, 0], np.eye(3)]) for X in tools.values()]
+    )  # (tools, 3, 6)
+    squares = [np.mean(np.sum(np.einsum("tij,rj->rti", J, of[rows]) ** 2, axis=2)) for of in (before, after)]
+    floor = np.mean(np.einsum("tij,rj->rt", J**2, sigma[rows] ** 2))
+    return ToolError(*(float(1e3 * np.sqrt(one)) for one in (*squares, floor)))
+
+
+def _screw_rows(keys: Sequence[str]) -> Ints:
+    """Return the rows of the six pose components of each rest that has all of them, (r, 6)."""
+    known: dict[str, dict[str, int]] = {}
+    for row, key in enumerate(keys):
+        rest, _, axis = key.rpartition("/")
+        known.setdefault(rest, {})[axis] = row
+    whole = [[one[axis] for axis in SCREW_AXES] for one in known.values() if one.keys() >= set(SCREW_AXES)]
+    return np.array(whole, np.intp).reshape(-1, len(SCREW_AXES))
+
+
+class TooLittleMotion(NotForDiagnosis):
+    """Case that lacks most of the campaign; the message names the missing motions."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedCase:
+    """Case in the campaign's features, resimulated at its nuisances."""
+
+    model: DiagnosisModel
+    """Diagnosis model of the campaign, restricted to the features of the case."""
+    simulator: CaseSimulator
+    residual: Array
+    """Measured minus simulated, extrapolated linearly to nuisances at 0, shape (m,)."""
+    selection: Selection
+    """Effects that are selected there; large ones are simulated."""
+    held_out: CaseSimulator | None
+    held_out_residual: Array
+    """The same residual for held-out motion, shape (n,)."""
+    notes: tuple[str, ...]
+    """Notes of the audit."""
+    noise_floor: tuple[str, ...]
+    """Notes on the origin of the noise floor."""
+
+
+def diagnose_case(
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording],
+    campaign: CampaignModel,
+    seed: int,
+    patch: tuple[Effect, ...] = (),
+) -> DiagnosisResult:
+    """Diagnose a case.
+
+    Args:
+        recordings: Recordings that are fitted.
+        held_out: Recordings that the findings are tested on.
+        campaign: Campaign that the recordings repeat.
+        seed: Seed of all random draws.
+        patch: Effects that are switched on in the simulator.
+
+    Raises:
+        TooLittleMotion: Most motions of the campaign are missing.
+    """
+    return diagnose_fitted_case(fit_case(recordings, held_out, campaign, seed, patch), campaign, seed)
+
+
+def fit_case(
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording],
+    campaign: CampaignModel,
+    seed: int,
+    patch: tuple[Effect, ...] = (),
+) -> FittedCase:
+    """Fit the nuisances of a case; arguments and errors as for `diagnose_case`."""
+    if not recordings:
+        raise TooLittleMotion("there is no log that a diagnosis could be made of")
+    recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
+    layout = campaign.model.sensitivities.layout
+    arm, floor = _case_simulator(recordings, campaign, patch)
+    first = build_case_simulator(arm, layout, campaign.keys)
+    _check_motion(first, campaign)
+    model = _restrict_model(campaign.model, first)
+    notes = (*audit_recordings(recordings), *_missing_session_notes(first, campaign))
+    nuisance_fit, selection = fit_nuisances(model, first, patch, seed)
+    held_out_simulator = _held_out_simulator(held_out, campaign, nuisance_fit.simulator.arm.patch)
+    held_out_residual = np.zeros(0)
+    if held_out_simulator is not None and campaign.held_out is not None:
+        held_out_residual = (
+            held_out_simulator.residual()
+            + campaign.held_out.nuisance[held_out_simulator.rows] @ nuisance_fit.nuisance
+        )
+    return FittedCase(
+        model,
+        nuisance_fit.simulator,
+        nuisance_fit.residual,
+        selection,
+        held_out_simulator,
+        held_out_residual,
+        notes,
+        floor,
+    )
+
+
+def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel, seed: int) -> DiagnosisResult:
+    """Diagnose a case whose nuisances are fitted."""
+    residuals = Residuals(fitted.model.sensitivities.layout, fitted.residual)
+    diagnosis = diagnose(fitted.model, residuals, fitted.selection, seed)
+    closure, tool_error = _try_held_out(diagnosis, fitted, campaign, seed)
+    return DiagnosisResult(
+        fitted.model,
+        diagnosis,
+        closure,
+        tool_error,
+        rank_repeats(fitted.model, diagnosis),
+        fitted.notes,
+        fitted.noise_floor,
+        tuple(_make_traces(fitted, diagnosis)),
+    )
+
+
+def _make_traces(fitted: FittedCase, diagnosis: Diagnosis) -> Iterator[Trace]:
+    """Yield the features of each channel in each session in motion, without and with the findings."""
+    case = fitted.simulator
+    nominal = fitted.residual - diagnosis.nuisance
+    explained = nominal - diagnosis.change
+    all_features = case.arm.feature_set.list_features()
+    sessions = np.array(case.arm.feature_set.list_sessions())[case.at]
+    measured = measure_features(case.arm.feature_set)[case.at]
+    is_moving = np.array([all_features[k].key.startswith("motion ") for k in case.at])
+    layout = case.layout
+    for channel in np.unique(layout.channel[is_moving]):
+        for session in np.unique(sessions[is_moving & (layout.channel == channel)]):
+            rows = np.flatnonzero(is_moving & (layout.channel == channel) & (sessions == session))
+            yield Trace(
+                layout.channels[channel],
+                "features",
+                str(session),
+                layout.units[channel],
+                np.asarray(np.arange(rows.size) * BIN_TICKS / CYCLE_HZ, np.float64),
+                measured[rows],
+                nominal[rows],
+                explained[rows],
+            )
+
+
+def _held_out_simulator(
+    recordings: Sequence[Recording], campaign: CampaignModel, patch: tuple[Effect, ...]
+) -> CaseSimulator | None:
+    """Build the simulator of held-out motion; None if there is none.
+
+    Raises:
+        TooLittleMotion: None of it can be compared with the campaign.
+    """
+    if campaign.held_out is None or not recordings:
+        return None
+    arm, _ = _case_simulator(recordings, campaign, patch)
+    found = build_case_simulator(arm, campaign.held_out.layout, campaign.held_out_keys)
+    if not found.rows.size:
+        names = ", ".join(one.name for one in recordings)
+        raise TooLittleMotion(f"held out: nothing in {names} can be compared with the campaign")
+    return found
+
+
+def _case_simulator(
+    recordings: Sequence[Recording], campaign: CampaignModel, patch: tuple[Effect, ...]
+) -> tuple[ArmSimulator, tuple[str, ...]]:
+    feature_set = build_feature_set(recordings)
+    floor = estimate_floor(feature_set)
+    effects = dict.fromkeys(hypothesis.effect for hypothesis in campaign.model.sensitivities.hypotheses)
+    kinds = {name: catalogue()[name] for name in effects}
+    return build_simulator(feature_set, floor.sigma, kinds, LONG_SETTLING, patch), floor.notes
+
+
+def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisModel:
+    """Restrict the campaign to the features of the case, with the higher of both noise floors."""
+    found = campaign.sensitivities.select(case.rows)
+    higher = np.maximum(found.layout.sigma, case.layout.sigma)
+    if len(case.rows) == campaign.sensitivities.layout.size and np.all(
+        higher < OWN_FLOOR_RATIO * found.layout.sigma
+    ):
+        return campaign
+    layout = replace(found.layout, sigma=higher)
+    made = build_model(replace(found, layout=layout), campaign.families, campaign.locations)
+    return replace(made, left_out_effect=campaign.left_out_effect)
+
+
+def _try_held_out(
+    diagnosis: Diagnosis, fitted: FittedCase, campaign: CampaignModel, seed: int
+) -> tuple[Closure | None, ToolError | None]:
+    """Compute closure and tool error on held-out motion; None if there is none, or no tracker."""
+    case = fitted.held_out
+    if campaign.held_out is None or case is None:
+        return None, None
+    settings, zero = effect_values(diagnosis), np.zeros(len(case.nuisances))
+    change = case.predict(settings, zero) - case.predict({}, zero)
+    if not np.all(np.isfinite(change)):  # no arm with these effects can be simulated
+        return None, None
+    q = diagnosis.equations.q
+    held_out_model = build_held_out_model(
+        fitted.model.equations,
+        campaign.held_out.select(case.rows),
+        diagnosis.effect_fit.covariance[:q, :q],
+    )
+    residuals = compute_held_out_residuals(diagnosis, held_out_model, fitted.held_out_residual, change)
+    keys = [campaign.held_out_keys[row] for row in case.rows]
+    return residuals.closure(seed), compute_tool_error(
+        keys, residuals.before, residuals.after, held_out_model.sigma
+    )
+
+
+def _check_motion(case: CaseSimulator, campaign: CampaignModel) -> None:
+    layout = campaign.model.sensitivities.layout
+    if case.rows.size >= MIN_FEATURE_SHARE * layout.size:
+        return
+    raise TooLittleMotion(
+        f"{case.rows.size} of the campaign's {layout.size} features are in these logs; "
+        f"they lack the motions: {', '.join(_missing_sessions(case, campaign))}"
+    )
+
+
+def _missing_session_notes(case: CaseSimulator, campaign: CampaignModel) -> list[str]:
+    """Return a note on sessions of the campaign that the case lacks."""
+    missing = _missing_sessions(case, campaign)
+    return (
+        [f"these logs have nothing comparable to the campaign's motions {', '.join(missing)}"]
+        if missing
+        else []
+    )
+
+
+def _missing_sessions(case: CaseSimulator, campaign: CampaignModel) -> list[str]:
+    return sorted(
+        set(_session_names(campaign.keys)) - set(_session_names([campaign.keys[k] for k in case.rows]))
+    )
+
+
+def _session_names(keys: Sequence[str]) -> list[str]:
+    return [key.split("/", 1)[0] for key in keys]

@@ -1,0 +1,204 @@
+"""Case simulator: predicts the features of one case, in the order of the campaign's features.
+
+A case may lack features of the campaign, or have others. Repeats of a motion got the same drive, so only the
+first of them is simulated.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from fsw.kinematics.transforms import Array, Flags
+from marsarm.diagnosis.arm.feature_set import FeatureSet, every_motion, measure_features
+from marsarm.diagnosis.arm.features import CONDITIONS, MotionFeatures
+from marsarm.diagnosis.arm.simulator import AffectedMotions, ArmSimulator
+from marsarm.diagnosis.problem import EffectValues, FeatureLayout, Hypothesis, Ints, Nuisance
+from sim.effects.effect import Effect
+from sim.plant import PlantDiverged
+
+MOTION_CONDITIONS: Final = tuple(
+    CONDITIONS.index(name) for name in ("speed_rad_s", "sin_angle", "cos_angle", "direction")
+)
+MOTION_TOLERANCE: Final = 0.02
+"""Greatest difference of speed [rad/s], sine and cosine of an angle, for the same motion in two logs."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CaseSimulator:
+    """Simulator of a case (`marsarm.diagnosis.problem.Simulator`) in m features of a campaign."""
+
+    arm: ArmSimulator
+    nominal: Array
+    """Nominal prediction of all n features of the case under its own drive, shape (n,)."""
+    at: Ints
+    """Index of each of the m features among those n, shape (m,)."""
+    rows: Ints
+    """Index of each of the m features among the campaign's, ascending, shape (m,)."""
+
+    @property
+    def layout(self) -> FeatureLayout:
+        """Layout of the m features."""
+        return self.arm.layout.select(self.at)
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """Hypotheses of the arm's simulator."""
+        return self.arm.hypotheses
+
+    @property
+    def nuisances(self) -> tuple[Nuisance, ...]:
+        """Nuisances of the arm's simulator."""
+        return self.arm.nuisances
+
+    def predict(self, settings: EffectValues, nuisance: Array) -> Array:
+        """Predict the features with these effects and nuisances.
+
+        Args:
+            settings: Values of the effects that are switched on.
+            nuisance: Departures from nominal in the units of the nuisances, shape (q,).
+
+        Returns:
+            Features in the units of their channels, shape (m,); NaN if MuJoCo counted a warning.
+        """
+        effects = tuple(self.arm.effects(settings, nuisance))
+        if not effects:
+            return np.asarray(self.nominal[self.at])
+        try:
+            change = simulate_change(self.arm, effects, self.nominal)
+        except PlantDiverged:
+            return np.full(self.at.size, np.nan)
+        return np.asarray((self.nominal + change)[self.at])
+
+    def residual(self) -> Array:
+        """Subtract the nominal from the measured features.
+
+        Returns:
+            Residual in the units of the channels, shape (m,).
+        """
+        return np.asarray((measure_features(self.arm.feature_set) - self.nominal)[self.at])
+
+
+def build_case_simulator(arm: ArmSimulator, layout: FeatureLayout, keys: Sequence[str]) -> CaseSimulator:
+    """Simulate a case, and bind the simulator to the features that case and campaign share.
+
+    A feature with the same key is dropped if it belongs to another motion: at another angle or speed.
+    The nominal prediction of the campaign would not do for a case: a placement that begins a few cycles
+    later shifts a start by a part of a bin, and its mean current by many noise floors.
+
+    Args:
+        arm: Simulator of the arm under the drive of the case.
+        layout: Layout of the campaign's features, m of them.
+        keys: Keys of the campaign's features.
+
+    Returns:
+        Simulator of the shared features.
+    """
+    number = {key: k for k, key in enumerate(feature_keys(arm.feature_set))}
+    rows = np.array([row for row, key in enumerate(keys) if key in number], np.intp)
+    at = np.array([number[keys[row]] for row in rows], np.intp)
+    predicted = _simulate_nominal(arm)
+    difference = np.abs(arm.layout.condition[at] - layout.condition[rows])[:, list(MOTION_CONDITIONS)]
+    same = np.all(difference < MOTION_TOLERANCE, axis=1) & _is_simulated(arm.feature_set)[at]
+    return CaseSimulator(arm, predicted, at[same], rows[same])
+
+
+def resimulate(
+    case: CaseSimulator, patch: tuple[Effect, ...], only: Callable[[MotionFeatures], bool], otherwise: Array
+) -> CaseSimulator:
+    """Simulate a case again with another patch: its rests, and some of its motions.
+
+    Args:
+        case: Simulator of the case, with m features.
+        patch: Effects that are switched on.
+        only: Predicate of the motions to simulate.
+        otherwise: Change of the other motions in the units of the channels, shape (m,).
+
+    Returns:
+        Simulator with the patch and the new nominal prediction.
+    """
+    arm, known = case.arm.with_patch(patch), first_recordings(case.arm.feature_set)
+    predicted = arm.predict_effects((), lambda one: one.recording.name in known and only(one))
+    simulated, extrapolated = copy_repeats(arm.feature_set, known, predicted, np.nan), case.nominal.copy()
+    extrapolated[case.at] += otherwise
+    return replace(case, arm=arm, nominal=np.where(np.isfinite(simulated), simulated, extrapolated))
+
+
+def simulate_change(
+    arm: ArmSimulator,
+    effects: tuple[Effect, ...],
+    nominal: Array,
+    only: Callable[[MotionFeatures], bool] = every_motion,
+) -> Array:
+    """Simulate the change of the features by effects, only in motions that the effects can influence.
+
+    Args:
+        arm: Simulator of the arm, with n features.
+        effects: Effects that are switched on.
+        nominal: Prediction without effects in the units of the channels, shape (n,).
+        only: Predicate of the motions to simulate.
+
+    Returns:
+        Change, shape (n,); 0 in motions that are not simulated.
+    """
+    touched, known = AffectedMotions(effects), first_recordings(arm.feature_set)
+
+    def wanted(one: MotionFeatures) -> bool:
+        return one.recording.name in known and touched(one) and only(one)
+
+    return copy_repeats(arm.feature_set, known, arm.predict_effects(effects, wanted) - nominal)
+
+
+def _is_simulated(feature_set: FeatureSet) -> Flags:
+    """Return flags (n,) of the simulated features: those of repeats only if the first motion has them too."""
+    known = first_recordings(feature_set)
+    stepped = [np.full(len(one.features), one.recording.name in known) for one in feature_set.motions]
+    rests = np.ones(sum(len(one.features) for one in feature_set.rests), bool)
+    simulated = np.where(np.concatenate([*stepped, rests]), 1.0, np.nan)
+    return np.isfinite(copy_repeats(feature_set, known, simulated, np.nan))
+
+
+def _simulate_nominal(arm: ArmSimulator) -> Array:
+    """Simulate the case without effects, (n,); NaN for features that the first of the repeats lacks."""
+    known = first_recordings(arm.feature_set)
+    return copy_repeats(
+        arm.feature_set, known, arm.predict_effects((), lambda one: one.recording.name in known), np.nan
+    )
+
+
+def feature_keys(feature_set: FeatureSet) -> list[str]:
+    """Return a unique key of each feature, equal in every recording of the session."""
+    named = zip(feature_set.list_sessions(), feature_set.list_features(), strict=True)
+    return [f"{session}/{feature.key}" for session, feature in named]
+
+
+def first_recordings(feature_set: FeatureSet) -> set[str]:
+    """Return the names of the motions that do not repeat an earlier one."""
+    first: dict[str, str] = {}
+    for one in feature_set.motions:
+        first.setdefault(one.recording.block, one.recording.name)
+    return set(first.values())
+
+
+def copy_repeats(feature_set: FeatureSet, first: set[str], values: Array, otherwise: float = 0.0) -> Array:
+    """Fill the features of repeats with those of the first motion of their block.
+
+    Args:
+        feature_set: Features of all recordings, n of them.
+        first: Names of the simulated motions.
+        values: Features in the units of the channels, NaN where not simulated, shape (n,).
+        otherwise: Value where the first motion has none.
+
+    Returns:
+        Filled features, shape (n,).
+    """
+    features = feature_set.list_features()
+    known = {
+        (feature.block, feature.key): value
+        for session, feature, value in zip(feature_set.list_sessions(), features, values, strict=True)
+        if session in first and np.isfinite(value)
+    }
+    named = zip(features, values, strict=True)
+    filled = [v if np.isfinite(v) else known.get((f.block, f.key), otherwise) for f, v in named]
+    return np.array(filled)

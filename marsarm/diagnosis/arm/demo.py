@@ -1,0 +1,239 @@
+"""Demonstration of the diagnosis: an effect is drawn and sealed, recorded, diagnosed, and then compared."""
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final, Literal
+
+import numpy as np
+
+import fsw
+import sim
+from fsw.config import digest
+from marsarm.common.errors import BadRequest
+from marsarm.common.files import cache_folder
+from marsarm.common.options import check_options
+from marsarm.common.pool import select_runner
+from marsarm.common.progress import Progress, part_of
+from marsarm.diagnosis.arm import record
+from marsarm.diagnosis.arm.audit import load_checked_recordings
+from marsarm.diagnosis.arm.blind_case import record_blind, sample_background
+from marsarm.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
+from marsarm.diagnosis.arm.campaign_sensitivities import check_cache_folder, list_sources
+from marsarm.diagnosis.arm.case import diagnose_case
+from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs, split_logs
+from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
+from marsarm.diagnosis.arm.simulator import catalogue_effect
+from marsarm.diagnosis.diagnose import Finding
+from marsarm.diagnosis.model import DiagnosisModel
+from marsarm.diagnosis.result import DiagnosisResult, to_json
+from marsarm.diagnosis.sampling import can_sample, list_detectable, sample_amplitude, sample_effect
+from marsarm.telemetry.header import model_digest
+from sim.arms import arm_named
+from sim.diagnosis_campaign import campaign_sessions
+from sim.effects.effect import Effect
+from sim.params import nominal_params
+from sim.scenario.effects import effect_text
+from sim.world import World, build
+
+Kind = Literal["none", "known", "left out"]
+KINDS: Final[tuple[tuple[Kind, float], ...]] = (("none", 0.1), ("known", 0.65), ("left out", 0.25))
+"""What is drawn, with its probability; an effect that is left out is one that the catalogue then lacks."""
+SIZES: Final = (1.0, 4.0)
+"""Range of the drawn sizes, in detection limits of the selection from all hypotheses."""
+MAX_DRAWS: Final = 20
+"""Most draws until the arm can complete its sessions; one in twenty effects stops it."""
+RECORDING_BEGINS: Final = 0.8
+DIAGNOSIS_BEGINS: Final = 0.95
+"""Shares of a demonstration's time, for the progress: a campaign that is not cached takes some 200 s on two
+cores, the recording 40 s, and the diagnosis 12 s."""
+
+
+@dataclass(frozen=True, slots=True)
+class DemoTruth:
+    """Drawn truth; the salt prevents that a guessed effect is confirmed by the digest without the seed."""
+
+    salt: str
+    kind: Kind
+    effect: str
+    """Name of the effect; "" for none."""
+    place: str
+    spec: str
+    """Text that switches it on."""
+    times_limit: float
+    """Size over the detection limit of the selection."""
+    background: tuple[str, ...]
+    """Calibration errors, friction of the day and numerics of the arm."""
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the truth."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Demo:
+    """Result of a demonstration."""
+
+    truth: DemoTruth
+    result: DiagnosisResult
+    is_right: bool
+    reason: str
+    """Why it is right or wrong, as a sentence."""
+
+
+def run_demo(request: DemoRequest, progress: Progress, publish: Callable[[str], None]) -> Demo:
+    """Draw an effect, record an arm with it, diagnose the logs, and compare.
+
+    Args:
+        request: Seed and workers.
+        progress: Called with done, total and step.
+        publish: Called with the digest of the truth before the logs are diagnosed.
+
+    Raises:
+        BadRequest: The request is wrong, or the cache cannot be written.
+    """
+    check_options(request)
+    campaign = load_demo_campaign(request, part_of(progress, 0.0, RECORDING_BEGINS))
+    with TemporaryDirectory() as name:
+        recording = part_of(progress, RECORDING_BEGINS, DIAGNOSIS_BEGINS)
+        truth = _record_drawn(Path(name), campaign.model, request.seed, recording)
+        publish(truth.digest())
+        progress(DIAGNOSIS_BEGINS, 1.0, "diagnosing")
+        result = _diagnose(Path(name), campaign, truth, request.seed)
+    is_right, reason = judge(truth, result)
+    return Demo(truth, result, is_right, reason)
+
+
+def demo_json(found: Demo) -> dict[str, Any]:
+    """Return the document of a demonstration."""
+    truth = {**asdict(found.truth), "sha256": found.truth.digest()}
+    right = {"is_right": found.is_right, "reason": found.reason}
+    return {**right, "truth": truth, "diagnosis": to_json(found.result)}
+
+
+def load_demo_campaign(request: DemoRequest, progress: Progress) -> CampaignModel:
+    """Load the campaign of the nominal arm; record and compute what is not cached."""
+    folder = cache_folder("gap-demo") / _campaign_digest()[:16]
+    if not folder.exists():
+        check_cache_folder(folder.parent)
+        record_logs(RecordRequest(folder), part_of(progress, 0.0, 0.05))
+    logs, held_out = (sorted(of.glob("*.mcap")) for of in (folder, folder / HELD_OUT_FOLDER))
+    run = select_runner(request.workers, None)
+    return load_campaign_model(logs, held_out, folder, run, part_of(progress, 0.05, 1.0))
+
+
+def _campaign_digest() -> str:
+    """Return the SHA-256 of all that the recorded campaign depends on: code, parameters and model."""
+    total = hashlib.sha256(Path(record.__file__).read_bytes())
+    for package in (fsw, sim):
+        for path in list_sources(package):
+            total.update(path.read_bytes())
+    total.update(digest(nominal_params()).encode())
+    total.update(model_digest(build(World()).compile()).encode())
+    return total.hexdigest()
+
+
+def _record_drawn(folder: Path, model: DiagnosisModel, seed: int, progress: Progress) -> DemoTruth:
+    """Draw until the arm can complete its sessions; return what was drawn then."""
+    for attempt in range(MAX_DRAWS):
+        rng = np.random.default_rng([seed, attempt, 12])
+        truth, effects = draw_truth(model, rng)
+        sessions = campaign_sessions(arm_named("nominal").params)
+        if record_blind(folder, effects, sessions, int(rng.integers(2**31)), progress):
+            return truth
+    raise BadRequest(
+        f"seed: {seed} draws {MAX_DRAWS} effects with which the arm cannot complete its sessions"
+    )
+
+
+def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTruth, tuple[Effect, ...]]:
+    """Draw what is on in the arm.
+
+    Args:
+        model: Diagnosis model of the campaign.
+
+    Returns:
+        The truth, and all effects of the arm.
+    """
+    kinds, shares = zip(*KINDS, strict=True)
+    kind: Kind = kinds[int(rng.choice(len(kinds), p=shares))]
+    background, salt = sample_background(rng), rng.bytes(16).hex()
+    texts = tuple(effect_text(effect) for effect in background)
+    if kind == "none":
+        return DemoTruth(salt, kind, "", "", "", 0.0, texts), background
+    limits = [one.family_wise_limit for one in model.limits]
+    seen = list_detectable(model.sensitivities.hypotheses, limits, model.label)
+    drawn = sample_amplitude(sample_effect([one for one in seen if can_sample(one, SIZES)], rng), rng, SIZES)
+    hypothesis = drawn.source.hypothesis
+    effect = catalogue_effect(hypothesis, drawn.values)
+    truth = DemoTruth(
+        salt, kind, hypothesis.effect, hypothesis.place, effect_text(effect), drawn.times_limit, texts
+    )
+    return truth, (*background, effect)
+
+
+def _diagnose(folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int) -> DiagnosisResult:
+    fitted, held_out = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(folder))
+    if truth.kind == "left out":
+        campaign = replace(campaign, model=replace(campaign.model, left_out_effect=truth.effect))
+    return diagnose_case(fitted, held_out, campaign, seed)
+
+
+def judge(truth: DemoTruth, result: DiagnosisResult) -> tuple[bool, str]:
+    """Say whether a diagnosis is right, level by level, and why.
+
+    Args:
+        truth: What was drawn.
+        result: What was found.
+    """
+    findings = result.diagnosis.findings
+    if truth.kind == "none":
+        is_right = result.diagnosis.verdict == "none"
+        return is_right, "nothing was on" if is_right else "nothing was on, but something was reported"
+    names = [(one.effect, one.place) for one in result.model.sensitivities.hypotheses]
+    true = names.index((truth.effect, truth.place))
+    if truth.kind == "left out":
+        return _judge_left_out(result, true)
+    if not findings:
+        return False, "the effect was not found"
+    wrong = [one for one in findings if not holds(result.model, one, true)]
+    if len(wrong) == len(findings):
+        return False, "the effect is in no set that was reported"
+    if any(one.effects for one in wrong):
+        return False, "the effect was found, but another was named beside it"
+    level = next(one.level for one in findings if one not in wrong)
+    return True, f"the {'effect' if level == 'size' else level} was reported"
+
+
+def _judge_left_out(result: DiagnosisResult, true: int) -> tuple[bool, str]:
+    findings = result.diagnosis.findings
+    if any(one.effects for one in findings):
+        return False, "the catalogue lacked the effect, but another was named"
+    if result.diagnosis.verdict == "none":
+        return False, "the catalogue lacked the effect, and nothing was reported"
+    if any(one.places and not _has_place(result.model, one, true) for one in findings):
+        return False, "the catalogue lacked the effect, and a wrong place was reported"
+    return True, "the catalogue lacked the effect, and no other was named"
+
+
+def holds(model: DiagnosisModel, finding: Finding, true: int) -> bool:
+    """Check that the set of a finding, at its level, holds a hypothesis.
+
+    Args:
+        model: Diagnosis model of the campaign.
+        true: Index of the hypothesis.
+    """
+    alike = model.equivalence_class(true)
+    if finding.effects:
+        return any(model.label[true] == model.label[one] for one in finding.effects)
+    return _has_place(model, finding, true) and (
+        not finding.families or any(model.families[one] in finding.families for one in alike)
+    )
+
+
+def _has_place(model: DiagnosisModel, finding: Finding, true: int) -> bool:
+    """Check that a place of a finding is that of a hypothesis, or of one that is the same here."""
+    return any(model.locations[one] in finding.places for one in model.equivalence_class(true))

@@ -1,0 +1,281 @@
+"""Features of all recordings of a campaign: their list, their measured values and their simulated values.
+
+Features of motions come from sensor readings bin by bin (`features`). Features of rests come from static
+equilibrium (`rest_poses`): resolver angles, and turret poses as screws relative to nominal.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Final
+
+import numpy as np
+
+from fsw.config import configure
+from fsw.dictionary.enums import Joint
+from fsw.kinematics.chain import joint_jacobian
+from fsw.kinematics.statics import settle_output
+from fsw.kinematics.transforms import Array, Pose, inverse, rotate_back
+from fsw.messages import Sensors
+from marsarm.diagnosis.arm.features import (
+    RESOLVER,
+    ROTATION,
+    TRANSLATION,
+    Feature,
+    MotionFeatures,
+    SensorColumns,
+    evaluate_features,
+    list_motion_features,
+)
+from marsarm.diagnosis.arm.logs import Recording
+from marsarm.diagnosis.arm.open_loop import simulate_open_loop, simulate_open_loop_cached, stack_readings
+from marsarm.diagnosis.arm.rest_poses import (
+    RestPoses,
+    TurningPoints,
+    find_turning_points,
+    read_resolvers,
+    solve_rests,
+)
+from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware
+from sim.effects.gears import OutputFriction
+from sim.open_loop import SimulationOptions
+from sim.params import nominal_params
+from sim.plant import SCREW_AXES
+from simgap.serial_arm.screws import screw_log
+
+READING_FIELDS: Final = frozenset({"resolver_bias_rad", "resolver_errors", "sensor_errors"})
+"""Fields of the hardware that influence only readings."""
+FRICTION_MARGIN: Final = 0.3
+"""Change of the output friction, as a share, for the sensitivity of rests to friction. Near the friction
+limit, the side of the backlash is ambiguous."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestFeatures:
+    """Rests of one recording, their nominal equilibrium, and those with a tracker pose."""
+
+    turning_points: TurningPoints
+    nominal: RestPoses
+    tracked_rests: tuple[tuple[int, int], ...]
+    """Index among the rests, and index among the tracker poses."""
+    features: tuple[Feature, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeatureSet:
+    """Features of a campaign's recordings: the motions first, then the rests."""
+
+    motions: tuple[MotionFeatures, ...]
+    rests: tuple[RestFeatures, ...]
+
+    def list_features(self) -> tuple[Feature, ...]:
+        """List the features of the motions, then of the rests."""
+        return (
+            *(feature for one in self.motions for feature in one.features),
+            *(feature for one in self.rests for feature in one.features),
+        )
+
+    def list_sessions(self) -> tuple[str, ...]:
+        """List the name of the recording of each feature."""
+        return (
+            *(one.recording.name for one in self.motions for _ in one.features),
+            *(one.turning_points.recording.name for one in self.rests for _ in one.features),
+        )
+
+
+def build_feature_set(recordings: Sequence[Recording]) -> FeatureSet:
+    """List the features: rests of all recordings, and motions of those without tracker poses."""
+    config = configure(nominal_params())
+    turning_points = [find_turning_points(one) for one in recordings if one.world.surface is None]
+    friction_step_Nm = FRICTION_MARGIN * config.output_friction_Nm
+    nominal, less, more = (
+        solve_rests(turning_points, _more_friction(by * friction_step_Nm)) for by in (0.0, -1.0, 1.0)
+    )
+    return FeatureSet(
+        tuple(list_motion_features(one, config) for one in recordings if not one.tracker_poses.tick.size),
+        tuple(_list_rest_features(*one) for one in zip(turning_points, nominal, less, more, strict=True)),
+    )
+
+
+def _more_friction(torque_Nm: Array) -> tuple[Effect, ...]:
+    return tuple(OutputFriction(joint, float(torque_Nm[joint])) for joint in Joint)
+
+
+def measure_features(feature_set: FeatureSet) -> Array:
+    """Compute the measured features.
+
+    Args:
+        feature_set: Features of all recordings.
+
+    Returns:
+        Features in the units of their channels, shape (m,).
+    """
+    values = [evaluate_features(one, one.recording.sensors) for one in feature_set.motions]
+    for one in feature_set.rests:
+        tracked = one.turning_points.recording.tracker_poses
+        values.append(
+            _rest_values(
+                one,
+                read_resolvers(one.turning_points),
+                _select_poses(tracked.X_RF, [k for _, k in one.tracked_rests]),
+            )
+        )
+    return np.concatenate(values)
+
+
+def every_motion(_: MotionFeatures) -> bool:
+    """Return True: simulate every motion."""
+    return True
+
+
+def simulate_features(
+    feature_set: FeatureSet,
+    effects: Sequence[Effect],
+    options: SimulationOptions,
+    wanted: Callable[[MotionFeatures], bool] = every_motion,
+) -> Array:
+    """Compute the features that the simulator predicts.
+
+    Args:
+        feature_set: Features of all recordings.
+        effects: Effects that are switched on.
+        options: Simulation options of the motions.
+        wanted: Predicate of the motions to simulate.
+
+    Returns:
+        Features in the units of their channels, shape (m,); NaN for motions that are not wanted.
+
+    Raises:
+        PlantDiverged: MuJoCo counted a warning.
+    """
+    values = [
+        evaluate_features(one, simulate_motion(one, effects, options))
+        if wanted(one)
+        else np.full(len(one.features), np.nan)
+        for one in feature_set.motions
+    ]
+    rests = solve_rests([one.turning_points for one in feature_set.rests], effects)
+    values += [_static_values(one, found) for one, found in zip(feature_set.rests, rests, strict=True)]
+    return np.concatenate(values)
+
+
+def simulate_motion(
+    motion: MotionFeatures, effects: Sequence[Effect], options: SimulationOptions
+) -> SensorColumns:
+    """Simulate the sensors of an arm with these effects under the recorded drive, without noise, by tick.
+
+    What follows the last compared bin is left out: the end of every motion, and all from a touch on.
+    """
+    readers = [effect for effect in effects if changes_readings_only(effect)]
+    acting = tuple(effect for effect in effects if effect not in readers)
+    simulate = simulate_open_loop_cached if readers else simulate_open_loop
+    readings = simulate(motion.recording, acting, options, ticks=motion.compared_ticks).readings
+    return stack_readings(list(_apply_readers(readings, readers)) if readers else readings)
+
+
+def changes_readings_only(effect: Effect) -> bool:
+    """Check that an effect changes only readings, so that the plant need not be simulated again."""
+    if type(effect).on_model is not Effect.on_model:
+        return False
+    before = nominal_hardware()
+    after = effect.on_hardware(before)
+    other = {f.name for f in fields(Hardware) if getattr(before, f.name) is not getattr(after, f.name)}
+    return bool(other) and other <= READING_FIELDS
+
+
+def _apply_readers(readings: Sequence[Sensors], readers: Sequence[Effect]) -> Iterator[Sensors]:
+    """Yield the readings that avionics with these effects would sense, without noise."""
+    hardware, rng = nominal_hardware(), np.random.default_rng(0)
+    for effect in readers:
+        hardware = effect.on_hardware(hardware)
+    sensor_errors = hardware.sensor_errors
+    for one in readings:
+        sensors, sensor_errors = apply_sensor_errors(sensor_errors, _read_resolvers(one, hardware), rng)
+        yield sensors
+
+
+def _read_resolvers(sensors: Sensors, hardware: Hardware) -> Sensors:
+    """Replace the resolver angles by those with bias and resolver errors."""
+    output_rad = sensors.resolver_rad
+    resolver_rad = output_rad + hardware.resolver_bias_rad
+    for error in hardware.resolver_errors:
+        resolver_rad = resolver_rad + error.error_rad(output_rad)
+    return replace(sensors, resolver_rad=resolver_rad)
+
+
+def _list_rest_features(
+    turning_points: TurningPoints, nominal: RestPoses, *others: RestPoses
+) -> RestFeatures:
+    """List the features of rests; `doubt` is their change with a little more or less output friction."""
+    recording = turning_points.recording
+    rest_of = {turning_points.tick[k]: r for r, k in enumerate(turning_points.rests)}
+    tracked = tuple(
+        (rest_of[t], k) for k, t in enumerate(recording.tracker_poses.tick.tolist()) if t in rest_of
+    )
+    features: list[Feature] = []
+    for joint in Joint:
+        for r, k in enumerate(turning_points.rests):
+            angle = float(turning_points.motor_rad[joint, k])
+            condition = (recording.temperature_C, 0.0, 0.0, float(np.sin(angle)), float(np.cos(angle)), 0.0)
+            name = joint.name.lower()
+            features.append(Feature(RESOLVER, name, "rest", recording.block, condition, f"rest {r}/{name}"))
+    condition = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for axis, named in enumerate(SCREW_AXES):
+        channel = ROTATION if axis < 3 else TRANSLATION
+        for r, _ in tracked:
+            features.append(
+                Feature(channel, "turret", "pose", recording.block, condition, f"rest {r}/{named}")
+            )
+    rest_features = RestFeatures(turning_points, nominal, tracked, tuple(features))
+    differences = np.abs(
+        [_static_values(rest_features, one) - _static_values(rest_features, nominal) for one in others]
+    ).max(axis=0)
+    doubted = zip(features, differences, strict=True)
+    return replace(
+        rest_features, features=tuple(replace(feature, doubt=float(by)) for feature, by in doubted)
+    )
+
+
+def _static_values(one: RestFeatures, found: RestPoses) -> Array:
+    return _rest_values(one, found.resolver_rad, _select_poses(found.X_RF, [r for r, _ in one.tracked_rests]))
+
+
+def _rest_values(one: RestFeatures, resolver_rad: Array, X_RF: Pose) -> Array:
+    nominal = _select_poses(one.nominal.X_RF, [r for r, _ in one.tracked_rests])
+    screw = screw_log(inverse(nominal) @ X_RF) if one.tracked_rests else np.zeros((6, 0))
+    return np.concatenate([resolver_rad.ravel(), screw.ravel()])
+
+
+def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: bool = True) -> Array:
+    """Return the change of rests by one joint alone, where all joints turn.
+
+    Args:
+        feature_set: Features of all recordings, m of them.
+        change: Change of the features in the units of the channels, shape (m,).
+        turns: False if only the reading of its resolver changes.
+
+    Returns:
+        Change of its resolver, and of the poses to first order by the turn that the resolver shows, shape
+        (m,); 0 elsewhere.
+    """
+    config = configure(nominal_params())
+    found, begin = np.zeros_like(change), sum(len(one.features) for one in feature_set.motions)
+    for one in feature_set.rests:
+        n_rests, n_tracked = len(one.turning_points.rests), len(one.tracked_rests)
+        own = slice(begin + joint * n_rests, begin + (joint + 1) * n_rests)
+        found[own] = change[own]
+        if n_tracked and turns:
+            rests = [r for r, _ in one.tracked_rests]
+            motor_rad = one.turning_points.motor_rad[:, [one.turning_points.rests[r] for r in rests]]
+            gravity = one.turning_points.recording.world.gravity_N_m_s2
+            frames = settle_output(config.arm, motor_rad, gravity).frames
+            X_RF = Pose(frames.X_RF.R[:, :, 5], frames.X_RF.p[:, 5])
+            screw_R = joint_jacobian(frames, X_RF.p)[:, joint] * change[own][rests]
+            parts = [rotate_back(X_RF.R, half) for half in (screw_R[:3], screw_R[3:])]
+            first = begin + len(Joint) * n_rests
+            found[first : first + 6 * n_tracked] = np.concatenate(parts).ravel()
+        begin += len(one.features)
+    return found
+
+
+def _select_poses(X: Pose, rows: list[int]) -> Pose:
+    return Pose(X.R[:, :, rows], X.p[:, rows])

@@ -1,0 +1,202 @@
+"""Features of a recording in motion: the same numbers from recorded and from simulated sensors.
+
+Each motion of a joint is divided into bins of a quarter of a second, over which three channels are averaged:
+
+    motor current
+    following error: encoder minus set-point
+    resolver minus encoder
+
+The mean gravity reading of the IMU is added.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.config import CYCLE_HZ, Config
+from fsw.kinematics.statics import settle_output
+from fsw.kinematics.transforms import Array
+from marsarm.diagnosis.arm.logs import Recording
+from marsarm.diagnosis.arm.segments import BIN_TICKS, Segment, bin_means, find_segments
+
+CHANNELS: Final = ("current", "following-error", "resolver-encoder", "imu", "rotation", "translation")
+UNITS: Final = ("A", "rad", "rad", "m/s^2", "rad", "m")
+CURRENT, FOLLOWING_ERROR, RESOLVER, IMU, ROTATION, TRANSLATION = range(len(CHANNELS))
+CONDITIONS: Final = ("temperature_C", "load_Nm", "speed_rad_s", "sin_angle", "cos_angle", "direction")
+
+SensorColumns = Mapping[str, NDArray[Any]]
+_MEAN: Final = 1.0 / float(np.sqrt(BIN_TICKS))
+ASSUMED_SIGMA: Final = (
+    0.02 * _MEAN,
+    4e-6,
+    float(np.hypot(1e-4, 9.6e-5 / np.sqrt(12.0))) * _MEAN,
+    0.005 * 0.03,
+    2e-5,
+    3e-5,
+)
+"""Standard deviation by channel in its unit, from noise of current sensors and resolvers, encoder counts, the
+IMU over ten seconds, and the tracker."""
+START_DOUBT: Final = (0.02, 2e-5, 0.0)
+"""Doubt of current, following error and resolver at the start of a motion, which depends on numerics."""
+START_S: Final = 1.0
+"""Duration of the start of a motion."""
+TOUCH_MARGIN_S: Final = 2.0
+"""Time before a touch from which on nothing is compared. Another arm may touch earlier, and the recorded
+drive would then push it against the rock."""
+BACKLASH_MARGIN: Final = 1.5
+"""Multiples of its backlash that a joint must turn before the side of its backlash is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """Number that is compared between measurement and simulation."""
+
+    channel: int
+    place: str
+    regime: str
+    block: str
+    condition: tuple[float, ...]
+    key: str
+    """Key of the same feature in every log of its session: motion, channel, number."""
+    doubt: float = 0.0
+    """Standard deviation of its error beside noise, in the unit of its channel."""
+
+
+def feature_channel(feature: Feature) -> str:
+    """Return the display name of the channel with its place."""
+    return f"{feature.place} {CHANNELS[feature.channel]}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionFeatures:
+    """Segments and features of one recording in motion."""
+
+    recording: Recording
+    segments: tuple[Segment, ...]
+    features: tuple[Feature, ...]
+
+    @property
+    def compared_ticks(self) -> int:
+        """Number of ticks up to the end of the last bin that is compared; at least one."""
+        recording, touch = self.recording, _touch_tick(self.recording)
+        # every bin that is compared in a channel is compared in that of the resolver
+        bins = (_compared_bins(recording, segment, RESOLVER, touch) for segment in self.segments)
+        return max((end for of in bins for _, _, end in of), default=1)
+
+
+def list_motion_features(recording: Recording, config: Config) -> MotionFeatures:
+    """List the features of a recording: three channels of every moving joint by bin, and the IMU.
+
+    Bins after a possible touch are left out.
+    """
+    segments, block = tuple(find_segments(recording)), recording.block
+    features: list[Feature] = []
+    for number, load_Nm in enumerate(_loads(recording, config, segments)):
+        features += _segment_features(recording, config, segments, number, float(load_Nm))
+    still = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for axis in "xyz":
+        features.append(Feature(IMU, f"imu.{axis}", "rest", block, still, f"imu/{axis}"))
+    return MotionFeatures(recording, segments, tuple(features))
+
+
+def _segment_features(
+    recording: Recording, config: Config, segments: tuple[Segment, ...], number: int, load_Nm: float
+) -> Iterator[Feature]:
+    """Yield the features of one segment by channel; the start of a motion has doubt."""
+    segment = segments[number]
+    j, motor = segment.joint, recording.motor_rad()[segment.joint]
+    is_first = not any(s.joint is j and s.first < segment.first for s in segments)
+    backlash_rad = 2.0 * float(config.half_backlash_rad[j])
+    touch = _touch_tick(recording)
+    for channel in (CURRENT, FOLLOWING_ERROR, RESOLVER):
+        for bin_number, first, end in _compared_bins(recording, segment, channel, touch):
+            speed = float(recording.drive["setpoint_rate_rad_s"][first:end, j].mean())
+            angle = float(motor[(first + end) // 2])
+            sine, cosine = float(np.sin(angle)), float(np.cos(angle))
+            condition = (recording.temperature_C, load_Nm, speed, sine, cosine, float(segment.direction))
+            doubt = START_DOUBT[channel] if first - segment.first < START_S * CYCLE_HZ else 0.0
+            turned_rad = abs(float(motor[first] - motor[segment.first]))
+            if channel == RESOLVER and is_first and turned_rad < BACKLASH_MARGIN * backlash_rad:
+                doubt = backlash_rad
+            yield Feature(
+                channel,
+                j.name.lower(),
+                segment.regime(first),
+                recording.block,
+                condition,
+                f"motion {number}/{CHANNELS[channel]}/{bin_number}",
+                doubt,
+            )
+
+
+def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
+    """Compute the features from sensors.
+
+    Args:
+        motion: Segments and features of the recording, m of them.
+        sensors: Readings by field, recorded or simulated, each of shape (n, ...) with n ticks, at least
+            `compared_ticks`, in the units of their names.
+
+    Returns:
+        Features in the units of their channels, shape (m,).
+    """
+    recording, values = motion.recording, []
+    touch = _touch_tick(recording)
+    encoder = sensors["encoder_count"].T * recording.rad_per_count[:, None]
+    setpoint_count = recording.drive["setpoint_count"][: encoder.shape[1]]
+    setpoint = setpoint_count.T * recording.rad_per_count[:, None]
+    resolver = sensors["resolver_rad"].T - encoder - recording.start.zero_rad[:, None]
+    for segment in motion.segments:
+        j = segment.joint
+        for channel, read in (
+            (CURRENT, sensors["current_A"][:, j]),
+            (FOLLOWING_ERROR, encoder[j] - setpoint[j]),
+            (RESOLVER, resolver[j]),
+        ):
+            bins = _compared_bins(recording, segment, channel, touch)
+            values.append(bin_means(read, [(first, end) for _, first, end in bins]))
+    values.append(sensors["gravity_R_m_s2"].mean(axis=0))
+    return np.concatenate(values)
+
+
+def assumed_sigma(feature: Feature) -> float:
+    """Return the nominal sensor noise of a feature, for use without repeats."""
+    return ASSUMED_SIGMA[feature.channel]
+
+
+def _compared_bins(
+    recording: Recording, segment: Segment, channel: int, touch: int
+) -> list[tuple[int, int, int]]:
+    """Return number, first tick and end of the compared bins: none after a possible touch.
+
+    A motor slower than one count per cycle is driven count by count. Its servo then depends on the position
+    within a count, so only its resolver is compared.
+    """
+    j = segment.joint
+    rate = np.abs(recording.drive["setpoint_rate_rad_s"][:, j])
+    least = 0.0 if channel == RESOLVER else CYCLE_HZ * abs(float(recording.rad_per_count[j]))
+    return [
+        (number, first, end)
+        for number, (first, end) in enumerate(segment.bins())
+        if end <= touch and rate[first:end].mean() >= least
+    ]
+
+
+def _touch_tick(recording: Recording) -> int:
+    """Return the tick from which on a tool may touch."""
+    closed = recording.sensors["switch_closed"]
+    at = np.flatnonzero((closed & ~closed[0]).any(axis=1))
+    return int(at[0]) - round(TOUCH_MARGIN_S * CYCLE_HZ) if at.size else recording.ticks + 1
+
+
+def _loads(recording: Recording, config: Config, segments: tuple[Segment, ...]) -> Array:
+    """Compute the static load of the moving joint in the middle of each segment, shape (s,)."""
+    if not segments:
+        return np.zeros(0)
+    mids = np.array([(s.first + s.end) // 2 for s in segments])
+    poses = recording.motor_rad()[:, mids]
+    torque = settle_output(config.arm, poses, recording.world.gravity_N_m_s2).torque_Nm
+    return np.array([torque[s.joint, k] for k, s in enumerate(segments)])

@@ -1,0 +1,274 @@
+"""Finite differences of the arm's simulator: columns, adaptive steps, and simultaneous simulation.
+
+Under a recorded drive, an effect at one joint changes only that joint (sim/open_loop.py). So effects of one
+kind are simulated at several joints at once, and each takes the motions of its own joint.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fsw.dictionary.enums import Joint
+from fsw.kinematics.transforms import Array, Flags
+from marsarm.diagnosis.arm.case_simulator import simulate_change
+from marsarm.diagnosis.arm.feature_set import changes_readings_only, every_motion, rests_moved_by
+from marsarm.diagnosis.arm.features import MotionFeatures
+from marsarm.diagnosis.arm.rest_poses import is_stepped
+from marsarm.diagnosis.arm.simulator import ArmSimulator
+from marsarm.diagnosis.problem import LOG_UNIT
+from sim.effects.effect import Effect
+
+TARGET_SIGMAS: Final = 15.0
+"""Target size of a step in standard errors beside the nuisances: 4.6 times the detection limit."""
+MAX_STEP_RATIO: Final = 2.0
+"""A step is adapted if it misses the target by more than this factor."""
+MIN_STEP_SHARE: Final = 1e-3
+MAX_STEP_SHARE: Final = 2.0
+"""Greatest step, as a share of a typical size."""
+MAX_ROUNDS: Final = 3
+"""Greatest number of rounds in which steps are adapted."""
+
+
+def step_error(seen: float) -> float:
+    """Return the absolute logarithm of a step over its target, both in standard errors; infinite for 0."""
+    return abs(math.log(seen / TARGET_SIGMAS)) if seen else math.inf
+
+
+def adapt_step(share: float, seen: float) -> float | None:
+    """Return a better share for a step of so many standard errors; None if it is good enough."""
+    if not seen or 1.0 / MAX_STEP_RATIO <= seen / TARGET_SIGMAS <= MAX_STEP_RATIO:
+        return None
+    better = min(max(share * TARGET_SIGMAS / seen, MIN_STEP_SHARE), MAX_STEP_SHARE)
+    return None if 1.0 / MAX_STEP_RATIO < better / share < MAX_STEP_RATIO else better
+
+
+@dataclass(frozen=True, slots=True)
+class JacobianColumn:
+    """Column of the sensitivities: an amplitude parameter of a hypothesis, or a nuisance."""
+
+    hypothesis: int | None
+    index: int
+    """Index among the hypothesis' parameters, or among the nuisances."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OneSidedStep:
+    """Simulated step on one side of nominal."""
+
+    share: float
+    """Step as a share of the typical size; 1 means one sigma of a nuisance."""
+    size: float
+    """Step within the bounds, in typical sizes, or in the unit of the nuisance."""
+    change: Array
+    """Change of the features, shape (m,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Perturbation:
+    """Effects of a step, and its size."""
+
+    effects: tuple[Effect, ...]
+    size: float
+
+
+def list_columns(simulator: ArmSimulator) -> list[JacobianColumn]:
+    """List every amplitude parameter of every hypothesis in order, then the nuisances."""
+    sized = [
+        JacobianColumn(k, at)
+        for k, hypothesis in enumerate(simulator.hypotheses)
+        for at, parameter in enumerate(hypothesis.parameters)
+        if parameter.is_amplitude
+    ]
+    return sized + [JacobianColumn(None, k) for k in range(len(simulator.nuisances))]
+
+
+def find_equal_columns(
+    simulator: ArmSimulator, columns: Sequence[JacobianColumn]
+) -> dict[int, tuple[int, float]]:
+    """Find the nuisances that equal a hypothesis or another nuisance.
+
+    A hypothesis that is a factor is excluded, as its step is many sigmas of the nuisance. There the response
+    is not linear, and backlash changes sides.
+
+    Returns:
+        For each such nuisance its column, the equal column, and the typical size of that.
+    """
+    known: dict[str, tuple[int, float]] = {}
+    found: dict[int, tuple[int, float]] = {}
+    for k, column in enumerate(columns):
+        if column.hypothesis is not None:
+            hypothesis = simulator.hypotheses[column.hypothesis]
+            parameter = hypothesis.parameters[column.index]
+            if parameter.unit != LOG_UNIT:
+                known.setdefault(hypothesis.name, (k, parameter.typical))
+        elif (name := simulator.nuisance_effects[column.index].same_as) in known:
+            found[k] = known[name]
+        else:
+            known[name] = k, 1.0
+    return found
+
+
+def find_shared_slopes(
+    simulator: ArmSimulator, columns: Sequence[JacobianColumn]
+) -> dict[int, tuple[int, float]]:
+    """Find the hypotheses that take their slope from a nuisance.
+
+    Small departures of both are the same effect. Slopes from different steps would differ, and the nuisance
+    could not explain the difference.
+
+    Returns:
+        For each such hypothesis its column, the nuisance's column, and its typical size in the nuisance's
+        unit.
+    """
+    same = find_equal_columns(simulator, columns)
+    own = {
+        simulator.nuisance_effects[column.index].same_as: k
+        for k, column in enumerate(columns)
+        if column.hypothesis is None and k not in same
+    }
+    found: dict[int, tuple[int, float]] = {}
+    for k, column in enumerate(columns):
+        if column.hypothesis is None:
+            continue
+        hypothesis = simulator.hypotheses[column.hypothesis]
+        if hypothesis.name in own:
+            found[k] = own[hypothesis.name], hypothesis.parameters[column.index].typical
+    return found
+
+
+def count_sides(simulator: ArmSimulator, column: JacobianColumn) -> int:
+    """Count the sides of nominal within the bounds."""
+    return len(_perturb_both_sides(simulator, column, 1.0))
+
+
+def steps_to_rest(simulator: ArmSimulator, column: JacobianColumn) -> bool:
+    """Check that the effect needs a dynamic simulation up to the rests."""
+    return any(map(is_stepped, _typical_step(simulator, column).effects))
+
+
+def group_columns(
+    simulator: ArmSimulator, columns: Sequence[JacobianColumn], wanted: Sequence[int]
+) -> list[tuple[int, ...]]:
+    """Group columns that are simulated at once, one at each joint; slow groups come first."""
+    count: Counter[Hashable] = Counter()
+    groups: dict[Hashable, list[int]] = {}
+    for k in wanted:
+        key = _group_key(simulator, columns[k])
+        # effects of one kind at one joint, such as friction in two directions, would add up
+        at_joint = key, _joint(_typical_step(simulator, columns[k]))
+        groups.setdefault(k if key is None else (key, count[at_joint]), []).append(k)
+        count[at_joint] += 1
+    found = sorted(groups.values(), key=lambda of: (not steps_to_rest(simulator, columns[of[0]]), -len(of)))
+    return [tuple(of) for of in found]
+
+
+def _group_key(simulator: ArmSimulator, column: JacobianColumn) -> tuple[str, int | None] | None:
+    """Return kind and parameter of an effect at a joint; None if it must be simulated alone."""
+    whole = _typical_step(simulator, column)
+    if _joint(whole) is None:
+        return None
+    return type(whole.effects[0]).__name__, None if column.hypothesis is None else column.index
+
+
+def step_size(simulator: ArmSimulator, column: JacobianColumn, share: float) -> float:
+    """Return the step within the bounds for a share of the typical size, upwards if there is room."""
+    return _perturb_both_sides(simulator, column, share)[0].size
+
+
+def simulate_side(
+    simulator: ArmSimulator,
+    columns: Sequence[JacobianColumn],
+    nominal: Array,
+    number: int,
+    shares: Sequence[float],
+    only: Callable[[MotionFeatures], bool] = every_motion,
+) -> list[OneSidedStep]:
+    """Simulate one side of columns that are simulated at once. Repeats of a motion are not simulated.
+
+    Args:
+        columns: Columns of one group.
+        nominal: Prediction without effects in the units of the channels, shape (m,).
+        number: 0 for the first side, 1 for the second.
+        shares: Step of each column as a share of its typical size.
+        only: Predicate of the motions to simulate; others do not change.
+
+    Returns:
+        Step of each column.
+    """
+    ends = [
+        _perturb_both_sides(simulator, column, by)[number] for column, by in zip(columns, shares, strict=True)
+    ]
+    if _group_key(simulator, columns[0]) is None:
+        changes = [simulate_change(simulator, ends[0].effects, nominal, only)]
+    else:
+        changes = _simulate_together(simulator, ends, nominal, only)
+    return [OneSidedStep(by, end.size, change) for by, end, change in zip(shares, ends, changes, strict=True)]
+
+
+def _simulate_together(
+    simulator: ArmSimulator,
+    ends: Sequence[_Perturbation],
+    nominal: Array,
+    only: Callable[[MotionFeatures], bool],
+) -> list[Array]:
+    """Simulate once with all effects; select the motions and the rests that each joint changes."""
+    every = tuple(effect for end in ends for effect in end.effects)
+    moved = simulate_change(simulator, every, nominal, only)
+    moving = np.arange(moved.size) < sum(len(one.features) for one in simulator.feature_set.motions)
+    found = []
+    for end in ends:
+        joint = _joint(end)
+        assert joint is not None, "only effects at joints are simulated together"
+        own = moving & _features_at(simulator, joint.name.lower())
+        turns = not all(map(changes_readings_only, end.effects))
+        at_rest = rests_moved_by(simulator.feature_set, moved, joint, turns)
+        found.append(np.where(own, moved, at_rest))
+    return found
+
+
+def _features_at(simulator: ArmSimulator, name: str) -> Flags:
+    """Return flags of the features at a place, (m,)."""
+    return np.array([place == name for place in simulator.layout.places])[simulator.layout.place]
+
+
+def _joint(end: _Perturbation) -> Joint | None:
+    """Return the joint of the effect; None if it has none."""
+    (effect,) = end.effects
+    joint = getattr(effect, "joint", None)
+    return None if joint is None else Joint(joint)
+
+
+def _typical_step(simulator: ArmSimulator, column: JacobianColumn) -> _Perturbation:
+    """Return a step of the typical size, upwards if there is room."""
+    return _perturb_both_sides(simulator, column, 1.0)[0]
+
+
+def _perturb_both_sides(
+    simulator: ArmSimulator, column: JacobianColumn, share: float
+) -> tuple[_Perturbation, ...]:
+    """Return steps up and down, within the bounds."""
+    found = (_perturb(simulator, column, sign * share) for sign in (1.0, -1.0))
+    return tuple(end for end in found if end is not None)
+
+
+def _perturb(simulator: ArmSimulator, column: JacobianColumn, share: float) -> _Perturbation | None:
+    """Return the step of a share of the typical size; None if the bounds leave no room."""
+    zero = np.zeros(len(simulator.nuisances))
+    if column.hypothesis is None:
+        one = simulator.nuisance_effects[column.index]
+        if share < 0.0 and one.one_sided:
+            return None
+        zero[column.index] = 1.0 if one.one_sided else np.sign(share) * one.nuisance.sigma
+        return _Perturbation(tuple(simulator.effects({}, zero)), float(zero[column.index]))
+    hypothesis = simulator.hypotheses[column.hypothesis]
+    parameter, values = hypothesis.parameters[column.index], hypothesis.absent
+    absent = values[column.index]
+    values[column.index] = np.clip(absent + share * parameter.typical, parameter.least, parameter.most)
+    if values[column.index] == absent:
+        return None
+    size = float((values[column.index] - absent) / parameter.typical)
+    return _Perturbation(tuple(simulator.effects({hypothesis: values}, zero)), size)

@@ -1,0 +1,157 @@
+"""Output files of a diagnosis: report page, patch of effects, and new flight parameters."""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from fsw.config import digest
+from fsw.dictionary.params import Params
+from marsarm.common.command_text import command_text
+from marsarm.common.files import atomic_write
+from marsarm.common.json_digest import json_sha256
+from marsarm.common.params_toml import params_toml
+from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, file_sha256, flight_params
+from marsarm.diagnosis.arm.request import DiagnoseRequest
+from marsarm.diagnosis.arm.simulator import catalogue_effect
+from marsarm.diagnosis.page import save_diagnosis_page
+from marsarm.diagnosis.result import DiagnosisResult, to_json
+from marsarm.render.page import Origin
+from sim.effects.catalogue import effect_name, has_flight_parameter
+from sim.effects.effect import Effect
+from sim.params import nominal_params
+from sim.params_table import BadParams, check_params
+from sim.scenario.effect_file import effect_file_text
+from sim.scenario.effects import effect_text
+
+
+class NothingToWrite(Exception):
+    """No content for a file; the message says why."""
+
+
+def effects_of_findings(result: DiagnosisResult) -> tuple[Effect, ...]:
+    """Return the effects of a diagnosis with their fitted values.
+
+    Raises:
+        NothingToWrite: No effect was found.
+    """
+    diagnosis = result.diagnosis
+    if diagnosis.verdict != "found":
+        raise NothingToWrite(f"the verdict is {diagnosis.verdict}, so there is no effect to switch on")
+    return tuple(
+        catalogue_effect(result.hypothesis(one.hypothesis), one.values) for one in diagnosis.findings
+    )
+
+
+def save_patch(result: DiagnosisResult, path: Path) -> None:
+    """Write the file that switches on the findings, for --effect and for a scenario.
+
+    Raises:
+        NothingToWrite: No effect was found.
+        BadOutput: The file cannot be written.
+    """
+    effects = effects_of_findings(result)
+    with atomic_write(path, "patch") as file:
+        file.write(effect_file_text(effects, _patch_comments(result)).encode())
+
+
+def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
+    """Return flight parameters that include the effects, as far as there are parameters for them.
+
+    Raises:
+        NothingToWrite: There is no parameter for any effect, or flight software refuses the values.
+    """
+    params = base
+    for effect in effects:
+        params = effect.on_params(params)
+    if params == base:
+        names = ", ".join(effect_text(effect) for effect in effects)
+        raise NothingToWrite(f"there is no flight parameter for {names}")
+    try:
+        check_params(params, "flight software would not take them")
+    except BadParams as error:
+        raise NothingToWrite(str(error)) from error
+    return params
+
+
+def save_new_params(result: DiagnosisResult, base: Params, path: Path) -> None:
+    """Write the parameter file for --params: all values of `base` and the findings that are not nominal.
+
+    Raises:
+        NothingToWrite: There are no new parameters.
+        BadOutput: The file cannot be written.
+    """
+    effects = effects_of_findings(result)
+    params = new_params(base, effects)
+    without_parameter = [
+        effect_name(type(effect)) for effect in effects if not has_flight_parameter(type(effect))
+    ]
+    comments = [
+        "Flight parameters with the findings of a diagnosis; all others are nominal.",
+        *(f"Effect: {effect_text(effect)}" for effect in effects),
+        *(f"There is no flight parameter for {name}." for name in without_parameter),
+    ]
+    with atomic_write(path, "new-params") as file:
+        file.write(params_toml(nominal_params(), params, comments).encode())
+
+
+def _patch_comments(result: DiagnosisResult) -> list[str]:
+    """Return comment lines: the findings, their aliases and their alternatives."""
+    names = [hypothesis.name for hypothesis in result.model.sensitivities.hypotheses]
+    lines = ["Findings of a diagnosis; switch them on with --effect and the name of this file."]
+    lines += [
+        f"{names[one.hypothesis]} is known at the level: {one.level}." for one in result.diagnosis.findings
+    ]
+    for finding in result.diagnosis.findings:
+        own = names[finding.hypothesis]
+        alike = [names[one] for one in finding.equivalence_class if one != finding.hypothesis]
+        rest = [names[one.hypothesis] for one in finding.alternatives[1:]]
+        lines += [f"{own} cannot be distinguished from {one}." for one in alike]
+        lines += [f"{one} is an alternative to {own}." for one in rest]
+    return lines
+
+
+def save_diagnosis_files(
+    result: DiagnosisResult, request: DiagnoseRequest, job: DiagnoseJob
+) -> tuple[str, ...]:
+    """Write the files of a request; return sentences about those without content.
+
+    Args:
+        request: Request with the paths of the files.
+        job: Checked request, with the logs and the flight parameters of the arm.
+
+    Raises:
+        BadOutput: A file cannot be written.
+    """
+
+    def save_page(path: Path) -> None:
+        save_diagnosis_page(result, _origin(result, request, job), path)
+
+    savers: tuple[tuple[str, Path | None, Callable[[Path], None]], ...] = (
+        ("report", request.report, save_page),
+        ("patch", request.patch, lambda path: save_patch(result, path)),
+        ("new-params", request.new_params, lambda path: save_new_params(result, flight_params(job), path)),
+    )
+    not_written = []
+    for what, path, save in savers:
+        if path is None:
+            continue
+        try:
+            save(path)
+        except NothingToWrite as why:
+            not_written.append(f"{what} {path}: not written: {why}")
+    return tuple(not_written)
+
+
+def _origin(result: DiagnosisResult, request: DiagnoseRequest, job: DiagnoseJob) -> Origin:
+    digests = {
+        "logs": _files_sha256(job.logs),
+        **({"held-out logs": _files_sha256(job.held_out)} if job.held_out else {}),
+        "parameters": digest(flight_params(job)),
+        "result": json_sha256(to_json(result)),
+    }
+    return Origin(command_text("diagnose", request), digests)
+
+
+def _files_sha256(paths: Sequence[Path]) -> str:
+    """Compute the SHA-256 of the digests of files, whatever their names and order."""
+    return hashlib.sha256("".join(sorted(map(file_sha256, paths))).encode()).hexdigest()

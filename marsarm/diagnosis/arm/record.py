@@ -1,0 +1,199 @@
+"""Recording of a diagnosis campaign with a simulated arm: logs and tracker poses."""
+
+import json
+import os
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fsw.estimate.reference import Reference
+from fsw.kinematics.transforms import Array, Pose, stack_poses
+from marsarm.calibration.survey import TooFewTargets, measure_pose
+from marsarm.common.errors import BadRequest
+from marsarm.common.files import atomic_path, check_new_path
+from marsarm.common.options import check_options
+from marsarm.common.params_toml import params_toml
+from marsarm.common.progress import Progress, no_progress
+from marsarm.common.requests import fit_effects, parse_effects, select_arm
+from marsarm.diagnosis.arm.request import RecordRequest
+from marsarm.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, write_tracker_poses
+from marsarm.telemetry.header import SESSION, flight_header
+from marsarm.telemetry.json_codec import record_to_json
+from marsarm.telemetry.recorder import Recorder
+from sim.arm_model.load import default_arm
+from sim.arms import BuiltArm, effects_of_run
+from sim.diagnosis_campaign import (
+    HELD_OUT_SESSIONS,
+    DiagnosisSession,
+    SessionFailed,
+    campaign_sessions,
+    run_session,
+    start_session,
+)
+from sim.effects.effect import Effect
+from sim.initialisation import true_reference
+from sim.loop import ClosedLoop
+from sim.params import nominal_params
+from sim.plant import PlantDiverged
+from sim.scenario.names import did_you_mean
+from sim.tracker import TYPICAL_TRACKER, turret_pose
+
+HELD_OUT_FOLDER: Final = "held-out"
+"""Name of the folder of held-out logs, inside the folder of logs."""
+PARAMS_FILE: Final = "flight-params.toml"
+"""Name of the file of flight parameters beside the logs, in the form of --params."""
+
+
+def record_campaign(
+    folder: Path,
+    sessions: Sequence[DiagnosisSession],
+    arm: BuiltArm,
+    reference: Reference,
+    seed: int,
+    progress: Progress,
+    effects: tuple[Effect, ...] = (),
+) -> list[Path]:
+    """Record a log of each session, without the state of the plant.
+
+    Args:
+        folder: Folder of the logs.
+        sessions: Sessions of the campaign.
+        arm: Simulated arm.
+        reference: Joint zeros that flight software starts with.
+        seed: Seed of the sensor noise.
+        progress: Called with done, total and session.
+        effects: Effects that begin with the run.
+
+    Raises:
+        SessionFailed: A motion did not complete.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for number, session in enumerate(sessions):
+        progress(number, len(sessions), session.name)
+        loop = start_session(
+            session, arm, reference, int(np.random.default_rng([seed, number]).integers(2**31)), effects
+        )
+        paths.append(_record_session(folder / f"{session.name}.mcap", session, loop, seed + number))
+    return paths
+
+
+def _record_session(path: Path, session: DiagnosisSession, loop: ClosedLoop, seed: int) -> Path:
+    rng = np.random.default_rng([seed, 7])
+    header = {**flight_header(loop, session.commands), SESSION: session_json(session)}
+    rows: list[tuple[int, Pose, Array]] = []
+    with Recorder(path, header) as recorder:
+        for moment in run_session(loop, session):
+            recorder.write(moment.record)
+            if moment.rested and session.tracked:
+                rows += _measure_turret(loop, session, moment.record.tick, rng)
+    if session.tracked:
+        write_tracker_poses(path.with_suffix(".tracker.csv"), _stack_poses(rows))
+    return path
+
+
+def session_json(session: DiagnosisSession) -> str:
+    """Return the description of a session for the header of its log."""
+    known = {"name": session.name, "block": session.block, "temperature_C": session.temperature_C}
+    return json.dumps({**known, "world": record_to_json(session.world)})
+
+
+def _measure_turret(
+    loop: ClosedLoop, session: DiagnosisSession, tick: int, rng: np.random.Generator
+) -> list[tuple[int, Pose, Array]]:
+    """Measure the turret pose with the tracker; nothing if too few targets are visible."""
+    loop.plant.truth()  # updates the kinematics
+    try:
+        seen = measure_pose(
+            TYPICAL_TRACKER, loop.plant, session.world.tilt_roll_rad, turret_pose(loop.plant), rng
+        )
+    except TooFewTargets:
+        return []
+    return [(tick, seen.X_RT, np.sqrt(np.diag(seen.covariance)))]
+
+
+def _stack_poses(rows: list[tuple[int, Pose, Array]]) -> TrackerPoses:
+    if not rows:
+        return no_tracker_poses()
+    ticks, poses, sigmas = zip(*rows, strict=True)
+    return TrackerPoses(np.array(ticks, np.int64), stack_poses(poses), np.stack(sigmas, -1))
+
+
+def split_logs(folder: Path) -> tuple[list[Path], list[Path]]:
+    """Split the logs of a folder into those that are fitted and those that are held out."""
+    logs = sorted(folder.glob("*.mcap"))
+    return [log for log in logs if log.stem not in HELD_OUT_SESSIONS], [
+        log for log in logs if log.stem in HELD_OUT_SESSIONS
+    ]
+
+
+def check_record_request(request: RecordRequest) -> None:
+    """Refuse a request that cannot be carried out; write nothing.
+
+    Raises:
+        BadRequest: Seed, effects, arm or folder are wrong.
+        BadOutput: The folder cannot be written.
+    """
+    check_options(request)
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    if arm.model.name != default_arm().name:
+        raise BadRequest(
+            f"arm {request.arm}: the diagnosis knows the drawing {default_arm().name} only; give nominal, "
+            "as-built:SEED or calibrated:SEED"
+        )
+    fit_effects(arm, parse_effects(request.effects, arm.params.tool_names))
+    _choose_sessions(request, arm)
+    if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
+        raise BadRequest(f"out {request.out}: is there and is no empty folder; name a new or empty one")
+    check_new_path(request.out, "out")
+
+
+def _choose_sessions(request: RecordRequest, arm: BuiltArm) -> list[DiagnosisSession]:
+    """Return the sessions of the campaign that a request asks for.
+
+    Raises:
+        BadRequest: There is none.
+    """
+    every = campaign_sessions(arm.params)
+    chosen = [session for session in every if fnmatchcase(session.name, request.sessions)]
+    if not chosen:
+        raise BadRequest(
+            f"sessions: nothing is called {request.sessions!r}; "
+            f"{did_you_mean(request.sessions, [session.name for session in every])}"
+        )
+    return chosen
+
+
+def record_logs(request: RecordRequest, progress: Progress = no_progress) -> list[Path]:
+    """Record all sessions, held-out ones in their own folder; write all logs or none.
+
+    Raises:
+        BadRequest: The request is wrong, or the arm cannot carry out a session with these effects.
+        BadOutput: The folder cannot be written.
+    """
+    check_record_request(request)
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    effects = parse_effects(request.effects, arm.params.tool_names)
+    arm = fit_effects(arm, effects)
+    begun = effects_of_run(effects)
+    wanted, reference, paths = _choose_sessions(request, arm), true_reference(arm), []
+    try:
+        with atomic_path(request.out.resolve()) as part:
+            part.mkdir(parents=True, exist_ok=True)
+            comments = ["Flight parameters of these logs; all others are nominal."]
+            (part / PARAMS_FILE).write_text(params_toml(nominal_params(), arm.params, comments))
+            for number, session in enumerate(wanted):
+                progress(number, len(wanted), session.name)
+                folder = part / HELD_OUT_FOLDER if session.name in HELD_OUT_SESSIONS else part
+                seed = request.seed + number
+                made = record_campaign(folder, [session], arm, reference, seed, lambda *_: None, begun)
+                paths += [request.out / log.relative_to(part) for log in made]
+    except (SessionFailed, PlantDiverged) as error:
+        raise BadRequest(f"effect: {error}; with smaller effects it may complete") from error
+    except OSError as error:
+        raise BadRequest(f"out {request.out}: cannot be written ({error.strerror or error})") from error
+    progress(len(wanted), len(wanted), "recorded")
+    return paths

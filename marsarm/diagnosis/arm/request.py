@@ -1,0 +1,85 @@
+"""Requests of `marsarm diagnose`, `gap record` and `gap demo`: their options, with defaults and bounds."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from marsarm.common.options import (
+    ArmOption,
+    ClusterOption,
+    EffectsOption,
+    MismatchOption,
+    Option,
+    ParamsOption,
+    ReportOption,
+    SeedOption,
+    WorkersOption,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnoseRequest:
+    """Request for a diagnosis."""
+
+    logs: Annotated[
+        tuple[Path, ...],
+        Option("Logs, or folders: all .mcap files in them.", "LOG...", is_argument=True),
+    ]
+    held_out: Annotated[
+        tuple[Path, ...],
+        Option(
+            "Logs that are not fitted; the reduction of their residuals validates the result; repeatable.",
+            "LOG",
+        ),
+    ] = ()
+    params: ParamsOption = None
+    mismatch: MismatchOption = False
+    catalogue: Annotated[
+        str | None,
+        Option(
+            "Effects of `marsarm effects` that may be the cause; all of them if not given.", "NAME,NAME,..."
+        ),
+    ] = None
+    campaign: Annotated[
+        Path | None,
+        Option(
+            "Folder with logs of the campaign that these repeat; it caches the sensitivities. Without it "
+            "the sensitivities of the logs themselves are computed, which takes minutes.",
+            "DIR",
+        ),
+    ] = None
+    effects: EffectsOption = ()
+    seed: SeedOption = 0
+    workers: WorkersOption = None
+    cluster: ClusterOption = None
+    patch: Annotated[
+        Path | None, Option("Write the identified effects, for --effect.", "FILE.toml", suffixes=(".toml",))
+    ] = None
+    new_params: Annotated[
+        Path | None,
+        Option("Write flight parameters with these effects, for --params.", "FILE.toml", suffixes=(".toml",)),
+    ] = None
+    report: ReportOption = None
+
+
+@dataclass(frozen=True, slots=True)
+class DemoRequest:
+    """Request for a demonstration of the diagnosis."""
+
+    seed: SeedOption = 0
+    workers: WorkersOption = None
+
+
+@dataclass(frozen=True, slots=True)
+class RecordRequest:
+    """Request to record a campaign."""
+
+    out: Annotated[Path, Option("A new or empty folder for the logs.", "DIR")]
+    arm: ArmOption = "nominal"
+    effects: EffectsOption = ()
+    params: ParamsOption = None
+    mismatch: MismatchOption = False
+    seed: SeedOption = 0
+    sessions: Annotated[
+        str, Option("Record only the sessions with such names, for example poses-level-*.", "PATTERN")
+    ] = "*"

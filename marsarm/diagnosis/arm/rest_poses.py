@@ -1,0 +1,228 @@
+"""Rest poses by static equilibrium with any effects: turret poses, and outputs relative to motors.
+
+Motors are at their encoder angles. Friction drags each output within its gear from one turning point of the
+motor to the next (fsw.estimate.gear). A link that creeps bends further by a share of its load that follows
+from the times between turning points. No dynamics are simulated, except for what `is_stepped` tells.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ, Config, configure
+from fsw.dictionary.enums import Joint
+from fsw.estimate.gear import bound_gear
+from fsw.kinematics.statics import settle_output
+from fsw.kinematics.transforms import Array, Pose, inverse, screw_exp, stack_poses
+from marsarm.diagnosis.arm.logs import Recording
+from marsarm.diagnosis.arm.open_loop import simulate_open_loop
+from marsarm.diagnosis.arm.segments import find_rests, find_segments
+from marsarm.diagnosis.arm.tracker_poses import no_tracker_poses
+from sim.disturbance import NO_DISTURBANCE, Disturbance
+from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal_hardware
+from sim.effects.gears import GearHysteresis
+from sim.effects.numerics import Numerics
+from sim.effects.structure import LinkBending, LinkCreep
+from sim.open_loop import scale_shift_rad
+from sim.params import nominal_params
+from sim.plant import Plant
+from sim.world import World, build
+from simgap.serial_arm.screws import screw_log
+
+MEAN_TICKS = CYCLE_HZ // 4
+"""Number of ticks at the end of a rest over which resolvers are averaged."""
+STEP_NUMERICS: Final = Numerics("implicit", 2)
+"""Numerics whose rests are simulated: those of other time steps and schemes agree with them to a hundredth of
+the noise floor, and take three times as long."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TurningPoints:
+    """Turning points and rests of the motors in one recording, k of them."""
+
+    recording: Recording
+    motor_rad: Array
+    """Motor angles by encoders and reference zeros, shape (5, k)."""
+    tick: tuple[int, ...]
+    rests: tuple[int, ...]
+    """Indices of the rests among the turning points, ascending."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestPoses:
+    """Equilibria of the r rests of one recording."""
+
+    resolver_rad: Array
+    """Resolvers minus motor angles by encoders, shape (5, r)."""
+    X_RF: Pose
+    """Pose of the turret interface in RMECH, batch (r,)."""
+
+
+def is_stepped(effect: Effect) -> bool:
+    """Check that rests with an effect need a dynamic simulation: hysteresis inside a gear, or numerics."""
+    return isinstance(effect, GearHysteresis) or effect == STEP_NUMERICS
+
+
+NO_RESTS: Final = RestPoses(np.zeros((len(Joint), 0)), no_tracker_poses().X_RF)
+"""Result for a recording without rests."""
+
+
+def find_turning_points(recording: Recording) -> TurningPoints:
+    """Find the rests, and the starts and ends of motions."""
+    rests = find_rests(recording)
+    turns = {tick for s in find_segments(recording) for tick in (s.first, s.end - 1)}
+    ticks = sorted({*rests, *turns})
+    motor = recording.motor_rad()[:, ticks]
+    return TurningPoints(recording, motor, tuple(ticks), tuple(ticks.index(tick) for tick in rests))
+
+
+def read_resolvers(turning_points: TurningPoints) -> Array:
+    """Compute the recorded resolvers minus motor angles at the rests.
+
+    Args:
+        turning_points: Turning points of a recording with r rests.
+
+    Returns:
+        Differences in rad, shape (5, r).
+    """
+    recording = turning_points.recording
+    ends = [turning_points.tick[k] + 1 for k in turning_points.rests]
+    difference_rad = recording.sensors["resolver_rad"].T - recording.motor_rad()
+    means = [difference_rad[:, max(end - MEAN_TICKS, 0) : end].mean(axis=1) for end in ends]
+    return np.stack(means, axis=-1) if means else NO_RESTS.resolver_rad
+
+
+def solve_rests(turning_points: Sequence[TurningPoints], effects: Sequence[Effect]) -> list[RestPoses]:
+    """Solve the equilibria of each recording, for the nominal arm with these effects."""
+    creep = next((effect for effect in effects if isinstance(effect, LinkCreep)), None)
+    if creep is not None:
+        return _solve_creep(turning_points, creep, [effect for effect in effects if effect is not creep])
+    if any(map(is_stepped, effects)):
+        return [_simulate_rests(one, effects) if one.rests else NO_RESTS for one in turning_points]
+    hardware, params = nominal_hardware(), nominal_params()
+    for effect in effects:
+        before = hardware.counter_zero_rad
+        hardware = effect.on_hardware(hardware)
+        if effect.built_in:  # homing has found the zeros, wherever the counters started
+            hardware = replace(hardware, counter_zero_rad=before)
+        if np.array_equal(before, hardware.counter_zero_rad):
+            params = effect.on_params(params)
+        # else the effect is applied once, as hardware: on_params would apply the shifted zero again
+    config = configure(params)
+    return [
+        _solve_statics(one, config, hardware, effects) if one.rests else NO_RESTS for one in turning_points
+    ]
+
+
+def _solve_creep(
+    turning_points: Sequence[TurningPoints], creep: LinkCreep, others: Sequence[Effect]
+) -> list[RestPoses]:
+    """Solve the equilibria with a creeping link: between those of the link and of one that has crept wholly.
+
+    The bending of a link is linear in its load, so that the angle at a rest is a share of the whole one.
+    """
+    whole = LinkBending(creep.frame, creep.axis, creep.compliance_rad_Nm)
+    every = [replace(one, rests=tuple(range(len(one.tick)))) for one in turning_points]
+    before, after = (solve_rests(every, effects) for effects in (others, (*others, whole)))
+    found = []
+    for one, rigid, bent in zip(turning_points, before, after, strict=True):
+        if not one.rests:
+            found.append(NO_RESTS)
+            continue
+        screw, at = screw_log(inverse(rigid.X_RF) @ bent.X_RF), list(one.rests)
+        share = creep_shares(np.array(one.tick) / CYCLE_HZ, screw[:3], creep.time_s)[at]
+        X = Pose(rigid.X_RF.R[:, :, at], rigid.X_RF.p[:, at])
+        resolver_rad = rigid.resolver_rad[:, at]
+        resolver_rad += share * (bent.resolver_rad[:, at] - resolver_rad)
+        found.append(RestPoses(resolver_rad, X @ screw_exp(share * screw[:, at])))
+    return found
+
+
+def creep_shares(time_s: Array, angle_rad: Array, creep_s: float) -> Array:
+    """Compute the share of its whole bending that a creeping link has at each time.
+
+    The angle a follows creep_s a' = whole - a from 0 at time 0. The load, and with it the whole angle, is
+    constant up to the first time and linear between times.
+
+    Args:
+        time_s: Times from the first cycle [s], ascending, shape (k,).
+        angle_rad: Whole rotation by the bending at each time [rad], shape (3, k).
+        creep_s: Time constant [s].
+
+    Returns:
+        Shares, without a unit, shape (k,); 0 where there is no load.
+    """
+    largest = angle_rad[:, int(np.argmax(np.sum(angle_rad**2, axis=0)))]
+    whole = largest @ angle_rad
+    shares, a, last_s, last = np.zeros(time_s.size), 0.0, 0.0, whole[0]
+    for k, (now_s, now) in enumerate(zip(time_s, whole, strict=True)):
+        span_s = now_s - last_s
+        left = float(np.exp(-span_s / creep_s))
+        # solution of the differential equation for a load that changes linearly
+        a = a * left + now - last * left - (now - last) * creep_s / max(span_s, 1e-9) * (1.0 - left)
+        shares[k] = a / now if now else 0.0
+        last_s, last = now_s, now
+    return shares
+
+
+def _simulate_rests(turning_points: TurningPoints, effects: Sequence[Effect]) -> RestPoses:
+    """Simulate the rests under the recorded drive, without noise."""
+    recording = turning_points.recording
+    ticks = [turning_points.tick[k] for k in turning_points.rests]
+    found = simulate_open_loop(recording, effects, pose_ticks=frozenset(ticks), ticks=max(ticks) + 1)
+    differences_rad = []
+    for reading in (found.readings[tick] for tick in ticks):
+        motor = reading.encoder_count * recording.rad_per_count + recording.start.zero_rad
+        differences_rad.append(reading.resolver_rad - motor)
+    return RestPoses(np.stack(differences_rad, -1), stack_poses([found.X_RF[tick] for tick in ticks]))
+
+
+def _solve_statics(
+    turning_points: TurningPoints, config: Config, hardware: Hardware, effects: Sequence[Effect]
+) -> RestPoses:
+    recording = turning_points.recording
+    gravity = recording.world.gravity_N_m_s2
+    hardstop_error_rad = recording.start.hardstop_rad - config.hardstop_rad
+    counter_error_rad = nominal_hardware().counter_zero_rad - hardware.counter_zero_rad
+    motor = turning_points.motor_rad - (hardstop_error_rad + counter_error_rad)[:, None]
+    motor += scale_shift_rad(hardware, turning_points.motor_rad, recording.start.hardstop_rad)
+    plant = _plant_with(recording.world, tuple(effects)) if hardware.each_cycle else None
+    half_backlash_rad = config.half_backlash_rad
+    load = settle_output(config.arm, motor, gravity).torque_Nm
+    gear, driven = np.zeros(5), motor[:, 0]
+    outputs = np.zeros_like(motor)
+    for k, motor_rad in enumerate(motor.T):
+        hardware, disturbance = (
+            (hardware, NO_DISTURBANCE) if plant is None else _act_at(plant, hardware, motor_rad, gear)
+        )
+        before, driven = driven, motor_rad + disturbance.gear_rad
+        bounds = bound_gear(config, half_backlash_rad, load[:, k] + disturbance.output_Nm)
+        gear = np.clip(gear - (driven - before), bounds.lowest_rad, bounds.highest_rad)
+        outputs[:, k] = driven + gear
+    at_rest = list(turning_points.rests)
+    outputs = outputs[:, at_rest]
+    frames = settle_output(config.arm, outputs, gravity).frames
+    resolver = outputs + hardware.resolver_bias_rad[:, None]
+    for error in hardware.resolver_errors:
+        resolver += np.stack([error.error_rad(output) for output in outputs.T], axis=-1)
+    return RestPoses(resolver - turning_points.motor_rad[:, at_rest], frames.X_RF[5])
+
+
+@lru_cache(maxsize=4)
+def _plant_with(world: World, effects: tuple[Effect, ...]) -> Plant:
+    """Build the plant with effects; recordings of a campaign often share a world."""
+    spec = build(world)
+    for effect in effects:
+        effect.on_model(spec)
+    return Plant(spec.compile())
+
+
+def _act_at(
+    plant: Plant, hardware: Hardware, motor_rad: Array, gear_rad: Array
+) -> tuple[Hardware, Disturbance]:
+    """Evaluate the effects of a cycle at a pose: new hardware, gear shifts and output torques."""
+    plant.data.qpos[plant.at.motor], plant.data.qpos[plant.at.gear] = motor_rad, gear_rad
+    return evaluate_cycle_effects(plant, hardware)

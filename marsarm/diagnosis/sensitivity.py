@@ -1,0 +1,244 @@
+"""Sensitivities of the features to every hypothesis and nuisance: computed once for a campaign, and cached.
+
+Near its nominal state the simulator f is approximated for amplitudes a in typical sizes and nuisances v by
+
+    f(a, v) = f(0, 0) + S a + Q a^2 + N v
+
+with the square taken of each amplitude.
+"""
+
+import json
+import zlib
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Final
+from zipfile import BadZipFile
+
+import numpy as np
+
+from fsw.kinematics.transforms import Array
+from marsarm.common.files import atomic_write
+from marsarm.diagnosis.problem import (
+    EffectValues,
+    FeatureLayout,
+    Hypothesis,
+    Ints,
+    Nuisance,
+    Parameter,
+)
+
+_READ_ERRORS: Final = (
+    *(
+        OSError,
+        EOFError,
+        BadZipFile,
+        zlib.error,
+        RuntimeError,
+    ),  # zipfile raises the last for unknown compression
+    *(ValueError, KeyError, TypeError),
+)
+_LAYOUT_ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
+_OWN_ARRAYS: Final = ("effect", "curve", "reach", "owner", "nuisance")
+ROUNDING: Final = 1e-9
+"""Greatest relative difference of two columns that come from the same simulated change."""
+_LAYOUT_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensitivities:
+    """First and second derivatives of the simulator at its nominal state."""
+
+    layout: FeatureLayout
+    hypotheses: tuple[Hypothesis, ...]
+    nuisances: tuple[Nuisance, ...]
+    effect: Array
+    """Change per typical size of each amplitude parameter, in the order of `owner`, shape (m, k)."""
+    curve: Array
+    """Change per squared typical size: parabola through nominal and the simulated steps, shape (m, k)."""
+    reach: Array
+    """Largest simulated departure in typical sizes, shape (k,)."""
+    owner: Ints
+    """Index of the hypothesis that each column belongs to, ascending, shape (k,)."""
+    nuisance: Array
+    """Change per unit of each nuisance, shape (m, q)."""
+
+    def __post_init__(self) -> None:
+        m, wanted = self.layout.size, [len(hypothesis.amplitudes) for hypothesis in self.hypotheses]
+        if not np.array_equal(self.owner, np.repeat(np.arange(len(wanted)), wanted)):
+            raise ValueError("owner must list every size parameter of every hypothesis in order")
+        shapes = (
+            (self.effect, (m, sum(wanted))),
+            (self.curve, (m, sum(wanted))),
+            (self.reach, (sum(wanted),)),
+            (self.nuisance, (m, len(self.nuisances))),
+        )
+        for array, shape in shapes:
+            if array.shape != shape or not np.all(np.isfinite(array)):
+                raise ValueError(f"sensitivities must be finite and {shape}; one is {array.shape}")
+
+    @property
+    def shared_nuisances(self) -> list[int]:
+        """Indices of the nuisances with one value in all blocks."""
+        return [index for index, nuisance in enumerate(self.nuisances) if not nuisance.random_per_block]
+
+    def change(self, settings: EffectValues) -> Array:
+        """Compute the change of the features by effects: parabolas, linear beyond the simulated departures.
+
+        Args:
+            settings: Values of all parameters of each effect in their units, shape (p,). Shape parameters
+                have no influence.
+
+        Returns:
+            Change in the units of the channels, shape (m,).
+        """
+        total = np.zeros(self.layout.size)
+        for hypothesis, values in settings.items():
+            columns = np.flatnonzero(self.owner == self.hypotheses.index(hypothesis))
+            total += self._change(columns, hypothesis.departures(values))
+        return total
+
+    def _change(self, columns: Ints, a: Array) -> Array:
+        return continue_parabola(self.effect[:, columns], self.curve[:, columns], self.reach[columns], a)
+
+    def with_simulated(self, hypothesis: int, a: Array, change: Array) -> "Sensitivities":
+        """Return the sensitivities with the parabola of one hypothesis through a simulated change.
+
+        The slopes stay. The curvature of its largest amplitude takes what they miss. A nuisance of the same
+        parameter, whose column is parallel, gets the slope of the parabola there.
+
+        Args:
+            hypothesis: Index of the hypothesis, with n amplitudes.
+            a: Departures in typical sizes, without a unit, shape (n,), not all 0.
+            change: Simulated change there in the units of the channels, shape (m,).
+
+        Returns:
+            Sensitivities with another curvature and reach, and other slopes of such nuisances.
+        """
+        columns = np.flatnonzero(self.owner == hypothesis)
+        curve, reach = self.curve.copy(), self.reach.copy()
+        reach[columns] = np.maximum(reach[columns], np.abs(a))
+        largest = int(np.argmax(np.abs(a)))
+        curve[:, columns[largest]] = 0.0
+        missed = change - self.effect[:, columns] @ a - curve[:, columns] @ a**2
+        curve[:, columns[largest]] = missed / a[largest] ** 2
+        slope = self.effect[:, columns[largest]]
+        turn = 2.0 * curve[:, columns[largest]] * a[largest]
+        shares = slope @ self.nuisance / max(float(slope @ slope), float(np.finfo(float).tiny))
+        beside = np.abs(self.nuisance - np.outer(slope, shares)).max(axis=0)
+        is_parallel = beside <= ROUNDING * np.abs(self.nuisance).max(axis=0)
+        nuisance = self.nuisance + np.outer(turn, np.where(is_parallel, shares, 0.0))
+        return replace(self, curve=curve, reach=reach, nuisance=nuisance)
+
+    def linearised(self, hypothesis: int, a: Array) -> "Sensitivities":
+        """Return the sensitivities with those of one hypothesis linearised at an estimate.
+
+        The column of its largest amplitude makes the whole change there, beside the slopes of the others.
+
+        Args:
+            hypothesis: Index of the hypothesis, with n amplitudes.
+            a: Departures of the estimate in typical sizes, without a unit, shape (n,), not all 0.
+
+        Returns:
+            Sensitivities with other slopes.
+        """
+        columns = np.flatnonzero(self.owner == hypothesis)
+        inside = np.clip(a, -self.reach[columns], self.reach[columns])
+        effect, curve = self.effect.copy(), self.curve.copy()
+        change = self._change(columns, a)
+        effect[:, columns] += 2.0 * curve[:, columns] * inside
+        largest = int(np.argmax(np.abs(a)))
+        others = np.delete(np.arange(columns.size), largest)
+        effect[:, columns[largest]] = (change - effect[:, columns[others]] @ a[others]) / a[largest]
+        curve[:, columns] = 0.0
+        return replace(self, effect=effect, curve=curve)
+
+    def only(self, effects: Collection[str]) -> "Sensitivities":
+        """Return the sensitivities for the hypotheses of some effects; the nuisances stay."""
+        chosen = [k for k, hypothesis in enumerate(self.hypotheses) if hypothesis.effect in effects]
+        columns = np.flatnonzero(np.isin(self.owner, chosen))
+        hypotheses = tuple(self.hypotheses[k] for k in chosen)
+        owner = np.repeat(np.arange(len(chosen)), [len(hypothesis.amplitudes) for hypothesis in hypotheses])
+        parts = {name: getattr(self, name)[:, columns] for name in ("effect", "curve")}
+        return replace(self, hypotheses=hypotheses, owner=owner, reach=self.reach[columns], **parts)
+
+    def select(self, rows: Ints) -> "Sensitivities":
+        """Return the sensitivities of some features, in that order."""
+        arrays = ("effect", "curve", "nuisance")
+        return replace(
+            self, layout=self.layout.select(rows), **{name: getattr(self, name)[rows] for name in arrays}
+        )
+
+
+def save_sensitivities(path: Path, found: Sensitivities) -> None:
+    """Save sensitivities to an .npz file without pickled objects; BadOutput if it cannot be written."""
+    layout = found.layout
+    words = {
+        "hypotheses": [asdict(hypothesis) for hypothesis in found.hypotheses],
+        "nuisances": [asdict(nuisance) for nuisance in found.nuisances],
+        "names": {name: getattr(layout, name) for name in _LAYOUT_NAMES},
+    }
+    arrays = {name: getattr(layout, name) for name in _LAYOUT_ARRAYS}
+    arrays |= {name: getattr(found, name) for name in _OWN_ARRAYS}
+    with atomic_write(path, "sensitivities") as file:
+        np.savez(file, words=np.array(json.dumps(words)), **arrays)
+
+
+def load_sensitivities(path: Path) -> Sensitivities:
+    """Load sensitivities.
+
+    Raises:
+        ValueError: The file is incomplete, damaged, or holds no sensitivities.
+    """
+    try:
+        return _read_sensitivities(path)
+    except _READ_ERRORS as error:
+        raise ValueError(f"{path}: no sensitivities ({error})") from error
+
+
+def _read_sensitivities(path: Path) -> Sensitivities:
+    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        missing = {"words", *_LAYOUT_ARRAYS, *_OWN_ARRAYS} - set(file.files)
+        if missing:
+            raise ValueError(f"{', '.join(sorted(missing))} missing")
+        words = json.loads(str(file["words"]))
+        names = (tuple(words["names"][name]) for name in _LAYOUT_NAMES)
+        layout = FeatureLayout(*(file[name] for name in _LAYOUT_ARRAYS), *names)
+        hypotheses = tuple(
+            Hypothesis(h["effect"], h["place"], tuple(Parameter(**p) for p in h["parameters"]))
+            for h in words["hypotheses"]
+        )
+        nuisances = tuple(Nuisance(**nuisance) for nuisance in words["nuisances"])
+        found = (file[name] for name in _OWN_ARRAYS)
+        return Sensitivities(layout, hypotheses, nuisances, *found)
+
+
+def continue_parabola(effect: Array, curve: Array, reach: Array, a: Array) -> Array:
+    """Compute the change by amplitudes: parabolas up to their reach, and straight on beyond.
+
+    Args:
+        effect: First derivatives of the features, shape (m, k).
+        curve: Second-order coefficients, shape (m, k).
+        reach: Largest simulated departures, without a unit (typical sizes), shape (k,).
+        a: Departures, without a unit (typical sizes), shape (k,), or of n candidates, shape (n, k).
+
+    Returns:
+        Changes in the unit of `effect`, shape (m,) or (n, m).
+    """
+    inside = np.clip(a, -reach, reach)
+    return np.asarray(a @ effect.T + (inside * (2.0 * a - inside)) @ curve.T)
+
+
+def fit_parabola(ends: Sequence[tuple[Array, float]]) -> tuple[Array, Array]:
+    """Fit a parabola through 0 and two points; through one point, a line.
+
+    Args:
+        ends: One or two simulated changes of the features in the units of their channels, shape (m,),
+            each with its step.
+
+    Returns:
+        First and second-order coefficient at 0, each of shape (m,).
+    """
+    (high, up), (low, down) = ends[0], ends[-1]
+    curvature = np.zeros_like(high) if up == down else (high / up - low / down) / (up - down)
+    return high / up - curvature * up, curvature

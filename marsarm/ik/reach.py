@@ -1,0 +1,218 @@
+"""Reach map of the workspace of an arm: sampling, counts of valid branches, and plot."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.ik import BranchVerdict
+from fsw.kinematics.transforms import Array
+from marsarm.common.options import check_options
+from marsarm.common.pool import Runner, select_runner
+from marsarm.common.progress import Progress, no_progress
+from marsarm.ik.model import IkModel, build_ik_model
+from marsarm.ik.request import ReachRequest
+from marsarm.ik.tally import Tally, tally
+from marsarm.ik.targets import IkTargets
+from marsarm.render.figures import save_figure
+from marsarm.render.outlines import draw_outlines, project_outlines
+from sim.frames import P_NR_M, p_R_from_N
+from sim.workspace import approach_from, random_targets
+
+SAMPLES_PER_CELL: Final = 40
+CELLS: Final = (4, 30)
+"""Smallest and largest number of cells along each side of a map."""
+MIN_SAMPLES: Final = 5
+"""Smallest number of samples in a cell; cells with fewer samples are grey."""
+ROVER_SEEN_M: Final = 1.5
+"""Length in front of the workspace that the picture shows of the rover."""
+GREY: Final = "0.85"
+BLUE: Final = "#31688e"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReachSamples:
+    """Targets in the workspace with their numbers of valid branches."""
+
+    p_NoTo_N_m: Array
+    """Positions in RNAV, shape (3, n)."""
+    angles_rad: Array
+    """Approach angles below horizontal and to the right of straight ahead, shape (2, n)."""
+    valid: NDArray[np.int64]
+    """Number of valid branches, shape (n,)."""
+
+
+def sample_workspace(
+    model: IkModel, count: int, seed: int, run: Runner, progress: Progress
+) -> tuple[ReachSamples, Tally]:
+    """Draw random targets of the workspace and solve their inverse kinematics.
+
+    Returns:
+        The targets, and counts over all of them.
+    """
+    p_N_m, angles = random_targets(np.random.default_rng(seed), count, model.workspace)
+    targets = IkTargets(p_R_from_N(p_N_m.T).T, approach_from(angles))
+    valid, counted = [], Tally()
+    for result in model.solve_in_batches(targets, run, progress):
+        valid.append((result.verdict == BranchVerdict.VALID).sum(axis=0))
+        counted += tally(result)
+    return ReachSamples(p_N_m, angles, np.concatenate(valid)), counted
+
+
+def save_reach_figure(samples: ReachSamples, counted: Tally, model: IkModel, path: Path) -> str | None:
+    """Save the plot as PNG.
+
+    Returns:
+        The reason if matplotlib is not installed, else None.
+
+    Raises:
+        BadOutput: The file cannot be written.
+    """
+
+    def draw(figure: Any) -> None:
+        figure.get_layout_engine().set(w_pad=0.1, h_pad=0.1)
+        figure.suptitle(_title(samples, counted, model), fontsize=11)
+        _draw(figure, samples, counted, model)
+
+    return save_figure(path, (14, 9), 110, draw)
+
+
+def _draw(figure: Any, samples: ReachSamples, counted: Tally, model: IkModel) -> None:
+    above, below = figure.subfigures(2, 1, height_ratios=(1.2, 1.0))
+    _draw_maps(above, samples, model)
+    branches, numbers, reasons = below.subplots(1, 3)
+    targets, by_valid = counted.targets, counted.targets_by_valid
+    _bars(branches, {name: counted.valid_by_branch[name] for name in BRANCHES}, targets)
+    branches.set(title="Valid branches", xlabel="share of targets [%]")
+    _bars(numbers, {str(valid): by_valid[valid] for valid in range(max(by_valid) + 1)}, targets)
+    numbers.set(title="Valid branches of a target", xlabel="share of targets [%]", ylabel="how many")
+    _bars(reasons, _reasons(counted), max(counted.out, 1))
+    reasons.set(title="Why branches are out", xlabel="share of branches that are out [%]")
+
+
+def _draw_maps(figure: Any, samples: ReachSamples, model: IkModel) -> None:
+    from matplotlib.patches import Circle, Rectangle, Wedge
+
+    space = model.workspace
+    x_m, y_m, radius_m = space.centre_x_m, space.centre_y_m, space.radius_m
+    x_range, y_range = (x_m - radius_m, x_m + radius_m), (y_m - radius_m, y_m + radius_m)
+    z_range = (space.top_z_m, space.bottom_z_m)
+    side, top, wedge = figure.subplots(1, 3, width_ratios=(1.35, 1.0, 0.9))
+    x, y, z = samples.p_NoTo_N_m
+    down_deg, right_deg = np.degrees(samples.angles_rad)
+    scale_max = max(float(np.quantile(samples.valid, 0.99)), 1.0)
+
+    def mapped(axes: Any, across: Array, along: Array, ranges: Any) -> Any:
+        return _draw_map(axes, (across, along, samples.valid), ranges, scale_max)
+
+    for axes, plane in ((side, (0, 2)), (top, (1, 0))):
+        outlines = project_outlines(model.rover, model.rover.X_CS, plane)
+        draw_outlines(axes, outlines, P_NR_M[list(plane)], facecolor="0.93", edgecolor="0.6")
+    down, right = np.degrees((space.wedge_down_rad, space.wedge_side_rad))
+    outline: dict[str, Any] = {"fill": False, "edgecolor": "black", "linewidth": 1.2}
+    approach: dict[str, Any] = {"facecolor": "white", "alpha": 0.45, "edgecolor": "black"}
+    size = (2.0 * radius_m, z_range[1] - z_range[0])
+    side.add_patch(Rectangle((x_range[0], z_range[0]), *size, color=GREY))
+    mapped(side, x, z, (x_range, z_range))
+    side.add_patch(Rectangle((x_range[0], z_range[0]), *size, **outline))
+    side.add_patch(Wedge((x_m, sum(z_range) / 2), 0.6 * radius_m, 0.0, down, **approach))
+    side.axhline(0.0, color="black", linewidth=1.0, linestyle="--")
+    around = (x_range[0] - ROVER_SEEN_M, x_range[1] + 0.25 * radius_m)
+    side.text(around[0] + 0.03, 0.0, "ground", va="bottom")
+    side.set(title="Side: mean over y, approach", xlabel="x forward [m]", ylabel="z down [m]", xlim=around)
+    side.set_ylim(max(z_range[1], 0.0) + 0.1, min(z_range[0], -1.5) - 0.1)
+    top.add_patch(Circle((y_m, x_m), radius_m, color=GREY))
+    mapped(top, y, x, (y_range, x_range))
+    top.add_patch(Circle((y_m, x_m), radius_m, **outline))
+    top.add_patch(Wedge((y_m, x_m), 0.6 * radius_m, 90.0 - right, 90.0 + right, **approach))
+    top.set(title="Top: mean over z, approach", xlabel="y right [m]", ylabel="x forward [m]", ylim=around)
+    top.set_xlim(y_m - 2.4 * radius_m, y_m + 2.4 * radius_m)
+    for axes in (side, top):
+        axes.set_aspect("equal")
+    colours = mapped(wedge, right_deg, down_deg, ((-right, right), (0.0, down)))
+    wedge.set_facecolor(GREY)
+    wedge.set(
+        title="Approach: mean over workspace",
+        xlabel="to the right of straight ahead [deg]",
+        ylabel="below horizontal [deg]",
+    )
+    wedge.invert_yaxis()
+    for axis, widest in ((wedge.xaxis, 2.0 * right), (wedge.yaxis, down)):
+        axis.set_major_locator(_every(15.0 if widest <= 90.0 else 60.0))
+    figure.colorbar(colours, ax=[side, top, wedge], label="valid branches, mean", extend="max", pad=0.02)
+
+
+def _every(step: float) -> Any:
+    from matplotlib.ticker import MultipleLocator
+
+    return MultipleLocator(step)
+
+
+def _draw_map(axes: Any, points: tuple[Array, Array, Any], ranges: Any, scale_max: float) -> Any:
+    """Draw the mean number of valid branches in each cell; cells with too few samples are grey."""
+    across, along, valid = points
+    cells = int(np.clip(np.sqrt(len(valid) / SAMPLES_PER_CELL), *CELLS))
+    sums, edges_across, edges_along = np.histogram2d(across, along, cells, ranges, weights=valid)
+    counts, _, _ = np.histogram2d(across, along, cells, ranges)
+    mean = np.ma.masked_where(counts < MIN_SAMPLES, sums / np.maximum(counts, 1))
+    return axes.pcolormesh(edges_across, edges_along, mean.T, vmin=0.0, vmax=scale_max, cmap="viridis")
+
+
+def _reasons(counted: Tally) -> dict[str, int]:
+    """Count invalid branches by the joint farthest beyond its limit, or by another reason."""
+    out = {f"{joint} limit": count for joint, count in counted.outside_by_joint.items()}
+    for verdict, count in counted.by_verdict.items():
+        if verdict not in ("valid", "outside_limits"):
+            out[verdict.replace("_", " ")] = count
+    return dict(sorted(out.items(), key=lambda item: -item[1]))
+
+
+def _bars(axes: Any, counts: dict[str, int], whole: int) -> None:
+    """Draw a bar for each name, with its share of the total in percent."""
+    shares = [100.0 * count / whole for count in counts.values()]
+    drawn = axes.barh(list(counts), shares, color=BLUE)
+    labels = [f"{share:.2g} %" if 0.0 < share < 10.0 else f"{share:.0f} %" for share in shares]
+    axes.bar_label(drawn, labels, padding=3)
+    axes.invert_yaxis()
+    axes.set_xticks(range(0, 101, 20))
+    axes.set_xlim(0.0, 1.25 * max([*shares, 1.0]))
+
+
+def _title(samples: ReachSamples, counted: Tally, model: IkModel) -> str:
+    reachable_percent = 100.0 * (1.0 - counted.targets_by_valid[0] / counted.targets)
+    return (
+        f"Reach in the workspace, RNAV: {model.description}\n"
+        f"{counted.targets} random targets, {reachable_percent:.2f} % with a valid branch; "
+        f"limits only, no collisions; sector: approaches; grey: rover, or fewer than {MIN_SAMPLES} targets"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReachReport:
+    """Result of a request for a reach map."""
+
+    request: ReachRequest
+    model: IkModel
+    tally: Tally
+    picture_problem: str | None
+    """Reason why a requested picture is missing."""
+
+
+def reach(request: ReachRequest, progress: Progress = no_progress) -> ReachReport:
+    """Sample the workspace, and draw the map if requested.
+
+    Raises:
+        BadRequest: The request is wrong, or the picture cannot be written; nothing was written.
+    """
+    check_options(request)
+    model = build_ik_model(request.model)
+    run = select_runner(request.workers, request.cluster)
+    samples, counted = sample_workspace(model, request.samples, request.seed, run, progress)
+    problem = None
+    if request.picture is not None:
+        progress(1, 1, "drawing")
+        problem = save_reach_figure(samples, counted, model, request.picture)
+    return ReachReport(request, model, counted, problem)

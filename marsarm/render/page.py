@@ -1,0 +1,162 @@
+"""Report pages: one self-contained HTML file each, with the verdict first, then the origin of the result.
+
+A page fits screens from 320 pixels on, and follows the light or dark scheme of the reader. The same result
+gives the same bytes, except for the date.
+"""
+
+import html
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final
+
+from marsarm.common.date import current_date
+from marsarm.common.files import atomic_write
+from marsarm.common.git import git_revision
+
+NUMBER: Final = re.compile(r"[-+±]? ?\d.{0,23}|never|-")
+"""Cell that is a number with its unit or an interval; a column of these is aligned right and not wrapped."""
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """Requirement with the value that a result has for it."""
+
+    text: str
+    bound: str
+    value: str
+    passed: bool | None
+    """None if the result does not decide it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Origin of a result."""
+
+    command: str
+    """Command that computes it again."""
+    digests: Mapping[str, str]
+    """SHA-256 by name of what was digested."""
+
+
+def save_page(
+    title: str,
+    verdict: str,
+    requirements: Sequence[Requirement],
+    origin: Origin,
+    parts: Sequence[str],
+    path: Path,
+) -> None:
+    """Write a page.
+
+    Args:
+        title: Plain text.
+        verdict: Sentence about the result; empty for a count of the requirements that are met.
+        requirements: Requirements, shown before everything else.
+        origin: Origin of the result.
+        parts: Further parts in HTML, as the other functions here make them.
+        path: The HTML file.
+
+    Raises:
+        BadOutput: the file cannot be written.
+        BadRequest: the date in the environment is wrong.
+    """
+    style = resources.files("marsarm.render").joinpath("page.css").read_text(encoding="utf-8")
+    lines = [
+        "<!doctype html>",
+        '<html lang="en"><head><meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        '<meta name="color-scheme" content="light dark">',
+        f"<title>{html.escape(title)}</title><style>\n{style}</style></head><body><main>",
+        f"<h1>{html.escape(title)}</h1>",
+        f'<p class="verdict {_kind(requirements)}">{html.escape(verdict or count_met(requirements))}</p>',
+        *([_requirement_table(requirements)] if requirements else []),
+        _origin_list(origin),
+        *parts,
+        "</main></body></html>\n",
+    ]
+    with atomic_write(path, "report") as file:
+        file.write("\n".join(lines).encode())
+
+
+def count_met(requirements: Sequence[Requirement]) -> str:
+    """Make a sentence of the number of requirements that are met."""
+    decided = [one for one in requirements if one.passed is not None]
+    met = sum(one.passed is True for one in decided)
+    count, failed, undecided = len(requirements), len(decided) - met, len(requirements) - len(decided)
+    rest = f", {undecided} {'is' if undecided == 1 else 'are'} not shown" if undecided else ""
+    if failed:
+        return f"Fail: {failed} of {count} requirements are not met{rest}."
+    return f"{'Not shown' if undecided else 'Pass'}: {met} of {count} requirements are met{rest}."
+
+
+def _kind(requirements: Sequence[Requirement]) -> str:
+    """Return the class in the style sheet of the worst verdict."""
+    verdicts = [one.passed for one in requirements]
+    return "fail" if False in verdicts else "open" if None in verdicts or not verdicts else "pass"
+
+
+def _requirement_table(requirements: Sequence[Requirement]) -> str:
+    words = {True: ("pass", "pass"), False: ("fail", "FAIL"), None: ("open", "not shown")}
+    head = ("requirement", "bound", "value", "verdict")
+    rows = [(one.text, one.bound, one.value, words[one.passed][1]) for one in requirements]
+    return _scrolling(head, rows, [words[one.passed][0] for one in requirements])
+
+
+def _origin_list(origin: Origin) -> str:
+    items = {
+        "version": f"marsarm {version('marsarm')}, commit {git_revision()}",
+        "command": origin.command,
+        "date": current_date().strftime("%Y-%m-%d %H:%M:%S UTC"),
+        **{f"SHA-256, {name}": digest for name, digest in origin.digests.items()},
+    }
+    rows = "".join(
+        f"<dt>{html.escape(name)}</dt><dd><code>{html.escape(text)}</code></dd>"
+        for name, text in items.items()
+    )
+    return f'<dl class="origin">{rows}</dl>'
+
+
+def paragraph(text: str) -> str:
+    """Make a paragraph of plain text."""
+    return f"<p>{html.escape(text)}</p>"
+
+
+def heading(text: str) -> str:
+    """Make a heading below the title."""
+    return f"<h2>{html.escape(text)}</h2>"
+
+
+def figures(*svgs: str) -> str:
+    """Put figures of `render_svg` side by side where there is room for several."""
+    return "\n".join(['<div class="figures">', *(f"<figure>{svg}</figure>" for svg in svgs), "</div>"])
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Make a table of plain text, which scrolls by itself if it is too wide."""
+    return _scrolling(head, rows)
+
+
+def _scrolling(head: Sequence[str], rows: Sequence[Sequence[str]], last: Sequence[str] = ()) -> str:
+    """Make a table in a part of the page that scrolls; `last` has a class for the last cell of each row."""
+    is_number = [all(NUMBER.fullmatch(cell) for cell in column if cell) for column in zip(*rows, strict=True)]
+    kinds = ["number" if k > 0 and numeric else "" for k, numeric in enumerate(is_number)]
+    kinds += [""] * (len(head) - len(kinds))
+    heads = "".join(_cell("th", name, kind) for name, kind in zip(head, kinds, strict=True))
+    lines = []
+    for k, row in enumerate(rows):
+        own = [*kinds[:-1], last[k]] if last else kinds
+        lines.append("".join(_cell("td", text, kind) for text, kind in zip(row, own, strict=True)))
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return (
+        '<div class="scroll" tabindex="0"><table>'
+        f"<thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>"
+    )
+
+
+def _cell(tag: str, text: str, kind: str) -> str:
+    label = f' class="{kind}"' if kind else ""
+    return f"<{tag}{label}>{html.escape(text)}</{tag}>"

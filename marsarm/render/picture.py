@@ -1,0 +1,240 @@
+"""Pictures and movies of a scene, by MuJoCo's renderer or, without OpenGL, by ray casting in the same model.
+
+A picture that cannot be drawn never stops a run: the result states what is missing. A path that cannot be
+written is bad input, and `check_picture_path` refuses it before any work begins.
+"""
+
+import importlib.util
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Literal, Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from marsarm.common.errors import BadOutput, BadRequest
+from marsarm.common.files import atomic_path, check_output
+from marsarm.render import gl
+from marsarm.render.rays import RayCamera
+
+Image = NDArray[np.uint8]
+Renderer = Literal["opengl", "rays", "none"]
+
+APT = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
+
+
+class PictureError(BadRequest):
+    """Error for a picture that cannot be taken: a path, a camera or a size is wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class PictureResult:
+    """Picture or movie: its file, and the renderer that drew it."""
+
+    path: Path | None
+    """None if there is no picture."""
+    renderer: Renderer
+    hint: str | None = None
+    """Reason why there is no picture, or only one by ray casting, and what to install."""
+
+
+class Camera(Protocol):
+    """Camera of a scene."""
+
+    def take(self, data: mujoco.MjData) -> Image:
+        """Draw the scene in its current state; shape (height, width, 3), 0 to 255."""
+
+    def close(self) -> None:
+        """Free the resources of the camera."""
+
+
+def save_picture(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    camera: str,
+    path: str | os.PathLike[str],
+    size: tuple[int, int] = (1280, 720),
+) -> PictureResult:
+    """Save the view of a camera of the model as a PNG file.
+
+    Args:
+        data: Its state, current (after mj_forward or mj_step).
+        camera: Name of a camera of the model.
+        path: The PNG file.
+        size: Width and height in pixels.
+
+    Raises:
+        PictureError: the path cannot be written, there is no such camera, or the size is not positive.
+    """
+    file = check_picture_path(path)
+    opened, result = _open_camera(model, camera, file, size)
+    if opened is None:
+        return result
+    try:
+        image = opened.take(data)
+    finally:
+        opened.close()
+    import PIL.Image
+
+    try:
+        with atomic_path(_target(file)) as part:
+            PIL.Image.fromarray(image).save(part, "PNG")
+    except OSError as error:
+        return _not_saved("picture", file, error)
+    return result
+
+
+def save_movie(
+    model: mujoco.MjModel,
+    poses: Iterable[NDArray[np.float64]],
+    camera: str,
+    path: str | os.PathLike[str],
+    size: tuple[int, int] = (640, 360),
+    frames_per_s: float = 16.0,
+) -> PictureResult:
+    """Save an MP4 or GIF with one frame for each pose.
+
+    A run only stores poses, which are small; the frames are drawn after it.
+
+    Args:
+        poses: Positions qpos, each of shape (model.nq,), in metres and radians.
+        camera: Name of a camera of the model.
+        path: The file, MP4 or GIF by its suffix.
+        size: Width and height in pixels, even for an MP4.
+        frames_per_s: Frame rate.
+
+    Raises:
+        PictureError: the path cannot be written, PyAV is missing for an MP4, there is no such camera, or the
+            size is not positive.
+    """
+    file = check_movie_path(path)
+    opened, result = _open_camera(model, camera, file, size)
+    if opened is None:
+        return result
+    data = mujoco.MjData(model)
+    frames = []
+    try:
+        for qpos in poses:
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)  # mj_camlight needs it for cameras that follow a body
+            mujoco.mj_camlight(model, data)
+            frames.append(opened.take(data))
+    finally:
+        opened.close()
+    try:
+        (write_gif if file.suffix.lower() == ".gif" else write_mp4)(frames, file, frames_per_s)
+    except OSError as error:
+        return _not_saved("movie", file, error)
+    return result
+
+
+def _not_saved(what: str, file: Path, error: OSError) -> PictureResult:
+    """Report a file that could not be written; the run itself succeeded."""
+    return PictureResult(None, "none", f"no {what}: {file} cannot be written ({error.strerror or error})")
+
+
+def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_s: float = 16.0) -> None:
+    """Write images as a GIF that repeats endlessly.
+
+    Args:
+        frames: Images, each of shape (height, width, 3), 0 to 255.
+        path: The GIF file.
+        frames_per_s: Frame rate.
+
+    Raises:
+        PictureError: the path cannot be written or there is no frame.
+    """
+    import PIL.Image
+
+    file = check_movie_path(path)
+    images = [PIL.Image.fromarray(frame).quantize(128, dither=PIL.Image.Dither.NONE) for frame in frames]
+    if not images:
+        raise PictureError(f"movie {file}: there is no frame to write")
+    duration_ms = round(1000 / frames_per_s)
+    with atomic_path(_target(file)) as part:
+        images[0].save(part, "GIF", save_all=True, append_images=images[1:], duration=duration_ms, loop=0)
+
+
+def write_mp4(frames: Sequence[Image], path: Path, frames_per_s: float = 16.0) -> None:
+    """Write images as an MP4 with H.264, which every browser plays.
+
+    Args:
+        frames: Images, each of shape (height, width, 3), 0 to 255, of even height and width.
+        path: The MP4 file.
+        frames_per_s: Frame rate.
+
+    Raises:
+        PictureError: there is no frame.
+        OSError: the file cannot be written.
+    """
+    import av
+
+    if not frames:
+        raise PictureError(f"movie {path}: there is no frame to write")
+    with (
+        atomic_path(_target(path)) as part,
+        av.open(str(part), "w", format="mp4", options={"movflags": "faststart"}) as container,
+    ):
+        stream = container.add_stream("libx264", rate=Fraction(frames_per_s), options={"crf": "20"})
+        stream.height, stream.width = frames[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        for image in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode())
+
+
+def _target(path: Path) -> Path:
+    """Return the file that a path names, so that a link stays a link when the file is replaced."""
+    return Path(os.path.realpath(path))
+
+
+def check_movie_path(path: str | os.PathLike[str]) -> Path:
+    """Return the path if a movie can be written there; an MP4 needs PyAV, a GIF does not.
+
+    Raises:
+        PictureError: wrong suffix, no such folder, impossible name, no permission, or no PyAV.
+    """
+    file = _check_path(path, (".gif", ".mp4"), "movie")
+    if file.suffix.lower() == ".mp4" and importlib.util.find_spec("av") is None:
+        raise PictureError(f"movie {file}: PyAV is missing; pip install 'marsarm[movie]', or name a .gif")
+    return file
+
+
+def check_picture_path(path: str | os.PathLike[str]) -> Path:
+    """Return the path if a picture can be written there.
+
+    Raises:
+        PictureError: wrong suffix, no such folder, impossible name, or no permission.
+    """
+    return _check_path(path, (".png",), "picture")
+
+
+def _check_path(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: str) -> Path:
+    try:
+        return check_output(path, suffixes, what)
+    except BadOutput as error:
+        raise PictureError(str(error)) from error
+
+
+def _open_camera(
+    model: mujoco.MjModel, camera: str, file: Path, size: tuple[int, int]
+) -> tuple[Camera | None, PictureResult]:
+    """Open a camera of the model with the best renderer of this machine, and describe its picture."""
+    camera_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
+    if camera_id < 0:
+        names = ", ".join(model.camera(number).name for number in range(model.ncam)) or "none"
+        raise PictureError(f"picture: there is no camera {camera!r}; the model has: {names}")
+    if min(size) < 1:
+        raise PictureError(f"picture: size {size[0]} x {size[1]} must be positive, in pixels")
+    if importlib.util.find_spec("PIL") is None:
+        return None, PictureResult(None, "none", "no picture: Pillow is missing; pip install pillow")
+    reason = gl.unavailable_reason()
+    if reason is None:
+        return gl.GlCamera(model, camera_id, size), PictureResult(file, "opengl")
+    hint = f"drawn without OpenGL ({reason}); for the real picture: {APT}"
+    return RayCamera(model, camera_id, size), PictureResult(file, "rays", hint)

@@ -1,0 +1,271 @@
+"""Comparison of two runs: lengths, events and channels, with the first tick of each difference."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from marsarm.replay.behaviour import Behaviour, TopicSeries
+from marsarm.replay.compare_evrs import EvrDifference, evr_differences
+from marsarm.telemetry.format import EVR_TOPIC
+from marsarm.telemetry.topics import channel_name
+
+MIN_DIFFERENCE: Final = np.finfo(np.float64).smallest_subnormal.item()
+"""Difference that is reported for 0.0 and -0.0, which are not the same."""
+
+
+def array_difference(a: NDArray[Any], b: NDArray[Any], tolerance: float) -> NDArray[np.float64]:
+    """Compute the absolute difference of each pair of numbers.
+
+    Args:
+        a: Numbers, shape (...).
+        b: Numbers, same shape and unit.
+        tolerance: Relative tolerance for numbers beyond 1, absolute below; 0 compares bit for bit.
+
+    Returns:
+        Differences, same shape and unit: 0 only if the numbers are the same, infinite if only one of them is
+        NaN, at least MIN_DIFFERENCE if they differ, as 0.0 and -0.0 do.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        distance = _distance(a, b)
+    if {a.dtype.kind, b.dtype.kind} == {"f"}:
+        same = _floats_equal(a, b, distance, tolerance)
+    else:
+        same = _exactly_equal(a, b)
+    return np.where(same, 0.0, np.where(np.isnan(distance), np.inf, np.maximum(distance, MIN_DIFFERENCE)))
+
+
+def _distance(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
+    """Compute absolute differences; integers stay integers, since large ones are not exact as floats."""
+    if not (_is_integer(a) and _is_integer(b)):
+        return np.abs(a.astype(np.float64) - b.astype(np.float64))
+    c, d = (
+        a.astype(np.uint64),
+        b.astype(np.uint64),
+    )  # negative numbers wrap around, and their difference wraps back
+    return np.where(a > b, c - d, d - c).astype(np.float64)
+
+
+def _floats_equal(
+    a: NDArray[Any], b: NDArray[Any], distance: NDArray[np.float64], tolerance: float
+) -> NDArray[np.bool_]:
+    a, b = a.astype(np.float64), b.astype(np.float64)
+    both_nan = np.isnan(a) & np.isnan(b)
+    if tolerance == 0.0:
+        same: NDArray[np.bool_] = a.view(np.int64) == b.view(np.int64)
+    else:
+        same = (a == b) | (np.isfinite(distance) & (distance <= tolerance * np.maximum(1.0, np.abs(a))))
+    return np.asarray(same | both_nan)
+
+
+def _exactly_equal(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
+    """Compare numbers of two kinds; Python compares an int with a float without rounding."""
+    if _is_integer(a) and _is_integer(b):
+        return np.asarray(a == b)
+    return np.asarray(a.astype(object) == b.astype(object), np.bool_)
+
+
+def _is_integer(numbers: NDArray[Any]) -> bool:
+    return numbers.dtype.kind in "biu"
+
+
+BEFORE, AFTER = 8, 24
+"""Messages that are kept before the first difference, and from it on."""
+
+ChannelFilter = Callable[[str, str], bool]
+"""Function of topic and field that returns whether to compare the channel."""
+Number = float | int | bool
+
+
+@dataclass(frozen=True, slots=True)
+class LengthDifference:
+    """Topic with messages at ticks where the other run has none."""
+
+    topic: str
+    recorded: int
+    replayed: int
+    first_tick: int
+    """First tick with a message in only one run."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelDifference:
+    """Channel whose values differ; an array is one channel, compared component by component."""
+
+    channel: str
+    first_tick: int
+    first_component: tuple[int, ...]
+    """Index of the component that differs most at the first tick; () for a single number."""
+    at_first: tuple[Number, Number]
+    """Recorded and replayed value of that component at the first tick."""
+    recorded: NDArray[Any]
+    """Recorded values of that component around the first tick."""
+    replayed: NDArray[Any]
+    """Replayed values around the first tick."""
+    ticks: int
+    """Number of ticks at which the channel differs."""
+    compared: int
+    """Number of ticks at which it was compared."""
+    greatest: float
+    """Greatest difference, as `array_difference` computes it."""
+    greatest_tick: int
+    component: tuple[int, ...]
+    """Index of the component with the greatest difference."""
+    profile: NDArray[np.float64]
+    """Greatest difference of any component at each compared tick, shape (compared,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Differences:
+    """Differences between a recorded and a replayed run."""
+
+    tolerance: float
+    ticks: tuple[int, int]
+    """Number of recorded and of replayed ticks."""
+    lengths: tuple[LengthDifference, ...]
+    evrs: tuple[EvrDifference, ...]
+    channels: tuple[ChannelDifference, ...]
+    channels_compared: int
+    evrs_compared: bool
+    not_compared: tuple[str, ...]
+    """Sentences about topics and channels that only one run has."""
+
+    @property
+    def identical(self) -> bool:
+        """True if all compared values are the same."""
+        same_length = self.ticks[0] == self.ticks[1]
+        return same_length and not (self.lengths or self.evrs or self.channels)
+
+    @property
+    def nothing_compared(self) -> bool:
+        """True if the runs have neither events nor a channel in common."""
+        return not (self.channels_compared or self.evrs_compared)
+
+
+def every_channel(topic: str, field: str) -> bool:
+    """Select every channel."""
+    return True
+
+
+def compare_behaviours(
+    recorded: Behaviour, replayed: Behaviour, tolerance: float = 0.0, chosen: ChannelFilter = every_channel
+) -> Differences:
+    """Compare two runs; NaN equals NaN.
+
+    Flight software always reports that it has booted. A log without any event therefore has another source,
+    such as an imported table, and topics that it lacks are not compared.
+
+    Args:
+        recorded: Recorded run.
+        replayed: Replayed run.
+        tolerance: Relative tolerance for floats beyond 1, absolute below; 0 compares bit for bit. Integers
+            and flags must be equal.
+        chosen: Channels to compare; lengths and events are always compared.
+    """
+    is_imported = not recorded.evrs and recorded.ticks > 0
+    lacking = [topic for topic in replayed.series if topic not in recorded.series] if is_imported else []
+    topics = [t for t in dict.fromkeys((*recorded.series, *replayed.series)) if t not in lacking]
+    not_compared = [
+        f"{topic}: not recorded; not compared" for topic in (*lacking, *([EVR_TOPIC] if is_imported else []))
+    ]
+    lengths = [_length_difference(topic, recorded, replayed) for topic in topics]
+    channels, compared = [], 0
+    for topic in topics:
+        ours, theirs = recorded.series.get(topic), replayed.series.get(topic)
+        if ours is None or theirs is None:
+            continue
+        comparable, sentences = _comparable(topic, ours, theirs)
+        not_compared += sentences
+        for name in (name for name in comparable if chosen(topic, name)):
+            compared += 1
+            channels.append(_channel_difference(channel_name(topic, name), name, ours, theirs, tolerance))
+    return Differences(
+        tolerance=tolerance,
+        ticks=(recorded.ticks, replayed.ticks),
+        lengths=tuple(
+            one
+            for one in (*lengths, None if is_imported else _evr_length_difference(recorded, replayed))
+            if one is not None
+        ),
+        evrs=() if is_imported else evr_differences(recorded.evrs, replayed.evrs, tolerance),
+        channels=tuple(one for one in channels if one is not None),
+        channels_compared=compared,
+        evrs_compared=not is_imported,
+        not_compared=tuple(not_compared),
+    )
+
+
+def _comparable(topic: str, recorded: TopicSeries, replayed: TopicSeries) -> tuple[list[str], list[str]]:
+    """Return the fields that both runs have in equal shape, and sentences about the others."""
+    lone = sorted(recorded.fields.keys() ^ replayed.fields.keys())
+    both = [name for name in recorded.fields if name in replayed.fields]
+    comparable = [name for name in both if recorded.fields[name].shape[1:] == replayed.fields[name].shape[1:]]
+    sentences = [f"{channel_name(topic, name)}: only one side has it; not compared" for name in lone]
+    sentences += [
+        f"{channel_name(topic, name)}: has another shape; not compared"
+        for name in both
+        if name not in comparable
+    ]
+    return comparable, sentences
+
+
+NO_TICKS: Final = np.zeros(0, np.int64)
+
+
+def _length_difference(topic: str, recorded: Behaviour, replayed: Behaviour) -> LengthDifference | None:
+    ours, theirs = (
+        side.series[topic].ticks if topic in side.series else NO_TICKS for side in (recorded, replayed)
+    )
+    lone = np.setxor1d(ours, theirs)
+    return LengthDifference(topic, len(ours), len(theirs), int(lone[0])) if lone.size else None
+
+
+def _evr_length_difference(recorded: Behaviour, replayed: Behaviour) -> LengthDifference | None:
+    ours, theirs = recorded.evrs, replayed.evrs
+    if len(ours) == len(theirs):
+        return None
+    first = next(
+        min(e.tick for e in pair if e is not None)
+        for pair in zip_longest(ours, theirs)
+        if None in pair or (pair[0].tick, pair[0].name) != (pair[1].tick, pair[1].name)
+    )
+    return LengthDifference(EVR_TOPIC, len(ours), len(theirs), first)
+
+
+def _channel_difference(
+    channel: str, name: str, recorded: TopicSeries, replayed: TopicSeries, tolerance: float
+) -> ChannelDifference | None:
+    """Compare a channel at the ticks that both runs have; None if it is the same."""
+    ticks, recorded_rows, replayed_rows = np.intersect1d(recorded.ticks, replayed.ticks, return_indices=True)
+    a, b = recorded.fields[name][recorded_rows], replayed.fields[name][replayed_rows]
+    if not a.size:
+        return None
+    shape = a.shape[1:]
+    a, b = (side.reshape(len(ticks), -1) for side in (a, b))
+    difference = array_difference(a, b, tolerance)
+    profile = difference.max(axis=1)
+    if not profile.any():
+        return None
+    first, worst = int(np.flatnonzero(profile)[0]), int(profile.argmax())
+    k, window = int(difference[first].argmax()), slice(max(0, first - BEFORE), first + AFTER)
+    return ChannelDifference(
+        channel=channel,
+        first_tick=int(ticks[first]),
+        first_component=_index(k, shape),
+        at_first=(a[first, k].item(), b[first, k].item()),
+        recorded=a[window, k],
+        replayed=b[window, k],
+        ticks=int(np.count_nonzero(profile)),
+        compared=len(ticks),
+        greatest=float(profile[worst]),
+        greatest_tick=int(ticks[worst]),
+        component=_index(int(difference[worst].argmax()), shape),
+        profile=profile,
+    )
+
+
+def _index(k: int, shape: tuple[int, ...]) -> tuple[int, ...]:
+    return tuple(int(i) for i in np.unravel_index(k, shape))

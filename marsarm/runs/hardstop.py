@@ -1,0 +1,236 @@
+"""Hardstop initialisation of one joint or of all, once or repeatedly, and the plan of its poses."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import degrees
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.commands import Calibrate, CalibrateAll
+from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
+from fsw.dictionary.params import Params
+from fsw.dictionary.types import Joints5, joints5
+from fsw.executive.homing_poses import homing_start_poses
+from marsarm.common.errors import BadRequest
+from marsarm.common.options import check_options
+from marsarm.common.progress import Progress, no_progress
+from marsarm.common.requests import fit_effects, make_world, parse_effects, select_arm
+from marsarm.runs.execution import open_view
+from marsarm.runs.request import HardstopRequest
+from sim.arms import BuiltArm, effects_of_run, without_turret
+from sim.clearance import Clearance, ClearanceModel
+from sim.drawing import WARM_C
+from sim.effects.effect import Effect
+from sim.effects.environment import default_ambient
+from sim.hardstop_loads import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance
+from sim.initialisation import InitialisationResult, InitialisationRun, prepare_homing, prepare_random_homing
+from sim.loop import ClosedLoop, Setup
+from sim.record import CycleRecord
+from sim.sequence import Outcome
+from sim.world import World
+
+if TYPE_CHECKING:
+    from marsarm.view.live import LiveView
+
+COLDEST_C, WARMEST_C = -130.0, 50.0
+EXPECTED_S: Final = 1500.0
+"""Approximate duration of the initialisation of all joints, for the progress bar."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HardstopReport:
+    """Runs of a request."""
+
+    request: HardstopRequest
+    runs: tuple[InitialisationResult, ...]
+    """One run for every repetition and joint, or one run of all joints."""
+    poses_rad: tuple[tuple[float, ...], ...]
+    """Pose in which each joint runs to its hardstop, in the order of Joint; its own angle is the first."""
+    view: "LiveView | None" = None
+    """Viewer that shows the runs, if one was asked for."""
+
+    @property
+    def outcome(self) -> Outcome:
+        """Outcome of the last run; a run that fails is the last."""
+        return self.runs[-1].outcome
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HardstopJob:
+    """Checked request."""
+
+    joints: tuple[Joint, ...]
+    arm: BuiltArm
+    world: World
+    start_rad: Joints5 | None
+    effects: tuple[Effect, ...]
+
+
+def hardstop(request: HardstopRequest, progress: Progress = no_progress) -> HardstopReport:
+    """Find hardstops.
+
+    Raises:
+        BadRequest: the request is wrong; nothing moved and nothing was written.
+    """
+    job = prepare_hardstop(request)
+    title = f"hardstops of {job.arm.name} arm"
+    with open_view(request.view, title, job.world, job.arm, job.effects) as view:
+        runs = tuple(_iter_runs(request, job, progress, view))
+    poses = tuple(tuple(homing_start_poses(job.arm.params, joint)[-1]) for joint in Joint)
+    return HardstopReport(request, runs, poses, view)
+
+
+def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
+    """Check a request, before anything moves or is written, and build its job.
+
+    Raises:
+        BadRequest: the request is wrong.
+    """
+    check_options(request)
+    if request.temperature_C is not None and request.repeat > 1:
+        raise BadRequest("temperature: is another in each of several repetitions; give no --temperature")
+    temperature_C = WARM_C if request.temperature_C is None else request.temperature_C
+    if not COLDEST_C <= temperature_C <= WARMEST_C:
+        raise BadRequest(
+            f"temperature: {temperature_C} degC is not within {COLDEST_C:g} .. {WARMEST_C:g} degC"
+        )
+    if request.start_deg is not None and (request.joint is None or request.repeat > 1):
+        raise BadRequest("start: is for one joint, once; give --joint and no --repeat")
+    world = make_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    effects = parse_effects(request.effects, arm.params.tool_names)
+    arm = fit_effects(arm, effects)
+    return HardstopJob(
+        joints=HARDSTOP_ORDER if request.joint is None else (_parse_joint(request.joint),),
+        arm=arm if request.turret else _remove_turret(arm, request),
+        world=world,
+        start_rad=None if request.start_deg is None else _parse_start(arm, request.start_deg),
+        effects=(*default_ambient(effects, temperature_C), *effects_of_run(effects)),
+    )
+
+
+def _parse_joint(name: str) -> Joint:
+    known = {joint.name.lower(): joint for joint in Joint}
+    if name.lower() not in known:
+        raise BadRequest(f"joint: {name!r} is not known; there are {', '.join(known)}")
+    return known[name.lower()]
+
+
+def _remove_turret(arm: BuiltArm, request: HardstopRequest) -> BuiltArm:
+    try:
+        return without_turret(arm, on_earth=request.scene == "earth")
+    except NoPlan as error:
+        raise BadRequest(f"hardstop: no poses for Earth without a turret: {error}") from error
+
+
+def _parse_start(arm: BuiltArm, start_deg: tuple[float, ...]) -> Joints5:
+    """Convert a start pose to radians, and check that it is between hardstops and upper soft limits."""
+    start = np.radians(start_deg)
+    for joint, angle_rad, params in zip(Joint, start, arm.params.joints.in_order(), strict=True):
+        low, high = params.hardstop_rad, params.soft_max_rad
+        if not low <= angle_rad <= high:
+            raise BadRequest(
+                f"start: joint {joint.name.lower()}: {degrees(angle_rad):g} deg is outside "
+                f"{degrees(low):.1f} .. {degrees(high):.1f} deg"
+            )
+    return joints5(start)
+
+
+def _iter_runs(
+    request: HardstopRequest, job: HardstopJob, progress: Progress, view: "LiveView | None"
+) -> Iterator[InitialisationResult]:
+    """Carry out one run after the other until one fails."""
+    if request.joint is None and request.repeat == 1:
+        yield _run_all_joints(request, job, progress, view)
+        return
+    total = request.repeat * len(job.joints)
+    for k in range(total):
+        repetition, joint = k // len(job.joints), job.joints[k % len(job.joints)]
+        progress(k, total, joint.name.lower())
+        if job.start_rad is not None:
+            setup = Setup(job.arm, job.world, job.start_rad, request.seed, effects=job.effects)
+            run = InitialisationRun(ClosedLoop(setup), Calibrate(joint))
+        elif request.repeat == 1:
+            run = prepare_homing(job.arm, joint, job.world, request.seed, job.effects)
+        else:
+            run = prepare_random_homing(job.arm, joint, job.world, request.seed + repetition)
+        for _ in _watched(run, view):
+            pass
+        result = run.result()
+        if result.failure is not None:
+            raise result.failure
+        yield result
+        if result.outcome is not Outcome.DONE:
+            return
+
+
+def _watched(run: InitialisationRun, view: "LiveView | None") -> Iterator[CycleRecord]:
+    """Run all cycles, and show each in the viewer if there is one."""
+    run.loop.with_truth = view is not None
+    for record in run:
+        if view is not None:
+            view.watch(record)
+        yield record
+
+
+def _run_all_joints(
+    request: HardstopRequest, job: HardstopJob, progress: Progress, view: "LiveView | None"
+) -> InitialisationResult:
+    start_rad = job.arm.params.hardstop.start_rad
+    loop = ClosedLoop(Setup(job.arm, job.world, start_rad, request.seed, effects=job.effects))
+    run = InitialisationRun(loop, CalibrateAll())
+    for record in _watched(run, view):
+        if record.tick % CYCLE_HZ == 0:
+            homing = loop.state.move.homing if loop.state.move is not None else None
+            activity = "moving" if homing is None else homing.joint.name.lower()
+            progress(record.tick / CYCLE_HZ, EXPECTED_S, activity)
+    if loop.failure is not None:
+        raise loop.failure
+    return run.result()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StopPlan:
+    """Planned poses on Mars or Earth, with their joint torques and clearance."""
+
+    place: str
+    """Planet and turret, for the report."""
+    params: Params
+    loads: HardstopLoads
+    clearance: Clearance
+
+
+def plan_stops(request: HardstopRequest) -> tuple[StopPlan, ...]:
+    """Plan the poses for Mars with the turret, and for Earth without it with equal joint torques.
+
+    Raises:
+        BadRequest: the request is wrong, has options of a motion, or there is no such plan.
+    """
+    of_motion = {
+        "--joint": request.joint is not None,
+        "--start": request.start_deg is not None,
+        "--picture": request.picture is not None,
+        "--repeat": request.repeat > 1,
+        "--no-turret": not request.turret,
+    }
+    given = [name for name, is_given in of_motion.items() if is_given]
+    if given:
+        raise BadRequest(
+            f"plan: moves nothing and is of both Mars and Earth; leave out {' and '.join(given)}, or --plan"
+        )
+    on_mars = _plan("mars, with turret", prepare_hardstop(request).arm, World())
+    try:
+        bare = prepare_hardstop(replace(request, scene="earth", turret=False)).arm
+    except BadRequest as error:
+        torques = " ".join(f"{torque:.1f}" for torque in on_mars.loads.torque_Nm)
+        least_mm = 1e3 * min(on_mars.clearance.outside_m, on_mars.clearance.self_m)
+        raise BadRequest(f"{error}; on Mars they are {torques} N m, clearance {least_mm:.0f} mm") from error
+    return on_mars, _plan("earth, without turret", bare, World("earth"))
+
+
+def _plan(place: str, arm: BuiltArm, world: World) -> StopPlan:
+    loads = compute_hardstop_loads(arm.params, world.gravity_N_m_s2)
+    space = ClearanceModel(arm.params, world, arm.model)
+    return StopPlan(place, arm.params, loads, sweep_clearance(arm.params, space))

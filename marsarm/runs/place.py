@@ -1,0 +1,154 @@
+"""Placement of an instrument on a surface: check the request, carry it out, report."""
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.params import Params
+from fsw.dictionary.types import match_name
+from marsarm.common.errors import BadRequest
+from marsarm.common.files import reserve
+from marsarm.common.options import check_options
+from marsarm.common.progress import Progress, no_progress, part_of
+from marsarm.common.requests import (
+    check_finite,
+    check_target_distance,
+    fit_effects,
+    format_numbers,
+    make_world,
+    parse_effects,
+    scale_direction,
+    select_arm,
+)
+from marsarm.runs.execution import (
+    INITIALISATION_SHARE,
+    Execution,
+    check_files,
+    execute,
+    execution_not_begun,
+    initialise,
+    open_view,
+)
+from marsarm.runs.request import PlaceRequest
+from marsarm.telemetry.header import run_header
+from sim.arms import BuiltArm, effects_of_run
+from sim.effects.effect import Effect
+from sim.loop import ClosedLoop, Setup
+from sim.placement import Placement, PlacementResult, PlacementRun
+from sim.preview import preview_placement, unstow_duration_s
+from sim.sequence import Outcome
+from sim.world import Surface, World, inside_rover
+
+if TYPE_CHECKING:
+    from marsarm.view.live import LiveView
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceJob:
+    """Checked request."""
+
+    arm: BuiltArm
+    world: World
+    placement: Placement
+    expected_s: float
+    """Expected duration, for the progress bar."""
+    effects: tuple[Effect, ...]
+    """Effects of the request."""
+
+
+def prepare_placement(request: PlaceRequest) -> PlaceJob:
+    """Check a request, before anything moves or is written, and build its job.
+
+    Raises:
+        BadRequest: the request is wrong, or the target cannot be reached.
+    """
+    check_options(request)
+    check_files(request.files)
+    check_finite("target", request.target_m)
+    check_finite("normal", request.normal)
+    check_target_distance("target", request.target_m)
+    normal = scale_direction(
+        "normal", request.normal, "the direction out of the surface, such as 0 0 -1 for up"
+    )
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    effects = parse_effects(request.effects, arm.params.tool_names)
+    arm = fit_effects(arm, effects)
+    tool = _parse_tool(request.tool or arm.model.description.instrument, arm.params)
+    level = make_world("mars", request.tilt_roll_deg, request.tilt_pitch_deg)
+    world = replace(level, surface=Surface(request.target_m, normal))
+    if inside_rover(request.target_m, arm.model):
+        raise BadRequest(
+            f"target: {format_numbers(request.target_m)} m is inside the rover; {arm.model.workspace.hint}"
+        )
+    preview = preview_placement(arm, world, Placement(tool, request.target_m, normal), stowed=True)
+    if preview.problem is not None:
+        raise BadRequest(f"target: {format_numbers(request.target_m)} m cannot be reached: {preview.problem}")
+    if not request.has_surface:
+        world = level
+    return PlaceJob(arm, world, preview.placement, preview.duration_s + unstow_duration_s(arm), effects)
+
+
+def _parse_tool(name: str, params: Params) -> str:
+    known = [tool for tool, switches in params.tool_switches.items() if switches]
+    tool = match_name(name, known)
+    if tool is None:
+        raise BadRequest(
+            f"tool: {name!r} cannot be placed; the tools with contact switches are {', '.join(known)}"
+        )
+    return tool
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceReport:
+    """Placement that was carried out."""
+
+    request: PlaceRequest
+    tool: str
+    """Tool that was placed."""
+    execution: Execution[PlacementResult]
+
+
+def place(request: PlaceRequest, progress: Progress = no_progress) -> PlaceReport:
+    """Carry out a placement.
+
+    Raises:
+        BadRequest: the request is wrong; nothing moved and nothing was written.
+    """
+    job = prepare_placement(request)
+    title = f"{job.placement.tool} on {job.arm.name} arm"
+    effects = effects_of_run(job.effects)
+    with (
+        reserve(request.files.log, "log"),
+        open_view(request.files.view, title, job.world, job.arm, effects) as view,
+    ):
+        return _carry_out(request, job, progress, view)
+
+
+def _carry_out(
+    request: PlaceRequest, job: PlaceJob, progress: Progress, view: "LiveView | None"
+) -> PlaceReport:
+    last = initialise(job.arm, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
+    if last.outcome is not Outcome.DONE:
+        result = PlacementResult(last.outcome, None, last.duration_s, None, None, last.evrs)
+        return PlaceReport(request, job.placement.tool, execution_not_begun(result, job.arm, request.files))
+    stowed_rad = job.arm.params.poses.stowed_rad
+    setup = Setup(job.arm, job.world, stowed_rad, request.seed, last.reference, effects_of_run(job.effects))
+    loop = ClosedLoop(setup, with_truth=request.files.log is not None or view is not None)
+    run = PlacementRun(loop, job.placement)
+    header = run_header(
+        loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects, job.world
+    )
+    execution = execute(
+        run,
+        loop,
+        header,
+        request.files,
+        job.world,
+        part_of(progress, INITIALISATION_SHARE, 1.0),
+        progress_at=lambda record: (record.tick / CYCLE_HZ, job.expected_s),
+        is_for_picture=lambda record: CommandCompleted("GuardedMove") in record.outputs.evrs,
+        arm=job.arm.model,
+        view=view,
+    )
+    return PlaceReport(request, job.placement.tool, execution)

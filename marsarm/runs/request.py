@@ -1,0 +1,165 @@
+"""Requests of `marsarm place`, `run` and `hardstop`: their options, with defaults and bounds."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from marsarm.common.options import (
+    ARM_HELP,
+    ArmOption,
+    EffectsOption,
+    MismatchOption,
+    Option,
+    ParamsOption,
+    PitchOption,
+    RollOption,
+    SeedOption,
+    Vector,
+)
+
+MOST_REPEATS: Final = 1000
+WhenDiskFull = Literal["go-on", "stop"]
+"""Reaction of a run if its log can no longer be written."""
+
+
+ViewOption = Annotated[
+    bool, Option("Show the run in the browser while it runs, then play it again until Ctrl-C.", name="--view")
+]
+
+
+@dataclass(frozen=True, slots=True)
+class RunFiles:
+    """Files that a run writes, None for each that it does not; and whether it is shown."""
+
+    log: Annotated[Path | None, Option("Write a telemetry log (MCAP).", "FILE.mcap", suffixes=(".mcap",))] = (
+        None
+    )
+    picture: Annotated[
+        Path | None,
+        Option(
+            "Draw the arm in contact, or at the last check.",
+            "FILE.png",
+            suffixes=(".png",),
+            help_without="Draw no picture.",
+        ),
+    ] = None
+    movie: Annotated[
+        Path | None, Option("Draw the whole run.", "FILE.mp4|FILE.gif", suffixes=(".gif", ".mp4"))
+    ] = None
+    view: ViewOption = False
+    when_disk_full: Annotated[
+        WhenDiskFull, Option("Reaction of the run if its log can no longer be written.", "go-on|stop")
+    ] = "go-on"
+
+
+NO_FILES: Final = RunFiles()
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceRequest:
+    """Options of `marsarm place`."""
+
+    tool: Annotated[
+        str | None, Option("A tool with contact switches; the instrument of the arm if not given.", "TOOL")
+    ] = None
+    target_m: Annotated[Vector, Option("Point on the surface, RNAV, in metres.", "X Y Z", "--target")] = (
+        2.05,
+        0.1,
+        -0.25,
+    )
+    normal: Annotated[Vector, Option("Direction out of the surface, RNAV.", "NX NY NZ")] = (-0.5, 0.1, -0.85)
+    tilt_roll_deg: RollOption = 0.0
+    tilt_pitch_deg: PitchOption = 0.0
+    arm: ArmOption = "nominal"
+    seed: SeedOption = 0
+    params: ParamsOption = None
+    mismatch: MismatchOption = False
+    effects: EffectsOption = ()
+    has_surface: Annotated[
+        bool,
+        Option("Place a rock with this surface in the world, or none.", name="--surface/--no-surface"),
+    ] = True
+    files: RunFiles = RunFiles(picture=Path("place.png"))
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """Options of `marsarm run`; None takes the value of the scenario."""
+
+    scenario: Annotated[
+        str,
+        Option(
+            "A name from `marsarm scenarios`, or a .toml file.", "SCENARIO", is_argument=True, is_read=True
+        ),
+    ]
+    arm: Annotated[
+        str | None,
+        Option(f"{ARM_HELP} That of the scenario if not given.", "ARM"),
+    ] = None
+    tilt_deg: Annotated[
+        tuple[float, float] | None,
+        Option(
+            "Tilt of the rover, degrees: roll, right side down, and pitch, nose up; if not given, that of "
+            "the scenario.",
+            "ROLL PITCH",
+            "--tilt",
+        ),
+    ] = None
+    seed: SeedOption = 0
+    params: ParamsOption = None
+    mismatch: MismatchOption = False
+    files: RunFiles = NO_FILES
+    effects: EffectsOption = ()
+
+
+@dataclass(frozen=True, slots=True)
+class HardstopRequest:
+    """Options of `marsarm hardstop`."""
+
+    joint: Annotated[
+        str | None, Option("azimuth, elevation, elbow, wrist or turret; all if not given.", "NAME")
+    ] = None
+    repeat: Annotated[
+        int,
+        Option(
+            "Number of repetitions. Each begins near the hardstop, with its own temperature (-55 to "
+            "10 degC), friction, noise and pose.",
+            "N",
+            within=(1, MOST_REPEATS),
+        ),
+    ] = 1
+    arm: ArmOption = "nominal"
+    scene: Annotated[Literal["mars", "earth"], Option("mars or earth.", "mars|earth")] = "mars"
+    tilt_roll_deg: RollOption = 0.0
+    tilt_pitch_deg: PitchOption = 0.0
+    turret: Annotated[
+        bool,
+        Option(
+            "Without its turret the arm is calibrated on Earth, in poses with the joint torques of Mars.",
+            name="--turret/--no-turret",
+        ),
+    ] = True
+    start_deg: Annotated[
+        tuple[float, float, float, float, float] | None,
+        Option(
+            "Start pose for one joint, degrees; if not given, its planned pose near its hardstop.",
+            "J1 J2 J3 J4 J5",
+            "--start",
+        ),
+    ] = None
+    temperature_C: Annotated[
+        float | None,
+        Option(
+            "Temperature of the actuators, degC; 20 if not given. Friction rises in the cold.",
+            "DEGC",
+            "--temperature",
+        ),
+    ] = None
+    seed: SeedOption = 0
+    params: ParamsOption = None
+    mismatch: MismatchOption = False
+    effects: EffectsOption = ()
+    view: ViewOption = False
+    picture: Annotated[
+        Path | None, Option("Draw current, speed and angle.", "FILE.png", suffixes=(".png",))
+    ] = None

@@ -1,0 +1,138 @@
+"""Execution of a scenario: check the request, run it, apply its checks, report."""
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
+
+from fsw.config import CYCLE_HZ
+from marsarm.common.errors import BadRequest
+from marsarm.common.files import reserve
+from marsarm.common.options import check_options
+from marsarm.common.progress import Progress, no_progress, part_of
+from marsarm.common.requests import make_world, parse_effects, select_arm
+from marsarm.runs.execution import (
+    INITIALISATION_SHARE,
+    Execution,
+    check_files,
+    execute,
+    execution_not_begun,
+    initialise,
+    open_view,
+)
+from marsarm.runs.request import RunRequest
+from marsarm.telemetry.header import run_header
+from sim.arms import BuiltArm
+from sim.effects.effect import EffectMisfit
+from sim.effects.environment import default_ambient
+from sim.loop import ClosedLoop
+from sim.scenario.data import Scenario
+from sim.scenario.file import BadScenario, load_scenario
+from sim.scenario.rehearsal import find_impossible
+from sim.scenario.run import ScenarioResult, ScenarioRun, scenario_setup
+from sim.scenario.teaching import NotTaught, teach
+from sim.sequence import Outcome
+
+if TYPE_CHECKING:
+    from marsarm.view.live import LiveView
+
+
+@dataclass(frozen=True, slots=True)
+class RunReport:
+    """Run of a scenario."""
+
+    request: RunRequest
+    scenario: Scenario
+    """Scenario with the tilt and the effects of the request."""
+    arm: str
+    execution: Execution[ScenarioResult]
+
+    @property
+    def passed(self) -> bool:
+        """True if the run was completed and passed all checks of its scenario."""
+        return self.execution.result.passed
+
+
+def run_scenario(request: RunRequest, progress: Progress = no_progress) -> RunReport:
+    """Carry out a scenario.
+
+    Raises:
+        BadRequest: the request or the scenario is wrong; nothing moved and nothing was written.
+    """
+    scenario, arm = _prepare(request)
+    title = f"{scenario.title} on {arm.name} arm"
+    with (
+        reserve(request.files.log, "log"),
+        open_view(request.files.view, title, scenario.world, arm, scenario.effects) as view,
+    ):
+        return _carry_out(request, scenario, arm, progress, view)
+
+
+def _carry_out(
+    request: RunRequest, scenario: Scenario, arm: BuiltArm, progress: Progress, view: "LiveView | None"
+) -> RunReport:
+    # flight software takes the friction of this day from the initialisation
+    ambient = default_ambient(arm.effects, scenario.temperature_C)
+    on_this_day = replace(arm, effects=(*ambient, *arm.effects))
+    last = initialise(on_this_day, request.seed, part_of(progress, 0.0, INITIALISATION_SHARE))[-1]
+    if last.outcome is not Outcome.DONE:
+        result = ScenarioResult(last.outcome, 0, last.duration_s, (), last.evrs)
+        return RunReport(request, scenario, arm.name, execution_not_begun(result, arm, request.files))
+    progress(INITIALISATION_SHARE, 1.0, "teaching")
+    try:
+        arm = teach(arm, last.reference, scenario.taught, scenario.world, request.seed)
+    except NotTaught as error:
+        raise BadRequest(f"scenario {scenario.name}: {error}") from error
+    setup = scenario_setup(scenario, arm, last.reference, request.seed)
+    loop = ClosedLoop(setup, with_truth=request.files.log is not None or view is not None)
+    scenario_run = ScenarioRun(loop, scenario)
+    picture_command = _picture_command(scenario)
+    execution = execute(
+        scenario_run,
+        loop,
+        run_header(
+            loop,
+            arm.name,
+            request.seed,
+            asdict(request),
+            scenario.commands,
+            scenario.effects,
+            scenario.world,
+        ),
+        request.files,
+        scenario.world,
+        part_of(progress, INITIALISATION_SHARE, 1.0),
+        progress_at=lambda record: scenario_run.progress_at(record.tick / CYCLE_HZ),
+        is_for_picture=lambda _: scenario_run.command == picture_command,
+        arm=arm.model,
+        view=view,
+    )
+    return RunReport(request, scenario, arm.name, execution)
+
+
+def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
+    """Check a request, before anything moves or is written, and return its scenario and arm."""
+    check_options(request)
+    check_files(request.files)
+    try:
+        scenario = load_scenario(request.scenario, request.arm)
+    except BadScenario as error:
+        raise BadRequest(str(error)) from error
+    arm = select_arm(scenario.arm if request.arm is None else request.arm, request.params, request.mismatch)
+    if request.tilt_deg is not None:
+        tilted = make_world(scenario.world.scene, *request.tilt_deg)
+        scenario = scenario.tilted(tilted.tilt_roll_rad, tilted.tilt_pitch_rad)
+    added = parse_effects(request.effects, arm.params.tool_names)
+    scenario = replace(scenario, effects=(*scenario.effects, *added))
+    try:
+        arm = scenario.fit_arm(arm)
+    except EffectMisfit as error:
+        raise BadRequest(f"{request.scenario}: {error}") from error
+    problem = find_impossible(scenario, arm)
+    if problem is not None:
+        raise BadRequest(f"{request.scenario}: {problem}")
+    return scenario, arm
+
+
+def _picture_command(scenario: Scenario) -> int:
+    """Return the number of the command at whose end the picture is taken: the last one with a check."""
+    numbers = [getattr(check, name, 0) for check in scenario.checks for name in ("after", "during")]
+    return max(numbers) or len(scenario.commands)

@@ -1,0 +1,260 @@
+"""Layout of packets as messages: numpy type, ROS 2 definition and JSON; and the encoder of CDR."""
+
+import json
+import re
+import struct
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from math import prod
+from typing import Annotated, Any, Final, NamedTuple, Self, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from fsw.dictionary.enums import Joint
+from fsw.dictionary.params import Params
+from fsw.dictionary.types import Limits, NameMark
+from marsarm.common.fields import field_docs, unit_of
+from marsarm.telemetry.errors import SchemaError
+
+ENCAPSULATION: Final = b"\x00\x01\x00\x00"
+"""Encapsulation header: CDR, XCDR1, little endian. Alignment counts from the byte after it."""
+
+DTYPES: Final[dict[type, str]] = {bool: "|b1", int: "<i8", float: "<f8"}
+
+ROS_DTYPE_KINDS: Final = "biuf"
+"""Kinds of numpy types that exist in ROS 2."""
+MAX_NUMBER_BYTES: Final = 8
+"""Size of the largest number of ROS 2."""
+
+Shape = tuple[int, ...]
+
+
+class ArmNames(NamedTuple):
+    """Names of tools and contact switches of an arm, on which the layout of messages depends."""
+
+    tools: tuple[str, ...]
+    switches: tuple[str, ...]
+
+
+def arm_names(params: Params) -> ArmNames:
+    """Return the names of the tools and switches of the arm of these parameters."""
+    return ArmNames(params.tool_names, tuple(switch.name for switch in params.switches))
+
+
+PER_JOINT: Final = (len(Joint),)
+ARRAY_SHAPES: Final[Mapping[str, tuple[int | str, ...]]] = {
+    "Sensors.switch_closed": ("switches",),
+    "Sensors.gravity_R_m_s2": (3,),
+    "ToolChannels.p_RoTo_R_m": (3,),
+    "ToolChannels.R_RT": (3, 3),
+    "Truth.p_RoTo_R_m": ("tools", 3),
+    "Truth.R_RT": ("tools", 3, 3),
+}
+"""Shapes of arrays that are not by joint; a name stands for the number of names in ArmNames."""
+
+# Foxglove and rosidl reject a whole log if one name of a field has a capital letter or a double underscore.
+ROS_NAME: Final = re.compile(r"[a-z](_?[a-z0-9]+)*")
+
+
+def strip_annotated(hint: Any) -> Any:
+    """Return the type inside an Annotated."""
+    return get_args(hint)[0] if get_origin(hint) is Annotated else hint
+
+
+def align(offset: int, size: int) -> int:
+    """Return the next offset from the start of a message where CDR places a value of this size."""
+    return offset + (len(ENCAPSULATION) - offset) % size
+
+
+def ros_definition(doc: str | None, body: str) -> bytes:
+    """Return a ROS 2 message definition with the first line of a docstring as its comment."""
+    heading = (doc or "").strip().split("\n")[0]
+    return f"# {heading}\n{body}".encode()
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """Field of a packet: name, numpy type such as "<f8", shape (None for a single number), comments."""
+
+    name: str
+    kind: str
+    shape: Shape | None
+    note: str = ""
+    """Comment with unit, limits and names of the values."""
+    doc: str = ""
+
+    @property
+    def size(self) -> int:
+        """Size of one number in bytes, and its alignment."""
+        return np.dtype(self.kind).itemsize
+
+    @property
+    def ros_lines(self) -> str:
+        """Lines of the field in a ROS 2 message definition; names are lower case, comments hold the rest."""
+        count = "" if self.shape is None else f"[{prod(self.shape)}]"
+        remarks = [] if self.name.islower() else [self.name]
+        if self.shape is not None and len(self.shape) > 1:
+            remarks.append(f"row by row, shape {self.shape}")
+        if self.note:
+            remarks.append(self.note)
+        line = f"{np.dtype(self.kind).name}{count} {self.name.lower()}"
+        line = f"{line}  # {'; '.join(remarks)}" if remarks else line
+        return f"# {self.doc}\n{line}\n" if self.doc else f"{line}\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Layout of a packet: its fields in the order of the bytes."""
+
+    fields: tuple[Field, ...]
+
+    @property
+    def dtype(self) -> np.dtype[np.void]:
+        """Structured numpy type of a whole message with its encapsulation header."""
+        formats = [np.dtype((f.kind, f.shape or ())) for f in self.fields]
+        offsets, end = [], len(ENCAPSULATION)
+        for one in formats:
+            offsets.append(align(end, one.base.itemsize))
+            end = offsets[-1] + one.itemsize
+        names = [f.name for f in self.fields]
+        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": end})
+
+    @property
+    def ros_text(self) -> str:
+        """Body of the ROS 2 message definition."""
+        return "".join(f.ros_lines for f in self.fields)
+
+    def to_json(self) -> str:
+        """Encode the layout for a log, so that a reader needs no dataclass."""
+        return json.dumps([[f.name, f.kind, f.shape] for f in self.fields])
+
+    @classmethod
+    def from_json(cls, text: str) -> "Layout":
+        """Decode a layout that `to_json` encoded; comments are lost.
+
+        Raises:
+            TypeError, ValueError: the text is not a layout of numbers.
+        """
+        rows = json.loads(text)
+        layout = cls(tuple(Field(name, kind, shape and tuple(shape)) for name, kind, shape in rows))
+        dtype = layout.dtype
+        if not all(is_ros_number(dtype[name].base) for name in dtype.names or ()):
+            raise ValueError(f"a field is no number: {text}")
+        return layout
+
+
+def is_ros_number(scalar: np.dtype[Any]) -> bool:
+    """Return whether ROS 2 has this type of number."""
+    return scalar.kind in ROS_DTYPE_KINDS and scalar.itemsize <= MAX_NUMBER_BYTES
+
+
+def note_of(name: str, hint: Any, arm: ArmNames) -> str:
+    """Return a comment with unit, limits and names of the values of a field, as far as they exist."""
+    unit, limits, kind = unit_of(name), limits_of(hint), strip_annotated(hint)
+    remarks = [] if unit in (None, "1") else [f"[{unit}]"]
+    if limits is not None:
+        remarks.append(f"{limits.low:g} .. {limits.high:g}")
+    if isinstance(kind, type) and issubclass(kind, IntEnum):
+        remarks.append(f"{kind.__name__}: " + ", ".join(f"{e.value} {e.name}" for e in kind))
+    if is_tool_index(hint):
+        remarks.append("Tool: " + ", ".join(f"{k} {tool}" for k, tool in enumerate(arm.tools)))
+    return "; ".join(remarks)
+
+
+def is_tool_index(hint: Any) -> bool:
+    """Return whether an annotation is of an index of a tool."""
+    return NameMark.TOOL in get_args(hint)[1:]
+
+
+def array_shape(owner: type, name: str, arm: ArmNames) -> Shape:
+    """Return the shape of an array field of a packet, for an arm with these tools and switches."""
+    shape = ARRAY_SHAPES.get(f"{owner.__name__}.{name}", PER_JOINT)
+    return tuple(len(getattr(arm, size)) if isinstance(size, str) else size for size in shape)
+
+
+def limits_of(hint: Any) -> Limits | None:
+    """Return the limits of an annotation, None if it has none."""
+    return next((one for one in get_args(hint)[1:] if isinstance(one, Limits)), None)
+
+
+def packet_field(owner: type, name: str, hint: Any, arm: ArmNames) -> Field:
+    """Return the field that an annotation declares.
+
+    Raises:
+        SchemaError: the annotation has no fixed layout.
+    """
+    kind, where = strip_annotated(hint), f"{owner.__name__}.{name}"
+    note, doc = note_of(name, hint, arm), " ".join(field_docs(owner).get(name, "").split())
+    if get_origin(kind) is np.ndarray:
+        scalar = np.dtype(get_args(get_args(kind)[1])[0])
+        if not is_ros_number(scalar):
+            raise SchemaError(f"{where}: an array of {scalar} has no ROS 2 type; use numbers or flags")
+        return Field(name, scalar.str, array_shape(owner, name, arm), note, doc)
+    if isinstance(kind, type) and issubclass(kind, IntEnum):
+        return Field(name, "<i8", None, note, doc)
+    if kind in DTYPES:
+        return Field(name, DTYPES[kind], None, note, doc)
+    raise SchemaError(f"{where}: {kind} has no fixed layout; use bool, int, float, IntEnum, NDArray")
+
+
+def packet_layout(packet: type, names: Iterable[str], arm: ArmNames) -> Layout:
+    """Return the layout of fields of a packet, from its annotations.
+
+    Fields are ordered by size, the largest first, and within a size single numbers before arrays. This order
+    needs no padding.
+
+    Raises:
+        SchemaError: a field has no fixed layout, or its name in lower case is taken or not legal in ROS 2.
+    """
+    hints = get_type_hints(packet, include_extras=True)
+    fields = [packet_field(packet, name, hints[name], arm) for name in names]
+    seen: set[str] = set()
+    for f in fields:
+        name = f.name.lower()
+        if name in seen or not ROS_NAME.fullmatch(name):
+            raise SchemaError(
+                f"{packet.__name__}.{f.name}: taken, or no field name in ROS 2; use words joined by one _"
+            )
+        seen.add(name)
+    return Layout(tuple(sorted(fields, key=lambda f: (-f.size, f.shape is not None))))
+
+
+ROS_TIME: Final = struct.Struct("<iI")
+"""builtin_interfaces/Time: seconds and nanoseconds."""
+
+
+def ros_time(time_ns: int) -> tuple[int, int]:
+    """Split a time into seconds and nanoseconds."""
+    return divmod(time_ns, 1_000_000_000)
+
+
+class CdrWriter:
+    """Message that is being encoded in CDR; values are added in the order of its definition."""
+
+    def __init__(self) -> None:
+        self.data = bytearray(ENCAPSULATION)
+
+    def add(self, kinds: str, *values: float) -> Self:
+        """Add numbers; `kinds` has a code of `struct` for each, such as "d" for float64."""
+        for kind, value in zip(kinds, values, strict=True):
+            size = struct.calcsize(f"<{kind}")
+            self.data = self.data.ljust(align(len(self.data), size), b"\0") + struct.pack(f"<{kind}", value)
+        return self
+
+    def text(self, text: str) -> Self:
+        """Add a string."""
+        # Text from the operating system may hold bytes that UTF-8 does not have.
+        content = text.encode(errors="backslashreplace") + b"\0"
+        self.add("I", len(content))
+        self.data += content
+        return self
+
+    def header(self, time_ns: int, frame: str) -> Self:
+        """Add a std_msgs/Header."""
+        return self.add("iI", *ros_time(time_ns)).text(frame)
+
+    def reserve(self, numbers: int) -> int:
+        """Add zeros of type float64 to be overwritten later, and return the byte where they begin."""
+        self.add("d" * numbers, *[0.0] * numbers)
+        return len(self.data) - 8 * numbers

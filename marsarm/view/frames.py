@@ -1,0 +1,207 @@
+"""Frames of a view: poses of the arm over time, true and as flight software believes it.
+
+This is the one way from a run to what is drawn: the viewer, the page and the tests use it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fsw.dictionary.evrs import Severity
+from fsw.kinematics.arm import Arm
+from fsw.kinematics.chain import Frames as ChainFrames
+from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.statics import ToolForce, settle_output
+from fsw.kinematics.transforms import Array, Pose, stack_poses
+from marsarm.common.errors import BadRequest
+from marsarm.view.samples import Samples
+from marsarm.view.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Event report for the time line."""
+
+    time_s: float
+    severity: Severity
+    text: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trail:
+    """Places of the tool on the rigid arm [m], and the offsets of the arm that is shown, each (k, 3)."""
+
+    rigid_m: NDArray[np.float32]
+    offset_m: NDArray[np.float32]
+
+    def points_m(self, factor: float) -> NDArray[np.float32]:
+        """Compute the points with offsets times a factor, shape (k, 3)."""
+        return self.rigid_m + np.float32(factor) * self.offset_m
+
+    def extended_by(self, other: "Trail") -> "Trail":
+        """Return the trail that continues with another one."""
+        return Trail(np.vstack([self.rigid_m, other.rigid_m]), np.vstack([self.offset_m, other.offset_m]))
+
+    @property
+    def last_step_m(self) -> float:
+        """Distance between the last two points of the rigid arm."""
+        return float(np.linalg.norm(self.rigid_m[-1] - self.rigid_m[-2]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """Poses at n times of b carriers and, as the last one, of the tool, in world axes.
+
+    Offsets are what compliance, backlash and errors of the arm add to the rigid arm at its motor angles. A
+    view magnifies them.
+    """
+
+    samples: Samples
+    p_m: NDArray[np.float32]
+    """Positions of the rigid arm, shape (n, b + 1, 3)."""
+    q: NDArray[np.float32]
+    """Quaternions x, y, z, w of the rigid arm, continuous in time, shape (n, b + 1, 4)."""
+    believed: NDArray[np.float32]
+    """Offsets of the arm of flight software: translation [m], rotation [rad], shape (n, b + 1, 6)."""
+    true: NDArray[np.float32] | None
+    """Offsets of the true arm likewise; None if it is not known."""
+    force_N: NDArray[np.float32]
+    """True contact force on the tool, shape (n, 3)."""
+
+    def arm_at(self, offset: NDArray[np.float32], time_s: float, factor: float) -> tuple[Array, Array]:
+        """Compute the poses of one arm at a time, between two frames, with its offsets times a factor.
+
+        Args:
+            offset: Offsets of the arm, `true` or `believed`.
+            time_s: Time since boot.
+            factor: Factor; 1 for the arm as it is.
+
+        Returns:
+            Positions, shape (b + 1, 3), and quaternions x, y, z, w, shape (b + 1, 4).
+        """
+        added = factor * self.between(offset, time_s)
+        rigid = Rotation.from_quat(self.between(self.q, time_s))
+        turned = Rotation.from_rotvec(added[:, 3:]) * rigid
+        return self.between(self.p_m, time_s) + added[:, :3], turned.as_quat()
+
+    def between(self, values: NDArray[np.float32], time_s: float) -> Array:
+        """Interpolate values of the frames, shape (n, ...), at a time."""
+        frame = self.frame_at(time_s)
+        after = min(frame + 1, len(values) - 1)
+        times_s = self.samples.time_s
+        span_s = times_s[after] - times_s[frame]
+        share = np.clip((time_s - times_s[frame]) / span_s, 0.0, 1.0) if span_s else 0.0
+        return np.asarray((1.0 - share) * values[frame] + share * values[after])
+
+    def frame_at(self, time_s: float) -> int:
+        """Return the last frame at or before a time, or the first one."""
+        return max(int(np.searchsorted(self.samples.time_s, time_s, side="right")) - 1, 0)
+
+    @property
+    def shown(self) -> NDArray[np.float32]:
+        """Offsets of the arm that is shown in full: of the true one, or else of the believed one."""
+        return self.believed if self.true is None else self.true
+
+    def trail(self, time_s: float) -> Trail:
+        """Return the trail of the present tool until a time."""
+        frame = self.frame_at(time_s)
+        kept = slice(int(self.trail_start[frame]), frame + 1)
+        return Trail(self.p_m[kept, -1], self.shown[kept, -1, :3])
+
+    @property
+    def trail_start(self) -> NDArray[np.uint32]:
+        """Frame since which the tool is the same, shape (n,): another tool begins another trail."""
+        is_first = np.append(True, np.diff(self.samples.tool) != 0)
+        return np.maximum.accumulate(np.where(is_first, np.arange(len(is_first)), 0)).astype(np.uint32)
+
+    @property
+    def tool_error_m(self) -> Array | None:
+        """Distance between the true tool and where flight software believes it, shape (n,)."""
+        if self.true is None:
+            return None
+        return np.asarray(np.linalg.norm(self.true[:, -1, :3] - self.believed[:, -1, :3], axis=1), float)
+
+
+def compute_frames(
+    scene: Scene, samples: Samples, believed_arm: Arm, true_arm: Arm, surface_normal_R: Array | None
+) -> Frames:
+    """Compute the frames of a run.
+
+    The springs of the true arm are in equilibrium with gravity and with the contact force: the arm is slow.
+
+    Args:
+        scene: Scene of the run.
+        samples: Samples of the run, from a log or from its cycles.
+        believed_arm: Arm by the parameters of flight software.
+        true_arm: Arm as it was built.
+        surface_normal_R: Unit vector out of the surface in the rover frame, shape (3,); None for no surface.
+
+    Raises:
+        BadRequest: no sample has angles of all joints and gravity, or one has a tool that the arm lacks.
+    """
+    samples = samples.select_known()
+    if not len(samples.time_s):
+        raise BadRequest("log: has no finite angles of the joints with gravity; there is no arm to show")
+    if samples.tool.max() >= len(believed_arm.X_FT):
+        raise BadRequest(
+            f"log: has tool {samples.tool.max()}, and its parameters have the tools 0 to "
+            f"{len(believed_arm.X_FT) - 1}; it cannot be drawn"
+        )
+    rigid = _poses(scene, believed_arm, forward(believed_arm, samples.motor_rad), samples)
+    gravity = samples.gravity_R_m_s2
+    settled = settle_output(believed_arm, samples.believed_rad, gravity).frames
+    believed = _offset(rigid, _poses(scene, believed_arm, settled, samples))
+    true, force_R_N = None, np.zeros((3, len(samples.time_s)))
+    if samples.true_rad is not None and samples.force_N is not None:
+        if surface_normal_R is not None:
+            force_R_N = surface_normal_R[:, None] * samples.force_N
+        settled = _settle_true(true_arm, samples, samples.true_rad, force_R_N)
+        true = _offset(rigid, _poses(scene, true_arm, settled, samples))
+    return Frames(
+        samples=samples,
+        p_m=np.moveaxis(rigid.p, 0, -1).swapaxes(0, 1).astype(np.float32),
+        q=_quaternions(rigid.R),
+        believed=believed,
+        true=true,
+        force_N=(scene.X_WR.R @ force_R_N).T.astype(np.float32),
+    )
+
+
+def _settle_true(arm: Arm, samples: Samples, true_rad: Array, force_R_N: Array) -> ChainFrames:
+    """Return the frames of the true arm, each under the force on its tool."""
+    strain = np.zeros((6, 6, len(samples.time_s)))
+    for tool in np.unique(samples.tool):
+        at = samples.tool == tool
+        push = ToolForce(list(arm.X_FT)[tool], force_R_N[:, at])
+        strain[..., at] = settle_output(arm, true_rad[:, at], samples.gravity_R_m_s2[:, at], push).strain
+    return forward(arm, true_rad, strain)
+
+
+def _poses(scene: Scene, arm: Arm, frames: ChainFrames, samples: Samples) -> Pose:
+    """Compute the poses of carriers and tool in world axes, batch (b + 1, n)."""
+    carriers = scene.carrier_poses(frames)
+    tools = stack_poses([tool_pose(arm, frames, tool) for tool in arm.X_FT])
+    times = np.arange(len(samples.time_s))
+    tool = Pose(scene.X_WR.R[..., None], scene.X_WR.p[..., None]) @ tools[times, samples.tool]
+    return Pose(
+        np.concatenate([carriers.R, tool.R[:, :, None]], axis=2),
+        np.concatenate([carriers.p, tool.p[:, None]], axis=1),
+    )
+
+
+def _offset(rigid: Pose, other: Pose) -> NDArray[np.float32]:
+    turn = np.einsum("ik...,jk...->...ij", other.R, rigid.R)
+    rotation = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_rotvec().reshape(*turn.shape[:2], 3)
+    offset = np.concatenate([np.moveaxis(other.p - rigid.p, 0, -1), rotation], axis=-1)
+    return np.asarray(offset.swapaxes(0, 1), np.float32)
+
+
+def _quaternions(R: Array) -> NDArray[np.float32]:
+    """Return quaternions of which two that follow each other have the same sign, shape (n, b + 1, 4)."""
+    matrices = np.moveaxis(R, (0, 1), (-2, -1)).swapaxes(0, 1)
+    q = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_quat().reshape(*matrices.shape[:2], 4)
+    flips = np.sign(np.sum(q[1:] * q[:-1], axis=-1))
+    q[1:] *= np.cumprod(np.where(flips < 0, -1.0, 1.0), axis=0)[..., None]
+    return np.asarray(q, np.float32)

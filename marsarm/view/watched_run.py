@@ -1,0 +1,168 @@
+"""Run as a view shows it: its scene, its arms and its events."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fsw.dictionary.evrs import Severity
+from fsw.dictionary.params import Params
+from fsw.kinematics.arm import Arm, build_arm
+from fsw.kinematics.transforms import Array, normalize
+from marsarm.common.errors import BadRequest
+from marsarm.telemetry.format import EVR_TOPIC, TICK_NS
+from marsarm.telemetry.header import WORLD
+from marsarm.telemetry.json_codec import BadJson, record_from_json
+from marsarm.telemetry.read import Log, read_log
+from marsarm.view.frames import Event, Frames, compute_frames
+from marsarm.view.samples import Samples
+from marsarm.view.scene import Scene, build_scene
+from sim.arm_model.load import ArmModel
+from sim.arms import BuiltArm, UnknownArm, arm_named
+from sim.effects.effect import Effect, params_with_effects
+from sim.effects.structure import StandInTurret
+from sim.scenario.effects import BadEffect, parse_effect_text
+from sim.world import World
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """Constant part of a run: the scene, and the arm as it is and as flight software believes it."""
+
+    scene: Scene
+    believed_arm: Arm
+    true_arm: Arm
+    surface_normal_R: Array | None
+    """Unit vector out of the surface in the rover frame, shape (3,)."""
+
+    def frames(self, samples: Samples) -> Frames:
+        """Compute the frames of samples.
+
+        Raises:
+            BadRequest: no sample has angles of all joints.
+        """
+        return compute_frames(self.scene, samples, self.believed_arm, self.true_arm, self.surface_normal_R)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WatchedRun:
+    """Run that is over, for the viewer or a page."""
+
+    title: str
+    facts: tuple[tuple[str, str], ...]
+    """Names and values of what identifies the run."""
+    notes: tuple[str, ...]
+    """Sentences about what is not drawn as it was."""
+    scene: Scene
+    frames: Frames
+    events: tuple[Event, ...]
+
+
+def build_surroundings(
+    world: World, params: Params, effects: Sequence[Effect], drawing: ArmModel
+) -> Surroundings:
+    """Build the surroundings of a run.
+
+    Args:
+        world: World of the run.
+        params: Parameters of flight software.
+        effects: All effects of arm and run; those that a parameter describes change the true arm.
+    """
+    normal = None if world.surface is None else normalize(world.surface.normal_N)
+    true_params = params_with_effects(effects, drawing.params)
+    has_turret = not any(isinstance(effect, StandInTurret) for effect in effects)
+    scene = build_scene(world, drawing, has_turret)
+    return Surroundings(scene, build_arm(params), build_arm(true_params), normal)
+
+
+def watch_log(path: Path) -> WatchedRun:
+    """Prepare a log for a view.
+
+    Raises:
+        BadRequest: the log cannot be read, has no joints, or is of a drawing that this machine does not have.
+    """
+    log = read_log(path, ("/joint", "/sensors", "/truth", "/tool", EVR_TOPIC))
+    notes: list[str] = []
+    try:
+        world = _world(log, notes)
+        arm, is_known = _arm(log.header)
+        params = _params(log, arm.model, notes)
+    except BadJson as error:
+        raise BadRequest(f"log {path}: {error}") from error
+    named = log.header.get("arm", "")
+    if params.model.name != arm.model.name:
+        raise BadRequest(
+            f"log {path}: is of the drawing {params.model.name!r}, which {named!r} does not name here; view "
+            "it where the folder of that drawing is"
+        )
+    samples = Samples.of_log(log)
+    if samples.true_rad is not None and not is_known:
+        notes.append(f"This machine does not know the arm of the log, {named!r}: the true arm is not drawn.")
+        samples = samples.without_truth()
+    elif params.model.sha256 != arm.model.params.model.sha256:
+        notes.append("The drawing has changed since the run: shapes are of today, the true arm is not drawn.")
+        samples = samples.without_truth()
+    effects = (*arm.effects, *_effects(log.header, arm.params.tool_names, notes))
+    surroundings = build_surroundings(world, params, effects, arm.model)
+    frames = surroundings.frames(samples)
+    if log.end_note:
+        notes.append(f"Log: {log.end_note}.")
+    if "/truth" not in log.packets:
+        notes.append("The log has no truth: only the arm that flight software believes is drawn.")
+    events = tuple(Event(one.tick * TICK_NS / 1e9, Severity(one.severity), one.message) for one in log.evrs)
+    return WatchedRun(path.name, _facts(log.header), tuple(notes), surroundings.scene, frames, events)
+
+
+def _facts(header: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+    names = {
+        "arm": "arm",
+        "seed": "seed",
+        "marsarm": "marsarm",
+        "git": "commit",
+        "params_sha256": "parameters",
+    }
+    return tuple((text, header[name][:40]) for name, text in names.items() if name in header)
+
+
+def _world(log: Log, notes: list[str]) -> World:
+    if WORLD not in log.header:
+        notes.append(
+            "The log does not say where rock and ground were: they are drawn level and without rock."
+        )
+        return World()
+    world: World = record_from_json(World, _parse(log.header[WORLD]), WORLD, notes)
+    return world
+
+
+def _params(log: Log, drawing: ArmModel, notes: list[str]) -> Params:
+    if "params" not in log.header:
+        notes.append("The log has no parameters: the believed arm is that of the drawing.")
+        return drawing.params
+    # what another version of the parameters lacks changes no picture
+    params: Params = record_from_json(Params, _parse(log.header["params"]), "params", [], drawing.params)
+    return params
+
+
+def _parse(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BadJson(f"header: no JSON ({error})") from error
+
+
+def _arm(header: Mapping[str, str]) -> tuple[BuiltArm, bool]:
+    """Return the arm of a log and True, or the default drawing and False if this machine does not know it."""
+    try:
+        return arm_named(header["arm"]), True
+    except (KeyError, UnknownArm):
+        return arm_named("nominal"), False
+
+
+def _effects(header: Mapping[str, str], tools: Sequence[str], notes: list[str]) -> tuple[Effect, ...]:
+    """Return the effects of a run as far as this machine knows them."""
+    try:
+        return tuple(parse_effect_text(text, tools) for text in _parse(header.get("effects", "[]")))
+    except (BadEffect, BadJson) as error:
+        notes.append(f"The true arm is drawn without the effects of the run: {error}.")
+        return ()

@@ -1,0 +1,338 @@
+"""Assemble a diagnosis from what was selected, and judge it by motions that took no part."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from simgap.arrays import Array, Integers, orthonormal
+from simgap.effects.actuation import GainError
+from simgap.effects.effect import READING_HOOKS, Effect
+from simgap.residuals.blocks import cut_rows
+from simgap.residuals.loss import root_weight
+from simgap.residuals.noise import noise_residuals
+from simgap.residuals.residuals import SECOND_ENCODER, ResidualModel
+from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Remainder
+from simgap.robot import Robot
+from simgap.selection.comparison import improvement_share, knows_noise
+from simgap.selection.context import Context, FittedModel, Selection
+from simgap.selection.joint_fits import MIN_MOTIONS
+from simgap.selection.verdict import (
+    ConfidenceSet,
+    list_members,
+    separating_motion,
+    size_intervals,
+    unexplained_dependence,
+)
+
+MIN_CLOSURE: Final = 0.5
+"""Least share of what can be explained at a joint for which effects are called its causes: half."""
+MAX_INFLATION: Final = 10.0
+"""Largest variance inflation of a finding by others for which its name is told: the usual bound of
+regressors that can be separated (Marquardt 1970)."""
+MIN_DEPENDENCE: Final = 0.1
+"""Least share of the variance of a remainder that a variable explains to be named."""
+VARIABLES: Final = ("position", "velocity", "load", "time", "temperature")
+"""The simplest first: it is named where another explains no more. The command of a servo is its position."""
+CLEARLY_MORE: Final = 0.1
+"""Share of variance by which a later variable has to be better."""
+SLOW: Final = 0.1
+"""Largest share of the highest usual speed that is slow."""
+
+
+def assemble(
+    robot: Robot,
+    raw: ResidualModel,
+    selection: Selection,
+    sets: Sequence[ConfidenceSet],
+    held_out: ResidualModel,
+) -> Diagnosis:
+    """Put the parts of a diagnosis together.
+
+    Args:
+        raw: Residuals of the motions that were fitted.
+        selection: Models before and after.
+        sets: Findings with their alternatives.
+        held_out: Residuals of motions that took no part; those of the fit where there are none.
+
+    Returns:
+        The diagnosis, without what only the caller knows: seed, refusals, held-out motions.
+    """
+    context, chosen = selection.context, selection.chosen
+    effects = tuple(
+        one for one in context.union.effects if np.any(chosen.sizes[context.union.columns([one])])
+    )
+    sizes = tuple(tuple(chosen.sizes[context.union.columns([one])].tolist()) for one in effects)
+    nominal = 0.0 * chosen.sizes
+    rows = simulate_models(context, held_out, [nominal, selection.base.sizes, chosen.sizes])
+    fitted = rows[2] if held_out is raw else simulate_models(context, raw, [chosen.sizes])[0]
+    return Diagnosis(
+        robot=robot.name,
+        kind=context.model.kind,
+        seed=0,
+        findings=tuple(describe_finding(context, chosen, one, sets) for one in sets),
+        base=tuple(list_base(robot, context, chosen, sets)),
+        errors=tuple(list_errors(raw, fitted, held_out, rows)),
+        remaining=tuple(list_remainders(raw, fitted, held_out, rows[2])),
+        refused=(),
+        fitted_motions=context.model.motions,
+        judged_motions=(),
+        effects=effects,
+        sizes=sizes,
+        method=context.model.method,
+        effect_kinds=(context.model.kind,) * len(effects),
+    )
+
+
+def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Array]) -> Array:
+    """Return the residuals of some motions with models that were found on others.
+
+    Args:
+        model: Residuals of any motions.
+        sizes: Sizes of each model, (n_sizes,), in their own units.
+
+    Returns:
+        (n_models, n), in the unit of the model.
+    """
+    union, points = context.union, np.array(sizes)
+    part = [one for one in union.effects if np.any(points[:, union.columns([one])])]
+    return model.residuals(part, points[:, union.columns(part)])
+
+
+def describe_finding(
+    context: Context, chosen: FittedModel, found: ConfidenceSet, sets: Sequence[ConfidenceSet]
+) -> Finding:
+    """Describe a finding with its sets.
+
+    Where effects explain too little of a joint, or one only beside another that it resembles, the sets of
+    families and effects are empty: none of the catalogue is known to be the cause of what is at the place.
+
+    Args:
+        chosen: The model with all findings.
+        found: The finding with its alternatives.
+        sets: All findings with their alternatives.
+
+    Returns:
+        The finding.
+    """
+    effect, own = found.effect, context.union.columns([found.effect])
+    places, families, effects = list_members(found)
+    is_unsure = explains_too_little(context, chosen, effect.place)
+    if is_unsure or find_inflation(context, chosen, effect) > MAX_INFLATION:
+        families, effects = (), ()
+    size = chosen.sizes[own]
+    is_second = context.model.kind == SECOND_ENCODER and effect.overrides(*READING_HOOKS)
+    return Finding(
+        place=effect.place,
+        family=effect.family,
+        effect=effect.name,
+        size=tuple(size.tolist()),
+        size_names=tuple(one.name for one in effect.sizes),
+        interval=tuple(find_interval(context, chosen, sets, int(column)) for column in own),
+        text=effect.describe(size) + (", of the second encoder" if is_second else ""),
+        share=found.share,
+        places=places,
+        families=families,
+        effects=effects,
+        next_motion=separating_motion(context, found),
+    )
+
+
+def explains_too_little(context: Context, chosen: FittedModel, place: str) -> bool:
+    """Check whether a model explains less than MIN_CLOSURE of what can be explained in left-out motions.
+
+    Args:
+        place: Name of the joint; all joints count for another place.
+
+    Returns:
+        True if the share is below MIN_CLOSURE; False where the noise is unknown.
+    """
+    model = context.model
+    joints = [j for j, name in enumerate(model.joints) if name == place] or [*range(len(model.joints))]
+    rows = np.flatnonzero(np.isin(model.joint_of, joints))
+    pair = context.base_left_out[rows], chosen.left_out[rows]
+    return knows_noise(context, rows) and improvement_share(context, rows, *pair) < MIN_CLOSURE
+
+
+def find_inflation(context: Context, chosen: FittedModel, effect: Effect) -> float:
+    """Compute the variance inflation of a finding by the others that were fitted with it.
+
+    Several effects that nearly cancel one another can imitate one that the catalogue lacks. With the largest
+    canonical correlation r of their changes with those of the finding, beside the base parameters, the
+    inflation is 1 / (1 - r^2) (Belsley, Kuh and Welsch 1980).
+
+    Args:
+        chosen: The model with all findings.
+        effect: The finding.
+
+    Returns:
+        Factor by which the variance of a size, or a combination of sizes, grows; 1 without other findings.
+    """
+    fit = next(fit for fit in chosen.fits if np.isin(context.union.columns([effect]), fit.columns).all())
+    scale = context.scales[context.model.joint_of[fit.rows]]
+    changes = fit.jacobian * (root_weight(fit.residuals / scale) / scale)[:, None]
+    own = np.isin(fit.columns, context.union.columns([effect]))
+    others = np.isin(fit.columns, context.union.columns(chosen.effects)) & ~own
+    if not others.any():
+        return 1.0
+    base = orthonormal(changes[:, ~own & ~others])
+    mine, theirs = (
+        orthonormal(changes[:, part] - base @ (base.T @ changes[:, part])) for part in (own, others)
+    )
+    largest = float(np.linalg.norm(mine.T @ theirs, 2))
+    return 1.0 / max(1.0 - largest**2, 1e-12)
+
+
+def find_interval(
+    context: Context, chosen: FittedModel, sets: Sequence[ConfidenceSet], column: int
+) -> tuple[float, float]:
+    """Return the interval of a size; that of an effect at a body allows for the sizes of all joints.
+
+    It also holds the intervals that the size has where a member of its set stands for another finding.
+
+    Args:
+        chosen: The model with all findings.
+        sets: All findings with their alternatives.
+        column: Column of a size that the model has fitted.
+
+    Returns:
+        Low and high end, in the unit of the size.
+    """
+    fit = next(fit for fit in chosen.fits if column in fit.columns)
+    pairs = [(fit.columns, size_intervals(context, fit))]
+    pairs += [(one.columns, one.intervals) for found in sets for one in found.alternatives[1:]]
+    ends = np.concatenate([intervals[columns == column] for columns, intervals in pairs])
+    return float(ends[:, 0].min()), float(ends[:, 1].max())
+
+
+def list_base(
+    robot: Robot, context: Context, chosen: FittedModel, sets: Sequence[ConfidenceSet]
+) -> list[Base]:
+    """List the base parameters as fitted.
+
+    A number counts as unidentifiable if its interval is as wide as the prior allows, or if the gain of its
+    joint is fitted too and gravity gives it no scale.
+
+    Args:
+        sets: All findings with their alternatives.
+
+    Returns:
+        One record a size.
+    """
+    found = []
+    with_gain = {one.place for one in context.base if isinstance(one, GainError)}
+    for effect in context.base:
+        for column, size in zip(context.union.columns([effect]), effect.sizes, strict=True):
+            low, high = find_interval(context, chosen, sets, int(column))
+            known = high - low < min(2.0 * size.prior_std, size.high - size.low)
+            has_scale = robot.joint(effect.place).is_loaded_by_gravity or effect.place not in with_gain
+            nominal = effect.nominal
+            found.append(
+                Base(
+                    place=effect.place,
+                    name=size.name,
+                    nominal=nominal,
+                    value=nominal + float(chosen.sizes[column]),
+                    interval=(nominal + low, nominal + high),
+                    is_identifiable=bool(known and has_scale),
+                )
+            )
+    return found
+
+
+def list_errors(raw: ResidualModel, fitted: Array, held_out: ResidualModel, rows: Array) -> list[JointError]:
+    """List the mean absolute residual of each joint.
+
+    Args:
+        raw: Motions of the fit.
+        fitted: Their residuals with the chosen model, (n,), in the unit of the model.
+        held_out: Motions that judge.
+        rows: Their residuals with nominal, base and chosen model, (3, n), in the unit of the model.
+
+    Returns:
+        One record a joint.
+    """
+    found = []
+    for j, name in enumerate(held_out.joints):
+        if not np.any(held_out.joint_of == j):
+            continue
+        here = np.abs(rows[:, held_out.joint_of == j])
+        nominal, base, chosen = np.mean(here, axis=1).tolist()
+        noise = noise_residuals(raw, fitted, j)
+        level = float(np.mean(np.abs(noise))) if len(noise) else float("nan")
+        found.append(JointError(name, held_out.unit, nominal, base, chosen, level, held_out.kind))
+    return found
+
+
+def list_remainders(
+    raw: ResidualModel, fitted: Array, held_out: ResidualModel, residuals: Array
+) -> list[Remainder]:
+    """Say what no effect explains: joint, regime of speed, variable on which it depends.
+
+    Args:
+        raw: Motions of the fit.
+        fitted: Their residuals with the chosen model, (n,), in the unit of the model.
+        held_out: Motions that judge.
+        residuals: Their residuals with the chosen model, (n_held,), in the unit of the model.
+
+    Returns:
+        A record for each joint whose error is above its noise, or follows a variable where noise is unknown.
+    """
+    found = []
+    for j, name in enumerate(held_out.joints):
+        rows = np.flatnonzero(held_out.joint_of == j)
+        if not np.any(raw.joint_of == j) or not rows.size:
+            continue
+        error = float(np.mean(np.abs(residuals[rows])))
+        variable, share = find_dependence(held_out, rows, residuals[rows])
+        noise = noise_residuals(raw, fitted, j)
+        above = len(noise) and error > MIN_REMAINDER * float(np.mean(np.abs(noise)))
+        if above or (not len(noise) and variable):
+            regime = find_regime(held_out.explain("velocity")[rows], residuals[rows])
+            found.append(Remainder(name, regime, error, held_out.unit, variable, share))
+    return found
+
+
+def find_dependence(model: ResidualModel, rows: Integers, residuals: Array) -> tuple[str, float]:
+    """Find the variable that a residual follows most, from motion to motion.
+
+    Of few motions, blocks as long as the correlation time of the residual count.
+
+    Args:
+        model: Residuals of the motions that judge.
+        rows: Its rows of one joint, (n_rows,) indices.
+        residuals: Their residuals with the chosen model, (n_rows,), in the unit of the model.
+
+    Returns:
+        The variable, empty if none explains MIN_DEPENDENCE, and the share that it explains.
+    """
+    group = model.motion_of[rows]
+    if len(np.unique(group)) < MIN_MOTIONS:
+        group = cut_rows(model, rows, residuals)
+    shares = {}
+    for name in VARIABLES:
+        variable = model.explain(name)[rows]
+        if np.isfinite(variable).all():
+            shares[name] = unexplained_dependence(residuals, variable, group)
+    most = max(shares.values(), default=0.0)
+    best = next((name for name in shares if shares[name] >= most - CLEARLY_MORE), "")
+    if not best or shares[best] < MIN_DEPENDENCE:
+        return "", 0.0
+    return best, shares[best]
+
+
+def find_regime(speed_rad_s: Array, residuals: Array) -> str:
+    """Return the regime of speed that holds most of a residual.
+
+    Args:
+        speed_rad_s: (n,).
+        residuals: (n,), in any unit.
+
+    Returns:
+        "slow" or "fast" if more than two thirds of the sum of squares lie there, else "all motion".
+    """
+    slow = np.abs(speed_rad_s) < SLOW * np.quantile(np.abs(speed_rad_s), 0.99)
+    total, part = float(np.sum(residuals**2)), float(np.sum(residuals[slow] ** 2))
+    if total == 0.0 or 1.0 < 3.0 * part / total < 2.0:
+        return "all motion"
+    return "slow" if part > total / 2.0 else "fast"

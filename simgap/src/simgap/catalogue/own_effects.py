@@ -1,0 +1,143 @@
+"""Effects of the user's own, from a Python file."""
+
+import hashlib
+import importlib.util
+import inspect
+import math
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Final, TypeVar
+
+from simgap.effects.effect import BODY_HOOKS, HOOKS, Effect, Family, Size
+from simgap.effects.joint import JointEffect, joint_scales
+from simgap.errors import RobotError
+from simgap.logs import Logs
+from simgap.robot import Robot
+
+T = TypeVar("T")
+MODULE_PREFIX: Final = "own_effects_"
+
+
+def load_effects(path: str | Path, robot: Robot, logs: Logs) -> tuple[Effect, ...]:
+    """Load effects from a file, which join the catalogue.
+
+    If the file has a function `effects(robot, logs)`, it returns the effects. Else each subclass of
+    JointEffect in the file is put at each joint that has a log.
+
+    Args:
+        path: Python file; it is executed.
+        logs: Logs, of which the motions that are fitted give scales.
+
+    Returns:
+        The effects.
+
+    Raises:
+        RobotError: The file does not exist, fails, or holds no effect that is complete.
+    """
+    place = str(path)
+    module = load_module(Path(path))
+    function = getattr(module, "effects", None)
+
+    def make() -> tuple[object, ...]:
+        return _everywhere(module, robot, logs) if function is None else tuple(function(robot, logs))
+
+    found = _run(place, "its effects cannot be made", make)
+    if not found:
+        raise RobotError(
+            f"{place}: no effect; give a subclass of JointEffect or a function effects(robot, logs)"
+        )
+    effects = tuple(_checked(place, one, robot) for one in found)
+    keys = [effect.key for effect in effects]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise RobotError(
+                f"{place}: {keys.count(key)} effects have the key {key!r}; give each its own name"
+            )
+    return effects
+
+
+def user_files() -> set[str]:
+    """Return the files of all effects that were loaded, by the names that a traceback gives them."""
+    return {str(module.__file__) for name, module in [*sys.modules.items()] if name.startswith(MODULE_PREFIX)}
+
+
+def load_module(path: Path) -> ModuleType:
+    """Run a file of the user as a module.
+
+    Args:
+        path: Python file.
+
+    Returns:
+        The module, which `sys.modules` has under a name of its own.
+
+    Raises:
+        RobotError: There is no such Python file, or it fails.
+    """
+    if not os.path.isfile(path):  # unlike Path.is_file, False for any bad name
+        raise RobotError(f"{path}: no such file; give a Python file with effects")
+    # dataclasses look up their module by its name; the digest keeps files of one name apart
+    name = f"{MODULE_PREFIX}{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise RobotError(f"{path}: not a Python file; its name has to end in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    loader = spec.loader
+    _run(str(path), "it cannot be loaded", lambda: loader.exec_module(module))
+    return module
+
+
+def _everywhere(module: ModuleType, robot: Robot, logs: Logs) -> tuple[Effect, ...]:
+    kinds = [
+        kind
+        for kind in vars(module).values()
+        if inspect.isclass(kind) and issubclass(kind, JointEffect) and kind.__module__ == module.__name__
+    ]
+    scales = joint_scales(robot, logs.fit)
+    return tuple(kind.at(robot, place, scales) for kind in kinds for place in scales)
+
+
+def _run(place: str, problem: str, job: Callable[[], T]) -> T:
+    """Call code of the user; whatever it raises is the user's to read, in one sentence."""
+    try:
+        return job()
+    except (Exception, SystemExit) as error:
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        raise RobotError(f"{place}: {problem}, {text}") from error
+
+
+def _checked(place: str, effect: object, robot: Robot) -> Effect:
+    """Return an effect that has a name, a family, sizes, and a hook that can act at its place."""
+    if not isinstance(effect, Effect):
+        raise RobotError(f"{place}: effects(robot, logs) returned {effect!r}, which is not an Effect")
+    kind = type(effect).__name__
+    if not isinstance(getattr(effect, "name", None), str) or not isinstance(
+        getattr(effect, "family", None), Family
+    ):
+        raise RobotError(f"{place}: {kind} lacks its name or its family; give both as class variables")
+    sizes = _run(place, f"the sizes of {kind} fail", lambda: effect.sizes)
+    if not sizes or not all(isinstance(size, Size) for size in sizes):
+        raise RobotError(f"{place}: the sizes of {kind} are {sizes!r}; give a tuple with at least one Size")
+    for size in sizes:
+        numbers = size.low, size.typical, size.high
+        if not all(isinstance(one, float | int) for one in numbers):
+            raise RobotError(f"{place}: {size!r} of {kind}: low, high and typical have to be numbers")
+        is_finite = all(map(math.isfinite, numbers))
+        if not (is_finite and size.low <= 0 < size.typical <= size.high):
+            raise RobotError(
+                f"{place}: {size.name} of {kind} has bounds {size.low:g} to {size.high:g} and the typical "
+                f"size {size.typical:g}; right is low <= 0 < typical <= high, all finite"
+            )
+    if not effect.overrides(*HOOKS):
+        raise RobotError(f"{place}: {kind} changes nothing; override one of {', '.join(HOOKS)}")
+    joints = [joint.name for joint in robot.joints]
+    at_joint = next((hook for hook in HOOKS if hook not in BODY_HOOKS and effect.overrides(hook)), "")
+    if at_joint and effect.place not in joints:
+        raise RobotError(
+            f"{place}: {kind} at {effect.place!r}: {at_joint} acts at a joint; give it one of the places "
+            f"{', '.join(joints)}, or override {' or '.join(sorted(BODY_HOOKS))}"
+        )
+    return effect

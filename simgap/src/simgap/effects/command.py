@@ -1,0 +1,167 @@
+"""Changes of a command on its way to the loop: delay, limits, clamp."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.effects.actuation import limit_of
+from simgap.effects.effect import Family, Size
+from simgap.effects.joint import JointEffect
+
+
+@dataclass(frozen=True, slots=True)
+class CommandDelay(JointEffect):
+    """The command arrives late."""
+
+    name: ClassVar[str] = "command delay"
+    family: ClassVar[Family] = Family.TIMING
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Delay, up to the command that a window keeps before its start."""
+        return (Size("delay_s", 0.0, 0.2, 0.01),)
+
+    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
+        """Shift the command; a fraction of a period is the mean of a command that changes within it."""
+        position = np.clip(np.arange(command.shape[1]) - size[:, :1] / period_s, 0.0, None)
+        low = np.floor(position).astype(int)
+        share = position - low
+        row = np.arange(command.shape[0])[:, None]
+        high = np.minimum(low + 1, command.shape[1] - 1)
+        return np.asarray((1.0 - share) * command[row, low] + share * command[row, high])
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityLimit(JointEffect):
+    """The servo follows the command with a limited speed, as a profile does."""
+
+    name: ClassVar[str] = "velocity limit"
+    family: ClassVar[Family] = Family.ACTUATION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Inverse of the limit, down to a tenth of the logged speed."""
+        speed = self.scales.speed_rad_s
+        return (Size("inverse_speed_s_rad", 0.0, 10.0 / speed, 1.0 / speed),)
+
+    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
+        """Follow the command from its first value."""
+        step, last = period_s * limit_of(size[:, 0]), command[:, 0]
+        followed = command.copy()
+        for k in range(1, command.shape[1]):
+            followed[:, k], last = self._follow(command[:, k], last, step)
+        return followed
+
+    def next_command(self, size: Array, command: Array, period_s: float, memory: dict[str, Array]) -> Array:
+        """Follow the command from where the last period ended."""
+        step = period_s * limit_of(size[:, 0])
+        followed, memory["end"] = self._follow(command, memory.get("end", command), step)
+        return followed
+
+    def _follow(self, command: Array, last: Array, step: Array) -> tuple[Array, Array]:
+        """Return the mean over a control period, and the end, of a ramp that stops at the command.
+
+        The profile of a servo runs faster than commands come, so a limit acts within a period. A ramp from d
+        that may go by a step s in a period covers r = min(|d|, s), and its mean is r^2 / 2s before its end.
+        """
+        end = np.clip(command, last - step, last + step)
+        return end - (end - last) * np.abs(end - last) / (2.0 * step), end
+
+    def describe(self, size: Array) -> str:
+        """Return the limit."""
+        return f"velocity limit {float(limit_of(size)[0]):.4g} rad/s"
+
+
+@dataclass(frozen=True, slots=True)
+class AccelerationLimit(JointEffect):
+    """The servo follows the command with a limited acceleration, as a trapezoidal profile does."""
+
+    name: ClassVar[str] = "acceleration limit"
+    family: ClassVar[Family] = Family.ACTUATION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Inverse of the limit, down to a tenth of the logged acceleration."""
+        acceleration = self.scales.acceleration_rad_s2
+        return (Size("inverse_acceleration_s2_rad", 0.0, 10.0 / acceleration, 1.0 / acceleration),)
+
+    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
+        """Follow the command: speed up, and brake in time to stop at it.
+
+        From a distance d a profile can still stop from the speed that the quadratic law gives; in steps of
+        a period the law is v (v + a T) / 2a = d, so that it ends without overshoot.
+        """
+        limited = np.flatnonzero(size[:, 0] > 0.0)
+        followed = command.copy()
+        if not limited.size:
+            return followed
+        step = period_s * limit_of(size[limited, 0])
+        speed = np.zeros(limited.size)
+        for k in range(1, command.shape[1]):
+            far = command[limited, k] - followed[limited, k - 1]
+            speed = self._speed(far, speed, step, period_s)
+            followed[limited, k] = followed[limited, k - 1] + period_s * speed
+        return followed
+
+    def next_command(self, size: Array, command: Array, period_s: float, memory: dict[str, Array]) -> Array:
+        """Follow the command from the last one that arrived, with its speed."""
+        last, speed = memory.get("arrived", command), memory.get("speed", np.zeros_like(command))
+        memory["speed"] = self._speed(command - last, speed, period_s * limit_of(size[:, 0]), period_s)
+        memory["arrived"] = last + period_s * memory["speed"]
+        return memory["arrived"]
+
+    def _speed(self, far: Array, speed: Array, step: Array, period_s: float) -> Array:
+        """Return the next speed at a distance from the command."""
+        distance = np.abs(far)
+        fastest = (np.sqrt(step**2 + 8.0 * step * distance / period_s) - step) / 2.0
+        wanted = np.sign(far) * np.minimum(fastest, distance / period_s)
+        return np.asarray(np.clip(wanted, speed - step, speed + step))
+
+    def describe(self, size: Array) -> str:
+        """Return the limit."""
+        return f"acceleration limit {float(limit_of(size)[0]):.4g} rad/s2"
+
+
+@dataclass(frozen=True, slots=True)
+class _Clamp(JointEffect):
+    family: ClassVar[Family] = Family.ACTUATION
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Length that is cut off from the commanded range: at most half of it."""
+        span = max(self.scales.command_high - self.scales.command_low, 1e-6)
+        return (Size("cut_rad", 0.0, 0.5 * span, 0.1 * span),)
+
+
+@dataclass(frozen=True, slots=True)
+class ClampLow(_Clamp):
+    """Commands are cut off at a lower end."""
+
+    name: ClassVar[str] = "command clamp, low"
+
+    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
+        """Cut low commands off; at size 0 also those pass that no fitted motion had."""
+        cut = np.maximum(command, self.scales.command_low + size[:, :1])
+        return np.asarray(np.where(size[:, :1] > 0.0, cut, command))
+
+    def describe(self, size: Array) -> str:
+        """Return the end."""
+        return f"commands below {self.scales.command_low + float(size[0]):.4g} are cut off"
+
+
+@dataclass(frozen=True, slots=True)
+class ClampHigh(_Clamp):
+    """Commands are cut off at an upper end."""
+
+    name: ClassVar[str] = "command clamp, high"
+
+    def shape_command(self, size: Array, command: Array, period_s: float) -> Array:
+        """Cut high commands off; at size 0 also those pass that no fitted motion had."""
+        cut = np.minimum(command, self.scales.command_high - size[:, :1])
+        return np.asarray(np.where(size[:, :1] > 0.0, cut, command))
+
+    def describe(self, size: Array) -> str:
+        """Return the end."""
+        return f"commands above {self.scales.command_high - float(size[0]):.4g} are cut off"

@@ -1,0 +1,210 @@
+"""Effects of inertia: armature, payload, and mass, centre and inertia of the link that a joint moves.
+
+The place is the joint that moves the link, so that friction and mass of one place stand side by side.
+Joint torques of a chain depend on few combinations of masses and centres: a payload at the tool, the mass of
+the last link and its centre are partly the same change.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from simgap.arrays import Array, Flags
+from simgap.effects.effect import Effect, Family, Fields, Size
+from simgap.effects.joint import JointEffect, mjcf_joint
+from simgap.robot import Robot
+
+
+@dataclass(frozen=True, slots=True)
+class Armature(JointEffect):
+    """Inertia of the rotor, seen at the joint, beside that of the model."""
+
+    name: ClassVar[str] = "armature"
+    family: ClassVar[Family] = Family.INERTIA
+
+    @property
+    def nominal(self) -> float:
+        """Value of the model."""
+        return self.scales.armature_kgm2
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Inertia: at most what takes the whole torque at the highest acceleration, at least none at all."""
+        scale = self.scales.torque_Nm / self.scales.acceleration_rad_s2
+        return (self.with_prior(Size("armature_kgm2", -self.scales.armature_kgm2, scale, 0.05 * scale)),)
+
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Add to the armature."""
+        fields.armature_kgm2[:, self.index] += size[:, 0]
+
+
+@dataclass(frozen=True, slots=True)
+class Payload(Effect):
+    """Point mass fixed to the link of a joint, such as a tool that the model does not have."""
+
+    name: ClassVar[str] = "payload"
+    family: ClassVar[Family] = Family.INERTIA
+    place: str
+    site: str
+    """Site where the mass is; empty: at the centre of mass of the link."""
+    typical_kg: float
+    high_kg: float
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Mass of the payload."""
+        return (Size("payload_kg", 0.0, self.high_kg, self.typical_kg),)
+
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Add the point mass to mass, centre and inertia of the body."""
+        rows = np.asarray(size[:, 0] != 0)
+        if not rows.any():
+            return
+        model, added_kg = fields.batch.model, size[rows, 0]
+        body = _body(fields, robot, self.place)
+        if self.site:
+            site = model.site(self.site).id
+            body = int(model.site_bodyid[site])
+            at_m = np.tile(model.site_pos[site], (len(added_kg), 1))
+        else:
+            at_m = fields.batch.expand("body_ipos")[rows, body]
+        _add_point_mass(fields, body, rows, added_kg, at_m)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkMass(Effect):
+    """Mass of a link with the density changed: its inertia grows in proportion, its centre stays."""
+
+    name: ClassVar[str] = "link mass"
+    family: ClassVar[Family] = Family.INERTIA
+    place: str
+    nominal_kg: float
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Mass above that of the model; 10 % is worth a name, half the mass may be missing."""
+        return (Size("added_mass_kg", -0.5 * self.nominal_kg, 2.0 * self.nominal_kg, 0.1 * self.nominal_kg),)
+
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Scale mass and inertia."""
+        rows, body = size[:, 0] != 0, _body(fields, robot, self.place)
+        mass_kg, inertia_kgm2 = fields.batch.expand("body_mass"), fields.batch.expand("body_inertia")
+        factor = 1 + size[rows, 0] / mass_kg[rows, body]
+        mass_kg[rows, body] *= factor
+        inertia_kgm2[rows, body] *= factor[:, None]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkCentre(Effect):
+    """Centre of mass of a link, displaced in the plane that its joint turns.
+
+    Displaced along the joint axis it changes no torque at this joint, so there is no size for it.
+    """
+
+    name: ClassVar[str] = "link centre"
+    family: ClassVar[Family] = Family.INERTIA
+    place: str
+    length_m: float
+    """Length of the link: scale of the sizes."""
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Displacement away from the joint axis, and around it; 5 % of the length is worth a name."""
+        bound_m, typical_m = 0.5 * self.length_m, 0.05 * self.length_m
+        return (
+            Size("outward_m", -bound_m, bound_m, typical_m),
+            Size("sideward_m", -bound_m, bound_m, typical_m),
+        )
+
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Displace the centre; the inertia about the centre stays."""
+        rows = np.asarray(size.any(axis=1))
+        if not rows.any():
+            return
+        body = _body(fields, robot, self.place)
+        centre_m = fields.batch.expand("body_ipos")
+        centre_m[rows, body] += size[rows] @ _outward_and_sideward(fields, robot, self.place)
+        _drop_shortcuts(fields, body, rows)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkInertia(Effect):
+    """Inertia of a link about its centre, the same about each axis.
+
+    At a single joint it equals armature; further joints that turn the same link tell them apart.
+    """
+
+    name: ClassVar[str] = "link inertia"
+    family: ClassVar[Family] = Family.INERTIA
+    place: str
+    low_kgm2: float
+    """Most that can be taken away: minus the smallest principal inertia."""
+    joint_kgm2: float
+    """Inertia that the joint moves: scale of the size."""
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Inertia above that of the model; 10 % of what the joint moves is worth a name."""
+        return (Size("added_inertia_kgm2", self.low_kgm2, 2.0 * self.joint_kgm2, 0.1 * self.joint_kgm2),)
+
+    def set_model(self, size: Array, fields: Fields, robot: Robot) -> None:
+        """Add to the principal inertias."""
+        rows = size[:, 0] != 0
+        fields.batch.expand("body_inertia")[rows, _body(fields, robot, self.place)] += size[rows]
+
+
+def _body(fields: Fields, robot: Robot, place: str) -> int:
+    model = fields.batch.model
+    return int(model.jnt_bodyid[model.joint(mjcf_joint(robot, place)).id])
+
+
+def _outward_and_sideward(fields: Fields, robot: Robot, place: str) -> Array:
+    """Return two unit vectors in the body frame, (2, 3): from the joint axis to the centre, and across."""
+    model = fields.batch.model
+    k, body = model.joint(mjcf_joint(robot, place)).id, _body(fields, robot, place)
+    axis = np.array(model.jnt_axis[k])
+    arm_m = model.body_ipos[body] - model.jnt_pos[k]
+    arm_m = arm_m - axis * (axis @ arm_m)
+    if np.linalg.norm(arm_m) < 1e-9:  # centre on the axis: any direction across it is outward
+        arm_m = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    outward = arm_m / np.linalg.norm(arm_m)
+    return np.array((outward, np.cross(axis, outward)))
+
+
+def _add_point_mass(fields: Fields, body: int, rows: Flags, added_kg: Array, at_m: Array) -> None:
+    """Combine a body with a point mass: centre, inertia about the new centre, and its principal axes."""
+    batch = fields.batch
+    mass_kg, centre_m = batch.expand("body_mass"), batch.expand("body_ipos")
+    inertia_kgm2, axes = batch.expand("body_inertia"), batch.expand("body_iquat")
+    old_kg, old_m = mass_kg[rows, body], centre_m[rows, body]
+    total_kg = old_kg + added_kg
+    new_m = (old_kg[:, None] * old_m + added_kg[:, None] * at_m) / total_kg[:, None]
+    rotation = Rotation.from_quat(axes[rows, body], scalar_first=True).as_matrix()
+    tensor = np.einsum("nij,nj,nkj->nik", rotation, inertia_kgm2[rows, body], rotation)
+    tensor += _about(old_kg, old_m - new_m) + _about(added_kg, at_m - new_m)
+    principal, turned = np.linalg.eigh(tensor)
+    turned[:, :, 2] *= np.sign(np.linalg.det(turned))[:, None]  # eigenvectors may be left-handed
+    mass_kg[rows, body], centre_m[rows, body] = total_kg, new_m
+    inertia_kgm2[rows, body], axes[rows, body] = (
+        principal,
+        Rotation.from_matrix(turned).as_quat(scalar_first=True),
+    )
+    _drop_shortcuts(fields, body, rows)
+
+
+def _about(mass_kg: Array, offset_m: Array) -> Array:
+    """Return the inertia of point masses, (n,), at offsets, (n, 3), from the origin: (n, 3, 3)."""
+    square = np.einsum("ni,ni->n", offset_m, offset_m)
+    outer = np.einsum("ni,nj->nij", offset_m, offset_m)
+    return np.asarray(mass_kg[:, None, None] * (square[:, None, None] * np.eye(3) - outer))
+
+
+def _drop_shortcuts(fields: Fields, body: int, rows: Flags) -> None:
+    """Clear the flags with which MuJoCo skips terms for a body whose centre is on its frame."""
+    model, batch = fields.batch.model, fields.batch
+    batch.expand("body_simple")[rows, body] = 0
+    if model.body_simple[body]:
+        first, number = int(model.body_dofadr[body]), int(model.body_dofnum[body])
+        batch.expand("dof_simplenum")[rows, : first + number] = 0

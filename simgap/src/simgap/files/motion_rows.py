@@ -1,0 +1,212 @@
+"""Rows of a log file by motion, as checked signals in SI units at the joint."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.errors import RobotError
+from simgap.files.columns import Column, LogFile
+from simgap.files.robot_file import JointTable, RobotFile, SignalColumn
+from simgap.logs import Signal
+from simgap.units import COUNTS, FRACTION, UNITS, Quantity, find_unit
+
+MAX_VALUE: Final = 1e9
+"""Largest value in SI units: no angle, torque, current or voltage of a robot is as large."""
+MAX_PERIOD_S: Final = 1.0
+"""Longest mean period of positions: a controlled joint settles in less, so that nothing of it shows."""
+MAX_RATE: Final = 30.0
+"""Positions in a control period from which the times are wrong: units of time differ by 1000, and the root
+of 1000 is between a log at the rate of the controller and one that looks 1000 times as fast."""
+
+
+class MotionRows:
+    """A log file with its rows divided into motions."""
+
+    def __init__(self, log: LogFile, file: RobotFile) -> None:
+        """Divide the rows by the columns that name a motion."""
+        self._log = log
+        self._file = file
+        self._times: dict[str, list[Array]] = {}
+        self.names: tuple[str, ...] = (log.path.stem,)
+        self._parts: list[Any] = [slice(None)]
+        self._n_rows: int | None = None
+        if file.motion.columns:
+            self._divide(file.motion.columns)
+
+    def _divide(self, columns: Sequence[str]) -> None:
+        texts = [self._log.texts(name) for name in columns]
+        joined, self._n_rows = texts[0], texts[0].size
+        for text, name in zip(texts[1:], columns[1:], strict=True):
+            self._check_length(text, name)
+            joined = np.char.add(np.char.add(joined, " "), text)
+        names, first, number = np.unique(joined, return_index=True, return_inverse=True)
+        order = np.argsort(first)
+        self.names = tuple(str(names[k]) for k in order)
+        self._parts = [_as_slice(np.flatnonzero(number == k)) for k in order]
+
+    def _check_length(self, values: Any, name: str) -> None:
+        """Refuse an array of another length than the column that names the motions.
+
+        Raises:
+            RobotError: it has more values or fewer.
+        """
+        if self._n_rows not in (None, values.size):
+            raise RobotError(
+                f"{self._log.path}: column {name!r} has {values.size} values, "
+                f"{self._file.motion.columns[0]!r} has {self._n_rows}; give both the same length"
+            )
+
+    def signals(self, one: SignalColumn, quantity: Quantity, table: JointTable) -> list[Signal]:
+        """Return a signal of a joint for each motion.
+
+        Raises:
+            RobotError: a value is not finite, times do not increase, or a motion has no sample.
+        """
+        column = self._log.numbers(one.column)
+        times = self._times_of(one, column)
+        found = []
+        for name, part, time_s in zip(self.names, self._parts, times, strict=True):
+            value = _to_si(column.value[part], one, quantity, table)
+            is_present = None if column.is_present is None else column.is_present[part]
+            if is_present is not None and not np.all(is_present):
+                time_s, value = time_s[is_present], value[is_present]
+            if not value.size:
+                raise RobotError(f"{self._log.path}: column {one.column!r} has no value in motion {name!r}")
+            if not np.all(np.isfinite(value)):
+                first = float(time_s[np.flatnonzero(~np.isfinite(value))[0]])
+                raise RobotError(
+                    f"{self._log.path}: column {one.column!r}, motion {name!r}: is no finite number at "
+                    f"{first:.6g} s; leave the cell empty or remove the row"
+                )
+            if np.abs(value).max() > MAX_VALUE:
+                raise RobotError(
+                    f"{self._log.path}: column {one.column!r}, motion {name!r}: reaches "
+                    f"{np.abs(value).max():.3g} in SI units; leave the cells empty, or correct the unit"
+                )
+            if one is table.position:
+                self._check_rate(time_s, name)
+            found.append(Signal(time_s, value))
+        return found
+
+    def _check_rate(self, time_s: Array, name: str) -> None:
+        """Refuse times in another unit than the robot file says, and gaps that no simulation should cross.
+
+        Raises:
+            RobotError: positions have less than one sample a second, or far more than the controller.
+        """
+        if time_s.size < 2:
+            raise RobotError(f"{self._log.path}: motion {name!r} has 1 position; a motion needs several")
+        mean_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
+        rate_Hz = 1.0 / float(np.median(np.diff(time_s)))
+        unit = self._file.time.unit
+        if mean_s > MAX_PERIOD_S:
+            raise RobotError(
+                f"{self._log.path}: motion {name!r} has a position every {mean_s:.3g} s on average, at least "
+                f"one a second is needed: are the times in {unit}, or is there a gap, where the motion ends?"
+            )
+        if rate_Hz > MAX_RATE * self._file.control_rate_Hz:
+            raise RobotError(
+                f"{self._log.path}: motion {name!r} has {rate_Hz:.3g} positions a second, the controller "
+                f"runs at {self._file.control_rate_Hz:g} Hz: are the times in {unit}?"
+            )
+
+    def labels(self, column: str) -> list[str]:
+        """Return the text of a column for each motion; empty texts for no column.
+
+        Raises:
+            RobotError: it changes within a motion.
+        """
+        if not column:
+            return [""] * len(self.names)
+        texts = self._log.texts(column)
+        self._check_length(texts, column)
+        return [
+            str(self._constant(texts[part], column, name))
+            for name, part in zip(self.names, self._parts, strict=True)
+        ]
+
+    def gains(self, column: str) -> list[float]:
+        """Return the number of a gain column for each motion.
+
+        Raises:
+            RobotError: it changes within a motion, or is not positive.
+        """
+        values = self._log.numbers(column).value
+        self._check_length(values, column)
+        found = [
+            float(self._constant(values[part], column, name))
+            for name, part in zip(self.names, self._parts, strict=True)
+        ]
+        for name, gain in zip(self.names, found, strict=True):
+            if not 0.0 < gain < np.inf:
+                raise RobotError(
+                    f"{self._log.path}: column {column!r}, motion {name!r}: is {gain:g}; a gain is above 0"
+                )
+        return found
+
+    def _constant(self, values: Any, column: str, name: str) -> Any:
+        if np.any(values != values[0]):
+            raise RobotError(
+                f"{self._log.path}: column {column!r} changes within motion {name!r}; divide the motion there"
+            )
+        return values[0]
+
+    def _times_of(self, one: SignalColumn, column: Column) -> list[Array]:
+        """Return the times of a signal in each motion [s]; signals with one clock share the arrays."""
+        path, name = self._log.path, one.time_column or self._file.time.column
+        if name and name not in self._times:
+            clock = self._log.numbers(name)
+            if clock.is_present is not None or not np.all(np.isfinite(clock.value)):
+                raise RobotError(f"{path}: time column {name!r} has rows without a time; remove them")
+            self._times[name] = self._split_times(clock.value * UNITS[self._file.time.unit].factor, name)
+        if not name and column.time_s is None:
+            raise RobotError(f"{path}: has no times of its own; name its time column in time.column")
+        times = self._times[name] if name else self._split_times(column.time_s, one.column)
+        if sum(map(np.size, times)) != column.value.size:
+            raise RobotError(
+                f"{path}: column {one.column!r} has {column.value.size} values, its times "
+                f"{sum(map(np.size, times))}; name a time_column as long as it"
+            )
+        return times
+
+    def _split_times(self, time_s: Array | None, name: str) -> list[Array]:
+        assert time_s is not None
+        self._check_length(time_s, name)
+        found = [time_s[part] for part in self._parts]
+        for motion, one in zip(self.names, found, strict=True):
+            back = np.flatnonzero(np.diff(one) <= 0.0)
+            if back.size:
+                before, after = one[back[0]], one[back[0] + 1]
+                what = "stands still" if before == after else f"runs backwards to {after:.6g} s"
+                raise RobotError(
+                    f"{self._log.path}: motion {motion!r}: the time of {name!r} {what} after {before:.6g} s; "
+                    "sort the rows, or name the columns of a motion"
+                )
+        return found
+
+
+def _as_slice(rows: Any) -> Any:
+    """Return rows that follow one another as a slice, which copies nothing."""
+    is_run = rows[-1] - rows[0] + 1 == rows.size
+    return slice(int(rows[0]), int(rows[-1]) + 1) if is_run else rows
+
+
+def _to_si(value: Array, one: SignalColumn, quantity: Quantity, table: JointTable) -> Array:
+    """Convert logged values to SI units at the joint."""
+    unit = find_unit(one.unit, quantity)
+    if quantity is Quantity.FLAG:
+        return np.asarray(np.where(np.isnan(value), value, value != 0.0), dtype=np.float64)
+    factor = unit.factor * one.factor
+    offset = unit.offset
+    if one.unit in COUNTS and one.counts_per_turn is not None:
+        factor /= one.counts_per_turn
+    if one.unit == FRACTION and one.at_0_rad is not None and one.at_1_rad is not None:
+        factor *= one.at_1_rad - one.at_0_rad
+        offset = one.at_0_rad
+    if one.side == "motor" and quantity in (Quantity.ANGLE, Quantity.SPEED):
+        factor /= table.gear_ratio
+    if one.side == "motor" and quantity is Quantity.TORQUE:
+        factor *= table.gear_ratio
+    return value * factor + (offset + one.zero_rad)

@@ -1,0 +1,264 @@
+"""The robot file: its model, its joints, and the columns of its logs, in TOML."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from simgap.errors import RobotError
+from simgap.files.toml_record import Record, parse_record, read_toml
+from simgap.units import COUNTS, FRACTION, Quantity, find_unit
+
+Text = Annotated[str, Field(min_length=1)]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+TimeStep = Annotated[float, Field(ge=1e-6, le=0.1)]
+"""Below, a second is a million steps; above, no joint of a robot is simulated stably."""
+
+SIGNALS = {
+    "position": Quantity.ANGLE,
+    "velocity": Quantity.SPEED,
+    "torque": Quantity.TORQUE,
+    "current": Quantity.CURRENT,
+    "voltage": Quantity.VOLTAGE,
+    "temperature": Quantity.TEMPERATURE,
+    "secondary": Quantity.ANGLE,
+    "enabled": Quantity.FLAG,
+}
+"""Signals of a joint beside its command."""
+COMMANDS = {
+    "position": Quantity.ANGLE,
+    "velocity": Quantity.SPEED,
+    "torque": Quantity.TORQUE,
+    "current": Quantity.CURRENT,
+}
+"""Quantity of the command by control mode."""
+
+
+class SignalColumn(Record):
+    """Column of a log that holds one signal of a joint."""
+
+    column: Text
+    """Name of the column; in MCAP the topic and the field, such as `/joint_states.position[2]`."""
+    unit: Text
+    """Unit of the logged values."""
+    time_column: str = ""
+    """Column of its own times, in the unit of [time]; empty: the time column of the file."""
+    side: Literal["joint", "motor"] = "joint"
+    """Side of the gear; values of the motor side are converted with the gear ratio."""
+    factor: float = 1.0
+    """Multiplies the logged value: -1 for a joint that counts the other way."""
+    zero_rad: float = 0.0
+    """Angle of the joint in the model where the logged angle is 0."""
+    counts_per_turn: Positive | None = None
+    """Counts of a turn, for the units count and count/s."""
+    at_0_rad: float | None = None
+    """Angle where the log has 0, for the unit fraction."""
+    at_1_rad: float | None = None
+    """Angle where the log has 1, for the unit fraction."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "SignalColumn":
+        if self.factor == 0.0:
+            raise ValueError("factor is 0, which leaves nothing of the values; write another number")
+        if (self.unit in COUNTS) != (self.counts_per_turn is not None):
+            raise ValueError("counts_per_turn is needed for the units count and count/s, and for no other")
+        is_fraction = self.unit == FRACTION
+        if is_fraction and (self.side != "joint" or self.factor != 1.0):
+            raise ValueError(
+                "side and factor: with the unit fraction, at_0_rad and at_1_rad say all of it; remove"
+            )
+        if (is_fraction, is_fraction) != (self.at_0_rad is not None, self.at_1_rad is not None):
+            raise ValueError("at_0_rad and at_1_rad are needed for the unit fraction, and for no other")
+        return self
+
+
+class JointTable(Record):
+    """Joint of the robot: its place in the model, its controller and its columns."""
+
+    joint: str = ""
+    """Joint of the MJCF model; empty: that with the name of this table."""
+    actuator: str = ""
+    """Actuator of the MJCF model; empty: the one that drives this joint."""
+    mode: Literal["position", "velocity", "torque", "current"]
+    """What is commanded: position, velocity, torque or current."""
+    kp_Nm_rad: NotNegative | None = None
+    """Stiffness of the position loop, with a gain column for a value of 1 in it; absent: of the model."""
+    kd_Nms_rad: NotNegative | None = None
+    """Damping of the position or the velocity loop; absent: of the model."""
+    gain_column: str = ""
+    """Column with the gain of the position loop, one number in a motion; empty: the gain is constant."""
+    torque_limit_Nm: Positive | None = None
+    """Largest torque at the joint; absent: of the model."""
+    gear_ratio: Positive = 1.0
+    """Turns of the motor in a turn of the joint."""
+    torque_constant_Nm_A: Positive | None = None
+    """Torque at the joint for 1 A."""
+    is_known: bool = False
+    """True if friction, damping, armature and gain are measured numbers, so that none is fitted."""
+    position: SignalColumn
+    """Angle that the encoder shows."""
+    command: SignalColumn | None = None
+    """Command of the mode; without it the logs need torques or a second encoder."""
+    velocity: SignalColumn | None = None
+    """Speed; the check compares it with the position."""
+    torque: SignalColumn | None = None
+    """Torque of the motor, as logged. If all joints with a command have it, torques are compared, not
+    positions."""
+    current: SignalColumn | None = None
+    """Current of the motor; the check looks for saturation in it."""
+    voltage: SignalColumn | None = None
+    """Voltage of the supply; it limits how far the supply can sag."""
+    temperature: SignalColumn | None = None
+    """Temperature of the motor; friction and remainders may depend on it."""
+    secondary: SignalColumn | None = None
+    """Angle that a second encoder shows, on the other side of the gear."""
+    enabled: SignalColumn | None = None
+    """Whether the motor has power; without it the simulated motor has no torque."""
+
+    def columns(self) -> dict[str, tuple[SignalColumn, Quantity]]:
+        """Return the signals that are logged, by name, with their quantities."""
+        kinds = {"command": COMMANDS[self.mode], **SIGNALS}
+        found = {name: (getattr(self, name), kind) for name, kind in kinds.items()}
+        return {name: (one, kind) for name, (one, kind) in found.items() if one is not None}
+
+    @model_validator(mode="after")
+    def _check(self) -> "JointTable":
+        for name, (one, quantity) in self.columns().items():
+            try:
+                find_unit(one.unit, quantity)
+            except ValueError as error:
+                raise ValueError(f"{name}.unit: {error}") from error
+            if one.zero_rad and quantity is not Quantity.ANGLE:
+                raise ValueError(f"{name}.zero_rad: a value of {quantity.value} has no zero angle; remove it")
+        if self.gain_column and self.mode == "position" and self.kp_Nm_rad is None:
+            raise ValueError("kp_Nm_rad: is missing; with a gain column it is the stiffness for a gain of 1")
+        if self.mode == "current" and self.torque_constant_Nm_A is None:
+            raise ValueError("torque_constant_Nm_A: is missing; the mode current needs it")
+        return self
+
+
+class TimeTable(Record):
+    """Times of the rows."""
+
+    column: str = ""
+    """Time column; only a log in MCAP may leave it out, and has the times of its messages then."""
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+    """Unit of all time columns."""
+
+
+class MotionTable(Record):
+    """Columns that say which rows belong together."""
+
+    columns: list[Text] = Field(default_factory=list)
+    """Columns whose values together name a motion; empty: each file is a motion."""
+    repeat_column: str = ""
+    """Column whose value is the same in motions that repeat one another."""
+    condition_column: str = ""
+    """Column whose value, such as a gain, a split may hold out."""
+
+
+class CsvTable(Record):
+    """Format of CSV files."""
+
+    separator: Annotated[str, Field(min_length=1, max_length=1)] = ","
+    """Character between two columns."""
+    decimal: Literal[".", ","] = "."
+    """Character before the decimals of a number."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "CsvTable":
+        if self.separator == self.decimal:
+            raise ValueError(f"separator and decimal are both {self.decimal!r}; one of them is another")
+        return self
+
+
+class RobotFile(Record):
+    """Content of a robot file."""
+
+    name: Text
+    """Name of the robot in reports."""
+    model: Text
+    """MJCF file, relative to the robot file."""
+    split: str = ""
+    """File that says what is held out, relative to the robot file; empty: nothing is."""
+    time_step_s: TimeStep
+    """Step of the simulation."""
+    control_rate_Hz: Positive
+    """Rate of the inner control loop; its period is a whole number of time steps."""
+    tool_site: str = ""
+    """Site of the model that may touch a plane."""
+    time: TimeTable = TimeTable()
+    """Times of the rows."""
+    motion: MotionTable = MotionTable()
+    """Columns that say which rows belong together."""
+    csv: CsvTable = CsvTable()
+    """Format of CSV files."""
+    joints: Annotated[dict[Text, JointTable], Field(min_length=1)]
+    """The joints, each a table by its name."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "RobotFile":
+        steps = 1.0 / (self.control_rate_Hz * self.time_step_s)
+        # A part in a million: steps such as 1/3000 s are written with a few digits.
+        if round(steps) < 1 or abs(steps - round(steps)) > 1e-6 * steps:
+            raise ValueError(
+                f"control_rate_Hz: its period is {steps:.6g} time steps; write a rate whose period is a "
+                "whole number of time_step_s"
+            )
+        self._check_columns()
+        return self
+
+    def _check_columns(self) -> None:
+        """Refuse a position that is the position, second position or command of another signal."""
+        used: dict[str, str] = {}
+        for joint, table in self.joints.items():
+            for name in ("position", "secondary"):
+                one: SignalColumn | None = getattr(table, name)
+                if one is not None and used.setdefault(one.column, f"{joint}.{name}") != f"{joint}.{name}":
+                    raise ValueError(
+                        f"joints.{joint}.{name}.column: is that of joints.{used[one.column]} too"
+                    )
+        for joint, table in self.joints.items():
+            if table.command is not None and table.command.column in used:
+                raise ValueError(
+                    f"joints.{joint}.command.column: is that of joints.{used[table.command.column]} too"
+                )
+
+
+class SerialFile(Record):
+    """Content of the robot file of an arm whose tool poses a tracker measured: it has no MJCF model."""
+
+    name: Text
+    """Name of the arm."""
+    serial_arm: Text
+    """Arm file of the serial engine, relative to the robot file."""
+    poses: dict[Text, Text]
+    """Log file -> its mapping file, both by name; the mapping is relative to the robot file."""
+
+
+def read_robot_file(path: Path) -> RobotFile | SerialFile:
+    """Read a robot file.
+
+    Raises:
+        RobotError: it cannot be read, or a key or a value is wrong.
+    """
+    content = read_toml(path)
+    if "serial_arm" in content:
+        return parse_record(SerialFile, content, path)
+    return parse_record(RobotFile, content, path)
+
+
+def read_model_file(path: Path) -> RobotFile:
+    """Read the robot file of a robot with an MJCF model.
+
+    Raises:
+        RobotError: it cannot be read, is wrong, or has no model.
+    """
+    found = read_robot_file(path)
+    if isinstance(found, SerialFile):
+        raise RobotError(
+            f"{path}: serial_arm: has tracker poses and no MJCF model; "
+            "`marsarm robot diagnose` reads it, and `marsarm calibrate-serial ARM.toml TABLE MAPPING.toml`"
+        )
+    return found

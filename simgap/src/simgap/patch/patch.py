@@ -1,0 +1,352 @@
+"""Patch of a robot: its MJCF model with what was found, and a file for what MuJoCo cannot express.
+
+The same hooks that the engine calls change the model here, so that both simulate the same robot.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, cast
+
+import mujoco
+import mujoco.batch
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.effects.effect import RUN_HOOKS, Effect, Fields, Rotor
+from simgap.effects.joint import mjcf_joint
+from simgap.errors import RobotError
+from simgap.patch.effect_table import effect_table, toml_text
+from simgap.patch.patch_law import law_attributes, model_law
+from simgap.patch.patch_text import BODY_OF, Change, change_text, number_text
+from simgap.result import Diagnosis
+from simgap.robot import Robot
+from simgap.simulation.compiled import HARD_IMPEDANCE, nominal_fields, step_armature
+
+MODEL_FILE: Final = "patched.xml"
+RUNTIME_FILE: Final = "runtime.toml"
+FORMAT: Final = "robot runtime 1"
+ATTRIBUTES: Final = {
+    "body_pos": ("body", "pos"),
+    "geom_pos": ("geom", "pos"),
+    "tendon_lengthspring": ("tendon", "springlength"),
+    "tendon_range": ("tendon", "range"),
+    "tendon_stiffness": ("tendon", "stiffness"),
+    "tendon_damping": ("tendon", "damping"),
+}
+"""Fields of a model that are an attribute of an element with a name."""
+INERTIAL: Final = {
+    "body_mass": "mass",
+    "body_ipos": "pos",
+    "body_iquat": "quat",
+    "body_inertia": "diaginertia",
+}
+DERIVED: Final = ("body_sameframe", "body_simple", "dof_simplenum", "geom_sameframe")
+"""Fields that the compiler computes from others."""
+
+
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """Patched model and what is left for the run."""
+
+    model_xml: str
+    changes: tuple[str, ...]
+    """A sentence for each changed element."""
+    runtime: str
+    """Text of the runtime file; empty if there is nothing left."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Numbers:
+    """Numbers of a model after an effect; those of the joints are those of the controllers and motors."""
+
+    joints: Mapping[str, Array]
+    """By field, (n_joints,)."""
+    model: Mapping[str, Array]
+    """By field of MuJoCo."""
+
+
+class _Recorder:
+    """Batch that knows which fields were asked for."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model = model
+        self._batch = mujoco.batch.Batch(model, 1, nthread=1)
+        self.fields: dict[str, Array] = {}
+
+    def expand(self, name: str) -> Array:
+        """Return a field, which may be changed."""
+        if name not in self.fields:
+            self.fields[name] = self._batch.expand(name)
+        return self.fields[name]
+
+
+def save_patch(robot: Robot, diagnosis: Diagnosis, folder: Path) -> tuple[Path, ...]:
+    """Write the patched model, and the runtime file if effects are left for it.
+
+    Args:
+        robot: Robot that was diagnosed.
+        diagnosis: Diagnosis with its effects and sizes.
+        folder: Folder, which is made if it is not there.
+
+    Returns:
+        The files.
+
+    Raises:
+        RobotError: An effect changes what MJCF cannot say.
+    """
+    return write_patch(make_patch(robot, *diagnosis.of_model()), folder)
+
+
+def write_patch(made: Patch, folder: Path) -> tuple[Path, ...]:
+    """Write the files of a patch to a folder, which is made if it is not there, and return them."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {MODEL_FILE: made.model_xml, RUNTIME_FILE: made.runtime}
+    (folder / RUNTIME_FILE).unlink(missing_ok=True)  # that of an earlier patch
+    written = [folder / name for name, text in files.items() if text]
+    for path in written:
+        path.write_text(files[path.name], encoding="utf-8")
+    return tuple(written)
+
+
+def make_patch(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]]) -> Patch:
+    """Return the patched model and the runtime file of effects.
+
+    Args:
+        robot: Robot with its nominal model.
+        effects: Effects as fitted.
+        sizes: Their sizes; an effect with sizes of 0 is left out.
+
+    Raises:
+        RobotError: An effect changes what MJCF cannot say.
+    """
+    active = [
+        (effect, np.asarray(size, float)) for effect, size in zip(effects, sizes, strict=True) if any(size)
+    ]
+    text, varied = robot.model_xml, [effect for effect, _ in active if effect.overrides("vary")]
+    if varied:
+        spec = mujoco.MjSpec.from_string(text)
+        for joint in robot.joints:  # an effect may copy them to what it adds
+            of_joint = spec.joint(mjcf_joint(robot, joint.name))
+            of_joint.solref_friction = (2 * robot.model.opt.timestep, 1.0)
+            of_joint.solimp_friction = HARD_IMPEDANCE
+        for effect in varied:
+            effect.vary(spec, robot)
+        for body in spec.bodies:
+            if body.explicitinertial and np.isnan(body.ipos[0]):  # MuJoCo would not write its inertia
+                body.ipos = (0.0, 0.0, 0.0)
+        spec.compile()
+        text = spec.to_xml()
+    robot = _on_text(robot, text)
+    recorder = _Recorder(robot.model)
+    fields = nominal_fields(robot, 1, cast(Any, recorder))
+    changes = [*_option_changes(robot), *_effect_changes(robot, active, fields, recorder)]
+    rotors = {one.joint: one for one in fields.rotors if one.rows[0]}
+    changes += _rotor_changes(robot, rotors.values(), _numbers(fields, recorder))
+    text = _changed(robot, text, changes)
+    runtime = [(effect, size) for effect, size in active if effect.overrides(*RUN_HOOKS)]
+    said = [f"{one.tag} {one.name}: {one.reason}".replace(" :", ":") for one in changes]
+    return Patch(text, tuple(said), _runtime_text(robot, runtime, rotors) if runtime or rotors else "")
+
+
+def _on_text(robot: Robot, text: str) -> Robot:
+    """Return a robot whose model is compiled from a text, with the same joints."""
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep = robot.model.opt.timestep
+    joints = []
+    for joint in robot.joints:
+        found = model.joint(mjcf_joint(robot, joint.name))
+        joints.append(replace(joint, qpos_index=int(found.qposadr[0]), dof_index=int(found.dofadr[0])))
+    return replace(robot, model=model, model_xml=text, joints=tuple(joints))
+
+
+def _option_changes(robot: Robot) -> Iterator[Change]:
+    """Yield the numerics of the diagnosis, without which the fitted numbers mean something else."""
+    own, step_s = mujoco.MjModel.from_xml_string(robot.model_xml), float(robot.model.opt.timestep)
+    if own.opt.timestep != step_s or own.opt.integrator != mujoco.mjtIntegrator.mjINT_IMPLICITFAST:
+        numerics = (("timestep", number_text(step_s)), ("integrator", "implicitfast"))
+        yield Change("option", "", numerics, "time step and integrator of the diagnosis")
+    reference = (2 * step_s, 1.0)
+    hard = (
+        ("solreffriction", number_text(*reference)),
+        ("solimpfriction", number_text(*HARD_IMPEDANCE)),
+    )
+    for joint in robot.joints:
+        dof = joint.dof_index
+        if tuple(own.dof_solref[dof]) != reference or tuple(own.dof_solimp[dof]) != HARD_IMPEDANCE:
+            yield Change(
+                "joint", mjcf_joint(robot, joint.name), hard, "dry friction that does not creep under load"
+            )
+        if own.jnt_actfrclimited[own.dof_jntid[dof]]:
+            free = (("actuatorfrclimited", "false"),)
+            yield Change("joint", mjcf_joint(robot, joint.name), free, "the actuator has the torque limit")
+
+
+def _effect_changes(
+    robot: Robot, active: Sequence[tuple[Effect, Array]], fields: Fields, recorder: _Recorder
+) -> Iterator[Change]:
+    """Yield the changes of each effect in turn; a later one of the same element goes on from the former."""
+    before = _numbers(fields, recorder)
+    yield from _law_changes(robot, None, before, "control law of the robot file")
+    for effect, size in active:
+        if not effect.overrides("set_model"):
+            continue
+        effect.set_model(size[None, :], fields, robot)
+        after = _numbers(fields, recorder)
+        reason = f"{effect.key}, {effect.describe(size)}"
+        yield from _law_changes(robot, before, after, reason)
+        yield from _joint_changes(robot, before, after, reason)
+        yield from _model_changes(robot, before, after, reason)
+        before = after
+    fields.damping_Nms_rad = np.maximum(fields.damping_Nms_rad, 0.0)
+    fields.armature_kgm2 = step_armature(robot, fields)
+    step_s = float(robot.model.opt.timestep)
+    reason = f"less half a time step of joint damping and kd: second-order steps of {step_s:.5g} s"
+    yield from _joint_changes(robot, before, _numbers(fields, recorder), reason)
+
+
+def _numbers(fields: Fields, recorder: _Recorder) -> _Numbers:
+    """Copy the numbers, with the bounds that the engine puts on them."""
+    joints = {
+        "kp": fields.kp_Nm_rad,
+        "kd": fields.kd_Nms_rad,
+        "limit": np.maximum(fields.torque_limit_Nm, 0.0),
+        "damping": np.maximum(fields.damping_Nms_rad, 0.0),
+        "frictionloss": np.maximum(fields.frictionloss_Nm, 0.0),
+        "armature": np.maximum(fields.armature_kgm2, 0.0),
+    }
+    return _Numbers(
+        {name: np.array(value[0]) for name, value in joints.items()},
+        {name: np.array(value[0]) for name, value in recorder.fields.items()},
+    )
+
+
+def _law_changes(robot: Robot, before: _Numbers | None, after: _Numbers, reason: str) -> Iterator[Change]:
+    """Yield the control law of each joint where it is new."""
+    for j, joint in enumerate(robot.joints):
+        names = ("kp", "kd", "limit")
+        if before is not None and all(before.joints[name][j] == after.joints[name][j] for name in names):
+            continue
+        kp, kd, limit = (float(after.joints[name][j]) for name in names)
+        law = law_attributes(robot, joint, kp, kd, limit)
+        if before is None and law == model_law(robot.model, joint.actuator_index):
+            continue
+        is_new = joint.actuator_index < 0 and before is None
+        own = "" if joint.actuator_index < 0 else robot.model.actuator(joint.actuator_index).name
+        in_model = mjcf_joint(robot, joint.name)
+        place: tuple[tuple[str, str], ...] = (("name", in_model), ("joint", in_model)) if is_new else ()
+        yield Change(
+            "new actuator" if is_new else "actuator",
+            own or in_model,
+            (*place, *law),
+            f"kp {kp:.5g}, kd {kd:.5g}, torque limit {limit:.5g}: {reason}",
+        )
+
+
+def _joint_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str) -> Iterator[Change]:
+    for j, joint in enumerate(robot.joints):
+        for name in ("damping", "frictionloss", "armature"):
+            old, new = float(before.joints[name][j]), float(after.joints[name][j])
+            if old != new:
+                yield Change(
+                    "joint",
+                    mjcf_joint(robot, joint.name),
+                    ((name, number_text(new)),),
+                    f"{name} {old:.5g} to {new:.5g}: {reason}",
+                )
+
+
+def _rotor_changes(robot: Robot, rotors: Iterable[Rotor], numbers: _Numbers) -> Iterator[Change]:
+    """Yield the changes that let a motor turn a rotor, with what the joint had of the motor."""
+    for rotor in rotors:
+        joint = robot.joints[rotor.joint]
+        names = ("damping", "frictionloss", "armature")
+        own = tuple((name, number_text(numbers.joints[name][rotor.joint])) for name in names)
+        reason = f"the motor of {joint.name} turns {rotor.name}"
+        in_model = mjcf_joint(robot, joint.name)
+        motor = "" if joint.actuator_index < 0 else robot.model.actuator(joint.actuator_index).name
+        yield Change("joint", rotor.name, own, reason)
+        yield Change("joint", in_model, tuple((name, "0") for name in names), reason)
+        yield Change("actuator", motor or in_model, (("joint", rotor.name),), reason)
+
+
+def _model_changes(robot: Robot, before: _Numbers, after: _Numbers, reason: str) -> Iterator[Change]:
+    """Yield the changes of other fields of the model."""
+    model = robot.model
+    bodies: set[int] = set()
+    for name, values in after.model.items():
+        old = before.model.get(name, np.array(_field(model, name)))
+        if name in DERIVED or np.array_equal(old, values):
+            continue
+        if name == "opt.gravity":
+            yield Change("option", "", (("gravity", number_text(*values)),), reason)
+            continue
+        rows = [int(row) for row in np.flatnonzero((old != values).reshape(len(values), -1).any(axis=1))]
+        if name in INERTIAL:
+            bodies.update(rows)
+        elif name in ATTRIBUTES:
+            tag, attribute = ATTRIBUTES[name]
+            for row in rows:
+                new = ((attribute, number_text(*np.ravel(values[row]))),)
+                yield Change(tag, _name(model, tag, row), new, reason)
+        else:
+            raise RobotError(f"{reason}: the patch cannot write the field {name!r}; leave this effect out")
+    for body in sorted(bodies):
+        numbers = (
+            (attribute, after.model.get(name, _field(model, name))[body])
+            for name, attribute in INERTIAL.items()
+        )
+        said = tuple((attribute, number_text(*np.ravel(value))) for attribute, value in numbers)
+        yield Change("inertial", _name(model, "body", body), said, reason)
+
+
+def _changed(robot: Robot, text: str, changes: Sequence[Change]) -> str:
+    """Return the text with the changes; MuJoCo writes it anew if it does not hold each element."""
+    try:
+        made = change_text(text, changes)
+    except RobotError:
+        made = change_text(mujoco.MjSpec.from_string(text).to_xml(), changes)
+    try:
+        mujoco.MjModel.from_xml_string(made)
+    except ValueError as error:
+        raise RobotError(
+            f"the patched model of {robot.name} does not compile: {' '.join(str(error).split())}"
+        ) from error
+    return made
+
+
+def _runtime_text(robot: Robot, left: Sequence[tuple[Effect, Array]], rotors: Mapping[int, Rotor]) -> str:
+    """Return the runtime file."""
+    joints = []
+    for j, joint in enumerate(robot.joints):
+        number, rotor = joint.actuator_index, rotors.get(j)
+        own = "" if number < 0 else robot.model.actuator(number).name
+        name = mjcf_joint(robot, joint.name)
+        table = {"name": joint.name, "joint": name, "actuator": own or name, "mode": joint.mode.value}
+        turned = {} if rotor is None else {"rotor": rotor.name, "sees_output": rotor.encoder_is_at_output}
+        joints.append({**table, **turned})
+    tables: dict[str, Any] = {
+        "format": FORMAT,
+        "model": MODEL_FILE,
+        "control_period_s": float(robot.control_period_s),
+        "joints": joints,
+        "effects": [effect_table(effect, size.tolist()) for effect, size in left],
+    }
+    runtime = "simgap.patch.runtime"
+    head = f"# Effects of {robot.name} that {MODEL_FILE} cannot express; {runtime} applies them.\n"
+    return head + toml_text(tables)
+
+
+def _field(model: mujoco.MjModel, name: str) -> Any:
+    """Return a field of the model or of its options."""
+    return getattr(model.opt, name.removeprefix("opt.")) if name.startswith("opt.") else getattr(model, name)
+
+
+def _name(model: mujoco.MjModel, kind: str, number: int) -> str:
+    """Return the name of an element; MJCF text without it cannot be changed in place."""
+    name = str(getattr(model, kind)(number).name)
+    if not name and kind == "body" and model.body_jntnum[number]:
+        return f"{BODY_OF}{model.joint(model.body_jntadr[number]).name}"
+    if not name:
+        raise RobotError(f"the model's {kind} number {number} has no name; give it one")
+    return name

@@ -1,0 +1,292 @@
+"""Effects in a simulation of one's own: what a patched model cannot express, applied in each control period.
+
+    model = mujoco.MjModel.from_xml_path("patched.xml")
+    data = mujoco.MjData(model)
+    runtime = RuntimeEffects.from_toml(model, "runtime.toml")
+    for command in commands:
+        runtime.step(model, data, command)
+        print(runtime.shown(data))
+
+It calls the same hooks as the engine of the diagnosis, with one simulation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Self
+
+import mujoco
+import numpy as np
+
+from simgap.arrays import Array, Integers
+from simgap.effects.effect import HISTORY_S, Effect, State, Tick
+from simgap.errors import RobotError
+from simgap.files.toml_record import read_toml
+from simgap.patch.effect_table import read_effect
+from simgap.patch.patch import FORMAT
+from simgap.robot import ControlMode
+
+
+@dataclass(frozen=True, slots=True)
+class RuntimeJoint:
+    """A joint of the patched model."""
+
+    name: str
+    in_model: str
+    """Joint of the model."""
+    actuator: str
+    mode: ControlMode
+    rotor: str = ""
+    """Hinge that the motor turns in place of the joint; empty if there is none."""
+    sees_output: bool = False
+    """True if the encoder sees the joint, not the rotor."""
+
+
+@dataclass(slots=True)
+class _Acting:
+    effect: Effect
+    size: Array
+    """(1, n_sizes)."""
+    joint: int
+    """-1 if its place is no joint."""
+    memory: dict[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class _Nominal:
+    """Numbers of the patched model that effects change in each period."""
+
+    friction_Nm: Array
+    limit: Array
+    """(n_joints, 2), in the unit of the force of the actuator."""
+    gain: Array
+    bias: Array
+    """(n_joints, 3)."""
+    gear: Array
+
+
+class RuntimeEffects:
+    """Effects that act while a model runs; one object for one run."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        effects: Sequence[tuple[Effect, Array]],
+        joints: Sequence[RuntimeJoint],
+        control_period_s: float,
+    ) -> None:
+        """Keep the numbers of the patched model.
+
+        Args:
+            model: Patched model.
+            effects: Effects with their sizes, (n_sizes,) in the units of their names.
+            joints: Joints in the order of commands.
+            control_period_s: Time between two commands, a whole number of time steps.
+        """
+        names = [joint.name for joint in joints]
+        self._period_s = control_period_s
+        self._n_steps = round(control_period_s / model.opt.timestep)
+        self._joints = tuple(joints)
+        self._qpos, self._dof = _places(model, [joint.in_model for joint in joints])
+        turned = [joint.rotor or joint.in_model for joint in joints]
+        self._motor_qpos, self._motor_dof = _places(model, turned)
+        sees_motor = np.array([bool(joint.rotor) and not joint.sees_output for joint in joints])
+        self._shown = np.where(sees_motor, self._motor_qpos, self._qpos)
+        self._motor: Integers = np.array([_actuator(model, joint.actuator) for joint in joints])
+        self._acting = [
+            _Acting(effect, size[None, :], names.index(effect.place) if effect.place in names else -1)
+            for effect, size in effects
+        ]
+        motor = self._motor
+        is_limited = model.actuator_forcelimited[motor].astype(bool)[:, None]
+        self._nominal = _Nominal(
+            model.dof_frictionloss[self._motor_dof].copy(),
+            np.where(is_limited, model.actuator_forcerange[motor], (-np.inf, np.inf)),
+            model.actuator_gainprm[motor, 0].copy(),
+            model.actuator_biasprm[motor, :3].copy(),
+            model.actuator_gear[motor, 0].copy(),
+        )
+        of_gear = [joint.mode in (ControlMode.POSITION, ControlMode.VELOCITY) for joint in joints]
+        self._ctrl_scale = np.where(of_gear, self._nominal.gear, 1.0)
+        self._path_s, self._path_rad = np.zeros(0), np.zeros((0, len(joints)))
+        self._last_share = 0.5 * model.opt.timestep / control_period_s
+        self._last_command: Array | None = None
+
+    @classmethod
+    def from_toml(cls, model: mujoco.MjModel, path: str | Path) -> Self:
+        """Read a runtime file.
+
+        Args:
+            model: Patched model that belongs to it.
+            path: File that a patch has written. Files of effects that it names are run.
+
+        Raises:
+            RobotError: The file is no runtime file, or does not fit the model.
+        """
+        path = Path(path)
+        content = read_toml(path)
+        if content.get("format") != FORMAT:
+            raise RobotError(f"{path}: format: is not {FORMAT!r}; name a runtime file that a patch wrote")
+        try:
+            joints = [
+                RuntimeJoint(
+                    one["name"],
+                    one["joint"],
+                    one["actuator"],
+                    ControlMode(one["mode"]),
+                    one.get("rotor", ""),
+                    one.get("sees_output", False),
+                )
+                for one in content["joints"]
+            ]
+            effects = [read_effect(one, path) for one in content.get("effects", [])]
+            return cls(model, effects, joints, float(content["control_period_s"]))
+        except (KeyError, TypeError, ValueError) as error:
+            raise RobotError(f"{path}: does not fit the model ({error}); use the patched model") from error
+
+    def step(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        command: Array,
+        temperature_degC: Array | None = None,
+    ) -> None:
+        """Simulate one control period.
+
+        Args:
+            model: Patched model; dry friction, torque limits and gains are set anew in each period.
+            data: State, which is stepped.
+            command: Commands, (n_joints,), in the unit of each control mode.
+            temperature_degC: Temperatures of the joints, (n_joints,), where effects depend on them.
+        """
+        if self._path_s.size == 0:
+            mujoco.mj_forward(model, data)
+            self._remember(data)
+        arrived = self._arrived(np.asarray(command, dtype=float))
+        tick = self._tick(model, data, arrived, temperature_degC)
+        motor, nominal = self._motor, self._nominal
+        self._close_loops(data, tick.command[0])
+        data.ctrl[motor] = tick.command[0] * self._ctrl_scale
+        data.qfrc_applied[self._dof] = tick.applied_Nm[0]
+        model.dof_frictionloss[self._motor_dof] = tick.frictionloss_Nm[0]
+        model.actuator_gainprm[motor, 0] = nominal.gain * tick.gain[0]
+        model.actuator_biasprm[motor, :3] = nominal.bias * tick.gain[0][:, None]
+        limit = np.maximum(tick.torque_limit_Nm[0], 0.0) / np.abs(nominal.gear)
+        is_limited = np.isfinite(limit)
+        model.actuator_forcelimited[motor] = is_limited
+        model.actuator_forcerange[motor[is_limited]] = np.stack((-limit, limit), axis=1)[is_limited]
+        mujoco.mj_step(model, data, self._n_steps)
+        self._remember(data)
+
+    def shown(self, data: mujoco.MjData) -> Array:
+        """Return what the encoders show at the time of the state.
+
+        Args:
+            data: State after `step`.
+
+        Returns:
+            Positions, (n_joints,) [rad], with delays and errors of the encoders.
+        """
+        late_s = np.zeros(self._qpos.size)
+        for one in self._with("sample_delay_s"):
+            late_s[one.joint] += float(one.effect.sample_delay_s(one.size)[0])
+        shown = np.array(
+            [np.interp(data.time - late, self._path_s, self._path_rad[:, j]) for j, late in enumerate(late_s)]
+        )
+        for one in self._with("encode"):
+            shown[one.joint] = one.effect.encode(one.size, shown[None, [one.joint]])[0, 0]
+        return shown
+
+    def place(self, data: mujoco.MjData, shown_rad: Array) -> None:
+        """Set the joints such that the encoders show these positions.
+
+        Args:
+            data: State, before the first step.
+            shown_rad: Positions as the encoders show them, (n_joints,).
+        """
+        q_rad = np.array(shown_rad, dtype=float)
+        for one in reversed(self._with("decode")):
+            q_rad[one.joint] = one.effect.decode(one.size, q_rad[None, [one.joint]])[0, 0]
+        data.qpos[self._qpos] = data.qpos[self._motor_qpos] = q_rad
+
+    def _with(self, hook: str) -> list[_Acting]:
+        return [one for one in self._acting if one.effect.overrides(hook)]
+
+    def _remember(self, data: mujoco.MjData) -> None:
+        most = round(HISTORY_S / self._period_s)
+        self._path_s = np.append(self._path_s, data.time)[-most:]
+        self._path_rad = np.concatenate([self._path_rad, data.qpos[None, self._shown]])[-most:]
+
+    def _arrived(self, command: Array) -> Array:
+        """Return the command as it arrives, (n_joints,).
+
+        As in the engine, it is the mean of the held command over a control period that begins half a step
+        earlier: a step uses one force from half a step before its state to half a step after it.
+        """
+        last = command if self._last_command is None else self._last_command
+        self._last_command = command.copy()
+        arrived = (command + self._last_share * (last - command))[None, :]
+        for one in self._with("shape_command"):
+            j = one.joint
+            arrived[:, j] = one.effect.next_command(one.size, arrived[:, j], self._period_s, one.memory)
+        for one in reversed(self._with("decode")):
+            if self._joints[one.joint].mode is ControlMode.POSITION:
+                arrived[:, [one.joint]] = one.effect.decode(one.size, arrived[:, [one.joint]])
+        return np.asarray(arrived[0])
+
+    def _close_loops(self, data: mujoco.MjData, command: Array) -> None:
+        """Shift commands so that the loop closes at the encoder at the output, not at the rotor."""
+        for j, joint in enumerate(self._joints):
+            if joint.rotor and joint.sees_output and joint.mode is ControlMode.POSITION:
+                command[j] += data.qpos[self._motor_qpos[j]] - data.qpos[self._qpos[j]]
+            elif joint.rotor and joint.sees_output and joint.mode is ControlMode.VELOCITY:
+                command[j] += data.qvel[self._motor_dof[j]] - data.qvel[self._dof[j]]
+
+    def _tick(
+        self, model: mujoco.MjModel, data: mujoco.MjData, command: Array, temperature_degC: Array | None
+    ) -> Tick:
+        """Let the effects act, as the engine does."""
+        dof, nominal = self._dof, self._nominal
+        force_Nm = data.qfrc_bias + data.qfrc_smooth + data.qfrc_constraint - model.dof_armature * data.qacc
+        unknown = np.full(dof.size, np.nan)
+        state = State(
+            time_s=np.array([data.time]),
+            q_rad=data.qpos[None, self._qpos],
+            v_rad_s=data.qvel[None, dof],
+            load_Nm=force_Nm[None, dof],
+            temperature_degC=(unknown if temperature_degC is None else temperature_degC)[None, :],
+        )
+        tick = Tick(
+            state=state,
+            command=command[None, :].copy(),
+            applied_Nm=np.zeros((1, dof.size)),
+            frictionloss_Nm=nominal.friction_Nm[None, :].copy(),
+            torque_limit_Nm=(nominal.limit[:, 1] * np.abs(nominal.gear))[None, :],
+            gain=np.ones((1, dof.size)),
+            motor_Nm=(data.actuator_force[self._motor] * nominal.gear)[None, :],
+            period_s=self._period_s,
+            memory={},
+        )
+        for one in self._with("act"):
+            tick.memory = one.memory
+            one.effect.act(one.size, tick)
+        for one in self._with("friction_Nm"):
+            tick.frictionloss_Nm[:, one.joint] += one.effect.friction_Nm(one.size, state)
+        for one in self._with("torque_Nm"):
+            tick.applied_Nm[:, one.joint] += one.effect.torque_Nm(one.size, state)
+        return tick
+
+
+def _places(model: mujoco.MjModel, joints: Sequence[str]) -> tuple[Integers, Integers]:
+    """Return the places of joints in positions and in degrees of freedom."""
+    found = [model.joint(name) for name in joints]
+    return np.array([int(one.qposadr[0]) for one in found]), np.array([int(one.dofadr[0]) for one in found])
+
+
+def _actuator(model: mujoco.MjModel, name: str) -> int:
+    """Return an actuator by its name, or by that of its joint if it has none."""
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+    if number >= 0:
+        return int(number)
+    driving = np.flatnonzero(model.actuator_trnid[:, 0] == model.joint(name).id)
+    return int(driving[0])

@@ -1,0 +1,112 @@
+"""JSON document of a diagnosis: every number, with plain keys, and units in the keys or beside the values."""
+
+from math import isfinite, isinf
+from typing import Any, Final
+
+from simgap.report.sentences import detail_lines, verdict_lines, verdict_word
+from simgap.result import Base, Diagnosis, Finding, JointError, Remainder
+
+FORMAT: Final = "diagnosis 1"
+"""Name and version of the document."""
+
+
+def to_document(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return a diagnosis as a document that JSON can hold; unknown numbers are null."""
+    return {
+        "format": FORMAT,
+        "robot": diagnosis.robot,
+        "kind": diagnosis.kind,
+        "method": diagnosis.method,
+        "remarks": list(diagnosis.remarks),
+        "seed": diagnosis.seed,
+        "verdict": verdict_word(diagnosis),
+        "lines": list(verdict_lines(diagnosis)),
+        "details": detail_lines(diagnosis),
+        "closure_share": diagnosis.closure,
+        "findings": [_finding(one) for one in diagnosis.findings],
+        "base": [_base(one) for one in diagnosis.base],
+        "errors": [_error(one) for one in diagnosis.errors],
+        "remaining": [_remainder(one) for one in diagnosis.remaining],
+        "refused": [
+            {"motion": one.motion, "reason": one.reason, "n_samples": one.n_samples}
+            for one in diagnosis.refused
+        ],
+        "rejected": [
+            {"place": one.place, "effect": one.effect, "reason": one.reason} for one in diagnosis.rejected
+        ],
+        "fitted_motions": list(diagnosis.fitted_motions),
+        "judged_motions": list(diagnosis.judged_motions),
+        "effects": [
+            {
+                "key": effect.key,
+                "kind": kind,
+                "size": {one.name: number(value) for one, value in zip(effect.sizes, size, strict=True)},
+            }
+            for kind in diagnosis.kinds
+            for effect, size in zip(*diagnosis.fitted_to(kind), strict=True)
+        ],
+    }
+
+
+def number(value: float) -> float | str | None:
+    """Return a number as JSON can hold it: NaN is null, infinity a text."""
+    if isinf(value):
+        return "inf" if value > 0 else "-inf"
+    return float(value) if isfinite(value) else None
+
+
+def _finding(one: Finding) -> dict[str, Any]:
+    sizes = zip(one.size_names, one.size, one.interval, strict=True)
+    return {
+        "place": one.place,
+        "family": str(one.family),
+        "effect": one.effect,
+        "text": one.text,
+        "sizes": [
+            {"name": name, "value": number(size), "low_90": number(low), "high_90": number(high)}
+            for name, size, (low, high) in sizes
+        ],
+        "share": number(one.share),
+        "not_excluded": {
+            "places": list(one.places),
+            "families": [str(family) for family in one.families],
+            "effects": list(one.effects),
+        },
+        "next_motion": one.next_motion,
+    }
+
+
+def _base(one: Base) -> dict[str, Any]:
+    low, high = one.interval
+    return {
+        "place": one.place,
+        "name": one.name,
+        "nominal": number(one.nominal),
+        "value": number(one.value),
+        "low_90": number(low),
+        "high_90": number(high),
+        "is_identifiable": one.is_identifiable,
+    }
+
+
+def _error(one: JointError) -> dict[str, Any]:
+    return {
+        "joint": one.joint,
+        "kind": one.kind,
+        "unit": one.unit,
+        "nominal": number(one.nominal),
+        "base": number(one.base),
+        "explained": number(one.explained),
+        "noise_floor": number(one.noise_floor),
+    }
+
+
+def _remainder(one: Remainder) -> dict[str, Any]:
+    return {
+        "joint": one.joint,
+        "regime": one.regime,
+        "mean_abs": number(one.mean_abs),
+        "unit": one.unit,
+        "depends_on": one.depends_on,
+        "depends_share": number(one.depends_share),
+    }

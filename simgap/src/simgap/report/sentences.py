@@ -1,0 +1,296 @@
+"""Sentences about a diagnosis: four lines that answer where, what, how far and what next, then details."""
+
+import math
+from collections.abc import Sequence
+from math import isfinite
+from typing import Final
+
+from simgap.effects.effect import Family
+from simgap.result import Base, Diagnosis, Finding, JointError, Remainder
+from simgap.selection.acceptance import MAX_WORSE
+
+MAX_MEMBERS: Final = 3
+"""Largest number of members of a set that is listed; a reader can act on no more of them."""
+SMALL_UNITS: Final = {"rad": ("mrad", 1e3), "m": ("mm", 1e3), "rad/s": ("mrad/s", 1e3)}
+"""Units in which errors of a robot are small numbers, and their factors."""
+GAIN: Final = "gain_ratio"
+"""Name of the base parameter to which others are known as ratios where gravity gives no scale."""
+NOT_LOCATED: Final = "something small, not located"
+FAMILY_WORDS: Final = {
+    Family.FRICTION: "friction",
+    Family.TRANSMISSION: "transmission",
+    Family.ACTUATION: "actuation",
+    Family.TIMING: "sensing or timing",
+    Family.GEOMETRY: "geometry",
+    Family.INERTIA: "inertia",
+    Family.CONTACT: "contact",
+    Family.EXTERNAL: "external torque",
+}
+
+
+def verdict_lines(diagnosis: Diagnosis) -> tuple[str, str, str, str]:
+    """Return where, which effect and how sure, how far the error shrinks, and what to record next."""
+    return (
+        f"Where: {_where(diagnosis)}",
+        f"What: {_what(diagnosis)}",
+        f"How far: {_how_far(diagnosis)}",
+        f"Next: {_next(diagnosis)}",
+    )
+
+
+def detail_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return a sentence for each finding, for what remains, cannot be known, and took no part."""
+    refused = [
+        f"{one.motion}: {count(one.n_samples, 'sample')} took no part: {one.reason}."
+        for one in diagnosis.refused
+    ]
+    return [
+        *finding_lines(diagnosis),
+        *_shorten(diagnosis.remarks, "remark on the logs", "remarks on the logs"),
+        *_shorten(refused, "refusal"),
+    ]
+
+
+def finding_lines(diagnosis: Diagnosis) -> list[str]:
+    """Return a sentence for each finding, for what remains, is not named, and cannot be known."""
+    found = [finding_sentence(finding) for finding in diagnosis.findings]
+    rest = [remainder_sentence(one) for one in diagnosis.remaining]
+    rejected = [
+        f"{one.effect[0].upper()}{one.effect[1:]} at {one.place} is not named: {one.reason}."
+        for one in diagnosis.rejected
+    ]
+    unnamed = _shorten(rejected, "effect that is not named", "effects that are not named")
+    return [*found, *rest, *unnamed, *unknown_sentences(diagnosis.base)]
+
+
+def _shorten(lines: Sequence[str], noun: str, nouns: str = "") -> list[str]:
+    """Return the first sentences of a list, and a sentence that counts the others."""
+    rest = len(lines) - MAX_MEMBERS
+    if rest <= 0:
+        return list(lines)
+    counted = f"1 more {noun} is" if rest == 1 else f"{rest} more {nouns or noun + 's'} are"
+    return [*lines[:MAX_MEMBERS], f"{counted} in the JSON document."]
+
+
+def verdict_word(diagnosis: Diagnosis) -> str:
+    """Return "named", "set", "none" or "unknown": one word for programs."""
+    if not diagnosis.findings:
+        return "unknown" if diagnosis.remaining else "none"
+    if not all(finding.effects and finding.places for finding in diagnosis.findings):
+        return "unknown"
+    return "named" if all(len(finding.effects) == 1 for finding in diagnosis.findings) else "set"
+
+
+def level(finding: Finding) -> str:
+    """Return the level at which a finding is known: "effect", "family", "place" or "none"."""
+    if len(finding.places) > MAX_MEMBERS:
+        return "none"
+    if 1 <= len(finding.effects) <= MAX_MEMBERS:
+        return "effect"
+    return "family" if 1 <= len(finding.families) <= MAX_MEMBERS else "place"
+
+
+def finding_words(finding: Finding) -> str:
+    """Return a finding as a noun with its place, at the level at which it is known."""
+    found = level(finding)
+    if found == "none":
+        return NOT_LOCATED
+    place = join_words(finding.places or (finding.place,), "or")
+    if found == "effect":
+        if len(finding.effects) == 1:
+            return f"{finding.effect} at {finding.place} ({finding.text})"
+        return _effects_words(finding.effects)
+    if found == "family":
+        kinds = join_words([FAMILY_WORDS[family] for family in finding.families], "or")
+        return f"{kinds} at {place}"
+    return f"something at {place}"
+
+
+def finding_sentence(finding: Finding) -> str:
+    """Return a finding with its certainty, its interval and its own share."""
+    words = finding_words(finding)
+    first = f"{words[0].upper()}{words[1:]}: {_certainty(finding)}."
+    if level(finding) != "effect":
+        return first
+    sizes = zip(finding.size_names, finding.interval, strict=True)
+    intervals = ", ".join(f"{name} from {low:.4g} to {high:.4g}" for name, (low, high) in sizes)
+    own = f" With 90 % probability {intervals}." if intervals else ""
+    lost = f" Without it, {percent(finding.share)} of the explainable error of its joint comes back."
+    return first + own + (lost if isfinite(finding.share) else "")
+
+
+def remainder_sentence(one: Remainder) -> str:
+    """Return what remains at a joint, and on which variable it depends."""
+    depends = (
+        f"it depends on {one.depends_on}, which explains {percent(one.depends_share)} of it"
+        if one.depends_on
+        else "it depends on no logged variable"
+    )
+    amount = quantity(one.mean_abs, one.unit)
+    return f"Remains at {one.joint}, {regime_words(one.regime)}: {amount} that no effect explains; {depends}."
+
+
+def unknown_sentences(base: Sequence[Base]) -> list[str]:
+    """Return a sentence for each joint or link of which some numbers cannot be known."""
+    unknown = [one for one in base if not one.is_identifiable]
+    sentences = []
+    for place in dict.fromkeys(one.place for one in unknown):
+        names = [one.name for one in unknown if one.place == place]
+        rest = [name for name in names if name != GAIN]
+        if GAIN in names and rest:
+            what = f"only ratios to the gain can be known of: {join_words(rest, 'and', len(rest))}"
+        else:
+            what = f"the logs do not determine: {join_words(names, 'and', len(names))}"
+        sentences.append(f"At {place}, {what}.")
+    return sentences
+
+
+def has_floor(diagnosis: Diagnosis) -> bool:
+    """Return whether repeats show the noise floor of every judged joint."""
+    return all(one.noise_floor > 0.0 for one in diagnosis.errors)
+
+
+def regime_words(regime: str) -> str:
+    """Return a regime as part of a sentence."""
+    return {"slow": "in slow motion", "fast": "in fast motion", "all motion": "in all motion"}.get(
+        regime, regime
+    )
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a number with its unit, small angles and lengths in thousandths."""
+    if not isfinite(value):
+        return "not known"
+    small, factor = SMALL_UNITS.get(unit, (unit, 1.0))
+    return f"{value * factor:.3g} {small}"
+
+
+def percent(share: float) -> str:
+    """Return a share as text."""
+    return f"{100 * share:.0f} %"
+
+
+def count(number: int, noun: str) -> str:
+    """Return a number with its noun."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def join_words(words: Sequence[str], last: str, most: int = MAX_MEMBERS) -> str:
+    """Join words by commas and a last conjunction; words beyond `most` are counted."""
+    shown = list(dict.fromkeys(words))
+    if len(shown) > most:
+        shown = [*shown[:most], f"{len(shown) - most} more"]
+        last = "and"
+    if len(shown) < 2:
+        return "".join(shown)
+    return f"{', '.join(shown[:-1])} {last} {shown[-1]}"
+
+
+def _where(diagnosis: Diagnosis) -> str:
+    located = [finding for finding in diagnosis.findings if level(finding) != "none"]
+    words = [join_words(finding.places or (finding.place,), "or") for finding in located]
+    if len(located) < len(diagnosis.findings):
+        words.append(NOT_LOCATED)
+    elsewhere = [one.joint for one in diagnosis.remaining]
+    if not words and not elsewhere:
+        if any(math.isnan(one.noise_floor) for one in diagnosis.errors):
+            return "nowhere; without repeated motions nobody knows if what remains is more than noise."
+        return "nowhere; robot and model agree once the base parameters are fitted."
+    if not words:
+        return f"{join_words(elsewhere, 'and')}."
+    more = f" Something more remains at {join_words(elsewhere, 'and')}." if elsewhere else ""
+    return f"{join_words(words, 'and')}.{more}"
+
+
+def _what(diagnosis: Diagnosis) -> str:
+    if not diagnosis.findings:
+        explains = " explains it" if diagnosis.remaining else ""
+        return f"none of the effects in the catalogue{explains}{_base_words(diagnosis.base)}."
+    texts = [f"{finding_words(one)}, {_certainty(one)}" for one in diagnosis.findings[:MAX_MEMBERS]]
+    rest = len(diagnosis.findings) - MAX_MEMBERS
+    return "; ".join(texts) + (f"; and {count(rest, 'more finding')}." if rest > 0 else ".")
+
+
+def _base_words(base: Sequence[Base]) -> str:
+    """Return the base parameters whose 90 % interval excludes the number of the model, the surest first."""
+    other = [
+        one for one in base if one.is_identifiable and not one.interval[0] <= one.nominal <= one.interval[1]
+    ]
+    other.sort(key=lambda one: -abs(one.value - one.nominal) / max(one.interval[1] - one.interval[0], 1e-300))
+    words = [f"{one.name} of {one.place} {one.nominal:.3g} to {one.value:.3g}" for one in other]
+    return f"; fitted base parameters differ: {join_words(words, 'and')}" if words else ""
+
+
+def _certainty(finding: Finding) -> str:
+    """Return how sure a finding is, by the size of its sets."""
+    found = level(finding)
+    if found == "none":
+        return "its place cannot be told"
+    if found == "effect" and len(finding.effects) == 1:
+        if len(finding.families) > 1:
+            kinds = join_words([FAMILY_WORDS[family] for family in finding.families], "or")
+            return f"95 % sure; its cause may be {kinds}"
+        return "95 % sure: no other effect explains it"
+    if found == "effect":
+        return "95 % sure that it is one of these; they cannot be told apart"
+    if not finding.effects:
+        return "no effect in the catalogue is known to cause it"
+    if found == "family":
+        return "95 % sure of the kind; its effects cannot be told apart"
+    return "95 % sure of the place; its kinds of effects cannot be told apart"
+
+
+def _effects_words(keys: Sequence[str]) -> str:
+    """Return keys "place: name" as text, the place once if it is the same."""
+    pairs = [key.split(": ", 1) for key in keys]
+    places = {place for place, *_ in pairs}
+    if len(places) == 1:
+        return f"{join_words([pair[-1] for pair in pairs], 'or')} at {places.pop()}"
+    return join_words([f"{name} at {place}" for place, name in pairs], "or")
+
+
+def _how_far(diagnosis: Diagnosis) -> str:
+    if not diagnosis.judged_motions or not diagnosis.errors:
+        return "not known, because no motion was held out."
+    motions = count(len(diagnosis.judged_motions), "motion")
+    best = max(diagnosis.errors, key=_fall)
+    numbers = f"{quantity(best.nominal, best.unit)} to {quantity(best.explained, best.unit)}"
+    fall = f"on {motions} that took no part, the error of {best.joint} goes from {numbers}"
+    fall += _worse(diagnosis.errors)
+    if not has_floor(diagnosis):
+        return f"{fall}; the noise floor is unknown without repeats, so no share is given."
+    if diagnosis.closure is None:
+        return f"{fall}; all of it is noise."
+    if diagnosis.closure < 0.0:
+        return f"{fall}; the explainable error of all joints grows by {percent(-diagnosis.closure)}."
+    return f"{fall}; {percent(min(diagnosis.closure, 1.0))} of the explainable error is gone."
+
+
+def _worse(errors: Sequence[JointError]) -> str:
+    """Return the joint that the findings make worse most, beside its base parameters alone."""
+    one = max(errors, key=lambda each: each.explained / each.base if each.base > 0.0 else 0.0)
+    if one.explained <= (1.0 + MAX_WORSE) * one.base:
+        return ""
+    numbers = f"{quantity(one.base, one.unit)} to {quantity(one.explained, one.unit)}"
+    return f", but the findings make {one.joint} worse than base parameters alone: {numbers}"
+
+
+def _fall(one: JointError) -> float:
+    """Return the fall of an error as a share, so that joints with different units compare."""
+    return (one.nominal - one.explained) / one.nominal if one.nominal > 0 else 0.0
+
+
+def _next(diagnosis: Diagnosis) -> str:
+    wanted = next((one.next_motion for one in diagnosis.findings if one.next_motion), "")
+    if wanted:
+        return f"record {wanted}."
+    if not diagnosis.judged_motions:
+        return "hold out some motions, so that the result can be judged."
+    if not has_floor(diagnosis):
+        return "repeat some motions without a change, so that the noise floor is known."
+    if diagnosis.remaining:
+        one = max(diagnosis.remaining, key=lambda each: each.depends_share)
+        if one.depends_on:
+            return f"write an effect of your own at {one.joint} that depends on {one.depends_on}."
+        return f"log more of {one.joint}, such as torque, temperature or a second encoder."
+    return "nothing; these motions leave no question open."

@@ -1,0 +1,123 @@
+"""Traces of held-out motions: measured, predicted by the model as it is, and predicted with the findings."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from simgap.arrays import Array, Flags
+from simgap.logs import Motion
+from simgap.residuals.kinds import list_kinds
+from simgap.residuals.residuals import ResidualModel
+from simgap.residuals.simulation_residuals import SimulationResiduals
+from simgap.result import Diagnosis
+from simgap.robot import Robot
+
+MAX_POINTS: Final = 2000
+"""Points of a trace on a page: about two for each pixel of a wide screen."""
+SIMULATION: Final = SimulationResiduals.kind
+"""Kind of residual whose traces also show what was measured; of others, the residuals alone are known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """One joint in one motion."""
+
+    joint: str
+    kind: str
+    """Kind of residual: `ResidualModel.kind`."""
+    motion: str
+    unit: str
+    time_s: Array
+    """(n,)."""
+    measured: Array | None
+    """(n,); None if the residuals alone are known."""
+    nominal: Array
+    """Measured less predicted by the model as it is, (n,)."""
+    explained: Array
+    """Measured less predicted with base parameters and findings, (n,)."""
+
+
+def make_traces(model: ResidualModel, diagnosis: Diagnosis) -> tuple[Trace, ...]:
+    """Predict the motions of a residual model without and with what a diagnosis has found.
+
+    Args:
+        model: Residuals of the motions to show.
+        diagnosis: Diagnosis with its effects and sizes.
+    """
+    effects, sizes = diagnosis.fitted_to(model.kind)
+    found = np.concatenate([np.zeros(0), *(np.asarray(size, float) for size in sizes)])
+    nominal, explained = model.residuals(effects, np.stack([np.zeros_like(found), found]))
+    measured = model.explain("position") if model.kind == SIMULATION else None
+    return tuple(_cut(model, nominal, explained, measured))
+
+
+def trace_motions(
+    robot: Robot,
+    motions: Sequence[Motion],
+    diagnosis: Diagnosis,
+    usable: Mapping[tuple[str, str], Flags] | None = None,
+) -> tuple[Trace, ...]:
+    """Predict motions without and with what a diagnosis has found, by each kind of residual that it used.
+
+    Args:
+        robot: Robot that was diagnosed.
+        motions: Motions to show.
+        diagnosis: Diagnosis with its effects and sizes.
+        usable: By names of motion and joint, flags over the position samples to show, (n,); all if absent.
+
+    Returns:
+        The traces; none by simulation of a motion in which a joint has no command.
+
+    Raises:
+        RobotError: A motion cannot be predicted.
+    """
+    driven = [one for one in motions if all(log.command is not None for log in one.joints.values())]
+    found: list[Trace] = []
+    for kind in list_kinds(robot, motions, usable):
+        part = driven if kind.name == SIMULATION else motions
+        if part and kind.name in diagnosis.kinds:
+            found += make_traces(kind.make(part, True), diagnosis)
+    return tuple(found)
+
+
+def _cut(model: ResidualModel, nominal: Array, explained: Array, measured: Array | None) -> Iterator[Trace]:
+    """Yield the traces of joints and motions that have samples."""
+    for joint, name in enumerate(model.joints):
+        for motion, title in enumerate(model.motions):
+            at = np.flatnonzero((model.joint_of == joint) & (model.motion_of == motion))
+            if at.size:
+                own = None if measured is None else measured[at]
+                yield Trace(
+                    name, model.kind, title, model.unit, model.time_s[at], own, nominal[at], explained[at]
+                )
+
+
+def choose_traces(traces: Iterable[Trace]) -> dict[tuple[str, str], tuple[Trace, ...]]:
+    """Return for each joint and kind of residual the traces with the largest, middle and smallest error.
+
+    The error is that with the findings. So a page shows the worst as well as the best, and its size does not
+    grow with the number of motions.
+    """
+    chosen: dict[tuple[str, str], tuple[Trace, ...]] = {}
+    every = list(traces)
+    for place in dict.fromkeys((one.joint, one.kind) for one in every):
+        own = sorted((one for one in every if (one.joint, one.kind) == place), key=_error, reverse=True)
+        chosen[place] = tuple(own[k] for k in sorted({0, len(own) // 2, len(own) - 1}))
+    return chosen
+
+
+def thin(one: Trace) -> Trace:
+    """Return a trace with at most MAX_POINTS points, evenly taken from all of them."""
+    if one.time_s.size <= MAX_POINTS:
+        return one
+    at = np.linspace(0, one.time_s.size - 1, MAX_POINTS).round().astype(int)
+    measured = None if one.measured is None else one.measured[at]
+    return replace(
+        one, time_s=one.time_s[at], measured=measured, nominal=one.nominal[at], explained=one.explained[at]
+    )
+
+
+def _error(one: Trace) -> float:
+    return float(np.mean(np.abs(one.explained)))

@@ -1,0 +1,286 @@
+"""Residuals of inverse dynamics: measured joint torques minus those that the measured motion needs.
+
+    residual = measured - (inverse dynamics + armature a + damping v + friction sign(v) - applied torques)
+
+Motion and measured torque pass one filter (`filtered_motion`), and so does the dry friction: its step
+at a reversal is as steep as that of the measured torque. The sign of the speed is smoothed over the
+speed at which it is certain: tanh(v / v_s), with v_s three times the noise of the speed. The first and last
+period of the cut-off are left out, because there the filter guesses what was before and after.
+"""
+
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco.batch
+import numpy as np
+
+from simgap.arrays import Array, Flags, Integers
+from simgap.effects.effect import TORQUE_HOOKS, Effect, State
+from simgap.errors import RobotError
+from simgap.logs import Motion
+from simgap.residuals.explain import measured_variable
+from simgap.residuals.filtered_motion import (
+    FilteredMotion,
+    choose_filter,
+    differentiate,
+    filter_motion,
+    find_usable,
+    inverse_dynamics,
+)
+from simgap.robot import Robot
+from simgap.simulation.compiled import nominal_fields
+
+PER_CUT_OFF: Final = 4.0
+"""Residuals in a period of the cut-off frequency: twice as many as a signal without higher ones needs."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Acting:
+    effect: Effect
+    size: Array
+    """(n_candidates, n_sizes)."""
+    joint: int
+    """-1 if its place is no joint."""
+
+
+def shows(effect: Effect) -> bool:
+    """Return whether torques at the measured motion can show an effect.
+
+    Effects that add bodies or joints to the model are left out: their motion is not measured.
+    """
+    return not effect.overrides("vary") and effect.overrides(*TORQUE_HOOKS)
+
+
+class InverseResiduals:
+    """Predict measured minus needed torques; see `ResidualModel`."""
+
+    kind = "inverse dynamics"
+    unit = "N m"
+    by_motion = False
+    step_s = 0.0
+    noise_std = 0.0
+
+    def __init__(
+        self, robot: Robot, motions: Sequence[Motion], keep: Mapping[tuple[str, str], Flags] | None = None
+    ) -> None:
+        """Filter the motions.
+
+        Args:
+            motions: Motions; joints with a logged torque have residuals.
+            keep: By names of motion and joint, which position samples are used, (n,); all where absent.
+                Nothing is compared within a period of the cut-off from others.
+
+        Raises:
+            RobotError: no torque is logged or usable, or a motion is too short for a filter.
+        """
+        if not any(log.torque is not None for motion in motions for log in motion.joints.values()):
+            raise RobotError(f"robot {robot.name}: no log has torques; inverse dynamics needs them")
+        self._robot = robot
+        self.low_pass = choose_filter(robot, motions)
+        samples = 1 / (self.low_pass.cut_off_Hz * self.low_pass.period_s)  # in a period of the cut-off
+        self._keep = keep or {}
+        self._kept = slice(int(samples), -int(samples), max(1, int(samples / PER_CUT_OFF)))
+        spacing_s = self._kept.step * self.low_pass.period_s
+        self.method = (
+            f"Torques are compared with inverse dynamics; both pass {self.low_pass.describe()}. There is a "
+            f"residual every {1e3 * spacing_s:.3g} ms."
+        )
+        self._fill(motions, [filter_motion(robot, motion, self.low_pass) for motion in motions])
+
+    def _fill(self, logs: Sequence[Motion], filtered: Sequence[FilteredMotion]) -> None:
+        self._logs, self._filtered = tuple(logs), tuple(filtered)
+        self._nominal: dict[int, tuple[Array, Array]] = {}
+        self.joints = tuple(joint.name for joint in self._robot.joints)
+        self.motions = tuple(motion.name for motion in logs)
+        self.repeat_of = tuple(motion.repeat_of for motion in logs)
+        self._usable: dict[str, Flags] = {}
+        joint_of, motion_of, time_s = [], [], []
+        for m, (log, one) in enumerate(zip(logs, filtered, strict=True)):
+            every = one.time_s[self._kept]
+            usable = [self._find_usable(log, j, every) for j in self._logged(one)]
+            self._usable[one.name] = np.concatenate([np.zeros(0, bool), *usable])
+            for j, flags in zip(self._logged(one), usable, strict=True):
+                times = every[flags]
+                joint_of.append(np.full(times.size, j))
+                motion_of.append(np.full(times.size, m))
+                time_s.append(times)
+        if not any(times.size for times in time_s):
+            raise RobotError(f"robot {self._robot.name}: no sample of a torque can be used; correct the logs")
+        self.joint_of: Integers = np.concatenate(joint_of)
+        self.motion_of: Integers = np.concatenate(motion_of)
+        self.time_s: Array = np.concatenate(time_s)
+
+    def _find_usable(self, motion: Motion, j: int, time_s: Array) -> Flags:
+        name = self.joints[j]
+        keep = self._keep.get((motion.name, name))
+        return find_usable(motion.joints[name], keep, time_s, 1.0 / self.low_pass.cut_off_Hz)
+
+    @staticmethod
+    def _logged(one: FilteredMotion) -> Integers:
+        return np.flatnonzero(np.isfinite(one.torque_Nm[0]))
+
+    def _rows(self, one: FilteredMotion, values: Array) -> Array:
+        """Order values, (..., n_times, n_joints), as residuals, (..., n)."""
+        thinned = np.moveaxis(values[..., self._kept, :][..., self._logged(one)], -1, -2)
+        return thinned.reshape(*thinned.shape[:-2], -1)[..., self._usable[one.name]]
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        """Return the residuals of candidates.
+
+        Args:
+            effects: Union of the effects of all candidates. Those that `shows` refuses change nothing.
+            sizes: Sizes of all effects one after the other, (n_candidates, total sizes); zeros where absent.
+
+        Returns:
+            Measured minus needed torques, (n_candidates, n) [N m].
+        """
+        acting = self._acting(effects, np.asarray(sizes, float))
+        candidates = _Candidates(self._robot, acting, len(sizes))
+        return np.concatenate([self._of_motion(m, candidates) for m in range(len(self._filtered))], axis=1)
+
+    def _acting(self, effects: Sequence[Effect], sizes: Array) -> list[_Acting]:
+        found, first = [], 0
+        for effect in effects:
+            size = sizes[:, first : first + len(effect.sizes)]
+            first += len(effect.sizes)
+            if shows(effect) and size.any():
+                joint = self.joints.index(effect.place) if effect.place in self.joints else -1
+                found.append(_Acting(effect, size, joint))
+        return found
+
+    def _of_motion(self, m: int, candidates: "_Candidates") -> Array:
+        one = self._filtered[m]
+        found = np.empty((candidates.n, self._rows(one, one.q_rad).size))
+        for group in candidates.groups():
+            c = group[0]
+            motion = self._decoded(one, candidates, c)
+            model = candidates.model(c)
+            if model is None and motion is one:
+                if m not in self._nominal:
+                    self._nominal[m] = self._needed(None, one)
+                needed = self._nominal[m]
+            else:
+                needed = self._needed(model, motion)
+            for c in group:
+                found[c] = self._rows(one, one.torque_Nm - self._torque(motion, needed, candidates, c))
+        return found
+
+    def _needed(self, model: mujoco.MjModel | None, one: FilteredMotion) -> tuple[Array, Array]:
+        chosen = copy(self._robot.model) if model is None else model
+        return inverse_dynamics(chosen, self._robot, one.q_rad, one.v_rad_s, one.a_rad_s2)
+
+    def _decoded(self, one: FilteredMotion, candidates: "_Candidates", c: int) -> FilteredMotion:
+        """Return the motion that the encoders of a candidate have shown as the measured one."""
+        decoders = [e for e in candidates.with_hook("decode") if e.size[c].any()]
+        if not decoders:
+            return one
+        raw = one.raw_rad.copy()
+        for e in reversed(decoders):
+            raw[:, e.joint] = e.effect.decode(e.size[c : c + 1], raw[None, :, e.joint])[0]
+        q, v, a = differentiate(raw, self.low_pass)
+        return FilteredMotion(one.name, one.time_s, raw, q, v, a, one.torque_Nm, one.temperature_degC)
+
+    def _torque(
+        self, one: FilteredMotion, needed: tuple[Array, Array], candidates: "_Candidates", c: int
+    ) -> Array:
+        """Return the torque that a candidate needs, (n_times, n_joints)."""
+        torque, load = needed
+        fields = candidates.fields
+        state = State(one.time_s, one.q_rad, one.v_rad_s, load, one.temperature_degC)
+        dry = np.tile(fields.frictionloss_Nm[c], (one.time_s.size, 1))
+        total = torque + fields.armature_kgm2[c] * one.a_rad_s2 + fields.damping_Nms_rad[c] * one.v_rad_s
+        for e in candidates.with_hook("friction_Nm"):
+            if e.size[c].any():
+                dry[:, e.joint] += e.effect.friction_Nm(_each(e.size[c], one), state)
+        for e in candidates.with_hook("torque_Nm"):
+            if e.size[c].any():
+                total[:, e.joint] -= e.effect.torque_Nm(_each(e.size[c], one), state)
+        sign = np.tanh(one.v_rad_s / self.low_pass.friction_speed_rad_s)
+        return np.asarray(total + self.low_pass(np.maximum(dry, 0.0) * sign))
+
+    def select(self, motions: Sequence[str]) -> "InverseResiduals":
+        """Return the residuals of these motions alone.
+
+        Args:
+            motions: Names; the order of the motions stays.
+
+        Returns:
+            A model with fewer motions and the same filter.
+        """
+        kept = [k for k, motion in enumerate(self._logs) if motion.name in set(motions)]
+        chosen = copy(self)
+        chosen._fill([self._logs[k] for k in kept], [self._filtered[k] for k in kept])
+        return chosen
+
+    def explain(self, name: str) -> Array:
+        """Return a variable on which a residual may depend, at the filtered motion.
+
+        Args:
+            name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC] or
+                "command".
+
+        Returns:
+            Its value at each residual, (n,); NaN where it is not logged.
+        """
+        if name not in ("position", "velocity", "load"):
+            return measured_variable(
+                self._robot, self._logs, name, self.motion_of, self.joint_of, self.time_s
+            )
+        values = []
+        for m, one in enumerate(self._filtered):
+            if name == "load" and m not in self._nominal:
+                self._nominal[m] = self._needed(None, one)
+            variable = {"position": one.q_rad, "velocity": one.v_rad_s}.get(name)
+            values.append(self._rows(one, self._nominal[m][1] if variable is None else variable))
+        return np.concatenate(values)
+
+
+def _each(size: Array, one: FilteredMotion) -> Array:
+    """Repeat the sizes of a candidate for all samples: hooks take a row for each."""
+    return np.broadcast_to(size, (one.time_s.size, size.size))
+
+
+class _Candidates:
+    """Numbers of the model for each candidate."""
+
+    def __init__(self, robot: Robot, acting: Sequence[_Acting], n: int) -> None:
+        self.n = n
+        self._robot = robot
+        self._acting = acting
+        self._batch = mujoco.batch.Batch(robot.model, nsim=n, nthread=1)
+        self.fields = nominal_fields(robot, n, self._batch)
+        for one in self.with_hook("set_model"):
+            one.effect.set_model(one.size, self.fields, robot)
+        names = [name for name in mujoco.batch.MODEL_FIELDS if self._batch.expanded(name) is not None]
+        changed = np.zeros(n, dtype=bool)
+        for name in names:
+            nominal = getattr(robot.model, name) if "." not in name else _option(robot.model, name)
+            changed |= np.any(
+                self._batch.expanded(name).reshape(n, -1) != np.asarray(nominal).reshape(1, -1), axis=1
+            )
+        self._changed = changed
+        if changed.any():
+            self._batch.set_const()
+
+    def with_hook(self, hook: str) -> list[_Acting]:
+        """Return the effects that override a hook."""
+        return [one for one in self._acting if one.effect.overrides(hook)]
+
+    def groups(self) -> list[list[int]]:
+        """Return candidates with the same inverse dynamics together."""
+        decode = self.with_hook("decode")
+        own = self._changed.copy()
+        for one in decode:
+            own |= one.size.any(axis=1)
+        common = np.flatnonzero(~own).tolist()
+        return ([common] if common else []) + [[c] for c in np.flatnonzero(own).tolist()]
+
+    def model(self, c: int) -> mujoco.MjModel | None:
+        """Return the model of a candidate; None if its fields are nominal."""
+        return self._batch.get_model(c) if self._changed[c] else None
+
+
+def _option(model: mujoco.MjModel, name: str) -> Array:
+    return np.asarray(getattr(model.opt, name.removeprefix("opt.")), dtype=float)

@@ -1,0 +1,251 @@
+"""Residuals of forward simulation: measured positions minus simulated ones."""
+
+import math
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from simgap.arrays import Array, Flags, Integers, orthonormal
+from simgap.effects.effect import Effect
+from simgap.logs import Motion
+from simgap.residuals.explain import measured_variable
+from simgap.robot import Robot
+from simgap.simulation.compiled import Models
+from simgap.simulation.engine import Engine
+from simgap.simulation.windows import SLOPE_SAMPLES, Window, cut_windows
+
+PENALTY_rad: Final = 100.0
+"""Residual of a simulation that blew up: finite, and larger than any that did not."""
+SPACING_s: Final = 0.02
+"""Least time between residuals: closer ones repeat each other, because a servo needs longer to move."""
+SHIFT_rad: Final = 1e-3
+"""Shift of a start that shows how its first samples follow: a milliradian is small beside any motion."""
+SHIFT_s: Final = 0.1
+"""Time in which a shifted speed moves a joint by as much: a servo needs about as long to follow."""
+STEP_PARTS: Final = 8
+"""Parts of a step in the simulation that shows its error: an eighth of an error of first order is left."""
+PART_s: Final = 10.0
+"""Length of the windows where motions are simulated in part: long beside what a servo remembers."""
+
+
+class SimulationResiduals:
+    """Predict measured minus simulated positions; see `ResidualModel`.
+
+    To each simulation is added what smaller steps change in that of the nominal model (defect correction). A
+    real robot has no time step, and the error of one is soon larger than the smallest effect that noise lets
+    see.
+    """
+
+    kind = "simulation"
+    unit = "rad"
+    by_motion = True
+    noise_std = 0.0
+
+    def __init__(
+        self,
+        robot: Robot,
+        motions: Sequence[Motion],
+        spacing_s: float = SPACING_s,
+        keep: Mapping[tuple[str, str], Flags] | None = None,
+        n_threads: int = 0,
+        most_steps: float = math.inf,
+        fit_starts: bool = False,
+    ) -> None:
+        """Cut the motions into windows: a motion is one, until a stretch of samples that are not used.
+
+        Args:
+            motions: Motions, with the commands of all joints.
+            spacing_s: Least time between residuals of a joint [s].
+            keep: By names of motion and joint, which position samples are used, (n,); all where absent.
+            n_threads: Threads of the simulation; 0: as many as there are processors.
+            most_steps: Steps of a candidate. Where all motions take more, evenly spaced windows of each are
+                simulated instead.
+            fit_starts: Take out of the residuals what another start of a joint would explain.
+        """
+        self._robot = robot
+        self._models = Models(robot)
+        self._n_threads = n_threads
+        self.step_s = float(robot.model.opt.timestep)
+        self.method = (
+            f"Positions are simulated from measured starts in steps of {1e3 * self.step_s:g} ms; there is a "
+            f"residual where they are logged, at most every {1e3 * spacing_s:g} ms."
+        )
+        most_periods = most_steps / round(robot.control_period_s / robot.model.opt.timestep)
+        fine_models = Models(_refine(robot))
+        coarse, fine = (
+            _cut(one, motions, spacing_s, keep, most_periods) for one in (robot, fine_models.robot)
+        )
+        fine = start_windows(fine_models, fine, n_threads)
+        coarse = [
+            replace(window, q_rad=one.q_rad, v_rad_s=one.v_rad_s)
+            for window, one in zip(coarse, fine, strict=True)
+        ]
+        fine_rad = _simulate_nominal(fine_models, fine, n_threads)
+        coarse_rad = _simulate_nominal(self._models, coarse, n_threads)
+        starts = self._start_responses(coarse, coarse_rad) if fit_starts else np.empty((coarse_rad.size, 0))
+        self._fill(motions, coarse, np.nan_to_num(fine_rad - coarse_rad), starts)
+
+    def _start_responses(self, windows: Sequence[Window], nominal_rad: Array) -> Array:
+        """Return what other positions and speeds of the starts change in each joint itself, (n, 2) [rad]."""
+        shifts = [
+            replace(one, q_rad=one.q_rad + q_rad, v_rad_s=one.v_rad_s + v_rad_s)
+            for q_rad, v_rad_s in ((SHIFT_rad, 0.0), (0.0, SHIFT_rad / SHIFT_s))
+            for one in windows
+        ]
+        both_rad = _simulate_nominal(self._models, shifts, self._n_threads).reshape(2, -1)
+        return np.nan_to_num(both_rad - nominal_rad).T
+
+    def _fill(
+        self, motions: Sequence[Motion], windows: Sequence[Window], refined_rad: Array, starts: Array
+    ) -> None:
+        self._logs, self._windows, self._refined_rad = tuple(motions), tuple(windows), refined_rad
+        self.joints = tuple(joint.name for joint in self._robot.joints)
+        self.motions = tuple(motion.name for motion in motions)
+        self.repeat_of = tuple(motion.repeat_of for motion in motions)
+        counts = np.array([[one.size for one in window.sample_time_s] for window in self._windows])
+        n_joints = len(self.joints)
+        which = np.array([self.motions.index(window.motion) for window in self._windows])
+        self.joint_of: Integers = np.repeat(np.tile(np.arange(n_joints), len(which)), counts.ravel())
+        self.motion_of: Integers = np.repeat(np.repeat(which, n_joints), counts.ravel())
+        self.time_s: Array = np.concatenate(
+            [time_s + window.start_s for window in self._windows for time_s in window.sample_time_s]
+        )
+        self.measured_rad: Array = np.concatenate(
+            [q for window in self._windows for q in window.measured_rad]
+        )
+        """Measured positions, (n,)."""
+        self._starts = starts
+        ends = np.cumsum(counts.ravel()).tolist() if starts.size else []
+        parts = [slice(low, high) for low, high in pairwise([0, *ends]) if high > low]
+        self._bases = [(part, orthonormal(starts[part])) for part in parts]
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        """Return the residuals of candidates.
+
+        Args:
+            effects: Union of the effects of all candidates.
+            sizes: Sizes of all effects one after the other, (n_candidates, total sizes) or (n_candidates,
+                n_motions, total sizes); zeros where absent.
+
+        Returns:
+            Measured minus simulated positions, (n_candidates, n) [rad]; `PENALTY_rad` in a window whose
+            simulation blew up.
+        """
+        engine = Engine(self._models, effects, self._windows, self._n_threads)
+        sizes = np.asarray(sizes, dtype=float)
+        if sizes.ndim == 3:
+            sizes = sizes[:, [self.motions.index(window.motion) for window in self._windows]]
+        residual = self.measured_rad - engine.positions(sizes) - self._refined_rad
+        for part, basis in self._bases:
+            residual[:, part] -= (residual[:, part] @ basis) @ basis.T
+        return np.where(np.isfinite(residual), residual, PENALTY_rad)
+
+    def select(self, motions: Sequence[str]) -> "SimulationResiduals":
+        """Return the residuals of these motions alone.
+
+        Args:
+            motions: Names; the order of the motions stays.
+
+        Returns:
+            A model with fewer motions.
+        """
+        chosen, names = copy(self), set(motions)
+        kept = np.isin(self.motion_of, [self.motions.index(name) for name in names])
+        chosen._fill(
+            [motion for motion in self._logs if motion.name in names],
+            [window for window in self._windows if window.motion in names],
+            self._refined_rad[kept],
+            self._starts[kept],
+        )
+        return chosen
+
+    def explain(self, name: str) -> Array:
+        """Return a variable on which a residual may depend, at the measured motion.
+
+        Args:
+            name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC] or
+                "command" [rad].
+
+        Returns:
+            Its value at each residual, (n,); NaN where it is not logged.
+        """
+        return measured_variable(self._robot, self._logs, name, self.motion_of, self.joint_of, self.time_s)
+
+
+def _refine(robot: Robot) -> Robot:
+    """Return the robot with smaller steps."""
+    model = copy(robot.model)
+    model.opt.timestep /= STEP_PARTS
+    return replace(robot, model=model)
+
+
+def _cut(
+    robot: Robot,
+    motions: Sequence[Motion],
+    spacing_s: float,
+    keep: Mapping[tuple[str, str], Flags] | None,
+    most_periods: float,
+) -> list[Window]:
+    """Cut motions into windows; of too many control periods, keep evenly spaced windows of each motion."""
+    windows = [one for motion in motions for one in cut_windows(robot, motion, None, spacing_s, keep)]
+    periods = sum(window.n_ticks for window in windows)
+    if periods <= most_periods:
+        return windows
+    kept = []
+    for motion in motions:
+        windows = cut_windows(robot, motion, PART_s, spacing_s, keep)
+        n = max(1, round(most_periods / periods * len(windows)))
+        kept += [windows[int((k + 0.5) * len(windows) / n)] for k in range(n)]
+    return kept
+
+
+def start_windows(models: Models, windows: Sequence[Window], n_threads: int) -> list[Window]:
+    """Let joints start at rest where the nominal model then predicts their first samples better.
+
+    A joint that falls or is pulled from rest has the speed of its first samples only after them.
+
+    Args:
+        models: Models of the robot.
+        windows: Windows whose joints start at the position and speed of their first samples.
+        n_threads: Threads of the simulation; 0: as many as there are processors.
+
+    Returns:
+        The windows; a joint that starts at rest starts where its first samples fit best.
+    """
+    resting = [_rest(window, 0.0) for window in windows]
+    shifted = [_rest(window, SHIFT_rad) for window in windows]
+    moving_rad, resting_rad, shifted_rad = (
+        _simulate_nominal(models, some, n_threads) for some in (windows, resting, shifted)
+    )
+    started, end = [], 0
+    for window, rest in zip(windows, resting, strict=True):
+        q_rad, v_rad_s = window.q_rad.copy(), window.v_rad_s.copy()
+        for j, measured_rad in enumerate(window.measured_rad):
+            first = slice(end, end + min(SLOPE_SAMPLES, measured_rad.size))
+            end += measured_rad.size
+            miss_rad = measured_rad[:SLOPE_SAMPLES] - moving_rad[first]
+            rest_rad = measured_rad[:SLOPE_SAMPLES] - resting_rad[first]
+            slope = (shifted_rad - resting_rad)[first] / SHIFT_rad
+            # at the start itself the slope is 1: less of it says little about where the joint started
+            shift_rad = float(slope @ rest_rad) / max(float(slope @ slope), 1.0)
+            if np.sum((rest_rad - slope * shift_rad) ** 2) < np.sum(miss_rad**2):
+                q_rad[j], v_rad_s[j] = rest.q_rad[j] + shift_rad, 0.0
+        started.append(replace(window, q_rad=q_rad, v_rad_s=v_rad_s))
+    return started
+
+
+def _simulate_nominal(models: Models, windows: Sequence[Window], n_threads: int) -> Array:
+    """Return the positions of the model without effects, (n_samples,) [rad]."""
+    (found,) = Engine(models, [], windows, n_threads).positions(np.zeros((1, 0)))
+    return np.asarray(found)
+
+
+def _rest(window: Window, shift_rad: float) -> Window:
+    """Return a window in which all joints start at rest, so far from their first samples."""
+    first = zip(window.measured_rad, window.q_rad, strict=True)
+    q_rad = np.array([samples[0] if samples.size else q for samples, q in first])
+    return replace(window, q_rad=q_rad + shift_rad, v_rad_s=np.zeros_like(q_rad))

@@ -1,0 +1,246 @@
+"""Steps of an unfinished diagnosis in a folder, from which the same diagnosis goes on, bit for bit.
+
+A diagnosis is deterministic, so the k-th step of a run is the k-th step of another run with the same inputs.
+A step is a file. The name of the folder is the digest of all inputs and of the code, so that steps of other
+logs, options or versions are not found. Residuals are kept as they are: to simulate them anew in another
+batch could change their last bit.
+"""
+
+import hashlib
+import inspect
+import json
+import os
+import platform
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, TypeVar, cast
+from zipfile import BadZipFile
+
+import mujoco
+import numpy as np
+import scipy
+
+from simgap.arrays import Array, Flags
+from simgap.effects.effect import Effect
+from simgap.logs import Motion
+from simgap.robot import Robot
+from simgap.selection.meter import Meter
+
+T = TypeVar("T")
+STEPS: Final = "diagnosis-steps-"
+"""Begin of the name of the folder of a diagnosis."""
+PACKAGE: Final = Path(__file__).parents[1]
+EXPIRED_s: Final = 7 * 86400.0
+"""Time after which steps are deleted: a user who still wants the result has repeated the command."""
+
+
+class Checkpoint:
+    """Steps that are kept while a block runs; a context manager.
+
+    They are deleted at the end of the block, also by an error, which would come again. An interruption leaves
+    them. Where they cannot be written, as on a full disk, the diagnosis goes on without.
+    """
+
+    def __init__(self, folder: Path | None = None, effects: Sequence[Effect] = ()) -> None:
+        """Name the folder, and delete steps of others beside it that nobody wants any more.
+
+        Args:
+            folder: Folder of this diagnosis, STEPS with the digest of its inputs; None: nothing is kept.
+            effects: All effects that compete; a step names them by their keys.
+        """
+        self._folder, self._number, self._is_full = folder, 0, False
+        self._effects = {effect.key: effect for effect in effects}
+        if folder is None:
+            return
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for other in folder.parent.glob(f"{STEPS}*"):  # beside them may be files of the user
+                if other != folder and time.time() - other.stat().st_mtime > EXPIRED_s:
+                    shutil.rmtree(other, ignore_errors=True)
+        except OSError:
+            self._folder = None
+
+    def __enter__(self) -> "Checkpoint":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._folder is not None and (kind is None or issubclass(kind, Exception)):
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def step(self, meter: Meter, name: str, work: Callable[[], T]) -> T:
+        """Return the result of the next step: as it was kept, or by carrying it out.
+
+        Args:
+            meter: Progress, which goes on from where it was after the step.
+            name: Name of the step.
+            work: Carries out the step; its result consists of effects, arrays and records of them.
+
+        Returns:
+            The result.
+        """
+        number, self._number = self._number, self._number + 1
+        if self._folder is None:
+            return work()
+        path = self._folder / f"{number:04d}-{name}.npz"
+        try:
+            result, self._number, counts = self._read(path)
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile):  # absent, or torn by a loss of power
+            meter.go_on()
+            made = work()
+            if not self._is_full:
+                self._write(path, made, meter)
+            return made
+        meter.restore(counts)
+        return cast("T", result)
+
+    def _read(self, path: Path) -> tuple[Any, int, list[float]]:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            document = json.loads(str(file["document"]))
+            arrays = [file[f"arr_{k}"] for k in range(len(file.files) - 1)]
+        return unpack(document["result"], arrays, self._effects), document["next"], document["meter"]
+
+    def _write(self, path: Path, result: object, meter: Meter) -> None:
+        arrays: list[Array] = []
+        document = {"result": pack(result, arrays), "next": self._number, "meter": meter.counts}
+        part = path.with_suffix(f".{os.getpid()}.part")  # an equal run at the same time writes the same steps
+        try:
+            with part.open("wb") as file:
+                np.savez(file, *arrays, document=np.array(json.dumps(document)))
+            part.replace(path)
+        except OSError:
+            self._is_full = True
+            with suppress(OSError):
+                part.unlink()
+
+
+def pack(value: object, arrays: list[Array]) -> Any:
+    """Make a JSON document of a result.
+
+    Args:
+        value: Numbers, texts, arrays, effects, and records, lists and tuples of them.
+        arrays: Gets the arrays of the result, (...) of any units; the document has their places.
+
+    Returns:
+        The document.
+    """
+    if isinstance(value, Effect):
+        return {"effect": value.key}
+    if isinstance(value, np.ndarray):
+        arrays.append(value)
+        return {"array": len(arrays) - 1}
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, tuple):
+        return {"tuple": [pack(one, arrays) for one in value]}
+    if isinstance(value, list):
+        return [pack(one, arrays) for one in value]
+    if is_dataclass(value):
+        parts = [pack(getattr(value, one.name), arrays) for one in fields(value)]
+        return {"record": [type(value).__module__, type(value).__name__], "fields": parts}
+    return value
+
+
+def unpack(document: Any, arrays: Sequence[Array], effects: Mapping[str, Effect]) -> Any:
+    """Make the result of a document: the inverse of `pack`.
+
+    Args:
+        arrays: Arrays of the result, (...) of any units.
+        effects: Effects by their keys.
+
+    Returns:
+        The result.
+
+    Raises:
+        KeyError: The document names an effect or a record that is not there.
+    """
+    if isinstance(document, list):
+        return [unpack(one, arrays, effects) for one in document]
+    if not isinstance(document, dict):
+        return document
+    if "effect" in document:
+        return effects[document["effect"]]
+    if "array" in document:
+        return arrays[document["array"]]
+    if "tuple" in document:
+        return tuple(unpack(document["tuple"], arrays, effects))
+    module, name = document["record"]
+    record = vars(sys.modules[module])[name] if module.startswith("diagnosis.") else None
+    if not (isinstance(record, type) and is_dataclass(record)):
+        raise KeyError(name)
+    return record(*unpack(document["fields"], arrays, effects))
+
+
+def digest_code() -> str:
+    """Return the digest of the diagnosis and of the libraries that it computes with, as hexadecimal text."""
+    versions = (np.__version__, scipy.__version__, mujoco.__version__, sys.version, platform.machine())
+    digest = hashlib.sha256(repr(versions).encode())
+    for path in sorted(PACKAGE.rglob("*.py")):
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def digest_inputs(
+    robot: Robot,
+    motions: Sequence[Motion],
+    usable: Mapping[tuple[str, str], Flags] | None,
+    effects: Sequence[Effect],
+    seed: int,
+) -> str | None:
+    """Return the digest of all that the steps of a diagnosis depend on.
+
+    Args:
+        robot: The robot, with its compiled model.
+        motions: Motions that are fitted.
+        usable: By names of motion and joint, which samples take part, (n,) flags.
+        effects: Effects of the user's own, whose files count.
+
+    Returns:
+        SHA-256 as hexadecimal text; None if an effect has no file, so that its code is not known.
+    """
+    try:
+        digest = hashlib.sha256()
+        for part in _inputs(robot, motions, usable, effects, seed):
+            digest.update(hashlib.sha256(part).digest())
+    except (OSError, TypeError):
+        return None
+    return digest.hexdigest()
+
+
+def _inputs(
+    robot: Robot,
+    motions: Sequence[Motion],
+    usable: Mapping[tuple[str, str], Flags] | None,
+    effects: Sequence[Effect],
+    seed: int,
+) -> Iterator[bytes]:
+    yield digest_code().encode()
+    compiled = np.empty(mujoco.mj_sizeModel(robot.model), np.uint8)
+    mujoco.mj_saveModel(robot.model, None, compiled)
+    yield compiled.tobytes()
+    yield repr((robot.model_xml, robot.joints, robot.control_period_s, robot.tool_site, seed)).encode()
+    for motion in motions:
+        yield repr((motion.name, sorted(motion.gain.items()), motion.repeat_of, motion.condition)).encode()
+        for name, log in motion.joints.items():
+            for one in fields(log):
+                signal = getattr(log, one.name)
+                yield f"{name} {one.name} {signal is not None}".encode()
+                if signal is not None:
+                    yield signal.time_s.tobytes()
+                    yield signal.value.tobytes()
+    for where, flags in (usable or {}).items():
+        yield repr(where).encode()
+        yield flags.tobytes()
+    with np.printoptions(threshold=sys.maxsize, floatmode="unique"):
+        for effect in effects:
+            yield repr(effect).encode()
+            for kind in type(effect).__mro__:
+                if kind.__module__ not in ("abc", "builtins"):
+                    yield Path(inspect.getfile(kind)).read_bytes()

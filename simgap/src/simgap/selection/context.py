@@ -1,0 +1,234 @@
+"""Inputs of a selection, its present model, and how both reach the residual model."""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Concatenate, Final, ParamSpec, TypeVar
+
+import numpy as np
+
+from simgap.arrays import Array, Integers
+from simgap.effects.effect import Effect
+from simgap.residuals.blocks import Blocks
+from simgap.residuals.residuals import ResidualModel
+from simgap.selection.checkpoint import Checkpoint
+from simgap.selection.fit import MAX_ITERATIONS, Fit, Hypothesis, Union, evaluate_points, fit_hypotheses
+from simgap.selection.meter import Meter
+from simgap.selection.sharing import ALL_JOINTS, Point, Sharing, share_nothing
+
+P = ParamSpec("P")
+T = TypeVar("T")
+FOLDS: Final = 20
+"""Most folds: up to this number of motions, each is left out alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """Inputs that stay the same while effects are selected."""
+
+    model: ResidualModel
+    union: Union
+    base: tuple[Effect, ...]
+    catalogue: tuple[Effect, ...]
+    scales: Array
+    """(n_joints,)."""
+    noise_loss: Array
+    """Mean loss of the noise of each joint, (n_joints,); 0 where it is unknown."""
+    base_left_out: Array
+    """`FittedModel.left_out` with base parameters alone."""
+    sharing: Sharing
+    """Joints whose hypotheses share simulations."""
+    reach: dict[str, float]
+    """Change that an effect of typical size makes at its joint, over the scale of the residuals, by key."""
+    n_distinct: float
+    """Number of tests that share the probability of chance: distinct effects, by `chance.count_distinct`, or
+    all where the noise is known, times the kinds of residual."""
+    folds: tuple[frozenset[int], ...]
+    seed: int
+    meter: Meter
+    checkpoint: Checkpoint
+
+    def joint_of(self, effect: Effect) -> int:
+        """Return the index of the joint at which an effect is judged, or ALL_JOINTS."""
+        return int(self.sharing.joint_of_column[self.union.columns([effect])[0]])
+
+
+@dataclass(frozen=True, slots=True)
+class FittedModel:
+    """A model: its effects, its fit at each joint, its errors on motions that were left out."""
+
+    effects: tuple[Effect, ...]
+    """Accepted effects, without base parameters."""
+    sizes: Array
+    """(n_sizes,)."""
+    fits: tuple[Fit, ...]
+    """One a joint; a single one of all joints if an effect is judged at all."""
+    left_out: Array
+    """Each residual when its motion was left out, over the scale of its joint, (n_rows,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Share of a residual that an effect explains."""
+
+    effect: Effect
+    start: Array
+    """Sizes of the union from which a fit should begin, (n_sizes,)."""
+    gain: float
+    """Share of the weighted sum of squares that it removes; after a refit, that of left-out motions."""
+    left: tuple[tuple[Integers, Array], ...] = ()
+    """For each joint: rows of the residual model, and what the effect leaves there, without a unit; empty
+    where motions are not cut into blocks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Models before and after, and what the findings were held against."""
+
+    context: Context
+    base: FittedModel
+    chosen: FittedModel
+    left_out: tuple[tuple[tuple[Effect, ...], FittedModel], ...]
+    """Findings that are left out together, and the model without them; each finding once."""
+    competitors: dict[str, tuple[Score, ...]]
+    """For each finding, by key, the effects that were refitted before it was accepted."""
+
+
+def start_context(
+    model: ResidualModel,
+    base: Sequence[Effect],
+    catalogue: Sequence[Effect],
+    seed: int,
+    meter: Meter,
+    checkpoint: Checkpoint | None = None,
+) -> Context:
+    """Put base and catalogue into one union and divide the motions into folds.
+
+    Args:
+        model: Residuals of the motions that are fitted.
+        base: Nuisance effects.
+        catalogue: Effects that compete; those that are also in the base are left out.
+        seed: Seed of the folds.
+        meter: Counts simulated candidates.
+        checkpoint: Keeps the results of steps; None: nothing is kept.
+
+    Returns:
+        The context, with scales of 1 and without shared simulations.
+    """
+    known = {effect.key for effect in base}
+    others = tuple(effect for effect in catalogue if effect.key not in known)
+    union = Union((*base, *others))
+    joint_of_column = list_joints(model, union, ())
+    ones = np.ones(len(model.joints))
+    return Context(
+        model=model,
+        union=union,
+        base=tuple(base),
+        catalogue=others,
+        scales=ones,
+        noise_loss=0.0 * ones,
+        base_left_out=np.empty(0),
+        sharing=share_nothing(len(model.joints), joint_of_column),
+        reach={},
+        n_distinct=float(len(others)),
+        folds=(),
+        seed=seed,
+        meter=meter,
+        checkpoint=checkpoint or Checkpoint(),
+    )
+
+
+def list_joints(model: ResidualModel, union: Union, everywhere: Collection[str]) -> Integers:
+    """List the joint at which each size is judged.
+
+    Where a robot has one joint, effects at bodies are fitted with it.
+
+    Args:
+        union: Effects, and the columns of their sizes.
+        everywhere: Keys of effects at a joint that are judged at all joints, because they move others too.
+
+    Returns:
+        Index of the joint, or ALL_JOINTS, of each size, (n_sizes,).
+    """
+    places = [
+        0
+        if len(model.joints) == 1
+        else ALL_JOINTS
+        if effect.place not in model.joints or effect.key in everywhere
+        else model.joints.index(effect.place)
+        for effect in union.effects
+    ]
+    return np.repeat(np.array(places, np.int64), [len(effect.sizes) for effect in union.effects])
+
+
+def draw_folds(model: ResidualModel, seed: int) -> tuple[frozenset[int], ...]:
+    """Divide motions at random into folds of about equal numbers; blocks, those of each joint by themselves.
+
+    Args:
+        seed: Seed of the order.
+
+    Returns:
+        Indices of the motions of each fold.
+    """
+    random, n = np.random.default_rng(seed), len(model.motions)
+    joint = model.joint_of_block if isinstance(model, Blocks) else np.zeros(n, dtype=np.int64)
+    order = [int(m) for j in np.unique(joint) for m in random.permutation(np.flatnonzero(joint == j))]
+    return tuple(frozenset(order[k::FOLDS]) for k in range(min(FOLDS, len(order))))
+
+
+def resume_step(
+    step: Callable[Concatenate[Context, P], T], context: Context, *args: P.args, **kwargs: P.kwargs
+) -> T:
+    """Return what an earlier run with the same inputs found in a step; else carry it out and keep it.
+
+    Args:
+        step: Function of the context, whose result `checkpoint.pack` can keep.
+        *args: Its further arguments.
+        **kwargs: Its named arguments.
+
+    Returns:
+        Its result.
+    """
+    return context.checkpoint.step(context.meter, step.__name__, lambda: step(context, *args, **kwargs))
+
+
+def fit_together(
+    context: Context, hypotheses: Sequence[Hypothesis], text: str, iterations: int = MAX_ITERATIONS
+) -> list[Fit]:
+    """Fit hypotheses in this context.
+
+    Args:
+        text: Name of the work, for the progress.
+        iterations: Most iterations.
+
+    Returns:
+        The fits.
+    """
+    return fit_hypotheses(
+        context.model,
+        context.union,
+        hypotheses,
+        context.scales,
+        sharing=context.sharing,
+        iterations=iterations,
+        report=lambda count: context.meter.advance(text, count),
+    )
+
+
+def simulate(context: Context, points: Sequence[Point], text: str) -> list[Array]:
+    """Simulate single points in this context.
+
+    Args:
+        points: Joint, or ALL_JOINTS, and sizes of the union in their units, for each: all (n_sizes,), or all
+            (n_motions, n_sizes).
+        text: Name of the work, for the progress.
+
+    Returns:
+        Residuals of its joint for each point, (n_rows,).
+    """
+    return evaluate_points(
+        context.model,
+        context.union,
+        points,
+        sharing=context.sharing,
+        report=lambda count: context.meter.advance(text, count),
+    )

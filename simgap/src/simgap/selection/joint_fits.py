@@ -1,0 +1,294 @@
+"""Fit the base parameters and the accepted effects of every joint, with all motions and without some."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from simgap.arrays import Array, Integers
+from simgap.effects.effect import Effect
+from simgap.errors import RobotError
+from simgap.residuals.blocks import Blocks, cut_into_blocks
+from simgap.residuals.noise import noise_losses, whiten_noise
+from simgap.residuals.residuals import ResidualModel
+from simgap.selection.context import (
+    Context,
+    FittedModel,
+    Score,
+    draw_folds,
+    fit_together,
+    resume_step,
+    simulate,
+)
+from simgap.selection.cross_validation import cross_validate
+from simgap.selection.fit import (
+    Fit,
+    Hypothesis,
+    gather_residuals,
+    scale_residuals,
+    select_rows,
+)
+from simgap.selection.reach import share_simulations
+from simgap.selection.sharing import ALL_JOINTS
+
+MIN_MOTIONS: Final = 4
+"""Least motions of a fit: with fewer, no error of a left-out motion has a standard error worth the name."""
+
+
+def fit_base(context: Context) -> tuple[Context, FittedModel]:
+    """Fit the base parameters of each joint twice: scales and noise follow from the first fit.
+
+    Returns:
+        The context with scales and noise, residuals whitened where the noise is known; and the base model.
+    """
+    raw, union = context.model, context.union
+    sizes = np.zeros(len(union.sizes))
+    known = {one.place for one in context.base}
+    others = [one for one in context.catalogue if one.place in raw.joints and one.place not in known]
+    (residuals,) = raw.residuals([], np.zeros((1, 0)))
+    context = replace(context, scales=scale_residuals(raw, residuals))
+    context = share_simulations(context, sizes, [*context.base, *others])
+    sizes, residuals, _ = fit_all_joints(context, sizes)
+    if len(raw.motions) < MIN_MOTIONS and not raw.noise_std:
+        raw = cut_into_blocks(raw, residuals)
+    n_parts = _count_motions(raw)
+    if n_parts < MIN_MOTIONS and not raw.noise_std:
+        raise RobotError(
+            f"{n_parts} motions or independent parts of them are fitted; a diagnosis needs "
+            f"{MIN_MOTIONS} at least, because it judges effects by motions that it leaves out"
+        )
+    context = replace(context, folds=draw_folds(raw, context.seed))
+    model = whiten_noise(raw, residuals)
+    (residuals,) = model.residuals(context.base, sizes[None, union.columns(context.base)])
+    context = replace(context, model=model, scales=scale_residuals(model, residuals))
+    context = share_simulations(context, sizes, union.effects)
+    sizes, residuals, fits = fit_all_joints(context, sizes)
+    context = replace(context, noise_loss=noise_losses(model, residuals, context.scales))
+    left_out = cross_validate(context, fits)
+    return replace(context, base_left_out=left_out), FittedModel((), sizes, fits, left_out)
+
+
+def _count_motions(model: ResidualModel) -> int:
+    """Return the number of motions; of blocks, those of the joint that has the fewest."""
+    if not isinstance(model, Blocks):
+        return len(model.motions)
+    counts = np.bincount(model.joint_of_block)
+    return int(np.min(counts[counts > 0], initial=len(model.motions)))
+
+
+def add_effects(
+    context: Context, base: FittedModel, present: FittedModel, effects: Sequence[Effect], found: Sequence[Fit]
+) -> tuple[Context, FittedModel]:
+    """Add effects to the present model, and refit it in the scales of its new residuals.
+
+    A scale from before an effect was found is so wide that the loss is a sum of squares. Blocks are cut anew.
+
+    Args:
+        effects: Effects to add.
+        found: The fit with each of them.
+
+    Returns:
+        The context with new scales, and the model refitted in them.
+    """
+    sizes, model = merge_sizes(context, present.sizes, found), context.model
+    (together,) = simulate(context, [(ALL_JOINTS, sizes)], "fit")
+    if isinstance(model, Blocks):  # what was explained is no memory of the noise
+        model = cut_into_blocks(model.whole, together)
+        context = replace(context, model=model, folds=draw_folds(model, context.seed))
+    scales = scale_residuals(model, together)
+    context = replace(context, scales=scales, noise_loss=noise_losses(model, together, scales))
+    context = replace(context, base_left_out=cross_validate(context, base.fits))
+    more = (*present.effects, *effects)
+    fits = resume_step(fit_joints, context, more, sizes, (*present.fits, *found))
+    return context, FittedModel(more, fits[0].sizes, fits, cross_validate(context, fits))
+
+
+def recut_blocks(
+    context: Context, present: FittedModel, shortlist: Sequence[Score]
+) -> tuple[Context, FittedModel]:
+    """Cut the blocks of each joint by the memory of what its best effect leaves.
+
+    Without the effect that memory is the noise's. With it, what it explains is no noise: blocks as long as
+    the misfit would be so few that a fit without one of them extrapolates.
+
+    Args:
+        shortlist: Scores of the effects that will be judged.
+
+    Returns:
+        The context with new blocks and folds, and the model judged by them; the same where motions are whole.
+    """
+    if not isinstance(context.model, Blocks) or not shortlist:
+        return context, present
+    left = gather_residuals(present.fits, len(context.model.joint_of))
+    for score in sorted(shortlist, key=lambda one: one.gain):  # the best comes last and stays
+        for rows, values in score.left:
+            left[rows] = values
+    model = cut_into_blocks(context.model.whole, left)
+    context = replace(context, model=model, folds=draw_folds(model, context.seed))
+    return context, replace(present, left_out=cross_validate(context, present.fits))
+
+
+def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[Fit, ...]]:
+    """Fit the base parameters of all joints.
+
+    Args:
+        sizes: Sizes from which the fits start, (n_sizes,), in their own units.
+
+    Returns:
+        Sizes, (n_sizes,), residuals of all joints, (n,), and the fits.
+    """
+    fits = resume_step(fit_joints, context, (), sizes)
+    return fits[0].sizes, gather_residuals(fits, len(context.model.joint_of)), fits
+
+
+def free_columns(context: Context, effects: Sequence[Effect], joint: int) -> Integers:
+    """Return the columns of the base and of these effects that are fitted at a joint.
+
+    Args:
+        effects: Accepted effects.
+        joint: Index of the joint; ALL_JOINTS: all columns.
+
+    Returns:
+        Indices, (p,).
+    """
+    wanted = [one for one in (*context.base, *effects) if joint in (ALL_JOINTS, context.joint_of(one))]
+    return context.union.columns(wanted)
+
+
+def start_fit(
+    context: Context, effects: Sequence[Effect], joint: int, sizes: Array, known: Sequence[Fit] = ()
+) -> Hypothesis:
+    """Return the hypothesis of base and effects at a joint, with the derivatives that are known.
+
+    Args:
+        effects: Accepted effects.
+        joint: Index of the joint, or ALL_JOINTS.
+        sizes: Sizes from which the fit starts, (n_sizes,), in their own units.
+        known: Fits of the same residual model at sizes that are near.
+
+    Returns:
+        The hypothesis.
+    """
+    columns = free_columns(context, effects, joint)
+    slopes = np.full((len(context.model.joint_of), len(columns)), np.nan)
+    for fit in known:
+        here = np.flatnonzero(np.isin(columns, fit.columns))
+        there = [int(np.flatnonzero(fit.columns == columns[k])[0]) for k in here]
+        slopes[:, here] = 0.0  # a size at a joint moves no other
+        slopes[np.ix_(fit.rows, here)] = fit.jacobian[:, there]
+    return Hypothesis(columns, sizes, joint, slopes[select_rows(context.model, joint)])
+
+
+def fit_joints(
+    context: Context, effects: Sequence[Effect], sizes: Array, known: Sequence[Fit] = ()
+) -> tuple[Fit, ...]:
+    """Fit base and effects of every joint; all joints together if an effect is judged at all of them.
+
+    The residuals are those with the new sizes of all joints: a joint was fitted with the others as they were.
+
+    Args:
+        effects: Accepted effects.
+        sizes: Sizes from which the fits start, (n_sizes,), in their own units.
+        known: Fits of the same residual model at sizes that are near.
+
+    Returns:
+        One fit a joint, or one of all joints, each with the sizes of all.
+    """
+    joints = [*range(len(context.model.joints))]
+    if any(context.joint_of(one) == ALL_JOINTS for one in effects):
+        joints = [ALL_JOINTS]
+    fits = fit_together(context, [start_fit(context, effects, j, sizes, known) for j in joints], "fit")
+    if len(fits) == 1:
+        return tuple(fits)
+    sizes = merge_sizes(context, sizes, fits)
+    (rows,) = simulate(context, [(ALL_JOINTS, sizes)], "fit")
+    return tuple(replace(fit, sizes=sizes, residuals=rows[fit.rows]) for fit in fits)
+
+
+def fits_at(context: Context, present: FittedModel, joint: int) -> tuple[Fit, ...]:
+    """Return the fits of the residuals of a joint.
+
+    Args:
+        joint: Index of the joint; ALL_JOINTS: all fits.
+
+    Returns:
+        The fit of the joint; of a fit of all joints, the part at this one.
+    """
+    if joint == ALL_JOINTS or len(present.fits) == len(context.model.joints):
+        return present.fits if joint == ALL_JOINTS else (present.fits[joint],)
+    (whole,) = present.fits
+    rows = select_rows(context.model, joint)
+    moves = np.flatnonzero(np.isin(context.sharing.joint_of_column[whole.columns], (joint, ALL_JOINTS)))
+    part = replace(
+        whole,
+        columns=whole.columns[moves],
+        joint=joint,
+        residuals=whole.residuals[rows],
+        rows=rows,
+        jacobian=whole.jacobian[np.ix_(rows, moves)],
+    )
+    return (part,)
+
+
+def merge_sizes(context: Context, sizes: Array, fits: Sequence[Fit]) -> Array:
+    """Return the sizes with those that each fit has found.
+
+    Args:
+        sizes: (n_sizes,), in their own units.
+
+    Returns:
+        (n_sizes,).
+    """
+    merged = sizes.copy()
+    for fit in fits:
+        merged[fit.columns] = fit.sizes[fit.columns]
+    return merged
+
+
+def leave_out(context: Context, present: FittedModel, effects: Sequence[Effect]) -> FittedModel:
+    """Refit the model without some of its effects.
+
+    Args:
+        effects: Effects to leave out.
+
+    Returns:
+        The model without them.
+    """
+    gone = {effect.key for effect in effects}
+    rest = tuple(one for one in present.effects if one.key not in gone)
+    sizes = present.sizes.copy()
+    sizes[context.union.columns(effects)] = 0.0
+    fits = resume_step(fit_joints, context, rest, sizes, present.fits)
+    return FittedModel(rest, fits[0].sizes, fits, cross_validate(context, fits))
+
+
+def list_layers(context: Context, effects: Sequence[Effect]) -> list[tuple[Effect, ...]]:
+    """Divide effects into groups that can be left out together, because none moves the joint of another.
+
+    Returns:
+        Groups, in the order of their first effects.
+    """
+    layers: list[list[Effect]] = []
+    for effect in effects:
+        free = [layer for layer in layers if all(_are_separate(context, effect, one) for one in layer)]
+        if free:
+            free[0].append(effect)
+        else:
+            layers.append([effect])
+    return [tuple(layer) for layer in layers]
+
+
+def _are_separate(context: Context, first: Effect, second: Effect) -> bool:
+    columns = [context.union.columns([one])[0] for one in (first, second)]
+    return context.sharing.may_share(*columns)
+
+
+def joints_of(context: Context, effect: Effect) -> tuple[int, ...]:
+    """Return the joints at which an effect is judged.
+
+    Returns:
+        Indices of joints.
+    """
+    joint = context.joint_of(effect)
+    return tuple(range(len(context.model.joints))) if joint == ALL_JOINTS else (joint,)

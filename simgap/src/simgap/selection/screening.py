@@ -1,0 +1,242 @@
+"""Rank effects by the share of the residual that they would explain, from a few simulations without a fit.
+
+Each effect is simulated at several sizes: the derivative at size 0 says nothing of a velocity limit. Its
+change, cleared of what the base parameters can do, is held against the residual motion by motion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from simgap.arrays import Array, Integers, orthonormal
+from simgap.effects.effect import Effect
+from simgap.residuals.blocks import Blocks, cut_rows
+from simgap.residuals.loss import root_weight
+from simgap.residuals.residuals import ResidualModel
+from simgap.selection.chance import stationary_p, wald_p
+from simgap.selection.context import Score
+from simgap.selection.fit import Fit, Union
+
+FACTORS: Final = (0.3, -1.0, 3.0)
+"""Sizes at which an effect is tried, over its typical size: half a decade to each side. A size that is not
+negative takes their amounts; a small effect of the other sign is the opposite, and counts by its sign."""
+LEAST_SHARE: Final = 0.3
+"""Least share of a tried size from which a fit starts: to the next smaller one that is tried."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """Sizes at which an effect is simulated, and the columns that they stand for."""
+
+    effect: Effect
+    points: tuple[Array, ...]
+    """One size vector of the union for each direction, (n_sizes,) each."""
+
+
+def list_trials(union: Union, effect: Effect, at: Array) -> list[Trial]:
+    """List the sizes at which an effect is tried.
+
+    Args:
+        union: Effects, and the columns of their sizes.
+        at: Sizes of the present model, (n_sizes,), in their own units.
+
+    Returns:
+        Trials with one direction for each size of the effect, for each factor.
+    """
+    columns = union.columns([effect])
+    trials = []
+    for factor in FACTORS:
+        points = []
+        for column, size in zip(columns, effect.sizes, strict=True):
+            point = at.copy()
+            signed = factor if size.low < 0.0 else abs(factor)
+            point[column] = np.clip(signed * size.typical, size.low, size.high)
+            points.append(point)
+        if effect.has_shape:  # the other sizes say nothing while the first is 0
+            points[0][columns[1:]] = [size.typical for size in effect.sizes[1:]]
+            points = points[:1]
+        if any(np.any(point != at) for point in points):
+            trials.append(Trial(effect, tuple(points)))
+    return trials
+
+
+@dataclass(frozen=True, slots=True)
+class Whitened:
+    """Residuals with the weights of a robust loss, cleared of what the free sizes of their joint can do."""
+
+    rows: Integers
+    residual: Array
+    """(n_rows,)."""
+    is_cut: bool
+    """True if motions are blocks of a few whole ones."""
+    joints: tuple[Integers, ...]
+    """Indices of the rows of each joint, (n,) each."""
+    parts: tuple[tuple[slice, Array, Array], ...]
+    """For each fit: its rows, their weights (n,), an orthonormal basis of its base changes (n, p)."""
+
+    @property
+    def basis(self) -> Array:
+        """Base changes of all joints, orthonormal, (n_rows, n_base)."""
+        together = np.zeros((self.residual.size, sum(basis.shape[1] for *_, basis in self.parts)))
+        first = 0
+        for rows, _, basis in self.parts:
+            together[rows, first : first + basis.shape[1]] = basis
+            first += basis.shape[1]
+        return together
+
+    def clear(self, change: Array) -> Array:
+        """Weight a change of the residuals and clear it like the residuals.
+
+        Args:
+            change: (n_rows, n_points), in the unit of the model.
+
+        Returns:
+            (n_rows, n_points), without a unit.
+        """
+        cleared = np.empty_like(change)
+        for rows, weight, basis in self.parts:
+            part = np.where(np.isfinite(change[rows]), change[rows], 0.0) * weight[:, None]
+            cleared[rows] = part - basis @ (basis.T @ part)
+        return cleared
+
+
+def whiten(fits: Sequence[Fit], model: ResidualModel, scales: Array) -> Whitened:
+    """Weight the residuals of some joints and clear them of what their free sizes can do.
+
+    Args:
+        fits: Present model of these joints.
+        scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
+
+    Returns:
+        The whitened residuals.
+    """
+    parts, residuals, begin = [], [], 0
+    for fit in fits:
+        scale = scales[model.joint_of[fit.rows]]
+        weight = root_weight(fit.residuals / scale) / scale
+        basis = orthonormal(fit.jacobian * weight[:, None])
+        residual = fit.residuals * weight
+        residuals.append(residual - basis @ (basis.T @ residual))
+        parts.append((slice(begin, begin + len(residual)), weight, basis))
+        begin += len(residual)
+    rows = np.concatenate([fit.rows for fit in fits])
+    is_cut = isinstance(model, Blocks)
+    return Whitened(
+        rows,
+        np.concatenate(residuals),
+        is_cut,
+        tuple(np.flatnonzero(model.joint_of[rows] == j) for j in np.unique(model.joint_of[rows])),
+        tuple(parts),
+    )
+
+
+def score_effect(
+    white: Whitened, trials: Sequence[Trial], changes: Sequence[Array], at: Array
+) -> tuple[Score, Array, Array]:
+    """Hold the changes that an effect makes against the residual of the present model.
+
+    Args:
+        white: Residuals of the present model.
+        trials: Trials of one effect.
+        changes: For each trial the change of the residuals at its points, (n_rows, n_points), in the unit of
+            the fit.
+        at: Sizes of the present model, (n_sizes,), in their own units.
+
+    Returns:
+        The score of the best trial; its change and what it leaves, (n_rows,) each, without a unit. With
+        several points, all are those of their best linear combination.
+    """
+    energy = float(white.residual @ white.residual)
+    best: tuple[float, Array, Array] | None = None
+    direction = np.zeros(white.residual.size)
+    for trial, change in zip(trials, changes, strict=True):
+        cleared = white.clear(change)
+        solution, *_ = np.linalg.lstsq(cleared, -white.residual, rcond=1e-8)
+        change = cleared @ solution
+        if change @ change > direction @ direction:
+            direction = change
+        is_signed = all(size.low < 0.0 for size in trial.effect.sizes[: len(trial.points)])
+        if len(trial.points) == 1 and solution[0] <= 0.0 and not is_signed:
+            solution = np.zeros(1)
+        rest = white.residual + cleared @ solution
+        gain = 1.0 - float(rest @ rest) / energy if energy > 0.0 else 0.0
+        if best is None or gain > best[0]:
+            start = trial.points[0]
+            if len(trial.points) > 1:
+                start = at + (np.array(trial.points) - at).T @ solution
+            else:
+                (own, *_) = np.flatnonzero(start != at)  # sizes after it give a form
+                tried = np.abs([one.points[0][own] - at[own] for one in trials])
+                least = _least_share(tried, abs(start[own] - at[own]), changes)
+                share = np.sign(solution[0]) * np.clip(abs(solution[0]), least, 1.0)
+                start = start.copy()
+                start[own] = at[own] + share * (start[own] - at[own])
+            best = (gain, start, rest)
+    assert best is not None, "an effect without a trial"
+    gain, start, rest = best
+    kept = tuple((white.rows[rows], rest[rows]) for rows in white.joints) if white.is_cut else ()
+    return Score(trials[0].effect, start, gain, kept), direction, rest
+
+
+def _least_share(tried: Array, size: float, changes: Sequence[Array]) -> float:
+    """Return the least share of a size from which a fit may start.
+
+    A limit changes nothing while nothing reaches it, and a fit that starts there has no derivative. If a size
+    that was tried changes nothing, the fit starts at the smallest one that does, or above.
+    """
+    acts = np.array([bool(np.any(change)) for change in changes])
+    if acts.all() or not acts.any():
+        return LEAST_SHARE
+    return max(LEAST_SHARE, float(tried[acts].min()) / size)
+
+
+def adjust(share: float, n_sizes: int, n_independent: int) -> float:
+    """Clear a share of a residual of what so many sizes explain of noise (Theil's adjusted R squared).
+
+    Args:
+        share: Share that is explained.
+        n_sizes: Number of fitted sizes.
+        n_independent: Number of independent samples: blocks as long as the correlation time.
+
+    Returns:
+        The share, reduced; minus infinity if sizes are as many as samples.
+    """
+    free = n_independent - 1 - n_sizes
+    return 1.0 - (1.0 - share) * (n_independent - 1) / free if free > 0 else -np.inf
+
+
+def refit_p(
+    fits: Sequence[Fit],
+    own: Integers,
+    without: Array,
+    model: ResidualModel,
+    scales: Array,
+    is_stationary: bool,
+) -> float:
+    """Test whether a fit without an effect is worse by chance.
+
+    Args:
+        fits: Fits, with the effect, of the joints at which it is judged.
+        own: Columns of the effect, (n_sizes,) indices.
+        without: Residuals of a fit without it, (n,), in the unit of the model.
+        scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
+        is_stationary: True if repeats show the noise.
+
+    Returns:
+        Probability of such a change, or a larger one, by `stationary_p` or `wald_p`.
+    """
+    base = []
+    for fit in fits:
+        rest = ~np.isin(fit.columns, own)
+        columns, jacobian = fit.columns[rest], fit.jacobian[:, rest]
+        base.append(replace(fit, columns=columns, jacobian=jacobian, residuals=without[fit.rows]))
+    white = whiten(base, model, scales)
+    change = np.concatenate([fit.residuals - without[fit.rows] for fit in fits])
+    (cleared,) = white.clear(change[:, None]).T
+    # a misfit that the effect explains is no noise, and would make blocks so long that nothing is rejected
+    cluster = cut_rows(model, white.rows, white.residual + cleared)
+    if is_stationary:
+        return stationary_p(white.basis.shape[1], cleared, white.residual, cluster, len(own))
+    return wald_p(white.basis, cleared, white.residual, cluster, len(own))

@@ -1,0 +1,382 @@
+"""Select the effects that the motions need: screen, refit a shortlist, accept by motions that were left out.
+
+Effects at different joints are selected side by side. An effect at a body competes with them for all joints.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.effects.effect import Effect
+from simgap.residuals.blocks import count_independent
+from simgap.residuals.loss import pseudo_huber
+from simgap.residuals.residuals import ResidualModel
+from simgap.selection.acceptance import MIN_SHARE, MIN_Z, Candidate, choose
+from simgap.selection.chance import FALSE_ALARM, count_distinct, known_noise_log_p
+from simgap.selection.checkpoint import Checkpoint
+from simgap.selection.comparison import improvement_share, improvement_z, knows_noise
+from simgap.selection.context import (
+    Context,
+    FittedModel,
+    Score,
+    Selection,
+    fit_together,
+    resume_step,
+    simulate,
+    start_context,
+)
+from simgap.selection.cross_validation import cross_validate_each
+from simgap.selection.fit import Fit, Hypothesis, gather_residuals, select_rows
+from simgap.selection.joint_fits import (
+    add_effects,
+    fit_base,
+    fits_at,
+    joints_of,
+    leave_out,
+    list_layers,
+    recut_blocks,
+    start_fit,
+)
+from simgap.selection.meter import Meter
+from simgap.selection.reach import expected_change
+from simgap.selection.screening import Trial, adjust, list_trials, refit_p, score_effect, whiten
+from simgap.selection.sharing import ALL_JOINTS
+
+MAX_EFFECTS: Final = 3
+"""Most effects at one joint beside the base parameters: more describe a residual rather than explain it."""
+SHORTLIST: Final = 8
+"""Effects of a joint that are refitted in a round: a third of its catalogue."""
+FINALISTS: Final = 4
+"""Effects of a joint that are refitted to the end and judged."""
+RIVAL_SHARE: Final = 0.5
+"""Least decrease of the loss, over that of the best effect of the joint, of one that is tried for its set.
+The test of the set would exclude what explains less of an effect that is strong enough for a name."""
+FEW_ITERATIONS: Final = 3
+"""Iterations before the worse half is given up: less than half of what refits need, six to nine."""
+
+REFIT_COST: Final = 20
+"""Candidates that an effect of the shortlist takes, as measured; for the progress alone."""
+
+
+def select_effects(
+    model: ResidualModel,
+    base: Sequence[Effect],
+    catalogue: Sequence[Effect],
+    *,
+    seed: int,
+    n_kinds: int = 1,
+    meter: Meter | None = None,
+    checkpoint: Checkpoint | None = None,
+) -> Selection:
+    """Find the effects that motions need beyond the base parameters.
+
+    Args:
+        model: Residuals of the motions that are fitted.
+        base: Effects that every model has: nuisance parameters with priors.
+        catalogue: Effects that compete.
+        seed: Seed of the folds.
+        n_kinds: Kinds of residual in which effects are looked for, which share the probability of chance.
+        meter: Tells the progress; None: nobody is told.
+        checkpoint: Keeps the results of steps; None: nothing is kept.
+
+    Returns:
+        The models before and after.
+    """
+    context, first = fit_base(start_context(model, base, catalogue, seed, meter or Meter(), checkpoint))
+    present = first
+    finalists: list[Score] = []
+    refitted: dict[str, Score] = {}
+    competitors: dict[str, tuple[Score, ...]] = {}
+    open_joints = {int(j) for j in np.unique(model.joint_of)}
+    while open_joints:
+        # a first finding is expected, a round without another, and half of one to leave findings out
+        after = 1.5 if present is first else 0.5
+        shortlist, n_distinct = resume_step(screen, context, present, open_joints, rounds_after=after)
+        if present is first:  # later rounds screen fewer effects, but all have competed
+            context = replace(context, n_distinct=n_kinds * n_distinct)
+        context, present = recut_blocks(context, present, shortlist)
+        again = list_again(context, present, open_joints, shortlist, finalists)
+        winners, finalists = resume_step(find_winners, context, present, [*shortlist, *again])
+        refitted |= {score.effect.key: score for score in finalists}
+        competitors |= {one.effect.key: _list_competitors(context, one, refitted) for one in winners}
+        open_joints &= {j for winner in winners for j in winner.joints}
+        if winners:
+            effects, fits = [one.effect for one in winners], [one.fit for one in winners]
+            context, present = add_effects(context, first, present, effects, fits)
+        taken = [context.joint_of(one) for one in present.effects]
+        open_joints -= {joint for joint in open_joints if taken.count(joint) >= MAX_EFFECTS}
+    chosen, left_out = drop_needless(context, present)
+    return Selection(context, first, chosen, left_out, competitors)
+
+
+def list_again(
+    context: Context,
+    present: FittedModel,
+    open_joints: set[int],
+    shortlist: Sequence[Score],
+    finalists: Sequence[Score],
+) -> list[Score]:
+    """List effects that helped in the round before, but that the screen has not found again.
+
+    Where the present model is far from the motions, the screen ranks worse than a refit.
+
+    Args:
+        open_joints: Joints at which effects are still looked for.
+        shortlist: Effects that the screen has found.
+        finalists: Effects of the round before, with their sizes and the share that they removed.
+
+    Returns:
+        Effects of open joints that are not in the present model; each starts at its sizes of that round.
+    """
+    known = {one.effect.key for one in shortlist} | {effect.key for effect in present.effects}
+    again = []
+    for one in finalists:
+        is_open = context.joint_of(one.effect) in {*open_joints, ALL_JOINTS}
+        if one.gain >= MIN_SHARE and is_open and one.effect.key not in known:
+            # its base parameters were fitted with it, and go with it
+            is_own = context.sharing.joint_of_column == context.joint_of(one.effect)
+            again.append(replace(one, start=np.where(is_own & (one.start != 0.0), one.start, present.sizes)))
+    return again
+
+
+def _list_competitors(context: Context, winner: Candidate, refitted: dict[str, Score]) -> tuple[Score, ...]:
+    """List the effects, refitted so far, that are judged at a joint of the winner."""
+    joints = {*winner.joints, ALL_JOINTS}
+    everywhere = len(winner.joints) > 1
+    return tuple(one for one in refitted.values() if everywhere or context.joint_of(one.effect) in joints)
+
+
+def screen(
+    context: Context, present: FittedModel, open_joints: set[int], rounds_after: float
+) -> tuple[list[Score], float]:
+    """Simulate every effect at a few sizes, and keep the best of each place.
+
+    Args:
+        open_joints: Joints at which effects are still looked for.
+        rounds_after: Rounds that are expected after this one, for the progress.
+
+    Returns:
+        At most SHORTLIST scores of a joint, and as many of all bodies; and how many effects are distinct.
+    """
+    taken = {effect.key for effect in present.effects}
+    groups: dict[int, list[Effect]] = {joint: [] for joint in (*sorted(open_joints), ALL_JOINTS)}
+    for effect in context.catalogue:
+        if effect.key not in taken and context.joint_of(effect) in groups:
+            groups[context.joint_of(effect)].append(effect)
+    trials = [
+        (joint, trial)
+        for joint, effects in groups.items()
+        for effect in effects
+        for trial in list_trials(context.union, effect, present.sizes)
+    ]
+    # a large change at one joint would hide a small one at another in the same candidate
+    trials.sort(key=lambda pair: -expected_change(context, *pair))
+    points = [(joint, point) for joint, trial in trials for point in trial.points]
+    refits = [(joint, present.sizes) for joint, effects in groups.items() for _ in effects[:SHORTLIST]]
+    expected = len(context.sharing.plan(points)) + REFIT_COST * len(context.sharing.plan(refits))
+    context.meter.begin_round(expected, rounds_after)
+    moved = iter(simulate(context, points, "screening"))
+    tried: dict[tuple[int, str], list[tuple[Trial, list[Array]]]] = {}
+    for joint, trial in trials:
+        simulated = [next(moved) for _ in trial.points]
+        tried.setdefault((joint, trial.effect.key), []).append((trial, simulated))
+    best: dict[int, list[Score]] = {joint: [] for joint in groups}
+    directions: dict[int, list[Array]] = {joint: [] for joint in groups}
+    rest: dict[int, Array] = {}
+    fits = {joint: fits_at(context, present, joint) for joint in groups}
+    white = {joint: whiten(of_joint, context.model, context.scales) for joint, of_joint in fits.items()}
+    for (joint, _), of_effect in tried.items():
+        now = np.concatenate([fit.residuals for fit in fits[joint]])
+        changes = [
+            np.column_stack([rows - now for rows in _order(simulated, fits[joint])])
+            for _, simulated in of_effect
+        ]
+        own = [trial for trial, _ in of_effect]
+        score, direction, left = score_effect(white[joint], own, changes, present.sizes)
+        if score.gain > max((one.gain for one in best[joint]), default=-np.inf):
+            rest[joint] = left
+        best[joint].append(score)
+        directions[joint].append(direction)
+    ranked = []
+    for joint, scores in best.items():
+        # a misfit that the best effect explains is no memory of the noise
+        n = count_independent(context.model, white[joint].rows, rest[joint]) if scores else 0
+        ranked.append(sorted(scores, key=lambda one: -adjust(one.gain, len(one.effect.sizes), n)))
+    count = len if context.model.noise_std else count_distinct  # probabilities are exact then
+    n_distinct = float(sum(count(group) for group in directions.values()))
+    return [score for group in ranked for score in group[:SHORTLIST]], n_distinct
+
+
+def _order(simulated: Sequence[Array], fits: Sequence[Fit]) -> Sequence[Array]:
+    """Bring residuals of all joints into the order of the fits of several joints."""
+    if len(fits) == 1:
+        return simulated
+    rows = np.concatenate([fit.rows for fit in fits])
+    return [moved[rows] for moved in simulated]
+
+
+def find_winners(
+    context: Context, present: FittedModel, shortlist: Sequence[Score]
+) -> tuple[list[Candidate], list[Score]]:
+    """Refit the shortlist, and choose what is accepted.
+
+    Args:
+        shortlist: Effects, and the sizes from which they start.
+
+    Returns:
+        Effects to accept, and those that compete with them, with their sizes: all that were refitted to the
+        end and, with a gain of 0, those that explain RIVAL_SHARE of what the best explains.
+    """
+    starts = [start_refit(context, present, score) for score in shortlist]
+    fits = fit_together(context, starts, "refit", iterations=FEW_ITERATIONS)
+    without = gather_residuals(present.fits, context.model.joint_of.size)
+    explained = np.array([explain_loss(context, fit, without) for fit in fits])
+    joint = np.array([fit.joint for fit in fits])
+    kept = [k for k in range(len(fits)) if np.sum(explained[joint == joint[k]] > explained[k]) < FINALISTS]
+    further = [replace(starts[k], start=fits[k].sizes, jacobian=fits[k].jacobian) for k in kept]
+    candidates = judge(context, present, [shortlist[k].effect for k in kept], further)
+    finalists = [Score(one.effect, one.fit.sizes, one.gain) for one in candidates]
+    others = [
+        Score(shortlist[k].effect, fits[k].sizes, 0.0)
+        for k in range(len(fits))
+        if k not in kept and explained[k] > RIVAL_SHARE * np.max(explained[joint == joint[k]])
+    ]
+    return choose(context, present, candidates), [*finalists, *others]
+
+
+def explain_loss(context: Context, fit: Fit, without: Array) -> float:
+    """Return by how much a fit decreases the loss of its joints.
+
+    Args:
+        fit: A fit with an effect more.
+        without: Residuals of the present model, (n,), in the unit of the model.
+
+    Returns:
+        Decrease of the sum of the pseudo-Huber loss.
+    """
+    scale = context.scales[context.model.joint_of[fit.rows]]
+    return float(np.sum(pseudo_huber(without[fit.rows] / scale) - pseudo_huber(fit.residuals / scale)))
+
+
+def start_refit(context: Context, present: FittedModel, score: Score) -> Hypothesis:
+    """Return the hypothesis of an effect with the base parameters and the accepted effects of its joint.
+
+    Args:
+        score: The effect, and the sizes from which it starts.
+
+    Returns:
+        The hypothesis.
+    """
+    effects, joint = (*present.effects, score.effect), context.joint_of(score.effect)
+    return start_fit(context, effects, joint, score.start, present.fits)
+
+
+def judge(
+    context: Context, present: FittedModel, effects: Sequence[Effect], starts: Sequence[Hypothesis]
+) -> list[Candidate]:
+    """Refit effects with all motions and without each fold.
+
+    Args:
+        starts: The hypothesis of each.
+
+    Returns:
+        One candidate an effect.
+    """
+    fits = fit_together(context, starts, "refit")
+    candidates, without = [], gather_residuals(present.fits, context.model.joint_of.size)
+    for effect, fit, left_out in zip(effects, fits, cross_validate_each(context, fits), strict=True):
+        gain = improvement_share(context, fit.rows, present.left_out[fit.rows], left_out)
+        log_chance = find_log_chance(context, [fit], effect, without)
+        at_bound = is_at_bound(context, present.effects, effect, fit)
+        candidates.append(
+            Candidate(effect, joints_of(context, effect), fit, left_out, at_bound, gain, log_chance)
+        )
+    return candidates
+
+
+def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit: Fit) -> bool:
+    """Check whether a size of an effect ends at a bound, is not plausible, or is too small to be simulated.
+
+    A simulation works in steps: a delay of less than half a step is none in it.
+
+    Args:
+        others: The other effects of the model.
+        fit: The fit with it.
+
+    Returns:
+        True if the effect gets no name.
+    """
+    own = context.union.columns([effect])
+    beside = {
+        one.name: fit.sizes[context.union.columns([one])]
+        for one in (*context.base, *others)
+        if one.place == effect.place
+    }
+    bounds = [(size.low, size.high) for size in effect.sizes]
+    half_step = [0.5 * context.model.step_s if size.name == "delay_s" else 0.0 for size in effect.sizes]
+    is_none = bool(np.any(np.abs(fit.sizes[own]) < half_step))
+    return (
+        is_none
+        or not effect.is_plausible(fit.sizes[own], beside)
+        or any(
+            fit.sizes[c] != 0.0 and min(fit.sizes[c] - low, high - fit.sizes[c]) < 1e-3 * (high - low)
+            for c, (low, high) in zip(own, bounds, strict=True)
+        )
+    )
+
+
+def drop_needless(
+    context: Context, present: FittedModel
+) -> tuple[FittedModel, tuple[tuple[tuple[Effect, ...], FittedModel], ...]]:
+    """Drop effects, the weakest first, until left-out motions need each of them and none is due to chance.
+
+    Args:
+        present: The model with all accepted effects.
+
+    Returns:
+        The model with those that it needs; and the effects that were left out together with the model
+        without them, each effect once.
+    """
+    while True:
+        failed: list[tuple[float, Effect]] = []
+        layers = list_layers(context, present.effects)
+        left_out = tuple((layer, leave_out(context, present, layer)) for layer in layers)
+        for layer, without in left_out:
+            residuals = gather_residuals(without.fits, context.model.joint_of.size)
+            for effect in layer:
+                joint = context.joint_of(effect)
+                rows = select_rows(context.model, joint)
+                pair = without.left_out[rows], present.left_out[rows]
+                gain, z = improvement_share(context, rows, *pair), improvement_z(context, rows, *pair)
+                log_chance = find_log_chance(context, fits_at(context, present, joint), effect, residuals)
+                is_sure = z > MIN_Z or knows_noise(context, rows)
+                is_needed = gain >= MIN_SHARE and log_chance <= np.log(FALSE_ALARM) and is_sure
+                failed += [] if is_needed else [(z, effect)]
+        if not failed:
+            return present, left_out
+        weakest, *_ = list_layers(context, [effect for _, effect in sorted(failed, key=lambda one: one[0])])
+        present = leave_out(context, present, weakest)
+
+
+def find_log_chance(context: Context, fits: Sequence[Fit], effect: Effect, without: Array) -> float:
+    """Return the logarithm of the probability of so strong an effect, beside all others, if none is present.
+
+    Args:
+        fits: Fits, with the effect, of the joints at which it is judged.
+        without: Residuals of a fit without it, (n,), in the unit of the model.
+
+    Returns:
+        Probability by a Wald test, or that of a decrease of known noise, times the number of distinct effects
+        that compete (Bonferroni). The noise counts as stationary where repeats show it.
+    """
+    own, std = context.union.columns([effect]), context.model.noise_std
+    if std:
+        rows, after = (np.concatenate([getattr(fit, of) for fit in fits]) for of in ("rows", "residuals"))
+        log_p = known_noise_log_p(without[rows] / std, after / std, len(own))
+        return min(0.0, float(np.log(context.n_distinct)) + log_p)
+    is_stationary = all(knows_noise(context, fit.rows) for fit in fits)
+    chance = refit_p(fits, own, without, context.model, context.scales, is_stationary)
+    return float(np.log(max(min(1.0, context.n_distinct * chance), np.finfo(float).tiny)))

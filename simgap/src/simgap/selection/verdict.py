@@ -1,0 +1,283 @@
+"""Say how sure each finding is: intervals of its sizes, and what cannot be excluded in its place."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from simgap.arrays import Array, Integers, orthonormal
+from simgap.effects.effect import Effect, Family
+from simgap.residuals.blocks import cut_rows
+from simgap.residuals.loss import half_loss_derivatives, root_weight
+from simgap.selection.chance import alternative_p
+from simgap.selection.comparison import improvement_share
+from simgap.selection.context import (
+    Context,
+    FittedModel,
+    Score,
+    Selection,
+    fit_together,
+    resume_step,
+    simulate,
+)
+from simgap.selection.fit import Fit, gather_residuals
+from simgap.selection.joint_fits import fits_at, joints_of
+from simgap.selection.selection import is_at_bound, start_refit
+from simgap.selection.sharing import ALL_JOINTS
+
+EXCLUDED: Final = 0.05
+"""Probability below which an alternative is excluded."""
+COVERED: Final = 0.90
+"""Probability that an interval holds the size, if the model is right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """Effect that may be the cause instead of a finding."""
+
+    effect: Effect
+    sizes: Array
+    """(n_sizes,) of the union."""
+    p: float
+    """Probability that the finding fits so much better, or more, if this is the cause."""
+    columns: Integers
+    """Columns of the union that were fitted with it, (n_free,)."""
+    intervals: Array
+    """Their `size_intervals`, (n_free, 2)."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConfidenceSet:
+    """A finding with the effects that cannot be excluded in its place, itself first."""
+
+    effect: Effect
+    alternatives: tuple[Alternative, ...]
+    share: float
+    """Share of what can be explained in left-out motions that the finding removes."""
+
+
+def find_confidence_sets(selection: Selection) -> list[ConfidenceSet]:
+    """Refit competitors in the place of each finding, and exclude those that fit too badly to be the cause.
+
+    Args:
+        selection: The selected effects.
+
+    Returns:
+        One set a finding, in their order.
+    """
+    found: dict[str, ConfidenceSet] = {}
+    for layer, without in selection.left_out:
+        sets = resume_step(find_layer_sets, selection.context, selection, without, layer)
+        found |= {one.effect.key: one for one in sets}
+    return [found[effect.key] for effect in selection.chosen.effects]
+
+
+def find_layer_sets(
+    context: Context, selection: Selection, without: FittedModel, layer: Sequence[Effect]
+) -> list[ConfidenceSet]:
+    """Refit the competitors of findings that are left out together.
+
+    Args:
+        selection: The selected effects.
+        without: The model without these findings.
+        layer: The findings that are left out.
+
+    Returns:
+        One set a finding of the layer.
+    """
+    # each begins at its own sizes, without the others that are left out
+    starts = {effect.key: (effect, selection.chosen.sizes) for effect in layer}
+    present = {effect.key for effect in without.effects}
+    for effect in layer:
+        for one in selection.competitors[effect.key]:
+            if one.effect.key not in present:
+                starts.setdefault(one.effect.key, (one.effect, one.start))
+    scores = []
+    for effect, sizes in starts.values():
+        start, own = without.sizes.copy(), context.union.columns([effect])
+        start[own] = sizes[own]
+        scores.append(Score(effect, start, 0.0))
+    hypotheses = [start_refit(context, without, score) for score in scores]
+    fits = dict(zip(starts, fit_together(context, hypotheses, "refit"), strict=True))
+    sets = []
+    for effect in layer:
+        joints = list(joints_of(context, effect))
+        rows = np.flatnonzero(np.isin(context.model.joint_of, joints))
+        share = improvement_share(context, rows, without.left_out[rows], selection.chosen.left_out[rows])
+        others = [
+            one.effect
+            for one in scores
+            if one.effect.key != effect.key
+            and set(joints) & set(joints_of(context, one.effect))
+            and not is_at_bound(context, without.effects, one.effect, fits[one.effect.key])
+        ]
+        tested = [fits[effect.key], *(fits[other.key] for other in others)]
+        chances = _cause_p(context, without, joints, tested)
+        members = [
+            Alternative(one, fit.sizes, p, fit.columns, size_intervals(context, fit))
+            for one, fit, p in zip((effect, *others), tested, (1.0, *chances), strict=True)
+            if p > EXCLUDED
+        ]
+        ranked = (members[0], *sorted(members[1:], key=lambda one: -one.p))
+        sets.append(ConfidenceSet(effect, ranked, share))
+    return sets
+
+
+def _cause_p(
+    context: Context, without: FittedModel, joints: Sequence[int], tested: Sequence[Fit]
+) -> list[float]:
+    """Return for each alternative the probability that a finding fits so much better if it is the cause.
+
+    Only the joints of the finding count: findings that were left out at others are no part of the comparison.
+    The first of the fits is that of the finding.
+    """
+    model = context.model
+    rows = np.flatnonzero(np.isin(model.joint_of, joints))
+    parts = []
+    for fit in tested:
+        rest = [] if fit.joint == ALL_JOINTS else [j for j in joints if j != fit.joint]
+        together = [fit, *(one for j in rest for one in fits_at(context, without, j))]
+        parts.append(_join(together, len(model.joint_of)))
+    scale = context.scales[model.joint_of[rows]]
+    weight = root_weight(parts[0][0][rows] / scale) / scale
+    models = [(r[rows] * weight, orthonormal(j[rows] * weight[:, None])) for r, j in parts]
+    # what the finding explains is no noise, and would make blocks so long that nothing is excluded
+    cluster = cut_rows(model, rows, models[0][0])
+    std = model.noise_std / float(np.max(context.scales[joints]))
+    return [
+        alternative_p(models[k], [*models[:k], *models[k + 1 :]], cluster, context.seed, std)
+        for k in range(1, len(models))
+    ]
+
+
+def _join(fits: Sequence[Fit], n_rows: int) -> tuple[Array, Array]:
+    """Return residuals, (n_rows,), and derivatives, (n_rows, n_free), of several fits together."""
+    jacobian, first = np.zeros((n_rows, sum(len(fit.columns) for fit in fits))), 0
+    for fit in fits:
+        last = first + len(fit.columns)
+        jacobian[fit.rows, first:last] = fit.jacobian
+        first = last
+    return gather_residuals(fits, n_rows), jacobian
+
+
+def size_intervals(context: Context, fit: Fit) -> Array:
+    """Return intervals of the free sizes of a fit that hold for residuals with autocorrelation.
+
+    The covariance is the sandwich with motions as clusters: residuals of one motion may depend on one another
+    in any way (Liang and Zeger 1986). The quantile is that of Student's t with one degree less than motions.
+    Where the noise is known, it is that of least squares, and the quantile is normal.
+
+    Args:
+        fit: A fit of one joint or of all.
+
+    Returns:
+        Low and high ends, (n_free, 2), in the units of the sizes.
+    """
+    weight = 1.0 / context.scales[context.model.joint_of[fit.rows]]
+    z = fit.residuals * weight
+    sizes = context.union.sizes_at(fit.columns)
+    unit = np.array([size.typical for size in sizes])  # sizes of very different units in one matrix
+    a = fit.jacobian * weight[:, None] * unit
+    slope, curvature = half_loss_derivatives(z)
+    prior = (unit / np.array([size.prior_std for size in sizes])) ** 2
+    inverse = np.linalg.pinv(a.T @ (a * curvature[:, None]) + np.diag(prior), rcond=1e-12, hermitian=True)
+    n = len(np.unique(context.model.motion_of[fit.rows]))
+    quantile = student.ppf(0.5 + 0.5 * COVERED, max(n - 1, 1))
+    if context.model.noise_std:
+        quantile = norm.ppf(0.5 + 0.5 * COVERED)
+        covariance = inverse * (context.model.noise_std / float(np.max(context.scales))) ** 2
+    else:
+        covariance = inverse @ (_scatter_of_motions(context, fit, a, slope) + np.diag(prior)) @ inverse
+    half = quantile * unit * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    at = fit.sizes[fit.columns]
+    return np.column_stack([at - half, at + half])
+
+
+def _scatter_of_motions(context: Context, fit: Fit, a: Array, slope: Array) -> Array:
+    """Return the covariance of the gradient from its sums over motions, (n_free, n_free)."""
+    motion = context.model.motion_of[fit.rows]
+    sums = np.array([a[motion == k].T @ slope[motion == k] for k in np.unique(motion)])
+    n = len(sums)
+    return np.asarray(sums.T @ sums * (n / max(n - 1, 1)))
+
+
+def separating_motion(context: Context, found: ConfidenceSet) -> str:
+    """Find the recorded motion in which the first two members of a set differ most.
+
+    Args:
+        found: A finding with its alternatives.
+
+    Returns:
+        A sentence; empty if one member is left.
+    """
+    if len(found.alternatives) < 2:
+        return ""
+    first, second = found.alternatives[:2]
+    rows = simulate(context, [(ALL_JOINTS, first.sizes), (ALL_JOINTS, second.sizes)], "comparison")
+    model = context.model
+    difference = (rows[0] - rows[1]) / context.scales[model.joint_of]
+    motion = _strongest(difference, model.motion_of, len(model.motions))
+    joint = _strongest(difference, model.joint_of, len(model.joints))
+    inside = (model.motion_of == motion) & (model.joint_of == joint)
+    change = np.sqrt(np.mean((rows[0] - rows[1])[inside] ** 2))
+    return (
+        f'more motions like "{model.motions[motion]}": there "{first.effect.name}" and '
+        f'"{second.effect.name}" differ by {change:.2g} {model.unit} (RMS)'
+    )
+
+
+def _strongest(values: Array, group: Integers, n_groups: int) -> int:
+    """Return the group with the largest mean square."""
+    squares = np.bincount(group, weights=values**2, minlength=n_groups)
+    return int(np.argmax(squares / np.maximum(np.bincount(group, minlength=n_groups), 1)))
+
+
+def unexplained_dependence(residual: Array, variable: Array, group: Integers, n_bins: int = 10) -> float:
+    """Measure the share of a residual that follows a variable.
+
+    Means of the residual in bins of the variable predict each group from the others, and are held against
+    the mean of the others. A bin that no other group reaches has that mean.
+
+    Args:
+        residual: Residuals, (n,), in any unit.
+        variable: Variable at each of them, (n,), in any unit.
+        group: Motion, or block of a motion, of each of them, (n,), index from 0.
+        n_bins: Bins with equal counts.
+
+    Returns:
+        Share of the sum of squares about the mean, at most 1; not positive if the variable predicts nothing.
+    """
+    if len(residual) < n_bins or np.ptp(variable) == 0.0 or np.ptp(group) == 0:
+        return 0.0
+    edges = np.unique(np.quantile(variable, np.linspace(0.0, 1.0, n_bins + 1)[1:-1]))
+    place, shape = np.searchsorted(edges, variable), (int(group.max()) + 1, len(edges) + 1)
+    cell = group * shape[1] + place
+    sums, counts = (
+        np.bincount(cell, weights=weights, minlength=shape[0] * shape[1]).reshape(shape)
+        for weights in (residual, np.ones_like(residual))
+    )
+    other_sums, other_counts = sums.sum(axis=0) - sums, counts.sum(axis=0) - counts
+    mean = other_sums.sum(axis=1, keepdims=True) / np.maximum(other_counts.sum(axis=1, keepdims=True), 1.0)
+    predicted = np.where(other_counts > 0.0, other_sums / np.maximum(other_counts, 1.0), mean)
+    total = float(np.sum((residual - mean[group, 0]) ** 2))
+    return 1.0 - float(np.sum((residual - predicted[group, place]) ** 2)) / total if total > 0.0 else 0.0
+
+
+def list_members(found: ConfidenceSet) -> tuple[tuple[str, ...], tuple[Family, ...], tuple[str, ...]]:
+    """List the places, families and effects that cannot be excluded, the best first.
+
+    Args:
+        found: A finding with its alternatives.
+
+    Returns:
+        Names without repetition.
+    """
+    effects = [one.effect for one in found.alternatives]
+    places, families = (
+        dict.fromkeys(one.place for one in effects),
+        dict.fromkeys(one.family for one in effects),
+    )
+    return tuple(places), tuple(families), tuple(dict.fromkeys(one.key for one in effects))

@@ -1,0 +1,243 @@
+"""Weighted nonlinear least squares with priors, and validation of a fit on held-out poses."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.stats import chi2
+
+from simgap.arrays import Array, Flags
+
+NO_PRIOR: Final = np.inf
+"""Prior sigma of a parameter without prior knowledge."""
+STEP_TOLERANCE: Final = 1e-7
+"""Iteration ends when no parameter changes by more than this share of its scale."""
+MAX_ITERATIONS: Final = 50
+DAMPING: Final = 1e-6
+"""First damping if a full step increases the cost, as a share of the information's largest eigenvalue."""
+DAMPING_FACTOR: Final = 10.0
+MAX_DAMPING: Final = 1e3
+MIN_SENSITIVITY: Final = 1e-2
+"""Smallest effect of a combination of parameters, in sigmas of the noise per scale.
+
+Combinations with a smaller effect keep their values.
+"""
+MAX_UNCONSTRAINED: Final = 1e-6
+"""A parameter with a larger share in unconstrained combinations has no finite sigma."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitParameter:
+    """Parameter of a fit, as a difference from its prior value."""
+
+    name: str
+    unit: str
+    scale: float
+    """Typical size in the unit of the parameter; it makes parameters of different units comparable."""
+    prior_sigma: float = NO_PRIOR
+    """Standard deviation of the prior, which has its mean at 0."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linearisation:
+    """Residuals of all poses at given parameter values, with their derivatives.
+
+    Both are whitened: the noise is independent, with unit variance in every component.
+    """
+
+    residual: Array
+    """Whitened residuals, shape (poses, components)."""
+    jacobian: Array
+    """Exact derivatives of the residuals, shape (poses, components, parameters)."""
+
+    @property
+    def is_informative(self) -> Flags:
+        """Flag the components that depend on any parameter, shape (poses, components)."""
+        return np.asarray(np.any(self.jacobian != 0.0, axis=-1))
+
+    def at(self, poses: Flags) -> "Linearisation":
+        """Select some of the poses.
+
+        Args:
+            poses: Selection as flags, shape (n,).
+
+        Returns:
+            Linearisation at the selected poses.
+        """
+        return Linearisation(self.residual[poses], self.jacobian[poses])
+
+
+ResidualModel = Callable[[Array], Linearisation]
+"""Function from parameter values, shape (p,), to the linearisation candidate."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Result of a fit."""
+
+    parameters: tuple[FitParameter, ...]
+    values: Array
+    """Parameter values, shape (p,)."""
+    covariance: Array
+    """Covariance of the values, prior included, shape (p, p).
+
+    Combinations that neither data nor prior determine are left out.
+    """
+    unconstrained: Array
+    """Share of each parameter in undetermined combinations, 0 to 1, shape (p,)."""
+    at: Linearisation
+    """Linearisation of all poses at the values."""
+    used: Flags
+    """Flags of the fitted poses, shape (n,)."""
+    converged: bool
+    iterations: int
+
+    @property
+    def sigma(self) -> Array:
+        """Compute the sigma of each parameter, (p,); infinite if neither data nor prior determine it."""
+        return np.where(self.unconstrained > MAX_UNCONSTRAINED, np.inf, np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def chi_square(self) -> float:
+        """Compute the sum of squared residuals of the fitted poses."""
+        return float(np.sum(self.at.residual[self.used] ** 2))
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Compute the expected chi-square: measured components less the effective number of parameters."""
+        J = _flat(self.at.jacobian[self.used])
+        return int(self.at.is_informative[self.used].sum()) - float(np.sum((J @ self.covariance) * J))
+
+    @property
+    def sigma0(self) -> float:
+        """Compute the reduced standard deviation of the residuals; 1 if model and noise are right."""
+        return float(np.sqrt(self.chi_square / self.degrees_of_freedom))
+
+    @property
+    def p_value(self) -> float:
+        """Compute the probability of a chi-square at least this large if model and noise are right."""
+        return float(chi2.sf(self.chi_square, self.degrees_of_freedom))
+
+    def index(self, name: str) -> int:
+        """Return the index of a parameter among the values.
+
+        Raises:
+            ValueError: There is no parameter of this name.
+        """
+        return [parameter.name for parameter in self.parameters].index(name)
+
+
+def fit(
+    parameters: Sequence[FitParameter],
+    model: ResidualModel,
+    start: Array | None = None,
+    used: Flags | None = None,
+) -> Fit:
+    """Fit parameters by damped Gauss-Newton iteration.
+
+    Args:
+        parameters: Parameters with scales and priors.
+        start: Initial values in the units of the parameters, shape (p,); zeros by default.
+        used: Boolean flags of the poses to fit, shape (n,); all by default.
+
+    Returns:
+        The fit.
+    """
+    scale, prior = _scale(parameters), _prior_weights(parameters)
+    x = np.zeros(scale.size) if start is None else start
+    at = model(x)
+    keep = np.ones(at.residual.shape[0], bool) if used is None else used
+    converged, iterations = False, 0
+    while not converged and iterations < MAX_ITERATIONS:
+        iterations += 1
+        step, at = _damped_step(model, x, at, keep, scale, prior)
+        x = x + step
+        converged = bool(np.all(np.abs(step) <= STEP_TOLERANCE * scale))
+    information, _ = _normal_equations(at, x, keep, scale, prior)
+    s2, V = np.linalg.eigh(information)
+    determined = s2 > MIN_SENSITIVITY**2
+    root = scale[:, None] * V[:, determined] / np.sqrt(s2[determined])
+    unconstrained = np.sqrt(np.maximum(0.0, 1.0 - np.sum(V[:, determined] ** 2, axis=1)))
+    return Fit(tuple(parameters), x, root @ root.T, unconstrained, at, keep, converged, iterations)
+
+
+def cost(at: Linearisation, used: Flags, x: Array, prior: Array) -> float:
+    """Compute the sum of squares that the fit minimises.
+
+    Args:
+        at: Linearisation at the values.
+        used: Boolean flags of the poses to fit, shape (n,).
+        x: Parameter values in their units, shape (p,).
+        prior: Inverse prior sigmas in inverse units of the parameters, shape (p,).
+
+    Returns:
+        Sum of the squared whitened residuals and of the squared priors.
+    """
+    return float(np.sum(at.residual[used] ** 2) + np.sum((x * prior) ** 2))
+
+
+def _damped_step(
+    model: ResidualModel, x: Array, at: Linearisation, used: Flags, scale: Array, prior: Array
+) -> tuple[Array, Linearisation]:
+    """Find a step that does not increase the cost; damp it only if the full step increases the cost."""
+    information, gradient = _normal_equations(at, x, used, scale, prior)
+    s2, V = np.linalg.eigh(information)
+    determined = s2 > MIN_SENSITIVITY**2
+    along = V.T @ gradient
+    before, damping = cost(at, used, x, prior), 0.0
+    while damping <= MAX_DAMPING:
+        step = -scale * (V @ np.where(determined, along / (s2 + damping * s2[-1] + ~determined), 0.0))
+        candidate = model(x + step)
+        if cost(candidate, used, x + step, prior) <= before * (1 + STEP_TOLERANCE):
+            return step, candidate
+        damping = max(DAMPING, DAMPING_FACTOR * damping)
+    return np.zeros_like(x), at
+
+
+def _normal_equations(
+    at: Linearisation, x: Array, used: Flags, scale: Array, prior: Array
+) -> tuple[Array, Array]:
+    """Compute information (p, p) and gradient (p,), prior included, in units of the scales."""
+    J = _flat(at.jacobian[used]) * scale
+    gradient: Array = J.T @ at.residual[used].ravel() + scale * prior**2 * x
+    return J.T @ J + np.diag((prior * scale) ** 2), gradient
+
+
+def _flat(jacobian: Array) -> Array:
+    """Stack the rows of all poses."""
+    return jacobian.reshape(-1, jacobian.shape[-1])
+
+
+def _scale(parameters: Sequence[FitParameter]) -> Array:
+    return np.array([parameter.scale for parameter in parameters])
+
+
+def _prior_weights(parameters: Sequence[FitParameter]) -> Array:
+    """Compute the inverse prior sigmas."""
+    return 1.0 / np.array([parameter.prior_sigma for parameter in parameters])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HoldOutValidation:
+    """Residuals of held-out poses, and their variance by noise and covariance of the fit; whitened.
+
+    Uninformative components are 0 in both.
+    """
+
+    residual: Array
+    """Residuals, shape (poses, components)."""
+    variance: Array
+    """Expected variances, shape (poses, components)."""
+
+    @property
+    def ratio(self) -> float:
+        """Compute the root mean square residual over its expected value."""
+        return float(np.sqrt(np.sum(self.residual**2) / np.sum(self.variance)))
+
+
+def validate_hold_out(fitted: Fit, fresh: Linearisation) -> HoldOutValidation:
+    """Compare residuals of held-out poses, linearised at the fitted values, with their expected variance."""
+    J = fresh.jacobian
+    learnt = np.einsum("nij,jk,nik->ni", J, fitted.covariance, J, optimize=True)
+    return HoldOutValidation(fresh.residual, fresh.is_informative + learnt)

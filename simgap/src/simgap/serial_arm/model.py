@@ -1,0 +1,247 @@
+"""Residual model of a serial arm: measured poses as a function of the parameters to fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.serial_arm.arm import GEOMETRY_NAMES, Link, SerialArm
+from simgap.serial_arm.chain import LinkAxes, forward_kinematics, link_transform, load_torque_Nm
+from simgap.serial_arm.fit import FitParameter, Linearisation
+from simgap.serial_arm.poses import IDENTITY, Pose, repeat_pose
+from simgap.serial_arm.screws import linearise
+from simgap.serial_arm.series import PoseSeries
+
+NON_PERIODIC: Final = ("compliance", "hysteresis")
+"""Coefficients of a joint before those of its periodic error, which are all cosines, then all sines."""
+GEOMETRY: Final = "geometry"
+COMPLIANCE: Final = "compliance"
+PERIODIC: Final = "periodic"
+HYSTERESIS: Final = "hysteresis"
+TERMS: Final = (GEOMETRY, COMPLIANCE, PERIODIC, HYSTERESIS)
+"""Optional terms of a fit. Base and target frames are always fitted."""
+
+
+def coefficient_names(orders: int) -> list[str]:
+    """List the names of a joint's coefficients."""
+    return [*NON_PERIODIC, *(f"{wave}{k + 1}" for wave in ("cos", "sin") for k in range(orders))]
+
+
+def joint_coefficients(arm: SerialArm, orders: int) -> Array:
+    """Collect the coefficients of all joints.
+
+    Args:
+        arm: Arm with its joint errors.
+        orders: Number of orders of the periodic error.
+
+    Returns:
+        Coefficients [rad/(N m), rad], shape (joints, 2 + 2 orders).
+    """
+    return np.array(
+        [
+            [one.compliance_rad_per_Nm, one.hysteresis_rad, *one.periodic_rad(orders).ravel()]
+            for one in arm.links
+        ]
+    )
+
+
+def features(arm: SerialArm, series: PoseSeries, orders: int) -> Array:
+    """Compute the factors of all coefficients: torque, direction of the last move, cosines and sines.
+
+    Args:
+        arm: Arm with its masses.
+        orders: Number of orders of the periodic error.
+
+    Returns:
+        Factors [N m, unitless], shape (joints, n, 2 + 2 orders).
+    """
+    q = series.joint_rad
+    ends, axes = forward_kinematics(repeat_pose(IDENTITY, series.count), arm.link_geometry, q)
+    masses = np.array([one.mass_kg for one in arm.links])
+    centres = np.array([one.mass_centre_m for one in arm.links])
+    torque = load_torque_Nm(ends, axes, masses, centres, np.array(arm.gravity_B_m_s2))
+    phase = q[:, :, None] * np.arange(1, orders + 1)
+    non_periodic = np.stack([torque, series.direction], axis=-1)
+    return np.concatenate([non_periodic, np.cos(phase), np.sin(phase)], axis=-1)
+
+
+def joint_errors_rad(arm: SerialArm, features: Array) -> Array:
+    """Compute the joint errors.
+
+    Args:
+        arm: Arm with its joint errors.
+        features: Factors of the coefficients [N m, unitless], shape (joints, n, k).
+
+    Returns:
+        True less read joint angles [rad], shape (joints, n).
+    """
+    orders = (features.shape[2] - len(NON_PERIODIC)) // 2
+    errors: Array = np.einsum("jnk,jk->jn", features, joint_coefficients(arm, orders))
+    return errors
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerSetup:
+    """Frames of base and target in one series."""
+
+    X_TB: Pose
+    """Base of the arm in the tracker's frame."""
+    X_FM: Pose
+    """Target of the tracker in the flange frame."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SerialModel:
+    """Residual model of a series with the parameters of some terms."""
+
+    arm: SerialArm
+    """Arm before the calibration."""
+    setup: TrackerSetup
+    series: PoseSeries
+    terms: tuple[str, ...]
+    orders: int
+    features: Array
+    """Factors of the joint coefficients, from `features`, shape (joints, n, 2 + 2 orders)."""
+
+    @property
+    def parameters(self) -> list[FitParameter]:
+        """List the parameters in the order of the values: base, target, links, coefficients of the joints."""
+        tolerance = self.arm.uncertainty
+        sizes = (tolerance.angle_rad, tolerance.length_m)
+        found = [
+            _geometry_parameter(place, name, *sizes)
+            for place in ("base", "target")
+            for name in GEOMETRY_NAMES
+        ]
+        if GEOMETRY in self.terms:
+            links = ((one.name, name) for one in self.arm.links for name in GEOMETRY_NAMES)
+            found += [_with_prior(_geometry_parameter(*which, *sizes)) for which in links]
+        non_periodic = [tolerance.compliance_rad_per_Nm, tolerance.hysteresis_rad]
+        sigmas = np.array([*non_periodic, *[tolerance.periodic_rad] * (2 * self.orders)])
+        names = coefficient_names(self.orders)
+        for one in self.arm.links:
+            for k in self._chosen:
+                unit = "rad/(N m)" if k == 0 else "rad"
+                found.append(_with_prior(FitParameter(f"{one.name}.{names[k]}", unit, float(sigmas[k]))))
+        return found
+
+    @property
+    def _chosen(self) -> list[int]:
+        """List the indices of the joint coefficients to fit."""
+        non_periodic = [k for k, name in enumerate(NON_PERIODIC) if name in self.terms]
+        waves = range(len(NON_PERIODIC), len(NON_PERIODIC) + 2 * self.orders)
+        return [*non_periodic, *(waves if PERIODIC in self.terms else ())]
+
+    def at(self, values: Array) -> tuple[SerialArm, TrackerSetup]:
+        """Apply parameter values.
+
+        Args:
+            values: Values in the units of the parameters, shape (p,).
+
+        Returns:
+            The arm and the setup with these values.
+        """
+        shape = (len(self.arm.links), 6)
+        geometry, rest = np.zeros(shape), values[12:]
+        if GEOMETRY in self.terms:
+            geometry, rest = rest[: geometry.size].reshape(shape), rest[geometry.size :]
+        errors = joint_coefficients(self.arm, self.orders)
+        errors[:, self._chosen] += rest.reshape(len(self.arm.links), -1)
+        links = (_update_link(*changed) for changed in zip(self.arm.links, geometry, errors, strict=True))
+        setup = TrackerSetup(
+            _move_frame(self.setup.X_TB, values[:6]), _move_frame(self.setup.X_FM, values[6:12])
+        )
+        return replace(self.arm, links=tuple(links)), setup
+
+    def poses(self, values: Array) -> Pose:
+        """Compute the modelled poses of the target.
+
+        Args:
+            values: Values in the units of the parameters, shape (p,).
+
+        Returns:
+            X_TM, the target in the tracker's frame, batch (n,).
+        """
+        return self._chain(values)[0]
+
+    def _chain(self, values: Array) -> tuple[Pose, list[LinkAxes]]:
+        """Compute X_TM, and the axes of base, target and links."""
+        n = self.series.count
+        arm, _ = self.at(values)
+        still = np.zeros(n)
+        X_B, base = link_transform(repeat_pose(self.setup.X_TB, n), still, values[:6])
+        turn = self.series.joint_rad + joint_errors_rad(arm, self.features)
+        ends, axes = forward_kinematics(X_B, arm.link_geometry, turn)
+        X_M, target = link_transform(ends[-1] @ repeat_pose(self.setup.X_FM, n), still, values[6:12])
+        return X_M, [base, target, *axes]
+
+    def __call__(self, values: Array) -> Linearisation:
+        """Compute whitened error screws and their derivatives.
+
+        Args:
+            values: Values in the units of the parameters, shape (p,).
+
+        Returns:
+            Residuals, shape (n, 6), and derivatives, shape (n, 6, p).
+        """
+        X_M, axes = self._chain(values)
+        screws = [one.screws(X_M) for one in axes]
+        columns = screws if GEOMETRY in self.terms else screws[:2]
+        chosen = self._chosen
+        joint_columns = [
+            screw[:, :, :1] * phi[None, :, chosen]
+            for screw, phi in zip(screws[2:], self.features, strict=True)
+        ]
+        jacobian = np.concatenate([*columns, *joint_columns], axis=2)
+        return linearise(X_M, jacobian, self.series.X_TM, self._whitener())
+
+    def _whitener(self) -> Array:
+        """Compute the matrices that scale rotation and position by their noise, shape (n, 6, 6)."""
+        noise = self.arm.repeatability
+        inverse = np.diag(1.0 / np.repeat([noise.rotation_rad, noise.position_m], 3))
+        return np.broadcast_to(inverse, (self.series.count, 6, 6))
+
+
+def serial_model(
+    arm: SerialArm, setup: TrackerSetup, series: PoseSeries, terms: Sequence[str]
+) -> SerialModel:
+    """Build the residual model of a series; effects of the arm that are not fitted stay in the model."""
+    orders = max(arm.orders, arm.uncertainty.orders if PERIODIC in terms else 0)
+    return SerialModel(arm, setup, series, tuple(terms), orders, features(arm, series, orders))
+
+
+def _geometry_parameter(place: str, name: str, angle: float, length: float) -> FitParameter:
+    turns = name in ("theta", "beta", "alpha")
+    return FitParameter(f"{place}.{name}", "rad" if turns else "m", angle if turns else length)
+
+
+def _with_prior(parameter: FitParameter) -> FitParameter:
+    """Set the prior sigma of a parameter to its scale."""
+    return replace(parameter, prior_sigma=parameter.scale)
+
+
+def _update_link(one: Link, geometry: Array, errors: Array) -> Link:
+    theta, d, beta, b, alpha, a = (float(v) for v in np.array(one.geometry) + geometry)
+    orders = (errors.size - len(NON_PERIODIC)) // 2
+    cos, sin = (
+        tuple(float(v) for v in part) or None for part in errors[len(NON_PERIODIC) :].reshape(2, orders)
+    )
+    return replace(
+        one,
+        theta_rad=theta,
+        d_m=d,
+        beta_rad=beta,
+        b_m=b,
+        alpha_rad=alpha,
+        a_m=a,
+        compliance_rad_per_Nm=float(errors[0]),
+        hysteresis_rad=float(errors[1]),
+        cos_rad=cos,
+        sin_rad=sin,
+    )
+
+
+def _move_frame(X: Pose, geometry: Array) -> Pose:
+    return link_transform(repeat_pose(X, 1), np.zeros(1), geometry)[0][0]

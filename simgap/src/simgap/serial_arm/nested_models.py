@@ -1,0 +1,190 @@
+"""Nested models with more and more terms, each fitted, cross-validated and compared with held-out poses."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from simgap.arrays import Array, Flags, Integers
+from simgap.serial_arm.arm import SerialArm
+from simgap.serial_arm.calibrate import (
+    PoseErrors,
+    SerialCalibration,
+    calibrate_series,
+    fit_poses,
+    pose_errors,
+)
+from simgap.serial_arm.fit import MIN_SENSITIVITY, Fit
+from simgap.serial_arm.model import TrackerSetup
+from simgap.serial_arm.series import PoseSeries
+
+Progress = Callable[[float, float, str], None]
+"""Function of the amount done, the total amount, and the name of the current activity."""
+BLOCKS: Final = 5
+"""Number of blocks of time in the cross-validation."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOutErrors:
+    """Squared position errors of poses, each predicted from the other blocks."""
+
+    square_m2: Array
+    """Squared errors, shape (n,)."""
+    block: Integers
+    """Index of the block of each pose, shape (n,)."""
+
+    @property
+    def rms_m(self) -> float:
+        """Compute the root mean square over all poses."""
+        return float(np.sqrt(np.mean(self.square_m2)))
+
+    @property
+    def rms_by_block_m(self) -> Array:
+        """Compute the root mean square of each block, shape (b,)."""
+        return np.sqrt([np.mean(self.square_m2[self.block == k]) for k in range(BLOCKS)])
+
+
+def gain_m(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:
+    """Compute the reduction of the error, mean over the blocks, and its standard error."""
+    reduction = before.rms_by_block_m - after.rms_by_block_m
+    return float(np.mean(reduction)), float(np.std(reduction, ddof=1) / np.sqrt(reduction.size))
+
+
+class CrossValidation:
+    """Normal equations of a fit, by block of time."""
+
+    def __init__(self, fitted: Fit, position_sigma_m: float):
+        used = fitted.used
+        scale = np.array([parameter.scale for parameter in fitted.parameters])
+        prior = 1.0 / np.array([parameter.prior_sigma for parameter in fitted.parameters])
+        self._J = fitted.at.jacobian[used] * scale
+        self._r = fitted.at.residual[used]
+        self._sigma_m = position_sigma_m
+        n = self._r.shape[0]
+        self.block: Integers = np.arange(n) * BLOCKS // n
+        self._penalty = (prior * scale) ** 2 + MIN_SENSITIVITY**2
+        self._pull = (prior * scale) ** 2 * fitted.values / scale
+        self._H = np.array([self._square(self._J[self.block == k]) for k in range(BLOCKS)])
+        self._g = np.array([self._against(self._J, k) for k in range(BLOCKS)])
+        self._factor = [
+            cho_factor(self._H.sum(axis=0) - self._H[k] + np.diag(self._penalty)) for k in range(BLOCKS)
+        ]
+
+    def held_out(self, more: Array | None = None) -> HeldOutErrors:
+        """Predict each block from the others.
+
+        Args:
+            more: Additional whitened columns of the Jacobian, in units of prior sigmas, shape (n, 6, m).
+
+        Returns:
+            The squared errors.
+        """
+        square = np.empty(self._r.shape[0])
+        for k in range(BLOCKS):
+            in_block = self.block == k
+            residual = self._r[in_block] + self._predicted(k, in_block, more)
+            square[in_block] = np.sum(residual[:, 3:] ** 2, axis=1) * self._sigma_m**2
+        return HeldOutErrors(square, self.block)
+
+    def _predicted(self, k: int, in_block: Flags, more: Array | None) -> Array:
+        """Compute the change of a block's residuals if only the other blocks are fitted."""
+        factor, g = self._factor[k], self._pull + self._g.sum(axis=0) - self._g[k]
+        if more is None:
+            step = -cho_solve(factor, g)
+            change: Array = self._J[in_block] @ step
+            return change
+        others = ~in_block
+        E = more[others].reshape(-1, more.shape[2])
+        B = self._J[others].reshape(E.shape[0], -1).T @ E
+        solved = cho_solve(factor, np.column_stack([B, g]))
+        corner = E.T @ E + np.eye(E.shape[1]) - B.T @ solved[:, :-1]
+        extra = -np.linalg.solve(corner, E.T @ self._r[others].ravel() - B.T @ solved[:, -1])
+        step = -solved[:, -1] - solved[:, :-1] @ extra
+        both: Array = self._J[in_block] @ step + more[in_block] @ extra
+        return both
+
+    def _against(self, J: Array, k: int) -> Array:
+        in_block = self.block == k
+        along: Array = J[in_block].reshape(-1, J.shape[2]).T @ self._r[in_block].ravel()
+        return along
+
+    @staticmethod
+    def _square(J: Array) -> Array:
+        flat = J.reshape(-1, J.shape[2])
+        return flat.T @ flat
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NestedModel:
+    """Fitted model with the terms up to this step."""
+
+    terms: tuple[str, ...]
+    found: SerialCalibration
+    validation: CrossValidation
+    held_out: HeldOutErrors
+    """Cross-validated errors within the fitted poses."""
+    gain_m: float
+    """Reduction of the cross-validated error from the step before, mean over the blocks of time."""
+    gain_sigma_m: float
+    fitted: PoseErrors
+    fresh: PoseErrors | None
+    """Errors of poses that were not fitted; None if there are none."""
+
+    @property
+    def is_significant(self) -> bool:
+        """Return whether the error fell by more than a standard error."""
+        return self.gain_m > self.gain_sigma_m
+
+
+def fit_nested_models(
+    arm: SerialArm,
+    setup: TrackerSetup,
+    part: PoseSeries,
+    fresh: PoseSeries | None,
+    steps: Sequence[tuple[str, ...]],
+    progress: Progress,
+) -> tuple[NestedModel, ...]:
+    """Fit each set of terms to one part of a series, and compare it with the other part.
+
+    Outliers of the largest model are left out of all fits.
+
+    Args:
+        arm: Arm before the calibration.
+        setup: Initial base and target frames.
+        part: Poses to fit.
+        fresh: Poses to compare with; None if there are none.
+        steps: Sets of terms; the last one is the largest.
+        progress: Callback for progress.
+
+    Returns:
+        One model for each set of terms.
+
+    Raises:
+        RobotError: Too many poses do not agree.
+    """
+    progress(0, len(steps), "fitting")
+    whole = calibrate_series(arm, setup, part, steps[-1])
+    done: list[NestedModel] = []
+    for terms in steps:
+        progress(len(done) + 1, len(steps) + 1, "judging")
+        is_whole = terms == steps[-1]
+        found = whole if is_whole else fit_poses(arm, setup, part, terms, whole.fit.used)
+        validation = CrossValidation(found.fit, arm.repeatability.position_m)
+        held_out = validation.held_out()
+        gain = gain_m(done[-1].held_out, held_out) if done else (np.inf, 0.0)
+        calibrated, calibrated_setup = found.arm, found.setup
+        fresh_errors = None if fresh is None else pose_errors(calibrated, calibrated_setup, fresh)
+        done.append(
+            NestedModel(
+                terms,
+                found,
+                validation,
+                held_out,
+                *gain,
+                pose_errors(calibrated, calibrated_setup, part),
+                fresh_errors,
+            )
+        )
+    return tuple(done)

@@ -1,0 +1,256 @@
+"""Diagnosis of a serial arm by poses that a tracker measured: joints, effects, sizes, and what remains.
+
+Links are base parameters, since no drawing has them to a tenth of a millimetre. All effects of all joints are
+fitted together, so an effect is named only for what no other one explains.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from simgap.arrays import Array
+from simgap.effects.effect import Family
+from simgap.errors import RobotError
+from simgap.result import (
+    MIN_REMAINDER,
+    Base,
+    Diagnosis,
+    Finding,
+    JointError,
+    Refusal,
+    Rejected,
+    Remainder,
+)
+from simgap.serial_arm.arm import SerialArm
+from simgap.serial_arm.calibrate import PoseErrors, SerialCalibration, pose_errors
+from simgap.serial_arm.effect_tests import (
+    COVERAGE,
+    EffectTest,
+    effect_size,
+    flag_parameters,
+    judge_effects,
+    list_effects,
+    wave_features,
+    widened_covariance,
+)
+from simgap.serial_arm.effects import (
+    DirectionHysteresis,
+    JointCompliance,
+    LinkGeometry,
+    PeriodicJointError,
+    TrackerEffect,
+    with_unit,
+)
+from simgap.serial_arm.elimination import BLOCKS, Eliminated, Elimination, jackknife_sigma
+from simgap.serial_arm.identifiability import assess_identifiability
+from simgap.serial_arm.initial_setup import LEAST_POSES, estimate_setup
+from simgap.serial_arm.model import TERMS
+from simgap.serial_arm.nested_models import NestedModel, Progress, fit_nested_models
+from simgap.serial_arm.series import PoseSeries
+from simgap.serial_arm.temperature import TemperatureTest, drift_gain, temperature_test
+
+TARGET: Final = "target"
+"""Place of an error of the whole arm."""
+FAMILIES: Final = {
+    PeriodicJointError: (Family.GEOMETRY, Family.TRANSMISSION),
+    JointCompliance: (Family.TRANSMISSION,),
+    DirectionHysteresis: (Family.TRANSMISSION, Family.FRICTION),
+}
+"""Families that poses at rest cannot tell apart, the likelier first."""
+NEXT_MOTION: Final = {
+    PeriodicJointError: "the same poses with another payload, which changes an error of the gear only",
+    JointCompliance: "",
+    DirectionHysteresis: "the same poses from both sides, with a payload, which changes friction only",
+}
+"""Motion that would separate these families."""
+
+
+def diagnose_tracker(
+    arm: SerialArm, series: PoseSeries, *, fit_share: float = 0.5, progress: Progress = lambda *_: None
+) -> Diagnosis:
+    """Find the effects in the joints of a serial arm from its measured poses.
+
+    The earliest poses are fitted, the others only judge.
+
+    Args:
+        arm: Arm of the file; sizes are differences from it.
+        series: Measured poses in order of time.
+        fit_share: Share of the poses that are fitted.
+        progress: Called with the amount done, the total amount and the current activity.
+
+    Returns:
+        The diagnosis. `patch_arm` adds its effects to the arm.
+
+    Raises:
+        RobotError: There are too few poses, or they do not determine base and target.
+    """
+    count = round(fit_share * series.count)
+    if min(count, series.count - count) < LEAST_POSES:
+        raise RobotError(
+            f"{series.name}: {count} poses to fit and {series.count - count} to judge are too few; give "
+            f"{LEAST_POSES} or more of each"
+        )
+    is_part = np.arange(series.count) < count
+    part, fresh = series.at(is_part), series.at(~is_part)
+    steps = [TERMS[:k] for k in range(len(TERMS) + 1)]
+    models = fit_nested_models(arm, estimate_setup(arm, part), part, fresh, steps, progress)
+    progress(len(steps), len(steps) + 1, "testing each effect of each joint")
+    return _describe(models, fresh)
+
+
+def _describe(models: tuple[NestedModel, ...], fresh: PoseSeries) -> Diagnosis:
+    found = models[-1].found
+    arm, part = found.model.arm, found.model.series
+    elimination = Elimination(found.fit)
+    tests = judge_effects(models, elimination, list_effects(found))
+    named = [test for test in tests if not test.problem]
+    unnamed = [test.effect for test in tests if test.problem]
+    chosen = elimination.without(flag_parameters(found.fit, unnamed))
+    explained = _fresh_errors(found, chosen.values, fresh)
+    findings = []
+    for test in named:
+        without = elimination.without(flag_parameters(found.fit, [*unnamed, test.effect]))
+        before = _in_noise(arm, _fresh_errors(found, without.values, fresh))
+        findings.append(_finding(found, test, chosen, 1.0 - _in_noise(arm, explained) / before))
+    effects: list[TrackerEffect] = [LinkGeometry(one.name) for one in arm.links]
+    effects += [test.effect for test in named]
+    temperature = temperature_test(found, models[-1].validation)
+    return Diagnosis(
+        robot=arm.name,
+        kind="tracker",
+        seed=0,
+        findings=tuple(sorted(findings, key=lambda one: -one.share)),
+        base=_base(found, chosen),
+        errors=_errors(models, explained),
+        remaining=_remainders(models[-1], temperature, explained),
+        refused=_refused(found),
+        fitted_motions=(f"{part.name}: the first {part.count} poses",),
+        judged_motions=(f"{part.name}: the last {fresh.count} poses",),
+        effects=tuple(effects),
+        sizes=tuple(tuple(chosen.values[flag_parameters(found.fit, [one])].tolist()) for one in effects),
+        rejected=(*(_rejected(test) for test in tests if test.problem), *_rejected_temperature(temperature)),
+    )
+
+
+def _fresh_errors(found: SerialCalibration, values: Array, fresh: PoseSeries) -> PoseErrors:
+    return pose_errors(*found.model.at(values), fresh)
+
+
+def _in_noise(arm: SerialArm, errors: PoseErrors) -> float:
+    """Compute the error of a pose in units of the repeatability."""
+    noise = arm.repeatability
+    return float(np.hypot(errors.rms_m / noise.position_m, errors.rms_rad / noise.rotation_rad))
+
+
+def _finding(found: SerialCalibration, test: EffectTest, chosen: Eliminated, share: float) -> Finding:
+    effect = test.effect
+    size, _, _ = effect_size(found, effect, chosen)
+    is_periodic = isinstance(effect, PeriodicJointError)
+    families = FAMILIES[type(effect)]
+    return Finding(
+        place=effect.place,
+        family=effect.family,
+        effect=effect.name,
+        size=(size,),
+        size_names=("rms_rad" if is_periodic else with_unit(effect.numbers[0]),),
+        interval=((size - test.half_width, size + test.half_width),),
+        text=_text(found, effect, chosen, size, test.half_width),
+        share=share,
+        places=(effect.place,),
+        families=families,
+        effects=(effect.key,),
+        next_motion=NEXT_MOTION[type(effect)],
+    )
+
+
+def _text(
+    found: SerialCalibration, effect: TrackerEffect, chosen: Eliminated, size: float, half_width: float
+) -> str:
+    if isinstance(effect, JointCompliance):
+        return f"{1e6 * size:.1f} +- {1e6 * half_width:.1f} urad/Nm"
+    if isinstance(effect, DirectionHysteresis):
+        text = f"{1e6 * size:.0f} +- {1e6 * half_width:.0f} urad"
+        return f"{text} after a positive move, the opposite after a negative one"
+    assert isinstance(effect, PeriodicJointError)
+    values = chosen.values[flag_parameters(found.fit, [effect])]
+    peak = float(np.max(np.abs(wave_features(found, effect) @ values)))
+    text = f"{1e3 * size:.2f} +- {1e3 * half_width:.2f} mrad root mean square"
+    return f"{text}, {1e3 * peak:.2f} mrad at most"
+
+
+def _base(found: SerialCalibration, chosen: Eliminated) -> tuple[Base, ...]:
+    """List the parameters of the links, and whether the poses determine them apart from base and target."""
+    fit = found.fit
+    groups = assess_identifiability(fit.parameters, fit.at, fit.used).unidentifiable_groups()
+    confounded = {name for group in groups for name in group.names}
+    sigma = np.sqrt(np.diag(widened_covariance(fit)))
+    half_width = np.maximum(
+        norm.isf((1 - COVERAGE) / 2) * sigma,
+        student.isf((1 - COVERAGE) / 2, BLOCKS - 1) * jackknife_sigma(chosen.by_block),
+    )
+    base = []
+    for link in found.model.arm.links:
+        geometry = LinkGeometry(link.name)
+        for number, nominal in zip(geometry.numbers, link.geometry, strict=True):
+            k = fit.index(f"{link.name}.{number}")
+            value = nominal + float(chosen.values[k])
+            interval = (value - float(half_width[k]), value + float(half_width[k]))
+            is_identifiable = f"{link.name}.{number}" not in confounded
+            base.append(Base(link.name, with_unit(number), nominal, value, interval, is_identifiable))
+    return tuple(base)
+
+
+def _errors(models: tuple[NestedModel, ...], explained: PoseErrors) -> tuple[JointError, ...]:
+    """Return the held-out errors of position and rotation: frames only, with links, and with the findings."""
+    frames, links = models[0].fresh, models[1].fresh
+    assert frames is not None
+    assert links is not None
+    position = (frames.rms_m, links.rms_m, explained.rms_m)
+    rotation = (frames.rms_rad, links.rms_rad, explained.rms_rad)
+    return (
+        JointError(f"{TARGET} position", "m", *position, math.nan),
+        JointError(f"{TARGET} rotation", "rad", *rotation, math.nan),
+    )
+
+
+def _remainders(
+    last: NestedModel, temperature: TemperatureTest | None, explained: PoseErrors
+) -> tuple[Remainder, ...]:
+    """Describe the error that is left if it exceeds the repeatability, or follows temperature or time."""
+    found = last.found
+    curve = np.linspace(-1.0, 1.0, int(np.count_nonzero(found.fit.used)))
+    gain_m, sigma_m, share = drift_gain(found, last.validation, curve)
+    depends_on = "time" if gain_m > 2.0 * sigma_m else ""
+    if temperature is not None and temperature.explains:
+        depends_on, share = "temperature", 1.0 - (temperature.with_m / temperature.without_m) ** 2
+    mean_m = float(np.mean(explained.position_m))
+    floor_m = math.sqrt(3.0) * found.model.arm.repeatability.position_m
+    if not depends_on and explained.rms_m <= MIN_REMAINDER * floor_m:
+        return ()
+    return (Remainder(TARGET, "at rest", mean_m, "m", depends_on, share if depends_on else 0.0),)
+
+
+def _refused(found: SerialCalibration) -> tuple[Refusal, ...]:
+    rows = found.outliers
+    if not rows:
+        return ()
+    reason = f"rows {', '.join(map(str, rows))} contradict the other poses"
+    return (Refusal(found.model.series.name, reason, len(rows)),)
+
+
+def _rejected(test: EffectTest) -> Rejected:
+    return Rejected(test.effect.place, test.effect.name, test.problem)
+
+
+def _rejected_temperature(test: TemperatureTest | None) -> tuple[Rejected, ...]:
+    if test is None or test.explains:
+        return ()
+    reason = (
+        f"it varies by {test.range_K:.2f} K; with it, the error of left-out blocks falls by "
+        f"{1e6 * test.gain_m:.1f} +- {1e6 * test.gain_sigma_m:.1f} um, with a curve that is not the "
+        f"temperature ({test.placebo}) by {1e6 * test.placebo_gain_m:.1f} um"
+    )
+    return (Rejected(TARGET, "air temperature", reason),)

@@ -1,0 +1,223 @@
+"""Control periods of a batch: effects read the motion, and change the inputs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco.batch
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.effects.effect import Effect, Fields, State, Tick
+from simgap.simulation.compiled import Compiled, Places, UNLIMITED_Nm, control_laws
+from simgap.simulation.rotors import Rotors
+
+
+@dataclass(slots=True)
+class Acting:
+    """An effect in a batch."""
+
+    effect: Effect
+    size: Array
+    """(n_sims, n_sizes)."""
+    joint: int
+    """-1 if its place is no joint."""
+    memory: dict[str, Array]
+
+
+class Columns:
+    """The columns of the joints in an array of the batch, for its first simulations."""
+
+    def __init__(self, array: Array, places: Places, n: int) -> None:
+        """Make a view if the columns follow one another, else a copy."""
+        self._rows, self._places = array[:n], places
+        self.values = array[:n, places]
+        """(n, n_joints); the same array all the time."""
+        self._is_view = isinstance(places, slice)
+
+    def read(self) -> None:
+        """Bring the values up to date."""
+        if not self._is_view:
+            self.values[...] = self._rows[:, self._places]
+
+    def write(self, values: Array) -> None:
+        """Set the values in the batch."""
+        if values is not self.values:
+            self.values[...] = values
+        if not self._is_view:
+            self._rows[:, self._places] = values
+
+
+class Actuators:
+    """The affine actuators of a batch."""
+
+    def __init__(self, compiled: Compiled, batch: mujoco.batch.Batch, fields: Fields) -> None:
+        """Expand their numbers, and set them."""
+        self._robot, self._places, self._fields = compiled.robot, compiled.actuator, fields
+        self._limits = batch.expand("actuator_forcerange")
+        self._gain, self._bias = batch.expand("actuator_gainprm"), batch.expand("actuator_biasprm")
+        self._factor = np.zeros_like(fields.kp_Nm_rad)
+        self.limit(fields.torque_limit_Nm)
+        self.scale(np.ones_like(fields.kp_Nm_rad))
+
+    def limit(self, limit_Nm: Array) -> None:
+        """Set the torque limits of the first simulations, (n, n_joints)."""
+        high = np.minimum(limit_Nm, UNLIMITED_Nm)
+        self._limits[: high.shape[0], self._places, 0] = -high
+        self._limits[: high.shape[0], self._places, 1] = high
+
+    def scale(self, factor: Array) -> None:
+        """Multiply nominal gains of the first simulations by factors, (n, n_joints)."""
+        n = factor.shape[0]
+        if np.array_equal(factor, self._factor[:n]):
+            return
+        self._factor[:n] = factor
+        kp, kd = self._fields.kp_Nm_rad[:n] * factor, self._fields.kd_Nms_rad[:n] * factor
+        self._gain[:n, self._places, 0], self._bias[:n, self._places, :3] = control_laws(self._robot, kp, kd)
+
+
+class Periods:
+    """The inputs of the control periods of a batch, set by commands and effects."""
+
+    def __init__(
+        self,
+        compiled: Compiled,
+        batch: mujoco.batch.Batch,
+        fields: Fields,
+        rotors: Rotors,
+        effects: Sequence[Acting],
+        temperature_degC: Array,
+    ) -> None:
+        """Sort the effects by their hooks.
+
+        Args:
+            compiled: Model.
+            batch: Batch, with the numbers of `fields` set.
+            fields: Numbers of model and controllers.
+            rotors: Rotors that motors turn in place of joints.
+            temperature_degC: Temperatures, (n_sims, n_joints).
+        """
+        self._compiled, self._batch, self._fields = compiled, batch, fields
+        self._actuators = Actuators(compiled, batch, fields)
+        self._rotors, self._qpos, self._qvel = rotors, batch.bind("qpos"), batch.bind("qvel")
+        self._dry = batch.expand("dof_frictionloss")
+        self._temperature = temperature_degC
+        self._effects = effects
+        self._acts, self._frictions, self._torques = (
+            [one for one in effects if one.effect.overrides(hook)]
+            for hook in ("act", "friction_Nm", "torque_Nm")
+        )
+        self._has_effects = bool(self._acts or self._frictions or self._torques or rotors.close_at_output)
+        self.are_steady = not (self._acts or rotors.close_at_output) and all(
+            one.effect.is_steady for one in (*self._frictions, *self._torques)
+        )
+        """True if nothing but the commands changes from period to period."""
+        self._period_s = compiled.robot.control_period_s
+        self.n_steps = round(self._period_s / compiled.robot.model.opt.timestep)
+        """Steps of a control period."""
+        self.keep(temperature_degC.shape[0])
+
+    def keep(self, n: int) -> None:
+        """Go on with the first n simulations."""
+        self.n = n
+        for one in self._effects:
+            one.size = one.size[:n]
+            one.memory = {name: kept[:n] for name, kept in one.memory.items()}
+        at, fields = self._compiled, self._fields
+
+        def columns(name: str, places: Places) -> Columns:
+            return Columns(self._batch.bind(name), places, n)
+
+        self._ctrl = columns("ctrl", at.actuator)
+        if not self._has_effects:
+            return
+        # arrays for all periods: new ones in each of them would take a fifth of the time of a step
+        self._armature, self._loss = fields.armature_kgm2[:n], fields.frictionloss_Nm[:n]
+        q, v = columns("qpos", at.qpos), columns("qvel", at.dof)
+        self._forces = [
+            columns(name, at.dof) for name in ("qfrc_bias", "qfrc_smooth", "qfrc_constraint", "qacc")
+        ]
+        self._motor = columns("actuator_force", at.actuator)
+        self._read = [q, v, *self._forces, self._motor]
+        self._applied, self._friction = columns("qfrc_applied", at.dof), Columns(self._dry, at.dof, n)
+        self._state = State(np.empty(n), q.values, v.values, np.empty_like(q.values), self._temperature[:n])
+        self._limit, self._gain = np.empty_like(q.values), np.empty_like(q.values)
+        self._torque_columns = [self._applied.values[:, one.joint] for one in self._torques]
+        self._friction_columns = [self._friction.values[:, one.joint] for one in self._frictions]
+
+    def show(self, qpos: Array, shown_rad: Array) -> None:
+        """Write the angles that encoders see.
+
+        Args:
+            qpos: Positions of the model, (..., n_sims, n_qpos) [rad].
+            shown_rad: Angles, (..., n_sims, n_joints) [rad]; those of the first n simulations are written.
+        """
+        shown_rad[..., : self.n, :] = qpos[..., : self.n, self._compiled.qpos]
+        self._rotors.show(qpos, shown_rad)
+
+    def control(self, command: Array) -> Array:
+        """Return the controls of all steps, (n_sims, n_periods n_steps, n_actuators).
+
+        Args:
+            command: Commands that no effect changes any more, (n_periods, n_sims, n_joints).
+        """
+        control = np.zeros((command.shape[1], command.shape[0], self._compiled.robot.model.nu))
+        control[..., self._compiled.actuator] = command.swapaxes(0, 1)
+        return control if self.n_steps == 1 else np.repeat(control, self.n_steps, axis=1)
+
+    def set_inputs(self, k: int, command: Array, enabled: Array | None) -> None:
+        """Set the inputs of a control period.
+
+        Args:
+            k: Number of the period.
+            command: Commands, (n, n_joints); effects may change them.
+            enabled: 1 where the motor has torque, else 0, (n, n_joints); None: all have.
+        """
+        gain = enabled
+        if self._has_effects:
+            tick = self._tick(k, command)
+            for one in self._acts:
+                tick.memory = one.memory
+                one.effect.act(one.size, tick)
+            for one, column in zip(self._frictions, self._friction_columns, strict=True):
+                column += one.effect.friction_Nm(one.size, tick.state)
+            for one, column in zip(self._torques, self._torque_columns, strict=True):
+                column += one.effect.torque_Nm(one.size, tick.state)
+            self._rotors.close_loops(self._qpos, self._qvel, tick.command)
+            command = tick.command
+            self._applied.write(tick.applied_Nm)
+            self._friction.write(tick.frictionloss_Nm)
+            self._rotors.move(self._dry, tick.frictionloss_Nm)
+            if self._acts:
+                self._actuators.limit(tick.torque_limit_Nm)
+                gain = tick.gain if enabled is None else tick.gain * enabled
+        self._ctrl.write(command)
+        if gain is not None:
+            self._actuators.scale(gain)
+
+    def _tick(self, k: int, command: Array) -> Tick:
+        """Collect what effects may read and change."""
+        for one in self._read:
+            one.read()
+        bias, smooth, constraint, qacc = (one.values for one in self._forces)
+        load = self._state.load_Nm
+        np.multiply(self._armature, qacc, out=load)
+        np.subtract(constraint, load, out=load)
+        load += smooth
+        load += bias
+        self._state.time_s.fill(k * self._period_s)
+        self._friction.values[...] = self._loss
+        self._applied.values.fill(0.0)
+        if self._acts:
+            self._limit[...] = self._fields.torque_limit_Nm[: self.n]
+            self._gain.fill(1.0)
+        return Tick(
+            state=self._state,
+            command=command,
+            applied_Nm=self._applied.values,
+            frictionloss_Nm=self._friction.values,
+            torque_limit_Nm=self._limit,
+            gain=self._gain,
+            motor_Nm=self._motor.values,
+            period_s=self._period_s,
+            memory={},
+        )

@@ -1,0 +1,249 @@
+"""One batch of simulations: candidates times windows."""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import groupby, pairwise
+from typing import Final
+
+import mujoco
+import mujoco.batch
+import numpy as np
+
+from simgap.arrays import Array, Flags, Integers
+from simgap.effects.effect import Effect, Fields
+from simgap.robot import ControlMode
+from simgap.simulation.compiled import Models, nominal_fields, step_armature
+from simgap.simulation.periods import Acting, Periods
+from simgap.simulation.rotors import Rotors
+from simgap.simulation.sampling import Sampling
+from simgap.simulation.windows import Window
+
+CHUNK: Final = 1024
+"""Control periods whose positions are kept until they are sampled: some seconds, a multiple of `SPAN`."""
+SPAN: Final = 64
+"""Most control periods in one call of MuJoCo; then simulations that blew up are looked for."""
+LEAST_SIMS: Final = 20
+"""Simulations of a thread. With fewer, it costs more processor time between the calls, when it waits for the
+next one, than its work saves: 25 us a control period, as long as 20 steps of one joint or 8 of six."""
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveEffect:
+    """An effect and its sizes."""
+
+    effect: Effect
+    size: Array
+    """(n_candidates, n_windows, n_sizes)."""
+
+
+class Simulation:
+    """A batch. Simulation s is candidate s % n_candidates in window s // n_candidates, the longest first."""
+
+    def __init__(
+        self,
+        models: Models,
+        effects: Sequence[ActiveEffect],
+        windows: Sequence[Window],
+        n_candidates: int,
+        n_threads: int,
+    ) -> None:
+        """Set models, commands and starts.
+
+        Args:
+            models: Models of the robot.
+            effects: Effects with their sizes for each candidate.
+            n_candidates: Number of candidates.
+            n_threads: Most threads; 0: as many as there are processors.
+        """
+        self._compiled = models.compiled([one.effect for one in effects])
+        self._robot = self._compiled.robot
+        self._order = sorted(range(len(windows)), key=lambda w: -windows[w].n_ticks)
+        self._windows = [windows[w] for w in self._order]
+        self._n_candidates = n_candidates
+        self._n_sims = n_candidates * len(windows)
+        useful = max(1, self._n_sims // LEAST_SIMS)
+        self._batch = mujoco.batch.Batch(
+            self._robot.model, self._n_sims, nthread=min(n_threads or os.cpu_count() or 1, useful)
+        )
+        names = [joint.name for joint in self._robot.joints]
+        self._effects = [
+            Acting(
+                one.effect,
+                one.size[:, self._order].swapaxes(0, 1).reshape(self._n_sims, -1),
+                names.index(one.effect.place) if one.effect.place in names else -1,
+                {},
+            )
+            for one in effects
+        ]
+        fields = self._set_model()
+        self._set_start()
+        self._command = self._commands()
+        self._is_switched = not all(window.enabled.all() for window in windows)
+        # `keep` cuts the sizes of ended simulations off, but samples need them
+        acting = [Acting(one.effect, one.size, one.joint, {}) for one in self._effects]
+        heat = self._each(np.array([window.temperature_degC for window in self._windows]))
+        self._periods = Periods(self._compiled, self._batch, fields, self._rotors, acting, heat)
+
+    def _with(self, hook: str) -> list[Acting]:
+        return [one for one in self._effects if one.effect.overrides(hook)]
+
+    def _at(self, hook: str, joint: int) -> list[Acting]:
+        return [one for one in self._with(hook) if one.joint == joint]
+
+    def _sims(self, w: int) -> slice:
+        """Return the simulations of a window."""
+        return slice(w * self._n_candidates, (w + 1) * self._n_candidates)
+
+    def _each(self, of_windows: Array) -> Array:
+        """Repeat numbers of windows, (n_windows, ...), for all simulations."""
+        return np.repeat(of_windows, self._n_candidates, axis=0)
+
+    def _set_model(self) -> Fields:
+        """Set the numbers of the model, and return them with those of the controllers."""
+        dof, batch = self._compiled.dof, self._batch
+        fields = nominal_fields(self._robot, self._n_sims, batch)
+        fields.kp_Nm_rad *= self._each(np.array([window.gain for window in self._windows]))
+        for one in self._with("set_model"):
+            one.effect.set_model(one.size, fields, self._robot)
+        fields.damping_Nms_rad = np.maximum(fields.damping_Nms_rad, 0.0)
+        fields.frictionloss_Nm = np.maximum(fields.frictionloss_Nm, 0.0)
+        fields.armature_kgm2 = step_armature(self._robot, fields)
+        self._rotors = Rotors(self._robot, fields)
+        for name, value in (
+            ("dof_damping", fields.damping_Nms_rad),
+            ("dof_armature", fields.armature_kgm2),
+            ("dof_frictionloss", fields.frictionloss_Nm),
+        ):
+            batch.expand(name)[:, dof] = value
+            self._rotors.move(batch.expand(name), value)
+        self._rotors.clear(fields.armature_kgm2)
+        batch.set_const()
+        return fields
+
+    def _commands(self) -> Array:
+        """Compute the commands as they arrive, (n_ticks, n_sims, n_joints)."""
+        period_s = self._robot.control_period_s
+        command = np.zeros((self._windows[0].n_ticks, self._n_sims, len(self._robot.joints)))
+        # windows of the same length together: some effects shape a command period by period in Python
+        for n_ticks, alike in groupby(range(len(self._windows)), lambda w: self._windows[w].n_ticks):
+            windows = list(alike)
+            sims = slice(self._sims(windows[0]).start, self._sims(windows[-1]).stop)
+            given = np.array([self._windows[w].command for w in windows])
+            for j, joint in enumerate(self._robot.joints):
+                arrived: Array = np.repeat(given[:, :, j], self._n_candidates, axis=0)
+                for one in self._at("shape_command", j):
+                    arrived = one.effect.shape_command(one.size[sims], arrived, period_s)
+                if joint.mode is ControlMode.POSITION:
+                    for one in reversed(self._at("decode", j)):
+                        arrived = one.effect.decode(one.size[sims], arrived)
+                command[:n_ticks, sims, j] = arrived[:, -n_ticks:].T
+        return command
+
+    def _set_start(self) -> None:
+        """Set the measured starts."""
+        q = self._each(np.array([window.q_rad for window in self._windows]))
+        for one in reversed(self._with("decode")):
+            q[:, one.joint] = one.effect.decode(one.size, q[:, [one.joint]])[:, 0]
+        self._qpos = self._batch.bind("qpos")
+        self._qpos[:, self._compiled.qpos] = q
+        v = self._each(np.array([window.v_rad_s for window in self._windows]))
+        self._batch.bind("qvel")[:, self._compiled.dof] = v
+        self._rotors.start(self._batch)
+
+    def positions(self) -> Array:
+        """Simulate and sample.
+
+        Returns:
+            What the encoders show, (n_candidates, n_samples) [rad]; NaN where a simulation failed.
+        """
+        sampling, periods = self._sampling(), self._periods
+        failed = np.zeros(self._n_sims, dtype=bool)
+        self._call(failed, self._batch.forward)
+        ends = np.array([window.n_ticks for window in self._windows])
+        n_ticks = int(ends[0])
+        alive = self._n_candidates * np.sum(ends > np.arange(n_ticks)[:, None], axis=1)
+        path = np.empty((CHUNK + 1, self._n_sims, len(self._robot.joints)))
+        periods.show(self._qpos, path[0])
+        begin = 0
+        for first, last in pairwise(self._edges()):
+            if alive[first] != periods.n:
+                periods.keep(int(alive[first]))
+            self._advance(first, last, failed, path[first + 1 - begin : last + 1 - begin])
+            if last % SPAN == 0 or last == n_ticks:
+                failed |= self._batch.warning.reshape(self._n_sims, -1).any(axis=1)
+            if last - begin == CHUNK or last == n_ticks:
+                sampling.take(path, begin, last)
+                path[0], begin = path[last - begin], last
+        return self._encoded(sampling.values, failed)
+
+    def _edges(self) -> list[int]:
+        """Return the control periods at which more than the commands may change, and the end."""
+        n_ticks = self._windows[0].n_ticks
+        if not self._periods.are_steady:
+            return list(range(n_ticks + 1))
+        edges = {n_ticks, *range(0, n_ticks, SPAN)}
+        for window in self._windows:
+            switched = np.diff(window.enabled, axis=0).any(axis=1)
+            edges.update((window.n_ticks, *(1 + np.flatnonzero(switched)).tolist()))
+        return sorted(edges)
+
+    def _advance(self, first: int, last: int, failed: Flags, path: Array) -> None:
+        """Simulate control periods in which only commands change, and write their ends to a path."""
+        periods, n = self._periods, self._periods.n
+        enabled = None
+        if self._is_switched:
+            alive = self._windows[: n // self._n_candidates]
+            enabled = self._each(np.array([window.enabled[first] for window in alive], dtype=float))
+        periods.set_inputs(first, self._command[first, :n], enabled)
+        ids = np.flatnonzero(~failed[:n])
+        if last - first > 1:
+            periods.show(self._rollout(first, last, ids, failed), path)
+            return
+        some = None if ids.size == self._n_sims else ids
+        self._call(failed, lambda: self._batch.step(some, nstep=periods.n_steps))
+        periods.show(self._qpos, path[0])
+
+    def _rollout(self, first: int, last: int, ids: Integers, failed: Flags) -> Array:
+        """Simulate control periods in one call; return the ends of all, (n_periods, n_sims, n_qpos) [rad].
+
+        Without effects in between, the bits are those of a call a period. A call takes a third of a step of
+        one joint for each simulation, and Python between two calls as long as ten steps.
+        """
+        n_steps, n_qpos = self._periods.n_steps, self._robot.model.nq
+        control = self._periods.control(self._command[first:last, ids])
+        steps = np.zeros((*control.shape[:2], n_qpos))
+        self._call(
+            failed, lambda: self._batch.rollout(control.shape[1], control, ids=ids, out={"qpos": steps})
+        )
+        qpos = np.zeros((last - first, self._n_sims, n_qpos))
+        qpos[:, ids] = steps[:, n_steps - 1 :: n_steps].swapaxes(0, 1)
+        return qpos
+
+    def _call(self, failed: Flags, job: Callable[[], None]) -> None:
+        """Call MuJoCo, and mark the simulations that it cannot continue."""
+        try:
+            job()
+        except mujoco.batch.SimulationError as error:
+            failed[error.ids] = True
+
+    def _sampling(self) -> Sampling:
+        """Prepare the samples, with their delays."""
+        late_s = np.zeros((len(self._windows), self._n_candidates, len(self._robot.joints)))
+        for one in self._with("sample_delay_s"):
+            delay_s = one.effect.sample_delay_s(one.size)
+            late_s[:, :, one.joint] += delay_s.reshape(len(self._windows), self._n_candidates)
+        return Sampling(self._windows, self._order, late_s, self._robot.control_period_s)
+
+    def _encoded(self, q_rad: Array, failed: Flags) -> Array:
+        """Return what the encoders show at sampled positions, (n_candidates, n_samples)."""
+        first = 0
+        for w in np.argsort(self._order):
+            sims = self._sims(int(w))
+            for j, time_s in enumerate(self._windows[w].sample_time_s):
+                part = slice(first, first + time_s.size)
+                for one in self._at("encode", j):
+                    q_rad[:, part] = one.effect.encode(one.size[sims], q_rad[:, part])
+                q_rad[failed[sims], part] = np.nan
+                first += time_s.size
+        return q_rad

@@ -1,0 +1,32 @@
+"""What all tests share: one thread for the linear algebra, repeatable properties, and where real data is."""
+
+import os
+from pathlib import Path
+
+# Before numpy is imported anywhere: the arrays are small, and the test workers fill the cores.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import pytest
+from hypothesis import settings
+
+# A failure must come back on the next run, on any machine, however loaded.
+settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
+settings.load_profile("repeatable")
+
+DATA_VARIABLE = "MARSARM_DATA"
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder with measured data; tests that need it are marked `real_data` and skipped without it."""
+    return Path(os.environ[DATA_VARIABLE])
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    folder = os.environ.get(DATA_VARIABLE)
+    if folder and Path(folder).is_dir():
+        return
+    skip = pytest.mark.skip(reason=f"{DATA_VARIABLE} does not name a folder with measured data")
+    for item in items:
+        if "real_data" in item.keywords:
+            item.add_marker(skip)

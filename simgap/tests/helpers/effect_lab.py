@@ -1,0 +1,177 @@
+"""Small robots for tests of effects, and the model as an effect changes it."""
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import mujoco.batch
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.effects.effect import Effect, Fields
+from simgap.robot import ControlMode, Robot, RobotJoint
+from simgap.simulation.compiled import Models
+from simgap.simulation.engine import Engine
+from simgap.simulation.windows import Window
+
+ARM_XML = """
+<mujoco model="arm">
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody>
+    <body name="base">
+      <inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+      <body name="turntable" pos="0 0 0.1">
+        <joint name="pan" axis="0 0 1" damping="0.3" frictionloss="0.05" armature="0.02"/>
+        <inertial pos="0.01 0 0.02" mass="0.2" diaginertia="2e-4 2e-4 1e-4"/>
+        <body name="upper arm" pos="0.02 0 0.05">
+          <joint name="lift" axis="0 1 0" damping="0.3" frictionloss="0.05" armature="0.02"/>
+          <inertial pos="0.08 0.01 -0.02" quat="0.9 0.1 0.3 0.2" mass="0.3" diaginertia="5e-4 4e-4 3e-4"/>
+          <body name="forearm" pos="0.15 0 -0.03">
+            <joint name="elbow" axis="0 1 0" damping="0.2" frictionloss="0.04" armature="0.01"/>
+            <inertial pos="0.06 0 0.01" mass="0.15" diaginertia="1e-4 3e-4 3e-4"/>
+            <site name="tool" pos="0.14 0 0.02"/>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="pan" joint="pan" kp="20" kv="0.5" forcerange="-3 3"/>
+    <position name="lift" joint="lift" kp="20" kv="0.5" forcerange="-3 3"/>
+    <position name="elbow" joint="elbow" kp="10" kv="0.3" forcerange="-2 2"/>
+  </actuator>
+</mujoco>
+"""
+
+PENDULUM_XML = """
+<mujoco model="pendulum">
+  <compiler angle="radian" autolimits="true"/>
+  <option timestep="0.001" integrator="implicitfast"/>
+  <worldbody>
+    <body name="rod">
+      <joint name="swing" axis="0 1 0" damping="0.02" armature="0.01"/>
+      <inertial pos="0 0 -0.2" mass="0.5" diaginertia="1e-3 1e-3 1e-4"/>
+      <site name="tool" pos="0 0 -0.3"/>
+    </body>
+  </worldbody>
+  <actuator><position name="swing" joint="swing" kp="10" kv="0.3" forcerange="-5 5"/></actuator>
+</mujoco>
+"""
+
+
+def robot_of(xml: str, tool_site: str = "tool", mode: ControlMode = ControlMode.POSITION) -> Robot:
+    """Return a robot whose joints all have an actuator in the order of the joints."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    joints = tuple(
+        RobotJoint(
+            name=model.joint(k).name,
+            qpos_index=int(model.jnt_qposadr[k]),
+            dof_index=int(model.jnt_dofadr[k]),
+            actuator_index=k,
+            mode=mode,
+            kp_Nm_rad=float(model.actuator_gainprm[k, 0]),
+            kd_Nms_rad=float(-model.actuator_biasprm[k, 2]),
+            torque_limit_Nm=float(model.actuator_forcerange[k, 1]),
+            gear_ratio=1.0,
+            torque_constant_Nm_A=math.nan,
+            is_known=False,
+            is_loaded_by_gravity=model.joint(k).name != "pan",
+        )
+        for k in range(model.njnt)
+    )
+    return Robot(
+        name=xml.split('model="')[1].split('"')[0],
+        model=model,
+        model_xml=xml,
+        joints=joints,
+        control_period_s=5 * model.opt.timestep,
+        tool_site=tool_site,
+    )
+
+
+def changed(robot: Robot, effects: Sequence[Effect], sizes: Sequence[Sequence[float]]) -> mujoco.batch.Batch:
+    """Return one simulation for each row of the sizes of all effects one after the other."""
+    spec = mujoco.MjSpec.from_string(robot.model_xml)
+    for effect in effects:
+        if effect.overrides("vary"):
+            effect.vary(spec, robot)
+    batch = mujoco.batch.Batch(spec.compile(), nsim=len(sizes), nthread=1)
+    fields = fields_of(robot, batch)
+    table, first = np.asarray(sizes, float), 0
+    for effect in effects:
+        number = len(effect.sizes)
+        if effect.overrides("set_model"):
+            effect.set_model(table[:, first : first + number], fields, robot)
+        first += number
+    batch.set_const()
+    return batch
+
+
+def fields_of(robot: Robot, batch: mujoco.batch.Batch) -> Fields:
+    """Return the nominal fields of controllers and joints."""
+
+    def rows(values: Sequence[float]) -> Array:
+        return np.tile(np.asarray(values, float), (batch.nsim, 1))
+
+    dofs = [joint.dof_index for joint in robot.joints]
+    return Fields(
+        kp_Nm_rad=rows([joint.kp_Nm_rad for joint in robot.joints]),
+        kd_Nms_rad=rows([joint.kd_Nms_rad for joint in robot.joints]),
+        torque_limit_Nm=rows([joint.torque_limit_Nm for joint in robot.joints]),
+        damping_Nms_rad=rows(robot.model.dof_damping[dofs].ravel()),
+        frictionloss_Nm=rows(robot.model.dof_frictionloss[dofs]),
+        armature_kgm2=rows(robot.model.dof_armature[dofs]),
+        batch=batch,
+    )
+
+
+def inverse_Nm(model: mujoco.MjModel, seed: int, n: int = 5) -> Array:
+    """Return the joint torques of random motions by inverse dynamics, (n, nv)."""
+    rng = np.random.default_rng(seed)
+    data = mujoco.MjData(model)
+    torques = []
+    for _ in range(n):
+        data.qpos[:] = rng.uniform(-1, 1, model.nq)
+        data.qvel[:] = rng.uniform(-2, 2, model.nv)
+        data.qacc[:] = rng.uniform(-5, 5, model.nv)
+        mujoco.mj_inverse(model, data)
+        torques.append(data.qfrc_inverse.copy())
+    return np.array(torques)
+
+
+def simulate(
+    robot: Robot,
+    effects: Sequence[Effect],
+    sizes: Sequence[Sequence[float]] | Array,
+    command: Array,
+    start_rad: Array,
+    temperature_degC: Array | None = None,
+) -> Array:
+    """Return what the encoders show at each control period, (n_candidates, n_joints, n_ticks).
+
+    Args:
+        robot: Robot.
+        effects: Effects of all candidates.
+        sizes: Sizes of all effects one after the other, a row a candidate.
+        command: Command in each control period, (n_ticks, n_joints); the first one holds before.
+        start_rad: Positions at the start, at rest, (n_joints,).
+        temperature_degC: Temperatures, (n_joints,); None where they are not logged.
+    """
+    n_lead, n_ticks, n_joints = 50, *command.shape
+    time_s = robot.control_period_s * np.arange(n_ticks)
+    window = Window(
+        motion="test",
+        start_s=0.0,
+        q_rad=np.asarray(start_rad, float),
+        v_rad_s=np.zeros(n_joints),
+        command=np.vstack((np.tile(command[0], (n_lead, 1)), command)),
+        n_lead=n_lead,
+        enabled=np.ones((n_ticks, n_joints), bool),
+        gain=np.ones(n_joints),
+        temperature_degC=np.full(n_joints, math.nan) if temperature_degC is None else temperature_degC,
+        sample_time_s=(time_s,) * n_joints,
+        measured_rad=(np.zeros(n_ticks),) * n_joints,
+    )
+    engine = Engine(Models(robot), effects, [window], n_threads=1)
+    return engine.positions(np.asarray(sizes, float)).reshape(len(sizes), n_joints, n_ticks)

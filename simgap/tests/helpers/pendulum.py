@@ -1,0 +1,102 @@
+"""A pendulum with a servo, as a robot made by hand."""
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.effects.effect import Effect
+from simgap.effects.joint import JointEffect, JointScales
+from simgap.logs import JointLog, Motion, Signal
+from simgap.robot import ControlMode, Robot, RobotJoint
+from simgap.simulation.compiled import Models
+from simgap.simulation.engine import Engine
+from simgap.simulation.windows import cut_windows
+
+MASS_kg, LENGTH_m, ARMATURE_kgm2, g_m_s2 = 0.5, 0.1, 0.002, 9.81
+XML = """
+<mujoco>
+  <option timestep="{step}"/>
+  <worldbody>
+    <body>
+      <joint name="{name}" axis="{axis}" damping="{damping}" frictionloss="{dry}" armature="{armature}"/>
+      <inertial pos="{arm}" mass="{mass}" diaginertia="1e-9 1e-9 1e-9"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+INERTIA_kgm2 = MASS_kg * LENGTH_m**2 + ARMATURE_kgm2
+
+
+def pendulum(
+    mode: ControlMode = ControlMode.POSITION,
+    kp: float = 4.0,
+    kd: float = 0.1,
+    limit_Nm: float = float("inf"),
+    damping: float = 0.02,
+    dry_Nm: float = 0.01,
+    step_s: float = 0.002,
+    period_s: float = 0.002,
+    is_level: bool = False,
+) -> Robot:
+    """Make a pendulum that hangs down at 0, or one that swings in a level plane."""
+    arm = f"{LENGTH_m} 0 0" if is_level else f"0 0 -{LENGTH_m}"
+    xml = XML.format(
+        step=step_s, name="swing", damping=damping, dry=dry_Nm, armature=ARMATURE_kgm2,
+        axis="0 0 1" if is_level else "0 1 0", arm=arm, mass=MASS_kg,
+    )  # fmt: skip
+    joint = RobotJoint(
+        name="swing", qpos_index=0, dof_index=0, actuator_index=-1, mode=mode, kp_Nm_rad=kp, kd_Nms_rad=kd,
+        torque_limit_Nm=limit_Nm, gear_ratio=1.0, torque_constant_Nm_A=2.0, is_known=False,
+        is_loaded_by_gravity=True,
+    )  # fmt: skip
+    return Robot(
+        name="pendulum", model=mujoco.MjModel.from_xml_string(xml), model_xml=xml, joints=(joint,),
+        control_period_s=period_s, tool_site="",
+    )  # fmt: skip
+
+
+def motion(
+    time_s: Array,
+    position_rad: Array,
+    command: Array,
+    name: str = "m",
+    joint: str = "swing",
+    gain: Mapping[str, float] | None = None,
+    **others: Signal,
+) -> Motion:
+    """Make a log of one joint, all signals at the same times."""
+    log = JointLog(position=Signal(time_s, position_rad), command=Signal(time_s, command), **others)
+    return Motion(name=name, joints={joint: log}, gain=gain or {})
+
+
+def waves(time_s: Array, seed: int) -> Array:
+    """Make a command of three sines, which starts at 0 with speed 0."""
+    rng = np.random.default_rng(seed)
+    speeds = rng.uniform(1.0, 6.0, 3)
+    return np.asarray(0.3 * np.sum(1 - np.cos(np.outer(time_s, speeds)), axis=1))
+
+
+def simulated(robot: Robot, log: Motion, *effects: tuple[Effect, Sequence[float]]) -> Array:
+    """Simulate a motion with effects of these sizes, and sample it at the times of its positions, (n,)."""
+    windows = cut_windows(robot, log, None, 0.0)
+    sizes = np.array([[value for _, size in effects for value in size]])
+    (found,) = Engine(Models(robot), [effect for effect, _ in effects], windows, 1).positions(sizes)
+    return found
+
+
+def scales(torque_Nm: float = 1.0, **others: float) -> JointScales:
+    """Make numbers from which effects take their bounds."""
+    numbers: dict[str, float] = {
+        "damping_Nms_rad": 0.02, "frictionloss_Nm": 0.01, "armature_kgm2": ARMATURE_kgm2, "low_rad": -1.0,
+        "high_rad": 1.0, "speed_rad_s": 2.0, "acceleration_rad_s2": 10.0, "command_low": -1.0,
+        "command_high": 1.0, "torque_Nm": torque_Nm, "hottest_degC": 40.0,
+        "coldest_degC": 20.0,
+    }  # fmt: skip
+    return JointScales(**(numbers | others))
+
+
+def at_swing(kind: type[JointEffect], robot: Robot, **others: float) -> JointEffect:
+    """Make an effect at the joint of the pendulum."""
+    return kind.at(robot, "swing", {"swing": scales(**others)})

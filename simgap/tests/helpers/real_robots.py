@@ -1,0 +1,21 @@
+"""Models of real robots, and the logs that were measured on them."""
+
+from pathlib import Path
+
+ROBOTS = ("so101", "kr300", "pendulum", "ur10")
+LOADED = {
+    "so101": {"shoulder_lift", "elbow_flex", "wrist_flex"},
+    "kr300": {"a2", "a3", "a4", "a5"},
+    "pendulum": {"servo"},
+}
+"""Joints that gravity moves against their friction."""
+LOGS = {
+    "so101": ("so101/so101.parquet",),
+    "kr300": ("kr300/kr300_A.parquet", "kr300/kr300_B.parquet"),
+    "pendulum": ("xl330/xl330.parquet",),
+}
+
+
+def robot_path(name: str) -> Path:
+    """Return the path of a robot file."""
+    return Path(__file__).parents[3] / "models" / "robots" / name / "robot.toml"

@@ -1,0 +1,78 @@
+"""Synthetic serial arm with known errors, and synthetic measurements of its poses."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from simgap.serial_arm.arm import Link, Repeatability, SerialArm, Uncertainty
+from simgap.serial_arm.model import TrackerSetup, serial_model
+from simgap.serial_arm.poses import Pose
+from simgap.serial_arm.series import PoseSeries, move_directions
+
+POSITION_M, ROTATION_RAD = 5e-5, 2e-4
+ORDERS = 6
+
+
+def drawn_arm(joints=4):
+    """Return the arm of the file."""
+    turns = (np.pi / 2, -np.pi / 2, 0.0)
+    links = tuple(
+        Link(
+            f"joint{k}",
+            d_m=0.1 + 0.02 * k,
+            alpha_rad=turns[k % 3],
+            a_m=0.25 if k % 3 == 2 else 0.05,
+            mass_kg=3.0 - 0.3 * k,
+            mass_centre_m=(-0.05, 0.01, 0.02),
+        )
+        for k in range(joints)
+    )
+    uncertainty = Uncertainty(compliance_rad_per_Nm=1e-4, periodic_rad=2e-4, orders=ORDERS)
+    return SerialArm(
+        "made up", links, uncertainty=uncertainty, repeatability=Repeatability(POSITION_M, ROTATION_RAD)
+    )
+
+
+def built_arm(arm, seed):
+    """Return a built arm, with random errors of the size that the file states."""
+    rng, sure = np.random.default_rng(seed), arm.uncertainty
+
+    def off(one):
+        angle, length = (sigma * rng.standard_normal(3) for sigma in (sure.angle_rad, sure.length_m))
+        waves = sure.periodic_rad * rng.standard_normal((2, sure.orders))
+        return replace(
+            one,
+            theta_rad=one.theta_rad + angle[0],
+            beta_rad=one.beta_rad + angle[1],
+            alpha_rad=one.alpha_rad + angle[2],
+            d_m=one.d_m + length[0],
+            b_m=one.b_m + length[1],
+            a_m=one.a_m + length[2],
+            compliance_rad_per_Nm=5e-5 * abs(rng.standard_normal()),
+            hysteresis_rad=1e-4 * rng.standard_normal(),
+            cos_rad=tuple(waves[0].tolist()),
+            sin_rad=tuple(waves[1].tolist()),
+        )
+
+    return replace(arm, links=tuple(off(one) for one in arm.links))
+
+
+def setup(seed):
+    """Return random base and target frames."""
+    rng = np.random.default_rng(seed)
+    R = np.moveaxis(Rotation.random(2, rng=rng).as_matrix(), 0, -1)
+    p = rng.uniform(-1, 1, (3, 2))
+    return TrackerSetup(Pose(R[:, :, 0], 3 * p[:, 0]), Pose(R[:, :, 1], 0.1 * p[:, 1]))
+
+
+def series(arm, stands, count, seed, noise=1.0, air=None):
+    """Simulate measured poses of this arm."""
+    rng = np.random.default_rng([seed, 1])
+    q = rng.uniform(-2.5, 2.5, (len(arm.links), count))
+    blank = Pose(np.repeat(np.eye(3)[:, :, None], count, 2), np.zeros((3, count)))
+    unmeasured = PoseSeries("made", q, move_directions(q), blank, air, np.arange(1, count + 1))
+    X = serial_model(arm, stands, unmeasured, ()).poses(np.zeros(12))
+    turn = Rotation.from_rotvec(noise * ROTATION_RAD * rng.standard_normal((count, 3))).as_matrix()
+    R = np.einsum("nij,jkn->ikn", turn, X.R)
+    return replace(unmeasured, X_TM=Pose(R, X.p + noise * POSITION_M * rng.standard_normal((3, count))))

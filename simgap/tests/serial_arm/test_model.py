@@ -1,0 +1,107 @@
+"""Model of a serial arm: its derivatives, and the calibration of an arm with known errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.serial_synthetic import POSITION_M, built_arm, drawn_arm, series, setup
+from simgap.serial_arm.calibrate import calibrate_series, held_out_ratio, pose_errors
+from simgap.serial_arm.identifiability import assess_identifiability
+from simgap.serial_arm.initial_setup import estimate_setup
+from simgap.serial_arm.model import TERMS, serial_model
+from simgap.serial_arm.poses import Pose
+
+NOISE_RMS_M = POSITION_M * np.sqrt(3)
+
+
+@pytest.mark.parametrize("joints", [1, 3, 6])
+def test_the_derivatives_are_those_of_finite_differences(joints):
+    arm = built_arm(drawn_arm(joints), 0)
+    model = serial_model(arm, setup(1), series(arm, setup(1), 4, 2), TERMS)
+    scale = np.array([min(parameter.scale, 1e-2) for parameter in model.parameters])
+    x = scale * np.random.default_rng(3).standard_normal(scale.size)
+    numeric = np.stack(
+        [(model(x + h).residual - model(x - h).residual) / 2e-6 for h in 1e-6 * np.eye(scale.size)], -1
+    )
+    np.testing.assert_allclose(model(x).jacobian, numeric, rtol=1e-5, atol=1e-5 * np.abs(numeric).max())
+
+
+@pytest.fixture(scope="module")
+def known():
+    """Return an arm as drawn and as built, its setup, and its calibration."""
+    drawn = drawn_arm()
+    built = built_arm(drawn, 5)
+    stands = setup(6)
+    part = series(built, stands, 500, 7)
+    return drawn, built, stands, calibrate_series(drawn, estimate_setup(drawn, part), part, TERMS)
+
+
+def test_fresh_poses_are_met_to_the_noise(known):
+    drawn, built, stands, found = known
+    fresh = series(built, stands, 300, 8)
+    before = pose_errors(drawn, estimate_setup(drawn, fresh), fresh)
+    after = pose_errors(found.arm, found.setup, fresh)
+    assert before.rms_m > 10 * NOISE_RMS_M
+    assert after.rms_m < 1.15 * NOISE_RMS_M
+    assert held_out_ratio(found, fresh) == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_the_poses_tell_is_found_within_its_sigma(known):
+    drawn, built, _, found = known
+    fit = found.fit
+    names = {parameter.name: k for k, parameter in enumerate(fit.parameters)}
+    joints = [f"{one.name}.compliance" for one in drawn.links]
+    truth = [one.compliance_rad_per_Nm for one in built.links]
+    joints += [f"{one.name}.hysteresis" for one in drawn.links]
+    truth += [one.hysteresis_rad for one in built.links]
+    joints += [f"{one.name}.cos{k + 1}" for one in drawn.links for k in range(2, 6)]
+    truth += [amplitude for one in built.links for amplitude in one.cos_rad[2:6]]
+    where = [names[name] for name in joints]
+    off = (fit.values[where] - truth) / fit.sigma[where]
+    assert np.max(np.abs(off)) < 4.0
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(1.0, abs=0.35)
+
+
+def test_the_zero_of_the_first_joint_is_not_told_from_the_base(known):
+    *_, found = known
+    groups = assess_identifiability(found.fit.parameters, found.fit.at).unidentifiable_groups()
+    assert any({"base.theta", "joint0.theta"} <= set(group.names) for group in groups)
+
+
+def test_an_arm_that_was_found_serves_where_it_stands_next(known):
+    _, built, _, found = known
+    elsewhere = series(built, setup(9), 200, 10)
+    moved = calibrate_series(found.arm, estimate_setup(found.arm, elsewhere), elsewhere, ())
+    assert pose_errors(moved.arm, moved.setup, elsewhere).rms_m < 1.15 * NOISE_RMS_M
+    assert moved.arm == found.arm
+
+
+def test_joints_say_nothing_of_angles_that_they_did_not_stand_at():
+    drawn = drawn_arm(3)
+    built = built_arm(drawn, 11)
+    stands = setup(12)
+    everywhere = series(built, stands, 600, 13)
+    part = everywhere.at(np.all(np.abs(everywhere.joint_rad) < 1.5, axis=0))
+    found = calibrate_series(drawn, estimate_setup(drawn, part), part, TERMS)
+    elsewhere = everywhere.at(np.any(np.abs(everywhere.joint_rad) > 2.0, axis=0))
+    assert held_out_ratio(found, elsewhere) < 1.5
+    assert pose_errors(found.arm, found.setup, elsewhere).rms_m > 2 * NOISE_RMS_M
+
+
+def test_poses_that_do_not_belong_are_named_and_left_out(known):
+    drawn, built, stands, _ = known
+    part = series(built, stands, 200, 14)
+    p = part.X_TM.p.copy()
+    p[:, 41] += [0.0, 0.05, 0.0]
+    p[:, 97] += [0.0, 0.0, 0.001]
+    with_outliers = replace(part, X_TM=Pose(part.X_TM.R, p))
+    found = calibrate_series(drawn, estimate_setup(drawn, with_outliers), with_outliers, TERMS)
+    assert found.outliers == (42, 98)
+
+
+def test_terms_that_are_not_asked_for_stay_as_they_were(known):
+    drawn, built, stands, _ = known
+    part = series(built, stands, 100, 15)
+    found = calibrate_series(drawn, estimate_setup(drawn, part), part, ("geometry",))
+    assert all(one.compliance_rad_per_Nm == 0.0 and one.cos_rad is None for one in found.arm.links)

@@ -1,0 +1,325 @@
+"""The audit names what is wrong with logs, and is silent where nothing is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.planar_arm import RATE_HZ, TABLE_M, commands, planar_arm, record, slow_logs, with_joint
+from simgap.audit.audit import audit
+from simgap.audit.records import RemarkKind
+from simgap.audit.stops import find_lower_stop, median_interval
+from simgap.diagnose import diagnose
+from simgap.errors import RobotError
+from simgap.load import load
+from simgap.logs import Logs, Signal
+from simgap.result import Refusal
+from simgap.robot import Robot
+from tests.marsarm.command import ROOT
+
+TABLE_MOTIONS = {
+    *("boundary_exploration", "diagonal_sweep", "dual_joint_elbow_wrist", "figure_eight"),
+    *("hold_under_gravity", "hover_positions", "large_amplitude", "oscillation_low_freq"),
+    *("oscillation_med_freq", "single_joint_elbow", "workspace_sweep"),
+}
+"""Motions of the SO-101 whose commands go below the table, as the data's description lists them."""
+
+
+@pytest.fixture(scope="module")
+def clean() -> Logs:
+    return slow_logs(planar_arm())
+
+
+def kinds(found):
+    return [(one.kind, one.joint) for one in found.remarks]
+
+
+def reasons(found):
+    return {one.reason for one in found.refused}
+
+
+def test_clean_logs_get_no_remark_and_keep_every_sample(clean):
+    found = audit(planar_arm(), clean)
+    assert found.remarks == ()
+    assert found.refused == ()
+    assert found.is_usable("motion 0", "elbow").all()
+    assert {round(one.rate_Hz, 6) for one in found.rates} == {RATE_HZ}
+
+
+def test_a_table_is_named_with_its_height_and_its_samples_are_refused():
+    logs = slow_logs(planar_arm(table=True), low=-0.5, high=1.0)
+    found = audit(planar_arm(), logs)
+    assert kinds(found) == [(RemarkKind.CONTACT, "")]
+    (remark,) = found.remarks
+    assert remark.value == pytest.approx(TABLE_M, abs=0.005)
+    assert remark.interval[0] <= remark.value <= remark.interval[1]
+    assert reasons(found) == {"contact with a plane"}
+    assert 0.05 < np.mean(~found.is_usable("motion 3", "shoulder")) < 0.6
+
+
+def test_the_same_motions_without_a_table_get_no_remark():
+    assert audit(planar_arm(), slow_logs(planar_arm(), low=-0.5, high=1.0)).remarks == ()
+
+
+@pytest.mark.parametrize(("joint", "clamp", "sign"), [("elbow", 0.35, 1.0), ("shoulder", 0.2, 1.0)])
+def test_a_command_that_is_cut_off_is_named_with_its_value(joint, clamp, sign):
+    motions = []
+    for k in range(4):
+        sent = commands(k, -0.6, 0.4)
+        cut = sign * np.minimum(sign * sent[joint], sign * clamp)
+        motions.append(record(planar_arm(), k, sent, {**sent, joint: cut}))
+    found = audit(planar_arm(), Logs(tuple(motions)))
+    assert kinds(found) == [(RemarkKind.CUT_OFF, joint)]
+    (remark,) = found.remarks
+    assert remark.interval[0] <= clamp <= remark.interval[1]
+    assert remark.value == pytest.approx(clamp, abs=0.01)
+    other = "elbow" if joint == "shoulder" else "shoulder"
+    assert not found.is_usable("motion 3", joint).all()
+    assert found.is_usable("motion 3", other).all()
+
+
+@pytest.mark.parametrize("limit_Nm", [1.3, 1.4, 1.5])
+def test_a_motor_that_is_too_weak_is_no_command_that_is_cut_off(limit_Nm):
+    weak = planar_arm(torque_limit_Nm=limit_Nm)
+    found = audit(planar_arm(), slow_logs(weak, low=-1.2, high=0.4))
+    assert RemarkKind.CUT_OFF not in {one.kind for one in found.remarks}
+
+
+def test_a_stop_against_the_largest_load_may_be_a_torque_limit():
+    motions = []
+    for k in range(4):
+        sent = commands(k, -0.6, 0.4)
+        cut = {**sent, "shoulder": np.maximum(sent["shoulder"], -0.3)}
+        motions.append(record(planar_arm(), k, sent, cut))
+    (remark,) = audit(planar_arm(), Logs(tuple(motions))).remarks
+    assert (remark.kind, remark.joint) == (RemarkKind.SATURATION, "shoulder")
+    assert "look alike" in remark.text
+
+
+def test_a_torque_at_its_limit_is_saturation(clean):
+    def add_torque(log):
+        wave = 4.0 * np.sin(2 * np.pi * log.position.time_s / 3.0)
+        return replace(log, torque=Signal(log.position.time_s, np.clip(wave, -2.0, 2.0)))
+
+    found = audit(planar_arm(torque_limit_Nm=2.0), with_joint(clean, "elbow", add_torque))
+    assert kinds(found) == [(RemarkKind.SATURATION, "elbow")]
+    unlimited = planar_arm(torque_limit_Nm=float("inf"))
+    assert kinds(audit(unlimited, with_joint(clean, "elbow", add_torque))) == [
+        (RemarkKind.SATURATION, "elbow")
+    ]
+
+
+def test_a_torque_with_a_smooth_peak_is_no_saturation(clean):
+    def add_torque(log):
+        wave = np.round(4.0 * np.sin(2 * np.pi * log.position.time_s / 3.0), 1)
+        return replace(log, torque=Signal(log.position.time_s, wave))
+
+    unlimited = planar_arm(torque_limit_Nm=float("inf"))
+    assert audit(unlimited, with_joint(clean, "elbow", add_torque)).remarks == ()
+
+
+def test_positions_that_repeat_while_the_joint_moves_are_stale_and_refused(clean):
+    def freeze(log):
+        value = log.position.value.copy()
+        for begin in range(80, value.size, 60):
+            value[begin : begin + 8] = value[begin]
+        return replace(log, position=replace(log.position, value=value))
+
+    found = audit(planar_arm(), with_joint(clean, "shoulder", freeze))
+    assert kinds(found) == [(RemarkKind.STALE, "shoulder")]
+    assert "stale" in reasons(found)
+
+
+def test_positions_that_friction_holds_are_not_stale():
+    sent = commands(0, -0.6, 0.4)
+    sent["elbow"] = np.where(np.arange(sent["elbow"].size) % 200 < 100, 0.2, 0.21)
+    assert audit(planar_arm(), Logs((record(planar_arm(), 0, sent),))).remarks == ()
+
+
+def test_missing_rows_and_an_uneven_rate_are_named(clean):
+    def lose(log):
+        keep = np.ones(log.position.value.size, bool)
+        keep[100:120] = False
+        position = Signal(log.position.time_s[keep], log.position.value[keep])
+        return replace(log, position=position)
+
+    assert kinds(audit(planar_arm(), with_joint(clean, "elbow", lose))) == [(RemarkKind.MISSING, "elbow")]
+
+    def shake(log):
+        late_s = np.where(np.arange(log.position.time_s.size) % 2, 0.008, 0.0)
+        return replace(log, position=replace(log.position, time_s=log.position.time_s + late_s))
+
+    assert kinds(audit(planar_arm(), with_joint(clean, "elbow", shake))) == [(RemarkKind.JITTER, "elbow")]
+
+
+def test_positions_that_are_no_numbers_are_refused(clean):
+    def spoil(log):
+        value = log.position.value.copy()
+        value[10:20] = np.nan
+        return replace(log, position=replace(log.position, value=value))
+
+    found = audit(planar_arm(), with_joint(clean, "elbow", spoil))
+    assert (RemarkKind.MISSING, "elbow") in kinds(found)
+    assert not found.is_usable("motion 0", "elbow")[10:20].any()
+
+
+@pytest.mark.parametrize("factor", [180.0 / np.pi, np.pi / 180.0, 1000.0, 1e-3])
+def test_commands_in_another_unit_are_named(clean, factor):
+    def scale(log):
+        return replace(log, command=Signal(log.command.time_s, log.command.value * factor))
+
+    found = audit(planar_arm(), with_joint(clean, "shoulder", scale))
+    assert (RemarkKind.UNIT, "shoulder") in kinds(found)
+    assert found.remarks[0].kind is RemarkKind.UNIT
+
+
+def test_a_position_that_counts_the_other_way_is_named(clean):
+    def turn(log):
+        return replace(log, position=Signal(log.position.time_s, -log.position.value))
+
+    found = audit(planar_arm(), with_joint(clean, "shoulder", turn))
+    assert "the position runs against its command" in found.remarks[0].text
+
+
+def test_degrees_in_place_of_radians_are_named_by_the_range_of_the_model(clean):
+    def scale(log):
+        return replace(
+            log,
+            position=Signal(log.position.time_s, np.degrees(log.position.value)),
+            command=Signal(log.command.time_s, np.degrees(log.command.value)),
+        )
+
+    assert (RemarkKind.UNIT, "shoulder") in kinds(audit(planar_arm(), with_joint(clean, "shoulder", scale)))
+
+
+def test_a_velocity_in_degrees_is_named_and_one_in_radians_is_not(clean):
+    def add_velocity(factor):
+        def change(log):
+            speed = factor * np.gradient(log.position.value, log.position.time_s)
+            return replace(log, velocity=Signal(log.position.time_s, speed))
+
+        return change
+
+    right = with_joint(clean, "shoulder", add_velocity(1.0))
+    wrong = with_joint(clean, "shoulder", add_velocity(180.0 / np.pi))
+    assert audit(planar_arm(), right).remarks == ()
+    assert kinds(audit(planar_arm(), wrong)) == [(RemarkKind.UNIT, "shoulder")]
+
+
+def test_poses_in_which_the_model_goes_into_its_table_are_named():
+    logs = slow_logs(planar_arm(), low=-0.5, high=1.0, count=2)
+    found = audit(planar_arm(table=True), logs)
+    assert [one.kind for one in found.remarks] == [RemarkKind.COLLISION]
+    assert "world" in found.remarks[0].text
+
+
+def test_noise_makes_no_stop():
+    random = np.random.default_rng(1)
+    motion = np.repeat(np.arange(6), 500)
+    free = np.sin(np.linspace(0.0, 60.0, motion.size))
+    measured = free + random.normal(0.0, 0.05, motion.size)
+    assert find_lower_stop(free, measured, motion, 0.0) is None
+    stop = find_lower_stop(free, np.maximum(measured, -0.5), motion, 0.0)
+    assert stop is not None
+    assert stop.furthest == pytest.approx(-0.5, abs=0.01)
+
+
+def test_the_interval_of_a_median_holds_it_as_often_as_it_says():
+    random = np.random.default_rng(2)
+    trials = [median_interval(random.normal(0.0, 1.0, 12)) for _ in range(1000)]
+    assert 0.88 < np.mean([low <= 0.0 <= high for low, high in trials]) < 0.98
+
+
+@pytest.mark.real_data
+def test_table_and_clamp_of_the_measured_so101_are_named(real_data):
+    robot = Robot.from_toml(ROOT / "models/robots/so101/robot.toml")
+    found = audit(robot, load(robot, real_data / "so101" / "so101.parquet"))
+    contact, cut_off = found.remarks
+    assert contact.kind is RemarkKind.CONTACT
+    assert contact.text.startswith("gripperframe")
+    assert contact.value == pytest.approx(-0.045, abs=0.005)
+    assert (cut_off.kind, cut_off.joint) == (RemarkKind.CUT_OFF, "wrist_roll")
+    assert cut_off.value == pytest.approx(-1.034, abs=0.005)
+    assert len(TABLE_MOTIONS - set(contact.motions)) <= 1  # hover_positions only just touches
+    assert {one.motion for one in found.refused if one.reason == "contact with a plane"} >= TABLE_MOTIONS
+    left_out = {one.motion: one.n_samples for one in found.refused if one.motion == "single_joint_wrist_roll"}
+    assert left_out["single_joint_wrist_roll"] > 300
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("robot", "logs"),
+    [
+        ("pendulum", ["xl330/xl330.parquet"]),
+        ("kr300", ["kr300/kr300_A.parquet", "kr300/kr300_B.parquet"]),
+    ],
+)
+def test_logs_of_other_robots_lose_no_sample(real_data, robot, logs):
+    loaded = Robot.from_toml(ROOT / f"models/robots/{robot}/robot.toml")
+    assert audit(loaded, load(loaded, [real_data / one for one in logs])).refused == ()
+
+
+def test_joints_without_commands_are_audited_for_the_rest(clean):
+    logs = with_joint(clean, "elbow", lambda log: replace(log, command=None))
+    assert audit(planar_arm(), logs).remarks == ()
+
+
+def test_a_motion_of_one_sample_is_audited():
+    logs = slow_logs(planar_arm(), count=1)
+
+    def cut(log):
+        first = Signal(log.position.time_s[:1], log.position.value[:1])
+        return replace(log, position=first, command=first)
+
+    found = audit(planar_arm(), with_joint(with_joint(logs, "elbow", cut), "shoulder", cut))
+    assert found.is_usable("motion 0", "elbow").tolist() == [True]
+
+
+def test_a_position_that_never_changes_under_a_moving_command_is_named(clean):
+    def stop(log):
+        return replace(log, position=Signal(log.position.time_s, np.full(log.position.value.size, 0.4)))
+
+    remarks = [one for one in audit(planar_arm(), with_joint(clean, "elbow", stop)).remarks if one.joint]
+    assert [one.kind for one in remarks] == [RemarkKind.CONSTANT]
+    assert "stays at 0.4 rad, while the command spans 0.3 rad" in remarks[0].text
+
+
+def test_a_joint_without_limits_that_turns_often_may_be_in_degrees(clean):
+    def scale(log):
+        return replace(
+            log,
+            position=Signal(log.position.time_s, np.degrees(log.position.value)),
+            command=Signal(log.command.time_s, np.degrees(log.command.value)),
+        )
+
+    robot = planar_arm()
+    robot.model.jnt_limited[1] = False
+    assert (RemarkKind.TURNS, "elbow") in kinds(audit(robot, with_joint(clean, "elbow", scale)))
+    assert audit(robot, clean).remarks == ()
+
+
+@pytest.mark.parametrize(
+    ("elsewhere_A", "said"),
+    [(0.0, "its current is 0 elsewhere, as against a hard stop"), (0.1, "is 10 times the usual there")],
+)
+def test_the_current_at_a_stop_is_compared_with_that_elsewhere(elsewhere_A, said):
+    motions = []
+    for number in range(4):
+        sent = commands(number, -0.6, 0.4)
+        motions.append(record(planar_arm(), number, sent, sent | {"elbow": np.minimum(sent["elbow"], 0.35)}))
+
+    def measure(log):
+        current_A = np.where(log.command.value > 0.35, 1.0, elsewhere_A)
+        return replace(log, current=Signal(log.command.time_s, current_A))
+
+    found = audit(planar_arm(), with_joint(Logs(tuple(motions)), "elbow", measure))
+    texts = [one.text for one in found.remarks]
+    assert any(said in text for text in texts), texts
+
+
+def test_logs_of_which_nothing_is_usable_are_not_diagnosed(clean):
+    found = audit(planar_arm(), clean)
+    nothing = {place: np.zeros_like(flags) for place, flags in found.usable.items()}
+    refused = (Refusal("motion 0", "contact with a plane", 9),)
+    with pytest.raises(RobotError, match=r"no sample .* can be used \(contact with a plane\)"):
+        diagnose(planar_arm(), clean.motions, audit=replace(found, usable=nothing, refused=refused))

@@ -1,0 +1,223 @@
+"""The catalogue: effects that make sense, and each of them changes something."""
+
+import dataclasses
+import inspect
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.effect_lab import ARM_XML, PENDULUM_XML, robot_of, simulate
+from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.effects import effect as interface
+from simgap.effects.effect import Effect, Family
+from simgap.effects.periodic import PeriodicError, SmoothPeriodicError
+from simgap.effects.transmission import Backlash
+from simgap.logs import JointLog, Logs, Motion, Signal
+
+ARM = robot_of(ARM_XML)
+N_TICKS = 600
+TIME_S = ARM.control_period_s * np.arange(N_TICKS)
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "robot-effects.md").read_text(encoding="utf-8")
+
+
+def lively(speed=6.0):
+    """Commands with fast and slow parts, reversals and rests, which start at 0."""
+    wave = np.sin(speed * TIME_S) * np.clip(np.sin(1.5 * TIME_S), 0, None)
+    step = 0.8 * (np.floor(TIME_S / 0.8) % 2)
+    return np.stack((0.5 * wave + 0.3 * step, 0.5 * wave + step, 0.6 * step - 0.5 * wave), axis=1)
+
+
+def logs_of(robot, command, position, **more):
+    """Return logs with these positions; further signals are given by a function of the index of the joint."""
+    joints = {
+        joint.name: JointLog(
+            Signal(TIME_S, position[:, j]),
+            command=None if command is None else Signal(TIME_S, command[:, j]),
+            **{name: make(j) for name, make in more.items()},
+        )
+        for j, joint in enumerate(robot.joints)
+    }
+    return Logs((Motion("first", joints, {}), Motion("second", joints, {})))
+
+
+@pytest.fixture(scope="module")
+def arm_logs():
+    command = lively()
+    return logs_of(ARM, command, simulate(ARM, (), [[]], command, command[0])[0].T)
+
+
+def names(effects):
+    return {effect.name for effect in effects}
+
+
+def test_every_effect_changes_the_simulated_motion_at_its_typical_size(arm_logs):
+    command, heat = lively(), Signal(TIME_S, np.linspace(20, 40, N_TICKS))
+    position = np.stack([arm_logs.motions[0].joints[joint.name].position.value for joint in ARM.joints], 1)
+    logs = logs_of(ARM, command, position, temperature=lambda _: heat)
+    effects = (*catalogue(ARM, logs), *base_effects(ARM, logs))
+    assert len(effects) > 80
+    counts = np.cumsum([0, *(len(effect.sizes) for effect in effects)])
+    table = np.zeros((len(effects) + 1, counts[-1]))
+    for k, effect in enumerate(effects):
+        table[k + 1, counts[k] : counts[k + 1]] = [size.typical for size in effect.sizes]
+    moved = simulate(ARM, effects, table, command, command[0], temperature_degC=np.full(3, 20.0))
+    changes = np.abs(moved[1:] - moved[0]).max(axis=(1, 2))
+    dead = [effect.key for effect, change in zip(effects, changes, strict=True) if not change > 1e-7]
+    assert not dead
+    assert np.isfinite(changes).all()
+
+
+def test_keys_are_unique_and_bounds_hold_typical_sizes(arm_logs):
+    effects = (*catalogue(ARM, arm_logs), *base_effects(ARM, arm_logs))
+    keys = [effect.key for effect in effects]
+    assert len(set(keys)) == len(keys)
+    for effect in effects:
+        for size in effect.sizes:
+            assert size.low <= 0 < size.typical <= size.high, effect.key
+            assert math.isfinite(size.low)
+            assert math.isfinite(size.high)
+        assert effect.describe(np.array([size.typical for size in effect.sizes]))
+
+
+def test_base_effects_are_candidates_only_where_the_joint_is_known(arm_logs):
+    base = {"viscous friction", "Coulomb friction", "armature", "gain error"}
+    assert not names(catalogue(ARM, arm_logs)) & base
+    assert names(base_effects(ARM, arm_logs)) == base
+    joints = tuple(dataclasses.replace(joint, is_known=True) for joint in ARM.joints)
+    known = dataclasses.replace(ARM, joints=joints)
+    assert base <= names(catalogue(known, arm_logs))
+    assert base_effects(known, arm_logs) == ()
+
+
+def test_priors_of_base_effects_allow_ten_typical_sizes_and_the_nominal_value(arm_logs):
+    base = base_effects(ARM, arm_logs)
+    for size in (size for effect in base for size in effect.sizes):
+        assert size.prior_std == max(10 * size.typical, -size.low)
+    assert all(math.isinf(size.prior_std) for one in catalogue(ARM, arm_logs) for size in one.sizes)
+
+
+def test_command_effects_need_commands(arm_logs):
+    silent = logs_of(ARM, None, lively())
+    commanded = {
+        "command delay",
+        "velocity limit",
+        "command clamp, low",
+        "dead zone",
+        "torque limit",
+        "backlash",
+    }
+    assert commanded <= names(catalogue(ARM, arm_logs))
+    assert not commanded & names(catalogue(ARM, silent))
+    assert "gain error" not in names(base_effects(ARM, silent))
+
+
+@pytest.mark.parametrize(("range_K", "is_offered"), [(2.0, False), (12.0, True)])
+def test_temperature_needs_a_range(range_K, is_offered):
+    heat = Signal(TIME_S, np.linspace(30, 30 + range_K, N_TICKS))
+    effects = catalogue(ARM, logs_of(ARM, lively(), lively(), temperature=lambda _: heat))
+    assert ("temperature-dependent friction" in names(effects)) == is_offered
+
+
+def test_a_second_encoder_gives_periodic_errors_and_puts_the_first_at_the_motor(arm_logs):
+    def twisted(j):
+        return Signal(TIME_S, lively()[:, j] + 1e-3 * np.sin(lively()[:, j]))
+
+    effects = catalogue(ARM, logs_of(ARM, lively(), lively(), secondary=twisted))
+    assert "periodic joint error" in names(effects)
+    assert not any(one.encoder_is_at_output for one in effects if isinstance(one, Backlash))
+    assert all(one.encoder_is_at_output for one in catalogue(ARM, arm_logs) if isinstance(one, Backlash))
+
+
+@pytest.mark.parametrize(("share", "orders"), [(1.0, {1, 2}), (0.6, {2}), (0.2, set())])
+def test_a_wave_is_offered_where_the_joint_turns_through_half_a_period(share, orders):
+    command = share * np.pi * (lively() - lively().min(axis=0)) / np.ptp(lively(), axis=0)
+
+    def twisted(j):
+        return Signal(TIME_S, command[:, j] + 1e-3 * np.sin(command[:, j]))
+
+    effects = catalogue(ARM, logs_of(ARM, command, command, secondary=twisted))
+    assert {one.order for one in effects if isinstance(one, PeriodicError)} == orders
+
+
+def test_a_second_encoder_of_zeros_is_none():
+    zeros = Signal(TIME_S, np.zeros(N_TICKS))
+    effects = catalogue(ARM, logs_of(ARM, lively(), lively(), secondary=lambda _: zeros))
+    assert "periodic joint error" not in names(effects)
+
+
+def test_a_plane_is_offered_where_commands_go_below_the_lowest_measured_height():
+    robot = robot_of(PENDULUM_XML)
+    command = np.linspace(1.2, 0.0, N_TICKS)[:, None]
+    stopped = np.maximum(command, np.arccos(0.25 / 0.3))
+    plane = [
+        one for one in catalogue(robot, logs_of(robot, command, stopped)) if one.family is Family.CONTACT
+    ]
+    assert len(plane) == 1
+    assert plane[0].lowest_m == pytest.approx(-0.3, abs=1e-6)
+    assert plane[0].sizes[0].high == pytest.approx(0.05 + 0.01 + 0.15, abs=1e-3)
+    free = catalogue(robot, logs_of(robot, command, command))
+    assert not [one for one in free if one.family is Family.CONTACT]
+
+
+def test_links_that_change_no_torque_are_left_out(arm_logs):
+    effects = catalogue(ARM, arm_logs)
+    without_gravity = robot_of(ARM_XML.replace("<option ", '<option gravity="0 0 0" '))
+    assert "gravity direction" in names(effects)
+    assert "gravity direction" not in names(catalogue(without_gravity, arm_logs))
+    zeros = {one.place for one in effects if one.name == "joint zero"}
+    assert zeros == {"lift", "elbow"}  # gravity and inertia are the same at any angle of a vertical axis
+
+
+def test_held_out_motions_give_no_bounds(arm_logs):
+    fast = lively(30.0)
+    joints = {
+        joint.name: JointLog(Signal(TIME_S, 3 * fast[:, j]), command=Signal(TIME_S, 3 * fast[:, j]))
+        for j, joint in enumerate(ARM.joints)
+    }
+    wider = Logs((*arm_logs.motions, Motion("held", joints, {})), frozenset({"held"}))
+    assert [one.sizes for one in catalogue(ARM, wider)] == [one.sizes for one in catalogue(ARM, arm_logs)]
+
+
+def test_orders_of_a_smooth_error_have_narrower_priors_the_higher_they_are():
+    sizes = SmoothPeriodicError("lift", 1e-3).sizes
+    assert len(sizes) == 96
+    widths = [size.prior_std for size in sizes[::2]]
+    np.testing.assert_allclose(widths, 1e-3 / np.arange(1, 49))
+
+
+def kinds():
+    """All classes of effects that the catalogue and its parts import."""
+    folder = Path(inspect.getfile(interface)).parent
+    found = set(_below(Effect))
+    return {kind for kind in found if Path(inspect.getfile(kind)).parent == folder and hasattr(kind, "name")}
+
+
+def _below(kind):
+    for one in kind.__subclasses__():
+        yield one
+        yield from _below(one)
+
+
+def test_the_page_lists_every_effect_with_its_family_and_its_sizes(arm_logs):
+    rows = {
+        cells[0]: cells[1:]
+        for cells in (
+            [cell.strip() for cell in line.strip("|").split("|")]
+            for line in PAGE.splitlines()
+            if line.startswith("| ") and line.count("|") == 7
+        )
+    }
+    offered = {one.name: one for one in (*catalogue(ARM, arm_logs), *base_effects(ARM, arm_logs))}
+    all_names = {kind.name: kind for kind in kinds()}
+    assert set(all_names) == set(rows) - {"effect", "---"}
+    for name, kind in all_names.items():
+        family, sizes, *_ = rows[name]
+        assert family == kind.family, name
+        if name in offered and name != "periodic joint error of many orders":
+            listed = re.findall(r"`(\w+)`", sizes)
+            assert listed == [size.name for size in offered[name].sizes], name
+        for other in re.split(r"; ", rows[name][-1]):
+            assert other == "" or other in all_names, f"{name}: {other} is no effect"

@@ -1,0 +1,209 @@
+"""Steps of an interrupted diagnosis: the next run ends with the same bits, and takes no steps of others."""
+
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.planar_arm import planar_arm, slow_logs, with_joint
+from helpers.toy import BASE, CATALOGUE, Toy, ToyResiduals, draw_toy
+from simgap.arrays import Array
+from simgap.effects.effect import Effect
+from simgap.selection.checkpoint import STEPS, Checkpoint, EXPIRED_s, digest_inputs, pack, unpack
+from simgap.selection.context import Selection
+from simgap.selection.meter import Meter
+from simgap.selection.selection import select_effects
+from simgap.selection.verdict import ConfidenceSet, find_confidence_sets
+
+Found = tuple[Selection, list[ConfidenceSet]]
+BODY = Toy("base", "square of all", np.square)
+EFFECTS = (*CATALOGUE, BODY)
+TRUTH = {"near: square": 0.1, "far: square": 0.1, "far: sine": 0.05}
+
+
+class Killed(BaseException):
+    """End of a run at once."""
+
+
+class MortalToy(ToyResiduals):
+    """Toy whose run is killed after a number of candidates."""
+
+    last = 10**9
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        if self.calls + len(sizes) > self.last:
+            raise Killed
+        return super().residuals(effects, sizes)
+
+
+def mortal(last: int = 10**9) -> MortalToy:
+    toy = draw_toy(1, TRUTH, n_samples=60)
+    model = MortalToy(toy.commands, toy.measured, toy.joints)
+    model.last = last
+    return model
+
+
+def find(model: ToyResiduals, folder: Path | None, meter: Meter | None = None) -> Found:
+    with Checkpoint(folder, EFFECTS) as checkpoint:
+        selection = select_effects(model, BASE, EFFECTS, seed=1, meter=meter, checkpoint=checkpoint)
+        return selection, find_confidence_sets(selection)
+
+
+def bits(found: Found) -> list[bytes]:
+    """Return every number of what was found."""
+    selection, sets = found
+    arrays: list[Array] = [selection.context.scales, selection.context.base_left_out]
+    text = pack([selection.base, selection.chosen, sets], arrays)
+    return [repr(text).encode(), *(array.tobytes() for array in arrays)]
+
+
+@pytest.fixture(scope="module")
+def whole() -> tuple[list[bytes], int]:
+    """The bits of a run that was not killed, and the candidates that it took."""
+    model = mortal()
+    return bits(find(model, None)), model.calls
+
+
+@pytest.mark.parametrize("share", [0.02, 0.35, 0.65, 0.95])
+def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_bits(
+    whole: tuple[list[bytes], int], tmp_path: Path, share: float
+) -> None:
+    expected, calls = whole
+    with pytest.raises(Killed):
+        find(mortal(int(share * calls)), tmp_path / "steps")
+    second = mortal()
+    assert bits(find(second, tmp_path / "steps")) == expected
+    assert second.calls < (1.0 - share) * calls + 0.25 * calls  # at most the step in which it was killed
+    assert not (tmp_path / "steps").exists()
+
+
+def test_a_run_that_is_killed_again_and_again_comes_to_its_end(
+    whole: tuple[list[bytes], int], tmp_path: Path
+) -> None:
+    expected, calls = whole
+    for _ in range(10):
+        try:
+            assert bits(find(mortal(int(0.4 * calls)), tmp_path / "steps")) == expected
+            return
+        except Killed:
+            pass
+    pytest.fail("it made no headway")
+
+
+def test_a_step_that_was_torn_is_carried_out_again(whole: tuple[list[bytes], int], tmp_path: Path) -> None:
+    expected, calls = whole
+    with pytest.raises(Killed):
+        find(mortal(int(0.7 * calls)), tmp_path / "steps")
+    steps = sorted((tmp_path / "steps").iterdir())
+    for path, cut in ((steps[-1], 0), (steps[-2], 1), (steps[2], 500)):
+        path.write_bytes(path.read_bytes()[:-cut] if cut else b"")
+    assert bits(find(mortal(), tmp_path / "steps")) == expected
+
+
+def test_the_progress_goes_on_from_where_it_was(whole: tuple[list[bytes], int], tmp_path: Path) -> None:
+    shares: list[float] = []
+    with pytest.raises(Killed):
+        find(mortal(int(0.8 * whole[1])), tmp_path / "steps", Meter(lambda share, _: shares.append(share)))
+    again: list[tuple[float, str]] = []
+    find(mortal(), tmp_path / "steps", Meter(lambda share, text: again.append((share, text))))
+    assert again[0][1] == "going on"
+    assert again[0][0] == pytest.approx(shares[-1], abs=0.05)
+
+
+def test_an_error_leaves_no_steps_because_it_would_come_again(tmp_path: Path) -> None:
+    def fail() -> None:
+        with Checkpoint(tmp_path / "steps") as checkpoint:
+            checkpoint.step(Meter(), "one", lambda: np.ones(3))
+            checkpoint.step(Meter(), "two", lambda: 1 / 0)
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_made_stops_no_diagnosis(
+    whole: tuple[list[bytes], int], tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("")
+    assert bits(find(mortal(), tmp_path / "file" / "steps")) == whole[0]
+
+
+def test_a_full_disk_stops_no_diagnosis(
+    whole: tuple[list[bytes], int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(Killed):
+        find(mortal(whole[1] // 2), tmp_path / "steps")
+    monkeypatch.setattr(np, "savez", full)
+    assert bits(find(mortal(), tmp_path / "steps")) == whole[0]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_steps_that_nobody_went_on_from_for_a_week_are_deleted(tmp_path: Path) -> None:
+    names = [f"{STEPS}old", f"{STEPS}new", "results of the user"]
+    for name, age_s in zip(names, (EXPIRED_s + 60.0, EXPIRED_s - 3600.0, 10 * EXPIRED_s), strict=True):
+        (tmp_path / name).mkdir()
+        os.utime(tmp_path / name, (time.time() - age_s,) * 2)
+    Checkpoint(tmp_path / f"{STEPS}mine")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([f"{STEPS}mine", *names[1:]])
+
+
+def test_a_step_that_contains_steps_is_recalled_as_one(tmp_path: Path) -> None:
+    for _ in range(2):
+        checkpoint = Checkpoint(tmp_path / "steps")
+
+        def outer(own: Checkpoint = checkpoint) -> list[int]:
+            return [own.step(Meter(), "inner", lambda k=k: k) for k in range(3)]
+
+        assert checkpoint.step(Meter(), "outer", outer) == [0, 1, 2]
+        assert checkpoint.step(Meter(), "after", lambda: 7) == 7
+    assert len(list((tmp_path / "steps").iterdir())) == 5
+
+
+def test_only_records_of_the_diagnosis_are_made_from_a_file() -> None:
+    for module, name in (
+        ("os", "system"),
+        ("simgap.selection.checkpoint", "Checkpoint"),
+        ("dataclasses", "field"),
+    ):
+        with pytest.raises(KeyError):
+            unpack({"record": [module, name], "fields": []}, [], {})
+
+
+def test_the_digest_changes_with_every_input() -> None:
+    robot, logs = planar_arm(), slow_logs(planar_arm(), count=2)
+    moved = with_joint(logs, "elbow", lambda log: replace(log, command=log.position))
+    used = {("motion 0", "elbow"): np.array([True, False])}
+    same = digest_inputs(planar_arm(), slow_logs(planar_arm(), count=2).motions, None, (), 1)
+    others = (
+        digest_inputs(planar_arm(table=True), logs.motions, None, (), 1),
+        digest_inputs(replace(robot, tool_site=""), logs.motions, None, (), 1),
+        digest_inputs(robot, moved.motions, None, (), 1),
+        digest_inputs(robot, logs.motions[:1], None, (), 1),
+        digest_inputs(robot, [replace(one, repeat_of="a") for one in logs.motions], None, (), 1),
+        digest_inputs(robot, logs.motions, used, (), 1),
+        digest_inputs(robot, logs.motions, {key: ~flags for key, flags in used.items()}, (), 1),
+        digest_inputs(robot, logs.motions, None, (BODY,), 1),
+        digest_inputs(robot, logs.motions, None, (), 2),
+    )
+    assert digest_inputs(robot, logs.motions, None, (), 1) == same
+    assert len({same, *others}) == 1 + len(others)
+
+
+def test_the_digest_changes_with_the_code(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    robot = planar_arm()
+    before = digest_inputs(robot, (), None, (), 1)
+    (tmp_path / "fit.py").write_text("")
+    monkeypatch.setattr("simgap.selection.checkpoint.PACKAGE", tmp_path)
+    assert digest_inputs(robot, (), None, (), 1) != before
+
+
+def test_an_effect_without_a_file_has_no_digest() -> None:
+    kind = type("Typed", (Toy,), {"__module__": "typed"})
+    assert digest_inputs(planar_arm(), (), None, (kind("base", "x", np.square),), 1) is None

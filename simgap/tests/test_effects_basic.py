@@ -1,0 +1,294 @@
+"""Effects of friction, actuation, command, sensors and external torques, against laws written down here."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from helpers.pendulum import (
+    ARMATURE_kgm2,
+    INERTIA_kgm2,
+    LENGTH_m,
+    MASS_kg,
+    at_swing,
+    motion,
+    pendulum,
+    scales,
+    simulated,
+    waves,
+)
+from simgap.arrays import Array
+from simgap.effects.actuation import (
+    BackEmf,
+    DampingGain,
+    DeadZone,
+    GainError,
+    LeakyIntegral,
+    SupplySag,
+    TorqueConstant,
+    TorqueLimit,
+)
+from simgap.effects.command import AccelerationLimit, ClampHigh, ClampLow, CommandDelay, VelocityLimit
+from simgap.effects.external import ConstantTorque, PeriodicTorque, PositionTorque, Spring
+from simgap.effects.friction import (
+    AsymmetricFriction,
+    CoulombFriction,
+    LoadFriction,
+    StribeckFriction,
+    TemperatureFriction,
+    ViscousFriction,
+)
+from simgap.effects.inertia import Armature
+from simgap.effects.joint import JointEffect
+from simgap.effects.timing import EncoderScale, JointZero, MeasurementDelay
+from simgap.logs import Motion, Signal
+from simgap.residuals.simulation_residuals import SimulationResiduals
+from simgap.robot import ControlMode, Robot
+
+TIME_s = np.arange(0, 2, 0.01)
+KINDS: list[type[JointEffect]] = [
+    AccelerationLimit, Armature, AsymmetricFriction, BackEmf, ClampHigh, ClampLow, CommandDelay,
+    ConstantTorque, CoulombFriction, DampingGain, DeadZone, EncoderScale, GainError, JointZero,
+    LeakyIntegral, LoadFriction, MeasurementDelay, PeriodicTorque, PositionTorque, Spring,
+    StribeckFriction, TemperatureFriction, TorqueConstant, TorqueLimit, VelocityLimit, ViscousFriction,
+]  # fmt: skip
+LINK_kgm2 = MASS_kg * LENGTH_m**2
+Torque = Callable[[float, float, float], float]
+
+
+def level(mode: ControlMode = ControlMode.TORQUE, dry_Nm: float = 0.0, limit_Nm: float = np.inf) -> Robot:
+    """Make a pendulum without gravity and damping, with a fine step."""
+    return pendulum(
+        mode, damping=0.0, dry_Nm=dry_Nm, limit_Nm=limit_Nm, step_s=0.0005, period_s=0.0005, is_level=True
+    )
+
+
+def held(command: float, **others: Signal) -> Motion:
+    """Make a log with a constant command that starts at 0."""
+    return motion(TIME_s, 0 * TIME_s, np.full(TIME_s.size, command), **others)
+
+
+def exact(torque: Torque, inertia_kgm2: float = INERTIA_kgm2) -> Array:
+    """Integrate the level pendulum from rest under a torque of time, angle and speed."""
+
+    def slope(t: float, y: Array) -> list[float]:
+        return [y[1], torque(t, y[0], y[1]) / inertia_kgm2]
+
+    found = solve_ivp(slope, (0, TIME_s[-1]), [0.0, 0.0], t_eval=TIME_s, rtol=1e-8, atol=1e-10, max_step=0.01)
+    return np.asarray(found.y[0])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_size_of_0_changes_no_bit_beside_candidates_that_have_the_effect(kind: type[JointEffect]) -> None:
+    robot = pendulum(limit_Nm=0.6)
+    heat = Signal(TIME_s, np.full(TIME_s.size, 30.0))
+    log = motion(TIME_s, 0 * TIME_s, 1.2 * np.sin(6 * TIME_s), temperature=heat)
+    model = SimulationResiduals(robot, [log], n_threads=1)
+    effect = at_swing(kind, robot)
+    typical = np.array([size.typical for size in effect.sizes])
+    found = model.residuals([effect], np.array([0 * typical, typical]))
+    assert np.array_equal(found[0], model.residuals([], np.zeros((1, 0)))[0])
+    assert not np.array_equal(found[0], found[1])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_sizes_have_bounds_around_their_typical_size_and_0(kind: type[JointEffect]) -> None:
+    effect = at_swing(kind, pendulum())
+    for size in effect.sizes:
+        assert size.low <= 0.0 < size.typical < size.high
+    assert effect.key.startswith("swing: ")
+    assert effect.describe(np.array([size.typical for size in effect.sizes]))
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "torque"),
+    [
+        (ViscousFriction, [0.05], lambda t, q, v: 0.1 - 0.05 * v),
+        (CoulombFriction, [0.04], lambda t, q, v: 0.1 - 0.04),
+        (StribeckFriction, [0.05, 2.0], lambda t, q, v: 0.1 - 0.05 * np.exp(-((v / 2.0) ** 2))),
+        (AsymmetricFriction, [0.04], lambda t, q, v: 0.1 - 0.04),
+        (AsymmetricFriction, [-0.04], lambda t, q, v: 0.1),
+        (ConstantTorque, [0.03], lambda t, q, v: 0.13),
+        (Spring, [0.5, 0.02], lambda t, q, v: 0.12 - 0.5 * q),
+        (PeriodicTorque, [0.02, 0.03], lambda t, q, v: 0.1 + 0.02 * np.cos(q) + 0.03 * np.sin(q)),
+        (
+            PositionTorque,
+            [0.02, -0.05],
+            lambda t, q, v: 0.1 + 0.02 * np.cos(q) - 0.05 * np.sin(q),
+        ),
+        (TorqueConstant, [0.3], lambda t, q, v: 0.13),
+        (TorqueLimit, [20.0], lambda t, q, v: 0.05),
+        (BackEmf, [0.1], lambda t, q, v: min(0.1, 0.2 * max(1 - 0.1 * v, 0.0))),
+    ],
+)
+def test_a_constant_motor_torque_moves_the_joint_as_the_law_says(
+    kind: type[JointEffect], size: list[float], torque: Torque
+) -> None:
+    robot = level(limit_Nm=0.2)
+    found = simulated(robot, held(0.1), (at_swing(kind, robot), size))
+    law = exact(torque)
+    assert np.abs(found - law).max() < 2e-3 * np.abs(law).max()
+
+
+def test_load_friction_counts_the_inertia_of_the_link_and_not_of_the_rotor() -> None:
+    robot = level()
+    found = simulated(robot, held(0.1), (at_swing(LoadFriction, robot), [0.3]))
+    law = exact(lambda t, q, v: 0.1, INERTIA_kgm2 + 0.3 * LINK_kgm2)
+    assert np.abs(found - law).max() < 2e-3 * np.abs(law).max()
+
+
+def test_armature_adds_to_the_inertia() -> None:
+    robot = level()
+    found = simulated(robot, held(0.1), (at_swing(Armature, robot), [0.5 * ARMATURE_kgm2]))
+    law = exact(lambda t, q, v: 0.1, INERTIA_kgm2 + 0.5 * ARMATURE_kgm2)
+    assert np.abs(found - law).max() < 2e-3 * np.abs(law).max()
+
+
+def test_cold_friction_counts_from_the_hottest_temperature() -> None:
+    robot = level()
+    heat = Signal(TIME_s, np.full(TIME_s.size, 30.0))
+    found = simulated(robot, held(0.1, temperature=heat), (at_swing(TemperatureFriction, robot), [0.004]))
+    law = exact(lambda t, q, v: 0.06)
+    assert np.abs(found - law).max() < 2e-3 * np.abs(law).max()
+
+
+def test_asymmetric_friction_acts_in_one_direction_alone() -> None:
+    robot = level(dry_Nm=0.01)
+    effect = at_swing(AsymmetricFriction, robot)
+    up, down = (simulated(robot, held(sign * 0.1), (effect, [0.05])) for sign in (1.0, -1.0))
+    assert up[-1] == pytest.approx(0.5 * (0.1 - 0.01 - 0.05) / INERTIA_kgm2 * TIME_s[-1] ** 2, rel=5e-3)
+    assert down[-1] == pytest.approx(-0.5 * (0.1 - 0.01) / INERTIA_kgm2 * TIME_s[-1] ** 2, rel=5e-3)
+
+
+def test_stribeck_friction_holds_what_coulomb_friction_lets_go() -> None:
+    robot = level(dry_Nm=0.05)
+    effect = at_swing(StribeckFriction, robot)
+    assert np.abs(simulated(robot, held(0.09), (effect, [0.05, 0.1])))[-1] < 1e-3
+    assert simulated(robot, held(0.11), (effect, [0.05, 0.1]))[-1] > 1.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "torque"),
+    [
+        (GainError, [0.5], lambda t, q, v: 1.5 * (4.0 * (0.2 - q) - 0.1 * v)),
+        (DampingGain, [0.1], lambda t, q, v: 4.0 * (0.2 - q) - 0.2 * v),
+        (TorqueConstant, [-0.4], lambda t, q, v: 0.6 * np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.5, 0.5)),
+        (TorqueLimit, [5.0], lambda t, q, v: np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.2, 0.2)),
+        (
+            BackEmf,
+            [0.2],
+            lambda t, q, v: np.clip(4.0 * (0.2 - q) - 0.1 * v, -0.2 * (1 + 0.2 * v), 0.2 * (1 - 0.2 * v)),
+        ),
+        (
+            DeadZone,
+            [0.05],
+            lambda t, q, v: 4.0 * np.sign(0.2 - q) * max(abs(0.2 - q) - 0.05, 0.0) - 0.1 * v,
+        ),
+    ],
+)
+def test_a_position_loop_moves_as_the_law_says(
+    kind: type[JointEffect], size: list[float], torque: Torque
+) -> None:
+    robot = level(ControlMode.POSITION, limit_Nm={TorqueConstant: 0.5, BackEmf: 0.2}.get(kind, np.inf))
+    found = simulated(robot, held(0.2), (at_swing(kind, robot), size))
+    assert np.abs(found - exact(torque)).max() < 3e-3
+
+
+def test_a_leaky_integral_agrees_with_its_differential_equation() -> None:
+    robot = level(ControlMode.POSITION)
+    found = simulated(robot, held(0.2), (at_swing(LeakyIntegral, robot), [2.0, 0.5]))
+
+    def slope(_: float, y: Array) -> list[float]:
+        error = 0.2 - y[0]
+        torque = 4.0 * (error + 2.0 * y[2]) - 0.1 * y[1]
+        return [y[1], torque / INERTIA_kgm2, error - 0.5 * y[2]]
+
+    law = solve_ivp(slope, (0, TIME_s[-1]), [0.0] * 3, t_eval=TIME_s, rtol=1e-8, atol=1e-10).y[0]
+    assert np.abs(found - law).max() < 3e-3
+
+
+def test_a_sagging_supply_lowers_gains_by_the_torque_in_use() -> None:
+    robot = level(ControlMode.POSITION)
+    effect = SupplySag.of(robot, {"swing": scales(torque_Nm=1.0)})
+    found = simulated(robot, held(0.1), (effect, [0.5]))
+
+    def torque(_: float, q: float, v: float) -> float:
+        wanted = 4.0 * (0.1 - q) - 0.1 * v
+        return wanted / (1 + 0.5 * abs(wanted))  # torque = (1 - 0.5 |torque|) wanted
+
+    assert np.abs(found - exact(torque)).max() < 1e-3
+
+
+def test_a_supply_falls_by_no_more_than_twice_what_its_voltage_shows() -> None:
+    log = motion(TIME_s, 0 * TIME_s, 0 * TIME_s)
+    volts = np.where(TIME_s < 0.8 * TIME_s[-1], 12.0, 10.8)
+    swing = replace(log.joints["swing"], voltage=Signal(TIME_s, volts))
+    with_voltage = replace(log, joints={"swing": swing})
+    for logs, high in ([], 1.0), ([log], 1.0), ([with_voltage], 0.2):
+        (size,) = SupplySag.of(pendulum(), {"swing": scales(torque_Nm=1.0)}, logs).sizes
+        assert size.high == pytest.approx(high)
+
+
+def test_a_delayed_command_is_an_earlier_command() -> None:
+    robot = pendulum()
+    command = waves(TIME_s, 4)
+    for delay_s in (0.02, 0.0230, 0.0461):
+        late = motion(TIME_s, 0 * TIME_s, command)
+        log = late.joints["swing"]
+        moved = replace(log, command=Signal(TIME_s + delay_s, command))
+        found = simulated(robot, late, (at_swing(CommandDelay, robot), [delay_s]))
+        assert np.abs(found - simulated(robot, replace(late, joints={"swing": moved}))).max() < 1e-4
+
+
+def test_a_measurement_delay_shifts_the_samples() -> None:
+    robot = pendulum()
+    log = motion(TIME_s, 0 * TIME_s, waves(TIME_s, 4))
+    plain = simulated(robot, log)
+    for delay_s, shift in ((0.03, 3), (-0.02, -2)):
+        shown = simulated(robot, log, (at_swing(MeasurementDelay, robot), [delay_s]))
+        inside = slice(5, -5)
+        assert np.abs(shown[inside] - np.roll(plain, shift)[inside]).max() < 1e-12
+
+
+def test_encoder_errors_are_seen_and_fed_back() -> None:
+    robot = level(ControlMode.POSITION)
+    position = np.full(TIME_s.size, 0.1)
+    log = motion(TIME_s, position, position)
+    for kind, size in ((JointZero, 0.03), (EncoderScale, 0.05)):
+        effect = at_swing(kind, robot)
+        shown = simulated(robot, log, (effect, [size]))
+        assert shown == pytest.approx(position, abs=1e-12)  # the loop holds what the encoder shows
+        assert effect.decode(np.array([[size]]), effect.encode(np.array([[size]]), position[None])) == (
+            pytest.approx(position[None])
+        )
+
+
+def shaped(kind: type[JointEffect], size: float, command: Array, period_s: float = 0.01) -> Array:
+    """Shape a command of one simulation."""
+    return at_swing(kind, pendulum()).shape_command(np.array([[size]]), command[None], period_s)[0]
+
+
+@pytest.mark.parametrize("speed_rad_s", [0.5, 30.0, 300.0])
+def test_a_velocity_limit_is_the_mean_of_a_ramp_in_each_control_period(speed_rad_s: float) -> None:
+    found = shaped(VelocityLimit, 1 / speed_rad_s, np.where(TIME_s > 0.095, 0.403, 0.0))
+    fine_s = TIME_s[:, None] + 0.01 * (np.arange(1000) + 0.5) / 1000
+    ramp = np.clip(speed_rad_s * (fine_s - 0.1), 0.0, 0.403)
+    assert found == pytest.approx(ramp.mean(axis=1), abs=1e-6)
+
+
+def test_an_acceleration_limit_follows_a_step_with_a_triangle_of_speed_and_does_not_overshoot() -> None:
+    found = shaped(AccelerationLimit, 1 / 2.0, np.where(TIME_s > 0.005, 0.5, 0.0))
+    assert found.max() <= 0.5 + 1e-12
+    assert found[-1] == pytest.approx(0.5, abs=1e-6)
+    assert np.abs(np.diff(found, 2)).max() <= 2.0 * 0.01**2 + 1e-12
+    # half of the way after sqrt(d/a), all of it after twice that time
+    assert np.interp(0.25, found, TIME_s) == pytest.approx(np.sqrt(0.5 / 2.0), abs=0.02)
+    assert np.interp(0.495, found, TIME_s) == pytest.approx(1.0 - np.sqrt(2 * 0.005 / 2.0), abs=0.03)
+
+
+def test_a_clamp_cuts_the_commanded_range_at_one_end() -> None:
+    command = np.sin(5 * TIME_s)
+    assert np.array_equal(shaped(ClampHigh, 0.2, command), np.minimum(command, 0.8))
+    assert np.array_equal(shaped(ClampLow, 0.3, command), np.maximum(command, -0.7))

@@ -1,0 +1,172 @@
+"""Backlash and compliance against a two-mass oscillator, statics, and the motion without them."""
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from helpers.effect_lab import ARM_XML, robot_of, simulate
+from simgap.effects.coupling import JointCoupling
+from simgap.effects.effect import State
+from simgap.effects.transmission import DAMPING_RATIO, Backlash, JointCompliance, gear_inertia_kgm2
+
+ARM = robot_of(ARM_XML)
+PERIOD_S = ARM.control_period_s
+FLYWHEEL_XML = """
+<mujoco model="flywheel">
+  <option timestep="0.0005"/>
+  <worldbody>
+    <body name="wheel">
+      <joint name="turn" axis="0 0 1" damping="{damping}" frictionloss="{dry}" armature="0.02"/>
+      <inertial pos="0 0 0" mass="1" diaginertia="0.03 0.03 0.03"/>
+    </body>
+  </worldbody>
+  <actuator><position name="turn" joint="turn" kp="8" kv="0.2" forcerange="-50 50"/></actuator>
+</mujoco>
+"""
+LINK_KGM2, ROTOR_KGM2, KP, KD, DAMPING = 0.03, 0.02 + 0.01 * 0.05, 8.0, 0.2, 0.3
+
+
+def flywheel(damping=DAMPING, dry=0.0):
+    return robot_of(FLYWHEEL_XML.format(damping=damping, dry=dry), tool_site="")
+
+
+def backlash(place="turn", index=0, encoder_is_at_output=True):
+    return Backlash(place, index, encoder_is_at_output, typical_rad=0.01, high_rad=0.1)
+
+
+def compliance(place="turn", index=0, encoder_is_at_output=True):
+    return JointCompliance(place, index, encoder_is_at_output, typical_rad_Nm=0.02, high_rad_Nm=0.2)
+
+
+def state(load_Nm, q_rad=0.0):
+    load = np.atleast_2d(load_Nm)
+    return State(
+        np.zeros(len(load)), np.full_like(load, q_rad), np.zeros_like(load), load, np.full_like(load, np.nan)
+    )
+
+
+def two_masses(stiffness, command_rad, time_s, encoder_is_at_output):
+    """Integrate rotor and wheel with a spring between, and a loop that closes at one of them."""
+    spring_damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * gear_inertia_kgm2(flywheel(), 0))
+
+    def slope(t, x):
+        rotor, wheel, rotor_speed, wheel_speed = x
+        shown = wheel if encoder_is_at_output else rotor
+        motor = KP * (command_rad - shown) - KD * rotor_speed
+        spring = stiffness * (rotor - wheel) + spring_damping * (rotor_speed - wheel_speed)
+        return (
+            rotor_speed,
+            wheel_speed,
+            (motor - DAMPING * rotor_speed - spring) / ROTOR_KGM2,
+            spring / LINK_KGM2,
+        )
+
+    found = solve_ivp(slope, (0, time_s[-1]), np.zeros(4), t_eval=time_s, rtol=1e-9, atol=1e-11)
+    return found.y[1] if encoder_is_at_output else found.y[0]
+
+
+@pytest.mark.parametrize("encoder_is_at_output", [True, False])
+def test_a_compliant_joint_moves_as_two_masses_with_a_spring(encoder_is_at_output):
+    robot, stiffness = flywheel(), 40.0
+    effect = compliance(encoder_is_at_output=encoder_is_at_output)
+    command = np.full((400, 1), 0.5)
+    time_s = robot.control_period_s * np.arange(400)
+    shown_rad = simulate(robot, (effect,), [[1 / stiffness]], command, [0.0])[0, 0]
+    expected_rad = two_masses(stiffness, 0.5, time_s, encoder_is_at_output)
+    rigid_rad = simulate(robot, (effect,), [[0.0]], command, [0.0])[0, 0]
+    assert np.abs(shown_rad - expected_rad).max() < 0.05 * np.abs(rigid_rad - expected_rad).max()
+
+
+def test_at_rest_an_output_encoder_does_not_see_the_compliance():
+    effects = (compliance("lift", 1),)
+    command = np.tile((0.0, 0.4, 0.0), (1000, 1))
+    shown_rad = simulate(ARM, effects, [[0.0], [0.02]], command, [0.0, 0.4, 0.0])
+    rest_rad = shown_rad[:, 1, -1]
+    assert rest_rad[1] == pytest.approx(rest_rad[0], abs=2e-3)  # dry friction leaves this much: 0.05 / 20
+
+
+def test_at_rest_the_output_under_a_motor_encoder_is_lower_by_compliance_times_load():
+    robot, size = robot_of(ARM_XML.replace('frictionloss="0.05"', "")), 0.2
+    command = np.tile((0.0, 0.4, 0.0), (2000, 1))
+    effects = (compliance("lift", 1, encoder_is_at_output=False),)
+    motor_rad = simulate(robot, effects, [[size]], command, [0.0, 0.4, 0.0])[0, :, -1]
+    load_Nm = 20 * (0.4 - motor_rad[1])
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = motor_rad
+    data.qpos[1] -= size * load_Nm
+    mujoco.mj_forward(robot.model, data)
+    assert data.qfrc_bias[1] == pytest.approx(load_Nm, abs=1e-4)
+
+
+def test_a_reversal_loses_the_time_in_which_the_rotor_crosses_the_backlash():
+    robot = flywheel(damping=0.1, dry=0.3)
+    time_s = robot.control_period_s * np.arange(1200)
+    command = 0.3 * np.sin(2 * np.pi * 0.5 * time_s)[:, None]
+    rigid, loose = simulate(robot, (backlash(),), [[0.0], [0.05]], command, [0.0])[:, 0]
+    away = np.abs(loose - rigid)
+    assert away.max() > 0.005
+    assert away.max() < 0.3
+
+
+def test_at_rest_the_output_lies_on_the_flank_below_the_motor():
+    robot, size = robot_of(ARM_XML.replace('frictionloss="0.05"', "")), 0.2
+    command = np.tile((0.0, 0.4, 0.0), (2000, 1))
+    motor_rad = simulate(robot, (backlash("lift", 1, False),), [[size]], command, [0.0, 0.4, 0.0])[0, :, -1]
+    load_Nm = 20 * (0.4 - motor_rad[1])
+    data = mujoco.MjData(robot.model)
+    data.qpos[:] = motor_rad
+    data.qpos[1] -= np.sign(load_Nm) * size / 2
+    mujoco.mj_forward(robot.model, data)
+    assert data.qfrc_bias[1] == pytest.approx(load_Nm, abs=1e-3)
+
+
+@pytest.mark.parametrize("effect", [backlash("lift", 1), compliance("lift", 1)], ids=lambda one: one.name)
+def test_a_size_of_zero_changes_no_bit_of_the_motion(effect):
+    time_s = PERIOD_S * np.arange(300)
+    command = np.stack((0.5 * np.sin(3 * time_s), 0.3 * np.cos(2 * time_s), 0.4 * np.sin(time_s)), axis=1)
+    plain = simulate(ARM, (), [[]], command, command[0])
+    varied = simulate(ARM, (effect,), [[0.0], [effect.sizes[0].typical]], command, command[0])
+    np.testing.assert_array_equal(varied[0], plain[0])
+    assert np.abs(varied[1, 1] - plain[0, 1]).max() > 1e-4
+
+
+def test_backlash_and_compliance_at_one_joint_act_in_series_in_either_order():
+    time_s = PERIOD_S * np.arange(300)
+    command = np.stack((0 * time_s, 0.4 * np.sin(8 * time_s), 0 * time_s), axis=1)
+    both = (backlash("lift", 1), compliance("lift", 1))
+    one = simulate(ARM, both, [[0.02, 0.01], [0.02, 0.0], [0.0, 0.01]], command, np.zeros(3))
+    other = simulate(ARM, both[::-1], [[0.01, 0.02], [0.0, 0.02], [0.01, 0.0]], command, np.zeros(3))
+    np.testing.assert_array_equal(one, other)
+    assert np.abs(one[0] - one[1]).max() > 1e-3
+    assert np.abs(one[0] - one[2]).max() > 1e-3
+
+
+def test_a_gear_stiffer_than_the_time_step_resolves_still_moves_as_a_rigid_one():
+    time_s = PERIOD_S * np.arange(300)
+    command = np.stack((0 * time_s, 0.4 * np.sin(3 * time_s), 0 * time_s), axis=1)
+    rigid, stiff = simulate(ARM, (compliance("lift", 1),), [[0.0], [1e-9]], command, np.zeros(3))[:, 1]
+    assert np.abs(stiff - rigid).max() < 2e-3
+
+
+def test_deflection_under_load_is_a_spring_and_half_the_backlash():
+    loads = [[0.0, 3.0], [0.0, -2.0], [0.0, 0.0]]
+    size = np.array([[0.01], [0.01], [0.01]])
+    np.testing.assert_allclose(compliance("b", 1).deflection_rad(size, state(loads)), (-0.03, 0.02, 0.0))
+    np.testing.assert_allclose(backlash("b", 1).deflection_rad(size, state(loads)), (-0.005, 0.005, 0.0))
+
+
+def test_a_coupled_joint_turns_with_its_neighbour():
+    coupling = JointCoupling("b", 1, "a", 0, typical_ratio=0.01)
+    seen = coupling.deflection_rad(np.array([[0.1]]), state([[0.0, 5.0]], q_rad=0.5))
+    np.testing.assert_allclose(seen, [-0.05])
+    assert coupling.key == "b: joint coupling to a"
+
+
+def test_a_coupled_joint_relieves_the_motor_of_its_neighbour_of_a_part_of_its_load():
+    robot = robot_of(ARM_XML.replace('frictionloss="0.05"', "").replace('frictionloss="0.04"', ""))
+    coupling = JointCoupling("elbow", 2, "lift", 1, typical_ratio=0.05)
+    command = np.tile((0.0, 0.3, 0.0), (2000, 1))
+    alone, coupled = simulate(robot, (coupling,), [[0.0], [0.1]], command, [0.0, 0.3, 0.0])[:, :, -1]
+    data_load_Nm = 10 * (0.0 - alone[2])  # torque with which the loop of the elbow carries the elbow
+    assert coupled[1] - alone[1] == pytest.approx(0.1 * data_load_Nm / 20, rel=0.1)

@@ -1,0 +1,267 @@
+"""The engine against an independent integrator, and its promises on bits."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from helpers.pendulum import (
+    INERTIA_kgm2,
+    LENGTH_m,
+    MASS_kg,
+    at_swing,
+    g_m_s2,
+    motion,
+    pendulum,
+    simulated,
+    waves,
+)
+from simgap.arrays import Array
+from simgap.effects.actuation import DeadZone, GainError
+from simgap.effects.command import CommandDelay
+from simgap.effects.effect import Effect
+from simgap.effects.external import ConstantTorque
+from simgap.effects.friction import CoulombFriction, LoadFriction, StribeckFriction
+from simgap.effects.timing import MeasurementDelay
+from simgap.effects.transmission import Backlash
+from simgap.errors import RobotError
+from simgap.logs import JointLog, Motion, Signal
+from simgap.residuals.residuals import residuals_by_motion
+from simgap.residuals.simulation_residuals import PENALTY_rad, SimulationResiduals
+from simgap.robot import ControlMode
+from simgap.simulation.windows import cut_windows, held_means
+
+TIME_s = np.arange(0, 3, 0.01)
+
+
+def swing(torque: Callable[[float, float, float], float], time_s: Array, q_rad: float = 0.0) -> Array:
+    """Integrate the pendulum under a torque of time, angle and speed, with damping 0.02."""
+
+    def slope(t: float, y: Array) -> list[float]:
+        gravity = -MASS_kg * g_m_s2 * LENGTH_m * np.sin(y[0])
+        return [y[1], (torque(t, y[0], y[1]) + gravity - 0.02 * y[1]) / INERTIA_kgm2]
+
+    found = solve_ivp(
+        slope, (0, time_s[-1]), [q_rad, 0.0], t_eval=time_s, rtol=1e-9, atol=1e-11, max_step=0.005
+    )
+    return np.asarray(found.y[0])
+
+
+def test_the_engine_agrees_with_an_independent_integrator_to_second_order() -> None:
+    exact = swing(lambda t, q, v: 4.0 * (waves(np.array([t]), 1)[0] - q) - 0.1 * v, TIME_s)
+    often_s = np.arange(0, 3, 0.0005)
+    command = Signal(often_s, waves(often_s + 0.00025, 1))  # held values that are right in their middle
+    log = Motion("m", {"swing": JointLog(Signal(TIME_s, 0 * TIME_s), command)}, {})
+    robots = [pendulum(dry_Nm=0.0, step_s=h, period_s=h) for h in (0.01, 0.005)]
+    errors = [np.abs(simulated(robot, log) - exact).max() for robot in robots]
+    assert errors[0] < 2e-4
+    assert errors[1] < 0.3 * errors[0]
+
+
+def test_a_clipped_torque_converges_to_an_independent_integrator() -> None:
+    def torque(_: float, q: float, v: float) -> float:
+        return float(np.clip(4.0 * (1.5 - q) - 0.1 * v, -0.6, 0.6))
+
+    log = motion(TIME_s, 0 * TIME_s, np.full(TIME_s.size, 1.5))
+    robots = [pendulum(dry_Nm=0.0, limit_Nm=0.6, step_s=h, period_s=h) for h in (0.001, 0.0005, 0.00025)]
+    errors = [np.abs(simulated(robot, log) - swing(torque, TIME_s)).max() for robot in robots]
+    assert errors[2] < 3e-3
+    assert errors[2] < 0.6 * errors[1] < 0.36 * errors[0]
+
+
+@pytest.mark.parametrize(
+    ("mode", "command", "torque"),
+    [
+        (ControlMode.VELOCITY, 0.8, lambda v: 0.1 * (0.8 - v)),
+        (ControlMode.TORQUE, 0.2, lambda v: 0.2),
+        (ControlMode.CURRENT, 0.1, lambda v: 0.2),
+    ],
+)
+def test_every_control_mode_has_its_law(
+    mode: ControlMode, command: float, torque: Callable[[float], float]
+) -> None:
+    log = motion(TIME_s, 0 * TIME_s, np.full(TIME_s.size, command))
+    found = simulated(pendulum(mode, dry_Nm=0.0, step_s=0.0005, period_s=0.0005), log)
+    assert np.abs(found - swing(lambda t, q, v: torque(v), TIME_s)).max() < 2e-3
+
+
+def test_a_motor_without_torque_lets_the_pendulum_fall() -> None:
+    off = Signal(TIME_s, (TIME_s < 1.0).astype(float))
+    log = motion(TIME_s, np.full(TIME_s.size, 0.5), np.full(TIME_s.size, 0.5), enabled=off)
+    robot = pendulum(dry_Nm=0.0, kp=400.0, step_s=0.0005, period_s=0.0005)
+    found = simulated(robot, log)
+    held = (TIME_s > 0.5) & (TIME_s < 1.0)
+    assert np.ptp(found[held]) < 1e-4
+    begin = found[TIME_s < 1.0][-1]
+    free = swing(lambda t, q, v: 0.0, TIME_s[: TIME_s.size // 2], begin)
+    assert np.abs(found[100 : 100 + free.size] - free).max() < 3e-3
+
+
+def test_the_gain_of_a_motion_scales_the_stiffness_alone() -> None:
+    log = motion(TIME_s, 0 * TIME_s, waves(TIME_s, 2), gain={"swing": 2.0})
+    doubled = simulated(pendulum(kp=2.0), log)
+    assert np.array_equal(doubled, simulated(pendulum(kp=4.0), replace(log, gain={})))
+
+
+def test_dry_friction_holds_up_to_its_size() -> None:
+    for torque_Nm, moves in ((0.095, False), (0.105, True)):
+        robot = pendulum(ControlMode.TORQUE, damping=0.0, dry_Nm=0.1, is_level=True)
+        found = simulated(robot, motion(TIME_s, 0 * TIME_s, np.full(TIME_s.size, torque_Nm)))
+        assert (np.abs(found[-1]) > 0.05) == moves
+
+
+def test_a_loaded_joint_creeps_by_less_than_half_a_milliradian_in_a_minute() -> None:
+    time_s = np.arange(0, 60, 0.05)
+    robot = pendulum(ControlMode.TORQUE, damping=0.0, dry_Nm=0.1, is_level=True, step_s=0.005, period_s=0.005)
+    found = simulated(robot, motion(time_s, 0 * time_s, np.full(time_s.size, 0.09)))
+    assert np.abs(found).max() < 5e-4  # with the defaults of MuJoCo: about 0.4 rad
+
+
+def test_a_blow_up_has_a_finite_penalty_and_no_effect_on_others(capfd: pytest.CaptureFixture[str]) -> None:
+    robot = pendulum(ControlMode.TORQUE)
+    log = motion(TIME_s, 0 * TIME_s, np.ones(TIME_s.size))
+    model = SimulationResiduals(robot, [log], n_threads=1)
+    gain = at_swing(GainError, robot)
+    found = model.residuals([gain], np.array([[0.1], [1e300], [0.1]]))
+    assert np.all(found[1] == PENALTY_rad)
+    assert np.array_equal(found[0], found[2])
+    assert np.array_equal(found[0], model.residuals([gain], np.array([[0.1]]))[0])
+    capfd.readouterr()  # MuJoCo itself prints a warning
+
+
+MOTIONS = [
+    motion(t, 0 * t, waves(t, seed), name=f"m{seed}")
+    for seed, t in ((1, np.arange(0, 1.0, 0.01)), (2, np.arange(0, 2.0, 0.01)), (3, np.arange(0, 0.5, 0.01)))
+]
+
+
+def candidates() -> tuple[list, Array]:  # type: ignore[type-arg]
+    """Make effects with all hooks, and candidates with some of them."""
+    robot = pendulum()
+    kinds = (StribeckFriction, LoadFriction, DeadZone, CommandDelay, MeasurementDelay, CoulombFriction)
+    effects = [at_swing(kind, robot) for kind in kinds]
+    typical = np.array([one.typical for effect in effects for one in effect.sizes])
+    share = np.random.default_rng(5).uniform(0.2, 2.0, (7, typical.size))
+    present = np.random.default_rng(6).uniform(size=(7, typical.size)) < 0.6
+    return effects, share * present * typical
+
+
+def test_the_bits_depend_neither_on_threads_nor_on_other_candidates() -> None:
+    effects, sizes = candidates()
+    one, two = (
+        SimulationResiduals(pendulum(), MOTIONS, n_threads=n).residuals(effects, sizes) for n in (1, 2)
+    )
+    assert np.array_equal(one, two)
+    for k in (0, 3, 6):
+        alone = SimulationResiduals(pendulum(), MOTIONS, n_threads=1).residuals(effects, sizes[[k]])
+        assert np.array_equal(alone[0], one[k])
+
+
+def test_the_bits_of_a_motion_depend_on_no_other_motion() -> None:
+    effects, sizes = candidates()
+    model = SimulationResiduals(pendulum(), MOTIONS, n_threads=1)
+    together = model.residuals(effects, sizes)
+    for m, name in enumerate(model.motions):
+        assert np.array_equal(
+            together[:, model.motion_of == m], model.select([name]).residuals(effects, sizes)
+        )
+
+
+def test_each_motion_with_its_own_sizes_has_the_bits_that_it_has_with_the_same_in_all() -> None:
+    effects, sizes = candidates()
+    model = SimulationResiduals(pendulum(), MOTIONS, n_threads=1)
+    n = len(model.motions)
+    own = np.array([np.roll(sizes, k, axis=0)[:n] for k in range(2)])
+    together = residuals_by_motion(model, effects, own)
+    for candidate, rows in zip(own, together, strict=True):
+        alike = model.residuals(effects, candidate)
+        assert np.array_equal(rows, alike[model.motion_of, np.arange(rows.size)])
+
+
+STEADY: list[Effect] = [
+    *(at_swing(kind, pendulum()) for kind in (GainError, CommandDelay, MeasurementDelay, ConstantTorque)),
+    Backlash("swing", 0, encoder_is_at_output=False, typical_rad=0.01, high_rad=0.1),
+]
+
+
+@pytest.mark.parametrize("limit_Nm", [0.6, float("inf")])
+def test_many_periods_in_one_call_give_the_bits_of_single_ones(
+    limit_Nm: float, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    robot = pendulum(limit_Nm=limit_Nm, step_s=0.001, period_s=0.002)
+    off = Signal(TIME_s, ((TIME_s < 0.3) | (TIME_s > 0.605)).astype(float))
+    logs = [*MOTIONS, motion(TIME_s, 0.1 * TIME_s, waves(TIME_s, 4), name="m4", enabled=off)]
+    model = SimulationResiduals(robot, logs, n_threads=1)
+    typical = np.array([one.typical for effect in STEADY for one in effect.sizes])
+    sizes = typical * np.array([[1, 1, 1, 1, 1], [0, 0, 0, 0, 0], [0, 2, -1, 0, 0], [1e300, 0, 0, 1, 0]])
+    together = model.residuals(STEADY, sizes)
+    monkeypatch.setattr("simgap.simulation.simulation.SPAN", 1)
+    assert np.array_equal(together, model.residuals(STEADY, sizes))
+    capfd.readouterr()  # MuJoCo itself prints a warning on the gain of 1e300
+
+
+def test_residuals_are_labelled_by_joint_motion_and_time() -> None:
+    model = SimulationResiduals(pendulum(), MOTIONS, n_threads=1)
+    assert model.motions == ("m1", "m2", "m3")
+    assert np.bincount(model.motion_of).tolist() == [50, 100, 25]
+    assert np.all(model.joint_of == 0)
+    for m in range(3):
+        assert np.all(np.diff(model.time_s[model.motion_of == m]) > 0.015)
+
+
+def test_samples_that_are_not_kept_have_no_residual() -> None:
+    keep = TIME_s < 1.0
+    log = motion(TIME_s, 0 * TIME_s, waves(TIME_s, 1))
+    model = SimulationResiduals(pendulum(), [log], keep={("m", "swing"): keep}, n_threads=1)
+    assert model.time_s.max() < 1.0
+
+
+def test_windows_begin_at_measured_positions_and_speeds() -> None:
+    position = 0.3 + 0.2 * TIME_s
+    windows = cut_windows(pendulum(), motion(TIME_s, position, position), 1.0, 0.02)
+    assert [round(window.start_s, 6) for window in windows] == [0.0, 1.0, 2.0]
+    assert [window.q_rad[0] for window in windows] == pytest.approx([0.3, 0.5, 0.7])
+    assert [window.v_rad_s[0] for window in windows] == pytest.approx([0.2] * 3)
+
+
+def test_a_window_begins_where_a_stop_left_the_joint() -> None:
+    position = np.where(TIME_s < 1.0, 0.3, 0.1)
+    log, stopped = motion(TIME_s, position, 0 * TIME_s), (TIME_s > 0.6) & (TIME_s < 0.99)
+    windows = cut_windows(pendulum(), log, None, 0.02, {("m", "swing"): ~stopped})
+    restart_s = TIME_s[TIME_s >= 0.99][0]
+    assert [window.start_s for window in windows] == [0.0, restart_s]
+    assert [window.measured_rad[0][-1] for window in windows] == pytest.approx([0.3, 0.1])
+    kept_s = np.concatenate([window.start_s + window.sample_time_s[0] for window in windows])
+    assert not np.any((kept_s > 0.6) & (kept_s < 0.99))
+
+
+def test_a_short_stretch_without_samples_begins_no_window() -> None:
+    log, stale = motion(TIME_s, 0 * TIME_s, 0 * TIME_s), (TIME_s > 0.6) & (TIME_s < 0.7)
+    assert len(cut_windows(pendulum(), log, None, 0.02, {("m", "swing"): ~stale})) == 1
+
+
+def test_a_step_between_two_periods_counts_in_proportion() -> None:
+    means = held_means(Signal(np.array([0.0, 0.0125]), np.array([1.0, 3.0])), np.arange(0, 0.06, 0.01))
+    assert means == pytest.approx([1.0, 2.5, 3.0, 3.0, 3.0])
+
+
+def test_a_motion_without_commands_is_refused_in_one_sentence() -> None:
+    log = Motion("m", {"swing": JointLog(position=Signal(TIME_s, TIME_s))}, {})
+    with pytest.raises(RobotError, match="motion m: joint swing has no command"):
+        SimulationResiduals(pendulum(), [log])
+
+
+def test_variables_of_the_measured_motion_are_those_of_the_motion() -> None:
+    position = 0.3 * np.sin(2 * TIME_s)
+    model = SimulationResiduals(pendulum(), [motion(TIME_s, position, position + 1)], n_threads=1)
+    t = model.time_s
+    inside = (t > 0.1) & (t < t.max() - 0.1)
+    assert model.explain("position") == pytest.approx(0.3 * np.sin(2 * t))
+    assert model.explain("command") == pytest.approx(1 + 0.3 * np.sin(2 * t))
+    assert model.explain("velocity")[inside] == pytest.approx(0.6 * np.cos(2 * t[inside]), abs=2e-3)
+    q, a = 0.3 * np.sin(2 * t[inside]), -1.2 * np.sin(2 * t[inside])
+    load = MASS_kg * LENGTH_m * (g_m_s2 * np.sin(q) + LENGTH_m * a)
+    assert model.explain("load")[inside] == pytest.approx(load, abs=2e-3)
+    assert np.isnan(model.explain("temperature")).all()

@@ -1,0 +1,287 @@
+"""Residuals of inverse dynamics on an arm whose truth is simulated, and on the KR300."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.real_robots import robot_path
+from helpers.two_joint_arm import arm, rms, scales, simulated
+from simgap.catalogue.catalogue import catalogue
+from simgap.effects.external import PositionTorque
+from simgap.effects.friction import CoulombFriction, StribeckFriction, ViscousFriction
+from simgap.effects.inertia import Armature, LinkMass
+from simgap.effects.timing import EncoderScale, JointZero
+from simgap.effects.transmission import JointCompliance
+from simgap.errors import RobotError
+from simgap.load import load
+from simgap.logs import JointLog, Motion, Signal
+from simgap.residuals.inverse_residuals import InverseResiduals, shows
+from simgap.robot import Robot
+
+FRICTION = (CoulombFriction, ViscousFriction)
+
+
+def counterbalance_Nm(q):
+    return np.array((6.0 * np.cos(q[0]) - 9.0 * np.sin(q[0]), 0.0))
+
+
+def heavier(model):
+    model.body_mass[2] += 1.0
+    model.body_inertia[2] *= 1.5  # the same density
+
+
+@cache
+def log(kind="nominal"):
+    others = {
+        "nominal": {},
+        "counterbalance": {"applied_Nm": counterbalance_Nm},
+        "heavier": {"change": heavier},
+        "noisy": {"noise_rad": 1e-4},
+    }
+    return simulated(arm(), seed=3, name=kind, **others[kind])
+
+
+def residuals_of(*motions):
+    return InverseResiduals(arm(), motions)
+
+
+def at(joint, *kinds):
+    robot = arm()
+    return [kind.at(robot, joint, scales(robot, log())) for kind in kinds]
+
+
+def of_joint(model, values, joint):
+    return values[..., model.joint_of == model.joints.index(joint)]
+
+
+def test_torques_near_refused_samples_take_no_part():
+    clean, joint = log(), "elbow"
+    one = clean.joints[joint]
+    time_s = one.position.time_s
+    is_pushed = (time_s > 2.0) & (time_s < 3.0)
+    pushed = Signal(one.torque.time_s, one.torque.value + 50.0 * is_pushed)
+    contact = replace(clean, joints={**clean.joints, joint: replace(one, torque=pushed)})
+    whole, nothing = residuals_of(clean), np.zeros((1, 0))
+    part = InverseResiduals(arm(), [contact], {(clean.name, joint): ~is_pushed})
+    margin_s = 1.0 / whole.low_pass.cut_off_Hz
+    first_s, last_s = time_s[is_pushed][[0, -1]]
+    is_near = (whole.time_s > first_s - margin_s) & (whole.time_s < last_s + margin_s)
+    kept = (whole.joint_of != whole.joints.index(joint)) | ~is_near
+    assert 0 < np.sum(~kept) < np.sum(kept)
+    assert part.time_s == pytest.approx(whole.time_s[kept])
+    assert part.residuals([], nothing) == pytest.approx(whole.residuals([], nothing)[:, kept], abs=0.5)
+    assert part.explain("load").shape == part.time_s.shape
+    assert part.select([clean.name]).time_s == pytest.approx(part.time_s)
+
+
+def moving(model, joint):
+    """Return the rows of a joint while it moves: at rest, dry friction is anything up to its bound."""
+    return (model.joint_of == model.joints.index(joint)) & (np.abs(model.explain("velocity")) > 0.05)
+
+
+def least_squares(model, effects, rows, free=slice(None)):
+    """Fit sizes that act in proportion, with the residuals of some rows; return sizes, (n_sizes,)."""
+    n = sum(len(effect.sizes) for effect in effects)
+    points = np.vstack((np.zeros(n), np.eye(n)))
+    found = model.residuals(effects, points)[:, rows]
+    columns = (found[:1] - found[1:])[free].T
+    sizes = np.zeros(n)
+    sizes[free] = np.linalg.lstsq(columns, found[0])[0]
+    return sizes
+
+
+def test_a_true_model_leaves_hundredths_of_the_torque():
+    model = residuals_of(log())
+    (residual,) = model.residuals([], np.zeros((1, 0)))
+    for joint in model.joints:
+        assert rms(residual[moving(model, joint)]) < 0.03 * np.std(log().joints[joint].torque.value)
+
+
+def test_friction_that_the_model_lacks_comes_back():
+    less = arm()
+    less.model.dof_frictionloss[0], less.model.dof_damping[0] = 1.0, 0.5
+    model = InverseResiduals(less, [log()])
+    coulomb, viscous = least_squares(model, at("shoulder", *FRICTION), moving(model, "shoulder"))
+    assert coulomb == pytest.approx(2.0, rel=0.05)
+    assert viscous == pytest.approx(1.5, rel=0.1)
+
+
+def test_a_counterbalance_comes_back_beside_friction():
+    model = residuals_of(log("counterbalance"))
+    effects = at("shoulder", PositionTorque, *FRICTION)
+    sizes = least_squares(model, effects, moving(model, "shoulder"), free=[0, 1, 2, 3])
+    assert sizes[:2] == pytest.approx((6.0, -9.0), rel=0.05)
+
+
+def test_a_heavier_link_needs_more_torque_at_all_joints():
+    model = residuals_of(log("heavier"))
+    nominal, true = model.residuals([LinkMass("elbow", 2.0)], np.array([[0.0], [1.0]]))
+    for joint in model.joints:
+        rows = moving(model, joint)
+        assert rms(true[rows]) < 0.1 * rms(nominal[rows])
+
+
+def test_an_armature_is_its_inertia_times_the_acceleration():
+    model = residuals_of(log())
+    nominal, more = model.residuals(at("elbow", Armature), np.array([[0.0], [1.0]]))
+    assert of_joint(model, more, "shoulder") == pytest.approx(of_joint(model, nominal, "shoulder"))
+    torque = of_joint(model, nominal - more, "elbow")
+    speed = of_joint(model, model.explain("velocity"), "elbow")
+    times = model.time_s[model.joint_of == 1]
+    middle = slice(50, -50)
+    assert torque[middle] == pytest.approx(np.gradient(speed, times)[middle], abs=0.05 * np.max(torque))
+
+
+def test_an_encoder_with_a_false_zero_is_read_at_its_true_angle():
+    truth = log()
+    shifted = {}
+    for name, one in truth.joints.items():
+        false_rad = 0.1 if name == "elbow" else 0.0
+        shifted[name] = replace(one, position=Signal(one.position.time_s, one.position.value + false_rad))
+    effects = at("elbow", JointZero)
+    model = residuals_of(Motion("m", shifted, {}))
+    found = model.residuals(effects, np.array([[0.0], [0.1]]))
+    (expected,) = residuals_of(truth).residuals([], np.zeros((1, 0)))
+    assert found[1] == pytest.approx(expected, abs=1e-6)
+    rows = moving(model, "shoulder")  # the forearm hangs elsewhere than it shows
+    assert rms(found[0][rows]) > 3 * rms(expected[rows])
+
+
+def test_a_size_of_zero_changes_no_bit():
+    model = residuals_of(log())
+    effects = at("shoulder", *FRICTION, PositionTorque, StribeckFriction, EncoderScale)
+    effects.append(LinkMass("elbow", 2.0))
+    (plain,) = model.residuals([], np.zeros((1, 0)))
+    n = sum(len(effect.sizes) for effect in effects)
+    assert np.array_equal(model.residuals(effects, np.zeros((2, n)))[1], plain)
+
+
+def test_a_candidate_does_not_depend_on_its_neighbours():
+    model = residuals_of(log())
+    effects = [LinkMass("elbow", 2.0), *at("shoulder", CoulombFriction, JointZero)]
+    sizes = np.random.default_rng(5).uniform(-0.05, 0.05, (4, 3))
+    sizes[2] = 0.0
+    together = model.residuals(effects, sizes)
+    for row, one in zip(together, sizes, strict=True):
+        assert np.array_equal(model.residuals(effects, one[None])[0], row)
+
+
+def test_selected_motions_keep_their_residuals():
+    logs = [replace(log(), name=name) for name in ("a", "b", "c")]
+    model = residuals_of(*logs)
+    part = model.select(["c", "a"])
+    assert part.motions == ("a", "c")
+    whole = model.residuals([], np.zeros((1, 0)))[0][model.motion_of != 1]
+    assert np.array_equal(part.residuals([], np.zeros((1, 0)))[0], whole)
+
+
+def test_what_torques_cannot_show_changes_nothing():
+    gear = JointCompliance("elbow", 1, False, 1e-3, 1e-2)
+    assert not shows(gear)
+    model = residuals_of(log())
+    none, some = model.residuals([gear], np.array([[0.0], [1e-3]]))
+    assert np.array_equal(none, some)
+
+
+def test_noise_lowers_the_cut_off_and_widens_the_reversal():
+    clean, noisy = residuals_of(log()).low_pass, residuals_of(log("noisy")).low_pass
+    assert clean.cut_off_Hz == pytest.approx(25.0)  # a tenth of the sample rate
+    assert noisy.cut_off_Hz < 0.5 * clean.cut_off_Hz
+    assert np.all(noisy.friction_speed_rad_s > 10 * clean.friction_speed_rad_s)
+
+
+def test_the_noise_of_a_speed_is_as_stated():
+    model = residuals_of(log("noisy"))
+    noise = model.low_pass(1e-4 * np.random.default_rng(1).standard_normal(20_000))
+    stated = model.low_pass.speed_noise_rad_s[0]
+    assert np.std(np.gradient(noise, model.low_pass.period_s)) == pytest.approx(stated, rel=0.4)
+
+
+def test_variables_are_those_of_the_measured_motion():
+    model = residuals_of(log())
+    measured = log().joints["elbow"].position
+    at_rows = np.interp(model.time_s[model.joint_of == 1], measured.time_s, measured.value)
+    assert of_joint(model, model.explain("position"), "elbow") == pytest.approx(at_rows, abs=1e-4)
+    assert np.array_equal(model.explain("time"), model.time_s)
+    assert np.all(np.isnan(model.explain("temperature")))
+    angle = np.sum([measured.value[0], log().joints["shoulder"].position.value[0]])
+    carried_Nm = -9.81 * 2.0 * (0.15 * np.cos(angle) + 0.02 * np.sin(angle))  # at rest; axes point along +y
+    assert of_joint(model, model.explain("load"), "elbow")[0] == pytest.approx(carried_Nm, rel=0.02)
+
+
+def test_logs_without_torques_are_refused():
+    position = log().joints["elbow"].position
+    with pytest.raises(RobotError, match="no log has torques"):
+        residuals_of(Motion("m", {"elbow": JointLog(position)}, {}))
+
+
+def test_a_log_that_is_shorter_than_the_filter_is_refused():
+    short = {
+        name: JointLog(
+            Signal(one.position.time_s[:9], one.position.value[:9]),
+            torque=Signal(one.torque.time_s[:9], one.torque.value[:9]),
+        )
+        for name, one in log().joints.items()
+    }
+    with pytest.raises(RobotError, match="20 or more"):
+        residuals_of(Motion("m", short, {}))
+
+
+@cache
+def kr300(folder: Path):
+    robot = Robot.from_toml(robot_path("kr300"))
+    logs = load(robot, [folder / "kr300" / f"kr300_{batch}.parquet" for batch in "AB"])
+    effects = {effect.key: effect for effect in catalogue(robot, logs)}
+    shared = {"a2": scales(robot, *logs.motions)["a2"]}
+    base = [kind.at(robot, "a2", shared) for kind in FRICTION]
+    return robot, InverseResiduals(robot, logs.motions), base, effects
+
+
+def axis_2_errors_Nm(folder, fitted, names, free):
+    """Return the error of axis 2 on both batches after a robust fit to one, in N m of the motor."""
+    robot, model, base, effects = kr300(folder)
+    union = [*base, *(effects[f"a2: {name}"] for name in names)]
+    rows = (model.joint_of == 1) & (model.motion_of == fitted)
+    n = sum(len(effect.sizes) for effect in union)
+    found = model.residuals(union, np.vstack((np.zeros(n), np.eye(n))))
+    columns = (found[:1] - found[1:])[free].T
+    size, weight = np.zeros(len(free)), np.ones(np.sum(rows))
+    for _ in range(20):  # a loss of Cauchy: torques at rest are anything up to the dry friction
+        size = np.linalg.lstsq(columns[rows] * weight[:, None], found[0][rows] * weight)[0]
+        rest = found[0][rows] - columns[rows] @ size
+        scale = 1.4826 * np.median(np.abs(rest))
+        weight = 1 / np.sqrt(1 + (rest / scale) ** 2)
+    rest = (found[0] - columns @ size) / robot.joint("a2").gear_ratio
+    return [rms(rest[(model.joint_of == 1) & (model.motion_of == batch)]) for batch in (0, 1)]
+
+
+@pytest.mark.real_data
+def test_friction_alone_leaves_4_newton_metres_at_axis_2_of_the_kr300(real_data):
+    assert axis_2_errors_Nm(real_data, 0, [], [0, 1])[1] == pytest.approx(4.45, abs=0.15)
+    assert axis_2_errors_Nm(real_data, 1, [], [0, 1])[0] == pytest.approx(8.65, abs=0.2)
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("fitted", [0, 1])
+def test_a_counterbalance_of_the_first_order_predicts_the_other_batch(real_data, fitted):
+    errors = axis_2_errors_Nm(real_data, fitted, ["position-dependent torque"], [0, 1, 2, 3])
+    assert errors[1 - fitted] < 1.5
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("batch", [0, 1])
+def test_no_mass_of_a_link_within_its_bounds_is_a_counterbalance(real_data, batch):
+    robot, model, base, effects = kr300(real_data)
+    mass = effects["a2: link mass"]
+    bounds = mass.sizes[0].low, mass.sizes[0].high
+    rows = (model.joint_of == 1) & (model.motion_of == batch)
+    slopes = model.residuals(base, np.vstack((np.zeros(2), np.eye(2))))[:, rows]
+    columns = (slopes[:1] - slopes[1:]).T
+    nominal, *others = (
+        rms(rest - columns @ np.linalg.lstsq(columns, rest)[0]) / robot.joint("a2").gear_ratio
+        for rest in model.residuals([mass], np.array([[0.0], *([bound] for bound in bounds)]))[:, rows]
+    )
+    assert min(others) > 0.9 * nominal

@@ -1,0 +1,125 @@
+"""Fits of all joints: coupled joints, sizes at bounds, joints without data, repeats."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
+from simgap.arrays import Array
+from simgap.assemble import find_interval
+from simgap.effects.effect import Effect, Size
+from simgap.residuals.noise import WhitenedResiduals, whiten_noise
+from simgap.selection.context import start_context
+from simgap.selection.cross_validation import step_without
+from simgap.selection.fit import Fit, Hypothesis, Union, fit_hypotheses
+from simgap.selection.joint_fits import fit_base
+from simgap.selection.meter import Meter
+from simgap.selection.selection import select_effects
+from simgap.selection.sharing import share_nothing
+
+
+class Coupled(ToyResiduals):
+    """Two joints, the first of which moves the second."""
+
+    def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
+        rows = super().residuals(effects, sizes).reshape(-1, *self.commands.shape)
+        rows[:, 1] += 0.5 * (rows[:, 0] - self.measured[0])
+        return rows.reshape(len(rows), -1)
+
+
+class Positive(Toy):
+    """Toy whose size is not negative."""
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        return (Size(self.label, 0.0, 5.0, 1.0),)
+
+
+def test_residuals_of_coupled_joints_are_those_of_their_sizes_together() -> None:
+    toy = draw_toy(1, {})
+    model = Coupled(toy.commands, toy.measured, NAMES)
+    context, present = fit_base(start_context(model, BASE, CATALOGUE, 1, Meter()))
+    columns = context.union.columns(context.base)
+    (rows,) = context.model.residuals(context.base, present.sizes[None, columns])
+    for fit in present.fits:
+        np.testing.assert_array_equal(fit.residuals, rows[fit.rows])
+        np.testing.assert_array_equal(fit.sizes, present.sizes)
+
+
+def test_joints_without_base_parameters_share_no_simulation_if_they_are_coupled() -> None:
+    toy = draw_toy(1, {})
+    for kind, groups in ((ToyResiduals, ((0, 1),)), (Coupled, ((0,), (1,)))):
+        model = kind(toy.commands, toy.measured, NAMES)
+        context, _ = fit_base(start_context(model, (), CATALOGUE, 1, Meter()))
+        assert context.sharing.groups == groups
+
+
+def test_a_fit_that_starts_beyond_a_bound_ends_inside() -> None:
+    model = draw_toy(1, {})
+    union = Union(BASE)
+    start = Hypothesis(np.arange(1), np.array([9.0, 0.0]), 0)
+    (fit,) = fit_hypotheses(model, union, [start], np.full(2, 0.02), sharing=share_nothing(2, np.arange(2)))
+    np.testing.assert_allclose(fit.sizes[0], 0.3, atol=0.02)
+
+
+def test_without_a_fold_a_size_at_its_bound_does_not_move_another() -> None:
+    model = draw_toy(1, {})
+    base = (Positive("near", "even", np.square), Toy("near", "gain", lambda x: x + 3.0 * x**2))
+    context = start_context(model, base, (), 1, Meter())
+    x = model.commands[0].ravel()
+    jacobian = -np.column_stack([x**2, x + 3.0 * x**2])
+    fit = Fit(np.array([0.0, 0.3]), np.arange(2), 0, -0.1 * x**2, np.arange(x.size), jacobian)
+    alone = replace(fit, columns=np.array([1]), jacobian=jacobian[:, 1:])
+    both, single = (step_without(context, one, frozenset({0})) for one in (fit, alone))
+    np.testing.assert_allclose(both, single, rtol=1e-9)
+
+
+def test_a_step_without_a_fold_goes_as_far_as_a_fit_without_it() -> None:
+    toy = draw_toy(1, {})
+    context, present = fit_base(start_context(toy, BASE, (), 1, Meter()))
+    (fold, *_), fit = context.folds, present.fits[0]
+    step = step_without(context, fit, fold)[0] - fit.sizes[0]
+    rows = fit.rows[~np.isin(context.model.motion_of[fit.rows], sorted(fold))]
+    z = (context.model.residuals(BASE, fit.sizes[None])[0, rows]) / context.scales[0]
+    slope = fit.jacobian[np.isin(fit.rows, rows), 0] / context.scales[0]
+    sizes = np.linspace(-0.01, 0.01, 4001)  # the model is linear, so that the loss is known without a fit
+    loss = [np.sum(np.sqrt(1.0 + (z + slope * one) ** 2)) for one in sizes]
+    assert step == pytest.approx(sizes[int(np.argmin(loss))], rel=0.05)
+
+
+def test_an_effect_at_a_body_has_an_interval_that_holds_its_size() -> None:
+    body, held = Toy("base", "square of all", np.square), 0
+    for seed in range(10):
+        model = draw_toy(seed, {"near: square": 0.1, "far: square": 0.1})
+        selection = select_effects(model, BASE, (body,), seed=1)
+        (column,) = selection.context.union.columns([body])
+        low, high = find_interval(selection.context, selection.chosen, [], int(column))
+        held += low < 0.1 < high
+        assert high - low < 0.01
+    assert held >= 7  # 99 % of a binomial around 9
+
+
+def test_a_joint_without_data_does_not_hide_an_effect_at_a_body() -> None:
+    model = draw_toy(1, {"near: square": 0.1, "far: square": 0.1})
+    model.joints = (*NAMES, "silent")
+    body = Toy("base", "square of all", np.square)
+    chosen = select_effects(model, BASE, (*CATALOGUE, body), seed=1).chosen
+    assert [effect.key for effect in chosen.effects] == [body.key]
+
+
+def test_the_noise_of_all_repeats_counts_in_any_order() -> None:
+    model = draw_toy(1, {})
+    rng = np.random.default_rng(2)
+    rows = rng.normal(0.0, 1.0, model.commands.shape)
+    rows[:, 0, 1:] += rows[:, 0, :-1]  # one of three repeats remembers
+    found = []
+    for order in ((0, 1, 2), (2, 1, 0)):
+        model.repeat_of = ("a", "a", "a", *("",) * (len(model.motions) - 3))
+        moved = rows.copy()
+        moved[:, :3] = rows[:, list(order)]
+        white = whiten_noise(model, moved.ravel())
+        assert isinstance(white, WhitenedResiduals)
+        found.append(white.correlation)
+    np.testing.assert_allclose(found[0], found[1])

@@ -1,0 +1,122 @@
+"""A real KR300: a position-dependent torque at axis 2, a time skew between its encoders."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simgap.catalogue.catalogue import catalogue
+from simgap.diagnose import diagnose
+from simgap.effects.effect import Family
+from simgap.load import load
+from simgap.residuals.inverse_residuals import InverseResiduals, shows
+from simgap.result import Diagnosis, Finding
+from simgap.robot import Robot
+
+pytestmark = [pytest.mark.real_data, pytest.mark.slow]
+GEAR = 267.43
+
+
+def find(folder: Path, split: str) -> tuple[Robot, Diagnosis, float]:
+    """Return robot, diagnosis, and the torque error of axis 2 on the other batch [motor N m, RMS]."""
+    robot = Robot.from_toml(Path("models/robots/kr300/robot.toml"))
+    logs = load(robot, [folder / "kr300_A.parquet", folder / "kr300_B.parquet"], split=split)
+    result = diagnose(robot, logs.fit, held_out=logs.judged, seed=1)
+    other = InverseResiduals(robot, logs.judged)
+    pairs = [pair for pair in zip(result.effects, result.sizes, strict=True) if shows(pair[0])]
+    sizes = np.array([[size for _, one in pairs for size in one]])
+    (residuals,) = other.residuals([effect for effect, _ in pairs], sizes)
+    error = float(np.sqrt(np.mean(residuals[other.joint_of == 1] ** 2))) / GEAR
+    return robot, result, error
+
+
+def find_without_torques(folder: Path, split: str) -> Diagnosis:
+    """Diagnose with a catalogue without external torques."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "simgap.diagnose.catalogue",
+            lambda robot, logs: [e for e in catalogue(robot, logs) if e.family is not Family.EXTERNAL],
+        )
+        return find(folder, split)[1]
+
+
+def list_names(result: Diagnosis) -> set[tuple[str, str]]:
+    return {(one.place, one.effect) for one in result.findings}
+
+
+@pytest.fixture(scope="module")
+def fitted_a(real_data) -> tuple[Robot, Diagnosis, float]:
+    return find(real_data / "kr300", "fit_a")
+
+
+@pytest.fixture(scope="module")
+def fitted_b(real_data) -> tuple[Robot, Diagnosis, float]:
+    return find(real_data / "kr300", "fit_b")
+
+
+def torque_at_axis_2(result: Diagnosis) -> Finding:
+    return next(one for one in result.findings if (one.place, one.family) == ("a2", Family.EXTERNAL))
+
+
+def test_batch_a_names_an_external_torque_at_axis_2_that_holds_for_batch_b(fitted_a):
+    _, result, error = fitted_a
+    assert "a2: position-dependent torque" in torque_at_axis_2(result).effects
+    assert error < 1.5
+
+
+def test_batch_b_names_an_external_torque_at_axis_2(fitted_b):
+    assert torque_at_axis_2(fitted_b[1]).effects
+
+
+@pytest.mark.xfail(
+    reason="on B the spring fits as well as any torque; on A, where axis 2 turns further, it is 1.80 off",
+    strict=True,
+)
+def test_batch_b_names_a_torque_at_axis_2_that_holds_for_batch_a(fitted_b):
+    assert fitted_b[2] < 1.5
+
+
+@pytest.mark.parametrize(("batch", "split"), [("fitted_a", "fit_a"), ("fitted_b", "fit_b")])
+def test_without_external_torques_axis_2_remains_and_no_other_name_comes(batch, split, real_data, request):
+    result, (_, whole, _) = find_without_torques(real_data / "kr300", split), request.getfixturevalue(batch)
+    remains = {(one.joint, one.unit): one.depends_on for one in result.remaining}
+    assert remains["a2", "N m"] == "position"
+    assert list_names(result) < list_names(whole)
+
+
+@pytest.mark.parametrize("batch", ["fitted_a", "fitted_b"])
+@pytest.mark.parametrize("axis", ["a2", "a3"])
+def test_each_batch_names_the_compliance_of_axes_2_and_3(batch, axis, request):
+    _, result, _ = request.getfixturevalue(batch)
+    assert (axis, "joint compliance") in list_names(result)
+
+
+@pytest.mark.parametrize("axis", ["a2", "a3"])
+def test_the_batches_agree_on_the_compliance_of_axes_2_and_3(axis, fitted_a, fitted_b):
+    pair = [
+        one.interval[0]
+        for _, result, _ in (fitted_a, fitted_b)
+        for one in result.findings
+        if (one.place, one.effect) == (axis, "joint compliance")
+    ]
+    assert max(low for low, _ in pair) < min(high for _, high in pair)
+
+
+@pytest.mark.parametrize("batch", ["fitted_a", "fitted_b"])
+def test_backlash_is_named_nowhere(batch, request):
+    _, result, _ = request.getfixturevalue(batch)
+    assert "backlash" not in {one.effect for one in result.findings}
+
+
+@pytest.mark.parametrize("batch", ["fitted_a", "fitted_b"])
+def test_each_pair_of_encoders_has_a_time_skew_of_3_ms(batch, request):
+    _, result, _ = request.getfixturevalue(batch)
+    skews = {one.place: one.size[0] for one in result.findings if one.effect == "measurement delay"}
+    assert skews == {axis: pytest.approx(3.0e-3, abs=0.2e-3) for axis in ("a1", "a2", "a3")}
+
+
+@pytest.mark.parametrize("batch", ["fitted_a", "fitted_b"])
+def test_no_compliance_is_named_at_axis_1_which_gravity_does_not_load(batch, request):
+    _, result, _ = request.getfixturevalue(batch)
+    assert not [one for one in result.findings if (one.place, one.effect) == ("a1", "joint compliance")]
+    assert [one for one in result.rejected if (one.place, one.effect) == ("a1", "joint compliance")]

@@ -1,0 +1,240 @@
+"""Loading of logs: every format gives the same signals, in SI units, at the joint, by motion."""
+
+import numpy as np
+import pytest
+
+from helpers.robot_folder import (
+    COLUMNS,
+    write_csv,
+    write_npz,
+    write_parquet,
+    write_robot,
+)
+from simgap.errors import RobotError
+from simgap.load import load
+from simgap.robot import Robot
+
+GERMAN = ('[time]\ncolumn = "t"', '[csv]\nseparator = ";"\ndecimal = ","\n\n[time]\ncolumn = "t"')
+
+
+@pytest.fixture
+def robot(tmp_path):
+    return Robot.from_toml(write_robot(tmp_path))
+
+
+@pytest.mark.parametrize("write", [write_parquet, write_csv, write_npz])
+def test_values_are_in_si_units_at_the_joint_in_every_format(tmp_path, robot, write):
+    slow, fast = load(robot, write(tmp_path)).motions
+    assert (slow.name, fast.name) == ("slow", "fast")
+    assert (slow.condition, fast.condition) == ("2", "3")
+    assert (slow.gain, fast.gain) == ({"shoulder": 2.0, "elbow": 1.0}, {"shoulder": 3.0, "elbow": 1.0})
+    shoulder, elbow = slow.joints["shoulder"], slow.joints["elbow"]
+    np.testing.assert_allclose(shoulder.position.time_s, [0.0, 0.01, 0.02])
+    np.testing.assert_allclose(shoulder.position.value, 0.5 - np.pi * np.array([0.0, 0.5, 1.0]))
+    np.testing.assert_allclose(shoulder.command.value, np.radians([0.0, 9.0, 18.0]))
+    np.testing.assert_allclose(elbow.position.value, 2 * np.pi / 50 * np.array([0.0, 1.0, 2.0]))
+    np.testing.assert_allclose(elbow.torque.value, [0.0, 5.0, 10.0])
+    assert elbow.velocity is None
+    assert fast.joints["elbow"].torque.value.size == 4
+
+
+def test_a_csv_may_have_semicolons_and_decimal_commas(tmp_path):
+    robot = Robot.from_toml(write_robot(tmp_path, GERMAN))
+    slow, _ = load(robot, write_csv(tmp_path, ";", ",")).motions
+    np.testing.assert_allclose(slow.joints["shoulder"].command.value, np.radians([0.0, 9.0, 18.0]))
+
+
+def test_signals_of_one_clock_share_their_times(tmp_path, robot):
+    joints = load(robot, write_parquet(tmp_path)).motions[0].joints
+    assert joints["shoulder"].position.time_s is joints["elbow"].torque.time_s
+
+
+def test_a_signal_keeps_its_own_rate_where_cells_are_empty(tmp_path, robot):
+    path = write_parquet(tmp_path, m2=[1.0, None, 3.0, 4.0, None, None, 7.0])
+    slow, fast = load(robot, path).motions
+    np.testing.assert_allclose(slow.joints["elbow"].torque.time_s, [0.0, 0.02])
+    np.testing.assert_allclose(fast.joints["elbow"].torque.value, [0.2, 0.35])
+    assert fast.joints["elbow"].position.value.size == 4
+
+
+def test_an_array_may_have_times_of_its_own(tmp_path):
+    change = ('{ column = "m2", unit', '{ column = "m2", time_column = "tm", unit')
+    no_motion = ('columns = ["motion"]\ncondition_column = "gain"', "")
+    robot = Robot.from_toml(
+        write_robot(
+            tmp_path, change, no_motion, ('gain_column = "gain"\nkp_Nm_rad = 15.0\n', "kp_Nm_rad = 15.0\n")
+        )
+    )
+    path = write_npz(tmp_path, t=np.arange(7.0), m2=np.ones(3), tm=np.array([2.0, 4.0, 6.0]))
+    (motion,) = load(robot, path).motions
+    assert motion.name == "log"
+    np.testing.assert_allclose(motion.joints["elbow"].torque.time_s, [0.002, 0.004, 0.006])
+
+
+def test_rows_of_a_motion_need_not_follow_one_another(tmp_path, robot):
+    order = [0, 3, 1, 4, 2, 5, 6]
+    path = write_parquet(tmp_path, **{name: [one[k] for k in order] for name, one in COLUMNS.items()})
+    slow, fast = load(robot, path).motions
+    np.testing.assert_allclose(slow.joints["elbow"].torque.value, [0.0, 5.0, 10.0])
+    assert fast.joints["elbow"].torque.value.size == 4
+
+
+def test_times_count_from_the_start_of_the_motion(tmp_path, robot):
+    path = write_parquet(tmp_path, t=[1e12 + one for one in COLUMNS["t"]])
+    np.testing.assert_allclose(
+        load(robot, path).motions[0].joints["elbow"].position.time_s, [0.0, 0.01, 0.02], atol=1e-6
+    )
+
+
+def test_two_columns_together_name_a_motion(tmp_path):
+    robot = Robot.from_toml(write_robot(tmp_path, ('["motion"]', '["motion", "gain"]')))
+    assert [one.name for one in load(robot, write_parquet(tmp_path)).motions] == ["slow 2", "fast 3"]
+
+
+def test_motions_that_repeat_one_another_share_a_text(tmp_path):
+    robot = Robot.from_toml(write_robot(tmp_path, ("[motion]", '[motion]\nrepeat_column = "again"')))
+    path = write_parquet(tmp_path, again=["x"] * 7)
+    assert [one.repeat_of for one in load(robot, path).motions] == ["x", "x"]
+
+
+def test_a_flag_is_1_or_0_also_as_a_word(tmp_path):
+    robot = Robot.from_toml(
+        write_robot(
+            tmp_path, ("[joints.elbow]\n", '[joints.elbow]\nenabled = { column = "on", unit = "flag" }\n')
+        )
+    )
+    text = write_csv(tmp_path).read_text().splitlines()
+    words = ["on", "true", "false", "true", "true", "true", "true", "true"]
+    (tmp_path / "log.csv").write_text(
+        "\n".join(f"{row},{word}" for row, word in zip(text, words, strict=True))
+    )
+    np.testing.assert_array_equal(
+        load(robot, tmp_path / "log.csv").motions[0].joints["elbow"].enabled.value, [1, 0, 1]
+    )
+
+
+def test_a_share_of_a_range_is_an_angle(tmp_path):
+    share = 'unit = "fraction", at_0_rad = -0.2, at_1_rad = 1.8'
+    robot = Robot.from_toml(write_robot(tmp_path, ('column = "c1", unit = "deg"', f'column = "c1", {share}')))
+    path = write_parquet(tmp_path, c1=[0.0, 0.5, 1.0, 0.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(
+        load(robot, path).motions[0].joints["shoulder"].command.value, [-0.2, 0.8, 1.8]
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            {"q1": [0.0, np.nan, 0.0, 0.0, 0.0, 0.0, 0.0]},
+            "'q1', motion 'slow': is no finite number at 0.01 s",
+        ),
+        (
+            {"q1": [0.0, 0.0, 0.0, 0.0, 0.0, np.inf, 0.0]},
+            "'q1', motion 'fast': is no finite number at 0.02 s",
+        ),
+        ({"q1": ["a"] * 7}, "column 'q1' has 'a' in row 1; a signal needs numbers"),
+        ({"q1": [None] * 7}, "column 'q1' is empty; a signal needs numbers"),
+        ({"q1": [None, None, None, 0.0, 0.0, 0.0, 0.0]}, "column 'q1' has no value in motion 'slow'"),
+        (
+            {"t": [0.0, 2.0, 1.0, 0.0, 1.0, 2.0, 3.0]},
+            "motion 'slow': the time of 't' runs backwards to 0.001 s",
+        ),
+        (
+            {"t": [0.0, 1.0, 1.0, 0.0, 1.0, 2.0, 3.0]},
+            "motion 'slow': the time of 't' stands still after 0.001 s",
+        ),
+        ({"t": [0.0, None, 1.0, 0.0, 1.0, 2.0, 3.0]}, "time column 't' has rows without a time; remove them"),
+        (
+            {"gain": [2, 2, 1, 3, 3, 3, 3]},
+            "column 'gain' changes within motion 'slow'; divide the motion there",
+        ),
+        ({"gain": [0, 0, 0, 3, 3, 3, 3]}, "column 'gain', motion 'slow': is 0; a gain is above 0"),
+        (
+            {"motion": [["slow"]] * 7},
+            "column 'motion' has the type list<element: string>; give it texts or numbers",
+        ),
+        ({name: [] for name in COLUMNS}, "has no rows; name a log with samples"),
+    ],
+)
+def test_bad_rows_are_refused_in_one_sentence(tmp_path, robot, changes, said):
+    path = write_parquet(tmp_path, **changes)
+    with pytest.raises(RobotError) as error:
+        load(robot, path)
+    assert str(error.value).startswith(f"{path}: ")
+    assert said in str(error.value)
+
+
+def test_a_column_that_is_missing_is_named_with_the_nearest(tmp_path):
+    robot = Robot.from_toml(write_robot(tmp_path, ('column = "m2"', 'column = "m_2"')))
+    for path in (write_parquet(tmp_path), write_csv(tmp_path), write_npz(tmp_path)):
+        with pytest.raises(
+            RobotError, match=r"has no column 'm_2', which the robot file names; did you mean 'm2'"
+        ):
+            load(robot, path)
+
+
+def test_a_csv_with_a_word_among_its_numbers_is_refused(tmp_path, robot):
+    path = write_csv(tmp_path)
+    path.write_text(path.read_text().replace("180.0", "lost"))
+    with pytest.raises(RobotError, match="column 'q1' has 'lost' in row 3; a signal needs numbers"):
+        load(robot, path)
+
+
+def test_arrays_of_other_lengths_than_their_times_are_refused(tmp_path, robot):
+    with pytest.raises(RobotError, match="column 'm2' has 3 values, its times 7; name a time_column"):
+        load(robot, write_npz(tmp_path, m2=np.ones(3)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"again": np.ones(5)}, "column 'again' has 5 values, 'motion' has 7; give both the same length"),
+        ({"gain": np.ones(5)}, "column 'gain' has 5 values, 'motion' has 7; give both the same length"),
+        ({"motion": np.full(8, "a")}, "column 't' has 7 values, 'motion' has 8; give both the same length"),
+        ({"motion": np.full((7, 2), "a")}, "array 'motion' is <U1 of shape (7, 2); give it texts or numbers"),
+    ],
+)
+def test_an_array_of_labels_has_one_dimension_and_the_length_of_the_rows(tmp_path, changes, said):
+    robot = write_robot(tmp_path, ("[motion]", '[motion]\nrepeat_column = "again"'))
+    with pytest.raises(RobotError) as error:
+        load(robot, write_npz(tmp_path, **{"again": np.ones(7)} | changes))
+    assert said in str(error.value)
+
+
+def test_a_motion_in_two_files_is_refused(tmp_path, robot):
+    with pytest.raises(
+        RobotError, match=r"two\.parquet: motion 'slow' is in one too; give each motion its own"
+    ):
+        load(robot, [write_parquet(tmp_path, "one"), write_parquet(tmp_path, "two")])
+
+
+@pytest.mark.parametrize("name", ["log.parquet", "log.csv", "log.npz", "log.mcap"])
+def test_a_file_that_is_damaged_absent_or_empty_is_refused(tmp_path, robot, name):
+    path = tmp_path / name
+    with pytest.raises(RobotError, match="there is no such log"):
+        load(robot, path)
+    path.write_bytes(b"")
+    with pytest.raises(RobotError, match=str(path)):
+        load(robot, path)
+    path.write_bytes(bytes(range(256)))
+    with pytest.raises(RobotError, match=str(path)):
+        load(robot, path)
+
+
+def test_a_name_that_is_too_long_and_a_folder_are_refused(tmp_path, robot):
+    with pytest.raises(RobotError, match="there is no such log"):
+        load(robot, tmp_path / f"{'a' * 300}.csv")
+    (tmp_path / "log.csv").mkdir()
+    with pytest.raises(RobotError, match=r"log\.csv: is no regular file; name a log"):
+        load(robot, tmp_path / "log.csv")
+
+
+def test_a_file_of_another_kind_and_no_file_at_all_are_refused(tmp_path, robot):
+    (tmp_path / "log.mat").write_text("x")
+    with pytest.raises(
+        RobotError, match=r"is no log by its suffix; name a file that ends in one of \.parquet"
+    ):
+        load(robot, tmp_path / "log.mat")
+    with pytest.raises(RobotError, match="logs: none is given; name at least one log file"):
+        load(robot, [])

@@ -1,0 +1,48 @@
+"""The page of the robot file: a row for each key, as the code describes it."""
+
+from pathlib import Path
+
+import pytest
+
+from simgap.files.robot_file import (
+    CsvTable,
+    JointTable,
+    MotionTable,
+    RobotFile,
+    SerialFile,
+    SignalColumn,
+    TimeTable,
+)
+from simgap.files.split_file import SplitFile, SplitTable
+from simgap.files.toml_record import Record
+
+PAGE = Path(__file__).parents[2] / "docs" / "robot-file.md"
+TABLES = {
+    "Robot": RobotFile,
+    "`[time]`": TimeTable,
+    "`[motion]`": MotionTable,
+    "`[csv]`": CsvTable,
+    "`[joints.NAME]`": JointTable,
+    "Columns": SignalColumn,
+    "Split file": SplitFile,
+    "`[splits.NAME]`": SplitTable,
+    "Arm with tracker poses": SerialFile,
+}
+
+
+def rows_of(record: type[Record]) -> list[str]:
+    """Return the rows of the table of a record: key, default, meaning."""
+    rows = []
+    for key, field in record.model_fields.items():
+        default = field.get_default(call_default_factory=True)
+        is_plain = isinstance(default, (str, float, int)) and default != ""
+        shown = "needed" if field.is_required() else f"`{str(default).lower()}`" if is_plain else ""
+        rows.append(f"| `{key}` | {shown} | {' '.join(str(field.description).split())} |")
+    return rows
+
+
+@pytest.mark.parametrize("heading", TABLES)
+def test_the_page_has_a_row_for_each_key(heading: str) -> None:
+    section = PAGE.read_text().split(f"## {heading}\n")[1].split("\n## ")[0]
+    shown = [line for line in section.splitlines() if line.startswith("| `")]
+    assert shown == rows_of(TABLES[heading])

@@ -1,0 +1,137 @@
+"""Models of real robots: they compile, agree with published numbers, and load the measured logs."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from helpers.real_robots import LOADED, LOGS, ROBOTS, robot_path
+from simgap.files.robot_file import SerialFile, read_robot_file
+from simgap.files.split_file import read_split
+from simgap.load import load
+from simgap.robot import Robot
+
+PUBLISHED = {"so101": "so101/so101.xml", "kr300": "kr300/kr300.xml"}
+
+
+@pytest.mark.parametrize("name", LOADED)
+def test_gravity_loads_the_joints_that_it_can_move(name):
+    joints = Robot.from_toml(robot_path(name)).joints
+    assert {one.name for one in joints if one.is_loaded_by_gravity} == LOADED[name]
+
+
+@pytest.mark.parametrize("name", LOADED)
+def test_no_number_of_a_real_robot_counts_as_known(name):
+    assert not any(one.is_known for one in Robot.from_toml(robot_path(name)).joints)
+
+
+def test_the_pendulum_has_the_published_mass_at_the_published_distance():
+    robot = Robot.from_toml(robot_path("pendulum"))
+    data = mujoco.MjData(robot.model)
+    data.qpos[0] = np.pi / 2
+    mujoco.mj_forward(robot.model, data)
+    assert abs(data.qfrc_bias[0]) == pytest.approx(0.49 * 9.81 * 0.1)
+    inertia_kgm2 = float(data.M[0]) - float(robot.model.dof_armature[0])
+    assert inertia_kgm2 == pytest.approx(0.49 * 0.1**2 + 1.19e-4)
+
+
+def test_the_gain_of_the_pendulum_follows_from_firmware_and_data_sheet():
+    share_per_rad = 4096 / (2 * np.pi) / (256 * 885)
+    servo = Robot.from_toml(robot_path("pendulum")).joint("servo")
+    assert servo.kp_Nm_rad == pytest.approx(share_per_rad * 7.4 * 0.52 / 5.0, rel=1e-3)
+    assert servo.torque_limit_Nm == pytest.approx(7.4 * 0.52 / 5.0, rel=1e-2)
+
+
+def test_the_gain_of_the_so101_follows_from_firmware_and_torque_limit():
+    for joint in Robot.from_toml(robot_path("so101")).joints:
+        assert joint.kp_Nm_rad == pytest.approx(0.166 * 16 * joint.torque_limit_Nm, rel=1e-3)
+
+
+def test_the_two_halves_of_the_so101_share_no_motion_and_have_all():
+    parts = read_split(robot_path("so101").parent / "split.toml").parts
+    assert len(parts["a"]) == len(parts["b"]) == 20
+    assert len({*parts["a"], *parts["b"]}) == 40
+    for part, fast in {"a": "chirp_sweep", "b": "prbs_excitation"}.items():
+        assert fast in parts[part]
+
+
+def test_the_ur10_points_to_its_serial_arm():
+    found = read_robot_file(robot_path("ur10"))
+    assert isinstance(found, SerialFile)
+    folder = robot_path("ur10").parent
+    assert all((folder / name).is_file() for name in (found.serial_arm, *found.poses.values()))
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_model_says_where_its_numbers_come_from(name):
+    assert "Logs" in (robot_path(name).parent / "PROVENANCE.md").read_text()
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_gravity_and_inertia_are_those_of_the_published_model(real_data, name):
+    ours = Robot.from_toml(robot_path(name)).model
+    published = mujoco.MjModel.from_xml_path(str(real_data / PUBLISHED[name]))
+    random = np.random.default_rng(25)
+    for _ in range(20):
+        q, v = random.uniform(-1.0, 1.0, (2, ours.nv))
+        (bias, inertia, site), (bias0, inertia0, site0) = (_terms(one, q, v) for one in (ours, published))
+        np.testing.assert_allclose(bias, bias0, atol=1e-5 * np.max(np.abs(bias0)))
+        np.testing.assert_allclose(inertia, inertia0, atol=1e-5 * np.max(np.abs(inertia0)))
+        np.testing.assert_allclose(site, site0, atol=1e-6)
+
+
+def _terms(model, q, v):
+    """Return gravity and Coriolis torques, mass matrix, and place of the last site."""
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = q, v
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    return data.qfrc_bias.copy(), full, data.site_xpos[-1].copy()
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("name", "fitted", "judged", "joints"),
+    [("so101", 20, 20, 6), ("pendulum", 12, 4, 1), ("kr300", 1, 1, 6)],
+)
+def test_the_logs_load_and_are_split(real_data, name, fitted, judged, joints):
+    logs = load(robot_path(name), [real_data / one for one in LOGS[name]])
+    assert (len(logs.fit), len(logs.judged)) == (fitted, judged)
+    for motion in logs.motions:
+        assert len(motion.joints) == joints
+        for one in motion.joints.values():
+            assert one.position.time_s[0] < 0.01
+            assert np.ptp(one.position.value) < 2 * np.pi
+
+
+@pytest.mark.real_data
+def test_logged_velocities_are_those_of_the_logged_positions(real_data):
+    for name, joint in (("so101", "shoulder_lift"), ("pendulum", "servo"), ("kr300", "a2")):
+        logs = load(robot_path(name), [real_data / one for one in LOGS[name]])
+        signals = [motion.joints[joint] for motion in logs.motions]
+        slope = np.concatenate([np.gradient(one.position.value, one.position.time_s) for one in signals])
+        speed = np.concatenate([one.velocity.value for one in signals])
+        # A unit that is off by 57 or 1000 is far outside; noise and filters of the drives are inside.
+        assert 0.7 < slope @ speed / (speed @ speed) < 1.4
+
+
+@pytest.mark.real_data
+def test_torques_of_the_kr300_are_at_the_joint_with_the_sign_of_the_model(real_data):
+    robot = Robot.from_toml(robot_path("kr300"))
+    for motion in load(robot, [real_data / one for one in LOGS["kr300"]]).motions:
+        joints = [motion.joints[one.name] for one in robot.joints]
+        measured = np.stack([one.torque.value for one in joints], axis=1)[::25]
+        q = np.stack([one.position.value for one in joints], axis=1)[::25]
+        gravity = np.array([_terms(robot.model, one, np.zeros(6))[0] for one in q])
+        # Gravity is most of what axis 3 carries: its mean torque is that of the model within friction.
+        assert np.mean(measured[:, 2]) == pytest.approx(np.mean(gravity[:, 2]), rel=0.25)
+
+
+@pytest.mark.real_data
+def test_one_gain_of_the_pendulum_is_held_out(real_data):
+    logs = load(robot_path("pendulum"), real_data / LOGS["pendulum"][0])
+    assert {one.condition for one in logs.judged} == {"400"}
+    assert {one.gain["servo"] for one in logs.fit} == {100.0, 200.0, 800.0}
+    dropped = next(one for one in logs.motions if one.name == "lift_and_drop 100").joints["servo"].enabled
+    assert set(dropped.value) == {0.0, 1.0}

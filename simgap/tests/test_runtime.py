@@ -1,0 +1,111 @@
+"""The runtime file and its wrapper: files that are refused, effects of one's own, commands one by one."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from helpers.pendulum import motion, pendulum, waves
+from simgap.catalogue.own_effects import load_effects
+from simgap.effects.command import AccelerationLimit, ClampHigh, ClampLow, CommandDelay, VelocityLimit
+from simgap.effects.friction import LoadFriction
+from simgap.errors import RobotError
+from simgap.logs import Logs
+from simgap.patch.patch import make_patch
+from simgap.patch.runtime import RuntimeEffects
+from test_patch import SCALES
+
+ROBOT = pendulum()
+TIME_s = np.arange(0.0, 3.0, 0.002)
+COMMANDS = {CommandDelay: 0.0123, VelocityLimit: 2.0, AccelerationLimit: 0.3, ClampLow: 1.2, ClampHigh: 0.4}
+OWN = """
+from dataclasses import dataclass
+
+from simgap.effects.effect import Family, Size
+from simgap.effects.joint import JointEffect
+
+
+@dataclass(frozen=True, slots=True)
+class Pull(JointEffect):
+    name = "pull"
+    family = Family.EXTERNAL
+
+    @property
+    def sizes(self):
+        return (Size("pull_Nm", 0.0, 1.0, 0.1),)
+
+    def torque_Nm(self, size, state):
+        return size[:, 0] + 0.0 * state.time_s
+"""
+
+
+def made(sizes):
+    """Return effects at the pendulum, and their sizes."""
+    return [kind.at(ROBOT, "swing", SCALES) for kind in sizes], [(size,) for size in sizes.values()]
+
+
+def read(tmp_path, text, model_xml):
+    (tmp_path / "runtime.toml").write_text(text)
+    return RuntimeEffects.from_toml(mujoco.MjModel.from_xml_string(model_xml), tmp_path / "runtime.toml")
+
+
+@pytest.mark.parametrize("kind", COMMANDS, ids=lambda kind: kind.__name__)
+def test_commands_that_arrive_one_by_one_are_those_of_the_whole_motion(kind):
+    effect, command = kind.at(ROBOT, "swing", SCALES), waves(TIME_s, seed=3)
+    size, memory = np.array([[COMMANDS[kind]]]), {}
+    whole = effect.shape_command(size, command[None, :], 0.002)[0]
+    single = [effect.next_command(size, np.array([one]), 0.002, memory)[0] for one in command]
+    assert np.array(single) == pytest.approx(whole, abs=1e-12)
+    assert np.abs(whole - command).max() > 1e-3
+
+
+def test_an_effect_of_ones_own_is_loaded_from_its_file(tmp_path):
+    (tmp_path / "own.py").write_text(OWN)
+    logs = Logs((motion(TIME_s, waves(TIME_s, 1), waves(TIME_s, 1)),))
+    (pull,) = load_effects(tmp_path / "own.py", ROBOT, logs)
+    patch = make_patch(ROBOT, [pull], [(0.2,)])
+    assert f'file = "{tmp_path / "own.py"}"' in patch.runtime
+    model = mujoco.MjModel.from_xml_string(patch.model_xml)
+    (tmp_path / "runtime.toml").write_text(patch.runtime)
+    runtime, data = RuntimeEffects.from_toml(model, tmp_path / "runtime.toml"), mujoco.MjData(model)
+    runtime.step(model, data, np.zeros(1))
+    assert data.qfrc_applied[0] == pytest.approx(0.2)
+
+
+def test_a_wrapper_holds_what_it_does_not_change(tmp_path):
+    patch = make_patch(ROBOT, *made({LoadFriction: 0.1}))
+    model = mujoco.MjModel.from_xml_string(patch.model_xml)
+    runtime = read(tmp_path, patch.runtime, patch.model_xml)
+    data = mujoco.MjData(model)
+    gain, limited = model.actuator_gainprm.copy(), model.actuator_forcelimited.copy()
+    runtime.step(model, data, np.array([0.3]))
+    assert np.array_equal(model.actuator_gainprm, gain)
+    assert np.array_equal(model.actuator_forcelimited, limited)
+    assert math.isclose(data.time, 0.002)
+
+
+def test_sizes_of_another_effect_are_refused_by_their_names(tmp_path):
+    patch = make_patch(ROBOT, *made({LoadFriction: 0.1}))
+    text = patch.runtime.replace("size = { friction_per_load", "size = { friction_per_weight")
+    with pytest.raises(RobotError, match="size has friction_per_weight; it takes friction_per_load"):
+        read(tmp_path, text, patch.model_xml)
+
+
+def test_a_model_without_the_joints_of_the_file_is_refused(tmp_path):
+    patch = make_patch(ROBOT, *made({LoadFriction: 0.1}))
+    with pytest.raises(RobotError, match="use the patched model"):
+        read(tmp_path, patch.runtime, "<mujoco/>")
+
+
+def test_a_runtime_file_of_another_format_is_refused(tmp_path):
+    (tmp_path / "runtime.toml").write_text('format = "else"\n')
+    with pytest.raises(RobotError, match="is not 'robot runtime 1'"):
+        RuntimeEffects.from_toml(ROBOT.model, tmp_path / "runtime.toml")
+
+
+def test_a_runtime_file_names_no_class_outside_of_the_package(tmp_path):
+    text = make_patch(ROBOT, *made({LoadFriction: 0.1})).runtime
+    (tmp_path / "runtime.toml").write_text(text.replace("simgap.effects.friction:LoadFriction", "os:system"))
+    with pytest.raises(RobotError, match="os is no module of diagnosis"):
+        RuntimeEffects.from_toml(ROBOT.model, tmp_path / "runtime.toml")

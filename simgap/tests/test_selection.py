@@ -1,0 +1,212 @@
+"""Selection, fit and verdict on residuals whose causes are known."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
+from simgap.assemble import (
+    describe_finding,
+    explains_too_little,
+    find_inflation,
+    find_interval,
+    list_remainders,
+    simulate_models,
+)
+from simgap.residuals.loss import root_weight
+from simgap.selection.chance import FALSE_ALARM
+from simgap.selection.context import FittedModel, Score, start_context
+from simgap.selection.fit import Hypothesis, Union, fit_hypotheses
+from simgap.selection.joint_fits import fit_base, fit_joints
+from simgap.selection.meter import Meter
+from simgap.selection.screening import adjust
+from simgap.selection.selection import list_again, select_effects
+from simgap.selection.sharing import Sharing, share_nothing
+from simgap.selection.verdict import find_confidence_sets, size_intervals, unexplained_dependence
+
+TRUTH = {"near: square": 0.1, "far: sine": 0.05, "far: step": -0.03}
+
+
+def named(model: ToyResiduals) -> list[str]:
+    return sorted(effect.key for effect in select_effects(model, BASE, CATALOGUE, seed=1).chosen.effects)
+
+
+@pytest.mark.slow
+def test_without_an_effect_a_name_is_as_rare_as_its_probability_says() -> None:
+    false = [seed for seed in range(20) if named(draw_toy(seed, {}))]
+    assert binom.sf(len(false) - 1, 20, FALSE_ALARM) > 0.05
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_three_effects_at_two_joints_are_named_and_no_other(seed: int) -> None:
+    assert named(draw_toy(seed, TRUTH)) == sorted(TRUTH)
+
+
+@pytest.mark.parametrize(("delay_s", "expected"), [(0.1, ["far: delay_s"]), (0.04, [])])
+def test_a_delay_gets_a_name_from_half_a_step_of_the_simulation_on(
+    delay_s: float, expected: list[str]
+) -> None:
+    late = Toy("far", "delay_s", np.square)
+    model = draw_toy(1, {})
+    model.step_s = 0.1
+    model.measured[1] += delay_s * late.shape(model.commands[1])
+    selection = select_effects(model, BASE, [late], seed=1)
+    assert [effect.key for effect in selection.chosen.effects] == expected
+
+
+def test_what_explains_little_of_a_residual_is_not_called_its_cause() -> None:
+    model = draw_toy(1, {"far: double": 0.05})
+    rest = tuple(effect for effect in CATALOGUE if effect.label != "double")
+    selection = select_effects(model, BASE, rest, seed=1)
+    sets = find_confidence_sets(selection)
+    for one_set in sets:
+        finding = describe_finding(selection.context, selection.chosen, one_set, sets)
+        assert finding.places == ("far",)
+        assert finding.families == finding.effects == ()
+    residuals = simulate_models(selection.context, model, [selection.chosen.sizes])[0]
+    (remainder,) = list_remainders(model, residuals, model, residuals)
+    assert (remainder.joint, remainder.depends_on) == ("far", "position")
+
+
+def test_variance_inflation_is_the_ratio_of_variances_with_and_without_the_other_effect() -> None:
+    model = draw_toy(1, {"near: square": 0.1})
+    near_square = Toy("near", "near square", lambda x: x**2 + 0.1 * np.sin(9.0 * x))
+    effects = (CATALOGUE[0], near_square)
+    context, base = fit_base(start_context(model, BASE, effects, 1, Meter()))
+    alone = FittedModel(effects[:1], base.sizes, fit_joints(context, effects[:1], base.sizes), base.left_out)
+    both = FittedModel(effects, base.sizes, fit_joints(context, effects, base.sizes), base.left_out)
+    assert find_inflation(context, alone, effects[0]) == 1.0
+
+    fit = both.fits[0]
+    z = fit.residuals / context.scales[0]
+    changes = fit.jacobian * root_weight(z)[:, None]  # gain, square, near square
+    with_other = np.linalg.inv(changes.T @ changes)[1, 1]
+    without = np.linalg.inv(changes[:, :2].T @ changes[:, :2])[1, 1]
+    assert with_other / without > 10.0
+    assert find_inflation(context, both, effects[0]) == pytest.approx(with_other / without)
+
+
+def test_effects_that_resemble_each_other_are_told_as_their_place() -> None:
+    model = draw_toy(1, {"near: square": 0.1, "near: sine": 0.1})
+    near_square = Toy("near", "near square", lambda x: x**2 + 0.1 * np.sin(9.0 * x))
+    selection = select_effects(model, BASE, (CATALOGUE[0], near_square), seed=1)
+    assert len(selection.chosen.effects) == 2
+    sets = find_confidence_sets(selection)
+    found = [describe_finding(selection.context, selection.chosen, one, sets) for one in sets]
+    assert [(one.places, one.effects) for one in found] == [(("near",), ())] * 2
+
+
+def test_an_effect_of_all_joints_is_named_at_its_body() -> None:
+    model = draw_toy(1, {"near: square": 0.1, "far: square": 0.1})
+    body = Toy("base", "square of all", np.square)
+    chosen = select_effects(model, BASE, (*CATALOGUE, body), seed=1).chosen
+    assert [effect.key for effect in chosen.effects] == [body.key]
+
+
+def test_two_effects_that_the_data_cannot_separate_stay_in_the_set() -> None:
+    twin = Toy("near", "twin", lambda x: x**2 + 0.01 * x**3)
+    model = draw_toy(1, {"near: square": 0.1})
+    selection = select_effects(model, BASE, (*CATALOGUE, twin), seed=1)
+    (one_set,) = find_confidence_sets(selection)
+    assert {one.effect.key for one in one_set.alternatives} == {"near: square", "near: twin"}
+
+
+def test_an_interval_holds_the_size_although_a_twin_of_another_cause_takes_a_part_of_it() -> None:
+    twin = Toy("near", "twin", lambda x: x**2 + 0.01 * x**3 + 0.03 * np.sin(9.0 * x))
+    model = draw_toy(1, {"near: square": 0.1, "near: sine": 0.1})
+    selection = select_effects(model, BASE, (*CATALOGUE, twin), seed=1)
+    context, chosen, sets = selection.context, selection.chosen, find_confidence_sets(selection)
+    assert {one.key for one in chosen.effects} == {"near: twin", "near: sine"}
+    (sine,) = context.union.columns([one for one in chosen.effects if one.key == "near: sine"])
+    (_, alone), (low, high) = (find_interval(context, chosen, one, int(sine)) for one in ([], sets))
+    assert alone < 0.1
+    assert low < 0.1 < high
+
+
+def test_all_that_the_data_cannot_separate_is_in_the_set() -> None:
+    twins = [Toy("near", f"twin {k}", lambda x, k=k: x**2 + 0.002 * k * x**3) for k in range(1, 7)]
+    selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, (*CATALOGUE, *twins), seed=1)
+    (one_set,) = find_confidence_sets(selection)
+    assert {one.effect.key for one in one_set.alternatives} == {"near: square", *(one.key for one in twins)}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_cause_near_the_noise_is_called_a_cause(seed: int) -> None:
+    selection = select_effects(draw_toy(seed, {"near: square": 0.025}), BASE, CATALOGUE, seed=1)
+    assert "near: square" in {one.key for one in selection.chosen.effects}
+    assert not explains_too_little(selection.context, selection.chosen, "near")
+
+
+def test_what_helped_in_the_round_before_is_judged_again_from_its_sizes() -> None:
+    context, present = fit_base(start_context(draw_toy(1, TRUTH), BASE, CATALOGUE, 1, Meter()))
+    near, far, none = (one for one in CATALOGUE if one.key in ("near: square", "far: sine", "far: cube"))
+    start = present.sizes + 0.01
+    finalists = [Score(near, start, 0.5), Score(far, start, 0.5), Score(none, start, 0.01)]
+    assert list_again(context, present, {0, 1}, [Score(near, start, 0.2)], finalists[:1]) == []
+    assert list_again(context, present, {0}, [], finalists[1:]) == []
+    (again,) = list_again(context, present, {0, 1}, [], finalists[1:])
+    mine = context.sharing.joint_of_column == 1
+    np.testing.assert_array_equal(again.start[mine], start[mine])
+    np.testing.assert_array_equal(again.start[~mine], present.sizes[~mine])
+
+
+@pytest.mark.slow
+def test_ninety_percent_intervals_hold_the_size_in_ninety_percent_of_cases() -> None:
+    held = 0
+    for seed in range(200):
+        selection = select_effects(draw_toy(seed, {"near: square": 0.1}), BASE, CATALOGUE[:1], seed=1)
+        fit = selection.chosen.fits[NAMES.index("near")]
+        low, high = size_intervals(selection.context, fit)[-1]
+        held += low <= 0.1 <= high
+    assert 170 <= held <= 190  # 95 % of a binomial around 180
+
+
+def test_problems_that_share_simulations_end_where_they_end_alone() -> None:
+    model = draw_toy(1, TRUTH)
+    union = Union((*BASE, *CATALOGUE))
+    zero = np.zeros(len(union.sizes))
+    problems = [Hypothesis(union.columns([effect]), zero, NAMES.index(effect.place)) for effect in BASE]
+    scales = np.full(2, 0.02)
+    joints = np.array([NAMES.index(effect.place) for effect in union.effects])
+    both = Sharing(((0, 1),), np.empty(0, np.int64), np.empty(0, np.int64), joints)
+    together = fit_hypotheses(model, union, problems, scales, sharing=both)
+    alone = [
+        fit_hypotheses(model, union, [one], scales, sharing=share_nothing(2, joints))[0] for one in problems
+    ]
+    for shared, single in zip(together, alone, strict=True):
+        np.testing.assert_array_equal(shared.sizes, single.sizes)
+
+
+def test_a_residual_that_follows_a_variable_is_seen_in_other_motions() -> None:
+    rng = np.random.default_rng(1)
+    x, noise, motion = rng.uniform(-1.0, 1.0, 4000), rng.normal(0.0, 1.0, 4000), np.repeat([0, 1], 2000)
+    follows = unexplained_dependence(noise + 2.0 * x, x, motion)
+    alone = unexplained_dependence(noise, x, motion)
+    assert follows == pytest.approx(4.0 / 3.0 / (1.0 + 4.0 / 3.0), abs=0.05)
+    assert alone < 0.01
+
+
+def test_a_constant_residual_follows_no_variable() -> None:
+    rng = np.random.default_rng(1)
+    x, noise, motion = rng.uniform(-1.0, 1.0, 400), rng.normal(0.0, 0.2, 400), np.repeat([0, 1, 2, 3], 100)
+    assert unexplained_dependence(1.0 + noise, x, motion) < 0.05
+
+
+def test_where_no_other_motion_goes_nothing_is_predicted() -> None:
+    x = np.linspace(0.0, 1.0, 200)
+    assert unexplained_dependence(1.0 + x, x, np.repeat([0, 1], 100)) == 0.0
+
+
+@pytest.mark.parametrize("n_sizes", [1, 2, 8])
+def test_of_noise_any_number_of_sizes_explains_nothing_on_average(n_sizes: int) -> None:
+    rng = np.random.default_rng(n_sizes)
+    shares = []
+    for _ in range(400):
+        changes, noise = rng.standard_normal((40, n_sizes)), rng.standard_normal(40)
+        basis, _ = np.linalg.qr(np.column_stack([np.ones(40), changes]))
+        total = np.sum((noise - noise.mean()) ** 2)
+        shares.append(
+            adjust(1.0 - float(np.sum((noise - basis @ (basis.T @ noise)) ** 2) / total), n_sizes, 40)
+        )
+    assert np.mean(shares) == pytest.approx(0.0, abs=0.02)
+    assert adjust(0.9, 40, 40) == -np.inf

@@ -1,0 +1,187 @@
+"""Verdicts in words: what is said at each level, and what is not said where it is not known."""
+
+from dataclasses import replace
+
+import pytest
+
+from helpers.verdicts import (
+    ARMATURE,
+    FRICTION,
+    GAIN,
+    LIFT,
+    PAN,
+    REFUSED,
+    REST,
+    diagnosis,
+    finding,
+    without_floor,
+)
+from simgap.effects.effect import Family
+from simgap.report.sentences import detail_lines, level, verdict_lines, verdict_word
+from simgap.result import Rejected
+
+TWO = finding(effects=("lift: Coulomb friction", "lift: gain error"), next_motion="slow sweeps of lift")
+FOUR_EFFECTS = finding(effects=tuple("abcd"))
+FOUR_FAMILIES = finding(effects=tuple("abcd"), families=tuple(Family)[:4])
+FOUR_PLACES = finding(effects=tuple("abcd"), families=tuple(Family)[:4], places=tuple("pqrs"))
+NO_EFFECT = finding(effects=(), families=(), places=("lift",))
+
+
+def lines(**changes):
+    return verdict_lines(diagnosis(**changes))
+
+
+def test_four_lines_say_where_what_how_far_and_next():
+    assert lines() == (
+        "Where: lift.",
+        "What: Coulomb friction at lift (0.44 N m), 95 % sure: no other effect explains it.",
+        "How far: on 2 motions that took no part, the error of lift goes from 25.5 mrad to 2.4 mrad; "
+        "100 % of the explainable error is gone.",
+        "Next: nothing; these motions leave no question open.",
+    )
+
+
+def test_a_joint_that_the_findings_make_worse_is_told():
+    worse = replace(PAN, base=0.0026, explained=0.0032)
+    assert (
+        "but the findings make pan worse than base parameters alone: 2.6 mrad to 3.2 mrad"
+        in lines(errors=(worse, LIFT))[2]
+    )
+
+
+def test_a_share_below_zero_is_told_as_growth():
+    worse = replace(LIFT, explained=2.0 * LIFT.nominal)
+    assert "the explainable error of all joints grows by" in lines(errors=(worse,))[2]
+
+
+def test_an_effect_that_is_not_named_is_told_with_its_reason():
+    said = detail_lines(diagnosis(rejected=(Rejected("a1", "joint compliance", "gravity does not load it"),)))
+    assert "Joint compliance at a1 is not named: gravity does not load it." in said
+
+
+def test_two_effects_that_these_motions_cannot_tell_apart_are_both_named_with_the_next_motion():
+    where, what, _, following = lines(findings=(TWO,))
+    assert where == "Where: lift."
+    assert "Coulomb friction or gain error at lift, 95 % sure" in what
+    assert "cannot be told apart" in what
+    assert following == "Next: record slow sweeps of lift."
+    assert verdict_word(diagnosis(findings=(TWO,))) == "set"
+
+
+@pytest.mark.parametrize(
+    ("found", "known", "words"),
+    [
+        (FRICTION, "effect", "Coulomb friction at lift"),
+        (FOUR_EFFECTS, "family", "friction at lift, 95 % sure of the kind"),
+        (FOUR_FAMILIES, "place", "something at lift, 95 % sure of the place"),
+        (FOUR_PLACES, "none", "something small, not located"),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_more_than_three_members_are_told_one_level_above(found, known, words):
+    assert level(found) == known
+    assert words in lines(findings=(found,))[1]
+
+
+def test_a_set_of_more_than_three_effects_lists_none_of_them():
+    many = finding(effects=("lift: creep", "lift: hum", "lift: wobble", "lift: sag"))
+    text = " ".join([*lines(findings=(many,)), *detail_lines(diagnosis(findings=(many,)))])
+    assert not any(word in text for word in ("creep", "hum", "wobble", "sag", "0.44"))
+
+
+def test_an_empty_set_says_none_of_these_and_keeps_the_place():
+    where, what, *_ = lines(findings=(NO_EFFECT,))
+    assert where == "Where: lift."
+    assert "no effect in the catalogue is known to cause it" in what
+    assert verdict_word(diagnosis(findings=(NO_EFFECT,))) == "unknown"
+
+
+def test_no_finding_and_no_remainder_is_none():
+    nothing = diagnosis(findings=(), effects=(), sizes=())
+    where, what, *_ = verdict_lines(nothing)
+    assert verdict_word(nothing) == "none"
+    assert where.startswith("Where: nowhere")
+    assert what == (
+        "What: none of the effects in the catalogue; "
+        "fitted base parameters differ: gain of lift 17.8 to 12.2."
+    )
+
+
+def test_a_remainder_without_a_finding_is_unknown_at_its_joint():
+    only = diagnosis(findings=(), remaining=(REST,), effects=(), sizes=())
+    where, what, _, following = verdict_lines(only)
+    assert verdict_word(only) == "unknown"
+    assert where == "Where: pan."
+    assert "none of the effects in the catalogue explains it" in what
+    assert following == "Next: write an effect of your own at pan that depends on position."
+
+
+def test_a_named_effect_is_not_withdrawn_because_something_else_remains():
+    where, what, *_ = lines(remaining=(REST,))
+    assert where == "Where: lift. Something more remains at pan."
+    assert "Coulomb friction at lift" in what
+    assert verdict_word(diagnosis(remaining=(REST,))) == "named"
+
+
+def test_without_repeats_no_share_is_given():
+    errors = (PAN, without_floor(LIFT))
+    _, _, far, following = lines(errors=errors)
+    assert "the noise floor is unknown without repeats" in far
+    assert "explainable" not in far
+    assert following.startswith("Next: repeat some motions")
+    assert diagnosis(errors=errors).closure is None
+
+
+def test_without_held_out_motions_the_fall_is_not_known():
+    _, _, far, following = lines(judged_motions=())
+    assert far == "How far: not known, because no motion was held out."
+    assert following.startswith("Next: hold out some motions")
+    assert diagnosis(judged_motions=()).closure is None
+
+
+def test_the_closure_is_one_at_the_floor_and_zero_at_the_nominal_model():
+    assert diagnosis(errors=(replace(LIFT, explained=LIFT.noise_floor),)).closure == pytest.approx(1.0)
+    assert diagnosis(errors=(replace(LIFT, explained=LIFT.nominal),)).closure == pytest.approx(0.0)
+
+
+def test_an_error_at_the_floor_has_no_closure():
+    at_floor = diagnosis(errors=(replace(LIFT, nominal=LIFT.noise_floor),))
+    assert at_floor.closure is None
+    assert "all of it is noise" in verdict_lines(at_floor)[2]
+
+
+def test_a_joint_without_gravity_load_shows_only_ratios_to_the_gain():
+    gain = replace(ARMATURE, name="gain_ratio")
+    said = detail_lines(diagnosis(base=(GAIN, ARMATURE, gain)))
+    assert "At pan, only ratios to the gain can be known of: armature." in said
+    assert not any("At lift" in line for line in said)
+
+
+def test_a_number_without_a_gain_is_no_ratio_to_it():
+    said = detail_lines(diagnosis(base=(GAIN, ARMATURE)))
+    assert "At pan, the logs do not determine: armature." in said
+
+
+def test_details_give_interval_share_and_what_the_remainder_depends_on():
+    said = detail_lines(diagnosis(remaining=(REST,)))
+    assert said[0].endswith(
+        "With 90 % probability coulomb_Nm from 0.41 to 0.47. "
+        "Without it, 80 % of the explainable error of its joint comes back."
+    )
+    assert said[1] == (
+        "Remains at pan, in slow motion: 1.1 mrad that no effect explains; "
+        "it depends on position, which explains 40 % of it."
+    )
+
+
+def test_three_refusals_are_listed_and_the_others_counted():
+    said = detail_lines(diagnosis(refused=REFUSED))
+    assert said[1] == "p: 40 samples took no part: the command is cut off at -1.034 rad."
+    assert said[-1] == "2 more refusals are in the JSON document."
+
+
+def test_remarks_on_the_logs_stand_beside_the_findings():
+    remarks = ("lift: many turns: it turns 9 times.",) * 5
+    lines = detail_lines(diagnosis(remarks=remarks))
+    assert lines[-4:-1] == list(remarks[:3])
+    assert lines[-1] == "2 more remarks on the logs are in the JSON document."

@@ -1,0 +1,111 @@
+"""What was put into a synthetic twin of the SO-101 is found: table, clamp, gain, friction."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.so101_twin import (
+    REST,
+    CLAMP_rad,
+    COUNT_rad,
+    ROW_s,
+    TABLE_m,
+    Truth,
+    record,
+    smooth_command,
+    so101,
+    with_locked_joints,
+)
+from simgap.assemble import list_base
+from simgap.audit.audit import audit
+from simgap.audit.records import RemarkKind
+from simgap.catalogue.catalogue import base_effects
+from simgap.diagnose import diagnose
+from simgap.logs import Logs
+from simgap.residuals.simulation_residuals import SimulationResiduals
+from simgap.selection.context import start_context
+from simgap.selection.joint_fits import fit_base
+from simgap.selection.meter import Meter
+
+LIFT, ELBOW, ROLL = "shoulder_lift", "elbow_flex", "wrist_roll"
+REACH_rad = {LIFT: 0.3, ELBOW: 0.4}
+
+
+def swing(joint: str, low_rad: float, high_rad: float, duration_s: float = 12.0) -> dict:
+    """Return commands in which one joint swings slowly from the high to the low end and back, twice."""
+    time_s = np.arange(0.0, duration_s, ROW_s)
+    found = {one.name: np.full(time_s.size, REST.get(one.name, 0.0)) for one in so101().joints}
+    share = 0.5 - 0.5 * np.cos(4 * np.pi * time_s / duration_s)
+    return found | {joint: high_rad + (low_rad - high_rad) * share}
+
+
+def slow_logs(truth: Truth) -> Logs:
+    """Return slow motions: the lift goes down to the table, the wrist roll beyond its clamp."""
+    lifts = [swing(LIFT, low_rad, 0.0) for low_rad in (0.50, 0.56)]
+    rolls = [swing(ROLL, -1.6, 0.2), swing(ROLL, -1.5, 0.1)]
+    return Logs(tuple(record(so101(), truth, f"slow {k}", one, k) for k, one in enumerate((*lifts, *rolls))))
+
+
+def test_table_and_clamp_of_the_twin_are_named_and_their_samples_are_refused():
+    found = audit(so101(), slow_logs(Truth(has_table=True, has_clamp=True)))
+    assert [(one.kind, one.joint) for one in found.remarks] == [
+        (RemarkKind.CONTACT, ""),
+        (RemarkKind.CUT_OFF, ROLL),
+    ]
+    contact, cut_off = found.remarks
+    assert contact.value == pytest.approx(TABLE_m, abs=0.005)
+    assert contact.motions == ("slow 0", "slow 1")
+    roll = so101().joint(ROLL)
+    held_rad = (
+        so101().model.dof_frictionloss[roll.dof_index] / roll.kp_Nm_rad
+    )  # friction holds it so far away
+    assert cut_off.value == pytest.approx(CLAMP_rad, abs=held_rad + COUNT_rad)
+    assert not found.is_usable("slow 1", LIFT).all()
+    assert not found.is_usable("slow 2", ROLL).all()
+    assert found.is_usable("slow 2", LIFT).all()
+
+
+def test_a_twin_without_table_and_clamp_gets_no_remark():
+    found = audit(so101(), slow_logs(Truth()))
+    assert found.remarks == found.refused == ()
+
+
+def test_base_parameters_of_the_twin_are_found():
+    truth = Truth(gain_ratio={LIFT: 0.4, ELBOW: 0.15}, coulomb_Nm={LIFT: 0.39})
+    robot = so101()
+    motions = [
+        record(robot, truth, f"smooth {k}", smooth_command(robot, k, 3.0, REACH_rad), k) for k in range(4)
+    ]
+    unknown = replace(
+        robot, joints=tuple(replace(one, is_known=one.name not in truth.gain_ratio) for one in robot.joints)
+    )
+    raw = SimulationResiduals(unknown, motions, n_threads=1)
+    base = base_effects(unknown, Logs(tuple(motions)))
+    context, present = fit_base(start_context(raw, base, (), 1, Meter()))
+    found = {(one.place, one.name): one.value for one in list_base(unknown, context, present, ())}
+    for key, value in {
+        (LIFT, "gain_ratio"): 0.4,
+        (ELBOW, "gain_ratio"): 0.15,
+        (LIFT, "coulomb_Nm"): 0.052 + 0.39,
+        (ELBOW, "coulomb_Nm"): 0.052,
+    }.items():
+        assert found[key] == pytest.approx(value, abs=0.01), key
+
+
+@pytest.mark.slow
+def test_load_dependent_friction_of_the_lift_is_named_beside_gain_errors():
+    truth = Truth(gain_ratio={LIFT: 0.4, ELBOW: 0.15}, friction_per_load={LIFT: 0.7})
+    robot = with_locked_joints(so101(), (LIFT, ELBOW))
+    motions = [
+        record(robot, truth, f"smooth {k}", smooth_command(robot, k, 4.0, REACH_rad), k) for k in range(10)
+    ]
+    result = diagnose(robot, motions[:7], held_out=motions[7:], seed=1)
+    (finding,) = result.findings
+    assert (finding.place, finding.effect) == (LIFT, "load-dependent friction")
+    assert finding.size[0] == pytest.approx(0.7, rel=0.25)  # as close as two halves of the real arm must be
+    base = {(one.place, one.name): one.value for one in result.base}
+    assert base[LIFT, "gain_ratio"] == pytest.approx(0.4, abs=0.02)
+    assert base[ELBOW, "gain_ratio"] == pytest.approx(0.15, abs=0.02)
+    error = {one.joint: one for one in result.errors}
+    assert error[LIFT].explained < 0.25 * error[LIFT].base

@@ -1,0 +1,122 @@
+"""`marsarm budget`: the paper's rows beside ours; errors are named and nothing is written."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from marsarm.accuracy.budget import BudgetReport, run_budget
+from marsarm.accuracy.budget_report import budget_json, list_requirements, save_budget_page
+from marsarm.accuracy.reproduce import TABLE_3, TABLE_4
+from marsarm.accuracy.request import BudgetRequest
+from marsarm.common.errors import BadRequest
+from tests.marsarm.command import marsarm, marsarm_process
+
+
+def quiet(*_) -> None:
+    """Ignore progress."""
+
+
+@pytest.fixture(scope="module")
+def report() -> BudgetReport:
+    return run_budget(BudgetRequest(poses=1500, reproduce=True), quiet)
+
+
+def test_every_row_of_the_papers_tables_is_there(report):
+    assert [row for row, _ in report.rows] == [*TABLE_3, *TABLE_4]
+
+
+def test_before_calibration_the_arm_misses_what_is_required_and_after_it_does_not(report):
+    missed = {row for row, value in report.rows if value > row.required}
+    assert missed == {row for row, _ in report.rows if row.estimated > row.required}
+
+
+def test_positions_come_within_a_fourth_of_the_papers_and_repeatability_within_a_tenth(report):
+    ratios = {row: value / row.estimated for row, value in report.rows if row.component != "axial_rad"}
+    assert all(0.85 < ratio < 1.25 for ratio in ratios.values())
+    assert all(0.9 < ratio < 1.1 for row, ratio in ratios.items() if "repeatability" in row.name)
+
+
+def test_rover_stiffness_and_zero_offset_are_the_largest_sources_beside_heat_and_backlash(report):
+    budget = report.budgets["accuracy"]
+    order = np.argsort(-budget.share_m.sum(axis=1))
+    ranked = [list(budget.case.sources)[k] for k in order]
+    others = [name for name in ranked if name != "backlash" and not name.startswith("distortion")]
+    assert set(others[:2]) == {"rover_stiffness", "zero_offset"}
+
+
+def test_other_magnitudes_reproduce_the_paper(report):
+    for found in report.reproduced:
+        assert all(value == pytest.approx(row.estimated, rel=0.12) for row, value in found.rows)
+    assert all(value == pytest.approx(row.estimated, rel=0.04) for row, value in report.reproduced[1].rows)
+
+
+def test_sourced_magnitudes_are_not_changed_to_reproduce_it(report):
+    changed = {source for found in report.reproduced for source, _ in found.factor}
+    assert all(report.model.source[name].label != "S" for name in changed)
+
+
+def test_the_document_holds_shares_that_add_up_to_the_mean_total(report):
+    for name, case in budget_json(report)["cases"].items():
+        total = sum(sum(frames.values()) for frames in case["share_m"].values())
+        by_tool = [tool.by_rule["paper"].total_m for tool in report.budgets[name].tools.values()]
+        assert total == pytest.approx(np.concatenate(by_tool).mean())
+
+
+def test_the_page_is_one_file_with_its_pictures_in_it(report, tmp_path):
+    page = tmp_path / "budget.html"
+    save_budget_page(report, page)
+    text = page.read_text()
+    assert text.count("<svg ") == 2 * len(report.budgets)
+    met = sum(value <= row.required for row, value in report.rows)
+    assert f"Fail: {len(report.rows) - met} of {len(report.rows)} requirements are not met." in text
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"case": "venus"}, "case: 'venus' is not known; there are accuracy, repeatability, mars"),
+        ({"tool": "spoon"}, "tool: 'spoon' is not known; there are drill"),
+        ({"poses": 3}, "poses: 3 is not within 100 .. 200000"),
+        ({"seed": -1}, "seed: -1 is below 0"),
+        ({"gravity": "moon"}, "gravity: 'moon' is not known"),
+        ({"report": Path("page.txt")}, "its name must end in .html"),
+        ({"params": Path("none.toml")}, "none.toml: cannot be read"),
+    ],
+)
+def test_bad_input_is_named(wrong, words):
+    with pytest.raises(BadRequest, match=words.replace("(", r"\(")):
+        run_budget(BudgetRequest(**wrong), quiet)
+
+
+def test_few_poses_show_nothing(tmp_path):
+    page = tmp_path / "budget.html"
+    save_budget_page(run_budget(BudgetRequest(case="mars", tool="apxs", poses=1000), quiet), page)
+    assert "Not shown: 0 of 3 requirements are met, 3 are not shown." in page.read_text()
+    assert "1000 of 1365 poses" in page.read_text()
+
+
+@pytest.mark.parametrize(
+    ("times", "passed"), [(1.5, True), (1.001, None), (0.999, None), (0.5, False)], ids=str
+)
+def test_a_bound_within_the_interval_of_the_estimate_is_not_shown(times, passed):
+    report = run_budget(BudgetRequest(case="mars", tool="apxs", poses=2000), quiet)
+    rows = tuple((replace(row, required=times * value), value) for row, value in report.rows)
+    assert [row.passed for row in list_requirements(replace(report, rows=rows))] == [passed] * 3
+
+
+def test_the_command_prints_one_document_and_writes_a_page_and_a_picture(tmp_path):
+    words = ("budget", "--case", "accuracy", "--tool", "apxs", "--poses", "300", "--json")
+    done = marsarm(tmp_path, *words, "--report", "page.html", "--picture", "rows.png")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["cases"]["accuracy"]["tools"] == ["apxs"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["page.html", "rows.png"]
+
+
+def test_the_command_refuses_and_writes_nothing(tmp_path):
+    done = marsarm_process(tmp_path, "budget", "--case", "x", "--report", "page.html", "--json")
+    assert done.returncode == 2
+    assert "case: 'x'" in json.loads(done.stdout)["error"]
+    assert not list(tmp_path.iterdir())

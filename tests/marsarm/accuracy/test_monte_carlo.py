@@ -1,0 +1,247 @@
+"""`marsarm monte-carlo`: arms against the budget; resumed runs, single arms, refused requests."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsw.config import configure
+from marsarm.accuracy.budget import COMPONENTS, MOMENTS
+from marsarm.accuracy.coverage import check_coverage
+from marsarm.accuracy.monte_carlo import MonteCarloReport, run_monte_carlo
+from marsarm.accuracy.monte_carlo_report import list_requirements, monte_carlo_json, save_monte_carlo_page
+from marsarm.accuracy.request import MonteCarloRequest
+from marsarm.common.errors import BadRequest
+from sim.params import nominal_params
+from sim.world import World
+from tests.marsarm.command import marsarm, marsarm_process
+
+STATICS = MonteCarloRequest(arms=150, move_model="statics", seed=3, workers=1)
+
+
+def quiet(*_) -> None:
+    """Ignore progress."""
+
+
+@pytest.fixture(scope="module")
+def report() -> MonteCarloReport:
+    return run_monte_carlo(STATICS, quiet)
+
+
+@pytest.mark.slow
+def test_the_papers_rule_and_the_worst_case_cover_everything_and_are_twice_as_wide(report):
+    for rule in ("paper", "worst case"):
+        for name in ("total_m", "lateral_m", "normal_m"):
+            found = report.coverage.by_rule[rule][name]
+            assert found.share == 1.0
+            assert found.width > 2.0
+
+
+@pytest.mark.slow
+def test_ours_covers_what_it_should_and_is_hardly_wider(report):
+    for name in COMPONENTS:
+        found = report.coverage.by_rule[MOMENTS][name]
+        assert found.holds(0.9973)
+        assert 0.85 < found.width < 1.3
+
+
+@pytest.mark.slow
+def test_the_best_case_does_not_cover(report):
+    assert not any(c.holds(0.9973) for c in report.coverage.by_rule["root sum square"].values())
+
+
+@pytest.mark.slow
+def test_outputs_lie_on_flanks_but_their_gaps_do_not_add_up(report):
+    assert np.all(report.coverage.on_flank > 0.99)
+    median, _, most = report.coverage.backlash
+    assert 0.4 < median < 0.9
+    assert most <= 1.0
+
+
+@pytest.mark.slow
+def test_what_makes_the_papers_rule_wide_is_adding_sources_and_adding_frames(report):
+    whole, no_source, no_frames, neither = report.coverage.variant_totals_m.values()
+    assert neither < no_source < 0.7 * whole
+    assert neither < no_frames < 0.7 * whole
+    assert whole == pytest.approx(report.coverage.budget.estimate("paper", "total_m"))
+
+
+@pytest.mark.slow
+def test_errors_are_of_the_same_size_in_every_component_as_their_bounds(report):
+    for name in COMPONENTS:
+        within = report.coverage.budget.estimate(MOMENTS, name)
+        assert 0.2 * within < np.sqrt(np.mean(report.coverage.error[name] ** 2)) < 0.7 * within
+
+
+@pytest.mark.slow
+def test_an_arm_alone_is_what_it_is_among_others(report):
+    alone = run_monte_carlo(replace(STATICS, only=7), quiet)
+    assert np.array_equal(alone.trials[0][0].error, report.trials[7][0].error)
+
+
+@pytest.mark.slow
+def test_two_processes_measure_what_one_does(report):
+    two = run_monte_carlo(replace(STATICS, arms=6, workers=2), quiet)
+    for trial, same in zip(two.trials, report.trials[:6], strict=True):
+        assert np.array_equal(trial[0].error, same[0].error)
+
+
+@pytest.mark.slow
+def test_a_run_that_was_killed_goes_on_where_it_was(report, tmp_path):
+    path = tmp_path / "r.jsonl"
+    run_monte_carlo(replace(STATICS, arms=4, results=path), quiet)
+    path.write_bytes(path.read_bytes()[:-30])
+    done = []
+    more = run_monte_carlo(replace(STATICS, arms=8, results=path), lambda done_now, *_: done.append(done_now))
+    assert done[0] == 3
+    for trial, same in zip(more.trials, report.trials[:8], strict=True):
+        assert np.array_equal(trial[0].error, same[0].error)
+
+
+def test_results_of_another_case_are_refused(tmp_path):
+    path = tmp_path / "r.jsonl"
+    run_monte_carlo(replace(STATICS, arms=1, results=path), quiet)
+    with pytest.raises(BadRequest, match="case accuracy there, mars now"):
+        run_monte_carlo(replace(STATICS, case="mars", results=path), quiet)
+
+
+def test_without_ray_a_cluster_is_refused_and_nothing_is_written(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(BadRequest, match="ray is not installed"):
+        run_monte_carlo(replace(STATICS, cluster="auto", results=tmp_path / "r.jsonl"), quiet)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_closed_loop_measures_what_statics_do():
+    loop = run_monte_carlo(
+        MonteCarloRequest("mars", arms=2, move_model="closed-loop", seed=5, workers=1), quiet
+    )
+    statics = run_monte_carlo(
+        MonteCarloRequest("mars", arms=2, move_model="statics", seed=5, workers=1), quiet
+    )
+    for a, b in zip(loop.trials, statics.trials, strict=True):
+        # an output rests anywhere within its friction: 10 N m wind a gear by 0.1 mrad, 2 m from the tool
+        assert np.linalg.norm((a[0].error - b[0].error)[3:]) < 2e-4
+
+
+def test_an_arm_of_its_own_has_what_the_case_adds():
+    found = run_monte_carlo(
+        MonteCarloRequest("mars", "calibrated", arms=3, places=3, move_model="statics", seed=1, workers=1),
+        quiet,
+    )
+    assert 1e-4 < found.coverage.percentile["total_m"] < 1e-2
+    assert found.three_sigma["total_m"].accuracy.upper > found.three_sigma["total_m"].accuracy.estimate > 0
+
+
+@pytest.mark.slow
+def test_the_page_holds_its_picture(report, tmp_path):
+    page = tmp_path / "mc.html"
+    save_monte_carlo_page(report, page)
+    text = page.read_text()
+    assert text.count("<svg ") == len(COMPONENTS)
+    assert "equation 13" in text
+
+
+@pytest.mark.parametrize("arms", [1, 3])
+def test_a_sample_that_is_too_small_for_a_bound_shows_nothing(arms):
+    small = run_monte_carlo(replace(STATICS, case="mars", arms=arms, places=1), quiet)
+    moved, *rows = list_requirements(small)
+    assert moved.passed
+    assert len(rows) == 4
+    assert not any(row.passed for row in rows)
+    assert all(f"{arms} of 1365 arms" in row.value for row in rows if row.passed is None)
+
+
+def test_a_sample_that_is_large_enough_shows_what_it_bounds():
+    few = run_monte_carlo(replace(STATICS, case="mars", arms=5, places=1), quiet)
+    trials = few.trials * 273
+    found = check_coverage(few.model, "mars", configure(nominal_params()), World().gravity_N_m_s2, trials)
+    enough = replace(few, trials=trials, coverage=found)
+    assert [row.passed for row in list_requirements(enough)] == [True] * 5
+    assert all("1365 arms" in row.value for row in list_requirements(enough)[1:])
+
+
+@pytest.mark.slow
+def test_an_interval_without_an_end_is_null_in_the_document(report):
+    document = monte_carlo_json(report)
+    assert document["coverage"]["percentile_interval"]["total_m"][1] is None
+    json.dumps(document, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"case": "venus"}, "case: 'venus' is not known; there are accuracy"),
+        ({"built": "borrowed"}, "built: 'borrowed' is not known; there are sampled, calibrated, as-built"),
+        ({"move_model": "guess"}, "move-model: 'guess' is not known; there are closed-loop, statics"),
+        ({"arms": 0}, "arms: 0 is not within 1 .. 1000000"),
+        ({"places": 0}, "places: 0 is not within"),
+        ({"workers": 0}, "workers: 0 is not within"),
+        ({"only": 150}, "only: 150 is not within 0 .. 149"),
+        ({"seed": -1}, "seed: -1 is below 0"),
+        ({"params": Path("none.toml")}, "none.toml: cannot be read"),
+        ({"report": Path("page.txt")}, "its name must end in .html"),
+        ({"results": Path("results.csv")}, "its name must end in .jsonl"),
+        ({"results": Path("a.jsonl"), "report": Path("a.jsonl")}, "this is the file of"),
+    ],
+)
+def test_bad_input_is_named(wrong, words):
+    with pytest.raises(BadRequest, match=words):
+        run_monte_carlo(replace(STATICS, **wrong), quiet)
+
+
+def test_every_built_arm_has_the_parameters_of_a_file_of_its_own(tmp_path):
+    for seed in (7, 8):
+        (tmp_path / f"{seed}.toml").write_text(f'arm_name = "as-built:{seed}"\n')
+    wanted = replace(
+        STATICS, case="mars", built="as-built", arms=2, places=2, seed=7, params=tmp_path / "{seed}.toml"
+    )
+    assert len(run_monte_carlo(wanted, quiet).trials) == 2
+    (tmp_path / "8.toml").write_text('arm_name = "as-built:7"\n')
+    with pytest.raises(BadRequest, match="these are of the arm as-built:7, not of as-built:8"):
+        run_monte_carlo(wanted, quiet)
+
+
+@pytest.mark.parametrize("line", ['{"x": 1}', '{"arm": 0, "params_sha256": "0", "places": [{}]}', "[]"])
+def test_a_line_that_is_no_result_is_named(tmp_path, line):
+    wanted = replace(STATICS, arms=1, results=tmp_path / "r.jsonl")
+    run_monte_carlo(wanted, quiet)
+    with wanted.results.open("a") as file:
+        file.write(f"{line}\n")
+    with pytest.raises(BadRequest, match="line 3 is no result"):
+        run_monte_carlo(wanted, quiet)
+
+
+def test_results_of_other_parameter_files_are_not_mixed_in(tmp_path):
+    own = tmp_path / "7.toml"
+    own.write_text('arm_name = "as-built:7"\n')
+    wanted = replace(
+        STATICS,
+        built="as-built",
+        arms=1,
+        seed=7,
+        params=tmp_path / "{seed}.toml",
+        results=tmp_path / "r.jsonl",
+    )
+    run_monte_carlo(wanted, quiet)
+    own.write_text('arm_name = "as-built:7"\n[joints.elbow]\nspeed_rad_s = 0.01\n')
+    with pytest.raises(BadRequest, match="arm 0 in it was run with other parameters"):
+        run_monte_carlo(wanted, quiet)
+
+
+def test_the_command_prints_one_document(tmp_path):
+    words = ("monte-carlo", "--arms", "3", "--move-model", "statics", "--workers", "1", "--json")
+    done = marsarm(tmp_path, *words, "--report", "page.html", "--results", "r.jsonl")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["arms"] == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["page.html", "r.jsonl"]
+
+
+def test_the_command_refuses_and_writes_nothing(tmp_path):
+    done = marsarm_process(tmp_path, "monte-carlo", "--case", "x", "--results", "r.jsonl", "--json")
+    assert done.returncode == 2
+    assert "case: 'x'" in json.loads(done.stdout)["error"]
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,112 @@
+"""`marsarm calibrate`: parameter file, document and page; with bad input nothing is written."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsw.kinematics.arm import build_arm
+from marsarm.calibration.campaign_file import save_campaign
+from marsarm.calibration.execution import run_calibration
+from marsarm.calibration.parameter_file import calibrated_params, parameter_text
+from marsarm.calibration.report import calibration_json, save_calibration_page
+from marsarm.calibration.request import CalibrateRequest
+from marsarm.common.errors import BadRequest
+from marsarm.common.requests import select_arm
+from sim.params import params_over_nominal
+from tests.marsarm.calibration.lab import calibration, campaign, quiet
+from tests.marsarm.command import marsarm, marsarm_process
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    path = tmp_path_factory.mktemp("data") / "poses.parquet"
+    save_campaign(campaign(), path)
+    return path
+
+
+def test_the_command_writes_parameters_that_flight_software_loads(table, tmp_path):
+    out = marsarm_process(tmp_path, "calibrate", "--data", str(table), "--out", "arm.toml", "--json")
+    assert out.returncode == 0, out.stderr
+    document = json.loads(out.stdout)
+    assert document["arm"] == "as-built:1"
+    assert document["rank"]["frames"] == 26
+    loaded = params_over_nominal(tmp_path / "arm.toml")
+    ours = build_arm(calibrated_params(calibration()))
+    np.testing.assert_allclose(build_arm(loaded).RP_CF, ours.RP_CF, atol=1e-9)
+    assert loaded.arm_name == "as-built:1"
+
+
+def test_the_parameter_file_says_where_it_comes_from_and_is_always_the_same(table):
+    text = parameter_text(calibration(), calibrated_params(calibration()))
+    assert text == parameter_text(calibration(), calibrated_params(calibration()))
+    for words in ("as-built:1", "Data of digest", "160 poses", "Rank 26 of 42", "held-out poses"):
+        assert words in text
+
+
+@pytest.mark.slow
+def test_the_page_is_one_file_with_its_pictures_in_it(table, tmp_path):
+    report = run_calibration(CalibrateRequest(data=table), quiet)
+    save_calibration_page(report, tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert page.count("<svg ") == 3
+    assert "Not shown: 5 of 6 requirements are met, 1 is not shown." in page
+    assert "arm2.tz, arm3.tz, arm4.tz, arm5.ty" in page
+    json.dumps(calibration_json(report), allow_nan=False)
+
+
+def test_parameters_of_another_arm_are_refused(table, tmp_path):
+    other = tmp_path / "other.toml"
+    other.write_text('arm_name = "as-built:9"\n')
+    with pytest.raises(BadRequest, match="of the arm as-built:9, not of as-built:1"):
+        run_calibration(CalibrateRequest(data=table, params=other), quiet)
+    with pytest.raises(BadRequest, match="of the arm as-built:9, not of as-built:3"):
+        select_arm("as-built:3", other)
+
+
+@pytest.mark.parametrize("name", ["as-built:1", "as-built:01", "msl/as-built:1"])
+def test_the_parameters_of_a_calibration_are_those_of_its_arm_by_any_name(name, tmp_path):
+    found = tmp_path / "found.toml"
+    found.write_text(parameter_text(calibration(), calibrated_params(calibration())))
+    assert select_arm(name, found).params == calibrated_params(calibration())
+
+
+def test_parameters_that_no_built_arm_has_are_refused_before_the_fit(table, tmp_path):
+    far = tmp_path / "far.toml"
+    far.write_text("[links.arm3.transform]\na_m = 0.9\n")
+    with pytest.raises(BadRequest, match="no built arm is so far from its drawing"):
+        run_calibration(CalibrateRequest(data=table, params=far), quiet)
+
+
+def test_data_of_an_arm_that_is_not_known_are_refused(tmp_path):
+    save_campaign(replace(campaign(), arm_name="flight-unit"), tmp_path / "poses.csv")
+    with pytest.raises(BadRequest, match="column arm: arm 'flight-unit' is not known"):
+        run_calibration(CalibrateRequest(data=tmp_path / "poses.csv"), quiet)
+
+
+WRONG = [
+    (CalibrateRequest(), "give --arm ARM"),
+    (CalibrateRequest(arm="as-built:1", poses=3), "poses: 3 is not within 24"),
+    (CalibrateRequest(arm="as-new:1"), "not known"),
+    (CalibrateRequest(arm="nominal", seed=-1), "is below 0"),
+    (CalibrateRequest(arm="nominal", tracker_um=(0.0, 0.0)), "tracker: its noise"),
+]
+
+
+@pytest.mark.parametrize(("request_", "words"), WRONG)
+def test_wrong_requests_are_refused_before_anything_moves(request_, words):
+    with pytest.raises(BadRequest, match=words):
+        run_calibration(request_, quiet)
+
+
+def test_a_wrong_table_ends_with_2_and_writes_nothing(tmp_path):
+    few = campaign().at(campaign().group == 0)
+    save_campaign(replace(few.at(few.group * 0 == 1), arm_name="x"), tmp_path / "none.csv")
+    out = marsarm(tmp_path, "calibrate", "--data", "none.csv", "--out", "arm.toml")
+    assert out.returncode == 2
+    assert not (tmp_path / "arm.toml").exists()
+
+
+def test_the_command_tells_how_it_is_used(tmp_path):
+    assert "Example: marsarm calibrate" in marsarm(tmp_path, "calibrate", "--help").stdout

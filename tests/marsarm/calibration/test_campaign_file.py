@@ -1,0 +1,157 @@
+"""Campaign tables: content is read back, and errors are named with a remedy."""
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from fsw.kinematics.transforms import Pose, inverse
+from marsarm.calibration.campaign_file import read_campaign, save_campaign
+from marsarm.calibration.checks import BadData, check_data
+from marsarm.calibration.measured_poses import MeasuredPoses
+from marsarm.calibration.parameter_file import data_sha256
+from sim.frames import P_NR_M
+from tests.marsarm.calibration.lab import NOMINAL, campaign
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+def test_a_table_is_read_as_it_was_written(tmp_path, suffix):
+    path = tmp_path / f"poses{suffix}"
+    save_campaign(campaign(), path)
+    read = read_campaign(path)
+    assert data_sha256(read) == data_sha256(campaign())
+    assert read.branch == campaign().branch
+    covariance = campaign().measured.covariance
+    np.testing.assert_allclose(read.measured.covariance, covariance, rtol=0, atol=1e-12 * covariance.max())
+
+
+def table(tmp_path, change):
+    path = tmp_path / "poses.parquet"
+    save_campaign(campaign(), path)
+    parquet.write_table(change(parquet.read_table(path)), path)
+    return path
+
+
+def test_a_missing_column_is_named(tmp_path):
+    path = table(tmp_path, lambda t: t.drop_columns(["motor_elbow_rad", "cov_35"]))
+    with pytest.raises(BadData, match="columns missing: motor_elbow_rad, cov_35"):
+        read_campaign(path)
+
+
+def test_a_column_of_texts_and_one_with_gaps_are_named(tmp_path):
+    def damaged(t):
+        t = t.set_column(t.column_names.index("p_x_m"), "p_x_m", pa.array(["one"] * t.num_rows))
+        holes = [None, *t["p_y_m"].to_pylist()[1:]]
+        return t.set_column(t.column_names.index("p_y_m"), "p_y_m", pa.array(holes))
+
+    with pytest.raises(BadData, match=r"p_x_m: holds string.*\n.*p_y_m: no number in 1 rows, the first is 0"):
+        read_campaign(table(tmp_path, damaged))
+
+
+def test_a_file_that_is_no_table_is_refused(tmp_path):
+    path = tmp_path / "poses.parquet"
+    path.write_text("poses")
+    with pytest.raises(BadData, match="cannot be read as a table"):
+        read_campaign(path)
+
+
+def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path):
+    pipe = tmp_path / "poses.csv"
+    os.mkfifo(pipe)
+    for path, words in ((pipe, "is not a regular file"), (tmp_path / "none.csv", "cannot be read")):
+        with pytest.raises(BadData, match=words):
+            read_campaign(path)
+
+
+def with_poses(X: Pose):
+    return replace(campaign(), measured=MeasuredPoses(X, campaign().measured.covariance))
+
+
+def seen_once(row, pose, count):
+    changed = campaign().targets_seen.copy()
+    changed[row, pose] = count
+    return replace(campaign(), targets_seen=changed)
+
+
+def believing(**change):
+    """Return the campaign with other values of what flight software believed, each made from the old."""
+    believed = campaign().believed
+    return replace(
+        campaign(), believed=replace(believed, **{k: of(getattr(believed, k)) for k, of in change.items()})
+    )
+
+
+def posed(change):
+    return with_poses(change(campaign().measured.X_RT))
+
+
+def with_covariance(factor):
+    measured = campaign().measured
+    return replace(campaign(), measured=MeasuredPoses(measured.X_RT, factor * measured.covariance))
+
+
+BAD = {
+    "few": (lambda: campaign().at(np.arange(10)), "10 are too few; 24 at least"),
+    "alike": (lambda: believing(motor_rad=lambda q: q[:, :1] + 0.01 * q), "joint elbow: moves over"),
+    "degrees": (lambda: believing(motor_rad=np.degrees), "give radians"),
+    "millimetres": (lambda: posed(lambda X: Pose(X.R, 1e3 * X.p)), "give metres"),
+    "gravity in g": (lambda: believing(gravity_R_m_s2=lambda g: g / 98.1), "give m/s2"),
+    "covariance in mm2": (lambda: with_covariance(1e6), "rad2, rad m, m2"),
+    "missing marker": (lambda: seen_once(2, 7, 2), "targets_turret: pose 7"),
+    "lock lost": (
+        lambda: replace(campaign(), tracker_moved_m=np.where(np.arange(160) > 99, 0.01, 0.0)),
+        "the tracker lost its lock or was moved",
+    ),
+    "another target": (
+        lambda: replace(campaign(), misfit_m=np.where(np.arange(160) == 5, 2e-3, 4e-5)),
+        "misfit_m: pose 5",
+    ),
+    "grams": (lambda: believing(turret_kg=lambda m: 1e3 * m), "give kilograms"),
+    "endless turret": (
+        lambda: believing(turret_kg=lambda m: np.where(np.arange(160) < 3, np.inf, m)),
+        "turret_kg: 8 .. inf",
+    ),
+    "no side": (lambda: believing(side=lambda side: 0.5 * side), "is not a side; give"),
+    "millinewton metres": (lambda: believing(friction_Nm=lambda torque: 1e3 * torque), "newton metres"),
+    "copied rows": (lambda: campaign().at(np.tile(np.arange(40), 4)), r"poses 40, 41, .* copied rows"),
+    "swapped": (lambda: posed(inverse), "The frames are swapped"),
+    "rnav": (lambda: posed(lambda X: Pose(X.R, X.p + P_NR_M[:, None])), "Positions are in RNAV"),
+    "quaternion": (lambda: posed(lambda X: Pose(X.R.swapaxes(0, 1), X.p)), "Quaternions are conjugated"),
+    "one row off": (
+        lambda: posed(lambda X: Pose(np.roll(X.R, 1, 2), np.roll(X.p, 1, 1))),
+        "one row too low",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_data_that_are_not_what_they_say_are_named(case):
+    data, words = BAD[case]
+    with pytest.raises(BadData, match=words):
+        check_data(NOMINAL, data())
+
+
+def test_poses_measured_while_the_lock_was_lost_are_named_even_if_noise_makes_them_differ():
+    X = campaign().measured.X_RT
+    p = X.p.copy()
+    p[:, 50:55] = p[:, 49:50] + 1e-5 * np.random.default_rng(0).standard_normal((3, 5))
+    with pytest.raises(BadData, match=r"poses 5[0-4], .* the tracker lost its lock"):
+        check_data(NOMINAL, with_poses(Pose(X.R, p)))
+
+
+def test_an_arm_without_a_name_is_refused(tmp_path):
+    path = tmp_path / "poses.csv"
+    save_campaign(replace(campaign(), arm_name=""), path)
+    with pytest.raises(BadData, match="column arm: is empty"):
+        read_campaign(path)
+
+
+def test_a_tracker_that_stands_still_is_noticed():
+    X = campaign().measured.X_RT
+    p = X.p.copy()
+    p[:, 50] = p[:, 49]
+    with pytest.raises(BadData, match=r"p_.*: pose 50 equal to the pose before"):
+        check_data(NOMINAL, with_poses(Pose(X.R, p)))

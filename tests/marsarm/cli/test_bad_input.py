@@ -1,0 +1,286 @@
+"""Wrong input of every verb: one sentence, the right status, nothing written, no file left behind.
+
+The table holds wrong files of each kind, numbers, and options that contradict each other.
+"""
+
+import os
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+
+from marsarm.cli.verb import VerbResult, verb
+from marsarm.telemetry.recorder import Recorder
+from tests.marsarm.command import call, largest_file, marsarm
+from tests.marsarm.telemetry.conftest import cycle_at
+
+LIBRARY_WORDS = re.compile(
+    r"\[Errno|Input should|Traceback|[ (]b['\"]|codec|ArrowInvalid|object at 0x|pydantic"
+)
+"""Words of Python and its libraries, which tell a user nothing."""
+SEVERAL = re.compile(r"\d+ things are wrong, one in each line:")
+
+BROKEN_EFFECT = """\
+from dataclasses import dataclass
+
+from sim.effects.effect import Effect
+
+
+@dataclass(frozen=True, slots=True)
+class Boom(Effect):
+    \"\"\"Divides by zero.\"\"\"
+
+    size: float = 1.0
+
+    def on_hardware(self, hardware):
+        return hardware / 0
+"""
+TEXTS = {
+    "empty.toml": "",
+    "half.toml": "[motion\n",
+    "word.toml": "[motion]\ntakeup_rad = 'much'\n",
+    "list.toml": "motion = [1, 2]\n",
+    "short.toml": "[poses]\nready_rad = [1.0]\n",
+    "nan.toml": "[motion]\ntakeup_rad = nan\n",
+    "date.toml": "[motion]\ntakeup_rad = 2026-11-22\n",
+    "huge.toml": f"[motion]\ntakeup_rad = 1{'0' * 400}\n",
+    "foreign.toml": "[links.arm2.transform]\na_m = 0.3\n",
+    "unknown.toml": "[motion]\nspeed = 4\n",
+    "no_effect.toml": "[[effect]]\nname = 3\n",
+    "bad_command.toml": "title = 'a'\n[[command]]\ntype = 'FLY'\n[[check]]\ntype = 'done'\n",
+    "boom.py": BROKEN_EFFECT,
+    "no_code.py": "def (\n",
+    "exits.py": "raise SystemExit(0)\n",
+    "ragged.csv": "a,b\n1\n2,3,4\n",
+    "few.csv": "a,b\n1,2\n",
+    "empty.csv": "",
+    "cut.parquet": "PAR1xx",
+    "cut.npz": "PK\x03\x04xx",
+    "empty.mcap": "",
+    "text.mcap": "hello",
+    "other.jsonl": '{"a": 1}\n',
+    "text.jsonl": "hello\nworld\n",
+    "link.toml": "name = 'a'\n",
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder of files that no verb can use, and of one good log."""
+    folder = tmp_path_factory.mktemp("bad")
+    for name, text in TEXTS.items():
+        (folder / name).write_text(text)
+    for name in ("utf16.toml", "utf16.csv", "utf16.py"):
+        (folder / name).write_bytes("name = 'é'\n".encode("utf-16"))
+    (folder / "bytes.csv").write_bytes(b"a,b\n\xff\xfe\x00\x01,2\n")
+    (folder / "bytes.toml").write_bytes(bytes(range(256)))
+    with (folder / "sparse.toml").open("wb") as file:
+        file.truncate(1 << 30)
+    for suffix in ("toml", "mcap", "csv", "py", "npz", "jsonl"):
+        os.mkfifo(folder / f"pipe.{suffix}")
+        (folder / f"folder.{suffix}").mkdir()
+        (folder / f"loop.{suffix}").symlink_to(f"loop.{suffix}")
+    (folder / "dangling.png").symlink_to("nowhere/there.png")
+    with Recorder(folder / "run.mcap", {"seed": "1", "arm": "nominal"}) as recorder:
+        for tick in range(8):
+            recorder.write(cycle_at(tick))
+    with Recorder(folder / "header.mcap", {"seed": "1", "arm": "nominal"}):
+        pass
+    data = (folder / "run.mcap").read_bytes()
+    (folder / "cut.mcap").write_bytes(data[:40])
+    (folder / "full").mkdir()
+    (folder / "full" / "a.txt").write_text("something")
+    return folder
+
+
+CASES = {
+    # usage
+    "nosuch": "No such command",
+    "place --nosuch": "No such option",
+    "place --target 1 2": "requires 3 arguments",
+    "place --target 1 2 --json": "'--target': takes 3 numbers",
+    "place --seed much": "'--seed': takes 1 whole number",
+    "log info": "Missing argument 'LOG'",
+    "log plot run.mcap /joint.motor_rad": "Missing option '--out'",
+    # numbers
+    "place --target nan 0 0": "not three finite numbers",
+    "place --target 1e400 0 0": "not three finite numbers",
+    "place --target 1e9 0 0": "farther than 20 m",
+    "place --normal 0 0 0": "has no direction",
+    "place --tilt-roll nan": "is not finite",
+    "place --seed -1": "seed: -1 is below 0",
+    "run contact-science --tilt inf 0": "is not finite",
+    "hardstop --repeat 0": "repeat: 0 is not within 1 .. 1000",
+    "hardstop --temperature -300": "temperature: -300",
+    "hardstop --joint elbow --start 1e9 0 0 0 0": "start: joint azimuth",
+    "ik --position nan 0 0 --approach 0 0 1": "not three finite numbers",
+    "reach --samples 0": "samples: 0",
+    "reach --warming nan": "warming",
+    "budget --poses 10": "poses: 10 is not within",
+    "monte-carlo --arms 99999999999999999999": "arms: 99999999999999999999 is not within",
+    "monte-carlo --arms 3 --only 3": "only: 3 is not within 0 .. 2",
+    "calibrate --arm nominal --poses 1": "poses: 1 is not within",
+    "calibrate --arm nominal --tracker 0 0": "tracker: its noise",
+    "place --arm as-built:99999999999": "its seed has 11 digits",
+    "place --arm as-built:-1": "is not known",
+    f"place --arm {300 * 'a'}": "is not known; write nominal",
+    f"arm build {300 * 'a'}": "is not known; there are m2020, msl",
+    "log channels run.mcap --from 3 --to 2": "from: 3.0 s is not before --to 2.0 s",
+    "log channels run.mcap --from nan": "is no log time",
+    "log channels run.mcap --from 100": "has nothing in the time",
+    # contradictions
+    "hardstop --all --joint elbow": "give one of the two",
+    "hardstop --plan --picture elbow.png": "leave out --picture, or --plan",
+    "calibrate": "give --arm ARM",
+    "calibrate --arm nominal --data few.csv": "give --arm ARM",
+    "calibrate --data few.csv --verify 3": "give no --data",
+    "dictionary --json --markdown": "exclude each other",
+    "place --log a.mcap --movie a.mcap": "this is the file of log too",
+    "ik --batch cut.npz": "give both",
+    "log export run.mcap run.csv --topic /nosuch": "has no topic /nosuch",
+    "log import few.csv empty.toml few.csv": "this is the file of table too",
+    "log import few.csv empty.toml out.txt": "OUT out.txt: its name must end in .mcap",
+    # names
+    "run contact-sciense": "did you mean contact-science?",
+    "run nosuch.toml": "nosuch.toml: cannot be read",
+    "hardstop --joint knee": "there are azimuth",
+    "place --tool hammer": "cannot be placed",
+    "budget --case best": "is not known",
+    "place --effect flex-cabel": "did you mean flex-cable?",
+    # parameters
+    "place --params nosuch.toml": "nosuch.toml: cannot be read (No such file or directory)",
+    "place --params half.toml": "is not TOML",
+    "place --params word.toml": "motion.takeup_rad: must be a number",
+    "place --params list.toml": "motion: must be a table",
+    "place --params short.toml": "poses.ready_rad",
+    "place --params nan.toml": "motion.takeup_rad: must be",
+    "place --params date.toml": "is a date or a time",
+    "place --params huge.toml": "takeup_rad",
+    "place --params unknown.toml": "motion.speed: is not a parameter",
+    "place --params folder.toml": "is not a regular file",
+    "calibrate --arm nominal --params pipe.toml": "is not a regular file",
+    "reach --params loop.toml": "cannot be read (Too many levels of symbolic links)",
+    "budget --params utf16.toml": "is not text in UTF-8; save it as UTF-8",
+    "monte-carlo --params bytes.toml": "is not text in UTF-8; save it as UTF-8",
+    "hardstop --params sparse.toml": "has 1073741824 bytes",
+    "place --params foreign.toml": "no built arm is so far from its drawing",
+    "diagnose run.mcap --params foreign.toml": "no built arm is so far from its drawing",
+    "gap record --out new --params half.toml": "is not TOML",
+    "arm build ''": "arm '' is not known",
+    "log channels run.mcap --from 100 --to 200": "has nothing in the time from 100.0 s to 200.0 s",
+    "gap record --out new --arm m2020": "the diagnosis knows the drawing msl only",
+    "diagnose run.mcap --params list.toml": "motion: must be a table",
+    # scenarios and effects
+    "run empty.toml": "command: is missing",
+    "run half.toml": "is not TOML",
+    "run utf16.toml": "is not text in UTF-8; save it as UTF-8",
+    "run pipe.toml": "is not a regular file",
+    "run loop.toml": "Too many levels of symbolic links",
+    "run bad_command.toml": "'FLY' is not known",
+    "place --effect no_effect.toml": "type: is missing",
+    "place --effect utf16.toml": "is not text in UTF-8; save it as UTF-8",
+    "place --effect boom.py:Boom --no-picture": "boom.py:13: TypeError",
+    "place --effect no_code.py:Boom": "no_code.py:1: cannot be run: SyntaxError",
+    "place --effect exits.py:Boom": "exits.py:1: cannot be run: SystemExit",
+    "place --effect utf16.py:Boom": "cannot be run",
+    "place --effect pipe.py:Boom": "is not a regular file",
+    "place --effect loop.py:Boom": "Too many levels of symbolic links",
+    # logs
+    "log info nosuch.mcap": "cannot be read (No such file or directory)",
+    "log info empty.mcap": "an empty file",
+    "log info text.mcap": "not an MCAP file",
+    "log info cut.mcap": "cut short before its header",
+    "log info folder.mcap": "is not a regular file",
+    "log info pipe.mcap": "is not a regular file",
+    "replay loop.mcap": "cannot be read (Too many levels of symbolic links)",
+    "replay run.mcap": "its header has no params",
+    "replay run.mcap --params half.toml": "log run.mcap",
+    "log export header.mcap tables": "holds no message; there is nothing to export",
+    "log recover header.mcap good.mcap": "nothing can be saved",
+    "log recover cut.mcap good.mcap": "nothing can be saved",
+    "log recover run.mcap run.mcap": "this is the file of BAD too",
+    "log plot run.mcap /nosuch --out a.png": "has no channel /nosuch",
+    "diagnose nosuch": "there is no such file or folder",
+    "diagnose full": "holds no .mcap file",
+    "diagnose run.mcap run.mcap": "is the same as",
+    "diagnose run.mcap": "log run.mcap",
+    "diagnose run.mcap --catalogue nosuch": "is not known",
+    # tables
+    "calibrate --data nosuch.csv": "cannot be read (No such file or directory)",
+    "calibrate --data bytes.csv": "columns missing",
+    "calibrate --data ragged.csv": "cannot be read as a table: a row has 1 columns, the first has 2",
+    "calibrate --data cut.parquet": "it is damaged, cut short or of another format",
+    "calibrate --data empty.csv": "cannot be read as a table",
+    "calibrate --data pipe.csv": "is not a regular file",
+    "calibrate --data utf16.csv": "is not text in UTF-8; save it as UTF-8",
+    "ik --batch cut.npz --out b.npz": "is not a NumPy .npz file",
+    "ik --batch cut.parquet --out b.npz": "it is damaged, cut short or of another format",
+    "ik --batch loop.npz --out b.npz": "Too many levels of symbolic links",
+    "ik --batch folder.npz --out b.npz": "is not a regular file",
+    "log import few.csv utf16.toml out.mcap": "is not text in UTF-8; save it as UTF-8",
+    "log import few.csv empty.toml out.mcap": "channel: is missing",
+    "log import nosuch.csv empty.toml out.mcap": "No such file or directory",
+    "calibrate-serial utf16.toml few.csv empty.toml": "is not UTF-8 text; name a TOML file",
+    "calibrate-serial empty.toml few.csv half.toml": "name: is missing",
+    "calibrate-serial link.toml few.csv link.toml": "give each a file of its own",
+    # outputs
+    "place --log nosuch/run.mcap": "there is no folder nosuch",
+    "place --log folder.mcap": "this is a folder",
+    "place --log pipe.mcap": "is not a regular file",
+    "place --log run.txt": "its name must end in .mcap",
+    "place --picture dangling.png": "this is a link to nowhere/there.png",
+    "place --movie run.xyz": "its name must end in",
+    "run contact-science --log loop.mcap": "loop.mcap",
+    "gap record --out full": "name a new or empty one",
+    "gap record --out nosuch/logs": "there is no folder nosuch",
+    "monte-carlo --results other.jsonl --arms 1": "holds something else",
+    "monte-carlo --results text.jsonl --arms 1": "line 1 is not JSON",
+    "monte-carlo --results pipe.jsonl --arms 1": "is not a regular file",
+    "budget --report folder.toml": "its name must end in .html",
+    "log export run.mcap out.xyz --topic /joint": "must end in .parquet or .csv",
+}
+"""Part of the sentence, by command."""
+
+
+@pytest.mark.parametrize("command", CASES)
+def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder: Path, command: str) -> None:
+    before = snapshot(folder)
+    done = marsarm(folder, *shlex.split(command))
+    assert CASES[command] in done.stderr
+    assert done.returncode == 2
+    first, *more = done.stderr.splitlines()
+    assert not more or SEVERAL.fullmatch(first) or first.endswith(":"), done.stderr
+    assert not LIBRARY_WORDS.search(done.stderr)
+    assert snapshot(folder) == before
+
+
+def snapshot(folder: Path) -> dict[str, tuple[int, int]]:
+    """Return size and time of change of every file."""
+    found = ((path, path.lstat()) for path in sorted(folder.rglob("*")) if "__pycache__" not in path.parts)
+    return {str(path): (about.st_size, about.st_mtime_ns) for path, about in found}
+
+
+@pytest.mark.parametrize("command", ["log recover run.mcap good.mcap", "log export run.mcap tables"])
+def test_a_full_disk_gets_one_sentence_and_leaves_nothing(folder: Path, command: str) -> None:
+    before = snapshot(folder)
+    with largest_file(100):
+        done = marsarm(folder, *shlex.split(command))
+    assert done.returncode == 2
+    assert re.fullmatch(r"(GOOD|out) [^\n]*: cannot be written \(File too large\)\n", done.stderr)
+    assert snapshot(folder) == before
+
+
+def test_the_help_shows_brackets_as_they_are(tmp_path: Path) -> None:
+    def work() -> VerbResult:
+        """Read an [[effect]] table and [world]."""
+        raise AssertionError
+
+    app = typer.Typer()
+    app.command()(verb(work))
+
+    def program() -> None:
+        app()
+
+    assert "Read an [[effect]] table and [world]." in call(program, tmp_path, "--help").stdout

@@ -1,0 +1,42 @@
+"""Tests of output to a full disk or a closed pipe."""
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.marsarm.command import ROOT
+
+MAIN = "from marsarm.cli.start import start; start()"
+
+
+def to(target, *words):
+    return subprocess.run(
+        ["bash", "-c", f'set -o pipefail; "$@" {target}', "-", sys.executable, "-c", MAIN, *words],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("words", [["scenarios"], ["dictionary", "--json"], ["--help"]])
+def test_a_full_disk_behind_the_output_is_said(words):
+    ran = to("> /dev/full", *words)
+    assert ran.returncode == 2
+    assert ran.stderr == "standard output: cannot be written (No space left on device); give it room\n"
+
+
+@pytest.mark.parametrize("words", [["dictionary"], ["dictionary", "--json"]])
+def test_a_reader_that_has_enough_ends_it_quietly(words):
+    ran = to("| head -c 1 > /dev/null", *words)
+    assert ran.stderr == ""
+    assert ran.returncode in (0, 141)  # 0 where all of it fits into the pipe
+
+
+def test_a_reader_that_is_gone_is_not_an_error_of_ours():
+    ran = to("| true", "dictionary", "--json")
+    assert (ran.returncode, ran.stderr) == (141, "")
+
+
+def test_all_of_it_arrives():
+    whole = to("", "dictionary", "--json")
+    assert (whole.returncode, whole.stderr) == (0, "")
+    assert whole.stdout == to("| cat", "dictionary", "--json").stdout

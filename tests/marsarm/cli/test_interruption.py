@@ -1,0 +1,291 @@
+"""Ctrl-C: one sentence, status 130, no file left behind, and a log that says that it was interrupted."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from marsarm.common import files
+from marsarm.common.errors import BadOutput
+from marsarm.common.files import reserve
+from marsarm.common.interruption import (
+    END_SIGNALS,
+    Interrupted,
+    defer_interrupts,
+    raise_on_signals,
+    report_interruption,
+)
+from marsarm.common.pool import local_runner
+from marsarm.ik.model import IkModel
+from marsarm.telemetry.read import read_log
+from marsarm.telemetry.recorder import Recorder
+from marsarm.telemetry.recover import recover
+from tests.marsarm.command import ROOT, marsarm
+from tests.marsarm.telemetry.conftest import cycle_at
+
+RUN = [sys.executable, "-c", "from marsarm.cli.start import start; start()"]
+
+
+@contextmanager
+def signals_raise() -> Iterator[None]:
+    """Let signals raise `Interrupted` in a block."""
+    before = {number: signal.getsignal(number) for number in END_SIGNALS}
+    for number in END_SIGNALS:
+        signal.signal(number, signal.SIG_DFL)  # pytest in the background of a shell ignores SIGINT
+    raise_on_signals()
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@pytest.fixture(autouse=True)
+def no_late_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no test be ended by the grace of a signal that another one has survived."""
+    monkeypatch.setattr("marsarm.common.interruption._end_late", lambda number: None)
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_verb_says_so_in_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, status: int
+) -> None:
+    targets = np.tile([2.1, 0.0, -0.3], (3, 1))
+    np.savez(tmp_path / "in.npz", position_m=targets, approach=targets)
+    monkeypatch.setattr(IkModel, "solve", lambda *_: signal.raise_signal(number))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        done = marsarm(tmp_path, "ik", "--batch", "in.npz", "--out", "out.npz", "--json")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    sentence = f"interrupted by {number.name} before the end"
+    assert (done.returncode, done.stderr) == (status, f"{sentence}\n")
+    assert json.loads(done.stdout) == {"error": sentence}
+    assert [one.name for one in tmp_path.iterdir()] == ["in.npz"]
+
+
+def test_a_signal_in_a_deferred_section_is_raised_at_its_end() -> None:
+    done = []
+    with signals_raise(), pytest.raises(Interrupted, match="SIGINT"), defer_interrupts:  # noqa: PT012
+        with defer_interrupts:
+            signal.raise_signal(signal.SIGINT)
+            done.append("inner")
+        done.append("outer")
+    assert done == ["inner", "outer"]
+
+
+def test_a_second_signal_does_not_disturb_the_end() -> None:
+    with signals_raise():
+        with pytest.raises(Interrupted):
+            signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_signal_while_an_extension_is_imported_is_an_interruption(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def import_extension() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except Interrupted as interrupted:
+            raise ImportError("initialization failed") from interrupted
+
+    with signals_raise(), pytest.raises(SystemExit) as end, report_interruption():
+        import_extension()
+    assert end.value.code == 130
+    assert capsys.readouterr().err == "interrupted by SIGINT before the end\n"
+
+
+def test_another_error_is_no_interruption() -> None:
+    with signals_raise(), pytest.raises(ImportError), report_interruption():
+        raise ImportError("no such module")
+
+
+def test_a_signal_between_a_new_file_and_its_block_leaves_no_file(tmp_path: Path) -> None:
+    def write() -> None:
+        writer = files.atomic_write(tmp_path / "result.json", "out")
+        writer.__enter__()
+        assert [one.suffix for one in tmp_path.iterdir()] == [".part"]
+        signal.raise_signal(signal.SIGINT)
+
+    with signals_raise(), pytest.raises(SystemExit), report_interruption():
+        write()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_import_of_mujoco_starts_no_process_that_ctrl_c_would_reach() -> None:
+    code = """
+from marsarm.cli.app import main
+try:
+    main()
+except SystemExit:
+    import mujoco, sys
+    print("glfw.library" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code, "--version"], cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.splitlines()[1:] == ["False"], done.stderr
+
+
+def interrupted_log(path: Path) -> Path:
+    """Record a log whose run is interrupted."""
+    with pytest.raises(Interrupted), Recorder(path, {"seed": "1"}) as recorder:  # noqa: PT012
+        for tick in range(8):
+            recorder.write(cycle_at(tick))
+        raise Interrupted(signal.SIGINT)
+    return path
+
+
+def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path: Path) -> None:
+    log = interrupted_log(tmp_path / "run.mcap")
+    read = read_log(log)
+    assert (read.end, read.interrupted_by, read.truncated, len(read["/joint"])) == (
+        "interrupted", "SIGINT", False, 8,
+    )  # fmt: skip
+    sentence = "the run was interrupted by SIGINT; the log ends there"
+    for words in (("info",), ("channels",), ("export", "tables")):
+        done = marsarm(tmp_path, "log", words[0], "run.mcap", *words[1:])
+        assert (done.returncode, done.stderr) == (0, f"log run.mcap: {sentence}\n")
+    assert f" {sentence}\n" in marsarm(tmp_path, "log", "info", "run.mcap").stdout
+    document = json.loads(marsarm(tmp_path, "log", "info", "run.mcap", "--json").stdout)
+    end = {name: document[name] for name in ("closed", "end", "interrupted_by")}
+    assert end == {"closed": False, "end": "interrupted", "interrupted_by": "SIGINT"}
+    recover(log, tmp_path / "good.mcap", lambda *_: None)
+    assert read_log(tmp_path / "good.mcap").interrupted_by == "SIGINT"
+
+
+def test_a_log_that_nobody_closed_is_interrupted_and_one_that_was_is_closed(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", {})
+    recorder.write(cycle_at(0))
+    del recorder
+    assert read_log(tmp_path / "run.mcap").end == "interrupted"
+    with Recorder(tmp_path / "whole.mcap", {}) as whole:
+        whole.write(cycle_at(0))
+    assert read_log(tmp_path / "whole.mcap").end == "closed"
+
+
+def wait_long(_: int) -> None:
+    """Take much longer than any test."""
+    time.sleep(100.0)
+
+
+def test_workers_end_with_the_command() -> None:
+    began_s = time.monotonic()
+    with signals_raise(), pytest.raises(Interrupted):  # noqa: PT012
+        signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+        signal.setitimer(signal.ITIMER_REAL, 1.0)
+        list(local_runner(2)(wait_long, range(4)))
+    assert time.monotonic() - began_s < 50.0  # not the duration of a job
+
+
+def test_a_file_belongs_to_one_run_at_a_time(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with reserve(path, "log"):
+        with pytest.raises(BadOutput, match="another run is writing it"), reserve(path, "log"):
+            pass
+        with Recorder(path, {}) as recorder:
+            recorder.write(cycle_at(0))
+            with pytest.raises(BadOutput, match="another run is writing it"), reserve(path, "log"):
+                pass
+    assert len(read_log(path)["/joint"]) == 1
+    with reserve(path, "log"):
+        pass
+    assert len(read_log(path)["/joint"]) == 1
+
+
+def test_a_reserved_file_that_was_not_written_is_gone(tmp_path: Path) -> None:
+    with pytest.raises(KeyError), reserve(tmp_path / "run.mcap", "log"):
+        raise KeyError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_another_run_deletes_before_it_is_locked_is_made_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, lock, opened = tmp_path / "run.mcap", files.lock_file, []
+
+    def delete_and_lock(file: int) -> bool:
+        opened.append(file)
+        if len(opened) == 1:
+            path.unlink()
+        return lock(file)
+
+    path.touch()
+    monkeypatch.setattr(files, "lock_file", delete_and_lock)
+    with reserve(path, "log"), pytest.raises(BadOutput, match="another run is writing"), reserve(path, "log"):
+        pass
+    assert not path.exists()
+
+
+LATE = """
+import sys, time
+from marsarm.common.interruption import report_interruption
+with report_interruption():
+    import signal
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except BaseException:
+        if sys.argv[1] == "swallow":
+            time.sleep(60)
+        __import__("atexit").register(time.sleep, 60)
+        raise
+"""
+
+
+@pytest.mark.parametrize(("what", "rest"), [("swallow", "; it did not end by itself"), ("end slowly", "")])
+def test_an_interruption_that_takes_long_is_ended_with_one_sentence(
+    tmp_path: Path, what: str, rest: str
+) -> None:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", LATE, what, "--json"], cwd=tmp_path, timeout=50, check=False,
+            env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+        )  # fmt: skip
+    finally:
+        signal.signal(signal.SIGINT, before)
+    sentence = f"interrupted by SIGINT before the end{rest}"
+    assert (done.returncode, done.stderr) == (130, f"{sentence}\n")
+    assert json.loads(done.stdout) == {"error": sentence}
+
+
+@pytest.mark.slow
+def test_of_two_runs_that_write_one_log_the_second_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    words = ["place", "--log", "run.mcap", "--no-picture"]
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # which the run inherits
+    try:
+        first = subprocess.Popen([*RUN, *words], cwd=tmp_path, env=env, text=True, stderr=subprocess.PIPE)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    try:
+        wait_until(lambda: (tmp_path / "run.mcap").exists())
+        during_initialisation = marsarm(tmp_path, *words)
+        wait_until(lambda: (tmp_path / "run.mcap").stat().st_size > 0)
+        during_run = marsarm(tmp_path, *words)
+    finally:
+        first.send_signal(signal.SIGINT)
+        _, errors = first.communicate(timeout=60)
+    for second in (during_initialisation, during_run):
+        assert second.returncode == 2
+        assert second.stderr == (
+            "log run.mcap: another run is writing it; wait for it, or give another file\n"
+        )
+    assert first.returncode == 130
+    assert errors.startswith("interrupted by SIGINT before the end; log run.mcap ends at ")
+    assert read_log(tmp_path / "run.mcap").end == "interrupted"
+
+
+def wait_until(holds: Callable[[], Any]) -> None:
+    """Wait until something holds."""
+    while not holds():
+        time.sleep(0.05)

@@ -1,0 +1,164 @@
+"""Options of verbs and of their requests are the same, and checks follow their declaration."""
+
+import inspect
+import json
+import subprocess
+import sys
+from dataclasses import MISSING, dataclass
+from pathlib import Path
+from typing import Annotated, Literal, get_args
+
+import numpy as np
+import pytest
+import typer
+
+from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
+from marsarm.calibration.request import CalibrateRequest, SerialRequest
+from marsarm.cli import accuracy, calibrate, diagnosis, ik, robot, runs, view
+from marsarm.cli.verb import VerbResult, give_address, verb
+from marsarm.common.errors import BadRequest
+from marsarm.common.options import Option, check_options, option_fields
+from marsarm.diagnosis.arm.request import DiagnoseRequest, RecordRequest
+from marsarm.ik.request import IkRequest, ReachRequest
+from marsarm.robot.request import CheckRequest
+from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest
+from marsarm.view.request import ViewRequest
+from simgap.errors import RobotError
+from tests.marsarm.command import ROOT
+
+VERBS = {
+    PlaceRequest: runs.place,
+    RunRequest: runs.run,
+    HardstopRequest: runs.hardstop,
+    IkRequest: ik.ik,
+    ReachRequest: ik.reach,
+    BudgetRequest: accuracy.budget,
+    MonteCarloRequest: accuracy.monte_carlo,
+    CalibrateRequest: calibrate.calibrate,
+    SerialRequest: calibrate.calibrate_serial,
+    ViewRequest: view.view,
+    DiagnoseRequest: diagnosis.diagnose,
+    RecordRequest: diagnosis.record,
+    CheckRequest: robot.check,
+}
+HEAVY = ("numpy", "pydantic", "mujoco", "scipy", "pyarrow", "matplotlib", "sim", "fsw")
+
+
+def options_of(request_type, group=MISSING):
+    """Yield name, declaration and default of each option, also of those in groups."""
+    for field in option_fields(request_type):
+        default = field.default if group is MISSING else getattr(group, field.name)
+        if field.option is None:
+            yield from options_of(field.type, default)
+        else:
+            yield field.name, field.option, default
+
+
+@pytest.mark.parametrize("request_type", VERBS, ids=lambda kind: kind.__name__)
+def test_a_verb_has_the_options_of_its_request(request_type):
+    parameters = inspect.signature(VERBS[request_type]).parameters
+    for name, option, default in options_of(request_type):
+        _, declared = get_args(parameters[name].annotation)
+        assert declared.help == option.help
+        assert option.help.endswith(".")
+        shown = parameters[name].default
+        assert shown in (default, None if default == () else inspect.Parameter.empty)
+
+
+def test_the_command_line_loads_no_domain_before_a_verb_runs():
+    ask = f"import sys, marsarm.cli.app; print([name for name in {HEAVY} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", ask], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@dataclass(frozen=True)
+class Files:
+    out: Annotated[Path | None, Option("Out.", suffixes=(".csv",), help_without="None.")] = None
+
+
+@dataclass(frozen=True)
+class Request:
+    table: Annotated[tuple[str, ...], Option("Tables.", is_argument=True, is_read=True)] = ()
+    size: Annotated[float, Option("Size.", within=(0.5, 2.0))] = 1.0
+    seed: Annotated[int, Option("Seed.", within=(0, None))] = 0
+    kind: Annotated[Literal["a", "b"], Option("Kind.")] = "a"
+    files: Files = Files(Path("out.csv"))
+    hidden: int = 7
+
+
+@pytest.mark.parametrize(
+    ("request_", "sentence"),
+    [
+        (Request(size=3.0), "size: 3 is not within 0.5 .. 2"),
+        (Request(seed=-1), "seed: -1 is below 0"),
+        (Request(size="3"), "size: takes a number, not '3'"),
+        (Request(size=True), "size: takes a number, not True"),
+        (Request(seed=1.5), "seed: takes a whole number, not 1.5"),
+        (Request(seed=None), "seed: takes a whole number, not None"),
+        (Request("a.csv"), "table: takes a tuple, each item a text, not 'a.csv'"),
+        (Request(files=None), "files: takes a Files, not None"),
+        (Request(files=Files("out.csv")), "out: takes a pathlib.Path, not 'out.csv'"),
+        (Request(kind=3), "kind: 3 is not known; there are a, b"),
+        (Request(kind="c"), "kind: 'c' is not known; there are a, b"),
+        (Request(files=Files(Path("out.txt"))), "out out.txt: its name must end in .csv"),
+        (
+            Request(("a.toml",), files=Files(Path("a.toml"))),
+            "out a.toml: this is the file of table a.toml too",
+        ),
+    ],
+)
+def test_a_value_that_is_not_allowed_is_refused(request_, sentence):
+    with pytest.raises(BadRequest) as error:
+        check_options(request_)
+    assert str(error.value).startswith(sentence)
+
+
+def test_what_is_allowed_is_not_refused(tmp_path):
+    check_options(Request(("name", "a.toml"), 0.5, 3, "b", Files(tmp_path / "out.csv")))
+    check_options(Request(files=Files(None)))
+    check_options(Request(["name"], np.float32(1.0), np.int64(3)))
+
+
+def test_a_request_is_built_from_the_options(capsys):
+    requests = []
+
+    @verb
+    def work(request: Request) -> VerbResult:
+        requests.append(request)
+        return VerbResult({"size": request.size}, lambda: print("a table"))
+
+    given = {name: one.default for name, one in inspect.signature(work).parameters.items()}
+    work(**given)
+    work(**given | {"table": ["x"], "size": 2.0, "no_out": True, "as_json": True})
+    assert requests == [Request(), Request(("x",), 2.0, files=Files(None))]
+    assert capsys.readouterr().out == 'a table\n{\n  "size": 2.0\n}\n'
+
+
+def test_an_error_of_the_diagnosis_of_a_robot_is_reported_in_one_sentence(capsys):
+    @verb
+    def work() -> VerbResult:
+        raise RobotError("time: column 'time' is missing")
+
+    with pytest.raises(typer.Exit) as ended:
+        work(as_json=True)
+    assert ended.value.exit_code == 2
+    out, err = capsys.readouterr()
+    assert json.loads(out) == {"error": "time: column 'time' is missing"}
+    assert err == "time: column 'time' is missing\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "address"),
+    [
+        (["--cluster"], "auto"),
+        (["--cluster", "--arms", "3"], "auto"),
+        (["--cluster", "logs"], "auto"),
+        (["--cluster", "head:6379"], "head:6379"),
+        (["--cluster", "10.0.0.1:6379", "logs"], "10.0.0.1:6379"),
+        (["--cluster", "auto"], "auto"),
+    ],
+)
+def test_the_option_cluster_may_stand_without_an_address(words, address):
+    complete = list(give_address(words))
+    assert complete[complete.index("--cluster") + 1] == address
+    assert [word for word in complete if word != "auto"] == [word for word in words if word != "auto"]

@@ -1,0 +1,229 @@
+"""The pool on a real Ray cluster of two nodes on the loopback; skipped where Ray is not installed."""
+
+import inspect
+import json
+import os
+import platform
+import signal
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.enums import Joint
+from marsarm.accuracy.monte_carlo import run_monte_carlo
+from marsarm.accuracy.request import MonteCarloRequest
+from marsarm.common import cluster
+from marsarm.common.errors import BadRequest
+from marsarm.common.pool import Runner, WorkersDied, cluster_runner, in_order, run_here
+from marsarm.ik.request import IkRequest
+from marsarm.ik.solve import solve
+from tests.marsarm.command import marsarm
+from validation.cluster import LoopbackCluster, list_arms, measure_arms, start_two_nodes
+from validation.hardstops import campaign as find_hardstops
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(find_spec("ray") is None, reason="ray is not installed: no cluster is tried"),
+    pytest.mark.filterwarnings("default"),  # ray's own
+]
+
+
+def quiet(*_) -> None:
+    """Ignore progress."""
+
+
+@pytest.fixture(scope="module")
+def nodes() -> Iterator[LoopbackCluster]:
+    with start_two_nodes() as found:
+        yield found
+
+
+@pytest.fixture
+def run(nodes) -> Runner:
+    return cluster_runner(nodes.address)
+
+
+@pytest.fixture(scope="module")
+def one_process() -> str:
+    return measure_arms(run_here, list_arms(200, 7))
+
+
+def test_two_hundred_arms_are_those_of_one_process_bit_for_bit(run, one_process):
+    assert measure_arms(run, list_arms(200, 7)) == one_process
+
+
+def square(x: int) -> int:
+    return x * x
+
+
+def power(x: int, y: int) -> int:
+    return x**y
+
+
+def test_every_job_is_done_once_and_results_can_come_in_order(run):
+    assert sorted(run(square, range(20_000))) == [x * x for x in range(20_000)]
+    assert list(in_order(run, power, [(x, 2) for x in range(50)])) == [x * x for x in range(50)]
+
+
+def test_both_nodes_work(run):
+    found = set()
+    for _ in range(100):  # a worker takes seconds to start
+        found |= set(run(node_id, range(4)))
+        if len(found) == 2:
+            return
+    pytest.fail(f"only {found} worked")
+
+
+def node_id(_: int) -> str:
+    import ray
+
+    time.sleep(0.3)
+    return str(ray.get_runtime_context().get_node_id())
+
+
+def die_once(folder: Path) -> int:
+    try:
+        (folder / "died").mkdir()
+    except FileExistsError:
+        return os.getpid()
+    os.kill(os.getpid(), signal.SIGKILL)
+    raise AssertionError
+
+
+def test_a_worker_that_dies_costs_its_jobs_only(run, tmp_path):
+    assert len(list(run(die_once, [tmp_path] * 20))) == 20
+
+
+def die(_: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_job_at_which_every_worker_dies_ends_the_run(run):
+    with pytest.raises(WorkersDied, match="3 of them died"):
+        list(run(die, [1]))
+
+
+def square_or_fail(x: int) -> int:
+    if x == 900:
+        raise BadRequest("900 is not allowed")
+    return x * x
+
+
+def test_an_error_names_the_node(run):
+    with pytest.raises(BadRequest, match=f"node {platform.node()}: 900 is not allowed"):
+        list(run(square_or_fail, range(1000)))
+
+
+def test_a_node_with_other_software_is_refused(run, monkeypatch):
+    ours = cluster.describe_computer(("fsw",))
+    monkeypatch.setattr(cluster, "describe_computer", lambda _: ours | {"numpy": "1.0"})
+    with pytest.raises(BadRequest, match=r"has numpy [\d.]+ and not 1\.0, sources .*; make it equal"):
+        list(run(square, [1]))
+
+
+def rest(_: int) -> None:
+    time.sleep(60)
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_only_the_death_of_a_worker_repeats_its_jobs(run, monkeypatch, again):
+    from ray.exceptions import NodeDiedError, OutOfDiskError
+
+    fetched, result = [], Future.result
+    error = NodeDiedError("gone") if again else OutOfDiskError("the disk is full.\nMore.")
+
+    def fail_once(future: Future, timeout: float | None = None) -> object:
+        fetched.append(future)
+        if len(fetched) == 1:
+            raise error
+        return result(future, timeout)
+
+    monkeypatch.setattr(Future, "result", fail_once)
+    if again:
+        assert list(run(square, [3])) == [9]
+    else:
+        with pytest.raises(cluster.ClusterFailed, match=r"carry out a task \(.*the disk is full\); see `ray"):
+            list(run(square, [3]))
+
+
+def test_names_of_ray_that_it_does_not_promise_are_there():
+    from ray._private import services, worker
+
+    assert callable(services.canonicalize_bootstrap_address)
+    assert "listen_error_messages" in inspect.unwrap(worker.connect).__code__.co_names  # looked up there
+
+
+class Stop(BaseException):
+    """Interruption."""
+
+
+def test_an_interruption_ends_the_run_within_two_seconds(run):
+    def interrupt(*_) -> None:
+        raise Stop
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, 3.0)
+    try:
+        with pytest.raises(Stop):
+            list(run(rest, range(4)))
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert list(run(square, [3])) == [9]  # a worker is free again
+
+
+def test_monte_carlo_writes_its_results_as_they_come(nodes, tmp_path):
+    path, rows = tmp_path / "r.jsonl", []
+    request = MonteCarloRequest(arms=60, move_model="statics", seed=3, cluster=nodes.address, results=path)
+    run_monte_carlo(request, lambda *_: rows.append(len(path.read_text().splitlines())))
+    assert rows == list(range(1, 62))
+    there = sorted(map(json.loads, path.read_text().splitlines()[1:]), key=lambda record: record["arm"])
+    alone = tmp_path / "alone.jsonl"
+    run_monte_carlo(replace(request, cluster=None, workers=1, results=alone), quiet)
+    assert there == [json.loads(line) for line in alone.read_text().splitlines()[1:]]
+
+
+def test_a_batch_of_inverse_kinematics_is_that_of_one_process(nodes, tmp_path):
+    rng = np.random.default_rng(2)
+    position = np.array([2.1, 0.0, -0.3]) + rng.uniform(-0.3, 0.3, (20_000, 3))
+    np.savez(tmp_path / "in.npz", position_m=position, approach=np.tile([0.5, 0.0, 0.85], (20_000, 1)))
+    request = IkRequest(batch=tmp_path / "in.npz", out=tmp_path / "out.npz")
+    solve(request, quiet)
+    one = request.out.read_bytes()
+    solve(replace(request, cluster=nodes.address), quiet)
+    assert request.out.read_bytes() == one
+
+
+def test_a_campaign_is_that_of_one_process(run):
+    there, here = (json.dumps(find_hardstops(1, 2, 3, one, (Joint.ELBOW,))) for one in (run, run_here))
+    assert there == here
+
+
+def test_the_option_alone_takes_the_cluster_of_the_environment(nodes, tmp_path, monkeypatch):
+    monkeypatch.setenv("RAY_ADDRESS", nodes.address)
+    words = ("monte-carlo", "--cluster", "--arms", "3", "--move-model", "statics", "--json")
+    done = marsarm(tmp_path, *words)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["arms"] == 3
+
+
+# Last: it has a cluster of its own, and a process is connected to one at a time.
+def test_a_node_that_is_killed_half_way_changes_nothing(nodes, one_process):
+    import ray
+
+    ray.shutdown()
+    with start_two_nodes() as two:
+        after = []
+
+        def kill_half_way(done: int) -> None:
+            if done == 100:
+                two.kill_node()
+            after.append(done)
+
+        assert measure_arms(cluster_runner(two.address), list_arms(200, 7), kill_half_way) == one_process
+        assert len(after) == 200

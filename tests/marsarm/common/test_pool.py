@@ -1,0 +1,177 @@
+"""Tests of the runner on the cores of this machine; `test_cluster.py` has those on a cluster."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from multiprocessing import active_children
+from pathlib import Path
+
+import pytest
+
+from marsarm.common.errors import BadRequest
+from marsarm.common.local_workers import LocalWorkers
+from marsarm.common.pool import WorkersDied, cluster_runner, in_order, local_runner
+from tests.marsarm.command import ROOT
+
+
+def square(x: int) -> int:
+    return x * x
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_every_job_is_done_once(workers):
+    assert sorted(local_runner(workers)(square, range(7))) == [0, 1, 4, 9, 16, 25, 36]
+
+
+def process(_: int) -> int:
+    return os.getpid()
+
+
+def test_processes_stay_for_the_next_call():
+    run = local_runner(2)
+    first, second = (set(run(process, range(9))) for _ in range(2))
+    assert os.getpid() not in first
+    assert len(first | second) <= 2
+
+
+def test_an_error_of_the_work_is_not_swallowed_and_the_next_call_works():
+    run = local_runner(2)
+    with pytest.raises(TypeError):
+        list(run(square, ["x"]))
+    assert sorted(run(square, range(3))) == [0, 1, 4]
+
+
+def test_without_ray_a_cluster_is_refused_with_what_to_do(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(BadRequest, match=r"ray is not installed; pip install 'marsarm\[cluster\]'"):
+        cluster_runner()
+
+
+def test_short_jobs_go_in_larger_tasks_and_each_is_done_once():
+    assert sorted(local_runner(2)(square, range(20_000))) == [x * x for x in range(20_000)]
+
+
+def power(x: int, y: int) -> int:
+    return x**y
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_results_can_come_in_the_order_of_their_jobs(workers):
+    assert list(in_order(local_runner(workers), power, [(x, 2) for x in range(50)])) == [
+        x * x for x in range(50)
+    ]
+
+
+def die_once(folder: Path) -> int:
+    """Kill the worker that does this first."""
+    try:
+        (folder / "died").mkdir()
+    except FileExistsError:
+        return os.getpid()
+    os.kill(os.getpid(), signal.SIGKILL)
+    raise AssertionError
+
+
+def test_a_worker_that_dies_costs_its_jobs_only(tmp_path):
+    assert len(list(local_runner(2)(die_once, [tmp_path] * 20))) == 20
+
+
+def die_together(folder: Path) -> int:
+    """Kill the workers that do this first, when there are two."""
+    mark = folder / str(os.getpid())
+    mark.touch()
+    while len(marks := list(folder.iterdir())) < 2:
+        time.sleep(0.01)
+    if len(marks) == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return 1
+
+
+def test_workers_that_die_together_are_reported_in_one_line(tmp_path, capfd, monkeypatch):
+    wait = LocalWorkers.wait
+
+    def wait_for_both(workers: LocalWorkers) -> list:
+        ended = []
+        while workers._running:
+            ended += wait(workers)
+        return ended
+
+    monkeypatch.setattr(LocalWorkers, "wait", wait_for_both)
+    assert list(local_runner(2)(die_together, [tmp_path] * 2)) == [1, 1]
+    assert capfd.readouterr().err == "2 workers died; their work items are repeated\n"
+
+
+SLOW_TO_START = """
+import os, pathlib, time
+from marsarm.common.interruption import report_interruption
+from marsarm.common.pool import local_runner
+if __name__ == "__main__":
+    with report_interruption():
+        list(local_runner(2)(abs, [1] * 4))
+else:
+    pathlib.Path("starts").touch()
+    time.sleep(30)
+"""
+
+
+def test_ctrl_c_while_workers_start_gives_one_sentence(tmp_path):
+    (tmp_path / "main.py").write_text(SLOW_TO_START)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # which the process inherits
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "main.py"], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)},
+            stderr=subprocess.PIPE, text=True, process_group=0,
+        )  # fmt: skip
+    finally:
+        signal.signal(signal.SIGINT, before)
+    while not (tmp_path / "starts").exists():
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (130, "interrupted by SIGINT before the end\n")
+
+
+def die(_: int) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_job_at_which_every_worker_dies_ends_the_run():
+    with pytest.raises(WorkersDied, match="3 of them died one after the other at the same work item"):
+        list(local_runner(2)(die, [1]))
+
+
+def square_or_fail(x: int) -> int:
+    if x == 900:
+        raise ValueError("900 is not allowed")
+    return x * x
+
+
+def test_results_before_an_error_are_kept():
+    found = []
+    with pytest.raises(ValueError, match="900 is not allowed"):
+        found.extend(found.append(one) for one in local_runner(2)(square_or_fail, range(1000)))
+    assert len(set(found)) >= 900 - 1000 // 4  # the other worker may still have a task, a quarter at most
+
+
+def rest(_: int) -> None:
+    time.sleep(60)
+
+
+class Stop(BaseException):
+    """Interruption."""
+
+
+def test_an_interruption_kills_the_workers():
+    def interrupt(*_) -> None:
+        raise Stop
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, 2.0)
+    try:
+        with pytest.raises(Stop):
+            list(local_runner(2)(rest, range(4)))
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert not active_children()

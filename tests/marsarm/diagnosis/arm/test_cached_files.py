@@ -1,0 +1,165 @@
+"""Cached files of a campaign and tables beside logs: an error names damage and remedy."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsw.kinematics.transforms import IDENTITY, stack_poses
+from marsarm.common.errors import BadRequest
+from marsarm.common.progress import Progress
+from marsarm.diagnosis.arm import diagnose_logs, logs, record
+from marsarm.diagnosis.arm.campaign_sensitivities import keys_path, load_keys
+from marsarm.diagnosis.arm.logs import NotForDiagnosis
+from marsarm.diagnosis.arm.request import RecordRequest
+from marsarm.diagnosis.arm.tracker_poses import (
+    BadTracker,
+    TrackerPoses,
+    no_tracker_poses,
+    read_tracker_poses,
+    write_tracker_poses,
+)
+from sim.diagnosis_campaign import SessionFailed
+
+
+@pytest.mark.parametrize("text", [None, "", '["a", "b"', "3", '["a"]', "[1, 2]"])
+def test_names_of_rows_that_are_not_those_are_refused(tmp_path: Path, text: str | None) -> None:
+    path = tmp_path / "s.npz"
+    if text is not None:
+        keys_path(path).write_text(text)
+    with pytest.raises(BadRequest, match=r"s\.keys\.json: .*remove .*s\.npz"):
+        load_keys(path, 2)
+
+
+def test_poses_of_a_tracker_come_back(tmp_path: Path) -> None:
+    seen = TrackerPoses(np.array([7, 90]), stack_poses([IDENTITY, IDENTITY]), np.full((6, 2), 1e-5))
+    for one in (seen, no_tracker_poses()):
+        write_tracker_poses(tmp_path / "t.csv", one)
+        again = read_tracker_poses(tmp_path / "t.csv")
+        assert again.tick.tolist() == one.tick.tolist()
+        np.testing.assert_array_equal(again.sigma, one.sigma)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"name": "cold"', "EOF|JSON"),
+        ('{"temperature_C": NaN}', "temperature_C is nan; it must be finite"),
+        ('{"world": {"tilt_roll_rad": NaN}}', "tilts the rover by nan rad; at most 0.524 is right"),
+        ('{"world": {"tilt_pitch_rad": 2.9}}', "tilts the rover by 2.9 rad"),
+    ],
+)
+def test_a_session_that_a_header_cannot_mean_is_refused(text: str, said: str) -> None:
+    with pytest.raises(NotForDiagnosis, match=f"log a.mcap: session in its header: .*({said})"):
+        logs._read_session(text, Path("a.mcap"))
+
+
+def shorter(text: str) -> str:
+    return text.replace(",z_sigma_m", "")
+
+
+def cut(text: str) -> str:
+    return text[: text.rindex(",")]
+
+
+def words(text: str) -> str:
+    return text.replace("7,", "seven,", 1)
+
+
+def between(text: str) -> str:
+    return text.replace("7,", "7.5,", 1)
+
+
+def twice(text: str) -> str:
+    return text + text.splitlines(keepends=True)[-1]
+
+
+def nothing(_: str) -> str:
+    return ""
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (shorter, "has no column z_sigma_m"),
+        (nothing, "has no column rx_rad, "),
+        (cut, "something in it is no number"),
+        (words, "something in it is no number"),
+        (between, "ticks must be whole numbers"),
+        (twice, "each there once"),
+    ],
+)
+def test_a_table_that_is_none_of_poses_is_refused(
+    tmp_path: Path, change: Callable[[str], str], said: str
+) -> None:
+    path = tmp_path / "t.csv"
+    write_tracker_poses(path, TrackerPoses(np.array([7]), stack_poses([IDENTITY]), np.full((6, 1), 1e-5)))
+    path.write_text(change(path.read_text()))
+    with pytest.raises(BadTracker, match=said):
+        read_tracker_poses(path)
+
+
+@dataclass(frozen=True)
+class Named:
+    """Recording with name and block only."""
+
+    name: str
+    block: str
+
+
+def test_a_repeat_of_what_is_fitted_is_not_held_out() -> None:
+    first, again, other = Named("cold", "cold"), Named("cold-again", "cold"), Named("warm", "warm")
+    diagnose_logs._check_held_out([first], [other])  # type: ignore[list-item]
+    with pytest.raises(NotForDiagnosis, match="cold-again repeats the motion of cold, which is not held out"):
+        diagnose_logs._check_held_out([first], [other, again])  # type: ignore[list-item]
+
+
+def test_a_session_is_given_once() -> None:
+    paths, same = (Path("a.mcap"), Path("b.mcap")), Named("cold", "cold")
+    with pytest.raises(NotForDiagnosis, match=r"b\.mcap: is session cold, and so is a\.mcap"):
+        diagnose_logs._check_sessions(paths, [same, same])  # type: ignore[list-item]
+
+
+def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_have(tmp_path: Path) -> None:
+    held_out = tmp_path / record.HELD_OUT_FOLDER
+    held_out.mkdir()
+    (held_out / "cold.mcap").touch()
+    (tmp_path / "warm.mcap").touch()
+    (tmp_path / "tour.mcap").touch()
+    warm, cold, tour = (Named(name, name) for name in ("warm", "cold", "tour"))
+
+    def sides(fitted: list[Named], apart: list[Named]) -> list[list[str]]:
+        found = diagnose_logs._campaign_logs(tmp_path, fitted, apart)  # type: ignore[arg-type]
+        return [[path.stem for path in side] for side in found]
+
+    assert sides([warm, tour], [cold]) == [["tour", "warm"], ["cold"]]
+    assert sides([warm], [cold]) == [["tour", "warm"], ["cold"]]
+    assert sides([warm, cold], [tour]) == [["cold", "warm"], ["tour"]]
+    assert sides([warm], []) == [["tour", "warm"], []]
+    with pytest.raises(NotForDiagnosis, match="has no session placed"):
+        sides([Named("placed", "placed")], [])
+
+
+def test_a_campaign_that_does_not_complete_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(folder: Path, *_: object) -> list[Path]:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "one.mcap").touch()
+        if folder.name == record.HELD_OUT_FOLDER:
+            raise SessionFailed("session elsewhere")
+        return [folder / "one.mcap"]
+
+    monkeypatch.setattr(record, "record_campaign", stopped)
+    silent: Progress = lambda *_: None  # noqa: E731
+    with pytest.raises(BadRequest, match="session elsewhere; with smaller effects"):
+        record.record_logs(RecordRequest(tmp_path / "logs"), silent)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_kept_is_json(tmp_path: Path) -> None:
+    keys_path(tmp_path / "s.npz").write_text(json.dumps(["a/b", "c/d"]))
+    assert load_keys(tmp_path / "s.npz", 2) == ("a/b", "c/d")

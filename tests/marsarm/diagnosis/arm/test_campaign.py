@@ -1,0 +1,289 @@
+"""The residual of a nominal arm is noise, at rest by statics and in motion by open-loop simulation."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.enums import Frame, Joint
+from marsarm.common.pool import local_runner
+from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
+from marsarm.diagnosis.arm.case_simulator import build_case_simulator, feature_keys, resimulate
+from marsarm.diagnosis.arm.feature_set import (
+    build_feature_set,
+    changes_readings_only,
+    every_motion,
+    measure_features,
+    simulate_features,
+    simulate_motion,
+)
+from marsarm.diagnosis.arm.features import (
+    CHANNELS,
+    CURRENT,
+    IMU,
+    ROTATION,
+    TRANSLATION,
+    evaluate_features,
+)
+from marsarm.diagnosis.arm.finite_differences import (
+    find_equal_columns,
+    find_shared_slopes,
+    group_columns,
+    list_columns,
+    simulate_side,
+)
+from marsarm.diagnosis.arm.logs import Recording
+from marsarm.diagnosis.arm.noise_floor import estimate_floor
+from marsarm.diagnosis.arm.open_loop import simulate_open_loop, stack_readings
+from marsarm.diagnosis.arm.simulator import SHORT_SETTLING, AffectedMotions, build_simulator, make_effect
+from marsarm.diagnosis.sensitivity import Sensitivities
+from marsarm.telemetry.read import read_log
+from sim.effects.catalogue import catalogue
+from sim.effects.effect import Effect
+from sim.effects.joints import GearStiffness, ResolverBias
+from sim.effects.links import LinkLength, ToolOffset
+from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
+from sim.effects.structure import TurretMass
+from sim.params import nominal_params
+from tests.marks import slow_but
+from validation.blind.out_of_catalogue import list_uncatalogued
+
+BASE = nominal_params()
+
+
+def test_no_log_says_what_the_plant_was(logs: list[Path]) -> None:
+    for path in logs:
+        log = read_log(path)
+        assert not any(topic in log.packets for topic in log.truth)
+        assert not {"arm", "seed", "effects", "mjcf_sha256", "request"} & log.header.keys()
+
+
+def test_a_nominal_arm_leaves_its_sensors_noise(recordings: list[Recording]) -> None:
+    campaign = build_feature_set(recordings)
+    rest = measure_features(campaign) - simulate_features(campaign, (), SHORT_SETTLING)
+    whitened = rest / estimate_floor(campaign).sigma
+    channels = np.array([feature.channel for feature in campaign.list_features()])
+    for channel in sorted(set(channels)):
+        mine = whitened[channels == channel]
+        assert np.sqrt(np.mean(mine**2)) < 1.5, CHANNELS[channel]
+
+
+def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(recordings: list[Recording]) -> None:
+    campaign = build_feature_set(recordings)
+    assert {f.block for f in campaign.list_features()} == {"poses-level-1", "place-apxs"}
+    notes = estimate_floor(campaign).notes
+    assert any("pairs of repeats" in note for note in notes)
+    assert any(note.startswith("current") and "assumed" in note for note in notes)
+
+
+def test_a_feature_that_only_a_repeat_has_is_not_compared(recordings: list[Recording]) -> None:
+    once = next(one for one in recordings if not one.tracker_poses.tick.size)
+    campaign = build_feature_set([once, replace(once, name="again")])
+    first, again = campaign.motions
+    odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
+    campaign = replace(campaign, motions=(first, odd))
+    arm = build_simulator(campaign, estimate_floor(campaign).sigma, {}, SHORT_SETTLING)
+    found = build_case_simulator(arm, arm.layout, feature_keys(campaign))
+    assert found.rows.size == arm.layout.size - 1
+
+
+def test_motions_that_are_not_resimulated_are_extrapolated(recordings: list[Recording]) -> None:
+    """Rests are always computed; motions if they are wanted."""
+    campaign = build_feature_set(recordings)
+    arm = build_simulator(campaign, estimate_floor(campaign).sigma, {}, SHORT_SETTLING)
+    patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(arm.layout.size, 1e-3)
+    before, after = (
+        build_case_simulator(one, arm.layout, feature_keys(campaign)) for one in (arm, arm.with_patch(patch))
+    )
+    everything, nothing = (resimulate(before, patch, only, by) for only in (every_motion, lambda _: False))
+    rests = np.array([feature.regime in ("rest", "pose") for feature in campaign.list_features()])
+    rests &= np.array([feature.channel not in (IMU,) for feature in campaign.list_features()])
+    np.testing.assert_array_equal(everything.nominal, after.nominal)
+    np.testing.assert_array_equal(nothing.nominal[rests], after.nominal[rests])
+    np.testing.assert_allclose((nothing.nominal - before.nominal)[~rests], 1e-3, rtol=1e-9)
+    assert not np.allclose(after.nominal[rests], before.nominal[rests], atol=1e-6)
+
+
+def test_a_longer_link_moves_the_turret_by_as_much(recordings: list[Recording]) -> None:
+    poses = [one for one in recordings if one.tracker_poses.tick.size]
+    campaign = build_feature_set(poses)
+    moved = simulate_features(campaign, (LinkLength(Frame.ARM3, "x", 1e-3),), SHORT_SETTLING)
+    moved -= simulate_features(campaign, (), SHORT_SETTLING)
+    channels = np.array([feature.channel for feature in campaign.list_features()])
+    shift = moved[channels == TRANSLATION].reshape(len(poses), 3, -1)
+    np.testing.assert_allclose(np.linalg.norm(shift, axis=1), 1e-3, rtol=0.02)
+    assert np.abs(moved[channels == ROTATION]).max() < 1e-5
+
+
+def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording]) -> None:
+    campaign = build_feature_set(recordings)
+    (touch,) = campaign.motions
+    assert AffectedMotions((GearStiffness(Joint.ELBOW, 1.1),))(touch)
+    assert AffectedMotions((TurretMass(1.0),))(touch)
+    assert not AffectedMotions((LinkLength(Frame.ARM3, "x", 1e-3),))(touch)
+    assert not AffectedMotions((ToolOffset("drill", "x", 1e-3),))(touch)
+
+
+def test_no_tick_after_the_last_bin_influences_a_feature(recordings: list[Recording]) -> None:
+    (touch,) = build_feature_set(recordings).motions
+    whole = stack_readings(simulate_open_loop(touch.recording, (), SHORT_SETTLING).readings)
+    part = simulate_motion(touch, (), SHORT_SETTLING)
+    assert len(part["cycle"]) == touch.compared_ticks < touch.recording.ticks / 2
+    np.testing.assert_allclose(
+        evaluate_features(touch, part), evaluate_features(touch, whole), rtol=1e-12, atol=0.0
+    )
+
+
+def remembering() -> list[Effect]:
+    """Return the out-of-catalogue effect of a sensor with memory."""
+    found = {name: one for (name, place), one in list_uncatalogued().items() if place == "elbow"}
+    values = {"remanent-core": [0.1, 0.2]}
+    return [
+        make_effect(found[name].catalogue_entry, found[name].hypothesis, np.array(of))
+        for name, of in values.items()
+    ]
+
+
+def test_what_only_reads_is_read_as_avionics_do_without_another_step(recordings: list[Recording]) -> None:
+    readers = (
+        ResolverBias(Joint.ELBOW, 1e-3),
+        ResolverEccentricity(Joint.WRIST, 1e-3, -2e-3),
+        CurrentGain(Joint.ELBOW, 1.1),
+        *remembering(),
+    )
+    assert all(changes_readings_only(effect) for effect in readers)
+    assert not changes_readings_only(EncoderZero(Joint.ELBOW, 1e-3))
+    assert not changes_readings_only(GearStiffness(Joint.ELBOW, 1.1))
+    (motion,) = build_feature_set(recordings).motions
+    ticks = motion.compared_ticks
+    anew, again = (
+        stack_readings(simulate_open_loop(motion.recording, readers, SHORT_SETTLING, ticks=ticks).readings),
+        simulate_motion(motion, readers, SHORT_SETTLING),
+    )
+    plain = simulate_motion(motion, (), SHORT_SETTLING)
+    for name, values in anew.items():
+        np.testing.assert_allclose(again[name], values, rtol=1e-12, atol=1e-12)
+        assert np.array_equal(values, plain[name]) == (name not in ("resolver_rad", "current_A"))
+
+
+def test_nothing_is_compared_near_a_touch(recordings: list[Recording]) -> None:
+    """Under the recorded drive another arm would push where the real one did not."""
+    (placed,) = [one for one in recordings if one.world.surface is not None]
+    closed = np.flatnonzero(placed.sensors["switch_closed"].any(axis=1))[0]
+    here = build_feature_set([placed]).motions[0]
+    bins = sum(end <= closed for segment in here.segments for _, end in segment.bins())
+    assert 0 < sum(feature.channel == CURRENT for feature in here.features) < bins
+
+
+@pytest.mark.parametrize("kind", ["link-angle"])
+def test_a_sensitivity_is_the_difference_of_predictions(recordings: list[Recording], kind: str) -> None:
+    poses = [one for one in recordings if one.tracker_poses.tick.size]
+    campaign = build_feature_set(poses)
+    sigma = estimate_floor(campaign).sigma
+    simulator = build_simulator(campaign, sigma, {kind: catalogue()[kind]})
+    nominal = simulator.predict_effects(())
+    zero = np.zeros(len(simulator.nuisances))
+    for column in list_columns(simulator)[:3]:
+        assert column.hypothesis is not None
+        hypothesis = simulator.hypotheses[column.hypothesis]
+        there = np.array([p.absent + 1.5 * p.typical for p in hypothesis.parameters])
+        change = simulator.predict({hypothesis: there}, zero) - nominal
+        (side,) = simulate_side(simulator, [column], nominal, 0, [1.0])
+        predicted = 1.5 * side.change / side.size
+        assert np.abs(change / sigma).max() > 5
+        np.testing.assert_allclose(predicted / sigma, change / sigma, atol=0.1)
+
+
+@pytest.mark.parametrize("kind", slow_but(["viscous-friction", "output-friction"], "output-friction"))
+def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Recording], kind: str) -> None:
+    campaign = build_feature_set([one for one in recordings if not one.tracker_poses.tick.size])
+    simulator = build_simulator(campaign, estimate_floor(campaign).sigma, {kind: catalogue()[kind]})
+    nominal, columns = simulator.predict_effects(()), list_columns(simulator)
+    wanted = [k for k, column in enumerate(columns) if column.hypothesis is not None]
+    ((*at_once,),) = group_columns(simulator, columns, wanted)
+    assert at_once == wanted
+    assert len(wanted) == len(Joint)
+    # a whole typical size: what single counts of the encoders flip by does not grow with the step
+    sides = simulate_side(simulator, [columns[k] for k in wanted], nominal, 0, [1.0] * len(wanted))
+    zero = np.zeros(len(simulator.nuisances))
+    for hypothesis, side in zip(simulator.hypotheses, sides, strict=True):
+        (one,) = hypothesis.parameters
+        there = {hypothesis: np.array([one.absent + side.size * one.typical])}
+        alone = simulator.predict(there, zero) - nominal
+        off, whole = (x / simulator.layout.sigma for x in (side.change - alone, alone))
+        # friction at another joint shifts the moment at which a joint begins to turn, and so one bin
+        *most, begin = np.sort(np.abs(off))
+        assert 0.0 < np.linalg.norm(most) < 0.05 * np.linalg.norm(whole)
+        assert begin < 0.05 * np.linalg.norm(whole)
+
+
+def test_effects_at_one_joint_are_not_simulated_at_once(recordings: list[Recording]) -> None:
+    """Asymmetric friction has two directions at each joint; together they would be plain friction."""
+    campaign = build_feature_set(recordings)
+    kind = "asymmetric-friction"
+    simulator = build_simulator(campaign, estimate_floor(campaign).sigma, {kind: catalogue()[kind]})
+    columns = list_columns(simulator)
+    wanted = [k for k, column in enumerate(columns) if column.hypothesis is not None]
+    for group in group_columns(simulator, columns, wanted):
+        places = [simulator.hypotheses[columns[k].hypothesis or 0].place.split(".")[0] for k in group]
+        assert len(set(places)) == len(places) == len(Joint)
+
+
+@pytest.mark.slow
+def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: list[Recording]) -> None:
+    """The large step of the equal hypothesis is not used; all joints are simulated at once."""
+    campaign = build_feature_set([one for one in recordings if not one.tracker_poses.tick.size])
+    simulator = build_simulator(
+        campaign, estimate_floor(campaign).sigma, {"gear-friction": catalogue()["gear-friction"]}
+    )
+    nominal, columns, sigma = (
+        simulator.predict_effects(()),
+        list_columns(simulator),
+        simulator.layout.sigma,
+    )
+    begin, names = len(columns) - len(simulator.nuisances), [one.name for one in simulator.nuisances]
+    own = [begin + names.index(f"friction {joint.name.lower()}") for joint in Joint]
+    session = [begin + names.index(f"friction {joint.name.lower()} of a session") for joint in Joint]
+    same = find_equal_columns(simulator, columns)
+    assert not set(own) & set(same)
+    assert [same[k] for k in session] == [(k, 1.0) for k in own]
+    assert [k for k, _ in find_shared_slopes(simulator, columns).values()] == own
+    (at_once,) = group_columns(simulator, columns, own)
+    assert list(at_once) == own
+    sides = simulate_side(simulator, [columns[k] for k in own], nominal, 0, [1.0] * len(own))
+    for k, side in zip(own, sides, strict=True):
+        one = np.zeros(len(simulator.nuisances))
+        one[k - begin] = simulator.nuisances[k - begin].sigma
+        alone = simulator.predict({}, one) - nominal
+        assert side.size == one[k - begin]
+        assert np.linalg.norm((side.change - alone) / sigma) < 0.05 * np.linalg.norm(alone / sigma)
+
+
+@pytest.mark.slow
+def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path) -> None:
+    poses = [path for path in logs if path.stem.startswith("poses")]
+    calls: list[str] = []
+    work, kinds = local_runner(1), ["resolver-bias", "link-stiffness"]
+
+    def noted(*_: object) -> None:
+        calls.append("computed")
+
+    first = compute_sensitivities(poses, tmp_path, work, noted, kinds).sensitivities
+    assert calls
+    calls.clear()
+    again = compute_sensitivities(poses, tmp_path, work, noted, kinds).sensitivities
+    assert not calls
+    np.testing.assert_array_equal(first.effect, again.effect)
+    assert np.linalg.matrix_rank(first.only(["resolver-bias"]).effect) == len(Joint)
+    assert first.layout.channels[0] == "azimuth resolver-encoder"
+    _stiffness_has_the_slope_of_its_nuisance(first)
+
+
+def _stiffness_has_the_slope_of_its_nuisance(found: Sensitivities) -> None:
+    named = {one.name: k for k, one in enumerate(found.nuisances)}
+    stiffness = found.only(["link-stiffness"])
+    assert np.linalg.norm(stiffness.effect) > 0.0
+    for column, one in zip(stiffness.effect.T, stiffness.hypotheses, strict=True):
+        nuisance = found.nuisance[:, named[f"link stiffness {one.place}"]]
+        np.testing.assert_array_equal(column, nuisance * one.parameters[0].typical)

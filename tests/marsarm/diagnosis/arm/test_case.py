@@ -1,0 +1,177 @@
+"""Small diagnosis of an arm: which of two effects, how large, and what is refused."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.enums import Frame, Joint
+from marsarm.common.pool import local_runner
+from marsarm.diagnosis.arm import campaign_sensitivities, nuisance_fit
+from marsarm.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
+from marsarm.diagnosis.arm.case import TooLittleMotion, diagnose_case, fit_case
+from marsarm.diagnosis.arm.case_simulator import CaseSimulator, resimulate
+from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, diagnose_logs
+from marsarm.diagnosis.arm.logs import NotForDiagnosis, load_recording
+from marsarm.diagnosis.arm.record import record_campaign
+from marsarm.diagnosis.result import DiagnosisResult
+from marsarm.diagnosis.sensitivity import Sensitivities
+from sim.arm_model.load import default_arm
+from sim.arms import arm_named
+from sim.diagnosis_campaign import campaign_sessions
+from sim.effects.effect import Effect
+from sim.effects.geometry import FrameError
+from sim.effects.joints import ResolverBias
+from sim.effects.links import LinkLength
+from sim.initialisation import true_reference
+
+pytestmark = pytest.mark.slow
+
+FITTED = ("poses-level-1", "poses-level-1-again", "poses-level-2", "poses-rolled-1")
+APART = ("poses-level-3", "poses-rolled-2")
+KINDS = ("resolver-bias", "link-warming", "link-length")
+"""A warm link is as one that is too long, but cannot be as long."""
+Logs = tuple[list[Path], list[Path]]
+
+CALIBRATED_FRAME_SIGMA_M = default_arm().description.tolerances.calibrated.frame_m
+
+
+def silent(*_: object) -> None:
+    """No progress."""
+
+
+def recorded(folder: Path, effects: tuple[Effect, ...], seed: int) -> Logs:
+    arm = arm_named("nominal").with_effects(effects)
+    chosen = [one for one in campaign_sessions(arm.params) if one.name in FITTED + APART]
+    paths = record_campaign(folder, chosen, arm, true_reference(arm_named("nominal")), seed, silent)
+    return [p for p in paths if p.stem in FITTED], [p for p in paths if p.stem in APART]
+
+
+@pytest.fixture(scope="module")
+def nominal(tmp_path_factory: pytest.TempPathFactory) -> Logs:
+    """Record the nominal arm."""
+    return recorded(tmp_path_factory.mktemp("nominal"), (), 1)
+
+
+@pytest.fixture(scope="module")
+def against(nominal: Logs, tmp_path_factory: pytest.TempPathFactory) -> CampaignModel:
+    """Load the campaign model."""
+    return load_campaign_model(*nominal, tmp_path_factory.mktemp("kept"), local_runner(1), silent, KINDS)
+
+
+@pytest.fixture
+def case(against: CampaignModel, tmp_path: Path) -> Callable[..., DiagnosisResult]:
+    """Return a function that diagnoses an arm with effects, against a simulator with a patch."""
+
+    def of(*effects: Effect, patch: tuple[Effect, ...] = ()) -> DiagnosisResult:
+        fitted, apart = ([load_recording(p) for p in paths] for paths in recorded(tmp_path, effects, 9))
+        return diagnose_case(fitted, apart, against, 0, patch)
+
+    return of
+
+
+@pytest.mark.parametrize("effect", [ResolverBias(Joint.ELBOW, 5e-3), LinkLength(Frame.ARM3, "x", 5e-3)])
+def test_the_effect_is_named_with_its_size_and_closes_the_gap(
+    case: Callable[..., DiagnosisResult], effect: ResolverBias | LinkLength
+) -> None:
+    said = case(effect)
+    (finding,) = said.diagnosis.findings
+    hypothesis = said.model.sensitivities.hypotheses[finding.hypothesis]
+    size = effect.bias_rad if isinstance(effect, ResolverBias) else effect.length_m
+    assert finding.level == "size"
+    assert hypothesis.name.startswith("resolver-bias" if isinstance(effect, ResolverBias) else "link-length")
+    assert finding.values[0] == pytest.approx(size, rel=0.1)
+    assert said.closure is not None
+    assert said.closure.share > 0.95
+
+
+def test_a_link_that_is_3_mm_too_long_moves_the_tool_by_3_mm(case: Callable[..., DiagnosisResult]) -> None:
+    """Fitted alone, nuisances would move it back."""
+    said = case(LinkLength(Frame.ARM3, "x", 3e-3))
+    assert said.tool is not None
+    assert said.tool.before_mm == pytest.approx(3.0, abs=0.5)
+    assert said.tool.after_mm < 2.0 * said.tool.noise_floor_mm
+
+
+def test_held_out_motions_have_the_steps_of_the_fitted_ones(against: CampaignModel) -> None:
+    assert against.held_out is not None
+    fitted = against.model.sensitivities.reach
+    assert np.any(fitted != 1.0)
+    np.testing.assert_array_equal(against.held_out.reach, fitted)
+
+
+def test_nuisances_do_not_take_the_place_of_an_effect_that_they_are_like(
+    against: CampaignModel, tmp_path: Path
+) -> None:
+    """They are resimulated: with the effect in them, the response would be that of twice the effect."""
+    logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 5e-3),), 9)
+    fitted, apart = ([load_recording(path) for path in paths] for paths in logs)
+    here = fit_case(fitted, apart, against, 0)
+    shifts = [
+        e.screw[3:] for e in here.simulator.arm.patch if isinstance(e, FrameError) and e.frame is Frame.ARM3
+    ]
+    assert shifts
+    assert np.abs(shifts).max() < 4.0 * CALIBRATED_FRAME_SIGMA_M
+
+
+def test_only_nuisances_that_an_arm_may_have_are_simulated(
+    against: CampaignModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fitted alone they imitate a similar effect, however large: no arm has springs so soft."""
+    logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 0.05),), 9)
+    shifts: list[np.ndarray] = []
+
+    def noted(case: CaseSimulator, near: tuple[Effect, ...], *rest: Any) -> CaseSimulator:
+        shifts.extend(effect.screw[3:] for effect in near if isinstance(effect, FrameError))
+        return resimulate(case, near, *rest)
+
+    monkeypatch.setattr(nuisance_fit, "resimulate", noted)
+    fit_case([load_recording(path) for path in logs[0]], [], against, 0)
+    assert 9.0 * CALIBRATED_FRAME_SIGMA_M < np.abs(shifts).max() < 10.1 * CALIBRATED_FRAME_SIGMA_M
+
+
+def test_with_the_patch_on_nothing_is_left(case: Callable[..., DiagnosisResult]) -> None:
+    effect = LinkLength(Frame.ARM3, "x", 3e-3)
+    said = case(effect, patch=(effect,))
+    assert said.diagnosis.verdict == "none"
+    assert said.tool is not None
+    assert said.tool.before_mm < 2.0 * said.tool.noise_floor_mm
+
+
+def test_most_of_a_campaign_must_be_there(nominal: Logs, against: CampaignModel) -> None:
+    few = [load_recording(path) for path in nominal[0][:1]]
+    with pytest.raises(TooLittleMotion, match=r"poses-level-2, poses-rolled-1"):
+        diagnose_case(few, [], against, 0)
+
+
+def test_a_campaign_without_such_sessions_is_refused(nominal: Logs, tmp_path: Path) -> None:
+    job = DiagnoseJob(tuple(nominal[0]), campaign=tmp_path)
+    with pytest.raises(NotForDiagnosis, match="has no session poses-level-1, poses-level-1-again"):
+        diagnose_logs(job, silent)
+
+
+def test_a_part_of_the_effects_is_taken_from_what_is_kept_of_all(
+    nominal: Logs, against: CampaignModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def computed(*_: object) -> Sensitivities:
+        return found.pop()
+
+    found = [against.model.sensitivities]
+    monkeypatch.setattr(campaign_sensitivities, "_difference_all", computed)
+    whole, part = (
+        campaign_sensitivities.compute_sensitivities(nominal[0], tmp_path, local_runner(1), silent, kinds)
+        for kinds in (None, KINDS[:1])
+    )
+    assert not found
+    assert {hypothesis.effect for hypothesis in whole.sensitivities.hypotheses} == set(KINDS)
+    assert {hypothesis.effect for hypothesis in part.sensitivities.hypotheses} == {KINDS[0]}
+    np.testing.assert_array_equal(part.sensitivities.nuisance, whole.sensitivities.nuisance)
+    assert part.keys() == whole.keys()
+
+
+def test_missing_sessions_are_noted(nominal: Logs, against: CampaignModel) -> None:
+    some = [load_recording(path) for path in nominal[0] if path.stem != "poses-level-2"]
+    said = fit_case(some, [], against, 0).notes
+    assert "these logs have nothing comparable to the campaign's motions poses-level-2" in said

@@ -1,0 +1,151 @@
+"""Score of results written by hand, level by level and by equivalence class."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from marsarm.diagnosis.blind_case import CaseKind, TrueCase, TrueEffect
+from validation.blind.classes import EquivalenceClasses, PublishedHypothesis, locate_outside
+from validation.blind.out_of_catalogue import list_uncatalogued
+from validation.blind.score import median_with_interval, score
+
+CLASSES = EquivalenceClasses({
+    ("rub", "knee"): PublishedHypothesis(0, 1.5, "friction", "knee"),
+    ("drag", "knee"): PublishedHypothesis(0, 1.5, "friction", "knee"),
+    ("rub", "hip"): PublishedHypothesis(1, 1.5, "friction", "hip"),
+    ("bend", "shin.x"): PublishedHypothesis(2, 1.5, "structure", "shin"),
+})  # fmt: skip
+
+
+def true(kind: CaseKind, *effects: tuple[str, str], times: float = 2.0) -> TrueCase:
+    made = tuple(TrueEffect(name, place, {"size": 1.0}, times, "") for name, place in effects)
+    return TrueCase("case-000", kind, made, (), 1)
+
+
+def finding(name: str, place: str, level: str = "size", **more: Any) -> dict[str, Any]:
+    known = CLASSES.known[name, place]
+    others = more.get("others", ())
+    named = [{"name": n, "place": p} for n, p in ((name, place), *others)]
+    return {
+        "name": name,
+        "place": place,
+        "level": level,
+        "places": [] if level == "unlocated" else [known.location, *more.get("places", ())],
+        "families": [known.family] if level in ("size", "effect", "family") else [],
+        "effects": named if level in ("size", "effect") else [],
+        "parameters": [{"name": "size", "is_amplitude": True, "least": 0.9, "most": more.get("most", 1.1)}],
+    }
+
+
+def said(*findings: dict[str, Any], verdict: str = "found", share: float | None = None) -> dict[str, Any]:
+    closure = None if share is None else {"share": share}
+    return {"verdict": verdict, "effects": list(findings), "closure": closure, "seconds": 9.0}
+
+
+def scored(*solved: Any, achieved: float = 0.9) -> Any:
+    return score(CLASSES, solved, lambda _: achieved)
+
+
+def test_anything_but_none_is_a_false_alarm_without_effect() -> None:
+    cases = [(true("none"), said(verdict=verdict)) for verdict in ("none", "unknown", "none")]
+    found = scored(*cases, (true("none"), said(finding("rub", "hip", "unlocated")))).false_alarm
+    assert (found.hits, found.of) == (2, 4)
+
+
+def test_what_is_said_of_an_effect_outside_is_wrong_level_by_level() -> None:
+    """Dither at the elbow is of the family actuation; place, family and name count by themselves."""
+    outside = true("out-of-catalogue", ("dither", "elbow"))
+    found = scored(
+        (outside, said(finding("rub", "knee"))),
+        (outside, said(finding("rub", "knee", "place"))),
+        (outside, said(finding("rub", "knee", "place", places=("elbow",)))),
+        (outside, said(finding("rub", "knee", "unlocated"))),
+        (outside, said(verdict="unknown")),
+    )
+    wrong = found.unrelated
+    assert [wrong.wrong_place.hits, wrong.wrong_family.hits, wrong.wrong_effect.hits] == [2, 1, 1]
+    assert (wrong.reported.hits, wrong.wrong_place.of, found.related.wrong_place.of) == (5, 5, 0)
+    assert found.found.reported.of == 0
+
+
+def test_every_effect_outside_has_a_family_and_a_location() -> None:
+    for effect, place in list_uncatalogued():
+        assert locate_outside(effect, place) not in ("x", "y", "z", "")
+
+
+def test_one_of_the_same_class_is_right() -> None:
+    found = scored((true("single", ("rub", "knee")), said(finding("drag", "knee"))))
+    assert [found.found.effect.hits, found.found.place.hits, found.found.covered.hits] == [1, 1, 1]
+    assert found.interval.of == 0
+
+
+def test_rates_are_of_what_is_reported_from_the_limit_of_the_selection_on() -> None:
+    hip = ("rub", "hip")
+    found = scored(
+        (true("single", hip), said(finding(*hip))),
+        (true("single", hip), said(verdict="unknown")),
+        (true("single", hip, times=1.4), said(finding("bend", "shin.x"))),
+    )
+    assert (found.found.reported.hits, found.found.reported.of) == (1, 2)
+    assert (found.found.effect.hits, found.found.effect.of) == (1, 1)
+    assert [one.found.reported.of for one in found.bins] == [0, 1, 0, 2]
+
+
+@pytest.mark.parametrize(
+    ("one", "is_covered"),
+    [
+        (finding("rub", "hip", "effect", others=(("bend", "shin.x"),)), True),
+        (finding("rub", "hip", "size"), False),
+        (finding("rub", "hip", "family", places=("shin",)), False),
+        (finding("rub", "hip", "place", places=("shin",)), True),
+        (finding("rub", "hip", "place"), False),
+    ],
+)
+def test_the_set_of_the_level_that_is_reported_holds_the_truth(one: Any, is_covered: bool) -> None:
+    found = scored((true("single", ("bend", "shin.x")), said(one)))
+    assert (found.found.covered.hits, found.found.covered.of) == (int(is_covered), 1)
+
+
+def test_a_cause_that_is_not_located_claims_no_set() -> None:
+    found = scored((true("single", ("bend", "shin.x")), said(finding("rub", "hip", "unlocated"))))
+    assert (found.found.reported.hits, found.found.covered.of) == (1, 0)
+
+
+def test_each_of_a_pair_has_its_own_finding() -> None:
+    pair = true("pair", ("rub", "hip"), ("bend", "shin.x"))
+    alone = scored((pair, said(finding("rub", "hip"))))
+    assert (alone.found.reported.hits, alone.found.effect.hits, alone.found.effect.of) == (1, 1, 1)
+    both = scored((pair, said(finding("rub", "knee"), finding("rub", "hip"))))
+    assert (both.found.reported.hits, both.found.effect.hits, both.spurious.hits) == (2, 1, 1)
+
+
+def test_intervals_are_of_the_very_effect_that_was_named() -> None:
+    one = true("single", ("rub", "hip"))
+    found = scored(
+        (one, said(finding("rub", "hip"))),
+        (one, said(finding("rub", "hip", most=0.95))),
+        (one, said(finding("rub", "hip", "place"))),
+    )
+    assert (found.interval.hits, found.interval.of) == (1, 2)
+
+
+def test_closure_is_held_against_what_the_truth_achieves() -> None:
+    one = true("single", ("rub", "hip"))
+    cases = [(one, said(finding("rub", "hip"), share=share)) for share in (0.7, 0.8, 0.9)]
+    found = scored(*cases, (one, said(verdict="none", share=0.1)), achieved=0.95)
+    assert found.closure.median == pytest.approx(0.8)
+    assert found.closure_lost.median == pytest.approx(0.15)
+    assert found.seconds.median == found.max_seconds == 9.0
+
+
+@pytest.mark.parametrize("of", [6, 25, 60])
+def test_the_interval_of_a_median_holds_it_as_often_as_it_says(of: int) -> None:
+    """By the binomial: it misses if too many of the values are on one side."""
+    median = median_with_interval([float(value) for value in range(of)])
+    below = round(median.least)
+    assert 2.0 * binom.cdf(below, of, 0.5) <= 0.05
+    assert 2.0 * binom.cdf(below + 1, of, 0.5) > 0.05
+    assert median.most == of - 1 - below
+    assert np.isinf(median_with_interval([1.0, 2.0]).least)

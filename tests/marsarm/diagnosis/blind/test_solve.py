@@ -1,0 +1,266 @@
+"""Blind cases solved without their truth and scored with it."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from marsarm.common.errors import BadRequest
+from marsarm.common.pool import local_runner
+from marsarm.diagnosis.blind_case import TRUTH, TrueCase, load_truth, seal
+from validation.blind.case_features import read_case_features, read_case_parts
+from validation.blind.classes import CLASSES_FILE, load_classes
+from validation.blind.folder import SOLVED_FOLDER, load_results, result_path, write_json
+from validation.blind.score_folder import score_folder
+from validation.blind.solve import NoDiagnosis, features_path, solve_cases
+from validation.blind.table import score_json, score_markdown
+
+pytestmark = pytest.mark.slow
+
+RUN = local_runner(1)
+
+
+def quiet(*_: object) -> None:
+    pass
+
+
+def said(folder: Path) -> dict[str, Any]:
+    found = {path.name: json.loads(path.read_text()) for path in sorted((folder / SOLVED_FOLDER).iterdir())}
+    for document in found.values():
+        document.pop("seconds", None)
+    return found
+
+
+@pytest.fixture
+def solved(folder, results: dict[str, bytes]):
+    """Return a folder whose cases are solved; all folders are alike, so they are solved once."""
+    if not results:
+        solve_cases(folder.path, folder.solver, RUN, quiet)
+        results |= {path.name: path.read_bytes() for path in (folder.path / SOLVED_FOLDER).iterdir()}
+    (folder.path / SOLVED_FOLDER).mkdir(exist_ok=True)
+    for name, content in results.items():
+        (folder.path / SOLVED_FOLDER / name).write_bytes(content)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def results() -> dict[str, bytes]:
+    """Return the files of solved cases by name; empty until a test asks for them."""
+    return {}
+
+
+@pytest.mark.slow
+def test_the_truth_is_not_needed_to_solve_and_changes_nothing(solved) -> None:
+    with_it = said(solved.path)
+    (solved.path / TRUTH).unlink()
+    for path in (solved.path / SOLVED_FOLDER).iterdir():
+        path.unlink()
+    assert solve_cases(solved.path, solved.solver, RUN, quiet) == (10, 10)
+    assert said(solved.path) == with_it
+
+
+def test_what_is_solved_stays_and_the_rest_is_solved(solved) -> None:
+    whole = said(solved.path)
+    last = solved.path / "cases" / "case-009"
+    result_path(last).unlink()
+    assert solve_cases(solved.path, solved.solver, RUN, quiet) == (1, 10)
+    assert said(solved.path) == whole
+    assert solve_cases(solved.path, solved.solver, RUN, quiet) == (0, 10)
+
+
+def test_the_campaign_is_known_once_and_before_any_case(solved) -> None:
+    result_path(solved.path / "cases" / "case-009").unlink()
+    prepared: list[Path] = []
+    solver = replace(solved.solver, prepare_campaign=lambda campaign, *_: prepared.append(campaign))
+    assert solve_cases(solved.path, solver, RUN, quiet) == (1, 10)
+    assert solve_cases(solved.path, solver, RUN, quiet) == (0, 10)
+    assert prepared == [solved.path / "campaign"]
+
+
+def mute(case: Path, campaign: Path, without: str) -> Any:
+    raise NoDiagnosis(f"{case.name} has no logs of {campaign.name}")
+
+
+def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(folder) -> None:
+    for path in (folder.path / SOLVED_FOLDER).glob("*"):
+        path.unlink()
+    assert solve_cases(folder.path, replace(folder.solver, diagnose=mute), RUN, quiet) == (10, 10)
+    result = load_results(folder.path)["case-003"]
+    assert (result["verdict"], result["refused"]) == ("unknown", "case-003 has no logs of campaign")
+    found = score_folder(folder.path, folder.solver.load_sensitivities, partial=False)
+    assert found.false_alarm.share == 1.0
+    assert found.found.reported.hits == 0
+    for path in (folder.path / SOLVED_FOLDER).glob("*"):
+        path.unlink()
+
+
+def test_solved_cases_are_scored(solved) -> None:
+    found = score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
+    assert (found.cases, found.false_alarm.of, found.outside.wrong_place.of) == (10, 2, 4)
+    assert (found.related.wrong_place.of, found.unrelated.wrong_place.of) == (0, 4)
+    true = [one for case in solved.truth.cases if case.kind in ("single", "pair") for one in case.effects]
+    assert found.found.reported.of <= sum(one.times_limit >= 1.0 for one in true)
+    assert sum(one.found.reported.of for one in found.bins) == len(true)
+    assert json.loads(json.dumps(score_json(found), allow_nan=False))["cases"] == 10
+    assert "| reported | 85 % |" in score_markdown(found)
+
+
+def test_cases_that_are_not_solved_are_counted(solved) -> None:
+    for number in (2, 5, 7):
+        result_path(solved.path / "cases" / f"case-00{number}").unlink()
+    with pytest.raises(BadRequest, match="3 of 10 cases are not solved, case-002 first"):
+        score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
+    assert score_folder(solved.path, solved.solver.load_sensitivities, partial=True).cases == 7
+
+
+GOOD = {
+    "verdict": "found",
+    "effects": [
+        {
+            "name": "link-length",
+            "place": "arm3.x",
+            "level": "size",
+            "places": ["arm3"],
+            "families": ["geometry"],
+            "effects": [{"name": "link-length", "place": "arm3.x"}],
+            "parameters": [{"name": "length_m", "is_amplitude": True, "least": 0.001, "most": 0.002}],
+        }
+    ],
+    "closure": {"share": None},
+    "seconds": 9.5,
+}
+SIZE = {"name": "length_m", "is_amplitude": True, "least": None, "most": 0.002}
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("[]", "object"),
+        ('{"verdict": "none"', "JSON"),
+        ('{"verdict": "none"}', "effects"),
+        (json.dumps(GOOD | {"verdict": "sure"}), "verdict"),
+        (json.dumps(GOOD | {"effects": [GOOD["effects"][0] | {"parameters": [SIZE]}]}), r"parameters\.0"),
+        (json.dumps(GOOD | {"effects": [GOOD["effects"][0] | {"level": "sure"}]}), "level"),
+        (json.dumps(GOOD | {"closure": 0.5}), "closure"),
+        (json.dumps(GOOD | {"seconds": "nine"}), "seconds"),
+        (json.dumps(GOOD | {"seconds": 10**400}), "finite"),
+        (json.dumps(GOOD | {"closure": {"share": float("nan")}}), "finite"),
+    ],
+)
+def test_what_is_no_solved_case_is_refused(tmp_path: Path, text: str, why: str) -> None:
+    write_json(tmp_path / SOLVED_FOLDER / "case-000.json", GOOD)
+    assert load_results(tmp_path) == {"case-000": GOOD}
+    (tmp_path / SOLVED_FOLDER / "case-004.json").write_text(text)
+    with pytest.raises(BadRequest, match=rf"case-004\.json: is no solved case \(.*{why}"):
+        load_results(tmp_path)
+
+
+def test_a_size_that_an_effect_has_not_is_refused(solved) -> None:
+    case = next(case for case in solved.truth.cases if case.kind == "single")
+    path = result_path(solved.path / "cases" / case.name)
+    before = path.read_bytes()
+    (one,) = case.effects
+    size = {"name": "size_of_another", "is_amplitude": True, "least": 0.0, "most": 1.0}
+    finding = GOOD["effects"][0] | {"name": one.name, "place": one.place, "parameters": [size]}
+    path.write_text(json.dumps(json.loads(before) | {"verdict": "found", "effects": [finding]}))
+    with pytest.raises(BadRequest, match=f"{case.name}: {one.name} has no size_of_another"):
+        score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
+    path.write_bytes(before)
+
+
+WHOLE = {"rows": [0, 2], "value": [1.0, 2.0]}
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "[]", "[" * 200_000, '{"fitted": {"rows": [0]}}']
+    + [
+        json.dumps({"fitted": WHOLE | bad, "held": WHOLE})
+        for bad in (
+            {"rows": [0]},
+            {"rows": [2, 0]},
+            {"rows": [-1, 0]},
+            {"rows": [0, 10**30]},
+            {"value": [[1.0, 2.0]]},
+            {"value": [1.0, float("nan")]},
+            {"rows": [0.0, 2.5]},
+            {"rows": ["0", "2"]},
+            {"rows": [], "value": []},
+        )
+    ],
+)
+def test_features_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "f.json").write_text(text)
+    with pytest.raises(BadRequest, match=r"f\.json: holds no features"):
+        read_case_features(tmp_path / "f.json")
+
+
+def test_features_that_are_missing_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(
+        BadRequest, match=r"f\.features\.json: cannot be read .*remove f\.json and solve again"
+    ):
+        read_case_features(tmp_path / "f.features.json")
+
+
+def test_a_row_that_the_campaign_has_not_is_refused(solved) -> None:
+    case = next(case for case in solved.truth.cases if case.kind == "single")
+    path = features_path(solved.path / "cases" / case.name)
+    sensitivities = solved.solver.load_sensitivities(solved.path)
+    document = json.loads(path.read_bytes())
+    document["held"]["rows"][-1] = sensitivities.held.layout.size
+    path.write_text(json.dumps(document))
+    with pytest.raises(
+        BadRequest, match=rf"{case.name}\.features\.json: row \d+ is not among the \d+ features"
+    ):
+        read_case_parts(path, sensitivities)
+
+
+def test_an_effect_of_another_version_is_refused(solved) -> None:
+    cases = list(solved.truth.cases)
+    at = next(k for k, case in enumerate(cases) if case.kind == "out-of-catalogue")
+    cases[at] = replace(cases[at], effects=(replace(cases[at].effects[0], name="old-wobble"),))
+    seal(solved.path, replace(solved.truth, cases=tuple(cases)))
+    with pytest.raises(BadRequest, match=f"{cases[at].name}: old-wobble is none of today's effects"):
+        score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
+
+
+def contradict(case: TrueCase) -> Iterator[TrueCase]:
+    (effect,) = case.effects
+    yield replace(case, name="../case-000")
+    yield replace(case, kind="none")
+    yield replace(case, effects=())
+    yield replace(case, kind="pair", effects=(effect, effect))
+    for by in (float("nan"), -3.0):
+        yield replace(case, effects=(replace(effect, times_limit=by),))
+    yield replace(case, effects=(replace(effect, values=dict.fromkeys(effect.values, float("inf"))),))
+
+
+def test_a_truth_that_contradicts_itself_is_refused(folder) -> None:
+    cases = folder.truth.cases
+    single = next(case for case in cases if case.kind == "single")
+    for wrong in ((), (*cases, single), *((one,) for one in contradict(single))):
+        seal(folder.path, replace(folder.truth, cases=wrong))
+        with pytest.raises(BadRequest, match=r"truth\.json: was sealed, but is no truth \("):
+            load_truth(folder.path)
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", '[{"name": 1}]', "[" * 200_000])
+def test_classes_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / CLASSES_FILE).write_text(text)
+    with pytest.raises(BadRequest, match=r"classes\.json: holds no classes \("):
+        load_classes(tmp_path)
+
+
+def test_a_changed_truth_is_not_scored_against(solved) -> None:
+    text = (solved.path / TRUTH).read_text()
+    (solved.path / TRUTH).write_text(text.replace('"none"', '"single"', 1))
+    with pytest.raises(BadRequest, match="is not what was sealed"):
+        score_folder(solved.path, solved.solver.load_sensitivities, partial=True)
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path: Path, folder) -> None:
+    with pytest.raises(BadRequest, match="no folder of blind cases"):
+        solve_cases(tmp_path / "none", folder.solver, RUN, quiet)

@@ -1,0 +1,115 @@
+"""Normal equations by block agree with the whole covariance matrix, in any units and order."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from marsarm.diagnosis.detectability import (
+    alias_cosines,
+    detection_limits,
+    equivalence_classes,
+    noncentrality,
+)
+from marsarm.diagnosis.linear_fit import fit_linear
+from marsarm.diagnosis.normal_equations import build_full_whitener, form_normal_equations
+from marsarm.diagnosis.selection import select
+from tests.marsarm.diagnosis.worlds import found, modelled, world
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Return a campaign small enough for dense matrices."""
+    return world(seed=3, m=160, effects=4, places=2, nuisances=4, blocks=5, alike=1, two=1)
+
+
+def _dense(made):
+    """Return the covariance of the features in their units."""
+    layout = made.layout
+    V = np.diag(layout.sigma**2)
+    for index, nuisance in enumerate(made.nuisances):
+        n = made.nuisance[:, index] * nuisance.sigma
+        same = layout.block[:, None] == layout.block[None, :] if nuisance.random_per_block else 1.0
+        V = V + np.outer(n, n) * same
+    return V
+
+
+def likelihood_ratio(equations, y, columns):
+    """Return the deviance that columns explain: a'r, with nuisances eliminated from r."""
+    fit, c = fit_linear(equations, y, columns), equations.A.T @ y
+    r = c[equations.q :] - equations.W @ c[: equations.q]
+    return float(fit.theta[equations.q :] @ r[columns])
+
+
+def _deviance(V, S, y, t):
+    return (y - S @ t) @ np.linalg.solve(V, y - S @ t)
+
+
+def test_a_fit_is_generalised_least_squares(small, rng):
+    equations, V = form_normal_equations(found(small)), _dense(small)
+    y = small.measured(rng)
+    case = equations.whiten(y)
+    columns = equations.columns((1, 3))
+    S = small.effect[:, columns]
+    t = np.linalg.solve(S.T @ np.linalg.solve(V, S), S.T @ np.linalg.solve(V, y))
+    expected = _deviance(V, S, y, 0 * t) - _deviance(V, S, y, t)
+    assert float(likelihood_ratio(equations, case, columns)) == pytest.approx(expected, rel=1e-6)
+
+
+def test_units_and_orders_change_nothing(small, rng):
+    y = small.measured(rng, t=np.where(small.owner == 2, 0.4, 0.0))
+    kept = found(small)
+    mix = rng.permutation(len(kept.hypotheses))
+    at = np.concatenate([np.flatnonzero(kept.owner == h) for h in mix])
+    tenfold = tuple(
+        replace(h, parameters=tuple(replace(p, typical=-10.0 * p.typical) for p in h.parameters))
+        for h in (kept.hypotheses[i] for i in mix)
+    )
+    turned = rng.permutation(len(kept.layout.blocks))
+    layout = replace(kept.layout, block=turned[kept.layout.block])
+    owner = np.sort(np.argsort(mix)[kept.owner[at]])
+    other = replace(kept, layout=layout, hypotheses=tenfold, effect=-10.0 * kept.effect[:, at], owner=owner)
+    results = []
+    for one, names in ((kept, np.arange(mix.size)), (other, mix)):
+        won = select(modelled(one), one, build_full_whitener(one), y, seed=1)
+        results.append(([names[h] for h in won.chosen], won.null_deviance, won.deviance))
+    assert results[0][0] == results[1][0]
+    assert results[0][1:] == pytest.approx(results[1][1:], rel=1e-4)
+
+
+def test_the_full_whitener_leaves_white_noise(small):
+    """W V W' is the identity, with V the covariance by noise and all nuisances."""
+    W = build_full_whitener(found(small))(np.eye(small.layout.size))
+    np.testing.assert_allclose(W @ _dense(small) @ W.T, np.eye(small.layout.size), atol=1e-6)
+
+
+def test_what_is_alike_shares_a_class_and_nothing_else_does(campaign):
+    cosine, label = alias_cosines(campaign.equations), equivalence_classes(campaign.equations)
+    same = label[:, None] == label[None, :]
+    assert label.max() + 1 == 30
+    assert np.all(cosine[~same] <= 0.99)
+    assert np.all(cosine[same] > 0.99)
+
+
+def test_what_nuisances_imitate_is_not_seen(small):
+    kept = found(small)
+    free = tuple(replace(n, sigma=np.inf, random_per_block=False) for n in kept.nuisances)
+    effect = kept.effect.copy()
+    effect[:, 0] = kept.nuisance[:, 3]
+    equations = form_normal_equations(replace(kept, nuisances=free, effect=effect))
+    assert list(np.flatnonzero(~equations.identifiable)) == [0]
+    assert detection_limits(equations, equivalence_classes(equations))[0].limit == np.inf
+
+
+def test_the_detection_limit_is_found_in_nine_of_ten(made, campaign, rng):
+    """Power of the likelihood-ratio test at the limit, simulated: the interval of 400 cases is +-3 %."""
+    one = int(np.flatnonzero(np.bincount(made.owner) == 2)[0])
+    columns, limit = campaign.equations.columns((one,)), campaign.limits[one].limit
+    hits = 0
+    for _ in range(400):
+        y = made.measured(rng, t=np.where(made.owner == one, limit, 0.0))
+        case = campaign.equations.whiten(y)
+        hits += float(likelihood_ratio(campaign.equations, case, columns)) > chi2.isf(0.05, 2)
+    assert 0.86 <= hits / 400 <= 0.94
+    assert noncentrality(1) == pytest.approx((1.959964 + 1.281552) ** 2, rel=1e-3)

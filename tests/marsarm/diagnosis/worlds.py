@@ -1,0 +1,147 @@
+"""Synthetic linear robots: hypotheses (some aliased), nuisances, and data of known truth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from marsarm.diagnosis.diagnose import diagnose
+from marsarm.diagnosis.model import DiagnosisModel, build_model
+from marsarm.diagnosis.normal_equations import build_full_whitener
+from marsarm.diagnosis.problem import FeatureLayout, Hypothesis, Nuisance, Parameter
+from marsarm.diagnosis.selection import select_simulated
+from marsarm.diagnosis.sensitivity import Sensitivities, fit_parabola
+from simgap.effects.effect import Family
+
+CONDITIONS = ("temperature", "load", "direction", "speed", "sine", "cosine")
+REGIMES = ("rest", "slow", "reversal")
+
+
+@dataclass(frozen=True)
+class World:
+    """Simulator of the protocol: linear, or with a share `bent` of the square of each amplitude."""
+
+    layout: FeatureLayout
+    hypotheses: tuple[Hypothesis, ...]
+    nuisances: tuple[Nuisance, ...]
+    effect: np.ndarray
+    owner: np.ndarray
+    nuisance: np.ndarray
+    bent: float = 0.0
+
+    def predict(self, settings, nuisance):
+        t = np.zeros(self.owner.size)
+        for hypothesis, values in settings.items():
+            at = self.owner == self.hypotheses.index(hypothesis)
+            t[at] = [(v - p.absent) / p.typical for v, p in zip(values, hypothesis.parameters, strict=True)]
+        return self.effect @ (t + self.bent * t**2) + self.nuisance @ nuisance
+
+    def measured(self, rng, t=None, extra=None, robot=None):
+        """Return the residual of a case: amplitudes t (k,) in typical sizes, random nuisances, and noise.
+
+        A robot, by number, has the same nuisances in every campaign.
+        """
+        layout, same = self.layout, rng if robot is None else np.random.default_rng(robot)
+        value = layout.sigma * rng.standard_normal(layout.size)
+        if t is not None:
+            value += self.effect @ (t + self.bent * t**2)
+        if extra is not None:
+            value += extra
+        for index, nuisance in enumerate(self.nuisances):
+            each = nuisance.random_per_block
+            draw = rng.standard_normal(len(layout.blocks)) if each else same.standard_normal(1)
+            value += (
+                self.nuisance[:, index] * nuisance.sigma * np.resize(draw, len(layout.blocks))[layout.block]
+            )
+        return value
+
+
+def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4, two=2, scatter=2, bent=0.0):
+    """Build places with three channels each; effects are smooth in the conditions.
+
+    The last `alike` effects are nearly copies of others; `two` effects have two parameters.
+    """
+    rng = np.random.default_rng(seed)
+    block = np.sort(np.arange(m) % blocks)
+    place = rng.integers(places, size=m)
+    channel = 3 * place + rng.integers(3, size=m)
+    phase = np.linspace(0.0, 40.0, m)
+    condition = np.column_stack([
+        rng.normal(size=blocks)[block], np.sin(0.7 * phase + place), np.sign(np.sin(2.3 * phase)),
+        np.abs(np.cos(1.1 * phase)), np.sin(phase + place), np.cos(phase + place),
+    ])  # fmt: skip
+    names = [tuple(f"{what} {i}" for i in range(n)) for what, n in (("motion", blocks), ("place", places))]
+    channels = tuple(f"{names[1][c // 3]}.{'abc'[c % 3]}" for c in range(3 * places))
+    sigma = 10.0 ** rng.uniform(-4.0, 1.0, size=3 * places)[channel]
+    layout = FeatureLayout(
+        sigma, block, channel, place, block % 3, condition, names[0], channels, ("u",) * len(channels),
+        names[1], REGIMES, CONDITIONS,
+    )  # fmt: skip
+    basis = _basis(condition, channel)
+    shapes = [
+        rng.normal(size=(basis.shape[1], 2)) * (rng.random((basis.shape[1], 1)) < 0.25)
+        for _ in range(effects)
+    ]
+    for i in range(alike):
+        shapes[effects - 1 - i] = shapes[i] + 0.05 * shapes[effects - 1 - i]
+    hypotheses, columns, owner = [], [], []
+    for e in range(effects):
+        k = 2 if two <= e < 2 * two else 1
+        for p in range(places):
+            near = np.where(place == p, 1.0, np.where(np.abs(place - p) == 1, 0.2, 0.0))
+            parameters = tuple(Parameter(f"size {i}", "u", -1e3, 1e3, 0.5 + i, 0.0) for i in range(k))
+            hypotheses.append(Hypothesis(f"effect {e}", names[1][p], parameters))
+            columns += list((sigma[:, None] * near[:, None] * (basis @ shapes[e])[:, :k]).T)
+            owner += [len(hypotheses) - 1] * k
+    N = sigma[:, None] * (basis @ rng.normal(size=(basis.shape[1], nuisances))) * 0.2
+    N *= rng.random((places, nuisances))[place] < 0.4
+    uncertain = tuple(Nuisance(f"n{i}", "u", 0.1 * (1 + i % 7), i < scatter) for i in range(nuisances))
+    return World(layout, tuple(hypotheses), uncertain, np.array(columns).T, np.array(owner), N, bent)
+
+
+def found(made):
+    """Return sensitivities by differences about nominal: parabolas for amplitudes, lines for nuisances."""
+    zero, m = np.zeros(len(made.nuisances)), made.layout.size
+    nominal = made.predict({}, zero)
+    sized = [(h, at) for h in made.hypotheses for at, p in enumerate(h.parameters) if p.is_amplitude]
+    bent = [_parabola(made, hypothesis, at, nominal) for hypothesis, at in sized]
+    slope, bend = (np.array([one[k] for one in bent]).reshape(-1, m).T for k in (0, 1))
+    straight = [_centred(made, by) for by in np.diag([nuisance.sigma for nuisance in made.nuisances])]
+    return Sensitivities(
+        made.layout, made.hypotheses, made.nuisances, slope, bend, np.ones(len(sized)),
+        np.array([made.hypotheses.index(h) for h, _ in sized], np.intp), np.array(straight).reshape(-1, m).T,
+    )  # fmt: skip
+
+
+def modelled(sensitivities) -> DiagnosisModel:
+    """Return the diagnosis model: families by the number of the effect, locations as places."""
+    families = [list(Family)[int(h.effect.split()[-1]) % 4] for h in sensitivities.hypotheses]
+    return build_model(sensitivities, families, [h.place for h in sensitivities.hypotheses])
+
+
+def select_and_diagnose(model, residuals, seed, simulator=None):
+    """Select effects and diagnose; without a simulator, large effects are extrapolated."""
+    whiten = build_full_whitener(model.sensitivities)
+    return diagnose(model, residuals, select_simulated(model, whiten, residuals.value, seed, simulator), seed)
+
+
+def _centred(made, by):
+    return (made.predict({}, by) - made.predict({}, -by)) / (2.0 * by.sum())
+
+
+def _parabola(made, hypothesis, at, nominal):
+    """Return first and second-order change (m,) of the features per typical size of one parameter."""
+    zero, parameter = np.zeros(len(made.nuisances)), hypothesis.parameters[at]
+    ends = []
+    for sign in (1.0, -1.0):
+        there = hypothesis.absent
+        there[at] = np.clip(there[at] + sign * parameter.typical, parameter.least, parameter.most)
+        size = (there[at] - hypothesis.absent[at]) / parameter.typical
+        if size:
+            ends.append((made.predict({hypothesis: there}, zero) - nominal, float(size)))
+    return fit_parabola(ends)
+
+
+def _basis(c, channel):
+    """Return smooth functions (m, n) of the conditions, different in each kind of channel."""
+    pure = [np.ones(len(c)), *c.T, c[:, 1] * c[:, 2], c[:, 0] * c[:, 2], c[:, 1] * c[:, 4], c[:, 3] * c[:, 5]]
+    return np.column_stack([one * (channel % 3 == kind) for one in pure for kind in range(3)])

@@ -1,0 +1,341 @@
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import PIL.Image
+import pytest
+
+from marsarm.common.interruption import Interrupted
+from marsarm.render import gl
+from marsarm.render.picture import PictureError, save_movie, save_picture, write_gif
+from marsarm.render.rays import RayCamera, Rays
+from tests.marsarm.command import largest_file
+
+SCENE = """
+<mujoco>
+  <worldbody>
+    <light directional="true" dir="0.3 0.2 -1"/>
+    <camera name="front" pos="0 -3 1.2" xyaxes="1 0 0 0 0.35 0.94" fovy="45"/>
+    <geom name="ground" type="plane" size="0 0 1" rgba="0.6 0.3 0.2 1"/>
+    <geom type="box" size="0.2 0.2 0.2" pos="-1 0 0.2" rgba="0.9 0.1 0.1 1"/>
+    <geom type="cylinder" size="0.15 0.3" pos="-0.5 0 0.3" rgba="0.1 0.9 0.1 1"/>
+    <geom type="ellipsoid" size="0.1 0.2 0.3" pos="0.5 0 0.3" rgba="0.1 0.1 0.9 1"/>
+    <geom type="capsule" size="0.1 0.2" pos="1 0 0.3" rgba="0.9 0.9 0.1 1"/>
+    <geom name="hidden" type="sphere" size="0.3" pos="0 -1 0.5" group="3"/>
+    <body name="ball" pos="0 0 0.2">
+      <joint name="lift" type="slide" axis="0 0 1"/>
+      <geom type="sphere" size="0.02"/>
+      <geom type="sphere" size="0.2" pos="0 0 0.4" rgba="0.9 0.1 0.9 1" contype="0" conaffinity="0"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+SIZE = (160, 120)
+NO_GL = "the driver is not there"
+
+needs_gl = pytest.mark.skipif(
+    gl.unavailable_reason() is not None, reason=f"no OpenGL: {gl.unavailable_reason()}"
+)
+
+
+@pytest.fixture
+def model() -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(SCENE)
+
+
+@pytest.fixture
+def data(model: mujoco.MjModel) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return data
+
+
+@pytest.fixture
+def without_gl(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gl, "unavailable_reason", lambda: NO_GL)
+
+
+def pixels(path: Path) -> np.ndarray:
+    with PIL.Image.open(path) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+@pytest.mark.usefixtures("without_gl")
+def test_without_opengl_a_picture_is_drawn_and_the_hint_is_one_line(model, data, tmp_path):
+    result = save_picture(model, data, "front", tmp_path / "scene.png", SIZE)
+
+    assert (result.path, result.renderer) == (tmp_path / "scene.png", "rays")
+    assert NO_GL in result.hint
+    assert "apt-get install libegl1" in result.hint
+    assert "\n" not in result.hint
+    image = pixels(result.path)
+    assert image.shape == (120, 160, 3)
+    assert len(np.unique(image.reshape(-1, 3), axis=0)) > 100
+
+
+def test_rays_show_every_shape_in_its_colour_and_nothing_hidden(model, data):
+    image = RayCamera(model, 0, SIZE).take(data).astype(int)
+
+    brightest = image.max(axis=2, keepdims=True) - image < 40
+    colours = {tuple(colour) for colour in brightest.reshape(-1, 3)}
+    red, green, blue = (True, False, False), (False, True, False), (False, False, True)
+    assert {red, green, blue, (True, True, False), (True, False, True)} <= colours
+    data.geom_xpos[model.geom("hidden").id] = (0, 0, 100)
+    assert np.array_equal(image, RayCamera(model, 0, SIZE).take(data))
+
+
+def test_rays_agree_with_single_rays_though_only_geoms_in_the_way_are_asked(model, data):
+    rng = np.random.default_rng(1)
+    eye = np.array([0.3, -2.0, 1.0])
+    middle = np.array([0.0, 1.0, -0.3])
+    direction = middle + rng.uniform(-0.5, 0.5, (500, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+
+    geom, distance, _ = Rays(model).cast(data, eye, direction)
+
+    shown = np.array([1, 1, 1, 0, 0, 0], np.uint8)
+    for ray in range(len(direction)):
+        hit = np.array([-1], np.int32)
+        reach = mujoco.mj_ray(model, data, eye, direction[ray], shown, True, -1, hit)
+        assert (geom[ray], distance[ray]) == (hit[0], pytest.approx(reach))
+
+
+def test_shadow_is_darker_than_the_ground_beside_it(model, data):
+    rays = Rays(model)
+    up = np.array([[0.0, 0.0, 1.0]])
+    sun = data.light_xdir[0]
+    under_the_box = np.array([-1.0, 0.0, 0.4]) + sun * 0.4 / -sun[2] + [0.05, 0.0, 0.0]
+    open_ground = np.array([0.0, -2.0, 0.0])
+
+    shaded = rays.brightness(data, under_the_box[None] * [1, 1, 0], up)
+    lit = rays.brightness(data, open_ground[None], up)
+
+    assert np.all(shaded < 0.7 * lit)
+
+
+def test_rays_leave_the_model_alone(model, data):
+    groups, volumes = model.geom_group.copy(), model.body_bvhadr.copy()
+    RayCamera(model, 0, (32, 24)).take(data)
+    assert np.array_equal(model.geom_group, groups)
+    assert np.array_equal(model.body_bvhadr, volumes)
+
+
+@needs_gl
+def test_with_opengl_the_renderer_draws(model, data, tmp_path):
+    offscreen = model.vis.global_.offwidth, model.vis.global_.offheight
+    result = save_picture(model, data, "front", tmp_path / "scene.png", (900, 700))
+
+    assert (result.renderer, result.hint) == ("opengl", None)
+    image = pixels(result.path)
+    assert image.shape == (700, 900, 3)
+    assert np.ptp(image) > 100
+    assert (model.vis.global_.offwidth, model.vis.global_.offheight) == offscreen
+
+
+@needs_gl
+def test_both_renderers_see_the_same_scene(model, data, tmp_path):
+    drawn = pixels(save_picture(model, data, "front", tmp_path / "a.png", SIZE).path).astype(float)
+    cast = RayCamera(model, 0, SIZE).take(data).astype(float)
+
+    # Lighting differs slightly, outlines do not: compare the colours below the horizon.
+    def hue(image: np.ndarray) -> np.ndarray:
+        return (image - image.mean(axis=2, keepdims=True))[70:].ravel()
+
+    assert np.corrcoef(hue(drawn), hue(cast))[0, 1] > 0.9
+
+
+@pytest.mark.parametrize("wanted", ["opengl", "rays"])
+def test_movie_has_a_frame_for_each_pose(model, tmp_path, monkeypatch, wanted):
+    if wanted == "opengl" and gl.unavailable_reason() is not None:
+        pytest.skip(gl.unavailable_reason())
+    if wanted == "rays":
+        monkeypatch.setattr(gl, "unavailable_reason", lambda: NO_GL)
+    poses = [np.array([height]) for height in np.linspace(0.0, 0.5, 6)]
+
+    result = save_movie(model, poses, "front", tmp_path / "lift.gif", (80, 60))
+
+    assert result.renderer == wanted
+    with PIL.Image.open(result.path) as movie:
+        assert movie.n_frames == 6
+        assert movie.size == (80, 60)
+
+
+@pytest.mark.parametrize(
+    ("path", "complaint"),
+    [
+        ("nowhere/scene.png", "there is no folder"),
+        ("folder.png", "this is a folder"),
+        ("file.txt/scene.png", "there is no folder"),
+        ("scene.jpg", r"must end in \.png"),
+        ("scene", r"must end in \.png"),
+        ("s" * 300 + ".png", "too long"),
+        ("dangling.png", "a link to nothing, which is not there"),
+    ],
+)
+def test_bad_path_is_refused_before_any_work(model, data, tmp_path, monkeypatch, path, complaint):
+    (tmp_path / "folder.png").mkdir()
+    (tmp_path / "file.txt").touch()
+    (tmp_path / "dangling.png").symlink_to("nothing")
+    monkeypatch.setattr(gl, "unavailable_reason", lambda: pytest.fail("work was done"))
+    before = sorted(tmp_path.rglob("*"))
+
+    with pytest.raises(PictureError, match=complaint):
+        save_picture(model, data, "front", tmp_path / path, SIZE)
+
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_read_only_folder_is_refused(model, data, tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(PictureError, match="no right to write"):
+        save_picture(model, data, "front", tmp_path / "scene.png", SIZE)
+
+
+def test_unknown_camera_names_the_cameras_there_are(model, data, tmp_path):
+    with pytest.raises(PictureError, match="no camera 'back'; the model has: front"):
+        save_picture(model, data, "back", tmp_path / "scene.png", SIZE)
+
+
+def test_size_must_be_positive(model, data, tmp_path):
+    with pytest.raises(PictureError, match="size 0 x 10"):
+        save_picture(model, data, "front", tmp_path / "scene.png", (0, 10))
+
+
+def test_a_movie_is_called_a_movie(model, tmp_path):
+    with pytest.raises(PictureError, match=r"movie .*lift\.avi: its name must end in \.gif or \.mp4"):
+        save_movie(model, [], "front", tmp_path / "lift.avi")
+
+
+def test_a_link_to_a_file_may_be_written(model, data, tmp_path):
+    (tmp_path / "there.png").touch()
+    (tmp_path / "link.png").symlink_to("there.png")
+    save_picture(model, data, "front", tmp_path / "link.png", (32, 24))
+    assert pixels(tmp_path / "there.png").shape == (24, 32, 3)
+
+
+@pytest.mark.usefixtures("without_gl")
+@pytest.mark.parametrize("name", ["scene.png", "lift.gif", "lift.mp4"])
+@pytest.mark.parametrize("is_new", [True, False])
+def test_a_picture_or_movie_is_written_whole_or_not_at_all(model, data, tmp_path, name, is_new):
+    if name.endswith(".mp4"):
+        pytest.importorskip("av", reason="PyAV is not installed; pip install 'marsarm[movie]'")
+    path = tmp_path / name
+    if not is_new:
+        path.write_bytes(b"before")
+    with largest_file(1000):
+        if name.endswith(".png"):
+            result = save_picture(model, data, "front", path, SIZE)
+        else:
+            result = save_movie(model, np.linspace(0.0, 0.5, 6)[:, None], "front", path, SIZE)
+    assert result.path is None
+    assert f"{path} cannot be written (File too large)" in result.hint
+    assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == ({} if is_new else {name: b"before"})
+
+
+@pytest.mark.usefixtures("without_gl")
+def test_an_interrupted_movie_leaves_the_one_before(model, tmp_path, monkeypatch):
+    path = tmp_path / "lift.gif"
+    path.write_bytes(b"before")
+
+    def interrupt(self, file, *_, **__):
+        Path(file).write_bytes(b"half")
+        raise Interrupted(signal.SIGINT)
+
+    monkeypatch.setattr(PIL.Image.Image, "save", interrupt)
+    with pytest.raises(Interrupted):
+        save_movie(model, np.linspace(0.0, 0.5, 3)[:, None], "front", path, SIZE)
+    assert [one.read_bytes() for one in tmp_path.iterdir()] == [b"before"]
+
+
+def test_movie_without_frames_is_refused(tmp_path):
+    with pytest.raises(PictureError, match="no frame"):
+        write_gif([], tmp_path / "empty.gif")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("av") is None, reason="PyAV is not installed")
+def test_an_mp4_has_the_frames_of_a_gif(model, tmp_path):
+    import av
+
+    poses = [np.array([0.1 * k]) for k in range(5)]
+    result = save_movie(model, poses, "front", tmp_path / "lift.mp4", SIZE)
+    assert result.path == tmp_path / "lift.mp4"
+    with av.open(str(result.path)) as movie:
+        frames = [frame.to_ndarray(format="rgb24") for frame in movie.decode(video=0)]
+        assert movie.streams.video[0].codec_context.name == "h264"
+    assert [frame.shape for frame in frames] == [(120, 160, 3)] * 5
+    save_movie(model, poses, "front", tmp_path / "lift.gif", SIZE)
+    with PIL.Image.open(tmp_path / "lift.gif") as gif:
+        gif.seek(4)
+        last = np.asarray(gif.convert("RGB")).astype(int)
+    assert np.abs(frames[-1].astype(int) - last).mean() < 8, "both show the ball at its last pose"
+
+
+def test_an_mp4_without_pyav_is_refused_with_the_package_to_install(model, tmp_path, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(PictureError, match=r"PyAV is missing; pip install 'marsarm\[movie\]', or name a"):
+        save_movie(model, [], "front", tmp_path / "lift.mp4")
+
+
+def test_missing_pillow_is_a_message(model, data, tmp_path, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    result = save_picture(model, data, "front", tmp_path / "scene.png", SIZE)
+    assert (result.path, result.renderer) == (None, "none")
+    assert "pip install pillow" in result.hint
+    assert list(tmp_path.iterdir()) == []
+
+
+class Probe:
+    """Stand-in for the process that tries to draw."""
+
+    def __init__(self, returncode: int, stderr: str = "") -> None:
+        self.returncode, self.stderr = returncode, stderr
+
+
+@pytest.mark.parametrize(
+    ("outcome", "reason"),
+    [
+        (Probe(0, "libEGL warning: noise"), None),
+        (Probe(-11), "the driver crashed (signal 11)"),
+        (Probe(1, "Traceback\nImportError: no display. This means that ..."), "no display"),
+        (Probe(1), "the driver gave no reason"),
+        (subprocess.TimeoutExpired("probe", 30), "the driver did not answer in 30 s"),
+        (OSError("no such file"), "the probe did not start: no such file"),
+    ],
+)
+def test_whatever_the_driver_does_becomes_a_reason(monkeypatch, outcome, reason):
+    def run(*_args: object, **_options: object) -> Probe:
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+    monkeypatch.setattr(subprocess, "run", run)
+    assert gl.unavailable_reason.__wrapped__() == reason
+
+
+def test_opengl_switched_off_is_a_reason_and_not_an_error(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+    assert "turns OpenGL off" in gl.unavailable_reason.__wrapped__()
+
+
+def test_importing_the_pictures_asks_nothing_of_opengl():
+    code = "import marsarm.render.picture, sys; sys.exit('mujoco.egl' in sys.modules)"
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    assert subprocess.run([sys.executable, "-c", code], env=env).returncode == 0
+
+
+def test_a_disk_that_is_full_costs_the_picture_and_not_the_report(model, data, tmp_path, monkeypatch):
+    def full(*_args, **_options):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("PIL.Image.Image.save", full)
+    picture = save_picture(model, data, "front", tmp_path / "a.png", (64, 36))
+    movie = save_movie(model, [data.qpos.copy()], "front", tmp_path / "a.gif", (64, 36))
+    assert (picture.path, movie.path) == (None, None)
+    assert picture.hint == f"no picture: {tmp_path}/a.png cannot be written (No space left on device)"
+    assert movie.hint == f"no movie: {tmp_path}/a.gif cannot be written (No space left on device)"

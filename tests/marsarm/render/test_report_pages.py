@@ -1,0 +1,123 @@
+"""Every report: no horizontal scroll on a phone or a desk, light or dark, and figures that are no bitmaps."""
+
+import re
+
+import pytest
+
+from marsarm.accuracy.budget import run_budget
+from marsarm.accuracy.budget_report import save_budget_page
+from marsarm.accuracy.monte_carlo import run_monte_carlo
+from marsarm.accuracy.monte_carlo_report import save_monte_carlo_page
+from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
+from marsarm.calibration.campaign_file import save_campaign
+from marsarm.calibration.execution import run_calibration
+from marsarm.calibration.report import save_calibration_page
+from marsarm.calibration.request import CalibrateRequest
+from marsarm.diagnosis.page import save_diagnosis_page
+from marsarm.render.page import Origin
+from tests.marks import slow_but
+from tests.marsarm.calibration.lab import campaign, quiet
+from tests.marsarm.diagnosis import results
+from tests.marsarm.diagnosis.worlds import found, modelled, world
+from validation.browser import LOADED, MISSING, Browser, find_chromium
+
+PHONE = 400
+WIDTHS = (320, PHONE, 1400)
+LEAST_CONTRAST = 4.5
+"""Of text, by WCAG 2.1, level AA."""
+
+VERDICTS_SHOWN = (
+    "(({scrollWidth, clientWidth}) => scrollWidth <= clientWidth)(document.querySelector('.scroll'))"
+)
+"""True if the whole table of requirements is seen without scrolling."""
+CONTRAST = """
+(() => {
+  const canvas = document.createElement("canvas").getContext("2d");
+  const light = (colour) => {
+    canvas.fillStyle = colour; canvas.fillRect(0, 0, 1, 1);
+    const [r, g, b] = [...canvas.getImageData(0, 0, 1, 1).data].slice(0, 3)
+      .map((v) => v / 255).map((v) => v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const style = getComputedStyle(document.documentElement);
+  const [paper, ...inks] = ["paper", "ink", "muted", "red", "green", "amber"]
+    .map((name) => light(style.getPropertyValue("--" + name)));
+  return Math.min(...inks.map((ink) => (Math.max(ink, paper) + 0.05) / (Math.min(ink, paper) + 0.05)));
+})()
+"""
+
+
+def save_budget(path):
+    save_budget_page(run_budget(BudgetRequest(poses=100), quiet), path)
+
+
+def save_monte_carlo(path):
+    request = MonteCarloRequest(
+        "mars", "calibrated", arms=2, places=2, move_model="statics", seed=1, workers=1
+    )
+    save_monte_carlo_page(run_monte_carlo(request, quiet), path)
+
+
+def save_calibration(path):
+    poses = path.with_suffix(".parquet")
+    save_campaign(campaign(), poses)
+    save_calibration_page(run_calibration(CalibrateRequest(data=poses), quiet), path)
+
+
+def save_diagnosis(path):
+    made = world()
+    result = results.beside(made, modelled(found(made)))
+    save_diagnosis_page(result, Origin("marsarm diagnose logs", {"logs": "0" * 64}), path)
+
+
+SAVERS = (save_budget, save_monte_carlo, save_calibration, save_diagnosis)
+
+
+@pytest.fixture(scope="module", params=slow_but(SAVERS, save_budget))
+def page(request, tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / f"{request.param.__name__}.html"
+    request.param(path)
+    return path
+
+
+def test_a_report_fits_every_screen_by_its_structure(page):
+    text = page.read_text()
+    assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in text
+    assert '<meta name="color-scheme" content="light dark">' in text
+    assert "@media (prefers-color-scheme: dark)" in text
+    assert "main { max-width:" in text
+    assert text.count("<table>") == text.count('<div class="scroll" tabindex="0"><table>') > 1
+    assert not re.search(r'<(?:svg|div|table)[^>]*\swidth=|style="[^"]*(?<![-\w])width:', text)
+
+
+def test_a_report_holds_vector_figures_and_asks_for_nothing(page):
+    text = page.read_text()
+    assert text.count("<svg ") == text.count("<figure>") > 0
+    assert not re.search(r"<img|<image|data:image|<script|<link|url\(['\"]?http|src=", text)
+
+
+def test_a_report_says_requirement_bound_value_and_verdict_first(page):
+    text = page.read_text()
+    assert text.index("<th>verdict</th>") < text.index('<dl class="origin">') < text.index("<h2>")
+    assert re.search(r'<td class="(?:pass|fail)">(?:pass|FAIL)</td>', text)
+    for name in ("version", "command", "date"):
+        assert f"<dt>{name}</dt>" in text
+    assert re.search(r"<dt>SHA-256, \w+", text)
+
+
+@pytest.mark.skipif(find_chromium() is None, reason=MISSING)
+def test_a_report_never_scrolls_sideways_and_is_readable_in_a_browser(page):
+    with Browser() as browser:
+        papers = set()
+        for width in WIDTHS:
+            for dark in (False, True):
+                browser.open(page.as_uri(), width, 900, dark, LOADED)
+                assert browser.evaluate("innerWidth") == width
+                assert browser.evaluate("document.documentElement.scrollWidth") == width
+                if width >= PHONE:
+                    assert browser.evaluate(VERDICTS_SHOWN)
+                assert browser.evaluate(CONTRAST) >= LEAST_CONTRAST
+                papers.add((dark, browser.evaluate("getComputedStyle(document.body).backgroundColor")))
+        assert len(papers) == 2
+        assert browser.requests.count(page.as_uri()) == len(browser.requests) == 2 * len(WIDTHS)
+        assert not browser.problems

@@ -1,0 +1,109 @@
+"""Tests of pictures of a tilted rover, on a slope with a level horizon, and of a level one."""
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from marsarm.render.picture import PictureResult
+from marsarm.render.rays import Rays
+from marsarm.render.rover_scene import tilt_rover
+from marsarm.runs import execution
+from marsarm.runs.execution import Frames, RunLog, save_artifacts
+from marsarm.runs.request import RunFiles
+from sim.world import Scene, Surface, World, build
+
+ROCK = Surface((2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
+LOW_ROCK = Surface((2.05, 0.1, 0.2), (0.0, 0.0, -1.0))
+TILTS_DEG = [(10.0, -5.0), (-20.0, 0.0), (0.0, 30.0)]
+
+
+def drawn(world: World) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    spec = build(world, for_pictures=True)
+    tilt_rover(spec)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return model, data
+
+
+def tilted(roll_deg: float, pitch_deg: float, scene: Scene = "mars", surface: Surface | None = ROCK) -> World:
+    return World(scene, np.radians(roll_deg), np.radians(pitch_deg), surface)
+
+
+def axes(data: mujoco.MjData, body: str) -> np.ndarray:
+    return data.body(body).xmat.reshape(3, 3)
+
+
+@pytest.mark.parametrize("scene", ["mars", "earth"])
+@pytest.mark.parametrize(("roll_deg", "pitch_deg"), TILTS_DEG)
+def test_gravity_points_down_and_the_rover_feels_it_as_in_the_run(
+    scene: Scene, roll_deg: float, pitch_deg: float
+) -> None:
+    world = tilted(roll_deg, pitch_deg, scene)
+    model, data = drawn(world)
+    np.testing.assert_array_equal(model.opt.gravity[:2], 0.0)
+    for body in ("rover", "rmech"):
+        np.testing.assert_allclose(axes(data, body).T @ model.opt.gravity, world.gravity_N_m_s2, atol=1e-12)
+
+
+@pytest.mark.parametrize(("roll_deg", "pitch_deg"), TILTS_DEG)
+def test_the_horizon_is_level_on_all_sides(roll_deg: float, pitch_deg: float) -> None:
+    model, data = drawn(tilted(roll_deg, pitch_deg, "earth"))
+    azimuth = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
+    for height, seen in ((0.001, -1), (-0.001, model.geom("ground").id)):
+        ray = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.full(12, height)])
+        geom, _, _ = Rays(model).cast(data, np.array([0.0, 0.0, 20.0]), ray)
+        assert set(geom.tolist()) == {seen}
+
+
+@pytest.mark.parametrize("surface", [None, ROCK, LOW_ROCK], ids=["no rock", "rock", "rock below the wheels"])
+@pytest.mark.parametrize(("roll_deg", "pitch_deg"), TILTS_DEG)
+def test_rover_arm_and_rock_stay_together_on_the_slope(
+    roll_deg: float, pitch_deg: float, surface: Surface | None
+) -> None:
+    level = build(tilted(0.0, 0.0, surface=surface), for_pictures=True).compile()
+    model, data = drawn(tilted(roll_deg, pitch_deg, surface=surface))
+    before = mujoco.MjData(level)
+    mujoco.mj_kinematics(level, before)
+    turn = axes(data, "rover") @ axes(before, "rover").T
+
+    def of_rover(data: mujoco.MjData) -> np.ndarray:
+        named = ["turret"] if surface is None else ["turret", "rock"]
+        return np.array([data.body(name).xpos - data.body("rover").xpos for name in named])
+
+    np.testing.assert_allclose(of_rover(data), of_rover(before) @ turn.T, atol=1e-9)
+    top = data.geom("slope").xpos + axes_of_slope(data)[:, 2] * model.geom("slope").size[1]
+    under = (data.body("rover").xpos - top) @ axes_of_slope(data)[:, 2]
+    assert under == pytest.approx(-level.geom("ground").pos[2], abs=1e-9)
+    np.testing.assert_allclose(axes_of_slope(data), turn, atol=1e-9)
+
+
+def axes_of_slope(data: mujoco.MjData) -> np.ndarray:
+    return data.geom("slope").xmat.reshape(3, 3)
+
+
+def test_a_level_rover_is_drawn_as_ever() -> None:
+    spec = build(World(surface=ROCK), for_pictures=True)
+    before = spec.to_xml()
+    tilt_rover(spec)
+    assert spec.to_xml() == before
+
+
+def test_the_picture_of_a_run_is_of_the_tilted_rover(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    pictures: list[mujoco.MjModel] = []
+
+    def save(model: mujoco.MjModel, *_: Any) -> PictureResult:
+        pictures.append(model)
+        return PictureResult(None, "none")
+
+    monkeypatch.setattr(execution, "save_picture", save)
+    world = tilted(10.0, -5.0)
+    pose = np.zeros(build(world).compile().nq)
+    save_artifacts(
+        RunFiles(picture=tmp_path / "x.png"), world, Frames(), pose, RunLog(None, None), lambda *_: None
+    )
+    (model,) = pictures
+    np.testing.assert_allclose(model.opt.gravity, [0.0, 0.0, -3.711], atol=1e-12)

@@ -1,0 +1,230 @@
+"""Comparison of two runs: it reports every difference, and nothing else."""
+
+import json
+
+import numpy as np
+import pytest
+
+from marsarm.replay.behaviour import Behaviour, TopicSeries
+from marsarm.replay.compare import MIN_DIFFERENCE, compare_behaviours
+from marsarm.replay.compare_evrs import EvrChange, evr_differences
+from marsarm.telemetry.events import EvrEntry
+
+TICKS = 6
+
+
+def evr(tick: int, name: str = "Moved", **fields: object) -> EvrEntry:
+    return EvrEntry(tick, 1, name, f"{name} {fields}", json.dumps(fields))
+
+
+BOOTED = evr(0, "Booted")
+
+
+def behaviour(ticks: int = TICKS, evrs: tuple[EvrEntry, ...] = (BOOTED,), **fields: object) -> Behaviour:
+    columns = {name: np.array(values) for name, values in fields.items()}
+    return Behaviour(ticks, {"/joint": TopicSeries(np.arange(ticks), columns)}, evrs)
+
+
+def angles(**changed: float) -> np.ndarray:
+    values = np.arange(12.0).reshape(TICKS, 2) / 7
+    for place, value in changed.items():
+        tick, component = (int(digit) for digit in place.removeprefix("at_").split("_"))
+        values[tick, component] = value
+    return values
+
+
+def test_the_same_is_the_same_and_nan_is_nan():
+    values = angles(at_2_0=np.nan, at_3_1=np.inf)
+    found = compare_behaviours(behaviour(rad=values), behaviour(rad=values.copy()))
+    assert found.identical
+    assert (found.channels_compared, found.channels) == (1, ())
+
+
+def test_one_bit_is_a_difference_with_its_channel_component_and_tick():
+    after = angles(at_3_1=np.nextafter(7 / 7, 2.0))
+    (one,) = compare_behaviours(behaviour(rad=angles()), behaviour(rad=after)).channels
+    assert (one.channel, one.first_tick, one.first_component) == ("/joint.rad", 3, (1,))
+    assert (one.ticks, one.compared, one.greatest_tick) == (1, TICKS, 3)
+    assert one.greatest == 2**-52
+    assert one.at_first == (1.0, 1.0 + 2**-52)
+
+
+def test_the_first_the_greatest_and_the_count_are_told_apart():
+    after = angles(at_1_0=9.0, at_4_1=-90.0, at_5_0=0.0)
+    (one,) = compare_behaviours(behaviour(rad=angles()), behaviour(rad=after)).channels
+    assert (one.first_tick, one.first_component) == (1, (0,))
+    assert (one.greatest_tick, one.component) == (4, (1,))
+    assert one.ticks == 3
+    assert one.profile.tolist() == [0.0, *(abs(angles() - after).max(axis=1)[1:])]
+
+
+@pytest.mark.parametrize(("was", "now"), [(np.nan, 1.0), (1.0, np.nan), (1.0, np.inf), (-np.inf, np.inf)])
+def test_a_number_against_none_is_as_far_as_can_be(was, now):
+    (one,) = compare_behaviours(behaviour(rad=angles(at_2_0=was)), behaviour(rad=angles(at_2_0=now))).channels
+    assert one.greatest == np.inf
+
+
+def test_a_tolerance_is_relative_to_large_numbers_and_not_for_whole_ones():
+    far = 1e-12
+    assert compare_behaviours(behaviour(rad=angles()), behaviour(rad=angles() + 0.9 * far), far).identical
+    assert not compare_behaviours(behaviour(rad=angles()), behaviour(rad=angles() + 2.5 * far), far).identical
+    assert compare_behaviours(
+        behaviour(Nm=angles() * 1e6), behaviour(Nm=angles() * 1e6 + 1e-9), 1e-9
+    ).identical
+    assert not compare_behaviours(
+        behaviour(n=np.arange(TICKS)), behaviour(n=np.arange(TICKS) + 1), 2.0
+    ).identical
+
+
+def test_flags_and_counts_are_compared():
+    flags = np.zeros((TICKS, 2), bool)
+    other = flags.copy()
+    other[4, 1] = True
+    (one,) = compare_behaviours(behaviour(on=flags), behaviour(on=other)).channels
+    assert (one.first_tick, one.greatest, one.at_first) == (4, 1.0, (0.0, 1.0))
+
+
+LARGE = 2**60
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1e-12])
+@pytest.mark.parametrize(
+    ("was", "now", "apart"),
+    [
+        (np.int64(LARGE), np.int64(LARGE + 1), 1.0),
+        (np.int64(-(2**63)), np.int64(2**63 - 1), 2.0**64),
+        (np.int64(-LARGE), np.int64(-LARGE - 1), 1.0),
+        (np.uint64(2**64 - 1), np.uint64(2**64 - 2), 1.0),
+        (np.int8(-1), np.uint8(255), 256.0),
+        (np.float64(LARGE), np.int64(LARGE + 1), MIN_DIFFERENCE),
+    ],
+)
+def test_whole_numbers_are_compared_as_whole_numbers(was, now, apart, tolerance):
+    (one,) = compare_behaviours(behaviour(n=[was] * TICKS), behaviour(n=[now] * TICKS), tolerance).channels
+    assert (one.ticks, one.greatest) == (TICKS, apart)
+    assert one.at_first == (was.item(), now.item())
+    assert compare_behaviours(behaviour(n=[was] * TICKS), behaviour(n=[was] * TICKS), tolerance).identical
+
+
+def test_the_sign_of_zero_is_a_difference_bit_for_bit_and_none_within_a_tolerance():
+    was, now = behaviour(rad=angles(at_2_0=0.0)), behaviour(rad=angles(at_2_0=-0.0))
+    (one,) = compare_behaviours(was, now).channels
+    assert (one.first_tick, one.ticks, one.greatest) == (2, 1, MIN_DIFFERENCE)
+    assert str(one.at_first) == "(0.0, -0.0)"
+    assert compare_behaviours(was, now, 1e-12).identical
+
+
+def test_every_nan_is_the_same():
+    odd = np.array([0x7FF8000000000123], np.uint64).view(np.float64)[0]
+    assert compare_behaviours(
+        behaviour(rad=angles(at_2_0=np.nan)), behaviour(rad=angles(at_2_0=odd))
+    ).identical
+
+
+@pytest.mark.parametrize(("was", "now"), [(np.inf, 1.0), (1.0, np.inf), (np.inf, -np.inf), (1e308, -1e308)])
+def test_no_tolerance_reaches_from_a_number_to_an_infinity(was, now):
+    found = compare_behaviours(behaviour(rad=angles(at_2_0=was)), behaviour(rad=angles(at_2_0=now)), 1e-12)
+    assert found.channels[0].greatest == np.inf
+    assert kinds([evr(3, rad=was)], [evr(3, rad=now)], 1e-12) == [("changed", 3, "Moved")]
+
+
+def test_ticks_that_are_never_the_same_leave_nothing_to_compare():
+    was = Behaviour(2, {"/tool": TopicSeries(np.array([0]), {"m": np.zeros((1, 3))})}, (BOOTED,))
+    now = Behaviour(2, {"/tool": TopicSeries(np.array([1]), {"m": np.zeros((1, 3))})}, (BOOTED,))
+    found = compare_behaviours(was, now)
+    assert (found.channels, len(found.lengths)) == ((), 1)
+
+
+def test_a_run_that_ends_early_is_a_difference_of_length():
+    found = compare_behaviours(behaviour(rad=angles()), behaviour(4, rad=angles()[:4]))
+    assert not found.identical
+    assert found.ticks == (6, 4)
+    (length,) = found.lengths
+    assert (length.topic, length.recorded, length.replayed, length.first_tick) == ("/joint", 6, 4, 4)
+    assert found.channels == ()
+
+
+def test_a_packet_at_another_tick_is_a_difference_of_length():
+    was = Behaviour(9, {"/tool": TopicSeries(np.array([0, 4, 8]), {"m": np.zeros(3)})}, (BOOTED,))
+    now = Behaviour(9, {"/tool": TopicSeries(np.array([0, 5, 8]), {"m": np.zeros(3)})}, (BOOTED,))
+    (length,) = compare_behaviours(was, now).lengths
+    assert (length.topic, length.recorded, length.replayed, length.first_tick) == ("/tool", 3, 3, 4)
+
+
+def test_a_topic_that_is_gone_is_a_difference():
+    (length,) = compare_behaviours(behaviour(rad=angles()), Behaviour(TICKS, {}, (BOOTED,))).lengths
+    assert (length.topic, length.replayed) == ("/joint", 0)
+
+
+def test_only_chosen_channels_are_compared_but_events_always():
+    found = compare_behaviours(
+        behaviour(a=angles(), b=angles()),
+        behaviour(a=angles() + 1, b=angles() + 1, evrs=()),
+        chosen=lambda topic, name: (topic, name) == ("/joint", "b"),
+    )
+    assert [one.channel for one in found.channels] == ["/joint.b"]
+    assert [one.kind for one in found.evrs] == [EvrChange.MISSING]
+
+
+def test_channels_of_only_one_run_are_reported():
+    found = compare_behaviours(
+        behaviour(a=angles(), c=np.zeros(TICKS)), behaviour(b=angles(), c=np.zeros((TICKS, 2)))
+    )
+    assert found.not_compared == (
+        "/joint.a: only one side has it; not compared",
+        "/joint.b: only one side has it; not compared",
+        "/joint.c: has another shape; not compared",
+    )
+
+
+def test_an_imported_log_is_compared_in_the_topics_that_it_has():
+    was = behaviour(rad=angles(), evrs=())
+    now = Behaviour(
+        TICKS,
+        {"/tool": TopicSeries(np.arange(2), {"m": np.zeros(2)}), **behaviour(rad=angles()).series},
+        (BOOTED,),
+    )
+    found = compare_behaviours(was, now)
+    assert found.identical
+    assert found.not_compared == ("/tool: not recorded; not compared", "/evr: not recorded; not compared")
+    assert not compare_behaviours(behaviour(rad=angles() + 1, evrs=()), now).identical
+
+
+def kinds(was: list[EvrEntry], now: list[EvrEntry], tolerance: float = 0.0) -> list[tuple]:
+    return [(one.kind.value, one.tick, one.name) for one in evr_differences(was, now, tolerance)]
+
+
+def test_events_are_missing_added_or_changed():
+    was = [BOOTED, evr(3, "Moved", rad=1.0), evr(4, "Stopped")]
+    now = [BOOTED, evr(3, "Moved", rad=2.0), evr(5, "Stalled")]
+    assert kinds(was, now) == [("changed", 3, "Moved"), ("missing", 4, "Stopped"), ("added", 5, "Stalled")]
+
+
+def test_an_event_that_comes_later_has_changed():
+    (one,) = evr_differences([evr(3)], [evr(5)])
+    assert (one.kind, one.tick, one.recorded.tick, one.replayed.tick) == (EvrChange.CHANGED, 3, 3, 5)
+
+
+def test_an_event_of_the_same_words_is_its_partner_before_one_of_the_same_name():
+    first, second = evr(3, "Done", of="A"), evr(9, "Done", of="B")
+    found = evr_differences([first, second], [evr(5, "Done", of="B")])
+    assert [(one.kind, one.recorded, one.tick) for one in found] == [
+        (EvrChange.MISSING, first, 3),
+        (EvrChange.CHANGED, second, 5),
+    ]
+
+
+def test_one_event_too_many_of_a_name_is_added():
+    assert kinds([evr(3, n=1)], [evr(3, n=1), evr(3, n=2)]) == [("added", 3, "Moved")]
+
+
+def test_the_order_within_a_tick_counts():
+    assert kinds([evr(3, "A"), evr(3, "B")], [evr(3, "B"), evr(3, "A")]) == [("changed", 3, "A")]
+
+
+def test_within_a_tolerance_fields_are_compared_and_words_are_not():
+    was, now = evr(3, rad=[1.0, float("nan")]), evr(3, rad=[1.0 + 1e-13, float("nan")])
+    assert was.message != now.message
+    assert kinds([was], [now], 1e-12) == []
+    assert kinds([was], [now]) == [("changed", 3, "Moved")]
+    assert kinds([was], [evr(3, rad=[1.1, float("nan")])], 1e-12) == [("changed", 3, "Moved")]

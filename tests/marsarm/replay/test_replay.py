@@ -1,0 +1,203 @@
+"""Replay of a log by today's flight software: every change shows."""
+
+from dataclasses import replace
+
+import pytest
+
+import sim.loop
+from fsw.cycle import step
+from marsarm.common.errors import BadRequest
+from marsarm.replay.replay import ReplayRequest, replay
+from marsarm.replay.tables import replay_json, replay_table, verdict_line
+from marsarm.runs.request import RunFiles, RunRequest
+from marsarm.runs.scenario import run_scenario
+from marsarm.telemetry.header import run_header
+from marsarm.telemetry.read import read_log
+from marsarm.telemetry.recorder import Recorder
+from tests.replay.remake import FOLDER, make
+from tests.replay.runs import RUNS
+
+LOG = FOLDER / "joints.mcap"
+
+
+def ticks_of(log) -> int:
+    return read_log(log)["/sensors"].size
+
+
+def silent(*_) -> None:
+    """Ignore progress."""
+
+
+def replayed(tmp_path, toml: str = "", **request):
+    path = tmp_path / "other.toml"
+    path.write_text(toml)
+    return replay(ReplayRequest(request.pop("log", LOG), params=path if toml else None, **request), silent)
+
+
+def test_what_would_it_have_done_with_another_parameter(tmp_path):
+    (joints,) = (one for one in RUNS if one.name == "joints")
+    report = replayed(tmp_path, "[joints.turret]\nspeed_rad_s = 0.02\n", log=make(joints, tmp_path))
+    assert report.changed_params == ("joints.turret.speed_rad_s: 0.03490658503988659 is 0.02 now",)
+    channels = {one.channel: one for one in report.differences.channels}
+    assert channels["/drive.setpoint_rate_rad_s"].first_tick > 190
+    assert report.differences.evrs[0].name == "Booted"
+    document = replay_json(report)
+    assert document["identical"] is False
+    assert document["channels"][0]["waveform"]
+
+
+def test_the_parameters_of_the_log_stay_where_the_file_says_nothing(tmp_path):
+    report = replayed(tmp_path, "[joints.turret]\nspeed_rad_s = 0.03490658503988659\n")
+    assert report.changed_params == ()
+    assert report.differences.identical
+
+
+@pytest.mark.parametrize(
+    ("toml", "message"),
+    [
+        ("[joints.turret]\nspeed = 1\n", "joints.turret.speed: is not a parameter"),
+        ("[joints.turret]\nspeed_rad_s = 9.0\n", "joints.turret.speed_rad_s: 9.0 is outside"),
+        ("[joints", "is not TOML"),
+    ],
+)
+def test_parameters_that_cannot_be_flown_are_refused(tmp_path, toml, message):
+    with pytest.raises(BadRequest, match=message.replace(".", r"\.")):
+        replayed(tmp_path, toml)
+
+
+def test_a_channel_that_nobody_has_is_refused(tmp_path):
+    with pytest.raises(BadRequest, match=r"channel: nothing is called 'motor'; .*there are /drive\.setpoint"):
+        replayed(tmp_path, channel="motor")
+    with pytest.raises(BadRequest, match=r"did you mean /joint\.motor_rad\?"):
+        replayed(tmp_path, channel="/joint.moter_rad")
+
+
+@pytest.mark.parametrize("pattern", ["/joint.backlash*", "/joint/backlash*"])
+def test_only_channels_that_match_in_either_spelling_are_compared(tmp_path, pattern):
+    assert replayed(tmp_path, channel=pattern).differences.channels_compared == 3
+
+
+def of_sensors_alone(path):
+    return replace(read_log(path), packets={"/sensors": read_log(path)["/sensors"]}, evrs=())
+
+
+def test_without_outputs_there_is_nothing_to_compare(tmp_path, monkeypatch):
+    monkeypatch.setattr("marsarm.replay.replay.read_log", of_sensors_alone)
+    with pytest.raises(BadRequest, match=r"nothing to compare: .* no event and no channel of /drive"):
+        replayed(tmp_path)
+    with pytest.raises(BadRequest, match="channel: nothing is called 'nonsense'"):
+        replayed(tmp_path, channel="nonsense")
+
+
+def test_a_software_error_is_reported_even_with_nothing_to_compare(tmp_path, monkeypatch):
+    def broken(config, state, sensors, commands):
+        raise KeyError("nobody thought of that")
+
+    monkeypatch.setattr("marsarm.replay.replay.read_log", of_sensors_alone)
+    monkeypatch.setattr(sim.loop, "step", broken)
+    found = replayed(tmp_path).differences
+    assert (found.identical, found.nothing_compared, found.ticks) == (False, True, (ticks_of(LOG), 1))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"), [(b"", "an empty file"), (b"hello", "not an MCAP file"), (None, "cannot be read")]
+)
+def test_a_file_that_is_no_log_is_refused(tmp_path, content, message):
+    path = tmp_path / "run.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(BadRequest, match=message):
+        replayed(tmp_path, log=path)
+
+
+def test_a_software_error_in_the_replay_is_a_difference(tmp_path, monkeypatch):
+    def broken(config, state, sensors, commands):
+        if state.tick == 100:
+            raise KeyError("nobody thought of that")
+        return step(config, state, sensors, commands)
+
+    monkeypatch.setattr(sim.loop, "step", broken)
+    report = replayed(tmp_path)
+    added = [one for one in report.differences.evrs if one.recorded is None]
+    assert [(one.tick, one.name) for one in added] == [(100, "SoftwareError")]
+    assert "nobody thought of that" in added[0].replayed.message
+    assert report.differences.ticks == (ticks_of(LOG), 101)
+    changed = {one.channel: one.first_tick for one in report.differences.channels}
+    assert changed["/drive.power_on"] == changed["/drive.brake_release"] == 100
+    assert min(changed.values()) == 100
+    replay_table(report)
+
+
+def test_a_change_of_flight_software_is_named_by_channel_and_tick(tmp_path, monkeypatch):
+    def changed(config, state, sensors, commands):
+        state, outputs = step(config, state, sensors, commands)
+        if state.tick == 51:
+            motor_rad = outputs.joint.motor_rad.copy()
+            motor_rad[2] += 1e-9  # on another processor than the log's, less than 1e-12 is let pass
+            outputs = replace(outputs, joint=replace(outputs.joint, motor_rad=motor_rad))
+        return state, outputs
+
+    monkeypatch.setattr(sim.loop, "step", changed)
+    found = replayed(tmp_path, channel="/joint.motor_rad").differences
+    (one,) = found.channels
+    assert (one.channel, one.first_component, one.first_tick) == ("/joint.motor_rad", (2,), 50)
+    assert verdict_line(found).startswith(
+        f"DIFFERENT: 0 events, 0 lengths, 1 of 1 channel; {ticks_of(LOG)} ticks"
+    )
+
+
+SHORT = """\
+title = "A short move"
+summary = "Turn the turret a little."
+start = "ready"
+
+[[command]]
+type = "MOVE_JOINT"
+joint = "turret"
+angle_deg = 91
+
+[[fault]]
+type = "MISSED_CYCLES"
+during = 1
+after_s = 1
+count = 2
+
+[[check]]
+type = "done"
+"""
+
+
+@pytest.mark.slow
+def test_a_scenario_with_a_calibrated_arm_and_missed_cycles_replays_bit_for_bit(tmp_path):
+    scenario = tmp_path / "short.toml"
+    scenario.write_text(SHORT)
+    log = tmp_path / "run.mcap"
+    run_scenario(RunRequest(str(scenario), "calibrated:7", (5.0, -3.0), 4, files=RunFiles(log)), silent)
+    found = replayed(tmp_path, log=log).differences
+    assert found.identical
+    assert found.tolerance == 0.0
+    assert "CyclesSkipped" in [evr.name for evr in read_log(log).evrs]
+
+
+@pytest.mark.slow
+def test_a_scenario_of_the_project_replays_bit_for_bit(tmp_path):
+    log = tmp_path / "run.mcap"
+    run_scenario(RunRequest("bit-exchange", files=RunFiles(log)), silent)
+    found = replayed(tmp_path, log=log).differences
+    assert found.identical
+    assert found.tolerance == 0.0
+    assert found.ticks[0] > 7000
+
+
+def test_a_log_cut_short_replays_as_far_as_it_goes(tmp_path):
+    (no_number,) = (one for one in RUNS if one.name == "no-number")
+    loop, log = no_number.loop(), tmp_path / "run.mcap"
+    with Recorder(log, run_header(loop, "nominal", 0, {}, ()), chunk_s=0.0) as recorder:
+        for record in no_number.cycles(loop):
+            recorder.write(record)
+    written = log.read_bytes()
+    log.write_bytes(written[: len(written) // 2])
+    report = replayed(tmp_path, log=log)
+    assert report.differences.identical
+    assert 10 < report.differences.ticks[0] < 80
+    assert report.notes[0].startswith("the log was cut short: replayed up to tick")

@@ -1,0 +1,214 @@
+"""`marsarm robot diagnose`: its page in a browser, its files, and requests that are wrong."""
+
+import json
+import re
+from dataclasses import replace
+
+import pytest
+
+import marsarm.robot.diagnosis as execution
+from helpers.verdicts import (
+    ARMATURE,
+    FRICTION,
+    GAIN,
+    LIFT,
+    PAN,
+    REFUSED,
+    REST,
+    Drawn,
+    diagnosis,
+    finding,
+    without_floor,
+)
+from marsarm.common.errors import BadRequest
+from marsarm.robot.diagnosis import RobotDiagnosis, diagnose_robot, save_diagnosis_files
+from marsarm.robot.diagnosis_page import print_diagnosis, save_diagnosis_page
+from marsarm.robot.request import RobotDiagnoseRequest
+from simgap.errors import RobotError
+from simgap.report.traces import choose_traces, make_traces
+from tests.marsarm.cli.test_bad_input import snapshot
+from tests.marsarm.robot.arm_folder import write_arm
+from validation.browser import LOADED, MISSING, Browser, find_chromium
+
+WIDTHS = (320, 400, 1400)
+FOUND = diagnosis(
+    findings=(FRICTION, finding(effects=("lift: gain error", "lift: torque constant"))),
+    base=(GAIN, ARMATURE),
+    remaining=(REST,),
+    refused=REFUSED,
+)
+needs_chromium = pytest.mark.skipif(find_chromium() is None, reason=MISSING)
+
+
+def made(tmp_path, result=FOUND, traces=True):
+    request = RobotDiagnoseRequest(tmp_path / "robot.toml", (tmp_path / "log.parquet",))
+    shown = make_traces(Drawn(), result) if traces else ()
+    return RobotDiagnosis(request, result, shown, None, {"robot": "0" * 64})
+
+
+def text_of(tmp_path, **changes):
+    save_diagnosis_page(made(tmp_path, **changes), tmp_path / "page.html")
+    return (tmp_path / "page.html").read_text()
+
+
+def test_the_page_opens_with_the_four_lines_then_the_origin(tmp_path):
+    text = text_of(tmp_path)
+    verdict = re.search(r'<p class="verdict[^>]*>(.*?)</p>', text, re.S)[1].splitlines()
+    assert [line.partition(":")[0] for line in verdict] == ["Where", "What", "How far", "Next"]
+    assert text.index("Where: lift") < text.index('<dl class="origin">') < text.index("<h2>")
+    assert "marsarm robot diagnose" in text
+
+
+def test_the_page_asks_for_nothing(tmp_path):
+    assert not re.search(r"<img|<link|url\(|\ssrc=|https?://(?!www\.w3\.org/2000/svg)", text_of(tmp_path))
+
+
+def test_each_joint_has_a_figure_with_the_worst_the_middle_and_the_best_motion(tmp_path):
+    chosen = choose_traces(make_traces(Drawn(), FOUND))
+    assert {joint: [one.motion for one in own] for joint, own in chosen.items()} == {
+        ("pan", "simulation"): ["g", "e", "d"],
+        ("lift", "simulation"): ["g", "e", "d"],
+    }
+    text = text_of(tmp_path)
+    assert text.count('<figure class="traces"') == 2
+    motions = json.loads(re.search(r'<script type="application/json">(.*?)</script>', text, re.S)[1])
+    assert len(motions) == 3
+    panels = motions[0]["panels"]
+    assert list(panels[0]["series"]) == ["measured", "nominal", "explained"]
+    assert list(panels[1]["series"]) == ["nominal", "explained"]
+
+
+def test_a_long_trace_is_thinned_and_the_page_stays_small(tmp_path):
+    long = replace(made(tmp_path), traces=make_traces(Drawn(20000), FOUND))
+    save_diagnosis_page(long, tmp_path / "page.html")
+    assert (tmp_path / "page.html").stat().st_size < 1_000_000
+
+
+def test_a_name_from_a_log_cannot_break_out_of_the_page(tmp_path):
+    evil = "</script><script>alert(1)</script>"
+    refused = (replace(REFUSED[0], motion=evil),)
+    text = text_of(tmp_path, result=replace(FOUND, errors=(replace(PAN, joint=evil),), refused=refused))
+    assert "<script>alert" not in text
+
+
+def test_a_page_without_held_out_motions_or_floor_says_so(tmp_path):
+    fitted = replace(FOUND, judged_motions=(), errors=(without_floor(LIFT),))
+    text = text_of(tmp_path, result=fitted)
+    assert "the fitted motions: none was held out" in text
+    assert "No repeated motion shows the noise floor" in text
+    assert 'class="floor"' not in text
+
+
+@needs_chromium
+def test_the_page_fits_every_width_in_both_schemes_without_an_error(tmp_path):
+    text_of(tmp_path)
+    with Browser() as browser:
+        for width in WIDTHS:
+            for dark in (False, True):
+                browser.open((tmp_path / "page.html").as_uri(), width, 900, dark, LOADED)
+                assert browser.evaluate("document.documentElement.scrollWidth") == width
+                assert browser.evaluate("document.querySelectorAll('.traces path.trace').length") == 10
+        assert not browser.problems
+        assert len(browser.requests) == 2 * len(WIDTHS)
+
+
+@needs_chromium
+def test_traces_zoom_and_show_values_at_the_pointer(tmp_path):
+    text_of(tmp_path)
+    with Browser() as browser:
+        browser.open((tmp_path / "page.html").as_uri(), 1400, 900, False, LOADED)
+        browser.evaluate(
+            "window.box = document.querySelector('.traces'); window.svg = box.querySelector('svg')"
+        )
+
+        def pointer(kind, x):
+            browser.evaluate(
+                "(() => { const r = svg.getBoundingClientRect(); svg.setPointerCapture = () => {};"
+                f"svg.dispatchEvent(new PointerEvent('{kind}', {{clientX: r.left + {x}, clientY: r.top + 50,"
+                "pointerType: 'mouse', bubbles: true})); })()"
+            )
+
+        pointer("pointermove", 300)
+        readout = browser.evaluate("box.querySelector('.readout').textContent")
+        assert re.match(r"\d+\.\d{3} s; measured -?\d\.\d+, model as it is -?\d", readout)
+        whole = browser.evaluate("box.figure.span")
+        for kind, x in (("pointerdown", 300), ("pointermove", 500), ("pointerup", 500)):
+            pointer(kind, x)
+        low, high = browser.evaluate("box.figure.span")
+        assert whole[0] < low < high < whole[1]
+        browser.evaluate("box.querySelector('button[data-zoom=\"0\"]').click()")
+        assert browser.evaluate("box.figure.span") == whole
+        browser.evaluate("box.querySelector('button[data-series=nominal]').click()")
+        assert browser.evaluate("box.querySelectorAll('path.trace').length") == 3
+        browser.evaluate("window.list = box.querySelector('select'); list.value = 1")
+        browser.evaluate("list.dispatchEvent(new Event('change'))")
+        assert browser.evaluate("box.figure.motion === box.figure.motions[1]")
+        assert not browser.problems
+
+
+def test_the_screen_has_the_four_lines_then_the_details(tmp_path, capsys):
+    print_diagnosis(made(tmp_path))
+    shown = " ".join(capsys.readouterr().out.split())
+    assert shown.startswith("Where: lift. Something more remains at pan. What: Coulomb friction at lift")
+    assert "Without it, 80 % of the explainable error of its joint comes back." in shown
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("arm")
+    write_arm(place)
+    return place
+
+
+def request(folder, **changes):
+    return RobotDiagnoseRequest(folder / "robot.toml", (folder / "log.parquet",), **changes)
+
+
+def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypatch):
+    options_seen = {}
+
+    def find(robot, motions, **options):
+        options_seen.update(options, motions=motions)
+        options["progress"](0.5, "half")
+        return diagnosis(effects=(), sizes=(), judged_motions=("motion 3",))
+
+    monkeypatch.setattr(execution, "diagnose", find)
+    reports = []
+    files = {"report": folder / "page.html", "patch": folder / "found"}
+    result = diagnose_robot(
+        request(folder, held_out=("motion 3",), seed=7, **files), lambda *said: reports.append(said)
+    )
+    assert [motion.name for motion in options_seen["motions"]] == ["motion 0", "motion 1", "motion 2"]
+    assert [motion.name for motion in options_seen["held_out"]] == ["motion 3"]
+    assert options_seen["seed"] == 7
+    assert any(one.reason == "contact with a plane" for one in options_seen["audit"].refused)
+    assert reports[-1][2] == "half"
+    assert not any(path.exists() for path in files.values())
+    save_diagnosis_files(result)
+    assert (folder / "found" / "patched.xml").is_file()
+    assert files["report"].read_text().count('<figure class="traces"') == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"held_out": ("nosuch",)}, RobotError, "nosuch"),
+        ({"split": "nosuch"}, RobotError, "nosuch"),
+        ({"patch": "log.parquet"}, BadRequest, "this is a file; give the path of a folder"),
+        ({"report": "page.txt"}, BadRequest, "must end in .html"),
+        ({"effects": ("nosuch.py",)}, RobotError, "no such file"),
+        ({"held_out": tuple(f"motion {k}" for k in range(4))}, RobotError, "nothing is fitted"),
+    ],
+    ids=["held out", "split", "patch", "report", "effects", "too few"],
+)
+def test_a_wrong_request_is_one_sentence_and_writes_nothing(folder, changes, error, words):
+    paths = {
+        key: tuple(folder / one for one in value) if isinstance(value, tuple) else folder / value
+        for key, value in changes.items()
+        if key in ("patch", "report", "effects")
+    }
+    before = snapshot(folder)
+    with pytest.raises(error, match=re.escape(words)) as caught:
+        diagnose_robot(request(folder, **(changes | paths)))
+    assert "\n" not in str(caught.value)
+    assert snapshot(folder) == before

@@ -1,0 +1,132 @@
+"""Tests of `marsarm hardstop` as a user runs it."""
+
+import json
+
+import PIL.Image
+import pytest
+
+from fsw.dictionary.enums import Joint
+from marsarm.common.errors import BadRequest
+from marsarm.runs.hardstop import hardstop, plan_stops
+from marsarm.runs.hardstop_report import hardstop_json, plan_json
+from marsarm.runs.request import HardstopRequest
+from tests.marsarm.command import marsarm, marsarm_process
+
+
+def quiet(*_) -> None:
+    """Ignore progress."""
+
+
+def test_one_joint_is_found_and_drawn(tmp_path):
+    picture = tmp_path / "turret.png"
+    done = marsarm_process(tmp_path, "hardstop", "--joint", "turret", "--picture", str(picture), "--json")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert document["outcome"] == "done"
+    (joint,) = document["joints"]
+    assert joint == "turret"
+    assert abs(document["joints"]["turret"]["zero_error_mrad"]) < 0.1
+    assert document["max_current_ratio"] == pytest.approx(1.0, abs=1e-9)
+    with PIL.Image.open(picture) as image:
+        assert image.width > 1000
+
+
+def test_people_see_a_table_and_what_was_said(tmp_path):
+    done = marsarm(tmp_path, "hardstop", "--joint", "wrist", "--arm", "as-built:5", "--temperature", "-55")
+    assert done.returncode == 0, done.stderr
+    assert "WRIST calibrated" in done.stdout
+    assert "zero error" in done.stdout
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_repetitions_are_of_other_days_and_the_same_again():
+    request = HardstopRequest(joint="turret", repeat=3, arm="as-built:2")
+    first, again = (hardstop_json(hardstop(request, quiet)) for _ in range(2))
+    assert first == again
+    turret = first["joints"]["turret"]
+    assert turret["found"] == 3
+    assert 0 < turret["zero_error_3_sigma_mrad"] < 0.3
+    # without the wind-up correction, the error contains the friction, which varies from day to day
+    assert abs(turret["uncorrected_error_mrad"]) > 1.0
+
+
+def test_the_plan_shows_equal_torques_and_moves_nothing():
+    document = plan_json(plan_stops(HardstopRequest()))
+    mars, earth = (document[place]["joints"] for place in ("mars, with turret", "earth, without turret"))
+    for joint in ("elevation", "elbow", "wrist"):
+        assert mars[joint]["torque_Nm"] == pytest.approx(earth[joint]["torque_Nm"], abs=0.5)
+    assert all(plan["clearance_mm"]["rover_and_ground"] > 30 for plan in document.values())
+
+
+@pytest.mark.slow
+def test_all_joints_one_after_the_other_as_flight_software_does_it(tmp_path):
+    done = marsarm(tmp_path, "hardstop", "--all", "--arm", "as-built:3", "--temperature", "-40", "--json")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert set(document["joints"]) == {joint.name.lower() for joint in Joint}
+    for found in document["joints"].values():
+        assert abs(found["zero_error_mrad"]) < 0.3
+        assert found["max_torque_Nm"] < 600
+    assert "CommandCompleted" in [evr["name"] for evr in document["evrs"]]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--joint", "knee"], "joint: 'knee' is not known; there are azimuth, elevation"),
+        (["--joint", "elbow", "--all"], "--joint elbow asks for one joint, --all for all"),
+        (["--repeat", "0"], "repeat: 0 is not within 1 .. 1000"),
+        (["--temperature", "300"], "temperature: 300.0 degC is not within -130 .. 50 degC"),
+        (["--temperature", "nan"], "temperature: nan degC"),
+        (["--scene", "moon"], "scene: 'moon' is not known"),
+        (["--arm", "bent"], "arm 'bent' is not known"),
+        (["--seed", "-1"], "seed: -1 is below 0"),
+        (["--tilt-roll", "40"], "tilt"),
+        (["--picture", "x.jpg"], "its name must end in .png"),
+        (["--start", "0", "0", "0", "0", "0"], "start: is for one joint, once"),
+        (
+            ["--joint", "elbow", "--start", "0", "0", "170", "0", "0"],
+            "joint elbow: 170 deg is outside",
+        ),
+        (["--joint", "elbow", "--start", "0", "0", "nan", "0", "0"], "joint elbow: nan deg is outside"),
+        (["--params", "none.toml"], "cannot be read"),
+    ],
+)
+def test_bad_input_is_said_and_nothing_is_written(tmp_path, words, sentence):
+    done = marsarm(tmp_path, "hardstop", *words, "--json")
+    assert done.returncode == 2
+    assert sentence in json.loads(done.stdout)["error"]
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("[joints.elbow]\nhardstop_rad = -2.8\n", "joints.elbow.hardstop_rad: -2.8 is not between"),
+        ("[joints.elbow]\nhardstop_rad = -3.3\n", "joints.elbow.hardstop_rad: -3.3 is not between"),
+        ("[hardstop]\nstart_rad = [0.0, 0.0, 3.0, 0.0, 0.0]\n", "hardstop.start_rad: joint elbow"),
+        ("[hardstop]\nlead_rad = 0.1\n", "hardstop.lead_rad: 0.1 is outside"),
+    ],
+)
+def test_a_hardstop_outside_the_limits_is_refused(tmp_path, text, sentence):
+    file = tmp_path / "bad.toml"
+    file.write_text(text)
+    with pytest.raises(BadRequest, match=sentence.replace(".", r"\.").replace("[", r"\[")):
+        hardstop(HardstopRequest(joint="elbow", params=file), quiet)
+
+
+def test_an_unsafe_pose_is_refused_without_any_motion(tmp_path):
+    pose = ["0", "-60", "110", "130", "90"]
+    done = marsarm(tmp_path, "hardstop", "--joint", "elbow", "--start", *pose, "--json")
+    assert done.returncode == 3
+    document = json.loads(done.stdout)
+    assert document["outcome"] == "refused"
+    assert "where elbow may be calibrated" in document["evrs"][-1]["message"]
+    assert document["max_current_ratio"] == 0.0
+
+
+def test_a_load_that_hides_the_hardstop_is_refused(tmp_path):
+    done = marsarm(tmp_path, "hardstop", "--joint", "elevation", "--scene", "earth", "--json")
+    assert done.returncode == 3
+    assert "gravity presses it on its hardstop" in json.loads(done.stdout)["evrs"][-1]["message"]

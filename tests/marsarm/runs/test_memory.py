@@ -1,0 +1,44 @@
+"""Memory of a run without a log."""
+
+import gc
+import tracemalloc
+
+from fsw.dictionary.commands import MoveJoint, Process
+from fsw.dictionary.enums import Joint
+from marsarm.common.progress import no_progress
+from marsarm.runs.execution import FRAME_CYCLES, execute
+from marsarm.runs.request import NO_FILES
+from sim.arms import arm_named
+from sim.loop import ClosedLoop
+from sim.scenario.data import Done, GravityHeld, Scenario
+from sim.scenario.run import ScenarioRun, scenario_setup
+from sim.world import World
+from tests.sim import lab
+
+GRAVITY_T = (-0.02, 0.0, -1.0)
+"""Gravity in the axes of the portioner in the ready pose, almost."""
+FIRST, LAST = 2 * FRAME_CYCLES, 10 * FRAME_CYCLES
+"""Cycles in the first command and in the second."""
+EMPTY_OBJECT_BYTES = 16
+
+
+def test_a_run_that_shakes_and_moves_keeps_no_object_of_each_cycle():
+    commands = (Process("portion", GRAVITY_T, 12.0), MoveJoint(Joint.TURRET, 1.2))
+    checks = (Done(), GravityHeld(1, "portion", GRAVITY_T))
+    scenario = Scenario("test", "T", "S.", World(), commands, checks, "ready")
+    arm = arm_named("nominal")
+    loop = ClosedLoop(scenario_setup(scenario, arm, lab.true_reference(arm), 1))
+    run, kept_bytes = ScenarioRun(loop, scenario), {}
+
+    def note(record):
+        gc.collect()
+        kept_bytes[record.tick] = tracemalloc.get_traced_memory()[0]
+        return run.progress_at(record.tick)
+
+    tracemalloc.start()
+    try:
+        done = execute(run, loop, {}, NO_FILES, scenario.world, no_progress, note, lambda _: False, arm.model)
+    finally:
+        tracemalloc.stop()
+    assert done.result.passed
+    assert kept_bytes[LAST] - kept_bytes[FIRST] < EMPTY_OBJECT_BYTES * (LAST - FIRST)

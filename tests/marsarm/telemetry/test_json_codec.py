@@ -1,0 +1,145 @@
+"""Commands, parameters and references read back from JSON exactly, or an error says what is wrong."""
+
+import json
+from dataclasses import fields, is_dataclass, replace
+from enum import IntEnum
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fsw.config import configure, digest
+from fsw.dictionary.commands import Command, MoveJoint, SetParam
+from fsw.dictionary.enums import Joint
+from fsw.dictionary.params import Params
+from fsw.estimate.reference import Reference, no_reference
+from marsarm.telemetry.events import CommandEntry, command_entry
+from marsarm.telemetry.json_codec import BadJson, command_from_json, record_from_json, record_to_json
+from marsarm.telemetry.topics import strip_optional
+from sim.arms import arm_named
+
+
+def any_of(hint: Any) -> st.SearchStrategy:
+    """Return a strategy for every value of an annotated type."""
+    kind = strip_optional(hint)
+    if get_origin(kind) is Literal:
+        return st.sampled_from(get_args(kind))
+    if get_origin(kind) is tuple:
+        return st.tuples(*map(any_of, get_args(kind)))
+    if issubclass(kind, IntEnum):
+        return st.sampled_from(kind)
+    return {float: st.floats(), int: st.integers(), bool: st.booleans(), str: st.text()}[kind]
+
+
+def any_command() -> st.SearchStrategy:
+    """Return a strategy for every command, with every value of its fields."""
+    kinds = get_args(Command)
+    hints = {kind: get_type_hints(kind, include_extras=True) for kind in kinds}
+    return st.one_of(st.builds(k, **{f.name: any_of(hints[k][f.name]) for f in fields(k)}) for k in kinds)
+
+
+def written(value: Any) -> Any:
+    """Replace floats by their bits, so that NaN equals NaN and -0.0 differs from 0.0."""
+    if is_dataclass(value):
+        return (type(value), *(written(getattr(value, f.name)) for f in fields(value)))
+    if isinstance(value, tuple):
+        return tuple(map(written, value))
+    return (type(value), value.hex() if isinstance(value, float) else value)
+
+
+@given(any_command())
+def test_every_command_comes_back_from_the_log_as_it_was(command):
+    entry = CommandEntry.decode(command_entry(7, command).encode())
+    notes = []
+    back = command_from_json(entry.name, entry.fields, notes)
+    assert written(back) == written(command)
+    assert notes == []
+
+
+@pytest.mark.parametrize("name", ["nominal", "calibrated:7", "as-built:3"])
+def test_parameters_come_back_bit_for_bit(name):
+    params = arm_named(name).params
+    notes = []
+    back = record_from_json(Params, json.loads(json.dumps(record_to_json(params))), "params", notes)
+    assert back == params
+    assert digest(back) == digest(params)
+    assert notes == []
+
+
+def test_a_reference_comes_back_bit_for_bit_with_what_is_no_number():
+    params = arm_named("nominal").params
+    reference = replace(
+        no_reference(configure(params)), zero_rad=np.array([0.1, -0.0, np.nan, 1e-320, np.pi])
+    )
+    back = record_from_json(Reference, json.loads(json.dumps(record_to_json(reference))), "boot", [])
+    for field in fields(Reference):
+        was, now = getattr(reference, field.name), getattr(back, field.name)
+        assert (was.dtype, was.tobytes()) == (now.dtype, now.tobytes())
+
+
+def test_fields_of_another_version_are_reported():
+    notes = []
+    old = {"joint": "WRIST", "angle_rad": 1.0, "haste": 3}
+    assert command_from_json("MoveJoint", old, notes) == MoveJoint(Joint.WRIST, 1.0)
+    assert notes == [
+        "MoveJoint.haste is not known today: left out",
+        "MoveJoint.backlash was not known then: today's 'on' is taken",
+    ]
+
+
+def test_a_parameter_that_was_not_known_then_is_todays():
+    params = arm_named("nominal").params
+    table = record_to_json(params)
+    del table["motion"]["settle_time_s"]
+    notes = []
+    assert record_from_json(Params, table, "params", notes, params) == params
+    assert notes == ["params.motion.settle_time_s was not known then: today's 0.25 is taken"]
+
+
+WRONG = {
+    "no such command": ("Jump", {}, "command: 'Jump' is not known; there are Calibrate, "),
+    "no such joint": (
+        "MoveJoint",
+        {"joint": "KNEE", "angle_rad": 0.0},
+        "MoveJoint.joint: 'KNEE' is not known",
+    ),
+    "no such word": (
+        "MoveJoint",
+        {"joint": "WRIST", "angle_rad": 0.0, "backlash": "maybe"},
+        "MoveJoint.backlash: 'maybe' is not known; there are off, on",
+    ),
+    "a flag for a number": ("SetParam", {"name": "a", "value": True}, "SetParam.value: True is no float"),
+    "text for a number": ("SetParam", {"name": "a", "value": "1"}, "SetParam.value: '1' is no float"),
+    "a number for text": ("SetParam", {"name": 1, "value": 1.0}, "SetParam.name: 1 is no str"),
+    "a number beyond all floats": (
+        "SetParam",
+        {"name": "a", "value": 10**400},
+        "SetParam.value: 1000",
+    ),
+    "nothing": ("SetParam", {"name": "a"}, "SetParam.value is missing"),
+    "too few": ("MoveJoints", {"angle_rad": [1.0, 2.0]}, "has 2 items, 5 would be right"),
+    "no list": ("MoveJoints", {"angle_rad": 1.0}, "MoveJoints.angle_rad: 1.0 is no list"),
+    "no fields": ("Stop", [], "Stop: [] is not the fields of a Stop"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_no_command_is_a_sentence(case):
+    name, arguments, message = WRONG[case]
+    with pytest.raises(BadJson) as caught:
+        command_from_json(name, arguments, [])
+    assert message in str(caught.value)
+
+
+def test_an_array_with_an_integer_beyond_all_floats_is_a_sentence():
+    table = record_to_json(no_reference(configure(arm_named("nominal").params)))
+    table["zero_rad"][1] = -(10**400)
+    with pytest.raises(BadJson, match=r"^reference.zero_rad: \[0.0, -1000.* is no list of float64$"):
+        record_from_json(Reference, table, "reference", [])
+
+
+def test_a_whole_number_where_a_float_may_be_stays_what_it_is():
+    assert isinstance(command_from_json("SetParam", {"name": "a", "value": 3}, []).value, int)
+    assert command_from_json("SetParam", {"name": "a", "value": 3}, []) == SetParam("a", 3)

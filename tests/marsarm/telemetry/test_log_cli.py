@@ -1,0 +1,202 @@
+"""`marsarm log ...` as a user meets it."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from marsarm.telemetry.format import FORMAT
+from marsarm.telemetry.mcap_reader import read_records
+from marsarm.telemetry.read import read_log
+from marsarm.telemetry.recorder import Recorder
+from tests.marsarm.command import marsarm, marsarm_process
+from tests.marsarm.telemetry.conftest import cycle_at
+from validation.sample_logs import record_log
+
+CYCLES = 130
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    return record_log(tmp_path_factory.mktemp("log") / "run.mcap", CYCLES, 0.0).read_bytes()
+
+
+@pytest.fixture
+def folder(tmp_path, written):
+    (tmp_path / "run.mcap").write_bytes(written)
+    chunk = read_records(Path("run.mcap"), written).chunks[60]
+    broken = bytearray(written)
+    broken[chunk.begin + 30] ^= 8
+    (tmp_path / "broken.mcap").write_bytes(broken)
+    (tmp_path / "cut.mcap").write_bytes(written[: chunk.begin])
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    (tmp_path / "foreign.mcap").write_text("tick,angle_rad\n0,0.5\n")
+    version = b"version\x01\0\0\0" + FORMAT.encode()
+    assert version in written
+    (tmp_path / "later.mcap").write_bytes(written.replace(version, version[:-1] + b"9"))
+    with Recorder(tmp_path / "old.mcap", {"marsarm": "0.2.0"}) as recorder:
+        recorder.write(cycle_at(0))
+    return tmp_path
+
+
+def run_json(folder, *words):
+    ran = marsarm(folder, "log", *words, "--json")
+    assert ran.returncode == 0, ran.stderr
+    return json.loads(ran.stdout)
+
+
+def test_info_says_what_the_log_holds(folder):
+    found = run_json(folder, "info", "run.mcap")
+    assert (found["closed"], found["cycles"], found["duration_s"]) == (True, CYCLES, CYCLES / 64)
+    topics = {one["topic"]: one for one in found["topics"]}
+    assert (topics["/joint"]["messages"], topics["/joint"]["rate_hz"]) == (CYCLES, 64.0)
+    assert [name for name, one in topics.items() if one["truth"]] == ["/truth"]
+    assert found["header"]["arm"] == "nominal"
+    assert sum(found["evrs"].values()) == topics["/evr"]["messages"]
+    assert found["lost"] == []
+
+
+def test_a_log_cut_short_is_said_to_be(folder):
+    found = run_json(folder, "info", "cut.mcap")
+    assert not found["closed"]
+    assert 0 < found["cycles"] < CYCLES
+    assert "cut short" in marsarm(folder, "log", "info", "cut.mcap").stdout
+
+
+def test_channels_lists_types_units_and_ranges(folder):
+    (found,) = run_json(folder, "channels", "run.mcap", "/joint/motor_rad*")["channels"]
+    values = read_log(folder / "run.mcap")["/joint"]["motor_rad"]
+    assert (found["channel"], found["type"], found["unit"]) == ("/joint.motor_rad", "float64[5]", "rad")
+    assert (found["messages"], found["min"], found["max"]) == (CYCLES, values.min(), values.max())
+
+
+def test_channels_of_a_part(folder):
+    found = run_json(folder, "channels", "run.mcap", "/joint/tick", "--from", "0.5", "--to", "1")["channels"]
+    assert [(one["messages"], one["min"], one["max"]) for one in found] == [(32, 32, 63)]
+
+
+def test_one_number_is_a_channel_and_both_spellings_are_taken(folder):
+    values = read_log(folder / "run.mcap")["/joint"]["motor_rad"][:, 2]
+    for pattern in ("/joint.motor_rad[2]", "/joint/motor_rad[2]"):
+        (found,) = run_json(folder, "channels", "run.mcap", pattern)["channels"]
+        assert (found["channel"], found["type"]) == ("/joint.motor_rad[2]", "float64")
+        assert (found["min"], found["max"]) == (values.min(), values.max())
+
+
+def test_plot_draws_a_picture(folder):
+    found = run_json(
+        folder, "plot", "run.mcap", "/joint/motor_rad*", "/joint/mode", "/truth/R_RT", "--out", "p.png"
+    )
+    assert found["channels"] == ["/joint.motor_rad", "/joint.mode", "/truth.R_RT"]
+    assert (folder / "p.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_export_writes_a_file_a_topic(folder):
+    found = run_json(folder, "export", "run.mcap", "tables", "--topic", "/joint", "--topic", "/evr")
+    assert {one["topic"]: one["file"] for one in found["files"]} == {
+        "/joint": "tables/joint.parquet",
+        "/evr": "tables/evr.parquet",
+    }
+    assert found["files"][0]["rows"] == CYCLES
+    assert {path.name for path in (folder / "tables").iterdir()} == {"joint.parquet", "evr.parquet"}
+
+
+def test_recover_saves_what_is_undamaged_and_says_what_is_lost(folder):
+    found = run_json(folder, "recover", "broken.mcap", "good.mcap")
+    lost = {one["topic"]: one for one in found["lost"]}
+    assert (lost["/joint"]["messages"], found["saved"]["/joint"]) == (1, CYCLES - 1)
+    assert lost["/joint"]["after_s"] < lost["/joint"]["before_s"]
+    assert run_json(folder, "info", "good.mcap")["lost"] == found["lost"]
+    assert "recovered from a damaged one" in marsarm(folder, "log", "info", "good.mcap").stdout
+
+
+def test_what_stands_behind_a_log_is_said_by_every_verb(folder, written):
+    (folder / "two.mcap").write_bytes(written + written)
+    found = run_json(folder, "info", "two.mcap")
+    assert (found["closed"], found["trailing_bytes"], found["cycles"]) == (True, len(written), CYCLES)
+    for words in (("export", "two.mcap", "tables"), ("channels", "two.mcap")):
+        assert "after the end of the log" in marsarm_process(folder, "log", *words).stderr
+    assert "after the end of the log" in run_json(folder, "recover", "two.mcap", "g.mcap")["notes"][0]
+
+
+@pytest.mark.parametrize("verb", [["export", "--topic", "/joint"], ["plot", "/joint/mode", "--out"]])
+def test_a_log_is_never_replaced_by_what_is_made_of_it(folder, written, verb):
+    for name in ("j.parquet", "j.csv", "j.png"):
+        (folder / name).write_bytes(written)
+        ran = marsarm(folder, "log", verb[0], name, *verb[1:], name)
+        assert ran.returncode == 2
+        assert (folder / name).read_bytes() == written
+
+
+BAD = {
+    "no file": (("info", "none.mcap"), "none.mcap: cannot be read"),
+    "empty": (("info", "empty.mcap"), "an empty file; nothing was written to it"),
+    "foreign": (("channels", "foreign.mcap"), "not an MCAP file"),
+    "flipped": (("info", "broken.mcap"), "a chunk does not match its CRC"),
+    "flipped, its span": (("export", "broken.mcap", "out"), "lost, between 0."),
+    "later": (("info", "later.mcap"), "log format 9"),
+    "later, recovered": (("recover", "later.mcap", "g.mcap"), "log format 9"),
+    "of 0.2": (
+        ("info", "old.mcap"),
+        "marsarm 0.2, which reads it; this marsarm reads logs of 0.3",
+    ),
+    "of 0.2, recovered": (("recover", "old.mcap", "g.mcap"), "a log of marsarm 0.2, which reads it"),
+    "empty, recovered": (("recover", "empty.mcap", "g.mcap"), "nothing can be saved"),
+    "recovered into no log": (("recover", "broken.mcap", "g.txt"), "must end in .mcap"),
+    "no such channel": (
+        ("plot", "run.mcap", "/joint/moter", "--out", "p.png"),
+        "has no channel /joint/moter",
+    ),
+    "no such number": (("channels", "run.mcap", "/joint.motor_rad[5]"), "has no channel /joint.motor_rad[5]"),
+    "too many channels": (("plot", "run.mcap", "*", "--out", "p.png"), "room for 12; name fewer, such as /"),
+    "another picture": (("plot", "run.mcap", "/joint/mode", "--out", "p.pdf"), "must end in .png"),
+    "no such topic": (("export", "run.mcap", "out", "--topic", "/jiont"), "has no topic /jiont"),
+    "several in one": (("export", "run.mcap", "out.csv"), "one file holds one table"),
+    "csv into parquet": (
+        ("export", "run.mcap", "a.parquet", "--topic", "/joint", "--csv"),
+        "with --csv its name must end in .csv",
+    ),
+    "another kind of table": (
+        ("export", "run.mcap", "out.tsv"),
+        "must end in .parquet or .csv, or be a folder",
+    ),
+    "a long name": (("export", "run.mcap", "a" * 300), "cannot be written (File name too long)"),
+    "a folder nowhere": (("export", "run.mcap", "/proc/tables"), "this folder cannot be made"),
+    "time from nan": (("channels", "run.mcap", "--from", "nan"), "is no log time"),
+    "time to minus": (("channels", "run.mcap", "--to", "-1"), "is no log time"),
+    "time after the end": (("channels", "run.mcap", "--from", "99"), "nothing in the time"),
+}
+
+
+@pytest.mark.parametrize(("words", "why"), BAD.values(), ids=BAD.keys())
+def test_bad_input_is_said_and_nothing_is_written(folder, words, why):
+    before = {path.name for path in folder.iterdir()}
+    ran = marsarm(folder, "log", *words, "--json")
+    assert ran.returncode == 2
+    assert why in json.loads(ran.stdout)["error"]
+    assert len(ran.stderr.splitlines()) == 1
+    assert {path.name for path in folder.iterdir()} == before
+
+
+def test_one_channel_is_one(folder):
+    ran = marsarm_process(folder, "log", "plot", "run.mcap", "/joint.mode", "--out", "p.png")
+    assert ran.stdout == "1 channel in p.png\n"
+
+
+def test_the_group_of_verbs_has_an_example(folder):
+    assert "Example: marsarm log info run.mcap" in marsarm(folder, "log", "--help").stdout
+
+
+@pytest.mark.parametrize("verb", ["info", "channels", "plot", "export", "recover"])
+def test_every_verb_has_help_with_an_example(folder, verb):
+    ran = marsarm(folder, "log", verb, "--help")
+    assert ran.returncode == 0
+    assert f"Example: marsarm log {verb}" in " ".join(ran.stdout.split())
+
+
+def test_brackets_are_printed_as_they_are(folder):
+    (folder / "run.mcap").rename(folder / "run[bold].mcap")
+    found = marsarm(folder, "log", "channels", "run[bold].mcap", "/joint.motor_rad")
+    assert "float64[5]" in found.stdout
+    drawn = marsarm(folder, "log", "plot", "run[bold].mcap", "/joint.motor_rad", "--out", "a[bold].png")
+    assert "a[bold].png" in drawn.stdout

@@ -1,0 +1,181 @@
+"""Reading a part of a log, by topic and time; and logs with unusual content."""
+
+import json
+import struct
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC, Writer
+
+from marsarm.telemetry import chunks
+from marsarm.telemetry.errors import LogNotReadable
+from marsarm.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, TICK_NS, header_crc32
+from marsarm.telemetry.lost_messages import LogDamaged
+from marsarm.telemetry.mcap_reader import iter_records
+from marsarm.telemetry.read import read_log
+from marsarm.telemetry.salvage import salvage
+from marsarm.telemetry.schema import Layout
+
+N_CYCLES = 30
+LAYOUT = [["angle_rad", "<f8", None]]
+
+
+@pytest.fixture(scope="module")
+def path(make: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("part")
+    return make.record(folder / "run.mcap", map(make.cycle_at, range(N_CYCLES)), chunk_s=0.0)
+
+
+def test_only_the_topics_asked_for_are_there(path: Path) -> None:
+    log = read_log(path, topics=["/joint", "/evr"])
+    assert (set(log.packets), set(log.time_ns)) == ({"/joint"}, {"/joint", "/evr"})
+    assert (len(log.evrs), len(log.commands)) == (2 * N_CYCLES, 0)
+
+
+@pytest.mark.parametrize(
+    ("start", "end"), [(0, N_CYCLES), (7, 19), (7, None), (None, 19), (12, 13), (N_CYCLES, None), (5, 5)]
+)
+@pytest.mark.parametrize("kept", [1.0, 0.99], ids=["closed", "cut short"])
+def test_only_the_time_asked_for_is_there(
+    path: Path, tmp_path: Path, start: int | None, end: int | None, kept: float
+) -> None:
+    data = path.read_bytes()
+    part = tmp_path / "part.mcap"
+    part.write_bytes(data[: int(kept * len(data))])
+    whole = read_log(part)
+    log = read_log(
+        part,
+        start_ns=None if start is None else start * TICK_NS,
+        end_ns=None if end is None else end * TICK_NS,
+    )
+    for topic, packets in whole.packets.items():
+        due = packets[start or 0 : end]
+        assert log.packets.get(topic, packets[:0]).tobytes() == due.tobytes()
+    assert [evr.tick for evr in log.evrs] == [
+        e.tick for e in whole.evrs if (start or 0) <= e.tick < (end or 99)
+    ]
+
+
+def test_a_part_of_a_closed_log_unpacks_no_other_chunks(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if "channels" not in read_log(path).header:
+        pytest.skip("this recorder does not announce its channels in the header")
+    unpacked, real = [], chunks.decompress_chunk
+    monkeypatch.setattr(chunks, "decompress_chunk", lambda *given: unpacked.append(given[1]) or real(*given))
+    read_log(path, start_ns=4 * TICK_NS, end_ns=6 * TICK_NS)
+    assert 1 <= len(unpacked) <= 3
+
+
+def test_what_unpacks_to_more_than_is_read_at_once_is_read_in_parts(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("marsarm.telemetry.read.MAX_UNPACKED_BYTES", 50_000)
+    with pytest.raises(LogNotReadable, match="ask for a part, from one time to another"):
+        read_log(path)
+    assert len(read_log(path, start_ns=2 * TICK_NS, end_ns=5 * TICK_NS)["/joint"]) == 3
+    monkeypatch.setattr("marsarm.telemetry.salvage.MAX_UNPACKED_BYTES", 20_000)
+    assert any("the rest was left out" in note for note in salvage(path.read_bytes()).notes)
+
+
+def test_a_broken_message_index_of_a_log_cut_short_does_not_matter(path: Path, tmp_path: Path) -> None:
+    data = path.read_bytes()
+    cut = bytearray(data[: int(0.8 * len(data))])
+    (tmp_path / "cut.mcap").write_bytes(cut)
+    whole = read_log(tmp_path / "cut.mcap")
+    for at, opcode, body in iter_records(bytes(cut), len(MCAP0_MAGIC)):
+        if opcode == Opcode.MESSAGE_INDEX:
+            for entry in range(15, 9 + len(body), 8):
+                cut[at + entry] ^= 0xFF
+    (tmp_path / "cut.mcap").write_bytes(cut)
+    log = read_log(tmp_path / "cut.mcap")
+    assert log["/joint"].tobytes() == whole["/joint"].tobytes()
+    assert (log.evrs, log.commands) == (whole.evrs, whole.commands)
+
+
+def written(path: Path, messages: Iterable[tuple[str, int, int, float]], header: dict[str, str]) -> Path:
+    """Write a log with the stock writer from topic, sequence, log time and value of each message."""
+    with path.open("wb") as file:
+        writer = Writer(file, enable_data_crcs=True)
+        writer.start()
+        writer.add_metadata(FORMAT_RECORD, {"version": FORMAT, "header_crc32": header_crc32(header)})
+        writer.add_metadata(HEADER_RECORD, header)
+        ids: dict[str, int] = {}
+        for topic, sequence, time_ns, value in messages:
+            metadata = {"layout": json.dumps(LAYOUT)} if topic.startswith("/a") else {}
+            ids.setdefault(
+                topic, writer.register_channel(topic, "cdr", 0, metadata) if topic not in ids else 0
+            )
+            body = b"\x00\x01\x00\x00" + struct.pack("<d", value)
+            writer.add_message(ids[topic], time_ns, body, time_ns, sequence)
+        writer.finish()
+    return path
+
+
+def test_the_length_of_the_layout_is_that_of_the_messages() -> None:
+    assert Layout.from_json(json.dumps(LAYOUT)).dtype.itemsize == 12
+
+
+def test_channels_of_others_are_passed_over(tmp_path: Path) -> None:
+    path = written(
+        tmp_path / "more.mcap", [("/a", 0, 5, 0.5), ("/others", 9, 3, 0.0), ("/a", 1, 6, 0.75)], {}
+    )
+    log = read_log(path)
+    assert log["/a"]["angle_rad"].tolist() == [0.5, 0.75]
+    assert set(log.time_ns) == {"/a"}
+
+
+def test_the_header_says_what_the_messages_are_where_it_has_the_channels(tmp_path: Path) -> None:
+    topics = {"/b": {"id": 1, "schema": "s", "layout": LAYOUT, "truth": True, "derived": False}}
+    log = read_log(written(tmp_path / "b.mcap", [("/b", 0, 5, 0.5)], {"channels": json.dumps(topics)}))
+    assert log["/b"]["angle_rad"].tolist() == [0.5]
+    assert log.truth == {"/b"}
+
+
+@pytest.mark.parametrize(
+    ("times_ns", "why"),
+    [
+        ((0, 2 * 10**9, 10**9), r"message 2 of /a, at 1.000000 s, comes after one of 2.000000 s"),
+        ((0, 10**9, 10**9), r"messages 1 and 2 of /a are both of 1.000000 s"),
+    ],
+    ids=["shuffled", "duplicate"],
+)
+def test_times_that_do_not_go_forward_are_refused(
+    tmp_path: Path, times_ns: tuple[int, ...], why: str
+) -> None:
+    messages = [("/a", k, time_ns, 0.5) for k, time_ns in enumerate(times_ns)]
+    with pytest.raises(LogDamaged, match=why):
+        read_log(written(tmp_path / "times.mcap", messages, {}))
+
+
+def test_a_header_that_announces_nonsense_is_refused(tmp_path: Path) -> None:
+    for nonsense in ("[1]", "{", '{"/a": 1}', '{"/a": {"id": 1, "layout": [["x", "O", null]]}}'):
+        with pytest.raises(LogDamaged):
+            read_log(written(tmp_path / "n.mcap", [("/a", 0, 5, 0.5)], {"channels": nonsense}))
+
+
+def test_packets_cannot_be_changed(path: Path) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        read_log(path)["/joint"]["tick"][0] = 1
+
+
+def test_a_log_whose_last_chunk_is_whole_but_whose_length_is_not_is_not_taken_for_cut(
+    path: Path, tmp_path: Path
+) -> None:
+    data = path.read_bytes()
+    ends = [at for at, opcode, _ in iter_records(data, 8) if opcode == Opcode.CHUNK]
+    cut = bytearray(data[: ends[-1] - 1])
+    cut[ends[-2] + 6] ^= 0x10  # of the length of the last chunk
+    (tmp_path / "cut.mcap").write_bytes(cut)
+    with pytest.raises(LogDamaged, match="a record is broken"):
+        read_log(tmp_path / "cut.mcap")
+
+
+def test_ticks_and_values_are_those_of_the_cycles(make: Any, path: Path) -> None:
+    log = read_log(path, topics=["/joint"], start_ns=3 * TICK_NS)
+    assert log.ticks("/joint")[0] == 3
+    motor_rad = replace(make.cycle_at(3)).outputs.joint.motor_rad
+    assert np.array_equal(log["/joint"]["motor_rad"][0], motor_rad, equal_nan=True)

@@ -1,0 +1,139 @@
+"""A reader returns bit for bit the cycles that the recorder wrote."""
+
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from marsarm.telemetry.read import Log, read_log
+from sim.record import CycleRecord
+
+HOSTILE_BYTES = [b"\x00", b"\xff", b"\x00\x00\x00\x00\x00\x00\x00\x80", b"\x01\x00\x00\x00\x00\x00\xf0\x7f"]
+"""Bits of zero; of NaN and -1; of the least integer and -0.0; of a signalling NaN."""
+
+
+def leaves(part: Any, name: str = "") -> list[tuple[str, str, Any]]:
+    """Return topic, field and value of everything in a cycle except tick, commands and EVRs."""
+    if not is_dataclass(part):
+        return []
+    found = []
+    for one in fields(part):
+        value = getattr(part, one.name)
+        if is_dataclass(value):
+            found += leaves(value, f"/{one.name}")
+        elif name and not isinstance(value, tuple) and value is not None:
+            found.append((name, one.name, value))
+    return found
+
+
+def assert_holds(log: Log, cycles: list[CycleRecord]) -> None:
+    for row, cycle in enumerate(cycles):
+        for topic, name, value in leaves(cycle):
+            logged = log[topic][name][row]
+            assert logged.shape == np.shape(value)
+            assert logged.tobytes() == np.asarray(value).tobytes(), f"{topic} {name} in cycle {row}"
+
+
+@pytest.mark.slow
+@settings(derandomize=True, deadline=None, max_examples=40)
+@given(data=st.data(), n=st.integers(1, 3))
+def test_any_bits_come_back(make: Any, tmp_path_factory: pytest.TempPathFactory, data: Any, n: int) -> None:
+    def some(size: int) -> bytes:
+        return data.draw(st.binary(min_size=size, max_size=size))
+
+    cycles = [make.packet_of(CycleRecord, some, tick=tick) for tick in range(n)]
+    assert_holds(read_log(make.record(tmp_path_factory.mktemp("any") / "run.mcap", cycles)), cycles)
+
+
+@pytest.mark.parametrize("bits", HOSTILE_BYTES, ids=bytes.hex)
+def test_extreme_numbers_come_back(make: Any, tmp_path: Path, bits: bytes) -> None:
+    cycles = [make.packet_of(CycleRecord, lambda size: (bits * size)[:size], tick=0)]
+    assert_holds(read_log(make.record(tmp_path / "run.mcap", cycles)), cycles)
+
+
+def test_times_are_the_ticks_exactly(make: Any, tmp_path: Path) -> None:
+    ticks = [0, 1, 64 * 3600 * 24 * 669]
+    log = read_log(
+        make.record(tmp_path / "run.mcap", [replace(make.cycle_at(0), tick=tick) for tick in ticks])
+    )
+    assert log.ticks("/sensors").tolist() == ticks
+    assert log.time_ns["/drive"].tolist() == [tick * 10**9 // 64 for tick in ticks]
+
+
+def test_events_come_back_with_their_fields(make: Any, tmp_path: Path) -> None:
+    log = read_log(make.record(tmp_path / "run.mcap", [make.cycle_at(5)]))
+    booted, contact = log.evrs
+    assert (booted.tick, booted.name, booted.fields) == (5, "Booted", {"params_sha256": "ééé"})
+    assert booted.message == "flight software up, parameters ééé"
+    assert (contact.severity, contact.fields) == (2, {"switch": "apxs_1", "travel_m": 0.1})
+    stop, guarded = log.commands
+    assert (stop.name, stop.fields) == ("Stop", {})
+    assert guarded.fields["tool"] == "apxs"
+    assert guarded.fields["end_p_RoTo_R_m"] == [1.0, 0.25, -0.5]
+    assert np.isnan(guarded.fields["approach_R"][2])
+
+
+def test_a_packet_that_is_not_there_every_cycle_keeps_its_times(make: Any, tmp_path: Path) -> None:
+    cycles = [make.cycle_at(tick) for tick in range(6)]
+    cycles[1:3] = [replace(c, truth=None, outputs=replace(c.outputs, tool=None)) for c in cycles[1:3]]
+    log = read_log(make.record(tmp_path / "run.mcap", cycles))
+    assert log.ticks("/tool").tolist() == log.ticks("/truth").tolist() == [0, 3, 4, 5]
+    assert len(log["/joint"]) == 6
+
+
+def test_a_topic_that_got_nothing_is_missing_by_name(make: Any, tmp_path: Path) -> None:
+    log = read_log(make.record(tmp_path / "run.mcap", [replace(make.cycle_at(0), truth=None)]))
+    with pytest.raises(KeyError, match="no topic /truth; it has /drive, /joint, /sensors, /tool"):
+        log["/truth"]
+
+
+def test_the_header_comes_back_and_an_empty_run_is_a_log(make: Any, tmp_path: Path) -> None:
+    log = read_log(make.record(tmp_path / "run.mcap", []))
+    assert {name: text for name, text in log.header.items() if name != "channels"} == {
+        "seed": "1",
+        "arm": "nominal",
+    }
+    assert not log.truncated
+    assert (dict(log.packets), log.evrs, log.commands) == ({}, (), ())
+
+
+def test_the_same_records_give_the_same_messages(make: Any, tmp_path: Path) -> None:
+    def messages(name: str, chunk_s: float) -> list[tuple[str, int, int, bytes]]:
+        path = make.record(tmp_path / name, map(make.cycle_at, range(20)), chunk_s=chunk_s)
+        with path.open("rb") as file:
+            found = make_reader(file, validate_crcs=True).iter_messages(log_time_order=False)
+            return [(c.topic, m.log_time, m.sequence, m.data) for _, c, m in found]
+
+    assert messages("fast.mcap", 1.0) == messages("slow.mcap", 0.0)
+
+
+def test_the_stock_reader_counts_the_same_messages_and_sees_the_truth_marked(
+    make: Any, tmp_path: Path
+) -> None:
+    path = make.record(tmp_path / "run.mcap", map(make.cycle_at, range(10)))
+    with path.open("rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    topics = {c.topic: c for c in summary.channels.values()}
+    counted = summary.statistics.channel_message_counts
+    counts = {topic: counted[channel.id] for topic, channel in topics.items() if channel.id in counted}
+    log = read_log(path)
+    assert {topic: counts[topic] for topic in log.time_ns} == {t: len(v) for t, v in log.time_ns.items()}
+    assert counts == dict.fromkeys(("/sensors", "/drive", "/joint", "/tool", "/truth"), 10) | dict.fromkeys(
+        ("/evr", "/command", "/rosout"), 20
+    )
+    assert [topic for topic, channel in topics.items() if "truth" in channel.metadata] == ["/truth"]
+
+
+def test_a_run_that_ends_in_an_exception_leaves_a_whole_log(make: Any, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with pytest.raises(TypeError):
+        make.record(path, [make.cycle_at(0), replace(make.cycle_at(1), commands=(object(),))])
+    assert len(read_log(path)["/sensors"]) == 1
+    assert not read_log(path).truncated
