@@ -21,9 +21,9 @@ from fsw.config import digest
 from fsw.dictionary.params import Params
 from marsarm.accuracy.monte_carlo import ArmJob, run_job
 from marsarm.accuracy.request import MoveModel
-from marsarm.common.errors import BadRequest
 from marsarm.common.pool import Runner, cluster_runner, local_runner
 from sim.params import nominal_params
+from simgap.common.errors import BadRequest
 from validation.options import campaign_parser
 
 EXAMPLE: Final = "example: python -m validation.cluster --arms 200 --pairs 5 > cluster.json"

@@ -26,13 +26,13 @@ from typing import Any
 
 import numpy as np
 
-from marsarm.common.errors import BadOutput
 from marsarm.telemetry.errors import LogError
 from marsarm.telemetry.read import Log, read_log
 from marsarm.telemetry.recorder import Recorder
 from marsarm.telemetry.recover import recover
 from sim.loop import ClosedLoop
 from sim.placement import PlacementRun
+from simgap.common.errors import BadOutput
 from validation.closed_loop import TARGET, placement_loop
 
 CYCLES = 4000

@@ -4,9 +4,9 @@ import argparse
 import sys
 from typing import Any
 
-from marsarm.common.errors import BadRequest
-from marsarm.common.options import CLUSTER_HELP, CLUSTER_HERE
 from marsarm.common.pool import Runner, select_runner
+from simgap.common.errors import BadRequest
+from simgap.common.options import CLUSTER_HELP, CLUSTER_HERE
 
 
 def campaign_parser(

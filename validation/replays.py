@@ -13,13 +13,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fsw.config import CYCLE_HZ
-from marsarm.common.errors import BadRequest
 from marsarm.common.pool import Runner, in_order
 from marsarm.replay.replay import ReplayRequest, replay
 from marsarm.replay.tables import verdict_line
 from marsarm.runs.request import RunFiles, RunRequest
 from marsarm.runs.scenario import run_scenario
 from sim.scenario.file import built_in_scenarios
+from simgap.common.errors import BadRequest
 from validation.options import campaign_parser, campaign_runner
 
 TILT_DEG = (6.0, -4.0)

@@ -18,12 +18,12 @@ from simgap.assemble import simulate_models
 from simgap.audit.audit import audit
 from simgap.audit.records import Audit
 from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.common.errors import RobotError
 from simgap.diagnose import diagnose
 from simgap.effects.actuation import GainError
 from simgap.effects.effect import Effect
 from simgap.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature
-from simgap.errors import RobotError
 from simgap.load import load
 from simgap.logs import Logs
 from simgap.residuals.kinds import list_kinds

@@ -21,11 +21,10 @@ from typing import Final
 
 import numpy as np
 
-from marsarm.common.errors import UserError
-from marsarm.common.progress import show_progress
 from simgap.arrays import Array
+from simgap.common.errors import RobotError, UserError
+from simgap.common.progress import show_progress
 from simgap.diagnose import diagnose
-from simgap.errors import RobotError
 from simgap.load import load
 from simgap.logs import Logs, Motion, Signal
 from simgap.residuals.kinds import list_kinds

@@ -14,9 +14,9 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
-from marsarm.common.errors import UserError
-from marsarm.common.progress import show_progress
-from marsarm.render.figures import save_figure
+from simgap.common.errors import UserError
+from simgap.common.figures import save_figure
+from simgap.common.progress import show_progress
 from simgap.diagnose import diagnose
 from simgap.selection.meter import Progress
 from validation.options import campaign_parser

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from simgap.arrays import Array
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.files.split_file import read_split
 from simgap.robot import Robot
 

@@ -13,14 +13,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from marsarm.render.figures import save_figure
 from simgap.arrays import Array
 from simgap.assemble import list_base, simulate_models
 from simgap.audit.audit import audit
 from simgap.audit.plane import site_heights
 from simgap.audit.records import Audit, RemarkKind
 from simgap.catalogue.catalogue import base_effects
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
+from simgap.common.figures import save_figure
 from simgap.load import load
 from simgap.logs import Logs, Motion
 from simgap.residuals.kinds import list_kinds

@@ -28,10 +28,10 @@ from marsarm.accuracy.reproduce import TABLE_3, TABLE_4, MagnitudeFit, PaperRow,
 from marsarm.accuracy.request import BudgetRequest
 from marsarm.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity, workspace_poses
 from marsarm.accuracy.sources import BudgetCase, ErrorModel, is_compensated, load_error_model
-from marsarm.common.errors import BadRequest
-from marsarm.common.options import check_options
-from marsarm.common.progress import Progress, no_progress, part_of
 from marsarm.common.requests import make_world, parse_tool, select_arm
+from simgap.common.errors import BadRequest
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress, part_of
 
 MOMENTS: Final = "moments"
 ALL: Final = "all"

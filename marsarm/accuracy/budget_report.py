@@ -13,11 +13,11 @@ from marsarm.accuracy.combine import COVERAGE
 from marsarm.accuracy.confidence import describe_sample, is_within
 from marsarm.accuracy.reproduce import MagnitudeFit
 from marsarm.accuracy.sources import sources_sha256
-from marsarm.common.command_text import command_text
-from marsarm.common.json_digest import json_sha256
-from marsarm.render import svg
-from marsarm.render.console import plain_console
-from marsarm.render.page import Origin, Requirement, figures, heading, paragraph, save_page, table
+from simgap.common import svg
+from simgap.common.command_text import command_text
+from simgap.common.console import plain_console
+from simgap.common.json_digest import json_sha256
+from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 
 RULES: Final = ("paper", "moments", "root sum square", "worst case")
 WHEN: Final = {

@@ -20,12 +20,12 @@ from marsarm.accuracy.request import ArmKind, MonteCarloRequest, MoveModel
 from marsarm.accuracy.sources import ErrorModel, load_error_model, sources_sha256
 from marsarm.accuracy.trial import run_built_trial, run_sampled_trial
 from marsarm.common.checkpoint import Checkpoint
-from marsarm.common.errors import BadRequest
-from marsarm.common.options import check_options
 from marsarm.common.pool import Runner, select_runner
-from marsarm.common.progress import Progress, no_progress
 from marsarm.common.requests import load_params, select_arm
 from sim.world import World
+from simgap.common.errors import BadRequest
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress
 
 SEED_FIELD: Final = "{seed}"
 

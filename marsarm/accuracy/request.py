@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from marsarm.common.options import (
+from simgap.common.options import (
     ClusterOption,
     MismatchOption,
     Option,

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from marsarm.common.options import Option
+from simgap.common.options import Option
 
 
 @dataclass(frozen=True, slots=True)

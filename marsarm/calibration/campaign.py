@@ -17,8 +17,6 @@ from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances
 from fsw.kinematics.transforms import Array
 from marsarm.calibration.campaign_data import Campaign
 from marsarm.calibration.survey import CampaignRow, TooFewTargets, measure_pose, stack_rows
-from marsarm.common.errors import BadRequest, UserError
-from marsarm.common.progress import Progress
 from sim.arms import BuiltArm, without_turret
 from sim.clearance import ClearanceModel
 from sim.effects.structure import StandInTurret, params_with_stand_in
@@ -30,6 +28,8 @@ from sim.sequence import Outcome
 from sim.tracker import TYPICAL_TRACKER, Tracker, turret_pose
 from sim.workspace import Workspace
 from sim.world import World
+from simgap.common.errors import BadRequest, UserError
+from simgap.common.progress import Progress
 
 SHOULDER_IN_SHARE: Final = 0.3
 """Share of poses with the shoulder-in branches."""

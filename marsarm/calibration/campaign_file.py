@@ -17,8 +17,8 @@ from marsarm.calibration.campaign_data import BelievedPoses, Campaign
 from marsarm.calibration.checks import BadData
 from marsarm.calibration.measured_poses import MeasuredPoses
 from marsarm.common.bad_tables import describe_bad_table
-from marsarm.common.files import atomic_write
 from marsarm.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
+from simgap.common.files import atomic_write
 
 JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
 COVARIANCE_INDICES: Final = tuple((i, j) for i in range(6) for j in range(i, 6))

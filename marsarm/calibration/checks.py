@@ -14,8 +14,8 @@ from marsarm.calibration.calibrate import Calibration
 from marsarm.calibration.campaign_data import Campaign
 from marsarm.calibration.request import LEAST_POSES
 from marsarm.calibration.survey import MIN_TARGETS
-from marsarm.common.errors import BadRequest
 from sim.frames import P_NR_M
+from simgap.common.errors import BadRequest
 from simgap.serial_arm.fit import Fit, HoldOutValidation
 from simgap.serial_arm.identifiability import Identifiability
 from simgap.serial_arm.screws import error_screw

@@ -25,14 +25,14 @@ from marsarm.calibration.verify import (
     register_tools,
     verify_calibration,
 )
-from marsarm.common.errors import BadRequest
-from marsarm.common.options import check_options
-from marsarm.common.progress import Progress, no_progress, part_of
 from marsarm.common.requests import load_params, select_arm
 from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.params_table import BadParams, check_params
 from sim.tracker import Tracker
+from simgap.common.errors import BadRequest
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress, part_of
 
 MICRO: Final = 1e-6
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array, Flags
-from marsarm.common.errors import BadRequest
+from simgap.common.errors import BadRequest
 from simgap.serial_arm.fit import Fit, FitParameter, ResidualModel, fit
 from simgap.serial_arm.outliers import FALSE_ALARM, MAX_OUTLIER_SHARE, leave_one_out_distance
 

@@ -16,11 +16,11 @@ from marsarm.calibration.checks import FRAME_RANK, MAX_HELD_OUT_RATIO, MAX_SIGMA
 from marsarm.calibration.execution import CalibrateReport
 from marsarm.calibration.parameter_file import data_sha256, provenance
 from marsarm.calibration.verify import PlaceErrors, Verification
-from marsarm.common.command_text import command_text
-from marsarm.common.json_digest import json_sha256
-from marsarm.render import svg
-from marsarm.render.console import plain_console, pluralize
-from marsarm.render.page import Origin, Requirement, figures, heading, paragraph, save_page, table
+from simgap.common import svg
+from simgap.common.command_text import command_text
+from simgap.common.console import plain_console, pluralize
+from simgap.common.json_digest import json_sha256
+from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 from simgap.serial_arm.identifiability import UnidentifiableGroup
 
 ROTATION: Final = slice(0, 3)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
 
-from marsarm.common.options import ARM_HELP, MismatchOption, Option, ParamsOption, ReportOption, SeedOption
+from simgap.common.options import ARM_HELP, MismatchOption, Option, ParamsOption, ReportOption, SeedOption
 
 LEAST_POSES: Final = 24
 """Smallest number of poses: three times what the worst-conditioned combination needs. The paper took 160."""

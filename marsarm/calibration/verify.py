@@ -19,7 +19,6 @@ from fsw.kinematics.transforms import Array, Pose, angle_between, screw_exp
 from marsarm.calibration.arm_parameters import FIXTURE_M, FIXTURE_RAD
 from marsarm.calibration.campaign import CampaignFailed, earth_reference
 from marsarm.calibration.simulation import true_params
-from marsarm.common.progress import Progress, part_of
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.effects.environment import Ambient
@@ -28,6 +27,7 @@ from sim.loop import Setup
 from sim.pose_sequence import free_air_loop, run_and_rest
 from sim.workspace import approach_from, random_targets
 from sim.world import World
+from simgap.common.progress import Progress, part_of
 
 COLD_C: Final = -35.0
 """Temperature of actuators and arm on cold Mars, the coldest in flight."""

@@ -1,8 +1,8 @@
 """Define the verbs of the error budget: `budget` and `monte-carlo`."""
 
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
-from marsarm.cli.verb import VerbResult, verb
-from marsarm.common.progress import Progress
+from simgap.common.progress import Progress
+from simgap.common.verb import VerbResult, verb
 
 
 @verb

@@ -3,7 +3,7 @@
 import typer
 
 from marsarm.arms.request import ArmBuildRequest, ArmShowRequest
-from marsarm.cli.verb import VerbResult, verb
+from simgap.common.verb import VerbResult, verb
 
 arm_app = typer.Typer(
     help="List and show arms, and build the files of an arm from its arm.toml.", no_args_is_help=True

@@ -1,8 +1,8 @@
 """Define the verbs `calibrate` and `calibrate-serial`."""
 
 from marsarm.calibration.request import CalibrateRequest, SerialRequest
-from marsarm.cli.verb import VerbResult, verb
-from marsarm.common.progress import Progress
+from simgap.common.progress import Progress
+from simgap.common.verb import VerbResult, verb
 
 
 @verb

@@ -4,10 +4,10 @@ import sys
 
 import typer
 
-from marsarm.cli.verb import VerbResult, verb
-from marsarm.common.errors import BadRequest
-from marsarm.common.progress import Progress
 from marsarm.diagnosis.arm.request import DemoRequest, DiagnoseRequest, RecordRequest
+from simgap.common.errors import BadRequest
+from simgap.common.progress import Progress
+from simgap.common.verb import VerbResult, verb
 
 gap_app = typer.Typer(
     help="Record logs from which `marsarm diagnose` finds why arm and simulation differ, or try it.\n\n"
@@ -44,8 +44,8 @@ def demo(request: DemoRequest, progress: Progress) -> VerbResult:
     """
     from marsarm.diagnosis.arm.demo import demo_json, run_demo
     from marsarm.diagnosis.tables import print_diagnosis
-    from marsarm.render.console import plain_console
     from sim.plant import PlantDiverged
+    from simgap.common.console import plain_console
 
     def publish(digest: str) -> None:
         print(f"SHA-256 of the truth: {digest}", file=sys.stderr)

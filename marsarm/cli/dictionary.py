@@ -4,8 +4,8 @@ from typing import Annotated
 
 import typer
 
-from marsarm.cli.verb import JsonOption, VerbResult, print_result, report_user_errors, verb
-from marsarm.common.errors import BadRequest
+from simgap.common.errors import BadRequest
+from simgap.common.verb import JsonOption, VerbResult, print_result, report_user_errors, verb
 
 
 @verb

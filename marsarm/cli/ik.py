@@ -1,8 +1,8 @@
 """Define the verbs of the inverse kinematics: `ik` and `reach`."""
 
-from marsarm.cli.verb import VerbResult, verb
-from marsarm.common.progress import Progress
 from marsarm.ik.request import IkRequest, ReachRequest
+from simgap.common.progress import Progress
+from simgap.common.verb import VerbResult, verb
 
 
 @verb

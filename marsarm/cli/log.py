@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from marsarm.cli.verb import VerbResult, verb
-from marsarm.common.errors import BadOutput, BadRequest
-from marsarm.common.progress import Progress
+from simgap.common.errors import BadOutput, BadRequest
+from simgap.common.progress import Progress
+from simgap.common.verb import VerbResult, verb
 
 if TYPE_CHECKING:
     from marsarm.telemetry.read import Log
@@ -79,10 +79,10 @@ def plot(
 
     Example: marsarm log plot run.mcap '/joint.motor_rad[2]' /drive.current_limit_A --out joints.png
     """
-    from marsarm.common.files import check_distinct_files, check_output
-    from marsarm.render.console import pluralize
     from marsarm.telemetry.figure import save_log_figure
     from marsarm.telemetry.inspection import select_channels
+    from simgap.common.console import pluralize
+    from simgap.common.files import check_distinct_files, check_output
 
     check_distinct_files({"LOG": log, "out": check_output(out, (".png",), "out")})
     read = _read(log, start, stop)

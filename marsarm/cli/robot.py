@@ -2,9 +2,9 @@
 
 import typer
 
-from marsarm.cli.verb import VerbResult, verb
-from marsarm.common.progress import Progress
-from marsarm.robot.request import CheckRequest, RobotDiagnoseRequest
+from simgap.command.request import CheckRequest, RobotDiagnoseRequest
+from simgap.common.progress import Progress
+from simgap.common.verb import VerbResult, verb
 
 robot_app = typer.Typer(
     help="Check and diagnose any robot from its MuJoCo model and its logs.\n\n"
@@ -23,9 +23,9 @@ def check(request: CheckRequest, progress: Progress) -> VerbResult:
 
     Example: marsarm robot check robot.toml logs.parquet --report check.html
     """
-    from marsarm.robot.execution import check_robot
-    from marsarm.robot.page import save_check_page
-    from marsarm.robot.tables import check_json, print_check
+    from simgap.command.execution import check_robot
+    from simgap.command.page import save_check_page
+    from simgap.command.tables import check_json, print_check
 
     report = check_robot(request, progress)
     if request.report is not None:
@@ -43,8 +43,8 @@ def diagnose(request: RobotDiagnoseRequest, progress: Progress) -> VerbResult:
 
     Example: marsarm robot diagnose robot.toml logs.parquet --report found.html --patch found
     """
-    from marsarm.robot.diagnosis import diagnose_robot, save_diagnosis_files
-    from marsarm.robot.diagnosis_page import print_diagnosis
+    from simgap.command.diagnosis import diagnose_robot, save_diagnosis_files
+    from simgap.command.diagnosis_page import print_diagnosis
     from simgap.report.document import to_document
 
     made = diagnose_robot(request, progress)

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from marsarm.cli.verb import VerbResult, verb
-from marsarm.common.errors import BadRequest
-from marsarm.common.progress import Progress
 from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest
+from simgap.common.errors import BadRequest
+from simgap.common.progress import Progress
+from simgap.common.verb import VerbResult, verb
 
 if TYPE_CHECKING:
     from marsarm.view.live import LiveView

@@ -1,6 +1,6 @@
 """Start of the command `marsarm`: Ctrl-C is answered from here on, also while the rest is imported."""
 
-from marsarm.common.interruption import report_interruption
+from simgap.common.interruption import report_interruption
 
 
 def start() -> None:

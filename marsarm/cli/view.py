@@ -1,8 +1,8 @@
 """Define the verb `view`."""
 
-from marsarm.cli.verb import VerbResult, verb
-from marsarm.common.progress import Progress
 from marsarm.view.request import ViewRequest
+from simgap.common.progress import Progress
+from simgap.common.verb import VerbResult, verb
 
 
 @verb

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from marsarm.common.errors import BadRequest
+from simgap.common.errors import BadRequest
 
 REQUEST: Final = "request"
 

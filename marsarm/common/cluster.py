@@ -23,9 +23,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from marsarm.common.errors import BadRequest, UserError
 from marsarm.common.pool import Executor, TaskOutcome, carry_out
-from simgap.errors import RobotError
+from simgap.common.errors import BadRequest, RobotError, UserError
 
 PACKAGES: Final = ("numpy", "scipy", "mujoco-core", "ruckig", "ray")
 """Packages whose version changes results, or how they are sent."""

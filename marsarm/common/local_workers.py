@@ -7,8 +7,8 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from marsarm.common.interruption import block_signals
 from marsarm.common.pool import TaskOutcome, carry_out
+from simgap.common.interruption import block_signals
 
 
 class LocalWorkers:

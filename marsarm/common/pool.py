@@ -17,7 +17,7 @@ from functools import partial
 from itertools import count, islice
 from typing import Any, Final, Protocol, TypeVar
 
-from marsarm.common.errors import UserError
+from simgap.common.errors import UserError
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")

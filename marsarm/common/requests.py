@@ -9,7 +9,6 @@ import numpy as np
 
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Position, Vector3, match_name
-from marsarm.common.errors import BadRequest
 from sim.arm_model.load import ArmModel
 from sim.arm_model.mismatch import find_mismatches
 from sim.arms import BuiltArm, UnknownArm, arm_named, own_name
@@ -19,6 +18,7 @@ from sim.params_table import BadParams
 from sim.scenario.effect_file import read_effect_file
 from sim.scenario.effects import BadEffect, parse_effect_text
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
+from simgap.common.errors import BadRequest
 
 MAX_TARGET_DISTANCE_M: Final[float] = get_args(Position)[1].high
 """Largest distance of a target, that of a command; the squares of farther ones may overflow."""

@@ -15,9 +15,6 @@ from typing import Final, Literal
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from marsarm.common.errors import BadRequest
-from marsarm.common.files import atomic_write
-from marsarm.common.json_file import describe_first_problem
 from marsarm.diagnosis.sampling import (
     DetectableEffect,
     SampledEffect,
@@ -25,6 +22,9 @@ from marsarm.diagnosis.sampling import (
     sample_amplitude,
     sample_effect,
 )
+from simgap.common.errors import BadRequest
+from simgap.common.files import atomic_write
+from simgap.common.json_file import describe_first_problem
 
 CaseKind = Literal["none", "single", "pair", "out-of-catalogue"]
 TRUTH: Final = "truth.json"

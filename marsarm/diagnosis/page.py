@@ -24,7 +24,7 @@ from marsarm.diagnosis.sentences import (
     unexplained_sentence,
     verdict_lines,
 )
-from marsarm.render.page import Origin, Requirement, figures, heading, paragraph, save_page, table
+from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 from simgap.report.parts import draw_traces, figure_style
 from simgap.report.traces import Trace, choose_traces
 

@@ -18,7 +18,6 @@ from zipfile import BadZipFile
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from marsarm.common.files import atomic_write
 from marsarm.diagnosis.problem import (
     EffectValues,
     FeatureLayout,
@@ -27,6 +26,7 @@ from marsarm.diagnosis.problem import (
     Nuisance,
     Parameter,
 )
+from simgap.common.files import atomic_write
 
 _READ_ERRORS: Final = (
     *(

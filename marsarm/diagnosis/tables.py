@@ -2,7 +2,7 @@
 
 from marsarm.diagnosis.result import DiagnosisResult
 from marsarm.diagnosis.sentences import verdict_lines
-from marsarm.render.console import plain_console, pluralize
+from simgap.common.console import plain_console, pluralize
 
 
 def print_diagnosis(result: DiagnosisResult) -> None:

@@ -4,7 +4,6 @@ from typing import Any
 
 from rich.table import Table
 
-from marsarm.render.console import plain_console
 from sim.effects.catalogue import (
     ParameterField,
     all_places,
@@ -19,6 +18,7 @@ from sim.effects.catalogue import (
 )
 from sim.effects.effect import Effect
 from sim.scenario.effects import parameter_key
+from simgap.common.console import plain_console
 
 
 def effects_json() -> list[dict[str, Any]]:

@@ -10,13 +10,13 @@ from fsw.config import digest
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.ik import IkResult, inverse_kinematics
 from fsw.kinematics.transforms import Array
-from marsarm.common.errors import BadRequest
 from marsarm.common.pool import Runner, in_order
-from marsarm.common.progress import Progress
 from marsarm.common.requests import make_world, parse_tool, select_arm
 from marsarm.ik.request import ModelRequest
 from marsarm.ik.targets import IkTargets
 from sim.workspace import Workspace
+from simgap.common.errors import BadRequest
+from simgap.common.progress import Progress
 
 MOST_WARMING_K: Final = 200.0
 """Largest temperature difference from calibration; the coldest night on Mars is nearer."""

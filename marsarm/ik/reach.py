@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
-from marsarm.common.options import check_options
 from marsarm.common.pool import Runner, select_runner
-from marsarm.common.progress import Progress, no_progress
 from marsarm.ik.model import IkModel, build_ik_model
 from marsarm.ik.request import ReachRequest
 from marsarm.ik.tally import Tally, tally
 from marsarm.ik.targets import IkTargets
-from marsarm.render.figures import save_figure
 from marsarm.render.outlines import draw_outlines, project_outlines
 from sim.frames import P_NR_M, p_R_from_N
 from sim.workspace import approach_from, random_targets
+from simgap.common.figures import save_figure
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress
 
 SAMPLES_PER_CELL: Final = 40
 CELLS: Final = (4, 30)

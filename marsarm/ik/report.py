@@ -13,7 +13,7 @@ from marsarm.ik.model import IkModel
 from marsarm.ik.reach import ReachReport
 from marsarm.ik.solve import BatchReport, IkReport
 from marsarm.ik.tally import JOINT_NAMES, VERDICT_NAMES, Tally
-from marsarm.render.console import plain_console
+from simgap.common.console import plain_console
 
 WIDEST: Final = 240
 """Number of columns, larger than the width of any table."""

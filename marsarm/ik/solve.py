@@ -8,15 +8,15 @@ import numpy as np
 
 from fsw.kinematics.batch import select_targets
 from fsw.kinematics.ik import IkResult
-from marsarm.common.errors import BadRequest
-from marsarm.common.options import check_options
 from marsarm.common.pool import select_runner
-from marsarm.common.progress import Progress, no_progress
 from marsarm.ik.model import IkModel, build_ik_model
 from marsarm.ik.request import IkRequest
 from marsarm.ik.tally import Tally, tally
 from marsarm.ik.targets import IkTargets, make_targets, read_targets
 from marsarm.ik.writers import open_writer
+from simgap.common.errors import BadRequest
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress
 
 
 @dataclass(frozen=True, slots=True, eq=False)

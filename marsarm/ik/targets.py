@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from fsw.kinematics.transforms import Array
 from marsarm.common.bad_tables import describe_bad_table
-from marsarm.common.errors import BadRequest
 from marsarm.common.requests import MAX_TARGET_DISTANCE_M, MIN_COMPONENT, NEAR_HINT, format_numbers
 from marsarm.ik.request import BATCH_SUFFIXES
 from sim.frames import p_R_from_N
+from simgap.common.errors import BadRequest
 
 FRAMES: Final = ("rnav", "rmech")
 

@@ -16,8 +16,8 @@ from pyarrow import parquet
 
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult
-from marsarm.common.files import atomic_write
 from marsarm.ik.tally import JOINT_NAMES, VERDICT_NAMES
+from simgap.common.files import atomic_write
 
 NO_JOINT: Final = -1
 NAME_TYPE: Final = pa.dictionary(pa.int8(), pa.string())

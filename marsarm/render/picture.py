@@ -16,10 +16,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from marsarm.common.errors import BadOutput, BadRequest
-from marsarm.common.files import atomic_path, check_output
 from marsarm.render import gl
 from marsarm.render.rays import RayCamera
+from simgap.common.errors import BadOutput, BadRequest
+from simgap.common.files import atomic_path, check_output
 
 Image = NDArray[np.uint8]
 Renderer = Literal["opengl", "rays", "none"]

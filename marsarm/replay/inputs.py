@@ -15,13 +15,13 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
 from fsw.estimate.reference import Reference
 from fsw.messages import Sensors
-from marsarm.common.errors import BadRequest
 from marsarm.telemetry.format import COMMAND_TOPIC, SENSOR_TOPIC, TICK_NS
 from marsarm.telemetry.json_codec import BadJson, command_from_json, record_from_json
 from marsarm.telemetry.lost_messages import LostMessages, trailing_bytes_text
 from marsarm.telemetry.read import Log
 from marsarm.telemetry.schema import PER_JOINT, ArmNames, arm_names, packet_layout
 from sim.params import nominal_params
+from simgap.common.errors import BadRequest
 
 REQUIRED_TOPICS: Final = (None, SENSOR_TOPIC, COMMAND_TOPIC)
 """Topics whose loss ends a replay, None for an unknown topic; a loss of others is a difference of length."""

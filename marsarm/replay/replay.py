@@ -10,8 +10,6 @@ from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.params import Params
 from fsw.messages import Outputs
 from fsw.state import boot, outputs_at_rest
-from marsarm.common.errors import BadRequest
-from marsarm.common.progress import Progress, no_progress
 from marsarm.replay.behaviour import OUTPUT_TOPICS, Behaviour, behaviour_from_log, behaviour_from_outputs
 from marsarm.replay.compare import Differences, compare_behaviours
 from marsarm.replay.inputs import Inputs, inputs_from_log
@@ -24,6 +22,8 @@ from sim.loop import step_flight_software
 from sim.params import params_over
 from sim.params_table import BadParams
 from sim.scenario.names import did_you_mean
+from simgap.common.errors import BadRequest
+from simgap.common.progress import Progress, no_progress
 
 OTHER_PROCESSOR_TOLERANCE: Final = 1e-12
 """Tolerance for another processor, whose kernels may round sums in another order."""

@@ -9,11 +9,11 @@ from rich.console import Console
 from rich.markup import escape
 
 from fsw.config import CYCLE_HZ
-from marsarm.render.console import magnitude_sparkline, pluralize, value_sparklines
 from marsarm.replay.compare import ChannelDifference, Differences
 from marsarm.replay.compare_evrs import EvrDifference
 from marsarm.replay.replay import ReplayReport
 from marsarm.telemetry.events import EvrEntry
+from simgap.common.console import magnitude_sparkline, pluralize, value_sparklines
 
 MAX_EVRS: Final = 30
 """Events in the table; the JSON document has all."""

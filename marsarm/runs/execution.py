@@ -18,9 +18,6 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ, Config, digest
 from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
-from marsarm.common.errors import BadRequest
-from marsarm.common.interruption import describe_interruption
-from marsarm.common.progress import Progress, part_of
 from marsarm.render.picture import PictureResult, check_movie_path, save_movie, save_picture
 from marsarm.render.rover_scene import tilt_rover
 from marsarm.runs.request import RunFiles, WhenDiskFull
@@ -34,6 +31,9 @@ from sim.initialisation import InitialisationResult, initialise_joints
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
 from sim.world import World, build
+from simgap.common.errors import BadRequest
+from simgap.common.interruption import describe_interruption
+from simgap.common.progress import Progress, part_of
 
 if TYPE_CHECKING:
     from marsarm.view.live import LiveView

@@ -13,9 +13,6 @@ from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.homing_poses import homing_start_poses
-from marsarm.common.errors import BadRequest
-from marsarm.common.options import check_options
-from marsarm.common.progress import Progress, no_progress
 from marsarm.common.requests import fit_effects, make_world, parse_effects, select_arm
 from marsarm.runs.execution import open_view
 from marsarm.runs.request import HardstopRequest
@@ -30,6 +27,9 @@ from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.sequence import Outcome
 from sim.world import World
+from simgap.common.errors import BadRequest
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from marsarm.view.live import LiveView

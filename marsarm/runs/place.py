@@ -7,10 +7,6 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import match_name
-from marsarm.common.errors import BadRequest
-from marsarm.common.files import reserve
-from marsarm.common.options import check_options
-from marsarm.common.progress import Progress, no_progress, part_of
 from marsarm.common.requests import (
     check_finite,
     check_target_distance,
@@ -39,6 +35,10 @@ from sim.placement import Placement, PlacementResult, PlacementRun
 from sim.preview import preview_placement, unstow_duration_s
 from sim.sequence import Outcome
 from sim.world import Surface, World, inside_rover
+from simgap.common.errors import BadRequest
+from simgap.common.files import reserve
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress, part_of
 
 if TYPE_CHECKING:
     from marsarm.view.live import LiveView

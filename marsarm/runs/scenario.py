@@ -4,10 +4,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 from fsw.config import CYCLE_HZ
-from marsarm.common.errors import BadRequest
-from marsarm.common.files import reserve
-from marsarm.common.options import check_options
-from marsarm.common.progress import Progress, no_progress, part_of
 from marsarm.common.requests import make_world, parse_effects, select_arm
 from marsarm.runs.execution import (
     INITIALISATION_SHARE,
@@ -30,6 +26,10 @@ from sim.scenario.rehearsal import find_impossible
 from sim.scenario.run import ScenarioResult, ScenarioRun, scenario_setup
 from sim.scenario.teaching import NotTaught, teach
 from sim.sequence import Outcome
+from simgap.common.errors import BadRequest
+from simgap.common.files import reserve
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress, part_of
 
 if TYPE_CHECKING:
     from marsarm.view.live import LiveView

@@ -9,7 +9,6 @@ from rich.table import Table
 from rich.text import Text
 
 from fsw.dictionary.evrs import Evr, Severity
-from marsarm.render.console import WARNING_STYLE, plain_console, styled_cell
 from marsarm.runs.execution import Execution
 from marsarm.runs.place import PlaceReport
 from marsarm.runs.request import RunFiles
@@ -20,6 +19,7 @@ from sim.scenario.data import Scenario
 from sim.scenario.effects import effect_text
 from sim.scenario.judge import CheckResult
 from sim.scenario.names import upper_snake
+from simgap.common.console import WARNING_STYLE, plain_console, styled_cell
 
 DISPLAY_UNITS: Final = {"m": ("mm", 1e3), "rad": ("deg", degrees(1.0))}
 """Unit of reports for each SI unit, and the conversion factor."""

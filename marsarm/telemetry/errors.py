@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from marsarm.common.errors import UserError
+from simgap.common.errors import UserError
 
 
 class LogError(UserError):

@@ -16,14 +16,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from marsarm.common.errors import BadOutput
 from marsarm.common.fields import unit_of
-from marsarm.common.files import atomic_write, check_distinct_files, check_new_path, check_output
-from marsarm.common.progress import Progress
 from marsarm.telemetry.events import CommandEntry, EvrEntry
 from marsarm.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS, TRUTH_TEXT
 from marsarm.telemetry.inspection import NoSuchChannel, index_text, severity_name
 from marsarm.telemetry.read import Log
+from simgap.common.errors import BadOutput
+from simgap.common.files import atomic_write, check_distinct_files, check_new_path, check_output
+from simgap.common.progress import Progress
 
 ColumnValues = NDArray[np.generic] | Sequence[str]
 TABLE_SUFFIXES: Final = (".parquet", ".csv")

@@ -19,13 +19,13 @@ from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
-from marsarm.common.git import git_revision
 from marsarm.telemetry.format import WRITER_KEY
 from marsarm.telemetry.json_codec import record_to_json
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
 from sim.scenario.effects import effect_text
 from sim.world import World
+from simgap.common.git import git_revision
 
 
 @cache

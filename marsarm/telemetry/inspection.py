@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.evrs import Severity
-from marsarm.common.errors import BadRequest
 from marsarm.common.fields import unit_of
 from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.read import Log
 from marsarm.telemetry.topics import channel_matches
 from sim.scenario.names import suggest_name
+from simgap.common.errors import BadRequest
 
 MAX_LOG_S: Final = 9e9
 """Limit of log times; its nanoseconds fit in eight bytes."""

@@ -16,8 +16,6 @@ from weakref import finalize
 from mcap.records import Metadata
 
 from fsw.config import Config
-from marsarm.common.files import atomic_path, lock_file
-from marsarm.common.interruption import describe_interruption
 from marsarm.telemetry.errors import LogNotWritable
 from marsarm.telemetry.events import command_entry, evr_entry, rosout_message
 from marsarm.telemetry.format import (
@@ -41,6 +39,8 @@ from marsarm.telemetry.topics import PACKET_TOPICS
 from marsarm.telemetry.writer_pipe import WriterPipe
 from sim.params import nominal_params
 from sim.record import CycleRecord
+from simgap.common.files import atomic_path, lock_file
+from simgap.common.interruption import describe_interruption
 
 NOT_CLOSED: Final = "a recorder that nobody closed"
 """Cause of an interruption if the program ended without an exception that it could report."""

@@ -8,8 +8,6 @@ from typing import BinaryIO
 
 from mcap.writer import IndexType, Writer
 
-from marsarm.common.files import atomic_write, check_distinct_files, check_output
-from marsarm.common.progress import Progress
 from marsarm.telemetry.errors import LogNotReadable
 from marsarm.telemetry.format import (
     CHANNELS_KEY,
@@ -25,6 +23,8 @@ from marsarm.telemetry.mcap_reader import PARSE_ERRORS
 from marsarm.telemetry.read import parse_log, read_log_bytes
 from marsarm.telemetry.salvage import SalvagedLog, salvage
 from marsarm.telemetry.topic_arrays import decode_topics, known_topics
+from simgap.common.files import atomic_write, check_distinct_files, check_output
+from simgap.common.progress import Progress
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,6 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from marsarm.render.console import plain_console, pluralize
 from marsarm.telemetry.format import FORMAT
 from marsarm.telemetry.inspection import ChannelSeries, LogInfo, Range, range_of, summarize_log
 from marsarm.telemetry.lost_messages import (
@@ -18,6 +17,7 @@ from marsarm.telemetry.lost_messages import (
 )
 from marsarm.telemetry.read import Log
 from marsarm.telemetry.recover import RecoveryReport
+from simgap.common.console import plain_console, pluralize
 
 OMITTED_KEYS: Final = ("channels", "commands", "params")
 """Keys of the header that are too long for people."""

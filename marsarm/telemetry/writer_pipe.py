@@ -15,7 +15,6 @@ from contextlib import ExitStack, suppress
 from io import FileIO
 from typing import Final
 
-from marsarm.common.interruption import block_signals, defer_interrupts
 from marsarm.telemetry.mcap_writer import McapState
 from marsarm.telemetry.ros_messages import JointSample, RosEncoder
 from marsarm.telemetry.writer_process import (
@@ -26,6 +25,7 @@ from marsarm.telemetry.writer_process import (
     WriterStatus,
     encode_end,
 )
+from simgap.common.interruption import block_signals, defer_interrupts
 
 WRITER_CODE: Final = "import sys; sys.path[:] = {}; from marsarm.telemetry.writer_process import main; main()"
 CODE_PATH: Final = [os.path.abspath(folder) for folder in sys.path]

@@ -15,9 +15,9 @@ from fsw.kinematics.chain import Frames as ChainFrames
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import ToolForce, settle_output
 from fsw.kinematics.transforms import Array, Pose, stack_poses
-from marsarm.common.errors import BadRequest
 from marsarm.view.samples import Samples
 from marsarm.view.scene import Scene
+from simgap.common.errors import BadRequest
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from marsarm.common.files import atomic_write
 from marsarm.view.looks import looks_json
 from marsarm.view.plots import Plot, make_plots
 from marsarm.view.watched_run import WatchedRun
+from simgap.common.files import atomic_write
 
 LOOK_AT: Final = np.array([0.5, 0.5, 0.25])
 """Point at which the camera looks, as shares of the box around the trail: the surface is at its bottom."""

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import Final, Self
 
 from fsw.config import CYCLE_HZ
-from marsarm.common.errors import BadRequest
 from marsarm.view.frames import Event, Frames, Trail
 from marsarm.view.looks import TRAIL_STEP_M
 from marsarm.view.request import DEFAULT_PORT
@@ -16,6 +15,7 @@ from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.record import CycleRecord
 from sim.world import World
+from simgap.common.errors import BadRequest
 
 DRAW_PERIOD_S: Final = 0.1
 """Least wall time between two drawings of a run that runs: drawing must not slow it."""

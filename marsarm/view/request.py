@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
 
-from marsarm.common.options import Option
+from simgap.common.options import Option
 
 DEFAULT_PORT: Final = 8080
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Mode
 from fsw.kinematics.transforms import Array
-from marsarm.common.errors import BadRequest
 from marsarm.telemetry.read import Log
 from sim.record import CycleRecord
+from simgap.common.errors import BadRequest
 
 SAMPLE_CYCLES: Final = CYCLE_HZ // 4
 """Cycles between samples: at 4 Hz no joint turns by more than 2 degrees between two."""

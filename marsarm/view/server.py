@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.evrs import Severity
-from marsarm.common.errors import BadRequest
 from marsarm.render.triangles import Triangles, join_triangles
 from marsarm.view.frames import Event, Frames, Trail
 from marsarm.view.looks import (
@@ -33,6 +32,7 @@ from marsarm.view.looks import (
 from marsarm.view.plots import Plot, make_plots
 from marsarm.view.scene import STATIC, Scene
 from marsarm.view.watched_run import WatchedRun
+from simgap.common.errors import BadRequest
 
 HOST: Final = "127.0.0.1"
 PERIOD_S: Final = 1 / 30

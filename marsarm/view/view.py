@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 from typing import Any
 
-from marsarm.common.options import check_options
-from marsarm.common.progress import Progress
-from marsarm.render.console import plain_console, pluralize
 from marsarm.view.html import save_page
 from marsarm.view.request import ViewRequest
 from marsarm.view.server import Viewer
 from marsarm.view.watched_run import WatchedRun, watch_log
+from simgap.common.console import plain_console, pluralize
+from simgap.common.options import check_options
+from simgap.common.progress import Progress
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,6 @@ from fsw.dictionary.evrs import Severity
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.transforms import Array, normalize
-from marsarm.common.errors import BadRequest
 from marsarm.telemetry.format import EVR_TOPIC, TICK_NS
 from marsarm.telemetry.header import WORLD
 from marsarm.telemetry.json_codec import BadJson, record_from_json
@@ -24,6 +23,7 @@ from sim.effects.effect import Effect, params_with_effects
 from sim.effects.structure import StandInTurret
 from sim.scenario.effects import BadEffect, parse_effect_text
 from sim.world import World
+from simgap.common.errors import BadRequest
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,8 +9,8 @@ from helpers.planar_arm import RATE_HZ, TABLE_M, commands, planar_arm, record, s
 from simgap.audit.audit import audit
 from simgap.audit.records import RemarkKind
 from simgap.audit.stops import find_lower_stop, median_interval
+from simgap.common.errors import RobotError
 from simgap.diagnose import diagnose
-from simgap.errors import RobotError
 from simgap.load import load
 from simgap.logs import Logs, Signal
 from simgap.result import Refusal

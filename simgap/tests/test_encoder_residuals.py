@@ -10,10 +10,10 @@ import pytest
 from helpers.real_robots import robot_path
 from helpers.two_joint_arm import PERIOD_s, arm, rms, scales, simulated
 from simgap.catalogue.catalogue import catalogue
+from simgap.common.errors import RobotError
 from simgap.effects.friction import CoulombFriction
 from simgap.effects.timing import EncoderScale, MeasurementDelay
 from simgap.effects.transmission import Backlash, JointCompliance
-from simgap.errors import RobotError
 from simgap.load import load
 from simgap.logs import JointLog, Motion, Signal
 from simgap.residuals.blocks import correlation_time_s

@@ -19,6 +19,7 @@ from helpers.pendulum import (
     waves,
 )
 from simgap.arrays import Array
+from simgap.common.errors import RobotError
 from simgap.effects.actuation import DeadZone, GainError
 from simgap.effects.command import CommandDelay
 from simgap.effects.effect import Effect
@@ -26,7 +27,6 @@ from simgap.effects.external import ConstantTorque
 from simgap.effects.friction import CoulombFriction, LoadFriction, StribeckFriction
 from simgap.effects.timing import MeasurementDelay
 from simgap.effects.transmission import Backlash
-from simgap.errors import RobotError
 from simgap.logs import JointLog, Motion, Signal
 from simgap.residuals.residuals import residuals_by_motion
 from simgap.residuals.simulation_residuals import PENALTY_rad, SimulationResiduals

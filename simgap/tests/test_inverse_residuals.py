@@ -10,12 +10,12 @@ import pytest
 from helpers.real_robots import robot_path
 from helpers.two_joint_arm import arm, rms, scales, simulated
 from simgap.catalogue.catalogue import catalogue
+from simgap.common.errors import RobotError
 from simgap.effects.external import PositionTorque
 from simgap.effects.friction import CoulombFriction, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature, LinkMass
 from simgap.effects.timing import EncoderScale, JointZero
 from simgap.effects.transmission import JointCompliance
-from simgap.errors import RobotError
 from simgap.load import load
 from simgap.logs import JointLog, Motion, Signal
 from simgap.residuals.inverse_residuals import InverseResiduals, shows

@@ -10,7 +10,7 @@ from helpers.robot_folder import (
     write_parquet,
     write_robot,
 )
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.load import load
 from simgap.robot import Robot
 

@@ -8,7 +8,7 @@ import pytest
 from mcap.writer import Writer
 
 from helpers.robot_folder import write_robot
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.files.ros_message import BadMessage, RosReader
 from simgap.load import load
 

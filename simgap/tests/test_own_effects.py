@@ -9,7 +9,7 @@ import pytest
 from helpers.effect_lab import ARM_XML, robot_of, simulate
 from simgap.catalogue.catalogue import catalogue
 from simgap.catalogue.own_effects import load_effects
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.logs import JointLog, Logs, Motion, Signal
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from helpers.pendulum import pendulum
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.patch.patch import make_patch
 from simgap.patch.runtime import RuntimeEffects, RuntimeJoint
 from simgap.robot import Robot

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from helpers.robot_folder import MODEL, write_robot
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.robot import ControlMode, Robot
 

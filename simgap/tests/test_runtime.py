@@ -8,9 +8,9 @@ import pytest
 
 from helpers.pendulum import motion, pendulum, waves
 from simgap.catalogue.own_effects import load_effects
+from simgap.common.errors import RobotError
 from simgap.effects.command import AccelerationLimit, ClampHigh, ClampLow, CommandDelay, VelocityLimit
 from simgap.effects.friction import LoadFriction
-from simgap.errors import RobotError
 from simgap.logs import Logs
 from simgap.patch.patch import make_patch
 from simgap.patch.runtime import RuntimeEffects
@@ -107,5 +107,5 @@ def test_a_runtime_file_of_another_format_is_refused(tmp_path):
 def test_a_runtime_file_names_no_class_outside_of_the_package(tmp_path):
     text = make_patch(ROBOT, *made({LoadFriction: 0.1})).runtime
     (tmp_path / "runtime.toml").write_text(text.replace("simgap.effects.friction:LoadFriction", "os:system"))
-    with pytest.raises(RobotError, match="os is no module of diagnosis"):
+    with pytest.raises(RobotError, match="os is no module of simgap"):
         RuntimeEffects.from_toml(ROBOT.model, tmp_path / "runtime.toml")

@@ -16,7 +16,6 @@ from marsarm.calibration.calibrate import calibrate, rms_m
 from marsarm.calibration.campaign import PAPER_GROUPS, CampaignPlan, resize_groups
 from marsarm.calibration.checks import check_data, check_fit
 from marsarm.calibration.simulation import simulate_campaign
-from marsarm.common.errors import BadRequest
 from marsarm.runs.place import place, prepare_placement
 from marsarm.runs.request import PlaceRequest, RunFiles
 from sim.arm_model.load import load_arm
@@ -36,6 +35,7 @@ from sim.preview import preview_placement
 from sim.sequence import Outcome
 from sim.workspace import approach_from, random_targets
 from sim.world import World, build
+from simgap.common.errors import BadRequest
 
 NAME = "m2020"
 MODEL = load_arm(NAME)

@@ -12,7 +12,6 @@ import pytest
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward
 from marsarm.common.pool import local_runner
-from marsarm.common.progress import no_progress
 from marsarm.ik.model import build_ik_model
 from marsarm.ik.reach import sample_workspace
 from marsarm.ik.request import ModelRequest
@@ -21,6 +20,7 @@ from sim.arm_model.description import BadArm
 from sim.arm_model.load import ARMS, default_arm, load_arm
 from sim.frames import P_NR_M
 from sim.world import World, build, inside_rover
+from simgap.common.progress import no_progress
 from tests.marsarm.command import marsarm
 
 SCALE = 0.4

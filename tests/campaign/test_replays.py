@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from marsarm.common.errors import BadRequest
+from simgap.common.errors import BadRequest
 from validation import replays
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from marsarm.common.errors import BadRequest
+from simgap.common.errors import BadRequest
 from validation import resumable
 from validation.resumable import keep_results
 

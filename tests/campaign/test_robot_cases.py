@@ -10,9 +10,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from marsarm.common.errors import BadRequest
 from marsarm.common.pool import run_here
-from marsarm.common.progress import no_progress
+from simgap.common.errors import BadRequest
+from simgap.common.progress import no_progress
 from simgap.load import load
 from simgap.logs import JointLog, Logs, Motion, Signal
 from validation.robot_cases import solve

@@ -7,7 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from helpers.real_robots import robot_path
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.files.split_file import read_split
 from simgap.load import load
 from simgap.robot import Robot

@@ -13,7 +13,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 from marsarm.cli.start import start
-from marsarm.common.interruption import END_SIGNALS
+from simgap.common.interruption import END_SIGNALS
 
 ROOT = Path(__file__).resolve().parents[2]
 Ran = subprocess.CompletedProcess[str]

@@ -10,11 +10,11 @@ from typing import Annotated
 
 import typer
 
-from marsarm.cli.verb import VerbCommand, VerbResult, verb
-from marsarm.common.files import check_output
-from marsarm.common.options import CLUSTER_HELP
 from marsarm.common.pool import select_runner
-from marsarm.common.progress import Progress
+from simgap.common.files import check_output
+from simgap.common.options import CLUSTER_HELP
+from simgap.common.progress import Progress
+from simgap.common.verb import VerbCommand, VerbResult, verb
 from validation.blind.arm_solver import ARM_SOLVER, load_campaign_sensitivities
 from validation.blind.folder import check_jobs, check_make
 from validation.blind.leave_out import score_left_out

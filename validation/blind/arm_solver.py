@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from marsarm.common.errors import BadRequest
 from marsarm.common.pool import Runner, local_runner
-from marsarm.common.progress import Progress
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
 from marsarm.diagnosis.arm.case import FittedCase, diagnose_fitted_case, fit_case
@@ -18,6 +16,8 @@ from marsarm.diagnosis.arm.record import split_logs
 from marsarm.diagnosis.result import to_json
 from sim.params import nominal_params
 from sim.plant import PlantDiverged
+from simgap.common.errors import BadRequest
+from simgap.common.progress import Progress
 from validation.blind.case_features import CampaignSensitivities, CaseFeatures, CaseResiduals
 from validation.blind.solve import DIAGNOSIS_SEED, NoDiagnosis, Solver
 

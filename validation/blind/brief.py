@@ -12,7 +12,6 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from marsarm.common.pool import Runner, local_runner
-from marsarm.common.progress import Progress
 from marsarm.diagnosis.arm.blind_case import check_leakage
 from marsarm.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
 from marsarm.diagnosis.arm.record import record_campaign, split_logs
@@ -20,6 +19,7 @@ from marsarm.diagnosis.blind_case import seal
 from marsarm.diagnosis.sampling import list_detectable
 from sim.arms import arm_named
 from sim.initialisation import true_reference
+from simgap.common.progress import Progress
 from validation.blind.arm_solver import diagnose_against
 from validation.blind.case_features import CampaignSensitivities, CaseFeatures
 from validation.blind.classes import CLASSES_FILE, classes_json

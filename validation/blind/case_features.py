@@ -8,12 +8,12 @@ import numpy as np
 from pydantic import Field, FiniteFloat, TypeAdapter
 
 from fsw.kinematics.transforms import Array
-from marsarm.common.errors import BadRequest
-from marsarm.common.json_file import read_json
 from marsarm.diagnosis.closure import Closure, build_held_out_model, compute_closure
 from marsarm.diagnosis.normal_equations import form_normal_equations
 from marsarm.diagnosis.problem import Hypothesis, Ints
 from marsarm.diagnosis.sensitivity import Sensitivities
+from simgap.common.errors import BadRequest
+from simgap.common.json_file import read_json
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,11 +9,11 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, TypeAdapter
 
-from marsarm.common.errors import BadRequest
-from marsarm.common.json_file import read_json
 from marsarm.diagnosis.arm.families import locate
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.result import finite_or_none
+from simgap.common.errors import BadRequest
+from simgap.common.json_file import read_json
 from validation.blind.out_of_catalogue import EFFECTS_FOLDER
 
 CLASSES_FILE: Final = "classes.json"

@@ -9,11 +9,11 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 
-from marsarm.common.errors import BadOutput, BadRequest
-from marsarm.common.files import atomic_write, check_new_path
-from marsarm.common.json_file import describe_first_problem
 from marsarm.diagnosis.blind_case import DIGEST, read_digest
 from marsarm.diagnosis.diagnose import Level, Verdict
+from simgap.common.errors import BadOutput, BadRequest
+from simgap.common.files import atomic_write, check_new_path
+from simgap.common.json_file import describe_first_problem
 
 CAMPAIGN_FOLDER: Final = "campaign"
 CASES_FOLDER: Final = "cases"

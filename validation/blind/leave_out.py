@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from marsarm.common.errors import BadRequest
 from marsarm.common.pool import Runner, in_order
-from marsarm.common.progress import Progress
 from marsarm.common.rates import Rate, estimate_rate
 from marsarm.diagnosis.blind_case import TrueCase, load_truth
+from simgap.common.errors import BadRequest
+from simgap.common.progress import Progress
 from validation.blind.classes import EquivalenceClasses, load_classes
 from validation.blind.folder import CAMPAIGN_FOLDER, CASES_FOLDER, load_results
 from validation.blind.score import NAMED_LEVELS

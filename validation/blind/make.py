@@ -9,9 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from marsarm.common.errors import BadRequest
 from marsarm.common.pool import Runner
-from marsarm.common.progress import Progress, no_progress, part_of
 from marsarm.diagnosis.arm.blind_case import check_leakage, record_blind, sample_background
 from marsarm.diagnosis.arm.record import record_campaign
 from marsarm.diagnosis.arm.simulator import catalogue_effect
@@ -30,6 +28,8 @@ from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
 from sim.effects.effect import Effect
 from sim.initialisation import true_reference
 from sim.scenario.effects import effect_text
+from simgap.common.errors import BadRequest
+from simgap.common.progress import Progress, no_progress, part_of
 from validation.blind.arm_solver import load_model
 from validation.blind.classes import CLASSES_FILE, classes_json
 from validation.blind.folder import CAMPAIGN_FOLDER, CASES_FOLDER, PARTIAL_SUFFIX, case_name, write_json

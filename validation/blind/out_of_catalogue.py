@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Final
 
 from fsw.kinematics.transforms import Array
-from marsarm.common.errors import BadRequest
 from marsarm.diagnosis.arm.simulator import make_effect, to_hypothesis
 from marsarm.diagnosis.problem import Hypothesis
 from marsarm.diagnosis.sampling import DetectableEffect
@@ -15,6 +14,7 @@ from sim.effects import catalogue
 from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.scenario.effects import BadEffect, effect_classes_in_file, effect_text, parse_effect_text
+from simgap.common.errors import BadRequest
 
 EFFECTS_FOLDER: Final = Path(__file__).resolve().parents[2] / "validation" / "out_of_catalogue_effects"
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from marsarm.common.errors import BadRequest
-from marsarm.common.progress import Progress
 from marsarm.diagnosis.blind_case import TrueCase, load_truth
 from marsarm.diagnosis.problem import Hypothesis
+from simgap.common.errors import BadRequest
+from simgap.common.progress import Progress
 from validation.blind.case_features import (
     CampaignSensitivities,
     closure_of_truth,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from marsarm.common.pool import Runner
-from marsarm.common.progress import Progress
+from simgap.common.progress import Progress
 from validation.blind.case_features import CampaignSensitivities, CaseFeatures
 from validation.blind.folder import CAMPAIGN_FOLDER, list_cases, result_path, write_json
 

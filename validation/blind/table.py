@@ -7,8 +7,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from marsarm.common.files import atomic_write
 from marsarm.common.rates import Rate
+from simgap.common.files import atomic_write
 from validation.blind.score import DetectionRates, Median, OutsideRates, Score
 
 

@@ -5,9 +5,9 @@ import json
 import sys
 from pathlib import Path
 
-from marsarm.common.errors import UserError
 from marsarm.common.pool import local_runner
-from marsarm.common.progress import show_progress
+from simgap.common.errors import UserError
+from simgap.common.progress import show_progress
 from validation.robot_cases.make import make_cases
 from validation.robot_cases.score import score_folder
 from validation.robot_cases.solve import solve_cases

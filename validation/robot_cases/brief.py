@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from marsarm.common.pool import local_runner
-from marsarm.common.progress import no_progress
+from simgap.common.progress import no_progress
 from validation.options import campaign_parser
 from validation.robot_cases.make import make_cases
 from validation.robot_cases.score import score_folder

@@ -8,10 +8,10 @@ from typing import Final
 
 from pydantic import TypeAdapter
 
-from marsarm.common.errors import BadRequest
 from marsarm.common.pool import Runner
-from marsarm.common.progress import Progress
 from marsarm.diagnosis.blind_case import DIGEST
+from simgap.common.errors import BadRequest
+from simgap.common.progress import Progress
 from validation.blind.folder import write_json
 from validation.robot_cases.arms import ARMS, load_robot
 from validation.robot_cases.draw import draw_truth, make_campaign, record_logs

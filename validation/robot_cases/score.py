@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from scipy.stats import binom
 
-from marsarm.common.errors import BadRequest
+from simgap.common.errors import BadRequest
 from validation.robot_cases.draw import DrawnEffect
 from validation.robot_cases.seal import SealedCase, load_truth
 from validation.robot_cases.solve import solved_path

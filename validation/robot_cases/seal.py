@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from marsarm.common.errors import BadRequest
-from marsarm.common.files import atomic_write
-from marsarm.common.json_file import describe_first_problem
 from marsarm.diagnosis.blind_case import DIGEST, TRUTH, read_digest
+from simgap.common.errors import BadRequest
+from simgap.common.files import atomic_write
+from simgap.common.json_file import describe_first_problem
 from validation.robot_cases.draw import Kind, Truth
 
 SEALED_FOLDER: Final = "sealed"

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from marsarm.common.pool import Runner
-from marsarm.common.progress import Progress
+from simgap.common.errors import RobotError
+from simgap.common.progress import Progress
 from simgap.diagnose import diagnose
-from simgap.errors import RobotError
 from simgap.load import load
 from simgap.result import Diagnosis
 from simgap.robot import Robot

@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 
 from marsarm.calibration.request import SerialRequest
-from marsarm.common.errors import BadRequest
-from marsarm.common.files import atomic_write
-from marsarm.common.options import check_options
-from marsarm.common.progress import Progress, no_progress
 from sim.scenario.names import did_you_mean
+from simgap.common.errors import BadRequest
+from simgap.common.files import atomic_write
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress
 from simgap.serial_arm.arm import SerialArm
 from simgap.serial_arm.arm_file import arm_to_toml, read_arm
 from simgap.serial_arm.calibrate import held_out_ratio

@@ -7,8 +7,8 @@ import numpy as np
 from rich.table import Table
 
 from marsarm.calibration.serial.execution import SerialReport
-from marsarm.render.console import plain_console
-from marsarm.render.figures import save_figure
+from simgap.common.console import plain_console
+from simgap.common.figures import save_figure
 from simgap.serial_arm.arm import GEOMETRY_NAMES
 from simgap.serial_arm.calibrate import contributions_m, joint_errors, periodic_error_rad
 from simgap.serial_arm.model import GEOMETRY, NON_PERIODIC, PERIODIC

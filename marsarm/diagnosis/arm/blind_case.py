@@ -18,8 +18,6 @@ from mcap.stream_reader import StreamReader
 
 from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
-from marsarm.common.errors import UserError
-from marsarm.common.progress import Progress, no_progress
 from marsarm.diagnosis.arm.record import record_campaign
 from marsarm.diagnosis.blind_case import TrueCase
 from marsarm.telemetry.format import CHANNELS_KEY
@@ -35,6 +33,8 @@ from sim.effects.numerics import Numerics
 from sim.effects.sensors import CounterStart
 from sim.initialisation import DAILY_FRICTION_SIGMA, true_reference
 from sim.plant import PlantDiverged
+from simgap.common.errors import UserError
+from simgap.common.progress import Progress, no_progress
 
 PLANT_NUMERICS: Final = Numerics("explicit", 7)
 """Numerics of the plant: finer than the solver's, and of a scheme that the solver does not know. With steps

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from marsarm.common.pool import Runner
-from marsarm.common.progress import Progress, part_of
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.families import list_families, list_locations
 from marsarm.diagnosis.model import DiagnosisModel, build_model
 from marsarm.diagnosis.sensitivity import Sensitivities
+from simgap.common.progress import Progress, part_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,11 +23,7 @@ import fsw
 import sim
 from fsw.config import digest
 from fsw.kinematics.transforms import Array
-from marsarm.common.errors import BadRequest
-from marsarm.common.files import atomic_write
-from marsarm.common.json_file import read_json
 from marsarm.common.pool import Runner
-from marsarm.common.progress import Progress, part_of
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.case_simulator import feature_keys
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, every_motion
@@ -56,6 +52,10 @@ from marsarm.telemetry.header import model_digest
 from sim.effects.catalogue import catalogue
 from sim.params import nominal_params
 from sim.world import World, build
+from simgap.common.errors import BadRequest
+from simgap.common.files import atomic_write
+from simgap.common.json_file import read_json
+from simgap.common.progress import Progress, part_of
 
 Logs = tuple[Path, ...]
 Names = tuple[str, ...]

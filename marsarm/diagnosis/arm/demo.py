@@ -13,11 +13,7 @@ import numpy as np
 import fsw
 import sim
 from fsw.config import digest
-from marsarm.common.errors import BadRequest
-from marsarm.common.files import cache_folder
-from marsarm.common.options import check_options
 from marsarm.common.pool import select_runner
-from marsarm.common.progress import Progress, part_of
 from marsarm.diagnosis.arm import record
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.blind_case import record_blind, sample_background
@@ -38,6 +34,10 @@ from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.scenario.effects import effect_text
 from sim.world import World, build
+from simgap.common.errors import BadRequest
+from simgap.common.files import cache_folder
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, part_of
 
 Kind = Literal["none", "known", "left out"]
 KINDS: Final[tuple[tuple[Kind, float], ...]] = (("none", 0.1), ("known", 0.65), ("left out", 0.25))

@@ -9,11 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from fsw.dictionary.params import Params
-from marsarm.common.errors import BadRequest
-from marsarm.common.files import cache_folder
-from marsarm.common.options import check_options
 from marsarm.common.pool import Runner, select_runner
-from marsarm.common.progress import Progress, no_progress, part_of
 from marsarm.common.requests import load_fitting_params, parse_effects
 from marsarm.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
 from marsarm.diagnosis.arm.campaign_model import load_campaign_model
@@ -29,6 +25,10 @@ from sim.arm_model.load import default_arm
 from sim.effects.catalogue import catalogue, effect_name
 from sim.effects.effect import Effect
 from sim.scenario.names import shorten
+from simgap.common.errors import BadRequest
+from simgap.common.files import cache_folder
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress, part_of
 
 CAMPAIGN_SHARE: Final = 0.9
 """Share of the campaign model in the time of a diagnosis, for the progress, if none is cached."""

@@ -13,8 +13,6 @@ from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Sensors
-from marsarm.common.errors import BadRequest
-from marsarm.common.json_file import describe_first_problem
 from marsarm.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, read_tracker_poses
 from marsarm.replay.inputs import NotReplayable, inputs_from_log
 from marsarm.telemetry.errors import LogError
@@ -22,6 +20,8 @@ from marsarm.telemetry.header import SESSION
 from marsarm.telemetry.read import Log, read_log
 from sim.open_loop import RecordedStart
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
+from simgap.common.errors import BadRequest
+from simgap.common.json_file import describe_first_problem
 
 DRIVE: Final = "/drive"
 COUNTS: Final = "setpoint_count"

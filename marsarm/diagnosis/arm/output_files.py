@@ -6,22 +6,22 @@ from pathlib import Path
 
 from fsw.config import digest
 from fsw.dictionary.params import Params
-from marsarm.common.command_text import command_text
-from marsarm.common.files import atomic_write
-from marsarm.common.json_digest import json_sha256
 from marsarm.common.params_toml import params_toml
 from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, file_sha256, flight_params
 from marsarm.diagnosis.arm.request import DiagnoseRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect
 from marsarm.diagnosis.page import save_diagnosis_page
 from marsarm.diagnosis.result import DiagnosisResult, to_json
-from marsarm.render.page import Origin
 from sim.effects.catalogue import effect_name, has_flight_parameter
 from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.params_table import BadParams, check_params
 from sim.scenario.effect_file import effect_file_text
 from sim.scenario.effects import effect_text
+from simgap.common.command_text import command_text
+from simgap.common.files import atomic_write
+from simgap.common.json_digest import json_sha256
+from simgap.common.page import Origin
 
 
 class NothingToWrite(Exception):

@@ -12,11 +12,7 @@ import numpy as np
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, Pose, stack_poses
 from marsarm.calibration.survey import TooFewTargets, measure_pose
-from marsarm.common.errors import BadRequest
-from marsarm.common.files import atomic_path, check_new_path
-from marsarm.common.options import check_options
 from marsarm.common.params_toml import params_toml
-from marsarm.common.progress import Progress, no_progress
 from marsarm.common.requests import fit_effects, parse_effects, select_arm
 from marsarm.diagnosis.arm.request import RecordRequest
 from marsarm.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, write_tracker_poses
@@ -40,6 +36,10 @@ from sim.params import nominal_params
 from sim.plant import PlantDiverged
 from sim.scenario.names import did_you_mean
 from sim.tracker import TYPICAL_TRACKER, turret_pose
+from simgap.common.errors import BadRequest
+from simgap.common.files import atomic_path, check_new_path
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress
 
 HELD_OUT_FOLDER: Final = "held-out"
 """Name of the folder of held-out logs, inside the folder of logs."""

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-from marsarm.common.errors import BadRequest
+from simgap.common.errors import BadRequest
 
 
 class BadImport(BadRequest):

@@ -11,10 +11,6 @@ from rich.table import Table
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command
-from marsarm.common.errors import BadRequest
-from marsarm.common.files import atomic_write, check_distinct_files, check_output
-from marsarm.common.progress import Progress
-from marsarm.render.console import plain_console, pluralize
 from marsarm.telemetry.format import SENSOR_TOPIC, TICK_NS
 from marsarm.telemetry.header import SESSION, commands_header, start_header, versions_header
 from marsarm.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
@@ -25,6 +21,10 @@ from marsarm.telemetry.imports.packets import IncompleteTopic, build_topics, inc
 from marsarm.telemetry.imports.table import MAX_CELLS, read_table
 from marsarm.telemetry.imports.times import sort_by_time
 from sim.text_file import UnreadableText, decode_text
+from simgap.common.console import plain_console, pluralize
+from simgap.common.errors import BadRequest
+from simgap.common.files import atomic_write, check_distinct_files, check_output
+from simgap.common.progress import Progress
 
 UNKNOWN_CPU: Final = "[]"
 """Value of `cpu` in the header: the processor that computed the table is unknown."""

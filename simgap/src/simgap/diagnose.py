@@ -13,8 +13,8 @@ from simgap.audit.rates import COARSE_RAD
 from simgap.audit.records import Audit, Remark, RemarkKind
 from simgap.audit.samples import joint_samples
 from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
-from simgap.errors import RobotError
 from simgap.logs import Logs, Motion, Signal
 from simgap.residuals.encoder_residuals import why_refused
 from simgap.residuals.kinds import ResidualKind, list_kinds

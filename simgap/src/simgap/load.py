@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.files.log_file import open_log
 from simgap.files.motion_rows import MotionRows
 from simgap.files.robot_file import RobotFile

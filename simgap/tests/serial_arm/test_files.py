@@ -8,7 +8,7 @@ import pytest
 
 from helpers.serial_files import MAPPING, rows, text
 from helpers.serial_synthetic import built_arm, drawn_arm
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.serial_arm.arm import UPRIGHT_B_m_s2
 from simgap.serial_arm.arm_file import arm_to_toml, read_arm
 from simgap.serial_arm.tracker_table import read_mapping, series_from_table

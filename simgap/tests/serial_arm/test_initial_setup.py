@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from helpers.serial_synthetic import built_arm, drawn_arm, series, setup
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.serial_arm.initial_setup import estimate_setup
 from simgap.serial_arm.poses import Pose
 

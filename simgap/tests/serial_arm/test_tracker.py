@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from helpers.serial_synthetic import POSITION_M, built_arm, drawn_arm, series, setup
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.serial_arm.calibrate import calibrate_series, pose_errors
 from simgap.serial_arm.effects import DirectionHysteresis, JointCompliance, PeriodicJointError, patch_arm
 from simgap.serial_arm.elimination import BLOCKS, Elimination

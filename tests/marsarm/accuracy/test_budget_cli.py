@@ -11,7 +11,7 @@ from marsarm.accuracy.budget import BudgetReport, run_budget
 from marsarm.accuracy.budget_report import budget_json, list_requirements, save_budget_page
 from marsarm.accuracy.reproduce import TABLE_3, TABLE_4
 from marsarm.accuracy.request import BudgetRequest
-from marsarm.common.errors import BadRequest
+from simgap.common.errors import BadRequest
 from tests.marsarm.command import marsarm, marsarm_process
 
 

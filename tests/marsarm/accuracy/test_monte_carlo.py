@@ -14,9 +14,9 @@ from marsarm.accuracy.coverage import check_coverage
 from marsarm.accuracy.monte_carlo import MonteCarloReport, run_monte_carlo
 from marsarm.accuracy.monte_carlo_report import list_requirements, monte_carlo_json, save_monte_carlo_page
 from marsarm.accuracy.request import MonteCarloRequest
-from marsarm.common.errors import BadRequest
 from sim.params import nominal_params
 from sim.world import World
+from simgap.common.errors import BadRequest
 from tests.marsarm.command import marsarm, marsarm_process
 
 STATICS = MonteCarloRequest(arms=150, move_model="statics", seed=3, workers=1)

@@ -6,8 +6,8 @@ import pytest
 
 from marsarm.arms.build import build_arms
 from marsarm.arms.request import ArmBuildRequest
-from marsarm.common.errors import BadRequest
 from sim.arm_model.load import ARMS, default_arm
+from simgap.common.errors import BadRequest
 
 
 def test_a_file_that_is_not_text_is_stale_and_written_anew(tmp_path: Path) -> None:

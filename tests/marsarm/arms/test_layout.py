@@ -9,8 +9,8 @@ from fsw.config import configure
 from fsw.kinematics.chain import forward, tool_pose
 from marsarm.arms.layout import layout_json, save_layout_picture, show_arm
 from marsarm.arms.request import ArmShowRequest
-from marsarm.common.errors import BadRequest
 from sim.arm_model.load import arm_names
+from simgap.common.errors import BadRequest
 from tests.marsarm.command import marsarm
 
 

@@ -12,9 +12,9 @@ from marsarm.calibration.execution import run_calibration
 from marsarm.calibration.parameter_file import calibrated_params, parameter_text
 from marsarm.calibration.report import calibration_json, save_calibration_page
 from marsarm.calibration.request import CalibrateRequest
-from marsarm.common.errors import BadRequest
 from marsarm.common.requests import select_arm
 from sim.params import params_over_nominal
+from simgap.common.errors import BadRequest
 from tests.marsarm.calibration.lab import calibration, campaign, quiet
 from tests.marsarm.command import marsarm, marsarm_process
 

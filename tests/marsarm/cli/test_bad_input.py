@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 import typer
 
-from marsarm.cli.verb import VerbResult, verb
 from marsarm.telemetry.recorder import Recorder
+from simgap.common.verb import VerbResult, verb
 from tests.marsarm.command import call, largest_file, marsarm
 from tests.marsarm.telemetry.conftest import cycle_at
 

@@ -14,21 +14,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from marsarm.common import files
-from marsarm.common.errors import BadOutput
-from marsarm.common.files import reserve
-from marsarm.common.interruption import (
+from marsarm.common.pool import local_runner
+from marsarm.ik.model import IkModel
+from marsarm.telemetry.read import read_log
+from marsarm.telemetry.recorder import Recorder
+from marsarm.telemetry.recover import recover
+from simgap.common import files
+from simgap.common.errors import BadOutput
+from simgap.common.files import reserve
+from simgap.common.interruption import (
     END_SIGNALS,
     Interrupted,
     defer_interrupts,
     raise_on_signals,
     report_interruption,
 )
-from marsarm.common.pool import local_runner
-from marsarm.ik.model import IkModel
-from marsarm.telemetry.read import read_log
-from marsarm.telemetry.recorder import Recorder
-from marsarm.telemetry.recover import recover
 from tests.marsarm.command import ROOT, marsarm
 from tests.marsarm.telemetry.conftest import cycle_at
 
@@ -52,7 +52,7 @@ def signals_raise() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def no_late_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no test be ended by the grace of a signal that another one has survived."""
-    monkeypatch.setattr("marsarm.common.interruption._end_late", lambda number: None)
+    monkeypatch.setattr("simgap.common.interruption._end_late", lambda number: None)
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -228,7 +228,7 @@ def test_a_file_that_another_run_deletes_before_it_is_locked_is_made_anew(
 
 LATE = """
 import sys, time
-from marsarm.common.interruption import report_interruption
+from simgap.common.interruption import report_interruption
 with report_interruption():
     import signal
     try:

@@ -15,15 +15,14 @@ import typer
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
 from marsarm.calibration.request import CalibrateRequest, SerialRequest
 from marsarm.cli import accuracy, calibrate, diagnosis, ik, robot, runs, view
-from marsarm.cli.verb import VerbResult, give_address, verb
-from marsarm.common.errors import BadRequest
-from marsarm.common.options import Option, check_options, option_fields
 from marsarm.diagnosis.arm.request import DiagnoseRequest, RecordRequest
 from marsarm.ik.request import IkRequest, ReachRequest
-from marsarm.robot.request import CheckRequest
 from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest
 from marsarm.view.request import ViewRequest
-from simgap.errors import RobotError
+from simgap.command.request import CheckRequest
+from simgap.common.errors import BadRequest, RobotError
+from simgap.common.options import Option, check_options, option_fields
+from simgap.common.verb import VerbResult, give_address, verb
 from tests.marsarm.command import ROOT
 
 VERBS = {

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from marsarm.common.checkpoint import Checkpoint
-from marsarm.common.errors import BadRequest
+from simgap.common.errors import BadRequest
 
 ASKED = {"case": "mars", "seed": 1}
 

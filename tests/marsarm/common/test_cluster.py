@@ -19,10 +19,10 @@ from fsw.dictionary.enums import Joint
 from marsarm.accuracy.monte_carlo import run_monte_carlo
 from marsarm.accuracy.request import MonteCarloRequest
 from marsarm.common import cluster
-from marsarm.common.errors import BadRequest
 from marsarm.common.pool import Runner, WorkersDied, cluster_runner, in_order, run_here
 from marsarm.ik.request import IkRequest
 from marsarm.ik.solve import solve
+from simgap.common.errors import BadRequest
 from tests.marsarm.command import marsarm
 from validation.cluster import LoopbackCluster, list_arms, measure_arms, start_two_nodes
 from validation.hardstops import campaign as find_hardstops

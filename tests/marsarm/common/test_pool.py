@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from marsarm.common.errors import BadRequest
 from marsarm.common.local_workers import LocalWorkers
 from marsarm.common.pool import WorkersDied, cluster_runner, in_order, local_runner
+from simgap.common.errors import BadRequest
 from tests.marsarm.command import ROOT
 
 
@@ -105,7 +105,7 @@ def test_workers_that_die_together_are_reported_in_one_line(tmp_path, capfd, mon
 
 SLOW_TO_START = """
 import os, pathlib, time
-from marsarm.common.interruption import report_interruption
+from simgap.common.interruption import report_interruption
 from marsarm.common.pool import local_runner
 if __name__ == "__main__":
     with report_interruption():

@@ -4,8 +4,8 @@ import time
 
 import pytest
 
-from marsarm.common import progress as module
-from marsarm.common.progress import ProgressState, format_duration, part_of, show_progress
+from simgap.common import progress as module
+from simgap.common.progress import ProgressState, format_duration, part_of, show_progress
 
 
 def test_the_time_left_follows_from_the_work_done() -> None:

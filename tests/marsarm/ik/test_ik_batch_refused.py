@@ -15,9 +15,9 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from marsarm.common.errors import BadOutput, BadRequest
 from marsarm.ik.targets import APPROACH_COLUMNS, POSITION_COLUMNS, read_targets
 from marsarm.ik.writers import open_writer
+from simgap.common.errors import BadOutput, BadRequest
 from tests.marsarm.command import ROOT, marsarm
 from tests.marsarm.ik.batch import P_M, A, expected, save, solved
 

@@ -8,13 +8,13 @@ import pytest
 from fsw.kinematics.arm import build_arm, heat_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle
-from marsarm.common.errors import BadRequest
 from marsarm.ik.report import ik_json
 from marsarm.ik.request import IkRequest, ModelRequest
 from marsarm.ik.solve import solve
 from sim.arms import arm_named
 from sim.frames import p_R_from_N
 from sim.world import World
+from simgap.common.errors import BadRequest
 from tests.marsarm.command import marsarm, marsarm_process
 from tests.tools import TOOLS
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from marsarm.render.console import (
+from simgap.common.console import (
     SPARKLINE_WIDTH,
     ZERO_MARK,
     magnitude_sparkline,

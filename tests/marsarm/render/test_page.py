@@ -7,11 +7,11 @@ import pytest
 
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
 from marsarm.calibration.request import CalibrateRequest
-from marsarm.common.command_text import command_text
-from marsarm.common.errors import BadRequest
 from marsarm.diagnosis.arm.request import DiagnoseRequest
-from marsarm.render import svg
-from marsarm.render.page import Origin, Requirement, figures, heading, paragraph, save_page, table
+from simgap.common import svg
+from simgap.common.command_text import command_text
+from simgap.common.errors import BadRequest
+from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 from tests.marsarm.command import marsarm_process
 
 MET = Requirement("total position", "± 20 mm", "± 10 mm", True)

@@ -10,10 +10,10 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from marsarm.common.interruption import Interrupted
 from marsarm.render import gl
 from marsarm.render.picture import PictureError, save_movie, save_picture, write_gif
 from marsarm.render.rays import RayCamera, Rays
+from simgap.common.interruption import Interrupted
 from tests.marsarm.command import largest_file
 
 SCENE = """

@@ -14,7 +14,7 @@ from marsarm.calibration.execution import run_calibration
 from marsarm.calibration.report import save_calibration_page
 from marsarm.calibration.request import CalibrateRequest
 from marsarm.diagnosis.page import save_diagnosis_page
-from marsarm.render.page import Origin
+from simgap.common.page import Origin
 from tests.marks import slow_but
 from tests.marsarm.calibration.lab import campaign, quiet
 from tests.marsarm.diagnosis import results

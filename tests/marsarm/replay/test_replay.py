@@ -6,7 +6,6 @@ import pytest
 
 import sim.loop
 from fsw.cycle import step
-from marsarm.common.errors import BadRequest
 from marsarm.replay.replay import ReplayRequest, replay
 from marsarm.replay.tables import replay_json, replay_table, verdict_line
 from marsarm.runs.request import RunFiles, RunRequest
@@ -14,6 +13,7 @@ from marsarm.runs.scenario import run_scenario
 from marsarm.telemetry.header import run_header
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder
+from simgap.common.errors import BadRequest
 from tests.replay.remake import FOLDER, make
 from tests.replay.runs import RUNS
 

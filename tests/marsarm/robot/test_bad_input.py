@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-import marsarm.robot.diagnosis
+import simgap.command.diagnosis
 import simgap.diagnose
 from helpers.planar_arm import planar_arm, slow_logs
 from simgap.audit.nominal import NominalModel
@@ -322,7 +322,7 @@ def test_an_effect_that_raises_in_a_simulation_is_named_with_its_line(
     def simulate(*_: object, effects: tuple, **__: object) -> None:
         effects[0].torque_Nm(1.0, SimpleNamespace())
 
-    monkeypatch.setattr(marsarm.robot.diagnosis, "diagnose", simulate)
+    monkeypatch.setattr(simgap.command.diagnosis, "diagnose", simulate)
     before = snapshot(folder)
     done = marsarm(folder, "robot", "diagnose", "robot.toml", "log.parquet", "--effects", "boom.py")
     assert done.returncode == 2

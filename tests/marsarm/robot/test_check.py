@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from helpers.planar_arm import TABLE_M, planar_arm, slow_logs
-from marsarm.robot.execution import check_robot, summarize_joints
-from marsarm.robot.page import drawn_motions
-from marsarm.robot.request import CheckRequest
+from simgap.command.execution import check_robot, summarize_joints
+from simgap.command.page import drawn_motions
+from simgap.command.request import CheckRequest
 from tests.marsarm.cli.test_bad_input import LIBRARY_WORDS, snapshot
 from tests.marsarm.command import marsarm
 from tests.marsarm.robot.arm_folder import JOINT, ROBOT, columns_of, write_arm, write_logs

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-import marsarm.robot.diagnosis as execution
+import simgap.command.diagnosis as execution
 from helpers.verdicts import (
     ARMATURE,
     FRICTION,
@@ -20,11 +20,10 @@ from helpers.verdicts import (
     finding,
     without_floor,
 )
-from marsarm.common.errors import BadRequest
-from marsarm.robot.diagnosis import RobotDiagnosis, diagnose_robot, save_diagnosis_files
-from marsarm.robot.diagnosis_page import print_diagnosis, save_diagnosis_page
-from marsarm.robot.request import RobotDiagnoseRequest
-from simgap.errors import RobotError
+from simgap.command.diagnosis import RobotDiagnosis, diagnose_robot, save_diagnosis_files
+from simgap.command.diagnosis_page import print_diagnosis, save_diagnosis_page
+from simgap.command.request import RobotDiagnoseRequest
+from simgap.common.errors import BadRequest, RobotError
 from simgap.report.traces import choose_traces, make_traces
 from tests.marsarm.cli.test_bad_input import snapshot
 from tests.marsarm.robot.arm_folder import write_arm

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from marsarm.robot.diagnosis import GOES_ON
+from simgap.command.diagnosis import GOES_ON
 from simgap.logs import Logs, Signal
 from tests.marsarm.command import ROOT, marsarm_process
 from validation.robot_cases.draw import draw_case

@@ -6,10 +6,9 @@ import re
 import pytest
 
 from helpers.serial_files import write
-from marsarm.common.errors import BadRequest
-from marsarm.robot.diagnosis import diagnose_robot
-from marsarm.robot.request import RobotDiagnoseRequest
-from simgap.errors import RobotError
+from simgap.command.diagnosis import diagnose_robot
+from simgap.command.request import RobotDiagnoseRequest
+from simgap.common.errors import BadRequest, RobotError
 from simgap.serial_arm.arm_file import read_arm
 from tests.marsarm.command import marsarm
 

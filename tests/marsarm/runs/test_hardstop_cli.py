@@ -6,10 +6,10 @@ import PIL.Image
 import pytest
 
 from fsw.dictionary.enums import Joint
-from marsarm.common.errors import BadRequest
 from marsarm.runs.hardstop import hardstop, plan_stops
 from marsarm.runs.hardstop_report import hardstop_json, plan_json
 from marsarm.runs.request import HardstopRequest
+from simgap.common.errors import BadRequest
 from tests.marsarm.command import marsarm, marsarm_process
 
 

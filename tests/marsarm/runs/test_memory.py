@@ -5,7 +5,6 @@ import tracemalloc
 
 from fsw.dictionary.commands import MoveJoint, Process
 from fsw.dictionary.enums import Joint
-from marsarm.common.progress import no_progress
 from marsarm.runs.execution import FRAME_CYCLES, execute
 from marsarm.runs.request import NO_FILES
 from sim.arms import arm_named
@@ -13,6 +12,7 @@ from sim.loop import ClosedLoop
 from sim.scenario.data import Done, GravityHeld, Scenario
 from sim.scenario.run import ScenarioRun, scenario_setup
 from sim.world import World
+from simgap.common.progress import no_progress
 from tests.sim import lab
 
 GRAVITY_T = (-0.02, 0.0, -1.0)

@@ -10,11 +10,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from marsarm.common.errors import BadOutput
 from marsarm.telemetry.export import export, index_suffixes
 from marsarm.telemetry.inspection import NoSuchChannel, range_of, select_channels, summarize_log
 from marsarm.telemetry.read import Log, read_log
 from sim.record import CycleRecord
+from simgap.common.errors import BadOutput
 
 HOSTILE = b"\x01\x00\x00\x00\x00\x00\xf0\x7f"
 """A signalling NaN with a payload; as an integer a large one, as a flag true."""

@@ -7,12 +7,12 @@ import pytest
 from mcap.data_stream import RecordBuilder
 from mcap.records import Metadata
 
-from marsarm.common.errors import BadRequest
 from marsarm.telemetry.errors import LogNotReadable
 from marsarm.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, TICK_NS, header_crc32
 from marsarm.telemetry.lost_messages import LogDamaged, LostMessages
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recover import RecoveryReport, recover
+from simgap.common.errors import BadRequest
 from validation.damage import CUT_EVERY, flip_bits, is_part, original, truncate_file
 from validation.fuzz_inputs import parts
 

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward
-from marsarm.common.errors import BadRequest
 from marsarm.telemetry.header import run_header
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder
@@ -24,6 +23,7 @@ from sim.effects.structure import StandInTurret
 from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import World, build
+from simgap.common.errors import BadRequest
 from tests.marsarm.view.lab import ARM, COMMANDS, TILTED, records_of, start_loop
 from tests.replay.remake import FOLDER
 from tests.tools import TOOLS

@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from marsarm.common.errors import BadRequest
 from marsarm.view import server
 from marsarm.view.live import LiveView
 from marsarm.view.looks import TRAIL_STEP_M
+from simgap.common.errors import BadRequest
 from tests.marsarm.command import ROOT, marsarm
 from tests.marsarm.view.lab import ARM, TILTED, records_of, start_loop
 

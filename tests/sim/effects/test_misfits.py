@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 
 from fsw.dictionary.enums import Frame
-from marsarm.common.errors import BadRequest
 from marsarm.runs.place import prepare_placement
 from marsarm.runs.request import PlaceRequest
 from sim.arms import arm_named
@@ -17,6 +16,7 @@ from sim.effects.move_disturbances import FramePlay
 from sim.loop import ClosedLoop, Setup
 from sim.scenario.file import BadScenario, parse_scenario
 from sim.world import World
+from simgap.common.errors import BadRequest
 from tests.tools import SWITCHES, TOOLS
 
 ARM = arm_named("nominal")

@@ -11,9 +11,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final, TypeVar
 
+from simgap.common.errors import RobotError
 from simgap.effects.effect import BODY_HOOKS, HOOKS, Effect, Family, Size
 from simgap.effects.joint import JointEffect, joint_scales
-from simgap.errors import RobotError
 from simgap.logs import Logs
 from simgap.robot import Robot
 

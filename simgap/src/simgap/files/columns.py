@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simgap.arrays import Array, Flags
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 
 N_NAMES: Final = 8
 """Number of columns that an error lists."""

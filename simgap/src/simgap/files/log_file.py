@@ -16,7 +16,7 @@ import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.files.columns import Column, LogFile, check_columns
 from simgap.files.mcap_log import open_mcap
 from simgap.files.robot_file import CsvTable

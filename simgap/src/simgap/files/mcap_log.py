@@ -15,7 +15,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from simgap.arrays import Array
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.files.columns import Column, check_columns
 from simgap.files.ros_message import BadMessage, RosReader
 

@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.files.columns import Column, LogFile
 from simgap.files.robot_file import JointTable, RobotFile, SignalColumn
 from simgap.logs import Signal

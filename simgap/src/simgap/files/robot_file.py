@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.files.toml_record import Record, parse_record, read_toml
 from simgap.units import COUNTS, FRACTION, Quantity, find_unit
 

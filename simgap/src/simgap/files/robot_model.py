@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.files.robot_file import JointTable, RobotFile, read_model_file
 from simgap.robot import ControlMode, Robot, RobotJoint
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.files.toml_record import Record, parse_record, read_toml
 
 

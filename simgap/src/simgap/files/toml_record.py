@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 
 MAX_BYTES = 1 << 20
 """Largest size of a file of settings; a larger one is not one."""

@@ -15,8 +15,8 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.catalogue.own_effects import load_module
+from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
-from simgap.errors import RobotError
 
 PACKAGE: Final = "simgap"
 """Package whose effects are named by their module; those of other modules by their file."""

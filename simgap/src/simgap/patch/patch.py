@@ -13,9 +13,9 @@ import mujoco.batch
 import numpy as np
 
 from simgap.arrays import Array
+from simgap.common.errors import RobotError
 from simgap.effects.effect import RUN_HOOKS, Effect, Fields, Rotor
 from simgap.effects.joint import mjcf_joint
-from simgap.errors import RobotError
 from simgap.patch.effect_table import effect_table, toml_text
 from simgap.patch.patch_law import law_attributes, model_law
 from simgap.patch.patch_text import BODY_OF, Change, change_text, number_text

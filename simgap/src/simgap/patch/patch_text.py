@@ -6,7 +6,7 @@ from typing import Final
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Comment, Element, TreeBuilder, XMLParser
 
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 
 ORIENTATIONS: Final = ("quat", "axisangle", "euler", "xyaxes", "zaxis", "fullinertia")
 """Attributes of an inertial element that say the same as `quat`, or what `diaginertia` says."""

@@ -19,8 +19,8 @@ import mujoco
 import numpy as np
 
 from simgap.arrays import Array, Integers
+from simgap.common.errors import RobotError
 from simgap.effects.effect import HISTORY_S, Effect, State, Tick
-from simgap.errors import RobotError
 from simgap.files.toml_record import read_toml
 from simgap.patch.effect_table import read_effect
 from simgap.patch.patch import FORMAT

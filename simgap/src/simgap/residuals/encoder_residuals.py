@@ -21,8 +21,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from simgap.arrays import Array, Flags, Integers
+from simgap.common.errors import RobotError
 from simgap.effects.effect import ENCODER_HOOKS, Effect, State
-from simgap.errors import RobotError
 from simgap.logs import Motion
 from simgap.residuals.explain import measured_variable
 from simgap.residuals.filtered_motion import (

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from simgap.arrays import Array, Flags
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import Robot
 

@@ -17,8 +17,8 @@ import mujoco.batch
 import numpy as np
 
 from simgap.arrays import Array, Flags, Integers
+from simgap.common.errors import RobotError
 from simgap.effects.effect import TORQUE_HOOKS, Effect, State
-from simgap.errors import RobotError
 from simgap.logs import Motion
 from simgap.residuals.explain import measured_variable
 from simgap.residuals.filtered_motion import (

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from simgap.arrays import Flags
+from simgap.common.errors import RobotError
 from simgap.effects.actuation import DampingGain, GainError, TorqueConstant, TorqueLimit
 from simgap.effects.effect import SIMULATION_HOOKS, Effect
 from simgap.effects.periodic import PeriodicError, SmoothPeriodicError
-from simgap.errors import RobotError
 from simgap.logs import Motion
 from simgap.residuals import encoder_residuals, inverse_residuals
 from simgap.residuals.encoder_residuals import EncoderResiduals

@@ -172,7 +172,7 @@ def unpack(document: Any, arrays: Sequence[Array], effects: Mapping[str, Effect]
     if "tuple" in document:
         return tuple(unpack(document["tuple"], arrays, effects))
     module, name = document["record"]
-    record = vars(sys.modules[module])[name] if module.startswith("diagnosis.") else None
+    record = vars(sys.modules[module])[name] if module.startswith("simgap.") else None
     if not (isinstance(record, type) and is_dataclass(record)):
         raise KeyError(name)
     return record(*unpack(document["fields"], arrays, effects))

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array, Integers
+from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
-from simgap.errors import RobotError
 from simgap.residuals.blocks import Blocks, cut_into_blocks
 from simgap.residuals.noise import noise_losses, whiten_noise
 from simgap.residuals.residuals import ResidualModel

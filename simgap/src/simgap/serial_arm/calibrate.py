@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from simgap.arrays import Array, Flags
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.serial_arm.arm import SerialArm
 from simgap.serial_arm.fit import Fit, fit, validate_hold_out
 from simgap.serial_arm.model import (

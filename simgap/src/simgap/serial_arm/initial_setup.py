@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from simgap.arrays import Array
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.serial_arm.arm import SerialArm
 from simgap.serial_arm.chain import forward_kinematics
 from simgap.serial_arm.model import TrackerSetup

@@ -12,8 +12,8 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from simgap.arrays import Array
+from simgap.common.errors import RobotError
 from simgap.effects.effect import Family
-from simgap.errors import RobotError
 from simgap.result import (
     MIN_REMAINDER,
     Base,

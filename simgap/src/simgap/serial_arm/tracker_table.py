@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 from scipy.spatial.transform import Rotation
 
 from simgap.arrays import Array, Integers
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.files.columns import LogFile
 from simgap.files.log_file import open_log
 from simgap.files.robot_file import CsvTable, Text

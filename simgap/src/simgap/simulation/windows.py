@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array, Flags
-from simgap.errors import RobotError
+from simgap.common.errors import RobotError
 from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import Robot
 

@@ -9,8 +9,7 @@ from helpers.serial_files import MAPPING, rows, write
 from helpers.serial_synthetic import POSITION_M
 from marsarm.calibration.request import SerialRequest
 from marsarm.calibration.serial.execution import calibrate_serial
-from marsarm.common.errors import BadRequest
-from simgap.errors import RobotError
+from simgap.common.errors import BadRequest, RobotError
 from simgap.serial_arm.arm_file import read_arm
 from tests.marsarm.command import marsarm, marsarm_process
 

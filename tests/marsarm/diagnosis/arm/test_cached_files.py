@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.transforms import IDENTITY, stack_poses
-from marsarm.common.errors import BadRequest
-from marsarm.common.progress import Progress
 from marsarm.diagnosis.arm import diagnose_logs, logs, record
 from marsarm.diagnosis.arm.campaign_sensitivities import keys_path, load_keys
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
@@ -23,6 +21,8 @@ from marsarm.diagnosis.arm.tracker_poses import (
     write_tracker_poses,
 )
 from sim.diagnosis_campaign import SessionFailed
+from simgap.common.errors import BadRequest
+from simgap.common.progress import Progress
 
 
 @pytest.mark.parametrize("text", [None, "", '["a", "b"', "3", '["a"]', "[1, 2]"])

@@ -2,10 +2,10 @@
 
 import pytest
 
-from marsarm.common.errors import BadRequest
 from marsarm.diagnosis.arm.diagnose_logs import prepare_diagnosis
 from marsarm.diagnosis.arm.request import DiagnoseRequest
 from sim.effects.catalogue import catalogue
+from simgap.common.errors import BadRequest
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from marsarm.common.errors import BadRequest
 from marsarm.diagnosis.blind_case import (
     DIGEST,
     TRUTH,
@@ -20,6 +19,7 @@ from marsarm.diagnosis.blind_case import (
 )
 from marsarm.diagnosis.problem import Hypothesis, Parameter
 from marsarm.diagnosis.sampling import BOUND_SHARE, LIMIT_MULTIPLES, DetectableEffect, can_sample
+from simgap.common.errors import BadRequest
 
 
 def seen(

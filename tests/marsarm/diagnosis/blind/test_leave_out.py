@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from marsarm.common.errors import BadRequest
 from marsarm.common.pool import local_runner
+from simgap.common.errors import BadRequest
 from validation.blind.classes import load_classes
 from validation.blind.leave_out import list_clear_cases, score_left_out
 from validation.blind.solve import NoDiagnosis, Solver, solve_cases

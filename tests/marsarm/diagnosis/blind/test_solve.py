@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from marsarm.common.errors import BadRequest
 from marsarm.common.pool import local_runner
 from marsarm.diagnosis.blind_case import TRUTH, TrueCase, load_truth, seal
+from simgap.common.errors import BadRequest
 from validation.blind.case_features import read_case_features, read_case_parts
 from validation.blind.classes import CLASSES_FILE, load_classes
 from validation.blind.folder import SOLVED_FOLDER, load_results, result_path, write_json

@@ -16,12 +16,12 @@ from fsw.cycle import step
 from fsw.dictionary.enums import Mode
 from fsw.messages import Sensors
 from fsw.state import boot
-from marsarm.common.errors import BadRequest
 from marsarm.diagnosis.arm.logs import load_recording
 from marsarm.telemetry.imports.job import ImportRequest, import_table
 from marsarm.telemetry.imports.targets import known_targets
 from marsarm.telemetry.read import Log, read_log
 from sim.params import nominal_params
+from simgap.common.errors import BadRequest
 
 
 def import_into(folder: Path, table: bytes, mapping: str, name: str = "table.parquet") -> Log:

@@ -6,13 +6,13 @@ from typing import Final
 
 import numpy as np
 
-from marsarm.common.command_text import command_text
-from marsarm.common.json_digest import json_sha256
-from marsarm.render.console import pluralize
-from marsarm.render.page import Origin, figures, heading, paragraph, save_page, table
-from marsarm.robot.execution import CheckReport, summarize_joints
-from marsarm.robot.figures import motion_figures
-from marsarm.robot.tables import JOINT_HEAD, check_json, joint_cells, refusal_sentence, remark_place
+from simgap.command.execution import CheckReport, summarize_joints
+from simgap.command.figures import motion_figures
+from simgap.command.tables import JOINT_HEAD, check_json, joint_cells, refusal_sentence, remark_place
+from simgap.common.command_text import command_text
+from simgap.common.console import pluralize
+from simgap.common.json_digest import json_sha256
+from simgap.common.page import Origin, figures, heading, paragraph, save_page, table
 
 MAX_DRAWN: Final = 4
 """Motions that are drawn: each is a figure for each joint."""

@@ -5,22 +5,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from marsarm.common.errors import BadOutput, BadRequest
-from marsarm.common.files import (
+from simgap.audit.audit import audit
+from simgap.catalogue.own_effects import load_effects
+from simgap.command.request import RobotDiagnoseRequest
+from simgap.common.errors import BadOutput, BadRequest, RobotError
+from simgap.common.files import (
     atomic_write,
     cache_folder,
     check_distinct_files,
     check_new_path,
     digest_files,
 )
-from marsarm.common.interruption import Interrupted
-from marsarm.common.options import check_options
-from marsarm.common.progress import Progress, no_progress
-from marsarm.robot.request import RobotDiagnoseRequest
-from simgap.audit.audit import audit
-from simgap.catalogue.own_effects import load_effects
+from simgap.common.interruption import Interrupted
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress
 from simgap.diagnose import diagnose
-from simgap.errors import RobotError
 from simgap.files.robot_file import SerialFile, read_robot_file
 from simgap.load import load
 from simgap.logs import Logs, Motion
@@ -133,7 +132,7 @@ def save_diagnosis_files(made: RobotDiagnosis) -> None:
     Raises:
         BadOutput: a file cannot be written.
     """
-    from marsarm.robot.diagnosis_page import save_diagnosis_page
+    from simgap.command.diagnosis_page import save_diagnosis_page
 
     if made.request.report is not None:
         save_diagnosis_page(made, made.request.report)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import MISSING
 from typing import Any
 
-from marsarm.common.options import Field, option_fields
+from simgap.common.options import Field, option_fields
 
 
 def command_text(verb: str, request: Any) -> str:

@@ -6,7 +6,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from marsarm.common.files import atomic_write
+from simgap.common.files import atomic_write
 
 
 def save_figure(

@@ -4,7 +4,7 @@ import os
 from datetime import UTC, datetime
 from typing import Final
 
-from marsarm.common.errors import BadRequest
+from simgap.common.errors import BadRequest
 
 DATE_VARIABLE: Final = "SOURCE_DATE_EPOCH"
 """Environment variable with a date in seconds since 1970, which other software honours too."""

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from marsarm.common.command_text import command_text
-from marsarm.common.json_digest import json_sha256
-from marsarm.render.console import plain_console
-from marsarm.render.page import Origin, save_page
-from marsarm.robot.diagnosis import RobotDiagnosis
+from simgap.command.diagnosis import RobotDiagnosis
+from simgap.common.command_text import command_text
+from simgap.common.console import plain_console
+from simgap.common.json_digest import json_sha256
+from simgap.common.page import Origin, save_page
 from simgap.report.document import to_document
 from simgap.report.page import page_title
 from simgap.report.parts import page_parts

@@ -11,8 +11,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import BinaryIO
 
-from marsarm.common.errors import BadOutput, BadRequest
-from marsarm.common.interruption import defer_interrupts
+from simgap.common.errors import BadOutput, BadRequest
+from simgap.common.interruption import defer_interrupts
 
 
 def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: str) -> Path:

@@ -5,7 +5,7 @@ from typing import TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from marsarm.common.errors import BadRequest
+from simgap.common.errors import BadRequest
 
 T = TypeVar("T")
 

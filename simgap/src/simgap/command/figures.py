@@ -4,10 +4,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from marsarm.render import svg
-from marsarm.robot.execution import CheckReport
 from simgap.arrays import Array, Flags, Integers
 from simgap.audit.samples import hold, runs
+from simgap.command.execution import CheckReport
+from simgap.common import svg
 from simgap.logs import JointLog, Motion
 
 MAX_POINTS: Final = 600

@@ -1,4 +1,4 @@
-"""What all tests share: one thread for the linear algebra, repeatable properties, and where real data is."""
+"""Plugin of all tests: one thread for linear algebra, repeatable properties, where real data is."""
 
 import os
 from pathlib import Path
@@ -8,6 +8,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import settings
+
+import simgap  # noqa: F401  before pytest takes the folder simgap/ for a package
 
 # A failure must come back on the next run, on any machine, however loaded.
 settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)

@@ -5,9 +5,9 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from marsarm.render.console import plain_console, pluralize
-from marsarm.robot.execution import CheckReport, JointSummary, summarize_joints
 from simgap.audit.records import Remark, SignalRate
+from simgap.command.execution import CheckReport, JointSummary, summarize_joints
+from simgap.common.console import plain_console, pluralize
 
 MAX_REMARKS: Final = 8
 """Remarks on the console; the page and the JSON document have all."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from threading import Event, Thread
 from typing import Final
 
-from marsarm.common.interruption import block_signals
+from simgap.common.interruption import block_signals
 
 Progress = Callable[[float, float, str], None]
 """Function of the amount done, the total amount, and the name of the current activity."""

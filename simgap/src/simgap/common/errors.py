@@ -24,3 +24,7 @@ class BadRequest(UserError, ValueError):
 
 class BadOutput(BadRequest):
     """Error for a file that cannot be written at its path; an existing file is unchanged."""
+
+
+class RobotError(UserError):
+    """A robot file, a log or a request is wrong; the text is one sentence for the user."""

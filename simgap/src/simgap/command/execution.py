@@ -5,15 +5,15 @@ from typing import Final
 
 import numpy as np
 
-from marsarm.common.files import digest_files
-from marsarm.common.options import check_options
-from marsarm.common.progress import Progress, no_progress
-from marsarm.robot.request import CheckRequest
 from simgap.audit.audit import audit
 from simgap.audit.nominal import NominalModel, NominalMotion
 from simgap.audit.records import Audit
+from simgap.command.request import CheckRequest
+from simgap.common.errors import RobotError
+from simgap.common.files import digest_files
+from simgap.common.options import check_options
+from simgap.common.progress import Progress, no_progress
 from simgap.diagnose import check_audit, check_motions
-from simgap.errors import RobotError
 from simgap.load import load
 from simgap.logs import Logs, Motion
 from simgap.robot import Robot

@@ -13,13 +13,12 @@ from typing import Annotated, Any, Final, Literal, get_args, get_origin
 import typer
 from typer.core import TyperCommand
 
-from marsarm.cli.failed_effect import describe_failed_effect
-from marsarm.cli.stdout import EXIT_BAD_INPUT, release_stdout
-from marsarm.common.date import current_date
-from marsarm.common.errors import UserError, describe_problems
-from marsarm.common.options import CLUSTER_HERE, Field, Option, option_fields
-from marsarm.common.progress import show_progress
-from simgap.errors import RobotError
+from simgap.common.date import current_date
+from simgap.common.errors import RobotError, UserError, describe_problems
+from simgap.common.failed_effect import describe_failed_effect
+from simgap.common.options import CLUSTER_HERE, Field, Option, option_fields
+from simgap.common.progress import show_progress
+from simgap.common.stdout import EXIT_BAD_INPUT, release_stdout
 
 ADDRESS: Final = re.compile(rf"{CLUSTER_HERE}|\S+:[0-9]+")
 """Value of the option `--cluster`."""

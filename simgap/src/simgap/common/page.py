@@ -13,9 +13,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
-from marsarm.common.date import current_date
-from marsarm.common.files import atomic_write
-from marsarm.common.git import git_revision
+from simgap.common.date import current_date
+from simgap.common.files import atomic_write
+from simgap.common.git import git_revision
 
 NUMBER: Final = re.compile(r"[-+±]? ?\d.{0,23}|never|-")
 """Cell that is a number with its unit or an interval; a column of these is aligned right and not wrapped."""
@@ -64,7 +64,7 @@ def save_page(
         BadOutput: the file cannot be written.
         BadRequest: the date in the environment is wrong.
     """
-    style = resources.files("marsarm.render").joinpath("page.css").read_text(encoding="utf-8")
+    style = resources.files("simgap.common").joinpath("page.css").read_text(encoding="utf-8")
     lines = [
         "<!doctype html>",
         '<html lang="en"><head><meta charset="utf-8">',

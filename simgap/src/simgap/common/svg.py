@@ -12,7 +12,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, Final
 
-from marsarm.render.figures import save_figure
+from simgap.common.figures import save_figure
 
 WIDTH_INCH: Final = 5.2
 """Width of a figure: its text is readable on a phone, and two fit beside each other on a desk."""
@@ -91,7 +91,7 @@ def save_png(path: Path, size_inch: tuple[float, float], draw: Callable[[Any], N
     def draw_in_colours(figure: Any) -> None:
         import matplotlib
 
-        style = resources.files("marsarm.render").joinpath("page.css").read_text(encoding="utf-8")
+        style = resources.files("simgap.common").joinpath("page.css").read_text(encoding="utf-8")
         light = re.findall(r"--(\w+): (#\w+);", style[: style.index("@media")])
         _name_colours({f"page:{name}": value for name, value in light})
         paper = {"figure.facecolor": PAPER, "axes.facecolor": PAPER}

@@ -11,8 +11,8 @@ from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Final, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
-from marsarm.common.errors import BadRequest
-from marsarm.common.files import check_distinct_files, check_output
+from simgap.common.errors import BadRequest
+from simgap.common.files import check_distinct_files, check_output
 
 Vector = tuple[float, float, float]
 
