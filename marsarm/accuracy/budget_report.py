@@ -15,7 +15,7 @@ from marsarm.accuracy.reproduce import MagnitudeFit
 from marsarm.accuracy.sources import sources_sha256
 from simgap.common import svg
 from simgap.common.console import plain_console
-from simgap.common.json_digest import json_sha256
+from simgap.common.files import json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 

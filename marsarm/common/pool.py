@@ -73,7 +73,7 @@ def select_runner(workers: int | None, cluster: str | None) -> Runner:
 
 
 def local_runner(workers: int) -> Runner:
-    """Make a runner with this many processes, which serve the next call too; one worker runs in this process."""
+    """Make a runner with this many processes, which serve the next call too; one works in this process."""
     return run_here if workers == 1 else partial(_run_in_processes, workers)
 
 

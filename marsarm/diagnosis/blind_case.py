@@ -24,7 +24,7 @@ from marsarm.diagnosis.sampling import (
 )
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write
-from simgap.common.json_file import describe_first_problem
+from simgap.common.toml import describe_first_problem
 
 CaseKind = Literal["none", "single", "pair", "out-of-catalogue"]
 TRUTH: Final = "truth.json"

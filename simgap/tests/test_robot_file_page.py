@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from simgap.common.toml import Record
 from simgap.files.robot_file import (
     CsvTable,
     JointTable,
@@ -13,7 +14,6 @@ from simgap.files.robot_file import (
     SignalColumn,
     TimeTable,
 )
-from simgap.files.toml_record import Record
 from simgap.load import SplitFile, SplitTable
 
 PAGE = Path(__file__).parents[2] / "docs" / "robot-file.md"

@@ -13,7 +13,7 @@ from marsarm.diagnosis.normal_equations import form_normal_equations
 from marsarm.diagnosis.problem import Hypothesis, Ints
 from marsarm.diagnosis.sensitivity import Sensitivities
 from simgap.common.errors import BadRequest
-from simgap.common.json_file import read_json
+from simgap.common.toml import read_json
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from marsarm.diagnosis.arm.families import locate
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.result import finite_or_none
 from simgap.common.errors import BadRequest
-from simgap.common.json_file import read_json
+from simgap.common.toml import read_json
 from validation.blind.out_of_catalogue import EFFECTS_FOLDER
 
 CLASSES_FILE: Final = "classes.json"

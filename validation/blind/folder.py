@@ -13,7 +13,7 @@ from marsarm.diagnosis.blind_case import DIGEST, read_digest
 from marsarm.diagnosis.diagnose import Level, Verdict
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.files import atomic_write, check_new_path
-from simgap.common.json_file import describe_first_problem
+from simgap.common.toml import describe_first_problem
 
 CAMPAIGN_FOLDER: Final = "campaign"
 CASES_FOLDER: Final = "cases"

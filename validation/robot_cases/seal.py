@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 from marsarm.diagnosis.blind_case import DIGEST, TRUTH, read_digest
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write
-from simgap.common.json_file import describe_first_problem
+from simgap.common.toml import describe_first_problem
 from validation.robot_cases.draw import Kind, Truth
 
 SEALED_FOLDER: Final = "sealed"

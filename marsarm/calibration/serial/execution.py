@@ -1,9 +1,7 @@
 """Execution of a calibration of a serial arm: read the files, fit, validate, write the fitted arm."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -11,7 +9,7 @@ import numpy as np
 from marsarm.calibration.request import SerialRequest
 from sim.scenario.names import did_you_mean
 from simgap.common.errors import BadRequest
-from simgap.common.files import atomic_write
+from simgap.common.files import atomic_write, file_sha256
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 from simgap.serial_arm.calibrate import estimate_setup, held_out_ratio
@@ -92,12 +90,7 @@ def _read(request: SerialRequest) -> tuple[SerialArm, PoseSeries, dict[str, str]
     arm = read_arm(request.arm)
     series = read_series(arm, request.table, request.mapping)
     files = {"arm": request.arm, "mapping": request.mapping, "table": request.table}
-    return arm, series, {name: _sha256(path) for name, path in files.items()}
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return arm, series, {name: file_sha256(path) for name, path in files.items()}
 
 
 def _parse_terms(text: str) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from marsarm.telemetry.read import Log, read_log
 from sim.open_loop import RecordedStart
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
 from simgap.common.errors import BadRequest
-from simgap.common.json_file import describe_first_problem
+from simgap.common.toml import describe_first_problem
 
 DRIVE: Final = "/drive"
 COUNTS: Final = "setpoint_count"

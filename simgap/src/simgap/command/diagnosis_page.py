@@ -4,7 +4,7 @@ from pathlib import Path
 
 from simgap.command.diagnosis import RobotDiagnosis
 from simgap.common.console import plain_console
-from simgap.common.json_digest import json_sha256
+from simgap.common.files import json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin, save_page
 from simgap.report.document import to_document

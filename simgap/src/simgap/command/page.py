@@ -10,7 +10,7 @@ from simgap.command.execution import CheckReport, summarize_joints
 from simgap.command.figures import motion_figures
 from simgap.command.tables import JOINT_HEAD, check_json, joint_cells, refusal_sentence, remark_place
 from simgap.common.console import pluralize
-from simgap.common.json_digest import json_sha256
+from simgap.common.files import json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin, figures, heading, paragraph, save_page, table
 
