@@ -8,11 +8,10 @@ from typing import Any, Final
 from rich.table import Table
 
 from marsarm.arms.request import ArmBuildRequest
-from marsarm.common.params_toml import full_params_toml
 from sim.arm_check import check_arm
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel, arm_folder, arm_names, default_arm, load_arm
-from sim.params_table import BadParams
+from sim.params_table import BadParams, full_params_toml
 from simgap.common.console import plain_console
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write, check_output

@@ -14,8 +14,8 @@ from fsw.kinematics.transforms import Pose
 from marsarm.calibration.arm_parameters import move_zeros_to_hardstops
 from marsarm.calibration.calibrate import Calibration, rms_m
 from marsarm.calibration.campaign_data import Campaign
-from marsarm.common.params_toml import params_toml
 from sim.arms import own_name
+from sim.params_table import params_toml
 from simgap.common.files import atomic_write
 
 

@@ -3,7 +3,7 @@
 import re
 from typing import Final
 
-from sim.text_file import NOT_UTF8
+from simgap.common.toml import NOT_UTF8
 
 NO_UTF8: Final = ("utf-8", "utf8")
 WRONG_WIDTH: Final = re.compile(

@@ -15,8 +15,7 @@ from sim.arms import BuiltArm, UnknownArm, arm_named, own_name
 from sim.effects.effect import Effect, EffectMisfit
 from sim.params import params_over
 from sim.params_table import BadParams
-from sim.scenario.effect_file import read_effect_file
-from sim.scenario.effects import BadEffect, parse_effect_text
+from sim.scenario.effects import BadEffect, parse_effect_text, read_effect_file
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
 from simgap.common.errors import BadRequest
 

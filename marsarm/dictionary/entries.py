@@ -21,7 +21,7 @@ from marsarm.telemetry.json_codec import record_to_json
 from marsarm.telemetry.schema import arm_names, array_shape
 from marsarm.telemetry.topics import PACKET_TOPICS, Topic, channel_matches, channel_name, strip_optional
 from sim.params import nominal_params
-from sim.scenario.names import suggest_name, upper_snake
+from sim.scenario.records import suggest_name, upper_snake
 from simgap.common.errors import BadRequest
 
 

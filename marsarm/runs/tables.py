@@ -18,7 +18,7 @@ from sim.placement import PlacementError
 from sim.scenario.data import Scenario
 from sim.scenario.effects import effect_text
 from sim.scenario.judge import CheckResult
-from sim.scenario.names import upper_snake
+from sim.scenario.records import upper_snake
 from simgap.common.console import WARNING_STYLE, plain_console, styled_cell
 
 DISPLAY_UNITS: Final = {"m": ("mm", 1e3), "rad": ("deg", degrees(1.0))}

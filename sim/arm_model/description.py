@@ -12,9 +12,9 @@ from pydantic import TypeAdapter, ValidationError
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import TeachPoint, Transform6
 from fsw.dictionary.types import Angle, Joints5, Limits, Vector3
-from sim.params_table import describe_error
-from sim.text_file import load_toml
 from sim.workspace import Workspace
+from simgap.common.errors import RobotError
+from simgap.common.toml import describe_faults, parse_toml
 
 Expansion = Annotated[float, Limits(-1e-4, 1e-4)]
 Gain = Annotated[float, Limits(0.0, 1e9)]
@@ -289,11 +289,11 @@ def read_description(text: str, path: str) -> ArmDescription:
         BadArm: fields in it are missing, not known or of a wrong type; the message names each.
     """
     try:
-        table = load_toml(text)
-    except ValueError as error:
-        raise BadArm(f"{path}: is not TOML: {error}") from error
+        table = parse_toml(text, path)
+    except RobotError as error:
+        raise BadArm(str(error)) from error
     try:
         return _ADAPTER.validate_json(json.dumps(table, default=str), strict=True, extra="forbid")
     except ValidationError as error:
-        lines = [f"{path}: {'.'.join(map(str, e['loc']))}: {describe_error(e)}" for e in error.errors()]
-        raise BadArm("\n".join(lines)) from error
+        faults = describe_faults(ArmDescription, error)
+        raise BadArm("\n".join(f"{path}: {fault}" for fault in faults)) from error

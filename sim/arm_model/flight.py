@@ -1,7 +1,6 @@
 """Flight parameters of the drawing of an arm, from its description."""
 
 import math
-import tomllib
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +18,7 @@ from sim.arm_model.description import (
 )
 from sim.arm_model.validity import reserved_of_flight
 from sim.params_table import merge_tables, params_from_table
+from simgap.common.toml import read_toml
 
 ROUNDING: Final = 1e-18
 """Expansions below this, in m/K, are rounding errors of a right angle."""
@@ -37,7 +37,7 @@ def flight_params(arm: ArmDescription, hull: Hull, digest: str, defaults: Path, 
         BadArm: the table `[flight]` sets what another table sets.
         BadParams: flight software does not accept them; the message names every wrong value.
     """
-    shared = tomllib.loads(defaults.read_text(encoding="utf-8"))
+    shared = read_toml(defaults)
     del shared["default_arm"]
     own = {
         "arm_name": "nominal",

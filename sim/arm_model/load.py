@@ -3,7 +3,6 @@
 import hashlib
 import json
 import os
-import tomllib
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.resources import files
@@ -16,8 +15,9 @@ from sim.arm_model.flight import flight_params
 from sim.arm_model.mjcf import BadLooks, arm_mjcf
 from sim.arm_model.rover import default_rover, on_rover
 from sim.arm_model.validity import check_description
-from sim.text_file import UnreadableText, read_text
 from sim.workspace import PRIMARY, Workspace
+from simgap.common.errors import RobotError
+from simgap.common.toml import read_text, read_toml
 
 MODELS: Final = Path(str(files("sim") / "models"))
 ARMS: Final = MODELS / "arms"
@@ -102,15 +102,15 @@ def load_arm(name: str) -> ArmModel:
 @cache
 def default_name() -> str:
     """Return the name of the arm that is meant if none is named."""
-    name: str = tomllib.loads(DEFAULTS.read_text(encoding="utf-8"))["default_arm"]
+    name: str = read_toml(DEFAULTS)["default_arm"]
     return name
 
 
 def _read(path: Path) -> str:
     try:
         return read_text(path)
-    except UnreadableText as error:
-        raise BadArm(f"{path}: {error}") from error
+    except RobotError as error:
+        raise BadArm(str(error)) from error
 
 
 @cache

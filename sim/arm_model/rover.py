@@ -1,6 +1,5 @@
 """Rover of an arm: its hull, and the frame in which the file of the arm gives positions on the rover."""
 
-import tomllib
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -15,12 +14,13 @@ from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Array
 from sim.arm_model.description import ArmDescription, Hull, RoverDescription, Shape
 from sim.frames import P_NR_M
+from simgap.common.toml import read_toml
 
 
 @cache
 def default_rover(path: Path) -> RoverDescription:
     """Read the rover of the arms whose file gives none."""
-    return TypeAdapter(RoverDescription).validate_python(tomllib.loads(path.read_text(encoding="utf-8")))
+    return TypeAdapter(RoverDescription).validate_python(read_toml(path))
 
 
 def on_rover(arm: ArmDescription, rover: RoverDescription) -> tuple[ArmDescription, Hull]:

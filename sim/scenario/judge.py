@@ -31,7 +31,7 @@ from sim.scenario.data import (
     Stowed,
     TaughtPoint,
 )
-from sim.scenario.names import upper_snake
+from sim.scenario.records import upper_snake
 from sim.scenario.trace import Ending, Snapshot, Trace, is_touching
 from sim.sequence import Outcome
 from sim.world import Surface

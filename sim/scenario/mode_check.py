@@ -21,7 +21,7 @@ from fsw.dictionary.commands import (
 )
 from fsw.dictionary.enums import Mode
 from fsw.executive.modes import EVENT_OF, ModeEvent, next_mode
-from sim.scenario.names import upper_snake
+from sim.scenario.records import upper_snake
 
 _FREE: Final = (ModeEvent.MOVE_FREE, ModeEvent.DONE)
 _GUARDED: Final = (ModeEvent.MOVE_GUARDED, ModeEvent.DONE)

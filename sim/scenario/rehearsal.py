@@ -38,7 +38,7 @@ from sim.arms import BuiltArm
 from sim.frames import p_R_from_N
 from sim.preview import first_estimate, joints_at
 from sim.scenario.data import Scenario, TaughtPoint
-from sim.scenario.names import upper_snake
+from sim.scenario.records import upper_snake
 from sim.world import Surface, params_in_world
 
 MotionCommand = CompoundCommand | SingleMoveCommand

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from marsarm.calibration.request import SerialRequest
-from sim.scenario.names import did_you_mean
+from sim.scenario.records import did_you_mean
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write, file_sha256
 from simgap.common.options import check_options

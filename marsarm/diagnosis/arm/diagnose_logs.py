@@ -23,7 +23,7 @@ from marsarm.diagnosis.result import DiagnosisResult
 from sim.arm_model.load import default_arm
 from sim.effects.catalogue import catalogue, effect_name
 from sim.effects.effect import Effect
-from sim.scenario.names import shorten
+from sim.scenario.records import shorten
 from simgap.common.errors import BadRequest
 from simgap.common.files import cache_folder, file_sha256
 from simgap.common.options import check_options

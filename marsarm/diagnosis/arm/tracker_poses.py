@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fsw.kinematics.transforms import Array, Pose
-from sim.text_file import UnreadableText, decode_text
+from simgap.common.errors import RobotError
+from simgap.common.toml import decode_text
 
 POSE_COLUMNS: Final = ("tick", "rx_rad", "ry_rad", "rz_rad", "x_m", "y_m", "z_m")
 SIGMA_COLUMNS: Final = ("rx_sigma_rad", "ry_sigma_rad", "rz_sigma_rad", "x_sigma_m", "y_sigma_m", "z_sigma_m")
@@ -54,12 +55,12 @@ def read_tracker_poses(path: Path) -> TrackerPoses:
         BadTracker: It cannot be read, a column is missing, or a value is wrong or repeated.
     """
     try:
-        table = csv.DictReader(StringIO(decode_text(path.read_bytes()), newline=""))
+        table = csv.DictReader(StringIO(decode_text(path.read_bytes(), str(path)), newline=""))
         rows, missing = list(table), {*POSE_COLUMNS, *SIGMA_COLUMNS} - set(table.fieldnames or ())
     except OSError as error:
         raise BadTracker(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnreadableText as error:
-        raise BadTracker(f"{path}: {error}") from error
+    except RobotError as error:
+        raise BadTracker(str(error)) from error
     except csv.Error as error:
         raise BadTracker(f"{path}: is not a table in CSV; it is damaged or of another format") from error
     if missing:

@@ -20,11 +20,11 @@ from marsarm.telemetry.imports.mapping_file import MAX_MAPPING_BYTES, parse_mapp
 from marsarm.telemetry.imports.packets import IncompleteTopic, build_topics, incomplete_topics
 from marsarm.telemetry.imports.table import MAX_CELLS, read_table
 from marsarm.telemetry.imports.times import sort_by_time
-from sim.text_file import UnreadableText, decode_text
 from simgap.common.console import plain_console, pluralize
-from simgap.common.errors import BadRequest
+from simgap.common.errors import BadRequest, RobotError
 from simgap.common.files import atomic_write, check_distinct_files, check_output
 from simgap.common.progress import Progress
+from simgap.common.toml import decode_text, key_path
 
 UNKNOWN_CPU: Final = "[]"
 """Value of `cpu` in the header: the processor that computed the table is unknown."""
@@ -121,9 +121,9 @@ def convert_table(
         BadImport: the table or the mapping is wrong; all problems of a mapping are reported together.
     """
     try:
-        text = decode_text(mapping)
-    except UnreadableText as error:
-        raise BadImport([f"{mapping_file}: {error}"]) from error
+        text = decode_text(mapping, mapping_file)
+    except RobotError as error:
+        raise BadImport([str(error)]) from error
     parsed = parse_mapping(text, mapping_file, Path(mapping_file).parent)
     times = () if parsed.time.column is None else (parsed.time.column,)
     names = dict.fromkeys((*times, *(name for channel in parsed.channels for name in channel.columns)))
@@ -173,7 +173,7 @@ def _check_replayable(
     late = [one for one in start.commands if one.tick > last]
     if late:
         raise BadImport(
-            f"{file}:{one.line}: command: at_s is {one.tick / CYCLE_HZ:.15g}, the table ends at "
+            f"{file}: {key_path((*one.place, 'at_s'))}: is {one.tick / CYCLE_HZ:.15g}, the table ends at "
             f"{last / CYCLE_HZ:.15g}; it would never be given: leave it out"
             for one in late
         )

@@ -13,6 +13,7 @@ from fsw.dictionary.types import Limits
 from fsw.estimate.reference import Reference
 from marsarm.telemetry.imports.targets import ChannelTarget
 from marsarm.telemetry.imports.units import Conversion
+from simgap.common.toml import KeyPath
 
 GridMode = Literal["exact", "nearest", "hold", "linear"]
 TICK: Final = "tick"
@@ -85,8 +86,8 @@ class MappedChannel:
     conversion: Conversion
     gain: NDArray[np.float64]
     offset: NDArray[np.float64]
-    line: int
-    """Line in the mapping."""
+    place: KeyPath
+    """Place in the mapping."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +96,8 @@ class TimedCommand:
 
     tick: int
     command: Command
-    line: int
-    """Line in the mapping."""
+    place: KeyPath
+    """Place in the mapping."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

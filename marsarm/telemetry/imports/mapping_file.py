@@ -35,10 +35,10 @@ from marsarm.telemetry.imports.units import Conversion, known_units
 from marsarm.telemetry.imports.values import convert_to_si
 from sim.params import nominal_params, params_over_nominal
 from sim.params_table import BadParams
-from sim.scenario.names import did_you_mean
-from sim.scenario.toml_lines import NotToml, TomlPath, parse_toml
-from sim.scenario.toml_record import Findings, read_record, require_table
-from sim.scenario.toml_tables import list_tables, read_command
+from sim.scenario.records import Findings, did_you_mean, list_tables, read_record, require_table
+from sim.scenario.tables import read_command
+from simgap.common.errors import RobotError
+from simgap.common.toml import KeyPath, key_path, parse_toml
 
 Flags5 = tuple[bool, bool, bool, bool, bool]
 COMMAND_ROUNDING: Final = 1e-6
@@ -77,7 +77,7 @@ def parse_start(data: dict[str, Any], folder: Path, findings: Findings) -> Fligh
     command_tables = list(list_tables(data, "command", findings))
     if "start" not in data:
         if command_tables:
-            findings.report(("command",), "command: is for a table that is to be replayed; write [start] too")
+            findings.report(("command",), "is for a table that is to be replayed; write [start] too")
         return None
     table = require_table(data["start"], ("start",), findings)
     if table is None:
@@ -102,7 +102,7 @@ def _load_params(name: str | None, folder: Path, findings: Findings) -> Params |
         return params_over_nominal(path)
     except (BadParams, OSError, ValueError) as error:
         for line in str(error).splitlines():
-            findings.report(("start", "params"), f"params: {line}")
+            findings.report(("start", "params"), line)
     return None
 
 
@@ -132,7 +132,7 @@ def _parse_reference(table: dict[str, Any], params: Params, findings: Findings) 
 
 def _parse_command(
     table: dict[str, Any],
-    place: TomlPath,
+    place: KeyPath,
     findings: Findings,
     points: Mapping[str, str],
     params: Params,
@@ -142,7 +142,7 @@ def _parse_command(
     command = read_command(rest, place, findings, points, params)
     if at is None or command is None:
         return None
-    return TimedCommand(math.ceil(at.at_s * CYCLE_HZ - COMMAND_ROUNDING), command, findings.lines[place])
+    return TimedCommand(math.ceil(at.at_s * CYCLE_HZ - COMMAND_ROUNDING), command, place)
 
 
 T = TypeVar("T")
@@ -180,25 +180,25 @@ def parse_mapping(text: str, file: str, folder: Path) -> TableMapping:
         folder: Folder from which paths in the mapping start.
 
     Raises:
-        BadImport: the mapping is wrong; the message has every problem with its line.
+        BadImport: the mapping is wrong; the message has every problem with its key.
     """
     if len(text) > MAX_MAPPING_BYTES:
         raise BadImport([f"{file}: has {len(text)} characters; a mapping has at most {MAX_MAPPING_BYTES}"])
     try:
-        data, lines = parse_toml(text)
-    except NotToml as error:
-        raise BadImport([f"{file}:{error.line}: {error}"]) from error
-    findings = Findings(lines)
+        data = parse_toml(text, file)
+    except RobotError as error:
+        raise BadImport([str(error)]) from error
+    findings = Findings()
     mapping = _parse_tables(data, file, folder, findings)
     if mapping is None or findings.problems:
-        raise BadImport(f"{file}:{p.line}: {p.text}" for p in sorted(findings.problems))
+        raise BadImport(f"{file}: {problem}" for problem in findings.problems)
     return mapping
 
 
 def _parse_tables(data: dict[str, Any], file: str, folder: Path, findings: Findings) -> TableMapping | None:
     for key in data:
         if key not in KNOWN_KEYS:
-            findings.report((key,), f"{key}: is not known here; {did_you_mean(key, KNOWN_KEYS)}")
+            findings.report((key,), f"is not known here; {did_you_mean(key, KNOWN_KEYS)}")
     head = read_record(_Head, {key: data[key] for key in ("arm",) if key in data}, (), findings)
     time = _parse_table(TimeMapping, data, "time", findings)
     csv = _parse_table(CsvFormat, data, "csv", findings)
@@ -206,7 +206,7 @@ def _parse_tables(data: dict[str, Any], file: str, folder: Path, findings: Findi
         _parse_channel(table, place, findings) for place, table in list_tables(data, "channel", findings)
     ]
     if not data.get("channel"):
-        findings.report((), "channel: is missing; write [[channel]] and its keys below, once for each")
+        findings.report(("channel",), "is missing; write [[channel]] and its keys below, once for each")
     _check_mapped_once([channel for channel in channels if channel is not None], findings)
     start = parse_start(data, folder, findings)
     session = _parse_table(SessionMapping, data, "session", findings) if "session" in data else None
@@ -222,7 +222,7 @@ def _parse_table(kind: type[T], data: dict[str, Any], name: str, findings: Findi
     return None if table is None else read_record(kind, table, (name,), findings)
 
 
-def _parse_channel(table: dict[str, Any], place: TomlPath, findings: Findings) -> MappedChannel | None:
+def _parse_channel(table: dict[str, Any], place: KeyPath, findings: Findings) -> MappedChannel | None:
     before = len(findings.problems)
     listed = {k: [v] if k in LIST_KEYS and not isinstance(v, list) else v for k, v in table.items()}
     constant = listed.pop("value", None)
@@ -248,41 +248,40 @@ def _parse_channel(table: dict[str, Any], place: TomlPath, findings: Findings) -
     parsed = None if constant is None else _parse_constant(constant, target, place, findings)
     if len(findings.problems) > before:
         return None
-    line = findings.lines[place]
-    channel = MappedChannel(target, fields.columns or (), parsed, conversion, gain, offset, line)
+    channel = MappedChannel(target, fields.columns or (), parsed, conversion, gain, offset, place)
     _check_finite(channel, (*place, "value"), findings)
     return channel
 
 
-def _check_finite(channel: MappedChannel, at: TomlPath, findings: Findings) -> None:
+def _check_finite(channel: MappedChannel, at: KeyPath, findings: Findings) -> None:
     """Refuse a constant that its gain, offset or unit makes infinite."""
     if not isinstance(channel.constant, np.ndarray) or channel.target.field.kind != "<f8":
         return
     with np.errstate(over="ignore", invalid="ignore"):
         is_finite = np.isfinite(convert_to_si(channel, channel.constant, slice(None))).all()
     if not is_finite:
-        findings.report(at, "value: is too large for its gain, offset and unit; are they right?")
+        findings.report(at, "is too large for its gain, offset and unit; are they right?")
 
 
 def _find_target(
-    fields: _Channel, table: dict[str, Any], place: TomlPath, findings: Findings
+    fields: _Channel, table: dict[str, Any], place: KeyPath, findings: Findings
 ) -> ChannelTarget | None:
     known = known_targets()
     if fields.name in known:
         return known[fields.name]
     at = (*place, "name")
     if not fields.name.startswith(IMPORT_PREFIX):
-        findings.report(at, f"name: {fields.name!r} is not known; {_suggest_name(fields.name)}")
+        findings.report(at, f"{fields.name!r} is not known; {_suggest_name(fields.name)}")
         return None
     if fields.unit is None or fields.unit not in known_units():
-        findings.report((*place, "unit"), f"unit: {_describe_unit(fields.unit, known_units())}")
+        findings.report((*place, "unit"), f"{_describe_unit(fields.unit, known_units())}")
         return None
     columns = fields.columns or ("value",)
     single = not isinstance(table.get("columns", table.get("value")), list)
     target = custom_target(fields.name, len(columns), fields.unit, single)
     if isinstance(target, ChannelTarget):
         return target
-    findings.report(at, f"name: {fields.name}: {target}")
+    findings.report(at, f"{fields.name}: {target}")
     return None
 
 
@@ -293,19 +292,19 @@ def _suggest_name(name: str) -> str:
 
 
 def _find_conversion(
-    fields: _Channel, target: ChannelTarget, place: TomlPath, findings: Findings
+    fields: _Channel, target: ChannelTarget, place: KeyPath, findings: Findings
 ) -> Conversion:
     at = (*place, "unit")
     if target.members is not None:
         if fields.unit is not None:
-            findings.report(at, f"unit: {target.name} is a name or its number; leave it out")
+            findings.report(at, f"{target.name} is a name or its number; leave it out")
         return Conversion()
     known = conversions(target.unit or "1")
     if fields.unit is None and target.unit in ("bool", "cycle", "count", "1"):
         return Conversion()  # nothing else could be meant
     if fields.unit not in known:
         findings.report(
-            at, f"unit: {_describe_unit(fields.unit, known)}; {target.name} is kept in {target.unit}"
+            at, f"{_describe_unit(fields.unit, known)}; {target.name} is kept in {target.unit}"
         )
         return Conversion()
     return known[fields.unit]
@@ -318,39 +317,39 @@ def _describe_unit(unit: str | None, known: Any) -> str:
 
 
 def _per_column(
-    name: str, values: tuple[float, ...], target: ChannelTarget, place: TomlPath, findings: Findings
+    name: str, values: tuple[float, ...], target: ChannelTarget, place: KeyPath, findings: Findings
 ) -> Any:
     if len(values) not in (1, target.size):
         findings.report(
             (*place, name),
-            f"{name}: {len(values)} given; {target.name} takes one for all, or {target.columns_text}",
+            f"{len(values)} given; {target.name} takes one for all, or {target.columns_text}",
         )
         return np.ones(target.size)
     return np.broadcast_to(np.array(values, np.float64), (target.size,))
 
 
 def _check_columns(
-    columns: tuple[str, ...], target: ChannelTarget, place: TomlPath, findings: Findings
+    columns: tuple[str, ...], target: ChannelTarget, place: KeyPath, findings: Findings
 ) -> None:
     at = (*place, "columns")
     if len(columns) != target.size:
-        findings.report(at, f"columns: {len(columns)} given; {target.name} takes {target.columns_text}")
+        findings.report(at, f"{len(columns)} given; {target.name} takes {target.columns_text}")
     for name in sorted({name for name in columns if columns.count(name) > 1}):
-        findings.report(at, f"columns: {name!r} is there twice; each number has a column of its own")
+        findings.report(at, f"{name!r} is there twice; each number has a column of its own")
 
 
-def _parse_constant(value: Any, target: ChannelTarget, place: TomlPath, findings: Findings) -> Any:
+def _parse_constant(value: Any, target: ChannelTarget, place: KeyPath, findings: Findings) -> Any:
     """Parse a constant, one value for each element; TICK stands for the number of the cycle."""
     at = (*place, "value")
     if value == TICK and target.unit == "cycle":
         return TICK
     items = value if isinstance(value, list) else [value] * target.size
     if len(items) != target.size:
-        findings.report(at, f"value: {len(items)} given; {target.name} takes {target.columns_text}")
+        findings.report(at, f"{len(items)} given; {target.name} takes {target.columns_text}")
         return None
     problem = next((p for p in (_check_value(item, target) for item in items) if p is not None), None)
     if problem is not None:
-        findings.report(at, f"value: {problem}")
+        findings.report(at, f"{problem}")
         return None
     if target.members is not None:
         items = [target.member(item) for item in items]
@@ -380,12 +379,12 @@ def _check_value(item: Any, target: ChannelTarget) -> str | None:
 
 def _check_mapped_once(channels: list[MappedChannel], findings: Findings) -> None:
     """Refuse a channel that is mapped twice."""
-    seen: dict[str, int] = {}
+    seen: dict[str, KeyPath] = {}
     for channel in channels:
         name = channel.target.name.lower()
         if name in seen:
-            place = next(p for p, line in findings.lines.items() if line == channel.line and p)
+            where = key_path(seen[name])
             findings.report(
-                place, f"{channel.target.name}: is mapped in line {seen[name]} already; map it once"
+                channel.place, f"{channel.target.name}: is mapped by {where} already; map it once"
             )
-        seen.setdefault(name, channel.line)
+        seen.setdefault(name, channel.place)

@@ -16,7 +16,7 @@ from pyarrow import csv, parquet, types
 from marsarm.common.bad_tables import describe_bad_table
 from marsarm.telemetry.imports.files import BadImport
 from marsarm.telemetry.imports.mapping import CsvFormat
-from sim.scenario.names import did_you_mean
+from sim.scenario.records import did_you_mean
 
 PARQUET_MAGIC: Final = b"PAR1"
 PARQUET_SUFFIXES: Final = (".parquet", ".pq")

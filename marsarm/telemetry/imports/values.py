@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from marsarm.telemetry.imports.mapping import TICK, MappedChannel
 from marsarm.telemetry.imports.table import InputColumn, InputTable
-from sim.scenario.names import did_you_mean
+from sim.scenario.records import did_you_mean
 
 INT64_LIMIT: Final = 2.0**63
 MAX_EXACT_INT: Final = 1 << 53

@@ -35,7 +35,7 @@ R = TypeVar("R", bound=Record)
 
 
 def read_text(path: Path) -> str:
-    """Read a text file in UTF-8, with or without a byte order mark.
+    """Read a text file.
 
     Raises:
         RobotError: It cannot be read, is no regular file, is too large, or is not text in UTF-8.
@@ -46,13 +46,24 @@ def read_text(path: Path) -> str:
         size = path.stat().st_size
         if size > MAX_BYTES:
             raise RobotError(f"{path}: has {size} bytes, more than {MAX_BYTES}; is it the right file?")
-        return path.read_bytes().decode("utf-8-sig")
+        data = path.read_bytes()
     except OSError as error:
         raise RobotError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnicodeDecodeError as error:
-        raise RobotError(f"{path}: {NOT_UTF8}") from error
     except ValueError as error:  # a null byte in the name
         raise RobotError(f"{str(path)!r}: cannot be read ({error})") from error
+    return decode_text(data, str(path))
+
+
+def decode_text(data: bytes, name: str) -> str:
+    """Decode a text in UTF-8, with or without a byte order mark.
+
+    Raises:
+        RobotError: It is something else; the text begins with the name.
+    """
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RobotError(f"{name}: {NOT_UTF8}") from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -115,7 +126,7 @@ def describe_faults(kind: type, error: ValidationError) -> list[str]:
         error: What pydantic found.
     """
     faults: list[Any] = sorted(error.errors(), key=lambda one: one["type"] == "missing")
-    said = ((key_path(one["loc"]), _describe_fault(kind, one)) for one in faults)
+    said = ((key_path(one["loc"]), describe_fault(kind, one)) for one in faults)
     return [f"{where}: {what}" if where else what for where, what in said]
 
 
@@ -124,7 +135,13 @@ def key_path(place: KeyPath) -> str:
     return "".join(f"[{key + 1}]" if isinstance(key, int) else f".{key}" for key in place).removeprefix(".")
 
 
-def _describe_fault(kind: type, fault: Any) -> str:
+def describe_fault(kind: type, fault: Any) -> str:
+    """Return what is wrong with a value.
+
+    Args:
+        kind: Record or dataclass as which the document was read.
+        fault: One of the errors of pydantic.
+    """
     loc: KeyPath = fault["loc"]
     match fault["type"]:
         case "missing":
@@ -138,7 +155,7 @@ def _describe_fault(kind: type, fault: Any) -> str:
             said = fault["msg"][0].lower() + fault["msg"][1:]
             shown = "" if isinstance(fault["input"], dict | list) else f", not {fault['input']!r}"
             said = said.removeprefix("input ").removesuffix(", not 0").removesuffix(" after validation")
-            return f"{said}{shown}"
+            return f"{said.replace('tuple', 'list')}{shown}"
 
 
 def _fields(kind: Any, place: KeyPath) -> list[str]:
