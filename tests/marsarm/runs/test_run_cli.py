@@ -53,10 +53,10 @@ WRONG = SHORT.replace("angle_deg", "angle").replace('"turret"', '"tower"')
 BAD = {
     "no such scenario": (("samplin",), "samplin: there is no such scenario; did you mean sampling?"),
     "no such file": (("none.toml",), "none.toml: cannot be read"),
-    "a wrong file": (("wrong.toml",), "wrong.toml:7: joint: 'tower' is not known; there are azimuth"),
+    "a wrong file": (("wrong.toml",), "wrong.toml: command[1].joint: 'tower' is not known; there are azimuth"),
     "a wrong file, second line": (
         ("wrong.toml",),
-        "wrong.toml:8: angle: has no unit; write angle_rad or angle_deg",
+        "wrong.toml: command[1].angle: has no unit; write angle_rad or angle_deg",
     ),
     "no such arm": (("short.toml", "--arm", "as-built"), "as-built:SEED"),
     "no arm": (("short.toml", "--arm", ""), "as-built:SEED"),
@@ -118,7 +118,7 @@ def test_bad_input_is_a_sentence_and_status_2_and_writes_nothing(folder, case):
 def test_bad_input_with_json_is_still_one_document(folder):
     done = marsarm(folder, "run", "wrong.toml", "--json")
     assert done.returncode == 2
-    assert json.loads(done.stdout)["error"].splitlines()[1].startswith("wrong.toml:7: joint:")
+    assert json.loads(done.stdout)["error"].splitlines()[1].startswith("wrong.toml: command[1].joint:")
     assert done.stderr.strip() == json.loads(done.stdout)["error"]
 
 

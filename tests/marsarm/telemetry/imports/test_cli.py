@@ -77,4 +77,4 @@ def test_what_is_wrong_is_in_the_document(words: list[str], tmp_path: Path) -> N
     (tmp_path / "m.toml").write_text(MAPPING.replace("mA", "mm"))
     result = CliRunner().invoke(app, [*words, "--json"])
     assert result.exit_code == 2
-    assert "m.toml:6: unit: 'mm' does not fit" in json.loads(result.stdout)["error"]
+    assert "m.toml: channel[1].unit: 'mm' does not fit" in json.loads(result.stdout)["error"]
