@@ -12,7 +12,7 @@ from fsw.dictionary.commands import Calibrate, MoveJoint
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.executive.expansion import expand_calibrate_all
-from fsw.executive.homing_poses import MAX_GRAVITY_SHARE
+from fsw.executive.poses import MAX_GRAVITY_SHARE
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array

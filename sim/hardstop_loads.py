@@ -18,7 +18,7 @@ from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.expansion import expand_calibrate_all
-from fsw.executive.homing_poses import homing_start_poses
+from fsw.executive.poses import homing_start_poses
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array

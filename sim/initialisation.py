@@ -12,7 +12,7 @@ from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.evrs import Evr, JointCalibrated
 from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
-from fsw.executive.homing_poses import homing_start_poses
+from fsw.executive.poses import homing_start_poses
 from fsw.kinematics.transforms import Array
 from fsw.motion.homing import HomingStage
 from sim.arms import BuiltArm

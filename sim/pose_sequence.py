@@ -11,7 +11,7 @@ from fsw.dictionary.commands import BacklashMode, Command, MoveJoints
 from fsw.dictionary.evrs import CommandCompleted, Severity
 from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm

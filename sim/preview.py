@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fsw.config import Config, configure
-from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import Unstow
+from fsw.dictionary.validity import Wrong, read_arguments
 from fsw.estimate.joints import JointEstimate, uninitialised_estimate
 from fsw.estimate.reference import Reference, no_reference
-from fsw.executive.checks import known_names
+from fsw.executive.context import known_names
 from fsw.executive.expansion import locate_surface
 from fsw.executive.planning import plan_command, plan_sequence
 from fsw.kinematics.transforms import Array

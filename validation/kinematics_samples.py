@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Joint
+from fsw.kinematics.arm import limit_excess, wrap_into_limits
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.soft_limits import limit_excess, wrap_into_limits
 from fsw.kinematics.transforms import Array, cross, dot, norm
 from sim.frames import P_NR_M
 from sim.workspace import PRIMARY

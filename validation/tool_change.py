@@ -22,7 +22,7 @@ from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
 from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
-from fsw.motion.compensation import Compensation
+from fsw.motion.plan import Compensation
 from fsw.motion.plan_tool import start_line
 from marsarm.common.pool import Runner, in_order
 from sim.arms import SPRING_FRAMES, BuiltArm, arm_named

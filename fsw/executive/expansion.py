@@ -26,11 +26,9 @@ from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params, TeachPoint
 from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.joints import JointEstimate
-from fsw.executive.homing_poses import HOMED_TWICE
+from fsw.executive.poses import HOMED_TWICE, find_gravity_pose
 from fsw.kinematics.transforms import Array, normalize
-from fsw.motion.compensation import Compensation
-from fsw.motion.plan import Refusal
-from fsw.motion.plan_process import find_gravity_pose
+from fsw.motion.plan import Compensation, Refusal
 from fsw.motion.plan_tool import Line, start_line
 from fsw.state import Hold, Sequence, SequenceStep
 

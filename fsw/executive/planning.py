@@ -22,11 +22,10 @@ from fsw.dictionary.commands import (
 )
 from fsw.dictionary.enums import Joint
 from fsw.estimate.joints import JointEstimate
-from fsw.executive.checks import check_arguments
+from fsw.executive.context import check_arguments
 from fsw.executive.expansion import CompoundCommand, expand_command, locate_surface
-from fsw.motion.compensation import Compensation
-from fsw.motion.path_check import check_paths, check_touch, compute_deflected_frames
-from fsw.motion.plan import Plan, Refusal, estimate_at, plan_joint, plan_poses
+from fsw.motion.paths import check_paths, check_touch, compute_deflected_frames
+from fsw.motion.plan import Compensation, Plan, Refusal, estimate_at, plan_joint, plan_poses
 from fsw.motion.plan_tool import find_branches, plan_guarded, plan_retract, plan_tool
 from fsw.state import SequenceStep
 

@@ -14,22 +14,27 @@ from typing import Final
 import numpy as np
 
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.arm import Arm
-from fsw.kinematics.batch import concatenate_records, record_arrays
-from fsw.kinematics.branches import BRANCHES
-from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import FREE_SINE, Roots, closed_form
-from fsw.kinematics.fixed_point import CLEAR_OF_FOLD, solve_fixed_point
-from fsw.kinematics.soft_limits import (
+from fsw.kinematics.arm import (
+    Arm,
     describe_estimated_outside,
     describe_outside,
     format_digits,
     limit_excess,
     wrap_into_limits,
 )
-from fsw.kinematics.straight_elbow import find_straight, solve_straight
-from fsw.kinematics.task import ROOT_TOLERANCE, task_error
-from fsw.kinematics.transforms import Array, Flags, Integers, norm, wrap_angle
+from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.closed_form import BRANCHES, FREE_SINE, Roots, closed_form
+from fsw.kinematics.roots import CLEAR_OF_FOLD, find_straight, solve_fixed_point, solve_straight
+from fsw.kinematics.statics import ROOT_TOLERANCE, task_error
+from fsw.kinematics.transforms import (
+    Array,
+    Flags,
+    Integers,
+    concatenate_records,
+    norm,
+    record_arrays,
+    wrap_angle,
+)
 
 NEGLIGIBLE_M: Final = 1e-6
 """A target out of reach by less than this is at the edge of reach."""

@@ -23,7 +23,8 @@ from fsw.dictionary.faults import (
     StalledEarly,
 )
 from fsw.dictionary.params import JointParams
-from fsw.estimate.hardstop import (
+from fsw.estimate.joints import JointEstimate
+from fsw.estimate.reference import (
     NO_READINGS,
     ContactLine,
     HardstopFit,
@@ -33,7 +34,6 @@ from fsw.estimate.hardstop import (
     measure_backlash,
     series_compliance,
 )
-from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from fsw.motion.paths import JointPath, Setpoint, joint_path

@@ -22,8 +22,8 @@ from fsw.dictionary.evrs import (
 )
 from fsw.dictionary.faults import NoContact, NotSettled
 from fsw.dictionary.types import cycle_record
-from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
+from fsw.estimate.reference import HardstopFit
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Flags, Sensors
 from fsw.motion.force_fit import (

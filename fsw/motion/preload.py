@@ -11,14 +11,12 @@ import numpy as np
 from fsw.config import Config
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import ToolForce, settle_output
-from fsw.kinematics.task import ROOT_TOLERANCE, task_error, task_jacobian
+from fsw.kinematics.statics import ROOT_TOLERANCE, ToolForce, settle_output, task_error, task_jacobian
 from fsw.kinematics.transforms import Array
-from fsw.motion.compensation import Compensation
-from fsw.motion.path_check import check_paths
-from fsw.motion.paths import Travel
+from fsw.motion.paths import Travel, check_paths
 from fsw.motion.plan import (
     TOO_SOFT,
+    Compensation,
     JointPositions,
     Plan,
     Refusal,

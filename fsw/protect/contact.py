@@ -21,8 +21,7 @@ from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.statics import held_on_flank
 from fsw.kinematics.transforms import Array, Flags
 from fsw.messages import Sensors
-from fsw.protect.bounds import ProtectionBounds
-from fsw.protect.status import ArmStatus, PressStatus
+from fsw.protect.inputs import ArmStatus, PressStatus, ProtectionBounds
 
 FULL_LEVER_M: Final = 1.0
 """Lever of all counted joints below which the bound rises: resolver errors look like larger forces."""

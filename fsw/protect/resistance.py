@@ -41,14 +41,15 @@ from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import UnexpectedContact
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Array
-from fsw.protect.bounds import (
+from fsw.protect.inputs import (
     CURRENT_GAIN,
     CURRENT_UPDATES,
     UPDATE_CYCLES,
     WIND_UP_UPDATES,
+    ArmStatus,
+    MoveStatus,
     ProtectionBounds,
 )
-from fsw.protect.status import ArmStatus, MoveStatus
 
 CONTACT: Final = 50.7
 """Value that chi-square with five degrees of freedom passes with a probability of 1e-9."""

@@ -40,7 +40,7 @@ from fsw.dictionary.faults import (
     UnexpectedContact,
 )
 from fsw.kinematics.transforms import Array
-from fsw.protect.bounds import ProtectionBounds
+from fsw.protect.inputs import ProtectionBounds
 
 
 class Response(StrEnum):

@@ -13,7 +13,7 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import joints5
 from fsw.estimate.gear import LIKELY, clip_to_backlash
 from fsw.estimate.reference import Reference
-from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances
+from fsw.kinematics.closed_form import BRANCHES, branch_index, fold_distances
 from fsw.kinematics.transforms import Array
 from marsarm.calibration.campaign_data import Campaign
 from marsarm.calibration.survey import CampaignRow, TooFewTargets, measure_pose, stack_rows

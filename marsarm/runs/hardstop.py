@@ -12,7 +12,7 @@ from fsw.dictionary.commands import Calibrate, CalibrateAll
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, joints5
-from fsw.executive.homing_poses import homing_start_poses
+from fsw.executive.poses import homing_start_poses
 from marsarm.common.requests import fit_effects, make_world, parse_effects, select_arm
 from marsarm.runs.execution import open_view
 from marsarm.runs.request import HardstopRequest

@@ -13,7 +13,7 @@ from fsw.dictionary.commands import Command, Preload, SetParam
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits
-from fsw.executive.checks import check_force
+from fsw.executive.context import check_force
 from fsw.executive.settings import replace_param
 from sim.arms import UnknownArm, arm_named
 from sim.drawing import WARM_C

@@ -27,7 +27,7 @@ from fsw.dictionary.commands import (
 from fsw.dictionary.params import TeachPoint
 from fsw.dictionary.types import vector3
 from fsw.estimate.joints import JointEstimate
-from fsw.executive.checks import check_arguments, check_force
+from fsw.executive.context import check_arguments, check_force
 from fsw.executive.expansion import CompoundCommand, locate_surface
 from fsw.executive.planning import SingleMoveCommand, plan_sequence, plan_steps
 from fsw.executive.settings import replace_param, tilt_joints

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
-from fsw.executive.homing_poses import homing_start_poses
+from fsw.executive.poses import homing_start_poses
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics

@@ -7,7 +7,7 @@ import pytest
 
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
-from fsw.executive.homing_poses import homing_start_poses
+from fsw.executive.poses import homing_start_poses
 from sim.arms import arm_named, without_turret
 from sim.clearance import ClearanceModel
 from sim.hardstop_loads import (
