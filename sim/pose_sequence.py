@@ -16,10 +16,9 @@ from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
 from sim.effects.environment import NothingToTouch
-from sim.frames import p_R_from_N
+from sim.frames import PRIMARY, Workspace, approach_from, p_R_from_N, random_targets
 from sim.loop import ClosedLoop, Setup
 from sim.sequence import run_sequence
-from sim.workspace import PRIMARY, Workspace, approach_from, random_targets
 from sim.world import World
 
 WAKE_S: Final = 1.0

@@ -32,8 +32,7 @@ from sim.effects.joints import GearStiffness
 from sim.effects.structure import LinkStiffness
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop, Setup
-from sim.placement import place_command
-from sim.preview import random_placement
+from sim.placement import place_command, random_placement
 from sim.sequence import run_sequence
 from sim.world import World
 from validation.clear_way import find_clear_way, reaches

@@ -36,7 +36,7 @@ from fsw.motion.plan import Refusal
 from fsw.motion.preload import model_contact, plan_preload
 from sim.arms import BuiltArm
 from sim.frames import p_R_from_N
-from sim.preview import first_estimate, joints_at
+from sim.placement import first_estimate, joints_at
 from sim.scenario.data import Scenario, TaughtPoint
 from sim.scenario.names import upper_snake
 from sim.world import Surface, params_in_world

@@ -11,7 +11,7 @@ from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import select_targets
 from marsarm.ik.model import BATCH_SIZE
 from marsarm.ik.tally import JOINT_NAMES, VERDICT_NAMES
-from sim.workspace import approach_from, random_targets
+from sim.frames import approach_from, random_targets
 from tests.marsarm.command import marsarm
 from tests.marsarm.ik.batch import expected, save, solved
 
