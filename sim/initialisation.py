@@ -182,7 +182,6 @@ def prepare_homing(
     """Prepare the homing of one joint near its hardstop.
 
     Args:
-        seed: Seed of the noise.
         effects: Effects beyond those of the arm.
         reference: Reference in the memory of flight software; None if no joint was homed.
         away_rad: Offset of the other joints from the homing pose, shape (5,); None for 0.

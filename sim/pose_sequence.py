@@ -108,7 +108,6 @@ def visit_poses(
         world: World of the run; only its gravity acts.
         goals: Output angles [rad], each of shape (5,).
         backlash: Compensation of the backlash in every move.
-        seed: Seed of the noise.
 
     Yields:
         The arm at rest at each goal.

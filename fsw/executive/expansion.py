@@ -49,7 +49,6 @@ def expand_command(
     """Expand a compound command into single moves from the present joint angles.
 
     Args:
-        tool: Tool of the last tool command.
         surface: Surface of `locate_surface`; None if there is none.
         farther_m: Distance from the standoff to a way point farther from the surface; 0 for none.
 
@@ -123,7 +122,6 @@ def locate_surface(
     """Return the surface that a command is to keep away from.
 
     Args:
-        tool: Tool of the last tool command.
         known: Surface of the last target.
 
     Returns:

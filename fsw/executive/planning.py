@@ -64,8 +64,6 @@ def plan_command(
     """Plan the move of a command, and check its paths for collisions with rover, ground and surface.
 
     Args:
-        joints: Estimate of the joints, from which the move starts.
-        tool: Tool of the last tool command.
         surface: Surface of `locate_surface`; None if there is none.
 
     Returns:
@@ -149,7 +147,6 @@ def plan_sequence(
 
     Args:
         joints: Estimate of the joints, from which the first step starts.
-        tool: Tool of the last tool command.
         surface: Surface that the steps keep away from; None if there is none.
 
     Returns:

@@ -108,8 +108,6 @@ def find_gravity_pose(config: Config, joints: JointEstimate, command: Process) -
     The wrist has two solutions; the nearer one within the soft limits is taken.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints.
         command: Command with the tool and the direction of gravity in its frame.
 
     Returns:

@@ -43,7 +43,6 @@ def describe_arm(
     """Describe the arm to protection in plain values.
 
     Args:
-        tool: Tool of the last tool command.
         backlash_state: That of the estimate, shape (3, 5).
 
     Returns:

@@ -253,9 +253,6 @@ def heat_arm(arm: Arm, warming_K: float) -> Arm:
 def transform6_to_pose(t: Transform6) -> Pose:
     """Compute the pose of a general link transform, equation 1 of the paper.
 
-    Args:
-        t: The six parameters.
-
     Returns:
         The pose.
     """
@@ -307,7 +304,6 @@ def wrap_into_limits(arm: Arm, q: Array, near_rad: Array | None = None) -> Array
     If no turn fits, the result is the turn nearest to the limits.
 
     Args:
-        arm: Arm.
         q: Output angles in rad, shape (5, ...).
         near_rad: Angles to stay near if two turns fit, shape (5,); None for the middle of the limits.
 
@@ -329,7 +325,6 @@ def limit_excess(arm: Arm, q: Array) -> Array:
     """Compute the excess of joint angles over the soft limits.
 
     Args:
-        arm: Arm.
         q: Output angles in rad, shape (5, ...).
 
     Returns:

@@ -39,7 +39,6 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     """Compute all frames of the arm: equation 2 of the paper, with a transform for the spring of each link.
 
     Args:
-        arm: Arm.
         output_rad: Output angles, shape (5, ...).
         strain: Spring displacements in rad and m, links second, shape (6, 6, ...); None for the rigid arm.
 
@@ -91,7 +90,6 @@ def place_pose(arm: Arm, output_rad: Array, strain: Array | None) -> list[LinkPo
     """Place the links of a single pose.
 
     Args:
-        arm: Arm.
         output_rad: Output angles, shape (5,).
         strain: Spring displacements in rad and m, links second, shape (6, 6); None for the rigid arm.
 
@@ -118,7 +116,6 @@ def spring_pose(arm: Arm, strain: Array) -> Pose:
     spring of the plant does the same. At 45 mrad the order matters by a tenth of a millimetre.
 
     Args:
-        arm: Arm.
         strain: Spring displacements in rad and m, links second, shape (6, 6, ...).
 
     Returns:
@@ -131,11 +128,6 @@ def spring_pose(arm: Arm, strain: Array) -> Pose:
 
 def tool_pose(arm: Arm, frames: Frames, tool: str) -> Pose:
     """Compute the pose of a tool in the rover frame.
-
-    Args:
-        arm: Arm.
-        frames: Frames of the arm.
-        tool: Name of the tool.
 
     Returns:
         X_RT, batch (...).
@@ -151,7 +143,6 @@ def joint_jacobian(frames: Frames, p_R_m: Array) -> Array:
     The springs are held: their response to the motion is not included.
 
     Args:
-        frames: Frames of the arm.
         p_R_m: Point in the rover frame, shape (3, ...).
 
     Returns:
@@ -165,10 +156,6 @@ def joint_jacobian(frames: Frames, p_R_m: Array) -> Array:
 def frame_poses(frames: Frames, X_RT: Pose) -> Pose:
     """Collect the frames Arm1 to Arm6 and the tool.
 
-    Args:
-        frames: Frames of the arm.
-        X_RT: Pose of the tool.
-
     Returns:
         Poses in the rover frame, batch (7, ...), in the order of Frame.
     """
@@ -181,10 +168,6 @@ def frame_jacobian(frames: Frames, X_RT: Pose) -> Array:
 
     A small screw displaces one frame, in its own axes, and all that the frame carries. The springs are held:
     their response to the motion is not included.
-
-    Args:
-        frames: Frames of the arm.
-        X_RT: Pose of the tool.
 
     Returns:
         Rotation of the tool and displacement of its origin in rover axes, per screw of each frame, shape (6,
@@ -200,7 +183,6 @@ def place_links(
     """Place the links: equation 2 of the paper, with a transform for the spring of each link.
 
     Args:
-        links: Links from the rover outward.
         output_rad: Output angles of the five joints.
         strain: Spring displacements in rad and m, rotation first: a value of each link, then the next, 36.
 
@@ -232,7 +214,6 @@ def load_links(
     """Compute spring strains and joint torques under the load: equations 4 and 5 of the paper.
 
     Args:
-        links: Links from the rover outward.
         placed: Their poses.
         gravity_R_m_s2: Gravity in the rover frame.
         push: Contact force on the arm in N and the point at which it acts in m, in the rover frame.

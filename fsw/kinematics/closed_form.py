@@ -39,7 +39,6 @@ def fold_distances(s: OrthogonalArm, output_rad: Array) -> Array:
     its name, without a fold, where the wrist joint passes over or under the elevation joint.
 
     Args:
-        s: Orthogonal arm.
         output_rad: Output angles, shape (5, ...).
 
     Returns:
@@ -101,8 +100,6 @@ def closed_form(
     The roots are exact for an orthogonal arm with any tool. For a calibrated arm they are starting points.
 
     Args:
-        arm: Arm.
-        tool: Name of the tool.
         p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).
         approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
         least_bend_rad: Least distance of the elbow from straight and folded, where two roots meet.
@@ -161,7 +158,6 @@ def closed_form_branch(
     """Compute the root of each target on the branch of a given pose.
 
     Args:
-        s: Orthogonal arm.
         p_RoTo_R_m: Target positions in the rover frame, shape (3, n).
         approach_R: Approach directions, unit vectors in the rover frame, shape (3, n).
         near_rad: Output angles that name the branch, shape (5, n).
@@ -189,7 +185,6 @@ def to_shoulder_frame(s: OrthogonalArm, p_R_m: Array, v_R: Array) -> tuple[Array
     """Transform points and directions into frame Arm1, in which the azimuth turns about z.
 
     Args:
-        s: Orthogonal arm.
         p_R_m: Points in the rover frame, shape (3, ...).
         v_R: Directions in the rover frame, unit vectors, shape (3, ...).
 
@@ -222,7 +217,6 @@ def turret_axis(s: OrthogonalArm, a: InPlane, sine: Array) -> tuple[Array, Array
     in the plane, and bz the cosine of boresight and turret axis.
 
     Args:
-        s: Orthogonal arm.
         a: Approach direction in the plane of the arm.
         sine: Sines of the wrist, unitless, shape (...).
 
@@ -259,7 +253,6 @@ def locate_wrist(s: OrthogonalArm, foot: InPlane, b: InPlane, t_e: Array, t_z: A
     """Locate the wrist joint and compute the bend of the elbow without its sign.
 
     Args:
-        s: Orthogonal arm.
         foot: Foot of the tool's offset in the plane of the arm, in m.
         b: Boresight in the plane of the arm.
         t_e: Forward components of the turret axis, part of a unit vector, shape (...).
@@ -297,7 +290,6 @@ def joint_angles(
     """Compute the output angles from the geometry in the plane of the arm.
 
     Args:
-        s: Orthogonal arm.
         b_n: Boresight along the pitch axis, unitless, shape (...).
         q1: Azimuths in rad, constant turn included, shape (...).
         t_e: Forward components of the turret axis, part of a unit vector, shape (...).

@@ -66,8 +66,6 @@ def refine_roots(
     learns the part of the Jacobian that the load causes. Without it, double roots do not converge.
 
     Args:
-        arm: Arm.
-        tool: Name of the tool.
         p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).
         approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,); zero for the rigid arm.
@@ -270,8 +268,6 @@ def solve_fixed_point(
     """Find the roots of the real arm on the branches of the orthogonal arm's roots.
 
     Args:
-        arm: Arm.
-        tool: Name of the tool.
         p: Target positions in m in the rover frame, shape (3, n).
         a: Approach directions, unit vectors in the rover frame, shape (3, n).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
@@ -386,8 +382,6 @@ def solve_straight(
     """Find the roots of the real arm near roots of the orthogonal arm with a nearly straight elbow.
 
     Args:
-        arm: Arm.
-        tool: Name of the tool.
         p: Target positions in m in the rover frame, shape (3, n).
         a: Approach directions, unit vectors in the rover frame, shape (3, n).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).

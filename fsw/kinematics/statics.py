@@ -69,7 +69,6 @@ def settle(
     """Find the static equilibrium for given motor angles: output = motor + backlash + torque / stiffness.
 
     Args:
-        arm: Arm.
         motor_rad: Motor angles on the output side, shape (5, ...).
         backlash_rad: Position of each output inside its backlash, shape (5, ...).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
@@ -87,7 +86,6 @@ def settle_output(
     """Find the static equilibrium for given output angles.
 
     Args:
-        arm: Arm.
         output_rad: Output angles, shape (5, ...).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
         push: Contact force on a tool.
@@ -126,7 +124,6 @@ def load_arm(
     The load is taken at the deflected pose.
 
     Args:
-        arm: Arm.
         output_rad: Output angles, shape (5, ...).
         strain: Strain at this pose in rad and m, shape (6, 6, ...); None for the rigid arm.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
@@ -192,7 +189,6 @@ def push_torque(arm: Arm, frames: Frames, push: ToolForce) -> Array:
     """Compute the torques that a contact force puts on the joints of a single pose.
 
     Args:
-        arm: Arm.
         frames: Frames of the pose.
         push: Force, shape (3,), on a tool.
 
@@ -227,7 +223,6 @@ def relative_target(
     rigid to its deflected pose. The target moves by the same displacement.
 
     Args:
-        arm: Arm.
         reference_tool: Name of the tool at the reference pose.
         reference_rad: Output angles of the reference pose, shape (5,).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
@@ -291,8 +286,6 @@ def evaluate_pose(
     """Evaluate load and deflection once at given angles.
 
     Args:
-        arm: Arm.
-        tool: Name of the tool.
         output_rad: Output angles, shape (5, n).
         strain: Assumed strain in rad and m, shape (6, 6, n); None for the rigid arm.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
@@ -344,7 +337,6 @@ def task_jacobian(frames: Frames, X_RT: Pose, approach_R: Array) -> Array:
     """Compute the derivative of task_error by the joint angles, with the springs held.
 
     Args:
-        frames: Frames of the arm.
         X_RT: Poses of the tool, batch (...).
         approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
 
@@ -362,7 +354,6 @@ def approach_jacobian(frames: Frames, X_RT: Pose) -> Array:
     """Compute the derivative of position and approach of a tool by the joint angles, with the springs held.
 
     Args:
-        frames: Frames of the arm.
         X_RT: Poses of the tool, batch (...).
 
     Returns:

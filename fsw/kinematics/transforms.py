@@ -36,10 +36,7 @@ class Pose:
 
 
 def stack_poses(poses: Sequence[Pose]) -> Pose:
-    """Stack poses along a new last axis.
-
-    Args:
-        poses: One or more poses of the same batch shape.
+    """Stack poses of one batch shape along a new last axis.
 
     Returns:
         The poses, with one batch axis more.
@@ -93,10 +90,7 @@ def rotate_back(R: Array, v: Array) -> Array:
 
 
 def inverse(X: Pose) -> Pose:
-    """Invert poses.
-
-    Args:
-        X: Poses X_AB.
+    """Invert poses, X_AB to X_BA.
 
     Returns:
         The poses X_BA.
@@ -270,12 +264,9 @@ def skew(v: Array) -> Array:
 
 
 def adjoint(X: Pose) -> Array:
-    """Build the matrices [[R, 0], [[p] R, R]] that transform a screw from frame B to frame A.
+    """Build the matrices [[R, 0], [[p] R, R]] of poses X_AB, which transform a screw from frame B to frame A.
 
     Equation 3 of the paper prints [p] alone in the lower left. Finite differences confirm [p] R.
-
-    Args:
-        X: Poses X_AB.
 
     Returns:
         The matrices, shape (6, 6, ...).

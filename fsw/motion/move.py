@@ -107,13 +107,6 @@ def advance_move(
 ) -> MoveUpdate:
     """Advance a move by one cycle.
 
-    Args:
-        config: Configuration of flight software.
-        move: Move after the cycle before.
-        joints: Estimate of the joints.
-        load: Estimate of the loads.
-        sensors: Readings of this cycle.
-
     Returns:
         The update; its move is None if the move has ended.
     """
@@ -366,7 +359,6 @@ def command_actuators(
     """Command the actuators: power during a move, brakes off until its brake phase.
 
     Args:
-        config: Configuration of flight software.
         move: Move under way; without one, all brakes are on and all power is off.
         joints: Estimate of the joints, of which the encoder zero is used.
         last: Command of the cycle before.

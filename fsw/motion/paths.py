@@ -117,7 +117,6 @@ def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
     """Compute the fastest jerk-limited move within the bounds of joints and tools.
 
     Args:
-        config: Configuration of flight software.
         start_rad: Motor angles at the start, shape (5,).
         end_rad: Motor angles at the end, shape (5,).
 
@@ -152,7 +151,6 @@ def line_path(config: Config, knots_rad: Array, travel: Travel) -> LinePath:
     """Compute a path over knots, on which no joint exceeds its speed.
 
     Args:
-        config: Configuration of flight software.
         knots_rad: Motor angles at equal steps of the travel, shape (k, 5).
         travel: Length of the path, and bounds of its speed, acceleration and jerk.
 
@@ -235,7 +233,6 @@ def check_paths(
     Too close is closer than the padding, or closer than at the start if the start is within the padding.
 
     Args:
-        config: Configuration of flight software.
         joints: Estimate of the joints, of which gravity and backlash are used.
         paths: Paths of the motors, one after the other.
         padding_m: Distance to be kept.
@@ -275,7 +272,6 @@ def check_touch(
     """Check that a tool touches alone, wherever on a guarded line the surface is.
 
     Args:
-        config: Configuration of flight software.
         joints: Estimate of the joints, of which gravity and backlash are used.
         paths: Paths of the motors on the line, one after the other.
         touching: Tool that is to touch.
@@ -303,7 +299,6 @@ def sample_paths(config: Config, paths: tuple[Path, ...], step_m: float) -> Arra
     """Sample motor angles along paths so finely that no point of the arm moves farther than a step.
 
     Args:
-        config: Configuration of flight software.
         paths: Paths of the motors, one after the other.
         step_m: Farthest that a point of the rigid arm may move between two samples.
 
@@ -330,7 +325,6 @@ def compute_deflected_frames(config: Config, joints: JointEstimate, motor_rad: A
     An output that friction may hold anywhere between the flanks of its gear is assumed in the middle.
 
     Args:
-        config: Configuration of flight software.
         joints: Estimate of the joints, of which gravity and backlash are used.
         motor_rad: Motor angles on the output side, shape (5, n).
 

@@ -44,7 +44,6 @@ class Compensation:
         """Compute the part of the gear angles by which set-points are shifted.
 
         Args:
-            joints: Estimate of the joints.
             gear_rad: Gear angles, output less motor, shape (5, ...).
 
         Returns:
@@ -68,8 +67,6 @@ class Compensation:
         Only relative compensation changes it: by the present deflection of the reference tool.
 
         Args:
-            config: Configuration of flight software.
-            joints: Estimate of the joints.
             reference: Tool whose present deflection counts.
             p_RoTo_R_m: Position of the tool in RMECH, shape (3, ...).
             approach_R: Unit direction of the tool axis, same shape.
@@ -91,7 +88,6 @@ def final_direction(config: Config, load_Nm: Array, gravity_R_m_s2: Array) -> Ar
     If the load may then push it to the positive side, it moves in the negative direction and ends there.
 
     Args:
-        config: Configuration of flight software.
         load_Nm: Loads at the end of the move, shape (5,).
         gravity_R_m_s2: Gravity in RMECH, shape (3,).
 
@@ -162,10 +158,7 @@ def plan_poses(
     Only the last move ends on a known side of the backlash.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints, from which the first move starts.
         poses: Output angles in radians, shape (5,) each.
-        compensation: Compensation of backlash and deflection.
 
     Returns:
         The plan, or the reason for a refusal, such as a pose beyond the soft limits.
@@ -192,11 +185,7 @@ def plan_joint(
     """Plan a move of one output to an angle while the other joints stay on their brakes.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints, from which the move starts.
-        joint: Joint that moves.
         angle_rad: Output angle at the end.
-        compensation: Compensation of backlash and deflection.
 
     Returns:
         The plan, or the reason for a refusal.
@@ -230,12 +219,9 @@ def plan_joint_move(
     short for that, a first move makes room for the run-up.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints.
         start: Positions at the start.
         output_rad: Output angles at the end, shape (5,).
         load_Nm: Loads at the end, shape (5,).
-        compensation: Compensation of backlash and deflection.
         on_known_side: False to move directly, whatever the side at the end.
         only: Joint that moves while the other motors stay; None if all move.
 
@@ -272,7 +258,6 @@ def worst_limit_excess(config: Config, output_rad: Array) -> Array:
     """Compute the largest excess of a joint over its soft limit.
 
     Args:
-        config: Configuration of flight software.
         output_rad: Output angles, shape (5, ...).
 
     Returns:
@@ -302,11 +287,8 @@ def plan_over_knots(
     If the joints are not at the first outputs, a joint move to these comes first.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints.
         output_rad: Output angles at the knots, shape (5, k).
         load_Nm: Loads at the knots, shape (5, k).
-        compensation: Compensation of backlash and deflection.
         travel: Length of all knots together, and bounds of speed, acceleration and jerk.
 
     Returns:

@@ -84,8 +84,6 @@ def plan_tool(
     A branch is valid if the target and the end of the straight travel after it are within limits.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints, from which the move starts.
         command: Command with the target, the branch and the compensation.
         reference: Tool whose present deflection relative compensation uses; None for that of the command.
         surface: Surface of a target to keep away from; None if there is none.
@@ -120,8 +118,6 @@ def find_branches(
     A branch is valid if the target and the end of the straight travel after it are within limits.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints, from which the move starts.
         command: Command with the target, the branch and the compensation.
         reference: Tool whose present deflection relative compensation uses; None for that of the command.
 

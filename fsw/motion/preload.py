@@ -162,8 +162,6 @@ def plan_preload(
     friction to stay in place.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints, from which the change starts.
         preload: Preload at the start.
         force_N: Commanded force.
 
@@ -214,9 +212,7 @@ def preload_limit_A(config: Config, joints: JointEstimate, change: PreloadChange
     """Compute current limits that stall the motors before the force much exceeds the commanded one.
 
     Args:
-        config: Configuration of flight software.
         joints: Estimate of the joints, of which the measured friction is used.
-        change: Change of force.
 
     Returns:
         Current limits in amperes, shape (5,).

@@ -166,8 +166,6 @@ def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds
     """Compute the bounds of protection.
 
     Args:
-        params: Parameters of flight software.
-        arm: Arm of these parameters.
         cycle_s: Duration of a control cycle.
 
     Returns:
@@ -282,7 +280,6 @@ def check_frozen(
     """Check that no noisy reading stays the same to the last bit.
 
     Args:
-        bounds: Bounds of protection.
         unchanged: For how many cycles each reading had been the same, in the order of NOISY.
         before: Noisy readings of the cycle before.
         now: Noisy readings of this cycle.
@@ -316,7 +313,6 @@ def check_tilt(
     """Check that gravity has the direction that the move under way was planned for.
 
     Args:
-        bounds: Bounds of protection.
         count: Cycles in a row in which the direction was beyond its bound.
         planned_R: Gravity when the move began, in the rover frame, shape (3,); any length.
         read_R: Gravity as it is read, in the rover frame, shape (3,); any length.

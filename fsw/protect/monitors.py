@@ -97,11 +97,9 @@ def protect(
     """Monitor the arm in this cycle and decide what is done.
 
     Args:
-        bounds: Bounds of protection.
         last: State of the monitors after the cycle before.
         fault: Fault that stands already.
         arm: Arm with its joints and move in this cycle.
-        sensors: Readings of this cycle.
         last_rad: Set-point that went out last, shape (5,).
         unusable: What `check_readings` found in these readings.
         of_move: Events of the move in this cycle, among them its own faults.
@@ -196,7 +194,6 @@ def check_setpoint(bounds: ProtectionBounds, move: MoveStatus, last_rad: Array) 
     Outside the limits it may still move inward: that is the way back.
 
     Args:
-        bounds: Bounds of protection.
         move: Move whose set-point is about to go out.
         last_rad: Set-point that went out last, shape (5,).
 
@@ -270,9 +267,7 @@ def check_stall(
     A joint in homing shall stall, so homing itself monitors it.
 
     Args:
-        bounds: Bounds of protection.
         count: Cycles in a row in which a motor was too slow.
-        move: Move under way.
         error_rad: Distance of each motor from its set-point, shape (5,).
         rate_rad_s: Rate of each motor on the output side, shape (5,).
 

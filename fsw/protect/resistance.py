@@ -115,9 +115,7 @@ def monitor_free_move(
     """Check that nothing resists a free move.
 
     Args:
-        bounds: Bounds of protection.
         last: State of the cycle before; None if no free move was under way.
-        arm: Arm with its joints and move.
         readings: Noisy readings, in the order of `readings.NOISY`.
         unchanged: For how many cycles each of them has been the same.
 
@@ -310,9 +308,6 @@ def describe_contact(
     """Describe a contact by the joint that shows it best, and by a force against the motion of the tool.
 
     Args:
-        bounds: Bounds of protection.
-        arm: Arm with its joints.
-        move: Move under way.
         torque_Nm: Torques of the obstacle on the outputs, 0 where nothing is known, shape (5,).
         joint: Index of the joint.
 
