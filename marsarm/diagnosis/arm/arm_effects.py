@@ -44,7 +44,7 @@ from sim.initialisation import DAILY_FRICTION_SIGMA
 from sim.params import nominal_params
 from sim.plant import SCREW_AXES, SPRING_NAMES
 from simgap.effects.effect import Family
-from simgap.serial_arm.screws import screw_log
+from simgap.serial_arm.chain import screw_log
 
 NUMERICS: Final = {"time step": STEP_NUMERICS, "scheme": Numerics("explicit", 6)}
 """Other numerics of the plant. The integrator is of first order, so that twice the change by half the time
