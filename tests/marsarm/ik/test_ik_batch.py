@@ -9,8 +9,8 @@ from pyarrow import parquet
 from fsw.kinematics.batch import select_targets
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.ik import BranchVerdict
-from marsarm.ik.model import BATCH_SIZE
-from marsarm.ik.tally import JOINT_NAMES, VERDICT_NAMES
+from marsarm.ik.batch import JOINT_NAMES, VERDICT_NAMES
+from marsarm.ik.solve import BATCH_SIZE
 from sim.workspace import approach_from, random_targets
 from tests.marsarm.command import marsarm
 from tests.marsarm.ik.batch import expected, save, solved

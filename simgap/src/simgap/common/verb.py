@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, is_dataclass
 from itertools import pairwise
-from typing import Annotated, Any, Final, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Protocol, get_args, get_origin
 
 import typer
 from typer.core import TyperCommand
@@ -19,6 +19,9 @@ from simgap.common.failed_effect import describe_failed_effect
 from simgap.common.options import CLUSTER_HERE, Field, Option, option_fields
 from simgap.common.progress import show_progress
 from simgap.common.stdout import EXIT_BAD_INPUT, release_stdout
+
+if TYPE_CHECKING:
+    from simgap.common.report import Emphasis, ReportTable
 
 ADDRESS: Final = re.compile(rf"{CLUSTER_HERE}|\S+:[0-9]+")
 """Value of the option `--cluster`."""
@@ -38,6 +41,34 @@ class VerbResult:
     """Function that writes files; a result that took minutes is printed first."""
     play: Callable[[], None] | None = None
     """Function that shows the result until Ctrl-C; a program can read the result before."""
+
+
+class Playable(Protocol):
+    """View that a user can play."""
+
+    def play(self) -> None:
+        """Play until Ctrl-C."""
+
+
+def shown(
+    document: Any,
+    parts: Sequence["str | Emphasis | ReportTable"],
+    is_done: bool = True,
+    view: Playable | None = None,
+) -> VerbResult:
+    """Make the result of a verb.
+
+    Args:
+        document: Values for programs, as `to_json` takes them.
+        parts: Sentences and tables for people.
+        is_done: False if the arm refused or faulted and is safe.
+        view: View that plays the result after it was printed.
+    """
+    from simgap.common.report import print_parts, to_json
+
+    return VerbResult(
+        to_json(document), lambda: print_parts(parts), is_done, play=None if view is None else view.play
+    )
 
 
 class VerbCommand(TyperCommand):
