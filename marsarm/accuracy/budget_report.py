@@ -19,8 +19,8 @@ from marsarm.accuracy.confidence import describe_sample, is_within
 from marsarm.accuracy.propagation import COVERAGE
 from marsarm.accuracy.sources import sources_sha256
 from simgap.common import svg
-from simgap.common.command_text import command_text
 from simgap.common.json_digest import json_sha256
+from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement
 from simgap.common.report import (
     Heading,

@@ -39,9 +39,8 @@ from sim.tracker import Tracker
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress, part_of
-from simgap.serial_arm.fit import Fit, HoldOutValidation
-from simgap.serial_arm.identifiability import Identifiability
-from simgap.serial_arm.screws import error_screw
+from simgap.serial_arm.chain import error_screw
+from simgap.serial_arm.fit import Fit, HoldOutValidation, Identifiability
 
 LEAST_SPAN_RAD: Final = 0.5
 FRAME_RANK: Final = 26

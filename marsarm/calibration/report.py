@@ -15,9 +15,9 @@ from marsarm.calibration.execution import FRAME_RANK, MAX_HELD_OUT_RATIO, MAX_SI
 from marsarm.calibration.residual_model import residual_model
 from marsarm.calibration.verify import PlaceErrors, Verification
 from simgap.common import svg
-from simgap.common.command_text import command_text
 from simgap.common.console import pluralize
 from simgap.common.json_digest import json_sha256
+from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement
 from simgap.common.report import Heading, ReportFigure, ReportPage, ReportTable, file_lines, to_json
 
