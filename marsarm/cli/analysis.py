@@ -174,8 +174,10 @@ def dictionary(
     Example: marsarm dictionary 'joints.elbow.*'
     """
     with report_user_errors(as_json):
-        if (as_json, markdown, effects).count(True) > 1 and (markdown or pattern is not None):
-            raise BadRequest("dictionary: --json, --markdown and --effects GLOB exclude each other")
+        if as_json and markdown:
+            raise BadRequest("dictionary: --json and --markdown exclude each other; give one of the two")
+        if effects and (markdown or pattern is not None):
+            raise BadRequest("dictionary: --effects lists all effects, with no GLOB and no --markdown")
     if effects:
         from marsarm.dictionary.effect_tables import effects_json, effects_table
 
