@@ -24,14 +24,13 @@ from marsarm.accuracy.placements import (
 from marsarm.accuracy.request import MoveModel
 from marsarm.accuracy.sources import BudgetCase, Distribution, ErrorModel, ErrorSource, is_compensated
 from sim.arms import BuiltArm, arm_named
-from sim.drawing import WARM_C
 from sim.effects.effect import Effect
 from sim.effects.environment import Ambient, StructureTemperature
-from sim.effects.geometry import Expansion, FrameError
-from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle
-from sim.effects.move_disturbances import FramePlay, ServoError, Windup
+from sim.effects.geometry import Expansion, FrameError, FramePlay
+from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle, ServoError, Windup
 from sim.effects.structure import LinkStiffness
 from sim.initialisation import RANDOM_TEMPERATURE_C, initial_reference, true_reference
+from sim.world import WARM_C
 
 Z_TURN = 2
 """Index of the rotation about z in a screw."""

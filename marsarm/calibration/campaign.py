@@ -13,20 +13,20 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import joints5
 from fsw.estimate.gear import LIKELY, clip_to_backlash
 from fsw.estimate.reference import Reference
-from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances
+from fsw.kinematics.closed_form import BRANCHES, branch_index, fold_distances
 from fsw.kinematics.transforms import Array
 from marsarm.calibration.campaign_data import Campaign
 from marsarm.calibration.survey import CampaignRow, TooFewTargets, measure_pose, stack_rows
+from sim.arm_check import NoPlan
 from sim.arms import BuiltArm, without_turret
 from sim.clearance import ClearanceModel
 from sim.effects.structure import StandInTurret, params_with_stand_in
-from sim.hardstop_loads import NoPlan
+from sim.frames import Workspace
 from sim.initialisation import initialise_joints
 from sim.loop import ClosedLoop, Setup
 from sim.pose_sequence import describe_no_way, free_air_loop, pose_in_workspace, run_and_rest
 from sim.sequence import Outcome
 from sim.tracker import TYPICAL_TRACKER, Tracker, turret_pose
-from sim.workspace import Workspace
 from sim.world import World
 from simgap.common.errors import BadRequest, UserError
 from simgap.common.progress import Progress

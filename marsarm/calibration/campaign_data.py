@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fsw.kinematics.batch import select_targets
-from fsw.kinematics.transforms import Array, Flags, Integers
+from fsw.kinematics.transforms import Array, Flags, Integers, select_targets
 from marsarm.calibration.measured_poses import MeasuredPoses
 
 

@@ -11,7 +11,7 @@ from pyarrow import csv, parquet
 from scipy.spatial.transform import Rotation
 
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.transforms import Array, Pose
 from marsarm.calibration.campaign_data import BelievedPoses, Campaign
 from marsarm.calibration.checks import BadData

@@ -13,7 +13,7 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Array, Pose
-from fsw.motion.compensation import final_direction
+from fsw.motion.plan import final_direction
 from marsarm.calibration.arm_model import arm_model, group_by_turret, reorder_poses
 from marsarm.calibration.calibrate import Calibration
 from marsarm.calibration.campaign import CampaignPlan, PoseGroup, branch_name, group_poses

@@ -22,10 +22,9 @@ from marsarm.calibration.simulation import true_params
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.effects.environment import Ambient
-from sim.frames import p_R_from_N
+from sim.frames import approach_from, p_R_from_N, random_targets
 from sim.loop import Setup
 from sim.pose_sequence import free_air_loop, run_and_rest
-from sim.workspace import approach_from, random_targets
 from sim.world import World
 from simgap.common.progress import Progress, part_of
 

@@ -14,7 +14,7 @@ from marsarm.common.pool import Runner, in_order
 from marsarm.common.requests import make_world, parse_tool, select_arm
 from marsarm.ik.request import ModelRequest
 from marsarm.ik.targets import IkTargets
-from sim.workspace import Workspace
+from sim.frames import Workspace
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress
 

@@ -7,7 +7,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import describe_slot
 from marsarm.ik.model import IkModel
 from marsarm.ik.reach import ReachReport

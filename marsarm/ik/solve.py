@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fsw.kinematics.batch import select_targets
 from fsw.kinematics.ik import IkResult
+from fsw.kinematics.transforms import select_targets
 from marsarm.common.pool import select_runner
 from marsarm.ik.model import IkModel, build_ik_model
 from marsarm.ik.request import IkRequest

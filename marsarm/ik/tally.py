@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult
 
 JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)

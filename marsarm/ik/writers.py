@@ -14,7 +14,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pyarrow import parquet
 
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult
 from marsarm.ik.tally import JOINT_NAMES, VERDICT_NAMES
 from simgap.common.files import atomic_write

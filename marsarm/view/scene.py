@@ -19,9 +19,8 @@ from marsarm.render.rays import VISIBLE_GROUPS, geom_rgb
 from marsarm.render.rover_scene import tilt_rover
 from marsarm.render.triangles import Triangles, join_triangles, triangulate
 from sim.arm_model.load import ArmModel
-from sim.drawing import TURRET
 from sim.plant import rotation_matrices
-from sim.world import World, build
+from sim.world import TURRET, World, build
 
 ARM_ROOT: Final = "rmech"
 """Body of the rover frame, which carries the arm."""

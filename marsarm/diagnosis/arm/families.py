@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from marsarm.diagnosis.problem import Hypothesis
-from sim.effects import cables, environment, gears, geometry, joints, links, motors, sensors, structure
+from sim.effects import environment, gears, geometry, joints, sensors, structure
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
 from simgap.effects.effect import Family
@@ -19,15 +19,16 @@ FAMILIES: Final[dict[Family, tuple[type[Effect], ...]]] = {
         *(gears.GearHysteresis, gears.TransmissionError, gears.JointCoupling),
         *(joints.BacklashWidth, joints.GearStiffness),
     ),
-    Family.ACTUATION: (motors.MotorConstant, motors.ServoGain, motors.BusSag),
+    Family.ACTUATION: (joints.MotorConstant, joints.ServoGain, joints.BusSag),
     Family.TIMING: (
-        *(motors.CommandDelay, sensors.CurrentGain, sensors.CurrentBias, sensors.CurrentCrosstalk),
+        *(joints.CommandDelay, sensors.CurrentGain, sensors.CurrentBias, sensors.CurrentCrosstalk),
         *(sensors.EncoderScale, sensors.EncoderZero, joints.ResolverBias, sensors.ResolverScale),
         *(sensors.ResolverEccentricity, sensors.GravityDirection),
     ),
     Family.GEOMETRY: (
-        *(links.LinkLength, links.LinkAngle, links.ToolOffset, links.ToolTurn, links.ThermalGradient),
-        *(geometry.Expansion, geometry.LinkWarming, geometry.Warming, joints.HardstopAngle),
+        *(geometry.LinkLength, geometry.LinkAngle, geometry.ToolOffset, geometry.ToolTurn),
+        *(geometry.ThermalGradient, geometry.Expansion, geometry.LinkWarming, geometry.Warming),
+        joints.HardstopAngle,
     ),
     Family.STRUCTURE: (
         *(structure.LinkStiffness, structure.LinkBending, structure.LinkTorsion, structure.LinkCreep),
@@ -35,7 +36,7 @@ FAMILIES: Final[dict[Family, tuple[type[Effect], ...]]] = {
     ),
     Family.INERTIA: (structure.LinkMass, structure.TurretMass, structure.TurretCentre),
     Family.CONTACT: (environment.ContactStiffness, environment.SurfacePosition, joints.HardstopStiffness),
-    Family.EXTERNAL: (cables.FlexCable, cables.Counterbalance),
+    Family.EXTERNAL: (joints.FlexCable, joints.Counterbalance),
 }
 LOCATIONS: Final = {
     "contact-stiffness": "surface",

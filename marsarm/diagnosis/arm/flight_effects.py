@@ -14,12 +14,10 @@ from fsw.dictionary.types import row6, vector3
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Pose, inverse, stack_poses
 from sim.arms import list_frames
-from sim.effects.effect import Effect
-from sim.effects.flight_params import joint_of, link_of
+from sim.effects.effect import Effect, joint_of, link_of
 from sim.effects.gears import OutputFriction
 from sim.effects.geometry import FrameError
-from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle, HardstopStiffness
-from sim.effects.motors import MotorConstant
+from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle, HardstopStiffness, MotorConstant
 from sim.effects.sensors import EncoderScale
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.params import nominal_params

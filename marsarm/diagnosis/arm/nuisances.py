@@ -15,9 +15,9 @@ from sim.arm_model.load import default_arm
 from sim.arms import IDENTIFIABLE_AXES, SPRING_FRAMES, list_frames
 from sim.effects.catalogue import effect_name
 from sim.effects.effect import Effect
+from sim.effects.environment import Numerics
 from sim.effects.geometry import FrameError
 from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle, ResolverBias
-from sim.effects.numerics import Numerics
 from sim.effects.sensors import CurrentBias, EncoderZero
 from sim.effects.structure import LinkStiffness
 from sim.initialisation import DAILY_FRICTION_SIGMA

@@ -14,7 +14,7 @@ from marsarm.diagnosis.arm.logs import Recording
 from sim.arms import effects_of_run
 from sim.effects.effect import Effect
 from sim.effects.environment import Ambient, StructureTemperature
-from sim.open_loop import NOISE_FREE, OpenLoopArm, SimulationOptions
+from sim.loop import NOISE_FREE, OpenLoopArm, SimulationOptions
 from sim.tracker import turret_pose
 
 SENSOR_FIELDS: Final = tuple(Sensors.__dataclass_fields__)

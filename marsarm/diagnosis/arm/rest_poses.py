@@ -21,14 +21,14 @@ from marsarm.diagnosis.arm.logs import Recording
 from marsarm.diagnosis.arm.open_loop import simulate_open_loop
 from marsarm.diagnosis.arm.segments import find_rests, find_segments
 from marsarm.diagnosis.arm.tracker_poses import no_tracker_poses
-from sim.disturbance import NO_DISTURBANCE, Disturbance
 from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal_hardware
+from sim.effects.environment import Numerics
 from sim.effects.gears import GearHysteresis
-from sim.effects.numerics import Numerics
 from sim.effects.structure import LinkBending, LinkCreep
-from sim.open_loop import scale_shift_rad
+from sim.loop import scale_shift_rad
 from sim.params import nominal_params
 from sim.plant import Plant
+from sim.record import NO_DISTURBANCE, Disturbance
 from sim.world import World, build
 from simgap.serial_arm.chain import screw_log
 

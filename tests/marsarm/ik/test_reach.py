@@ -12,7 +12,7 @@ from marsarm.ik.model import build_ik_model
 from marsarm.ik.reach import reach, sample_workspace
 from marsarm.ik.report import reach_json
 from marsarm.ik.request import ModelRequest, ReachRequest
-from sim.workspace import approach_from, random_surface, random_targets
+from sim.frames import approach_from, random_surface, random_targets
 from simgap.common.errors import BadRequest
 from tests.marsarm.command import marsarm, marsarm_process
 
