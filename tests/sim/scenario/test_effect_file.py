@@ -23,8 +23,8 @@ def test_a_file_of_no_effects_switches_nothing_on(tmp_path):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ('[[effect]]\ntype = "coulomb-frictoin"\n', "found.toml: effect[1].type: effect 'coulomb-frictoin' is not"),
-        ('[[effect]]\ntype = "warming"\nwarming_K = 9e9\n', "found.toml: effect[1].warming_K: 9e+09 is outside"),
+        ('[[effect]]\ntype = "coulomb-frictoin"\n', "effect[1].type: effect 'coulomb-frictoin' is not"),
+        ('[[effect]]\ntype = "warming"\nwarming_K = 9e9\n', "effect[1].warming_K: 9e+09 is outside"),
         ('arm = "nominal"\n', "found.toml: arm: does not belong in a file of effects; there is only"),
         ("[[effect]\n", "found.toml: is not TOML"),
         ("effect = 3\n", "found.toml: effect: is no list of tables"),

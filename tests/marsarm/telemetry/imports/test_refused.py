@@ -75,7 +75,7 @@ MAPPINGS = {
     "taken name": (TIME + FREE.replace("/arm", "/sensors"), "is reserved for an incomplete /sensors"),
     "too few columns": (
         TIME + CURRENT.replace(', "e"', ""),
-        "m.toml: channel[1].columns: 4 given; /sensors.current_A takes 5, one for each joint: AZIMUTH, ELEVATION",
+        "m.toml: channel[1].columns: 4 given; /sensors.current_A takes 5, one for each joint: AZIMUTH",
     ),
     "a column twice": (TIME + CURRENT.replace('"e"', '"a"'), "columns: 'a' is there twice"),
     "mapped twice": (TIME + CURRENT + CURRENT, "/sensors.current_A: is mapped by channel[1] already"),
