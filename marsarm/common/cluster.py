@@ -52,7 +52,7 @@ class ClusterFailed(UserError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaskOutcome:
-    """What came of the jobs of a task, and the time that they took."""
+    """Outcomes of the jobs of a task, and the time that they took."""
 
     host: str
     outcomes: list[Outcome]
@@ -119,7 +119,7 @@ def _run(ray: Any, work: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[
             size = min(size, math.ceil(left / (2 * processors)))  # else the last tasks would be late
             while len(running) < QUEUED * processors:
                 job, deaths = again.pop() if again else (None, 0)
-                part = [job] if deaths else list(islice(fresh, size))
+                part: Sequence[Any] = [job] if deaths else list(islice(fresh, size))
                 if not part:
                     break
                 left -= 0 if deaths else len(part)

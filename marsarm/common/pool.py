@@ -47,7 +47,7 @@ class Runner(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outcome:
-    """What came of a job."""
+    """Result of a job, or its error."""
 
     result: Any
     error: Exception | None = None

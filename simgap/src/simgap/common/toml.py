@@ -79,8 +79,7 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
     """Parse a text as TOML.
 
     Args:
-        text: The text.
-        name: Name of its file, for errors.
+        name: Name of the file of the text, for errors.
 
     Raises:
         RobotError: It is no TOML, or holds what Python cannot print.
@@ -100,8 +99,19 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 def toml_text(table: Mapping[str, Any], comments: Iterable[str] = ()) -> str:
     """Write a table as TOML, from which every bit can be read again, below comment lines."""
+    document = tomlkit.item(dict(table))
+    _spread_matrices(document)
     head = "".join(f"{f'# {line}'.rstrip()}\n" for line in comments)
-    return f"{head}\n{tomlkit.dumps(table)}" if head else tomlkit.dumps(table)
+    return f"{head}\n{tomlkit.dumps(document)}" if head else tomlkit.dumps(document)
+
+
+def _spread_matrices(value: Any) -> None:
+    """Give each row of a matrix a line of its own."""
+    if isinstance(value, tomlkit.items.Array):
+        value.multiline(any(isinstance(row, list) for row in value))
+    elif isinstance(value, dict | list):
+        for one in value.values() if isinstance(value, dict) else value:
+            _spread_matrices(one)
 
 
 def parse_record(kind: type[R], content: dict[str, Any], path: Path) -> R:

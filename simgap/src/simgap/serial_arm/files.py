@@ -96,7 +96,7 @@ def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
     Returns:
         The content of the file.
     """
-    table = {"name": arm.name, "gravity_B_m_s2": arm.gravity_B_m_s2}
+    table: dict[str, Any] = {"name": arm.name, "gravity_B_m_s2": arm.gravity_B_m_s2}
     table |= {"link": [_set_fields(one) for one in arm.links]}
     table |= {"uncertainty": _set_fields(arm.uncertainty), "repeatability": _set_fields(arm.repeatability)}
     return toml_text(table, about)
