@@ -18,8 +18,7 @@ from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop
 from sim.scenario.data import Scenario
 from sim.scenario.file import built_in_scenarios, load_scenario
-from sim.scenario.run import ScenarioRun, scenario_setup
-from sim.scenario.teaching import teach
+from sim.scenario.run import ScenarioRun, scenario_setup, teach
 from sim.sequence import Outcome
 from validation.options import campaign_parser, campaign_runner
 

@@ -20,8 +20,8 @@ from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.scenario.data import Check, Done, Faulted, Injection, Recovered, Scenario, StartPose, TaughtPoint
 from sim.scenario.effects import read_effect
-from sim.scenario.mode_check import find_refusals
 from sim.scenario.records import Findings, did_you_mean, list_tables, read_record, require_table, shorten
+from sim.scenario.rehearsal import find_refusals
 from sim.scenario.tables import (
     prevents_completion,
     read_check,

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow import csv, parquet, types
 
-from marsarm.common.bad_tables import describe_bad_table
+from marsarm.common.requests import describe_bad_table
 from marsarm.telemetry.imports.files import BadImport
 from marsarm.telemetry.imports.mapping import CsvFormat
 from sim.scenario.records import did_you_mean
