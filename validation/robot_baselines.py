@@ -22,15 +22,15 @@ from simgap.common.errors import RobotError
 from simgap.diagnose import diagnose
 from simgap.effects.actuation import GainError
 from simgap.effects.effect import Effect
-from simgap.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
+from simgap.effects.forces import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature
 from simgap.load import load
 from simgap.logs import Logs
-from simgap.residuals.kinds import list_kinds
+from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
+from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.joint_fits import fit_base
-from simgap.selection.meter import Meter
 from validation.options import campaign_parser
 
 EXAMPLE: Final = (

@@ -27,14 +27,13 @@ from simgap.common.progress import show_progress
 from simgap.diagnose import diagnose
 from simgap.load import load
 from simgap.logs import Logs, Motion, Signal
-from simgap.residuals.kinds import list_kinds
 from simgap.residuals.residuals import ResidualModel
-from simgap.residuals.simulation_residuals import SimulationResiduals
+from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
 from simgap.result import Diagnosis
 from simgap.robot import Robot
+from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.joint_fits import fit_base
-from simgap.selection.meter import Meter
 from validation.options import campaign_parser
 from validation.resumable import Result, keep_results
 from validation.robot_cases.draw import draw_case

@@ -18,7 +18,7 @@ from simgap.common.errors import UserError
 from simgap.common.figures import save_figure
 from simgap.common.progress import show_progress
 from simgap.diagnose import diagnose
-from simgap.selection.meter import Progress
+from simgap.selection.checkpoint import Progress
 from validation.options import campaign_parser
 from validation.resumable import keep_results
 from validation.robot_cases.draw import Kind, draw_case

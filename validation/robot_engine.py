@@ -19,13 +19,12 @@ import mujoco.rollout
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.effects.effect import Effect
-from simgap.effects.friction import StribeckFriction
-from simgap.effects.joint import joint_scales
+from simgap.effects.effect import Effect, joint_scales
+from simgap.effects.forces import StribeckFriction
 from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import Robot
 from simgap.simulation.compiled import Models, control_laws, nominal_gains
-from simgap.simulation.engine import Engine
+from simgap.simulation.simulation import Engine
 from simgap.simulation.windows import cut_windows
 
 ROBOT: Final = "models/robots/so101/robot.toml"

@@ -1,0 +1,327 @@
+"""Files of a serial arm: its TOML file, read and written, and tables of measured poses with their mapping."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from pydantic import ConfigDict, Field, field_validator, model_validator
+from scipy.spatial.transform import Rotation
+
+from simgap.arrays import Array, Integers
+from simgap.common.errors import RobotError
+from simgap.files.columns import LogFile
+from simgap.files.log_file import open_log
+from simgap.files.robot_file import CsvTable, Text
+from simgap.files.toml_record import Record, parse_record, read_toml
+from simgap.serial_arm.chain import Pose, PoseSeries, move_directions
+from simgap.serial_arm.model import Link, Repeatability, SerialArm, Uncertainty, UPRIGHT_B_m_s2, Vector
+from simgap.units import COUNTS, FRACTION, Quantity, Unit, find_unit
+
+MOST_LINKS: Final = 20
+"""Most links of an arm: the fit of more would take minutes."""
+OTHER_UNITS: Final = {"_deg": ("_rad", math.pi / 180), "_mm": ("_m", 1e-3)}
+"""Suffixes that a file may have in place of those of SI units, with their value in them."""
+
+
+class ArmFile(Record):
+    """Content of a file."""
+
+    model_config = ConfigDict(strict=False)  # tables become dataclasses, lists tuples; numbers stay strict
+
+    name: Annotated[str, Field(min_length=1)]
+    gravity_B_m_s2: Vector = UPRIGHT_B_m_s2
+    link: Annotated[list[Link], Field(min_length=1, max_length=MOST_LINKS)]
+    uncertainty: Uncertainty = Uncertainty()
+    repeatability: Repeatability = Repeatability()
+
+    @field_validator("link")
+    @classmethod
+    def _check_names(cls, links: list[Link]) -> list[Link]:
+        names = ["base", "target", *(one.name for one in links)]
+        taken = next((name for k, name in enumerate(names) if name in names[:k]), None)
+        if taken is not None:
+            raise ValueError(f"name {taken!r} is taken already; give each link its own")
+        return links
+
+
+def read_arm(path: Path) -> SerialArm:
+    """Read an arm from its file.
+
+    Raises:
+        RobotError: The file cannot be read or is wrong; the text gives the path of the key.
+    """
+    content = parse_record(ArmFile, _in_si_units(read_toml(path)), path)
+    return SerialArm(
+        content.name, tuple(content.link), content.gravity_B_m_s2, content.uncertainty, content.repeatability
+    )
+
+
+def _in_si_units(value: Any) -> Any:
+    """Convert the keys that end in `_deg` or `_mm`, with their values, in all tables."""
+    if isinstance(value, list):
+        return [_in_si_units(one) for one in value]
+    if not isinstance(value, dict):
+        return value
+    found: dict[str, Any] = {}
+    for key, one in value.items():
+        suffix = next((suffix for suffix in OTHER_UNITS if key.endswith(suffix)), "")
+        si, factor = OTHER_UNITS.get(suffix, ("", 1.0))
+        name = key.removesuffix(suffix) + si
+        # A key that stands twice keeps its second name, which is then refused as unknown.
+        found[key if name in value and suffix else name] = (
+            _scaled(one, factor) if suffix else _in_si_units(one)
+        )
+    return found
+
+
+def _scaled(value: Any, factor: float) -> Any:
+    if isinstance(value, list):
+        return [_scaled(one, factor) for one in value]
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(value) * factor if is_number else value
+
+
+def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
+    """Format an arm as TOML, from which every bit can be read again.
+
+    Args:
+        arm: Arm to write.
+        about: Comments at the top of the file.
+
+    Returns:
+        The content of the file.
+    """
+    lines = [f"# {line}".rstrip() for line in about]
+    lines += [
+        "",
+        f"name = {_toml_value(arm.name)}",
+        f"gravity_B_m_s2 = {_toml_value(arm.gravity_B_m_s2)}",
+        "",
+    ]
+    for one in arm.links:
+        lines += ["[[link]]", *_fields(one), ""]
+    for name, record in (("uncertainty", arm.uncertainty), ("repeatability", arm.repeatability)):
+        lines += [f"[{name}]", *_fields(record), ""]
+    return "\n".join(lines)
+
+
+def _fields(record: Any) -> list[str]:
+    values = ((f.name, getattr(record, f.name)) for f in fields(record))
+    return [f"{name} = {_toml_value(value)}" for name, value in values if value is not None]
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, str):
+        return '"' + "".join(_escape(letter) for letter in value) + '"'
+    if isinstance(value, tuple):
+        return f"[{', '.join(_toml_value(item) for item in value)}]"
+    return repr(value if isinstance(value, int) else float(value))
+
+
+def _escape(letter: str) -> str:
+    if letter in '"\\':
+        return f"\\{letter}"
+    return letter if letter.isprintable() else f"\\U{ord(letter):08x}"
+
+
+MIN_STALE_ROWS: Final = 3
+"""Number of identical measurements in a row, with a moving arm, that proves that the target was lost."""
+Order = Literal["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "xyz", "xzy", "yxz", "yzx", "zxy", "zyx"]
+
+
+class TableColumns(Record):
+    """Columns of one quantity with their unit."""
+
+    columns: Annotated[list[Text], Field(min_length=1)]
+    unit: Text
+
+    def convert(self, quantity: Quantity) -> Unit:
+        """Return the unit; an error names those that there are."""
+        if self.unit in (*COUNTS, FRACTION):
+            raise ValueError(f"{self.unit!r} needs a range; convert the column to radians or degrees")
+        return find_unit(self.unit, quantity)
+
+
+class RotationColumns(TableColumns):
+    """Three Euler angles of the target; capital letters mean intrinsic rotations."""
+
+    order: Order
+
+
+class TimeColumn(Record):
+    """Time by which rows are sorted."""
+
+    column: Text
+    format: str = ""
+    """Format of a column of text, as for strptime; empty: the column has numbers."""
+    sort: bool = False
+    """True to sort the rows; else rows out of order are an error."""
+
+
+class TrackerMapping(Record):
+    """Mapping from columns of a table to quantities."""
+
+    joints: TableColumns
+    position: TableColumns
+    rotation: RotationColumns
+    arm: str = "unknown"
+    csv: CsvTable = CsvTable()
+    time: TimeColumn | None = None
+    """Column of time; None if the rows are in the order of time."""
+    air: TableColumns | None = None
+
+    @field_validator("position", "rotation")
+    @classmethod
+    def _check_count(cls, given: TableColumns) -> TableColumns:
+        if len(given.columns) != 3:
+            raise ValueError(f"columns: there are {len(given.columns)}; give three")
+        return given
+
+    @model_validator(mode="after")
+    def _check_units(self) -> "TrackerMapping":
+        for name, quantity in QUANTITIES.items():
+            one: TableColumns | None = getattr(self, name)
+            if one is not None:
+                try:
+                    one.convert(quantity)
+                except ValueError as error:
+                    raise ValueError(f"{name}.unit: {error}") from error
+        if self.air is not None and len(self.air.columns) != 1:
+            raise ValueError(f"air.columns: there are {len(self.air.columns)}; give one")
+        return self
+
+
+QUANTITIES: Final = {
+    "joints": Quantity.ANGLE,
+    "position": Quantity.LENGTH,
+    "rotation": Quantity.ANGLE,
+    "air": Quantity.TEMPERATURE,
+}
+
+
+def read_mapping(path: Path) -> TrackerMapping:
+    """Read a mapping from its file.
+
+    Raises:
+        RobotError: The file cannot be read or is wrong; the text gives the path of the key.
+    """
+    return parse_record(TrackerMapping, read_toml(path), path)
+
+
+def read_series(arm: SerialArm, table: Path, mapping: Path) -> PoseSeries:
+    """Read the poses of a table, in order of time.
+
+    Args:
+        arm: Arm whose joints the table has.
+        table: Table with joint angles and measured poses.
+        mapping: File that assigns the columns.
+
+    Returns:
+        The series.
+
+    Raises:
+        RobotError: A file, a column or a value is missing or wrong, the mapping is that of another arm, or
+            the tracker readings stood still while the arm moved.
+    """
+    meant = read_mapping(mapping)
+    columns, joints = len(meant.joints.columns), len(arm.links)
+    if columns != joints:
+        raise RobotError(f"{mapping}: joints: {columns} columns; the arm {arm.name} has {joints} joints")
+    if meant.arm != arm.name:
+        raise RobotError(
+            f"{mapping}: its table is of the arm {meant.arm!r}, the arm file describes {arm.name!r}; give "
+            "the files of one arm"
+        )
+    return series_from_table(table, meant)
+
+
+def series_from_table(path: Path, mapping: TrackerMapping) -> PoseSeries:
+    """Read the poses of a table, in order of time.
+
+    Args:
+        path: Table with joint angles and measured poses.
+        mapping: Columns of each quantity.
+
+    Returns:
+        The series.
+
+    Raises:
+        RobotError: A column or a value is missing, or the tracker readings stood still while the arm moved.
+    """
+    given = {name: one for name in QUANTITIES if (one := getattr(mapping, name)) is not None}
+    numbers = [name for one in given.values() for name in one.columns]
+    time = mapping.time
+    texts = [time.column] if time is not None and time.format else []
+    if time is not None and not time.format:
+        numbers.append(time.column)
+    log = open_log(path, list(dict.fromkeys(numbers)), texts, mapping.csv)
+    order = _order(log, time)
+    values = {name: _values(log, one, QUANTITIES[name], order) for name, one in given.items()}
+    joints, position, angles = values["joints"], values["position"], values["rotation"]
+    row = np.arange(1, joints.shape[1] + 1) if order is None else order + 1
+    _check_stale(path, row, joints, np.concatenate([position, angles]))
+    R = np.moveaxis(Rotation.from_euler(mapping.rotation.order, angles.T).as_matrix(), 0, -1)
+    air = values["air"][0] if "air" in values else None
+    return PoseSeries(str(path), joints, move_directions(joints), Pose(R, position), air, row)
+
+
+def _order(log: LogFile, time: TimeColumn | None) -> Integers | None:
+    """Return the rows of the file in order of time, (n,); None for the order of the file."""
+    if time is None:
+        return None
+    if time.format:
+        read = pc.strptime(pa.array(log.texts(time.column)), time.format, "us", error_is_null=True)
+        bad = np.flatnonzero(read.is_null().to_numpy(zero_copy_only=False))
+        at = read.cast(pa.int64()).to_numpy(zero_copy_only=False)
+        wrong = f"no time as {time.format!r} has it"
+    else:
+        at = log.numbers(time.column).value
+        bad, wrong = np.flatnonzero(~np.isfinite(at)), "no time; every row needs one"
+    if bad.size:
+        raise RobotError(f"{log.path}: row {bad[0] + 1}, column {time.column!r}: has {wrong}")
+    late = np.flatnonzero(np.diff(at) < 0)
+    if late.size and not time.sort:
+        raise RobotError(
+            f"{log.path}: row {late[0] + 2}, column {time.column!r}: is before the row above; sort the "
+            "table, or write sort = true in [time]"
+        )
+    return np.argsort(at, kind="stable") if time.sort else None
+
+
+def _values(log: LogFile, columns: TableColumns, quantity: Quantity, order: Integers | None) -> Array:
+    """Read the columns of a quantity in SI units (temperatures in Celsius), shape (columns, n)."""
+    unit = columns.convert(quantity)
+    rows = []
+    for name in columns.columns:
+        value = log.numbers(name).value
+        missing = np.flatnonzero(~np.isfinite(value))
+        if missing.size:
+            raise RobotError(
+                f"{log.path}: row {missing[0] + 1}, column {name!r}: has no value; leave poses out of the "
+                "table whose joints or target were not measured"
+            )
+        rows.append((value if order is None else value[order]) * unit.factor + unit.offset)
+    if len({one.size for one in rows}) > 1:
+        raise RobotError(
+            f"{log.path}: columns {', '.join(columns.columns)}: are not equally long; give a table"
+        )
+    return np.array(rows)
+
+
+def _check_stale(path: Path, row: Integers, joint_rad: Array, measured: Array) -> None:
+    """Check that measurements change when the arm moves."""
+    is_stale = np.all(np.diff(measured, axis=1) == 0.0, axis=0) & np.any(
+        np.diff(joint_rad, axis=1) != 0.0, axis=0
+    )
+    run = np.convolve(is_stale, np.ones(MIN_STALE_ROWS - 1, int), "valid") == MIN_STALE_ROWS - 1
+    if run.any():
+        raise RobotError(
+            f"{path}: row {row[np.flatnonzero(run)[0]]}: the target stands still to the last digit in "
+            f"{MIN_STALE_ROWS} rows or more while the joints move: the tracker had lost it; "
+            "leave these rows out"
+        )
