@@ -15,8 +15,8 @@ from weakref import finalize
 from mcap.records import Metadata
 
 from fsw.config import Config
-from fsw.dictionary.validity import Wrong, read_arguments
 from fsw.dictionary.commands import Command
+from fsw.dictionary.validity import Wrong, read_arguments
 from fsw.executive.context import known_names
 from marsarm.telemetry.errors import LogNotWritable
 from marsarm.telemetry.events import command_entry, evr_entry, rosout_message

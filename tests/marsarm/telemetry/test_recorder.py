@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import IndexType, Writer
-from sim.start import start_loop
 
 from fsw.dictionary.commands import Command, MoveJoint
 from fsw.dictionary.enums import Joint
@@ -30,6 +29,7 @@ from marsarm.telemetry.json_codec import record_to_json
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder, record_commands
 from sim.arms import BuiltArm, arm_named
+from sim.initialisation import start_loop
 from validation import killed
 from validation.killed import Kill
 
