@@ -1,6 +1,7 @@
-"""Effects that make the drawing the arm of flight parameters, against arms whose effects are known."""
+"""Families of effects, and effects that make the drawing the arm of flight parameters."""
 
 import json
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,12 +10,13 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import transform6_to_pose
-from marsarm.diagnosis.arm.arm_effects import effects_of_params
+from marsarm.diagnosis.arm.arm_effects import FAMILIES, effects_of_params, family_of
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.diagnose_logs import flight_params, prepare_diagnosis
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import PARAMS_FILE
 from marsarm.diagnosis.arm.request import DiagnoseRequest
+from marsarm.diagnosis.arm.simulator import list_candidates
 from sim.arms import arm_named
 from sim.effects.effect import params_with_effects
 from sim.effects.sensors import EncoderScale
@@ -77,3 +79,10 @@ def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(
     assert flight_params(prepare_diagnosis(DiagnoseRequest(logs=(tmp_path / "logs",)))) == known
     with pytest.raises(NotForDiagnosis, match="2 of 2 logs were made with other flight parameters"):
         load_checked_recordings(logs, nominal_params())
+
+
+def test_every_candidate_has_one_family() -> None:
+    count = Counter(kind for kinds in FAMILIES.values() for kind in kinds)
+    assert set(count.values()) == {1}
+    assert {one.kind for one in list_candidates(None)} == set(count)
+    assert {family_of(one.kind) for one in list_candidates(None)} == set(FAMILIES)
