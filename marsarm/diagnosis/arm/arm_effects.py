@@ -22,10 +22,10 @@ from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
 from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Nuisance
 from sim.arm_model.load import default_arm
 from sim.arms import IDENTIFIABLE_AXES, SPRING_FRAMES, list_frames
-from sim.effects import cables, environment, gears, geometry, joints, links, motors, sensors, structure
+from sim.effects import environment, gears, geometry, joints, sensors, structure
 from sim.effects.catalogue import catalogue, effect_name
-from sim.effects.effect import Effect
-from sim.effects.flight_params import joint_of, link_of
+from sim.effects.effect import Effect, joint_of, link_of
+from sim.effects.environment import Numerics
 from sim.effects.gears import OutputFriction
 from sim.effects.geometry import FrameError
 from sim.effects.joints import (
@@ -34,10 +34,9 @@ from sim.effects.joints import (
     GearStiffness,
     HardstopAngle,
     HardstopStiffness,
+    MotorConstant,
     ResolverBias,
 )
-from sim.effects.motors import MotorConstant
-from sim.effects.numerics import Numerics
 from sim.effects.sensors import CurrentBias, EncoderScale, EncoderZero
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.initialisation import DAILY_FRICTION_SIGMA
@@ -69,14 +68,20 @@ FAMILIES: Final[dict[Family, tuple[type[Effect], ...]]] = {
         *(gears.GearHysteresis, gears.TransmissionError, gears.JointCoupling),
         *(joints.BacklashWidth, joints.GearStiffness),
     ),
-    Family.ACTUATION: (motors.MotorConstant, motors.ServoGain, motors.BusSag),
+    Family.ACTUATION: (joints.MotorConstant, joints.ServoGain, joints.BusSag),
     Family.TIMING: (
-        *(motors.CommandDelay, sensors.CurrentGain, sensors.CurrentBias, sensors.CurrentCrosstalk),
+        *(joints.CommandDelay, sensors.CurrentGain, sensors.CurrentBias, sensors.CurrentCrosstalk),
         *(sensors.EncoderScale, sensors.EncoderZero, joints.ResolverBias, sensors.ResolverScale),
         *(sensors.ResolverEccentricity, sensors.GravityDirection),
     ),
     Family.GEOMETRY: (
-        *(links.LinkLength, links.LinkAngle, links.ToolOffset, links.ToolTurn, links.ThermalGradient),
+        *(
+            geometry.LinkLength,
+            geometry.LinkAngle,
+            geometry.ToolOffset,
+            geometry.ToolTurn,
+            geometry.ThermalGradient,
+        ),
         *(geometry.Expansion, geometry.LinkWarming, geometry.Warming, joints.HardstopAngle),
     ),
     Family.STRUCTURE: (
@@ -85,7 +90,7 @@ FAMILIES: Final[dict[Family, tuple[type[Effect], ...]]] = {
     ),
     Family.INERTIA: (structure.LinkMass, structure.TurretMass, structure.TurretCentre),
     Family.CONTACT: (environment.ContactStiffness, environment.SurfacePosition, joints.HardstopStiffness),
-    Family.EXTERNAL: (cables.FlexCable, cables.Counterbalance),
+    Family.EXTERNAL: (joints.FlexCable, joints.Counterbalance),
 }
 
 LOCATIONS: Final = {

@@ -136,7 +136,8 @@ def _unknown_effect(name: str, known: set[str]) -> str:
         return f"catalogue: {name} is an effect that a diagnosis cannot identify; leave it out"
     near = get_close_matches(name.lower(), sorted(known), n=MAX_SUGGESTIONS, cutoff=0.4)
     meant = f"did you mean {' or '.join(near)}? " if near else ""
-    return f"catalogue: effect {shorten(name)!r} is not known; {meant}`marsarm effects` lists what there is"
+    lists = "`marsarm dictionary --effects` lists what there is"
+    return f"catalogue: effect {shorten(name)!r} is not known; {meant}{lists}"
 
 
 def diagnose(request: DiagnoseRequest, progress: Progress = no_progress) -> DiagnosisResult:

@@ -42,7 +42,7 @@ from marsarm.diagnosis.arm.rest_poses import (
 )
 from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware
 from sim.effects.gears import OutputFriction
-from sim.open_loop import SimulationOptions
+from sim.loop import SimulationOptions
 from sim.params import nominal_params
 from sim.plant import SCREW_AXES
 from simgap.serial_arm.chain import screw_log

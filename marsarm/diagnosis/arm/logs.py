@@ -26,7 +26,7 @@ from marsarm.replay.inputs import NotReplayable, inputs_from_log
 from marsarm.telemetry.errors import LogError
 from marsarm.telemetry.header import SESSION
 from marsarm.telemetry.read import Log, read_log
-from sim.open_loop import RecordedStart
+from sim.loop import RecordedStart
 from sim.text_file import UnreadableText, decode_text
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
 from simgap.common.errors import BadRequest

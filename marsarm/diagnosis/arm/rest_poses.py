@@ -21,15 +21,14 @@ from fsw.messages import Sensors
 from marsarm.diagnosis.arm.features import SensorColumns
 from marsarm.diagnosis.arm.logs import Recording, find_rests, find_segments, no_tracker_poses
 from sim.arms import effects_of_run
-from sim.disturbance import NO_DISTURBANCE, Disturbance
 from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal_hardware
-from sim.effects.environment import Ambient, StructureTemperature
+from sim.effects.environment import Ambient, Numerics, StructureTemperature
 from sim.effects.gears import GearHysteresis
-from sim.effects.numerics import Numerics
 from sim.effects.structure import LinkBending, LinkCreep
-from sim.open_loop import NOISE_FREE, OpenLoopArm, SimulationOptions, scale_shift_rad
+from sim.loop import NOISE_FREE, OpenLoopArm, SimulationOptions, scale_shift_rad
 from sim.params import nominal_params
 from sim.plant import Plant
+from sim.record import NO_DISTURBANCE, Disturbance
 from sim.tracker import turret_pose
 from sim.world import World, build
 from simgap.serial_arm.chain import screw_log

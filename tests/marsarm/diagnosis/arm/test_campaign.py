@@ -49,8 +49,8 @@ from marsarm.diagnosis.sensitivity import Sensitivities
 from marsarm.telemetry.read import read_log
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
+from sim.effects.geometry import LinkLength, ToolOffset
 from sim.effects.joints import GearStiffness, ResolverBias
-from sim.effects.links import LinkLength, ToolOffset
 from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
 from sim.effects.structure import TurretMass
 from sim.params import nominal_params

@@ -27,9 +27,8 @@ from sim.arm_model.load import default_arm
 from sim.arms import arm_named
 from sim.diagnosis_campaign import campaign_sessions
 from sim.effects.effect import Effect
-from sim.effects.geometry import FrameError
+from sim.effects.geometry import FrameError, LinkLength
 from sim.effects.joints import ResolverBias
-from sim.effects.links import LinkLength
 from sim.initialisation import true_reference
 
 pytestmark = pytest.mark.slow

@@ -20,9 +20,9 @@ from sim.effects.catalogue import (
 )
 from sim.effects.effect import Effect
 from sim.effects.faults import SensorFault
-from sim.effects.motors import BusSag
+from sim.effects.joints import BusSag
 from sim.effects.sensors import CounterStart
-from sim.open_loop import SimulationOptions
+from sim.loop import SimulationOptions
 
 BRIEF = SimulationOptions(settle_s=1.0)
 
