@@ -16,8 +16,7 @@ from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Flags, Pose, adjoint, rotate
 from marsarm.accuracy.sources import CUMULANTS, Distribution, ErrorSource
-from sim.frames import p_R_from_N
-from sim.workspace import approach_from, random_targets
+from sim.frames import approach_from, p_R_from_N, random_targets
 
 BRANCHES_A_TARGET: Final = 3
 """Assumed number of valid branches of a target; below the mean, so that one draw usually suffices."""

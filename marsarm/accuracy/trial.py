@@ -21,7 +21,6 @@ from marsarm.accuracy.request import MoveModel
 from marsarm.accuracy.sources import BudgetCase, Distribution, ErrorModel, ErrorSource, is_compensated
 from sim.arms import BuiltArm, arm_named
 from sim.avionics import move_rng
-from sim.drawing import WARM_C
 from sim.effects.effect import (
     EachMove,
     Effect,
@@ -32,15 +31,14 @@ from sim.effects.effect import (
     params_with_effects,
 )
 from sim.effects.environment import Ambient, StructureTemperature
-from sim.effects.geometry import Expansion, FrameError
-from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle
-from sim.effects.move_disturbances import FramePlay, ServoError, Windup
+from sim.effects.geometry import Expansion, FrameError, FramePlay
+from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle, ServoError, Windup
 from sim.effects.structure import LinkStiffness
 from sim.initialisation import RANDOM_TEMPERATURE_C, initial_reference, true_reference
 from sim.loop import Setup, hardware_rng
 from sim.pose_sequence import describe_no_way, free_air_loop, run_and_rest
 from sim.quasi_static import StaticArm, solve_quasi_static_move
-from sim.world import World
+from sim.world import WARM_C, World
 
 START_OFFSET_RAD: Final = 0.05
 """Offset of the start of a move from its end, each joint to a random side; wider than any backlash."""

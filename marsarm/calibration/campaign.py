@@ -13,14 +13,14 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import joints5
 from fsw.estimate.gear import LIKELY, clip_to_backlash
 from fsw.estimate.reference import Reference
-from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances
+from fsw.kinematics.closed_form import BRANCHES, branch_index, fold_distances
 from fsw.kinematics.transforms import Array, Pose, adjoint, inverse, skew, stack_poses
 from marsarm.calibration.campaign_data import BelievedPoses, Campaign, MeasuredPoses
+from sim.arm_check import NoPlan
 from sim.arms import BuiltArm, without_turret
 from sim.clearance import ClearanceModel
 from sim.effects.structure import StandInTurret, params_with_stand_in
-from sim.frames import P_NR_M
-from sim.hardstop_loads import NoPlan
+from sim.frames import P_NR_M, Workspace
 from sim.initialisation import initialise_joints
 from sim.loop import ClosedLoop, Setup
 from sim.plant import Plant
@@ -38,7 +38,6 @@ from sim.tracker import (
     rover_pose,
     turret_pose,
 )
-from sim.workspace import Workspace
 from sim.world import World
 from simgap.common.errors import BadRequest, UserError
 from simgap.common.progress import Progress

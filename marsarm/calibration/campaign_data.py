@@ -12,9 +12,8 @@ from pyarrow import csv, parquet
 from scipy.spatial.transform import Rotation
 
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.batch import select_targets
-from fsw.kinematics.branches import BRANCHES
-from fsw.kinematics.transforms import Array, Flags, Integers, Pose
+from fsw.kinematics.closed_form import BRANCHES
+from fsw.kinematics.transforms import Array, Flags, Integers, Pose, select_targets
 from marsarm.common.bad_tables import describe_bad_table
 from marsarm.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
 from simgap.common.errors import BadRequest

@@ -19,7 +19,7 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Array, Pose, angle_between, screw_exp
-from fsw.motion.compensation import final_direction
+from fsw.motion.plan import final_direction
 from marsarm.calibration.arm_parameters import FIXTURE_M, FIXTURE_RAD
 from marsarm.calibration.calibrate import Calibration
 from marsarm.calibration.campaign import (
@@ -42,13 +42,12 @@ from sim.effects.effect import Effect, params_with_effects
 from sim.effects.environment import Ambient
 from sim.effects.joints import HardstopAngle
 from sim.effects.structure import params_with_stand_in
-from sim.frames import p_R_from_N
+from sim.frames import approach_from, p_R_from_N, random_targets
 from sim.initialisation import true_reference
 from sim.loop import Setup
 from sim.plant import Plant
 from sim.pose_sequence import free_air_loop, run_and_rest
 from sim.tracker import Tracker
-from sim.workspace import approach_from, random_targets
 from sim.world import World
 from simgap.common.progress import Progress, part_of
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult
 from fsw.kinematics.transforms import Array
 from marsarm.common.bad_tables import describe_bad_table

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner, select_runner
@@ -23,8 +23,7 @@ from marsarm.ik.solve import (
     tally_table,
 )
 from marsarm.render.rover_scene import draw_outlines, project_outlines
-from sim.frames import P_NR_M, p_R_from_N
-from sim.workspace import approach_from, random_targets
+from sim.frames import P_NR_M, approach_from, p_R_from_N, random_targets
 from simgap.common.figures import save_figure
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress

@@ -15,15 +15,14 @@ from fsw.collision.geometry import RoundedBoxes, build_collision_geometry
 from fsw.config import digest
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
-from fsw.kinematics.batch import select_targets
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, select_targets
 from marsarm.common.pool import Runner, in_order, select_runner
 from marsarm.common.requests import make_world, parse_tool, select_arm
 from marsarm.ik.batch import JOINT_NAMES, VERDICT_NAMES, IkTargets, make_targets, open_writer, read_targets
 from marsarm.ik.request import IkRequest, ModelRequest
-from sim.workspace import Workspace
+from sim.frames import Workspace
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress

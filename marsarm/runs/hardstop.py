@@ -14,17 +14,16 @@ from fsw.dictionary.commands import Calibrate, CalibrateAll
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, joints5
-from fsw.executive.homing_poses import homing_start_poses
+from fsw.executive.poses import homing_start_poses
 from fsw.motion.homing import HomingStage
 from marsarm.common.requests import fit_effects, make_world, parse_effects, select_arm
 from marsarm.runs.execution import open_view
 from marsarm.runs.request import HardstopRequest
+from sim.arm_check import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance
 from sim.arms import BuiltArm, effects_of_run, without_turret
 from sim.clearance import Clearance, ClearanceModel
-from sim.drawing import WARM_C
 from sim.effects.effect import Effect
 from sim.effects.environment import default_ambient
-from sim.hardstop_loads import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance
 from sim.initialisation import (
     HomingSample,
     InitialisationResult,
@@ -35,7 +34,7 @@ from sim.initialisation import (
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.sequence import Outcome
-from sim.world import World
+from sim.world import WARM_C, World
 from simgap.common.errors import BadRequest
 from simgap.common.figures import save_figure
 from simgap.common.options import check_options

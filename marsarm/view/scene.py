@@ -18,9 +18,8 @@ from fsw.kinematics.transforms import Array, Pose, inverse, stack_poses
 from marsarm.render.rays import VISIBLE_GROUPS, Triangles, geom_rgb, join_triangles, triangulate
 from marsarm.render.rover_scene import tilt_rover
 from sim.arm_model.load import ArmModel
-from sim.drawing import TURRET
 from sim.plant import rotation_matrices
-from sim.world import World, build
+from sim.world import TURRET, World, build
 
 SPEEDS: Final = (1, 2, 5, 10, 20, 50)
 FIRST_SPEED: Final = 10

@@ -22,12 +22,12 @@ from marsarm.accuracy.trial import (
 )
 from sim.arms import BuiltArm, arm_named
 from sim.avionics import move_rng
-from sim.disturbance import frame_body
 from sim.effects.effect import EachMove, Effect, draw_move_disturbance
 from sim.effects.geometry import Expansion, FrameError
 from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle
 from sim.initialisation import true_reference
 from sim.loop import hardware_rng
+from sim.record import frame_body
 from sim.world import World
 
 MODEL = load_error_model()

@@ -12,8 +12,8 @@ from marsarm.calibration.campaign import (
     run_campaign,
 )
 from marsarm.calibration.verify import simulate_campaign, true_poses, zero_errors_rad
+from sim.arm_check import NoPlan
 from sim.arms import arm_named
-from sim.hardstop_loads import NoPlan
 from simgap.common.errors import BadRequest
 from simgap.serial_arm.chain import error_screw
 from tests.marsarm.calibration.lab import campaign, quiet

@@ -11,7 +11,7 @@ from marsarm.common.pool import run_here
 from marsarm.ik.reach import reach, reach_document, sample_workspace
 from marsarm.ik.request import ModelRequest, ReachRequest
 from marsarm.ik.solve import build_ik_model
-from sim.workspace import approach_from, random_surface, random_targets
+from sim.frames import approach_from, random_surface, random_targets
 from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
 from tests.marsarm.command import marsarm, marsarm_process

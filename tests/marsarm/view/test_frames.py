@@ -17,7 +17,7 @@ from marsarm.view.scene import build_scene
 from marsarm.view.watched_run import build_surroundings, watch_log
 from sim.arm_model.load import default_arm
 from sim.arms import arm_named
-from sim.effects.links import ToolOffset
+from sim.effects.geometry import ToolOffset
 from sim.effects.structure import StandInTurret
 from sim.params import nominal_params
 from sim.plant import Plant

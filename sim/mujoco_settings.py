@@ -1,5 +1,10 @@
-"""Motor controllers of the plant: gains and integral limit of MuJoCo's dcmotor, whose bus voltage may sag."""
+"""Settings of MuJoCo for a plant: its library, the damping of a time step, the gains of motor controllers.
 
+The library writes no file of warnings, as `Plant.step` checks their count. Its profiler is off: it would read
+a clock many times in each step, and nothing here reads the profile.
+"""
+
+import ctypes
 from dataclasses import dataclass
 from typing import Final
 
@@ -8,6 +13,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.kinematics.transforms import Array
+
+
+def apply_settings() -> None:
+    """Apply the settings; a build of MuJoCo that does not show its clock keeps the profiler."""
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        clock = ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco._structs.__file__), "mjcb_time")
+    except (AttributeError, OSError, ValueError):
+        return
+    # mujoco.set_mjcb_time(None) would set the clock of the Python package again
+    clock.value = None
+
+
+POSITION_GAIN, RATE_GAIN = 4, 6
+"""Indices in MuJoCo's gain parameters of a dcmotor."""
+REFERENCE_STEP_S: Final = 1 / 2048
+"""Time step that the dampers of `arm.xml` are made for."""
+
+
+def match_reference_damping(model: mujoco.MjModel) -> float:
+    """Remove added damping from springs and servos, so that it equals that of the reference step.
+
+    `discrete` evaluates a spring at the end of a step h, which adds its stiffness times h to its damping.
+    PROVENANCE.md has the derivation.
+
+    Returns:
+        Time [s] that, times the stiffness of a gear, is its added damping; to be removed on a flank.
+    """
+    excess_s = float(model.opt.timestep) - REFERENCE_STEP_S
+    model.dof_damping[model.jnt_dofadr] -= excess_s * model.jnt_stiffness
+    if model.opt.solver == mujoco.mjtSolver.mjSOL_PGS:
+        excess_s = -REFERENCE_STEP_S  # the dual solver evaluates them at the start of a step
+    model.actuator_gainprm[:, RATE_GAIN] -= excess_s * model.actuator_gainprm[:, POSITION_GAIN]
+    return excess_s
+
 
 RESISTANCE, MOTOR_CONSTANT, GAINS = 0, 1, slice(4, 7)
 """Indices in MuJoCo's gain parameters of a dcmotor; GAINS are those of position, integral and rate."""
