@@ -86,28 +86,9 @@ def test_data_of_an_arm_that_is_not_known_are_refused(tmp_path):
         run_calibration(CalibrateRequest(data=tmp_path / "poses.csv"), quiet)
 
 
-WRONG = [
-    (CalibrateRequest(), "give --arm ARM"),
-    (CalibrateRequest(arm="as-built:1", poses=3), "poses: 3 is not within 24"),
-    (CalibrateRequest(arm="as-new:1"), "not known"),
-    (CalibrateRequest(arm="nominal", seed=-1), "is below 0"),
-    (CalibrateRequest(arm="nominal", tracker_um=(0.0, 0.0)), "tracker: its noise"),
-]
-
-
-@pytest.mark.parametrize(("request_", "words"), WRONG)
-def test_wrong_requests_are_refused_before_anything_moves(request_, words):
-    with pytest.raises(BadRequest, match=words):
-        run_calibration(request_, quiet)
-
-
 def test_a_wrong_table_ends_with_2_and_writes_nothing(tmp_path):
     few = campaign().at(campaign().group == 0)
     save_campaign(replace(few.at(few.group * 0 == 1), arm_name="x"), tmp_path / "none.csv")
     out = marsarm(tmp_path, "calibrate", "--data", "none.csv", "--out", "arm.toml")
     assert out.returncode == 2
     assert not (tmp_path / "arm.toml").exists()
-
-
-def test_the_command_tells_how_it_is_used(tmp_path):
-    assert "Example: marsarm calibrate" in marsarm(tmp_path, "calibrate", "--help").stdout

@@ -12,7 +12,6 @@ from marsarm.ik.reach import reach, reach_document, sample_workspace
 from marsarm.ik.request import ModelRequest, ReachRequest
 from marsarm.ik.solve import build_ik_model
 from sim.frames import approach_from, random_surface, random_targets
-from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
 from tests.marsarm.command import marsarm, marsarm_process
 
@@ -105,32 +104,3 @@ def test_with_json_there_is_one_document(tmp_path):
     assert json.loads(done.stdout)["gravity"] == "earth"
     assert json.loads(done.stdout)["picture"] is None
     assert list(tmp_path.iterdir()) == []
-
-
-BAD = {
-    "no samples": (("--samples", "0"), "samples: 0 is not within 1 .. 1000000"),
-    "too many samples": (("--samples", "1" + 30 * "0"), "is not within 1 .. 1000000"),
-    "negative seed": (("--seed", "-1"), "seed: -1 is below 0"),
-    "no such tool": (("--tool", "spoon"), "tool: 'spoon' is not known"),
-    "no such compensation": (("--compensate", "relative"), "compensate: 'relative' is not known"),
-    "too much tilt": (("--tilt-pitch", "-31"), "up to 30 deg"),
-    "picture of another kind": (("--picture", "p.jpg"), "its name must end in .png"),
-    "picture in no folder": (("--picture", "nowhere/p.png"), "there is no folder nowhere"),
-    "picture over params": (("--picture", "./good.png", "--params", "good.png"), "the file of params"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_a_sentence_and_status_2_and_writes_nothing(tmp_path, case):
-    (tmp_path / "good.png").write_text("[joints.elbow]\nspeed_rad_s = 0.01\n")
-    words, said = BAD[case]
-    done = marsarm(tmp_path, "reach", *words)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert said in " ".join(done.stderr.split())
-    assert "Traceback" not in done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["good.png"]
-
-
-def test_a_request_is_checked_before_anything_is_sampled():
-    with pytest.raises(BadRequest, match="seed"):
-        reach(ReachRequest(seed=-1, samples=1), quiet)
