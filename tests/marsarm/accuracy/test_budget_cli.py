@@ -65,9 +65,10 @@ def test_the_document_holds_shares_that_add_up_to_the_mean_total(report):
 
 def test_the_page_is_one_file_with_its_pictures_in_it(report, tmp_path):
     page = tmp_path / "budget.html"
+    report = replace(report, budgets={"mars": report.budgets["mars"]})
     save_report_page(budget_page(report), page)
     text = page.read_text()
-    assert text.count("<svg ") == 2 * len(report.budgets)
+    assert text.count("<svg ") == 2
     met = sum(value <= row.required for row, value in report.rows)
     assert f"Fail: {len(report.rows) - met} of {len(report.rows)} requirements are not met." in text
 
@@ -80,13 +81,17 @@ def test_few_poses_show_nothing(tmp_path):
     assert "1000 of 1365 poses" in page.read_text()
 
 
+@pytest.fixture(scope="module")
+def mars() -> BudgetReport:
+    return run_budget(BudgetRequest(case="mars", tool="apxs", poses=2000), quiet)
+
+
 @pytest.mark.parametrize(
     ("times", "passed"), [(1.5, True), (1.001, None), (0.999, None), (0.5, False)], ids=str
 )
-def test_a_bound_within_the_interval_of_the_estimate_is_not_shown(times, passed):
-    report = run_budget(BudgetRequest(case="mars", tool="apxs", poses=2000), quiet)
-    rows = tuple((replace(row, required=times * value), value) for row, value in report.rows)
-    assert [row.passed for row in budget_requirements(replace(report, rows=rows))] == [passed] * 3
+def test_a_bound_within_the_interval_of_the_estimate_is_not_shown(mars, times, passed):
+    rows = tuple((replace(row, required=times * value), value) for row, value in mars.rows)
+    assert [row.passed for row in budget_requirements(replace(mars, rows=rows))] == [passed] * 3
 
 
 def test_the_command_prints_one_document_and_writes_a_page_and_a_picture(tmp_path):

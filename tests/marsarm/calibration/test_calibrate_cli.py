@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.arm import build_arm
+from marsarm.calibration import execution
 from marsarm.calibration.calibrate import calibrated_params, parameter_text
 from marsarm.calibration.campaign_data import save_campaign
 from marsarm.calibration.execution import run_calibration
@@ -17,7 +18,7 @@ from sim.params import params_over_nominal
 from simgap.common.errors import BadRequest
 from simgap.common.report import save_report_page, to_json
 from tests.marsarm.calibration.lab import calibration, campaign, quiet
-from tests.marsarm.command import marsarm, marsarm_process
+from tests.marsarm.command import marsarm
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +28,14 @@ def table(tmp_path_factory):
     return path
 
 
-def test_the_command_writes_parameters_that_flight_software_loads(table, tmp_path):
-    out = marsarm_process(tmp_path, "calibrate", "--data", str(table), "--out", "arm.toml", "--json")
+def test_the_command_writes_parameters_that_flight_software_loads(table, tmp_path, monkeypatch):
+    def fitted(_, given, **__):
+        """Return the fit of the same poses that other tests use."""
+        np.testing.assert_array_equal(given.measured.covariance, campaign().measured.covariance)
+        return calibration()
+
+    monkeypatch.setattr(execution, "calibrate", fitted)
+    out = marsarm(tmp_path, "calibrate", "--data", str(table), "--out", "arm.toml", "--json")
     assert out.returncode == 0, out.stderr
     document = json.loads(out.stdout)
     assert document["arm"] == "as-built:1"

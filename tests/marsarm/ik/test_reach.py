@@ -13,7 +13,7 @@ from marsarm.ik.request import ModelRequest, ReachRequest
 from marsarm.ik.solve import build_ik_model
 from sim.frames import approach_from, random_surface, random_targets
 from simgap.common.report import to_json
-from tests.marsarm.command import marsarm, marsarm_process
+from tests.marsarm.command import marsarm
 
 
 def quiet(*_) -> None:
@@ -71,8 +71,9 @@ def test_a_placement_campaign_draws_from_the_same_workspace():
     assert normal == tuple(-approach_from(angles)[:, 0])
 
 
-def test_the_picture_is_drawn_and_named(tmp_path):
-    done = marsarm_process(tmp_path, "reach", "--samples", "500", "--tool", "drill", MPLBACKEND="nonsense")
+def test_the_picture_is_drawn_and_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "nonsense")
+    done = marsarm(tmp_path, "reach", "--samples", "500", "--tool", "drill")
     assert done.returncode == 0, done.stderr
     for word in ("500 random targets", "at most four", "shoulder-in elbow-up wrist-down", "reach.png"):
         assert word in done.stdout
@@ -81,10 +82,9 @@ def test_the_picture_is_drawn_and_named(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["reach.png"]
 
 
-@pytest.mark.parametrize("samples", [1, 50])
-def test_a_map_of_few_targets_is_drawn_too(tmp_path, samples):
+def test_a_map_of_one_target_is_drawn_too(tmp_path):
     path = tmp_path / "few.png"
-    report = reach(ReachRequest(ModelRequest(tool="portion"), samples, picture=path), quiet)
+    report = reach(ReachRequest(ModelRequest(tool="portion"), 1, picture=path), quiet)
     assert report.picture_problem is None
     assert path.stat().st_size > 10_000
 
