@@ -19,14 +19,7 @@ from marsarm.diagnosis.arm.feature_set import (
     simulate_features,
     simulate_motion,
 )
-from marsarm.diagnosis.arm.features import (
-    CHANNELS,
-    CURRENT,
-    IMU,
-    ROTATION,
-    TRANSLATION,
-    evaluate_features,
-)
+from marsarm.diagnosis.arm.features import CHANNELS, CURRENT, IMU, ROTATION, TRANSLATION, evaluate_features
 from marsarm.diagnosis.arm.finite_differences import (
     find_equal_columns,
     find_shared_slopes,
