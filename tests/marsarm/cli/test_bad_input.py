@@ -242,7 +242,7 @@ CASES = {
     # scenarios and effects
     "run": "give a name or a file; `marsarm run --list`",
     "run wrong_run.toml": "wrong_run.toml: command[1].joint: 'tower' is not known",
-    "run wrong_run.toml --json": "wrong_run.toml: command[1].angle: has no unit; write angle_rad or angle_deg",
+    "run wrong_run.toml --json": "command[1].angle: has no unit; write angle_rad or angle_deg",
     "run beyond_run.toml": "beyond_run.toml: command 1, MOVE_JOINT: joint turret: 390.0 deg",
     "run far_run.toml": "far_run.toml: command 2, PLACE_TOOL: apxs: the target: ",
     "run tilted_run.toml": "command 1, SET_TILT: the IMU reads gravity 0.1745 rad from there, at most",

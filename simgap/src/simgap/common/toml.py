@@ -9,7 +9,6 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final, TypeVar, get_args, get_origin
 
-import tomlkit
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from simgap.common.errors import BadRequest, RobotError
@@ -99,6 +98,8 @@ def parse_toml(text: str, name: str) -> dict[str, Any]:
 
 def toml_text(table: Mapping[str, Any], comments: Iterable[str] = ()) -> str:
     """Write a table as TOML, from which every bit can be read again, below comment lines."""
+    import tomlkit  # most commands read only
+
     document = tomlkit.item(dict(table))
     _spread_matrices(document)
     head = "".join(f"{f'# {line}'.rstrip()}\n" for line in comments)
@@ -107,7 +108,7 @@ def toml_text(table: Mapping[str, Any], comments: Iterable[str] = ()) -> str:
 
 def _spread_matrices(value: Any) -> None:
     """Give each row of a matrix a line of its own."""
-    if isinstance(value, tomlkit.items.Array):
+    if hasattr(value, "multiline"):
         value.multiline(any(isinstance(row, list) for row in value))
     elif isinstance(value, dict | list):
         for one in value.values() if isinstance(value, dict) else value:
