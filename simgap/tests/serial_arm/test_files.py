@@ -1,6 +1,5 @@
 """Files of arms, mappings and tables: content is read back, and errors are named with their key."""
 
-import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -159,7 +158,3 @@ def test_a_column_that_is_not_there_is_named_with_the_nearest(tmp_path):
     said = bad_table(tmp_path, text(rows(3)).replace("joint2", "joint3", 1))
     assert "has no column 'joint2'" in said
     assert "did you mean 'joint" in said
-
-
-def test_an_arm_s_file_is_toml():
-    assert tomllib.loads(arm_to_toml(drawn_arm(2), ['a "quoted" line']))["name"] == "made up"

@@ -88,11 +88,6 @@ BAD = {
         "position = [2.0, 0.0, -0.3]",
         "command[1].position: has no unit; write position_m or position_mm",
     ),
-    "a missing unit of an angle": (
-        "angle_deg = 100",
-        "angle = 100",
-        "command[4].angle: has no unit; write angle_rad or angle_deg",
-    ),
     "a unit of something else": (
         "angle_deg = 100",
         "angle_mm = 100",
@@ -108,25 +103,10 @@ BAD = {
         '"MOVE_TOLL"',
         "command[1].type: 'MOVE_TOLL' is not known; did you mean MOVE_TOOL? there are CALIBRATE,",
     ),
-    "a command in small letters": (
-        '"RETRACT"',
-        '"retract"',
-        "command[3].type: 'retract' is not known; did you mean RETRACT?",
-    ),
     "a command without a type": (
         'type = "RETRACT"\n',
         "",
         "command[3].type: is missing; there are CALIBRATE, CALIBRATE_ALL",
-    ),
-    "a check that does not exist": (
-        '"placed"',
-        '"palced"',
-        "check[2].type: 'palced' is not known; did you mean placed?",
-    ),
-    "a fault that does not exist": (
-        '"POWER_LOSS"',
-        '"POWER_CUT"',
-        "fault[1].type: 'POWER_CUT' is not known; did you mean POWER_LOSS?",
     ),
     "a tool that does not exist": (
         'tool = "apxs"\ndistance',
@@ -148,26 +128,15 @@ BAD = {
         'distance_mm = "100"',
         "command[3].distance_mm: should be a valid number, not '100'",
     ),
-    "truth for a number": (
-        "distance_mm = 100",
-        "distance_mm = true",
-        "command[3].distance_mm: should be a valid number, not True",
-    ),
     "infinity": (
         "distance_mm = 100",
         "distance_mm = inf",
         "command[3].distance_mm: should be a finite number, not inf",
     ),
-    "a number for text": ('title = "T"', "title = 5", "title: should be a valid string, not 5"),
     "too few numbers": (
         'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
         'approach = [0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
         "command[1].approach[3]: is missing; add it",
-    ),
-    "a number for a vector": (
-        "normal = [0.0, 0.0, -1.0]",
-        "normal = -1",
-        "world.surface.normal: should be a valid list, not -1",
     ),
     "text in a vector": (
         "normal = [0.0, 0.0, -1.0]",
@@ -175,19 +144,7 @@ BAD = {
         "world.surface.normal[3]: should be a valid number, not 'up'",
     ),
     "a missing field": ("distance_mm = 100\n", "", "command[3].distance_m or distance_mm: is missing"),
-    "a missing tool": ('type = "RETRACT"\ntool = "apxs"', 'type = "RETRACT"', "command[3].tool: is missing"),
     "a missing title": ('title = "T"\n', "", "title: is missing"),
-    "a missing normal": ("normal = [0.0, 0.0, -1.0]\n", "", "world.surface.normal: is missing"),
-    "a number beyond its range": (
-        "after = 2",
-        "after = 2\nlateral_mm = 2000",
-        "check[2].lateral_mm: 2000 is outside 0 .. 1000",
-    ),
-    "a length that the arm never goes": (
-        "distance_mm = 100",
-        "distance_mm = 5000",
-        "command[3].distance_mm: 5000 is outside 1 .. 1000",
-    ),
     "a frame that does not exist": (
         'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
         'approach = [0.0, 0.0, 1.0]\nframe = "RNAW"\n\n[[command]]\ntype = "PLACE',
@@ -258,40 +215,15 @@ BAD = {
         'type = "WEAK_MOTOR"\njoint = "elbow"\nfactor = 2',
         "fault[1].factor: 2 is outside 0 .. 1",
     ),
-    "no cycles missed": (
-        'type = "POWER_LOSS"',
-        'type = "MISSED_CYCLES"\ncount = -3',
-        "fault[1].count: -3 is outside 1 .. 6400",
-    ),
-    "a rover that falls over": (
-        'type = "POWER_LOSS"',
-        'type = "TILT_STEP"\nroll_deg = 170\npitch_deg = 0',
-        "fault[1].roll_deg: 170 is outside -34.3775 .. 34.3775",
-    ),
     "a rock that faces nowhere": (
         "normal = [0.0, 0.0, -1.0]",
         "normal = [0, 0, 0]",
         "world.surface.normal: has no length",
     ),
-    "a place that is looked at from nowhere": (
-        'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "MOVE',
-        'approach = [0, 0, 0]\n\n[[command]]\ntype = "MOVE',
-        "teach[1].approach: has no length",
-    ),
-    "no direction of gravity": (
-        'type = "placed"\nafter = 2\ntool = "apxs"',
-        'type = "gravity_held"\nduring = 1\ntool = "portion"\ngravity = [0, 0, 0]',
-        "check[2].gravity: has no length",
-    ),
     "an event that is no fault": (
         'type = "done"',
         'type = "faulted"\nevr = "ContactMade"',
         "check[1].evr: 'ContactMade' is not known; did you mean NoContact? there are ContactInFreeSpace",
-    ),
-    "a fault of no sensor": (
-        'type = "POWER_LOSS"',
-        'type = "SENSOR_FAULT"\nsensor = "resolver"\nkind = "nan"',
-        "fault[1].sensor: 'resolver' is not known; did you mean resolver_rad?",
     ),
     "a rock that crumbles where none is": (
         GOOD[GOOD.index("[world.surface]") : GOOD.index("[[teach]]")],
@@ -309,16 +241,10 @@ BAD = {
         "fault[1].at_s: counts from the beginning; give it alone, or during and after_s",
     ),
     "a fault during a command without a time": ("at_s = 100", "during = 1", "fault[1].after_s: is missing"),
-    "a fault before the beginning": ("at_s = 100", "at_s = -1", "fault[1].at_s: -1 is outside 0 .. 100000"),
     "an arm that does not exist": (
         'start = "ready"',
         'start = "ready"\narm = "asbuilt"',
         "arm: arm 'asbuilt' is not known; write nominal, as-built:SEED or calibrated:SEED",
-    ),
-    "a start that does not exist": (
-        '"ready"',
-        '"deployed"',
-        "start: 'deployed' is not known; there are stowed, ready",
     ),
     "a scene that does not exist": (
         "[world]",
@@ -351,8 +277,6 @@ BAD = {
         'check: none says how the scenario ends; add one of type "done", "faulted" or "recovered"',
     ),
     "no TOML": ("tilt_roll_deg = 5", "tilt_roll_deg = = 5", "is not TOML: Invalid value"),
-    "a table twice": ("[[teach]]", "[world]\n[[teach]]", "is not TOML: Cannot declare ('world',) twice"),
-    "a string without an end": ("after = 2", 'after = "2', "is not TOML:"),
     "motion from the wrong pose": (
         'start = "ready"',
         'start = "stowed"',
