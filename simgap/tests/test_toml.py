@@ -79,8 +79,8 @@ class Wheel:
 
 class Rover(Record):
     name: str
-    wheel: list[Wheel] = []
-    limits: dict[str, tuple[float, float]] = {}
+    wheel: tuple[Wheel, ...] = ()
+    limits: dict[str, tuple[float, float]] | None = None
 
 
 def faults(**content: object) -> list[str]:
