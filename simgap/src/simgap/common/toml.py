@@ -166,7 +166,8 @@ def describe_fault(kind: type, fault: Any) -> str:
             said = fault["msg"][0].lower() + fault["msg"][1:]
             shown = "" if isinstance(fault["input"], dict | list) else f", not {fault['input']!r}"
             said = said.removeprefix("input ").removesuffix(", not 0").removesuffix(" after validation")
-            return f"{said.replace('tuple', 'list')}{shown}"
+            said = said.replace("tuple", "list").replace("an object", "a table")
+            return f"{said}{shown}"
 
 
 def _fields(kind: Any, place: KeyPath) -> list[str]:
