@@ -13,7 +13,7 @@ from marsarm.accuracy.combine import COVERAGE
 from marsarm.accuracy.confidence import describe_sample, is_within
 from marsarm.accuracy.reproduce import MagnitudeFit
 from marsarm.accuracy.sources import sources_sha256
-from simgap.common import svg
+from marsarm.render import svg
 from simgap.common.console import plain_console
 from simgap.common.json_digest import json_sha256
 from simgap.common.options import command_text
@@ -217,7 +217,7 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
         "sources of error": sources_sha256(),
         "result": json_sha256(budget_json(report)),
     }
-    origin = Origin(command_text("budget", report.request), digests)
+    origin = Origin(command_text("marsarm budget", report.request), digests)
     save_page("Error budget of the arm", "", list_requirements(report), origin, parts, path)
 
 

@@ -18,7 +18,7 @@ from marsarm.accuracy.coverage import AdditivityCheck, CoverageReport
 from marsarm.accuracy.monte_carlo import MonteCarloReport
 from marsarm.accuracy.reproduce import TABLE_3, TABLE_4
 from marsarm.accuracy.sources import sources_sha256
-from simgap.common import svg
+from marsarm.render import svg
 from simgap.common.console import plain_console
 from simgap.common.json_digest import json_sha256
 from simgap.common.options import command_text
@@ -308,7 +308,7 @@ def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
         "sources of error": sources_sha256(),
         "result": json_sha256(monte_carlo_json(report)),
     }
-    origin = Origin(command_text("monte-carlo", request), digests)
+    origin = Origin(command_text("marsarm monte-carlo", request), digests)
     title = "The error budget against a Monte Carlo"
     save_page(title, "", list_requirements(report), origin, parts, path)
 

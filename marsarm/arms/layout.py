@@ -15,11 +15,11 @@ from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Array, Pose
 from marsarm.arms.request import ArmShowRequest
+from marsarm.render import svg
 from marsarm.render.outlines import draw_outlines, project_outlines
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel, default_arm, load_arm
 from sim.params_table import BadParams
-from simgap.common import svg
 from simgap.common.console import plain_console
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options

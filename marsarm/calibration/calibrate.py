@@ -13,7 +13,7 @@ from marsarm.calibration.arm_parameters import FRAME_SCREWS, arm_parameters
 from marsarm.calibration.campaign_data import Campaign
 from marsarm.calibration.outliers import OutlierRejection, reject_outliers
 from sim.arm_model.description import BuiltTolerances
-from simgap.serial_arm.fit import (
+from simgap import (
     Fit,
     FitParameter,
     HoldOutValidation,

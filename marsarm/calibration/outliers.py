@@ -7,16 +7,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array, Flags
+from simgap import Fit, FitParameter, fit, leave_one_out_distance
 from simgap.common.errors import BadRequest
-from simgap.serial_arm.fit import (
-    FALSE_ALARM,
-    MAX_OUTLIER_SHARE,
-    Fit,
-    FitParameter,
-    ResidualModel,
-    fit,
-    leave_one_out_distance,
-)
+from simgap.serial_arm.fit import FALSE_ALARM, MAX_OUTLIER_SHARE, ResidualModel
 
 
 class TooManyOutliers(BadRequest):

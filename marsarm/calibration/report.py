@@ -16,12 +16,12 @@ from marsarm.calibration.checks import FRAME_RANK, MAX_HELD_OUT_RATIO, MAX_SIGMA
 from marsarm.calibration.execution import CalibrateReport
 from marsarm.calibration.parameter_file import data_sha256, provenance
 from marsarm.calibration.verify import PlaceErrors, Verification
-from simgap.common import svg
+from marsarm.render import svg
+from simgap import UnidentifiableGroup
 from simgap.common.console import plain_console, pluralize
 from simgap.common.json_digest import json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
-from simgap.serial_arm.fit import UnidentifiableGroup
 
 ROTATION: Final = slice(0, 3)
 POSITION: Final = slice(3, 6)
@@ -290,7 +290,7 @@ def save_calibration_page(report: CalibrateReport, path: Path) -> None:
         "parameters after": digest(report.params),
         "result": json_sha256(calibration_json(report)),
     }
-    origin = Origin(command_text("calibrate", report.request), digests)
+    origin = Origin(command_text("marsarm calibrate", report.request), digests)
     title = f"Calibration of {found.campaign.arm_name}"
     save_page(title, "", list_requirements(report), origin, parts, path)
 

@@ -5,6 +5,7 @@ remains (`residual_analysis`), and says at which level each effect is known.
 """
 
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Final, Literal
 
 import numpy as np
@@ -26,8 +27,7 @@ from marsarm.diagnosis.residual_analysis import (
     map_residual,
 )
 from marsarm.diagnosis.selection import Selection
-from simgap.effects.effect import Family
-from simgap.selection.verdict import ConfidenceSet, find_confidence_sets
+from simgap import ConfidenceSet, find_confidence_sets
 
 MAX_MEMBERS: Final = 3
 """Most members of a set: more effects are told as their families, more families as their places."""
@@ -70,7 +70,7 @@ class Finding:
     """Hypotheses that this campaign cannot distinguish from the finding, itself included."""
     places: tuple[str, ...]
     """Set of places, the best first; empty if there are more than MAX_MEMBERS."""
-    families: tuple[Family, ...]
+    families: tuple[StrEnum, ...]
     """Set of families; empty if the level is "place" or "unlocated"."""
     effects: tuple[int, ...]
     """Set of effects, one hypothesis of each class; empty if the level is "family" or less."""

@@ -10,6 +10,7 @@ all. The change by an effect is the parabola of the sensitivities.
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -19,8 +20,7 @@ from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.normal_equations import Whitener
 from marsarm.diagnosis.problem import Ints
 from marsarm.diagnosis.sensitivity import Sensitivities, continue_parabola
-from simgap.effects.effect import Effect, Family, Size
-from simgap.residuals.residuals import ResidualModel
+from simgap import Effect, ResidualModel, Size
 
 LIMITS: Final = 2.0
 """Size from which a fit starts, in detection limits: effects that can be told apart are of this size."""
@@ -38,7 +38,7 @@ class FeatureEffect(Effect):
     index: int
     """Index of the hypothesis."""
     effect: str
-    kind: Family
+    kind: StrEnum
     departures: tuple[Size, ...]
 
     @property
@@ -47,7 +47,7 @@ class FeatureEffect(Effect):
         return self.effect
 
     @property
-    def family(self) -> Family:  # type: ignore[override]
+    def family(self) -> StrEnum:  # type: ignore[override]
         """Family of the effect."""
         return self.kind
 

@@ -10,7 +10,7 @@ from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.residual_analysis import ResidualCell
 from marsarm.diagnosis.result import DiagnosisResult
 from marsarm.diagnosis.sentences import channel_words, format_number
-from simgap.common import svg
+from marsarm.render import svg
 
 ROW_INCH: Final = 0.26
 MARGIN_INCH: Final = 1.3

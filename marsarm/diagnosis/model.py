@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 from marsarm.diagnosis.detectability import Detectability, detection_limits, equivalence_classes
 from marsarm.diagnosis.normal_equations import NormalEquations, form_normal_equations
 from marsarm.diagnosis.problem import Ints
 from marsarm.diagnosis.residual_analysis import FeatureGroup, group_features, lack_of_fit_limit
 from marsarm.diagnosis.sensitivity import Sensitivities
-from simgap.effects.effect import Family
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -16,7 +16,7 @@ class DiagnosisModel:
     """Normal equations, equivalence classes and detection limits of a campaign."""
 
     sensitivities: Sensitivities
-    families: tuple[Family, ...]
+    families: tuple[StrEnum, ...]
     """Family of every hypothesis."""
     locations: tuple[str, ...]
     """Location of every hypothesis: its place without axis or direction."""
@@ -46,13 +46,13 @@ class DiagnosisModel:
 
 
 def build_model(
-    sensitivities: Sensitivities, families: Sequence[Family], locations: Sequence[str]
+    sensitivities: Sensitivities, families: Sequence[StrEnum], locations: Sequence[str]
 ) -> DiagnosisModel:
     """Build the diagnosis model from the sensitivities of a campaign.
 
     Args:
         sensitivities: Sensitivities of the campaign.
-        families: Family of each of its hypotheses.
+        families: StrEnum of each of its hypotheses.
         locations: Location of each.
     """
     equations = form_normal_equations(sensitivities)

@@ -19,7 +19,8 @@ from marsarm.diagnosis.detectability import KINDS_OF_TEST
 from marsarm.diagnosis.linear_fit import LinearFit, whitened_residual
 from marsarm.diagnosis.normal_equations import NormalEquations
 from marsarm.diagnosis.problem import INTERVAL_QUANTILES, FeatureLayout, Ints
-from simgap.selection.chance import FALSE_ALARM, chi_square_log_p
+from simgap import chi_square_log_p
+from simgap.selection.chance import FALSE_ALARM
 
 INTERVAL_DRAWS: Final = 400
 """Number of bootstrap draws for an interval."""

@@ -9,7 +9,7 @@ from marsarm.diagnosis.diagnose import Diagnosis, Finding
 from marsarm.diagnosis.experiment_design import CandidateMotion
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.problem import Hypothesis
-from simgap.report.traces import Trace
+from simgap import Trace
 
 MAX_LISTED: Final = 10
 """Number of groups with structure in the output."""

@@ -21,8 +21,8 @@ from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.normal_equations import Whitener, build_full_whitener
 from marsarm.diagnosis.problem import Simulator
 from marsarm.diagnosis.sensitivity import Sensitivities
+from simgap import select_effects
 from simgap.selection.context import Selection as EngineSelection
-from simgap.selection.selection import select_effects
 
 MAX_SIMULATIONS: Final = 3
 """Greatest number of times that the selected effects are simulated at their estimates."""

@@ -16,9 +16,9 @@ from marsarm.ik.request import ReachRequest
 from marsarm.ik.tally import Tally, tally
 from marsarm.ik.targets import IkTargets
 from marsarm.render.outlines import draw_outlines, project_outlines
+from marsarm.render.svg import save_figure
 from sim.frames import P_NR_M, p_R_from_N
 from sim.workspace import approach_from, random_targets
-from simgap.common.figures import save_figure
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 

@@ -12,11 +12,11 @@ from rich.table import Table
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.evrs import JointCalibrated, Severity
 from fsw.motion.homing import HomingStage
+from marsarm.render.svg import save_figure
 from marsarm.runs.hardstop import HardstopReport, StopPlan
 from marsarm.runs.tables import evr_json
 from sim.initialisation import HardstopResult, HomingSample, InitialisationResult
 from simgap.common.console import plain_console
-from simgap.common.figures import save_figure
 
 BEFORE_S: Final = 3.0
 """Time before the contact with the hardstop from which the figure begins."""

@@ -34,7 +34,7 @@ from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.plant import SCREW_AXES
-from simgap.report.traces import Trace
+from simgap import Trace
 
 MIN_FEATURE_SHARE: Final = 0.5
 """Least share of the campaign's features that a case must have."""

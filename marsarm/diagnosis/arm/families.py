@@ -1,15 +1,24 @@
 """Families and locations of the effects of this arm: the coarser levels of a verdict."""
 
 from collections.abc import Sequence
+from enum import StrEnum
 from typing import Final
 
 from marsarm.diagnosis.problem import Hypothesis
 from sim.effects import cables, environment, gears, geometry, joints, links, motors, sensors, structure
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
-from simgap.effects.effect import Family
+from simgap import Family
 
-FAMILIES: Final[dict[Family, tuple[type[Effect], ...]]] = {
+
+class ArmFamily(StrEnum):
+    """Family that this arm has besides those of any robot."""
+
+    STRUCTURE = "structure"
+    """Links and rover that bend."""
+
+
+FAMILIES: Final[dict[StrEnum, tuple[type[Effect], ...]]] = {
     Family.FRICTION: (
         *(gears.CoulombFriction, gears.AsymmetricFriction, gears.ViscousFriction, gears.StribeckFriction),
         *(gears.LoadFriction, gears.ColdFriction, gears.OutputFriction, gears.GearEfficiency),
@@ -29,7 +38,7 @@ FAMILIES: Final[dict[Family, tuple[type[Effect], ...]]] = {
         *(links.LinkLength, links.LinkAngle, links.ToolOffset, links.ToolTurn, links.ThermalGradient),
         *(geometry.Expansion, geometry.LinkWarming, geometry.Warming, joints.HardstopAngle),
     ),
-    Family.STRUCTURE: (
+    ArmFamily.STRUCTURE: (
         *(structure.LinkStiffness, structure.LinkBending, structure.LinkTorsion, structure.LinkCreep),
         structure.RoverCompliance,
     ),
@@ -49,7 +58,7 @@ LOCATIONS: Final = {
 """Locations of effects whose place is an axis or the whole arm."""
 
 
-def list_families(hypotheses: Sequence[Hypothesis]) -> tuple[Family, ...]:
+def list_families(hypotheses: Sequence[Hypothesis]) -> tuple[StrEnum, ...]:
     """List the families of hypotheses.
 
     Args:
@@ -77,7 +86,7 @@ def locate(effect: str, place: str) -> str:
     return LOCATIONS.get(effect) or place.removeprefix("tool.").split(".")[0]
 
 
-def family_of(kind: type[Effect]) -> Family:
+def family_of(kind: type[Effect]) -> StrEnum:
     """Return the family of an effect that a diagnosis can name.
 
     Args:

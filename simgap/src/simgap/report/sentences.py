@@ -1,9 +1,11 @@
-"""Sentences about a diagnosis: four lines that answer where, what, how far and what next, then details."""
+"""Sentences and JSON document of a diagnosis."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from enum import StrEnum
 from math import isfinite
-from typing import Final
+from typing import Any, Final
 
 from simgap.effects.effect import Family
 from simgap.result import Base, Diagnosis, Finding, JointError, Remainder
@@ -16,7 +18,7 @@ SMALL_UNITS: Final = {"rad": ("mrad", 1e3), "m": ("mm", 1e3), "rad/s": ("mrad/s"
 GAIN: Final = "gain_ratio"
 """Name of the base parameter to which others are known as ratios where gravity gives no scale."""
 NOT_LOCATED: Final = "something small, not located"
-FAMILY_WORDS: Final = {
+FAMILY_WORDS: Final[dict[StrEnum, str]] = {
     Family.FRICTION: "friction",
     Family.TRANSMISSION: "transmission",
     Family.ACTUATION: "actuation",
@@ -294,3 +296,87 @@ def _next(diagnosis: Diagnosis) -> str:
             return f"write an effect of your own at {one.joint} that depends on {one.depends_on}."
         return f"log more of {one.joint}, such as torque, temperature or a second encoder."
     return "nothing; these motions leave no question open."
+
+
+FORMAT: Final = "diagnosis 1"
+"""Name and version of the document."""
+
+
+def to_document(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return a diagnosis as a document that JSON can hold; unknown numbers are null."""
+    return {
+        "format": FORMAT,
+        "robot": diagnosis.robot,
+        "kind": diagnosis.kind,
+        "method": diagnosis.method,
+        "remarks": list(diagnosis.remarks),
+        "seed": diagnosis.seed,
+        "verdict": verdict_word(diagnosis),
+        "lines": list(verdict_lines(diagnosis)),
+        "details": detail_lines(diagnosis),
+        "closure_share": diagnosis.closure,
+        "findings": [_finding(one) for one in diagnosis.findings],
+        "base": [_base(one) for one in diagnosis.base],
+        "errors": to_json(diagnosis.errors),
+        "remaining": to_json(diagnosis.remaining),
+        "refused": to_json(diagnosis.refused),
+        "rejected": to_json(diagnosis.rejected),
+        "fitted_motions": list(diagnosis.fitted_motions),
+        "judged_motions": list(diagnosis.judged_motions),
+        "effects": [
+            {
+                "key": effect.key,
+                "kind": kind,
+                "size": {one.name: to_json(value) for one, value in zip(effect.sizes, size, strict=True)},
+            }
+            for kind in diagnosis.kinds
+            for effect, size in zip(*diagnosis.fitted_to(kind), strict=True)
+        ],
+    }
+
+
+def to_json(value: Any) -> Any:
+    """Return a record, a sequence or a mapping as JSON can hold it: NaN is null, infinity a text."""
+    if is_dataclass(value):
+        return {one.name: to_json(getattr(value, one.name)) for one in fields(value)}
+    if isinstance(value, Mapping):
+        return {name: to_json(one) for name, one in value.items()}
+    if isinstance(value, tuple | list):
+        return [to_json(one) for one in value]
+    if isinstance(value, float):
+        return float(value) if isfinite(value) else "inf" if value > 0 else "-inf" if value < 0 else None
+    return str(value) if isinstance(value, str) else value
+
+
+def _finding(one: Finding) -> dict[str, Any]:
+    sizes = zip(one.size_names, one.size, one.interval, strict=True)
+    return {
+        "place": one.place,
+        "family": str(one.family),
+        "effect": one.effect,
+        "text": one.text,
+        "sizes": [
+            {"name": name, "value": to_json(size), "low_90": to_json(low), "high_90": to_json(high)}
+            for name, size, (low, high) in sizes
+        ],
+        "share": to_json(one.share),
+        "not_excluded": {
+            "places": list(one.places),
+            "families": [str(family) for family in one.families],
+            "effects": list(one.effects),
+        },
+        "next_motion": one.next_motion,
+    }
+
+
+def _base(one: Base) -> dict[str, Any]:
+    low, high = one.interval
+    return {
+        "place": one.place,
+        "name": one.name,
+        "nominal": to_json(one.nominal),
+        "value": to_json(one.value),
+        "low_90": to_json(low),
+        "high_90": to_json(high),
+        "is_identifiable": one.is_identifiable,
+    }
