@@ -15,7 +15,7 @@ import numpy as np
 from fsw.dictionary.commands import ClearFault, Command, MoveJoints, SetParam, Stop, Stow
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import DirectionMark, Limits, NameMark
-from fsw.executive.checks import known_names
+from fsw.executive.context import known_names
 from fsw.state import Hold
 
 Random = np.random.Generator

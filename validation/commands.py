@@ -22,9 +22,9 @@ from fsw.messages import ActuatorCommand, Sensors
 from fsw.state import State
 from marsarm.common.pool import Runner
 from sim.arms import arm_named
+from sim.initialisation import start_loop
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
-from sim.start import start_loop
 from validation.command_draws import draw_command
 from validation.options import campaign_parser, campaign_runner
 

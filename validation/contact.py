@@ -18,11 +18,10 @@ from fsw.dictionary.evrs import Evr
 from fsw.dictionary.types import joints5
 from marsarm.common.pool import Runner, in_order
 from sim.arms import arm_named
-from sim.contact import tool_forces
+from sim.clearance import tool_forces
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
-from sim.placement import place_command
-from sim.preview import random_placement
+from sim.placement import place_command, random_placement
 from sim.sequence import run_sequence
 from validation.options import campaign_parser, campaign_runner
 from validation.tool_change import FIRST, SECOND, TILT_RAD, not_completed

@@ -15,8 +15,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fsw.kinematics.arm import limit_excess
 from fsw.kinematics.ik import BranchVerdict, IkResult, inverse_kinematics
-from fsw.kinematics.soft_limits import limit_excess
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner, in_order, run_here
 from validation.kinematics_samples import Aim, Kinds, near_name, targets, vectors

@@ -8,6 +8,7 @@ import html
 import os
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from importlib import resources
 from io import BytesIO, StringIO
 from pathlib import Path
@@ -55,6 +56,21 @@ STYLE: Final[Any] = {
     "legend.frameon": False,
     "legend.fontsize": 9.0,
 }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReportFigure:
+    """Figure on the page of a report."""
+
+    alt: str
+    """Description for readers who do not see it; unique on the page."""
+    height_inch: float
+    draw: Callable[[Any], None]
+    """Function that draws on a matplotlib figure."""
+
+    def render(self) -> str:
+        """Return the SVG element."""
+        return render_svg(self.alt, self.height_inch, self.draw)
 
 
 def render_svg(alt: str, height_inch: float, draw: Callable[[Any], None]) -> str:

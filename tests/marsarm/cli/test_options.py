@@ -13,8 +13,9 @@ import pytest
 import typer
 
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
+from marsarm.arms.request import ArmRequest
 from marsarm.calibration.request import CalibrateRequest
-from marsarm.cli import accuracy, calibrate, diagnosis, ik, runs, view
+from marsarm.cli import analysis, diagnosis, runs
 from marsarm.diagnosis.arm.request import DiagnoseRequest, RecordRequest
 from marsarm.ik.request import IkRequest, ReachRequest
 from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest
@@ -31,12 +32,13 @@ VERBS = {
     PlaceRequest: runs.place,
     RunRequest: runs.run,
     HardstopRequest: runs.hardstop,
-    IkRequest: ik.ik,
-    ReachRequest: ik.reach,
-    BudgetRequest: accuracy.budget,
-    MonteCarloRequest: accuracy.monte_carlo,
-    CalibrateRequest: calibrate.calibrate,
-    ViewRequest: view.view,
+    IkRequest: analysis.ik,
+    ReachRequest: analysis.reach,
+    BudgetRequest: analysis.budget,
+    MonteCarloRequest: analysis.monte_carlo,
+    CalibrateRequest: analysis.calibrate,
+    ArmRequest: analysis.arm,
+    ViewRequest: runs.view,
     DiagnoseRequest: diagnosis.diagnose,
     RecordRequest: diagnosis.record,
     CheckRequest: app.check,

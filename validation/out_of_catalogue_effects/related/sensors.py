@@ -8,8 +8,8 @@ import numpy as np
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.messages import Sensors
-from sim.disturbance import at_joint
 from sim.effects.effect import ParameterSpec, ReadingError
+from sim.record import at_joint
 
 
 @dataclass(frozen=True, slots=True)

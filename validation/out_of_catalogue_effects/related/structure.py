@@ -5,9 +5,9 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from sim.disturbance import Disturbance
 from sim.effects.effect import EachCycle, Hardware, ParameterSpec
 from sim.plant import SPRING_NAMES, Plant
+from sim.record import Disturbance
 
 Link = Literal["link1", "link2", "link3", "link4"]
 

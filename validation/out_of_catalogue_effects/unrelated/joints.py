@@ -7,10 +7,10 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
-from sim.disturbance import Disturbance, at_joint
 from sim.effects.effect import EachCycle, Hardware, ParameterSpec
+from sim.mujoco_settings import GAINS
 from sim.plant import Plant
-from sim.servos import GAINS
+from sim.record import Disturbance, at_joint
 
 LOAD_NM: Final = 100.0
 """Load at which slip has its amplitude."""

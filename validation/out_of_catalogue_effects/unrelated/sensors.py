@@ -9,8 +9,8 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
-from sim.disturbance import at_joint
 from sim.effects.effect import Effect, Hardware, ParameterSpec, ReadingError, nominal_hardware
+from sim.record import at_joint
 
 RAD_PER_COUNT: Final = nominal_hardware().rad_per_count
 FULL_RAD_S: Final = 0.02

@@ -6,10 +6,10 @@ from typing import Annotated, Final, Literal
 import numpy as np
 
 from fsw.dictionary.enums import Joint
-from sim.disturbance import Disturbance
 from sim.effects.effect import EachCycle, Hardware, ParameterSpec
 from sim.frames import FLIP
 from sim.plant import SPRING_NAMES, Plant
+from sim.record import Disturbance
 
 ALONG_Z: Final = 5
 """Index of the translation along the axis of a joint among the springs of the link that follows."""

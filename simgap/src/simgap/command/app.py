@@ -1,8 +1,9 @@
 """Command line `simgap`: its verbs."""
 
 from simgap.command.request import CheckRequest, DiagnoseRequest
+from simgap.common.app import make_app, run_app
 from simgap.common.progress import Progress
-from simgap.common.verb import VerbResult, make_app, run_app, verb
+from simgap.common.verb import VerbResult, verb
 
 app = make_app("simgap", "Find why a robot and its MuJoCo model differ: where, by which effect, and how far.")
 

@@ -20,11 +20,11 @@ from simgap.common.json_digest import json_sha256
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin, heading, paragraph, save_page, table
 from simgap.common.progress import Progress, no_progress
+from simgap.common.report import to_json
 from simgap.diagnosis import check_audit, check_motions
 from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.report.page import draw_figures, figure_style, motion_document, series_figure, series_panel
-from simgap.report.sentences import to_json
 from simgap.report.traces import extreme_rows
 from simgap.robot import Robot
 

@@ -1,12 +1,12 @@
 """Sentences and JSON document of a diagnosis."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Sequence
 from enum import StrEnum
 from math import isfinite
 from typing import Any, Final
 
+from simgap.common.report import to_json
 from simgap.effects.effect import Family
 from simgap.result import Base, Diagnosis, Finding, JointError, Remainder
 from simgap.selection.acceptance import MAX_WORSE
@@ -327,7 +327,7 @@ def to_document(diagnosis: Diagnosis) -> dict[str, Any]:
             {
                 "key": effect.key,
                 "kind": kind,
-                "size": {one.name: to_json(value) for one, value in zip(effect.sizes, size, strict=True)},
+                "size": {one.name: number(value) for one, value in zip(effect.sizes, size, strict=True)},
             }
             for kind in diagnosis.kinds
             for effect, size in zip(*diagnosis.fitted_to(kind), strict=True)
@@ -335,17 +335,11 @@ def to_document(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def to_json(value: Any) -> Any:
-    """Return a record, a sequence or a mapping as JSON can hold it: NaN is null, infinity a text."""
-    if is_dataclass(value):
-        return {one.name: to_json(getattr(value, one.name)) for one in fields(value)}
-    if isinstance(value, Mapping):
-        return {name: to_json(one) for name, one in value.items()}
-    if isinstance(value, tuple | list):
-        return [to_json(one) for one in value]
-    if isinstance(value, float):
-        return float(value) if isfinite(value) else "inf" if value > 0 else "-inf" if value < 0 else None
-    return str(value) if isinstance(value, str) else value
+def number(value: float) -> float | str | None:
+    """Return a number as JSON can hold it: NaN is null, infinity a text."""
+    if math.isinf(value):
+        return "inf" if value > 0 else "-inf"
+    return float(value) if isfinite(value) else None
 
 
 def _finding(one: Finding) -> dict[str, Any]:
@@ -356,10 +350,10 @@ def _finding(one: Finding) -> dict[str, Any]:
         "effect": one.effect,
         "text": one.text,
         "sizes": [
-            {"name": name, "value": to_json(size), "low_90": to_json(low), "high_90": to_json(high)}
+            {"name": name, "value": number(size), "low_90": number(low), "high_90": number(high)}
             for name, size, (low, high) in sizes
         ],
-        "share": to_json(one.share),
+        "share": number(one.share),
         "not_excluded": {
             "places": list(one.places),
             "families": [str(family) for family in one.families],
@@ -374,9 +368,9 @@ def _base(one: Base) -> dict[str, Any]:
     return {
         "place": one.place,
         "name": one.name,
-        "nominal": to_json(one.nominal),
-        "value": to_json(one.value),
-        "low_90": to_json(low),
-        "high_90": to_json(high),
+        "nominal": number(one.nominal),
+        "value": number(one.value),
+        "low_90": number(low),
+        "high_90": number(high),
         "is_identifiable": one.is_identifiable,
     }
