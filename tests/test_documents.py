@@ -63,3 +63,10 @@ def test_every_page_and_picture_can_be_reached_from_the_readme() -> None:
             ]
     there = {path for path in (ROOT / "docs").rglob("*") if path.is_file()}
     assert there <= reached
+
+
+def test_every_file_that_a_page_names_exists() -> None:
+    named = re.compile(r"`((?:fsw|sim|marsarm|simgap|tests|models|validation|examples|docs|\.ci)/[\w./-]+)`")
+    there = {page.name: named.findall(page.read_text()) for page in PAGES if page.name != "CHANGELOG.md"}
+    gone = {name: [file for file in files if not (ROOT / file).exists()] for name, files in there.items()}
+    assert {name: files for name, files in gone.items() if files} == {}
