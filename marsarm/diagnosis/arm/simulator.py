@@ -8,9 +8,9 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
+from marsarm.diagnosis.arm.arm_effects import NuisanceEffect, list_nuisance_effects
 from marsarm.diagnosis.arm.feature_set import FeatureSet, every_motion, simulate_features
 from marsarm.diagnosis.arm.features import CONDITIONS, UNITS, MotionFeatures, feature_channel
-from marsarm.diagnosis.arm.nuisances import NuisanceEffect, list_nuisance_effects
 from marsarm.diagnosis.problem import (
     LOG_UNIT,
     EffectValues,

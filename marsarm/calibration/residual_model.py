@@ -22,8 +22,8 @@ from marsarm.calibration.arm_parameters import (
     arm_with_values,
     turret_displacement,
 )
-from marsarm.calibration.backlash_side import confirm_sides, pose_whitener
-from marsarm.calibration.campaign_data import BelievedPoses, Campaign
+from marsarm.calibration.campaign_data import BelievedPoses, Campaign, MeasuredPoses
+from marsarm.calibration.consensus import confirm_sides, pose_whitener
 from marsarm.calibration.deflection_jacobian import (
     JOINT_COUNT,
     SCREW,
@@ -33,7 +33,6 @@ from marsarm.calibration.deflection_jacobian import (
     differentiate_deflection,
     screw_derivatives,
 )
-from marsarm.calibration.measured_poses import MeasuredPoses
 from sim.arms import SPRING_FRAMES
 from sim.effects.structure import params_with_stand_in
 from simgap.serial_arm.chain import error_screw, linearise
@@ -41,7 +40,7 @@ from simgap.serial_arm.fit import Fit, Linearisation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ArmModel:
+class CampaignResiduals:
     """Residual model of a campaign: whitened error screws as a function of the arm's parameters.
 
     Parameters are differences from the nominal arm, in the order of `arm_parameters`.
@@ -80,13 +79,13 @@ class ArmModel:
         return error_screw(predict_poses(self.nominal, x, self.believed), self.measured.X_RT)
 
 
-def arm_model(
+def residual_model(
     nominal: Params,
     campaign: Campaign,
     preliminary: Fit | None = None,
     with_backlash: bool = True,
     held_out: Flags | None = None,
-) -> ArmModel:
+) -> CampaignResiduals:
     """Build the residual model of a campaign.
 
     A preliminary fit decides which uncertain outputs lie where they are believed to lie. Outputs that it
@@ -122,7 +121,7 @@ def arm_model(
             believed.backlash_rad,
         )
         unknown = unknown & ~agree
-    return ArmModel(
+    return CampaignResiduals(
         nominal,
         believed,
         campaign.measured,

@@ -1,10 +1,11 @@
-"""Page that plays a run without a server: one file with scene, frames and player."""
+"""View of a log: serve it in the browser, or write it as a page that needs no server."""
 
 import base64
 import gzip
 import html
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -13,10 +14,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from marsarm.view.looks import looks_json
-from marsarm.view.plots import Plot, make_plots
-from marsarm.view.watched_run import WatchedRun
+from marsarm.view.request import ViewRequest
+from marsarm.view.scene import looks_json
+from marsarm.view.server import Viewer
+from marsarm.view.watched_run import Plot, WatchedRun, make_plots, watch_log
+from simgap.common.console import pluralize
 from simgap.common.files import atomic_write
+from simgap.common.options import check_options
+from simgap.common.progress import Progress
 
 LOOK_AT: Final = np.array([0.5, 0.5, 0.25])
 """Point at which the camera looks, as shares of the box around the trail: the surface is at its bottom."""
@@ -118,3 +123,64 @@ def _pack(arrays: Mapping[str, NDArray[Any]]) -> tuple[bytes, list[tuple[str, st
         about.append((name, kind, len(data), values.size))
         data += np.ascontiguousarray(values, f"<{kind}").tobytes()
     return gzip.compress(data, mtime=0), about
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewReport:
+    """View of a log."""
+
+    request: ViewRequest
+    run: WatchedRun
+    page_bytes: int | None
+    """Size of the page; None if the log is served."""
+    viewer: Viewer | None
+    """Viewer that serves the log; None if a page was written."""
+
+    def play(self) -> None:
+        """Serve the log until Ctrl-C."""
+        if self.viewer is not None:
+            with self.viewer:
+                self.viewer.play(self.run)
+
+
+def view(request: ViewRequest, progress: Progress) -> ViewReport:
+    """Prepare the view of a log: write its page, or open the viewer.
+
+    Raises:
+        BadRequest: the request or the log is wrong, or the viewer cannot be opened.
+    """
+    check_options(request)
+    progress(0, 2, "reading")
+    run = watch_log(request.log)
+    progress(1, 2, "drawing")
+    if request.html is not None:
+        return ViewReport(request, run, save_page(run, request.html), None)
+    return ViewReport(request, run, None, Viewer(run.scene, request.port, run.title, "use --html"))
+
+
+def view_document(report: ViewReport) -> dict[str, Any]:
+    """Collect where the view is, and what it shows."""
+    frames = report.run.frames
+    return {
+        "log": report.request.log,
+        "html": report.request.html,
+        "html_bytes": report.page_bytes,
+        "address": None if report.viewer is None else report.viewer.address,
+        "frames": len(frames.samples.time_s),
+        "duration_s": frames.samples.time_s[-1] - frames.samples.time_s[0],
+        "events": len(report.run.events),
+        "has_truth": frames.true is not None,
+        "notes": report.run.notes,
+    }
+
+
+def view_parts(report: ViewReport) -> list[str]:
+    """Say where the view is, and what it does not show."""
+    times_s = report.run.frames.samples.time_s
+    what = f"{pluralize(len(times_s), 'frame')} of {times_s[-1] - times_s[0]:.1f} s"
+    lines = []
+    if report.page_bytes is not None:
+        lines.append(f"page      {report.request.html}, {report.page_bytes / 1e6:.1f} MB, {what}")
+    if report.viewer is not None:
+        lines.append(f"playing   {what}; Ctrl-C ends it")
+    return [*lines, *(f"note      {note}" for note in report.run.notes)]

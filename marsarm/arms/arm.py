@@ -1,31 +1,119 @@
-"""Layout of an arm: its frames at a pose, in a table and in a picture from the side and from above."""
+"""Arms of the project: their numbers, their frames as table and picture, and files made from arm.toml."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from rich.table import Table
 
 from fsw.collision.distance import place_shapes
 from fsw.config import Config, configure
 from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Array, Pose
-from marsarm.arms.request import ArmShowRequest
-from marsarm.render.outlines import draw_outlines, project_outlines
+from marsarm.arms.request import ArmRequest
+from marsarm.common.params_toml import full_params_toml
+from marsarm.render.rover_scene import draw_outlines, project_outlines
+from sim.arm_check import check_arm
 from sim.arm_model.description import BadArm
-from sim.arm_model.load import ArmModel, default_arm, load_arm
+from sim.arm_model.load import ArmModel, arm_folder, arm_names, default_arm, load_arm
 from sim.params_table import BadParams
 from simgap.common import svg
-from simgap.common.console import plain_console
 from simgap.common.errors import BadRequest
+from simgap.common.files import atomic_write, check_output
 from simgap.common.options import check_options
+from simgap.common.report import ReportTable
+
+MADE_FROM: Final = "Made from arm.toml by `marsarm arm --build`; change that file, not this one."
+
+
+@dataclass(frozen=True, slots=True)
+class ArmFiles:
+    """Arm with the files that are made from its description."""
+
+    model: ArmModel
+    texts: dict[Path, str]
+    """Text of each file."""
+
+    @property
+    def stale(self) -> tuple[Path, ...]:
+        """Return the files that are missing or have another text."""
+        return tuple(
+            path
+            for path, text in self.texts.items()
+            if not path.is_file() or path.read_bytes() != text.encode()
+        )
+
+
+def build_arms(request: ArmRequest) -> tuple[ArmFiles, ...]:
+    """Make the files of an arm, or of all arms of the project, and write those that have changed.
+
+    Raises:
+        BadRequest: there is no such arm, its description is wrong, it cannot be homed, or a file is stale and
+            was to be checked.
+    """
+    try:
+        names = arm_names() if request.arm is None else (request.arm,)
+        found = tuple(_make_files(name) for name in names)
+    except (BadArm, BadParams) as error:
+        raise BadRequest(str(error)) from error
+    stale = {path: one.texts[path] for one in found for path in one.stale}
+    if request.check and stale:
+        raise BadRequest(f"{next(iter(stale))}: is not what arm.toml says; run `marsarm arm --build`")
+    for path in stale:
+        check_output(path, (path.suffix,), "file")
+    for path, text in stale.items():
+        with atomic_write(path, "file") as file:
+            file.write(text.encode())
+    return found
+
+
+def _make_files(name: str) -> ArmFiles:
+    model, folder = load_arm(name), arm_folder(name)
+    check_arm(model)
+    comments = [f"Flight parameters of the drawing of {model.description.title}.", MADE_FROM, "SI units."]
+    return ArmFiles(
+        model,
+        {
+            folder / "arm.xml": f"<!-- {MADE_FROM} -->\n{model.mjcf}",
+            folder / "flight.toml": full_params_toml(model.params, comments),
+        },
+    )
+
+
+def describe_arm(model: ArmModel) -> dict[str, Any]:
+    """Describe an arm in a few numbers."""
+    links = model.description.links.in_order()
+    mass_kg = sum(link.far.mass_kg + (0.0 if link.near is None else link.near.mass_kg) for link in links)
+    return {
+        "name": model.name,
+        "title": model.description.title,
+        "upper_arm_m": links[2].transform.a_m,
+        "forearm_m": links[3].transform.a_m,
+        "mass_kg": round(mass_kg, 6),
+        "tools": [*model.params.tool_names],
+        "instrument": model.description.instrument,
+        "sha256": model.params.model.sha256,
+        "is_default": model.name == default_arm().name,
+    }
+
+
+def arms_table(models: Iterable[ArmModel]) -> ReportTable:
+    """Show a line for each arm."""
+    rows = []
+    for model in models:
+        described = describe_arm(model)
+        numbers = [f"{described[key]:g}" for key in ("upper_arm_m", "forearm_m", "mass_kg")]
+        name = model.name + (" (default)" if described["is_default"] else "")
+        rows.append((name, model.description.title, *numbers, " ".join(described["tools"])))
+    return ReportTable(("arm", "title", "upper arm m", "forearm m", "kg", "tools"), rows)
+
 
 LINK_NAMES: Final = tuple(frame.name.lower() for frame in list(Frame)[:-1])
 TRANSFORM: Final = ("theta_rad", "d_m", "beta_rad", "b_m", "alpha_rad", "a_m")
+JOINT_KEYS: Final = ("soft_min_rad", "soft_max_rad", "hardstop_rad", "gear_ratio", "backlash_rad")
 TRIAD_M: Final = 0.11
 """Length of the axes of a frame in the picture."""
 MARGIN_M: Final = 0.35
@@ -45,7 +133,7 @@ class ArmLayout:
     """Frames Arm1 to Arm6, and those of the tools, by name."""
 
 
-def show_arm(request: ArmShowRequest) -> ArmLayout:
+def show_arm(request: ArmRequest) -> ArmLayout:
     """Place the frames of an arm.
 
     Raises:
@@ -68,37 +156,29 @@ def show_arm(request: ArmShowRequest) -> ArmLayout:
     return ArmLayout(model, config, output, placed)
 
 
-def layout_json(layout: ArmLayout) -> dict[str, Any]:
-    """Convert the layout to a JSON document in metres and radians."""
+def layout_document(layout: ArmLayout) -> dict[str, Any]:
+    """Collect the layout in metres and radians."""
     links, joints = layout.model.params.links, layout.model.params.joints
     return {
         "name": layout.model.name,
         "title": layout.model.description.title,
-        "output_rad": layout.output_rad.tolist(),
+        "output_rad": layout.output_rad,
         "links": {
             name: {key: getattr(link.transform, key) for key in TRANSFORM}
             for name, link in zip(LINK_NAMES, links.in_order(), strict=True)
         },
         "joints": {
-            joint.name.lower(): {
-                key: getattr(params, key)
-                for key in ("soft_min_rad", "soft_max_rad", "hardstop_rad", "gear_ratio", "backlash_rad")
-            }
+            joint.name.lower(): {key: getattr(params, key) for key in JOINT_KEYS}
             for joint, params in zip(Joint, joints.in_order(), strict=True)
         },
-        "frames": {
-            name: {"position_R_m": X.p.tolist(), "rotation_R": X.R.tolist()}
-            for name, X in layout.X_RF.items()
-        },
+        "frames": {name: {"position_R_m": X.p, "rotation_R": X.R} for name, X in layout.X_RF.items()},
     }
 
 
-def layout_table(layout: ArmLayout, picture: Path | None, picture_problem: str | None) -> None:
-    """Print links, joints and frames of the arm."""
-    console, params = plain_console(), layout.model.params
-    links = Table(title=f"{layout.model.description.title}: links (equation 1)", title_justify="left")
-    for name in ("link", "d m", "b m", "alpha deg", "a m", "joint at its end", "from deg", "to deg"):
-        links.add_column(name, justify="left" if name in ("link", "joint at its end") else "right")
+def layout_parts(layout: ArmLayout) -> list[ReportTable]:
+    """Show links, joints and frames of the arm."""
+    params = layout.model.params
+    links = []
     for number, name in enumerate(LINK_NAMES):
         transform = params.links.in_order()[number].transform
         sizes = (transform.d_m, transform.b_m, degrees(transform.alpha_rad), transform.a_m)
@@ -107,17 +187,14 @@ def layout_table(layout: ArmLayout, picture: Path | None, picture_problem: str |
             joint = params.joints.in_order()[number]
             limits = (joint.soft_min_rad, joint.soft_max_rad)
             row += [Joint(number).name.lower(), *(f"{degrees(limit):.1f}" for limit in limits)]
-        links.add_row(*row)
-    console.print(links)
+        links.append(row)
+    link_head = ("link", "d m", "b m", "alpha deg", "a m", "joint at its end", "from deg", "to deg")
     angles = ", ".join(f"{degrees(angle):.0f}" for angle in layout.output_rad)
-    frames = Table(title=f"Frames in RMECH at {angles} deg, without load", title_justify="left")
-    for name in ("frame", "x m", "y m", "z m"):
-        frames.add_column(name, justify="left" if name == "frame" else "right")
-    for name, X in layout.X_RF.items():
-        frames.add_row(name, *(f"{value:+.3f}" for value in X.p))
-    console.print(frames)
-    if picture is not None:
-        console.print(f"picture  {picture_problem or picture}")
+    frames = [(name, *(f"{value:+.3f}" for value in X.p)) for name, X in layout.X_RF.items()]
+    return [
+        ReportTable(link_head, links, f"{layout.model.description.title}: links (equation 1)"),
+        ReportTable(("frame", "x m", "y m", "z m"), frames, f"Frames in RMECH at {angles} deg, without load"),
+    ]
 
 
 def save_layout_picture(layout: ArmLayout, path: Path) -> str | None:

@@ -9,7 +9,6 @@ from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import gravity_direction
-from marsarm.calibration.arm_model import arm_model, joint_jacobian, predict_poses, settle_poses
 from marsarm.calibration.arm_parameters import (
     BACKLASHES,
     ENCODER_ZEROS,
@@ -18,6 +17,7 @@ from marsarm.calibration.arm_parameters import (
     params_with_values,
 )
 from marsarm.calibration.campaign_data import BelievedPoses
+from marsarm.calibration.residual_model import joint_jacobian, predict_poses, residual_model, settle_poses
 from sim.effects.structure import StandInTurret
 from simgap.serial_arm.chain import error_screw
 from tests.marsarm.calibration.lab import NOMINAL, campaign
@@ -36,7 +36,7 @@ def some_numbers(seed: int):
 @pytest.fixture(scope="module")
 def model():
     poses = campaign().at(np.arange(0, 160, 8))
-    return arm_model(NOMINAL, poses)
+    return residual_model(NOMINAL, poses)
 
 
 @pytest.mark.slow

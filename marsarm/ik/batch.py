@@ -1,24 +1,35 @@
-"""Targets of a batch from an .npz or Parquet file, with checks of all content."""
+"""Batches of targets: read them from tables, and write their results part by part."""
 
+import json
 import os
+import shutil
+import tempfile
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import IO, Any, BinaryIO, Final, Protocol
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
+from pyarrow import parquet
 
+from fsw.dictionary.enums import Joint
+from fsw.kinematics.closed_form import BRANCHES
+from fsw.kinematics.ik import BranchVerdict, IkResult
 from fsw.kinematics.transforms import Array
 from marsarm.common.bad_tables import describe_bad_table
 from marsarm.common.requests import MAX_TARGET_DISTANCE_M, MIN_COMPONENT, NEAR_HINT, format_numbers
 from marsarm.ik.request import BATCH_SUFFIXES
 from sim.frames import p_R_from_N
 from simgap.common.errors import BadRequest
+from simgap.common.files import atomic_write
 
+JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
+VERDICT_NAMES: Final = tuple(verdict.name.lower() for verdict in BranchVerdict)
 FRAMES: Final = ("rnav", "rmech")
 
 TargetLabel = Callable[[int], tuple[str, str]]
@@ -206,3 +217,155 @@ def _from_parquet(path: Path) -> tuple[Array, Array]:
 
 def _list_names(names: list[str]) -> str:
     return ", ".join(names[:20]) + (", ..." if len(names) > 20 else "") if names else "nothing"
+
+
+NO_JOINT: Final = -1
+NAME_TYPE: Final = pa.dictionary(pa.int8(), pa.string())
+
+FIELDS: Final[dict[str, tuple[type, tuple[int, ...]]]] = {
+    "output_rad": (np.float64, (8, 5)),
+    "verdict": (np.int8, (8,)),
+    "joint": (np.int8, (8,)),
+    "excess": (np.float64, (8,)),
+    "forward_error": (np.float64, (8,)),
+}
+"""Arrays (n, 8, ...) of an .npz file: type, and shape of the results of one target."""
+
+
+class BatchWriter(Protocol):
+    """Protocol of writers that take the results of a batch part by part."""
+
+    def add(self, result: IkResult) -> None:
+        """Write the results of the next targets, shape (8, n)."""
+
+
+@contextmanager
+def open_writer(path: Path, about: dict[str, Any]) -> Iterator[BatchWriter]:
+    """Open a writer for the suffix of `path`; the file appears only if the block completes without error.
+
+    Raises:
+        BadOutput: The file cannot be written.
+    """
+    with atomic_write(path, "out") as file, ExitStack() as stack:
+        if path.suffix.lower() == ".npz":
+            spools: dict[str, IO[bytes]] = {}
+            for name in FIELDS:
+                spools[name] = stack.enter_context(tempfile.TemporaryFile(dir=path.parent))
+            spooled = NpzWriter(spools)
+            yield spooled
+            spooled.pack(file, about)
+        else:
+            yield stack.enter_context(closing(ParquetWriter(file, about)))
+
+
+class NpzWriter:
+    """Writer of an .npz file.
+
+    The format stores one array after another, so parts wait in temporary files.
+    """
+
+    def __init__(self, spools: dict[str, IO[bytes]]) -> None:
+        self._spools = spools
+        self._targets = 0
+
+    def add(self, result: IkResult) -> None:
+        """Write the results of the next targets, shape (8, n)."""
+        self._targets += result.verdict.shape[1]
+        outside = result.verdict == BranchVerdict.OUTSIDE_LIMITS
+        arrays = {
+            "output_rad": result.output_rad.transpose(2, 1, 0),
+            "verdict": result.verdict.T,
+            "joint": np.where(outside, result.joint, NO_JOINT).T,
+            "excess": result.excess.T,
+            "forward_error": result.error.T,
+        }
+        for name, (dtype, _) in FIELDS.items():
+            self._spools[name].write(np.ascontiguousarray(arrays[name], dtype=dtype).tobytes())
+
+    def pack(self, file: BinaryIO, about: dict[str, Any]) -> None:
+        """Assemble the file."""
+        names = {
+            "branch_names": np.array(BRANCHES),
+            "verdict_names": np.array(VERDICT_NAMES),
+            "joint_names": np.array(JOINT_NAMES),
+            "about": np.array(json.dumps(about)),
+        }
+        with zipfile.ZipFile(file, "w") as archive:
+            for name in FIELDS:
+                with archive.open(_entry(name), "w", force_zip64=True) as member:
+                    self._copy(name, member)
+            for name, values in names.items():
+                with archive.open(_entry(name), "w") as member:
+                    np.lib.format.write_array(member, values, allow_pickle=False)
+
+    def _copy(self, name: str, member: Any) -> None:
+        dtype, shape = FIELDS[name]
+        header = {
+            "descr": np.lib.format.dtype_to_descr(np.dtype(dtype)),
+            "fortran_order": False,
+            "shape": (self._targets, *shape),
+        }
+        np.lib.format.write_array_header_1_0(member, header)
+        spool = self._spools[name]
+        spool.seek(0)
+        shutil.copyfileobj(spool, member)
+
+
+def _entry(name: str) -> zipfile.ZipInfo:
+    """Create an entry without time stamp, so that equal results give equal bytes."""
+    return zipfile.ZipInfo(f"{name}.npy")
+
+
+class ParquetWriter:
+    """Writer of a Parquet file with one row group for each part of the batch."""
+
+    def __init__(self, file: BinaryIO, about: dict[str, Any]) -> None:
+        schema = pa.schema(
+            [
+                ("target", pa.int64()),
+                ("branch", NAME_TYPE),
+                ("verdict", NAME_TYPE),
+                *((f"{joint}_rad", pa.float64()) for joint in JOINT_NAMES),
+                ("limiting_joint", NAME_TYPE),
+                ("beyond_limit_rad", pa.float64()),
+                ("out_of_reach_m", pa.float64()),
+                ("forward_error", pa.float64()),
+            ],
+            metadata={"about": json.dumps(about)},
+        )
+        self._schema = schema
+        self._writer = parquet.ParquetWriter(file, schema, write_page_checksum=True)
+        self._next = 0
+
+    def add(self, result: IkResult) -> None:
+        """Write the results of the next targets, shape (8, n); values that do not apply are null."""
+        count = result.verdict.shape[1]
+        target, slot = np.indices((count, len(BRANCHES))).reshape(2, -1)
+        verdict, excess = result.verdict[slot, target], result.excess[slot, target]
+        outside, unreachable = verdict == BranchVerdict.OUTSIDE_LIMITS, verdict == BranchVerdict.OUT_OF_REACH
+        columns = [
+            pa.array(self._next + target),
+            _name_column(slot, BRANCHES),
+            _name_column(verdict, VERDICT_NAMES),
+            *(_number_column(angle[slot, target]) for angle in result.output_rad),
+            _name_column(result.joint[slot, target], JOINT_NAMES, ~outside),
+            _number_column(np.where(outside, excess, np.nan)),
+            _number_column(np.where(unreachable, excess, np.nan)),
+            _number_column(result.error[slot, target]),
+        ]
+        self._writer.write_table(pa.table(columns, schema=self._schema))
+        self._next += count
+
+    def close(self) -> None:
+        """Write the footer of the file."""
+        self._writer.close()
+
+
+def _name_column(
+    numbers: NDArray[np.int64], names: list[str] | tuple[str, ...], absent: NDArray[np.bool_] | None = None
+) -> Any:
+    return pa.DictionaryArray.from_arrays(pa.array(numbers.astype(np.int8), mask=absent), list(names))
+
+
+def _number_column(values: NDArray[np.float64]) -> Any:
+    return pa.array(values, from_pandas=True)  # NaN is null
