@@ -14,7 +14,7 @@ from simgap.files.robot_file import (
     TimeTable,
 )
 from simgap.files.toml_record import Record
-from simgap.load import SplitFile, SplitTable
+from simgap.loading import SplitFile, SplitTable
 
 PAGE = Path(__file__).parents[2] / "docs" / "robot-file.md"
 TABLES = {
