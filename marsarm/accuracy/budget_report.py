@@ -8,13 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.dictionary.enums import Frame
-from marsarm.accuracy.budget import (
-    ALL,
-    COMPONENTS,
-    Budget,
-    BudgetReport,
-    MagnitudeFit,
-)
+from marsarm.accuracy.budget import ALL, COMPONENTS, Budget, BudgetReport, MagnitudeFit
 from marsarm.accuracy.confidence import describe_sample, is_within
 from marsarm.accuracy.propagation import COVERAGE
 from marsarm.accuracy.sources import sources_sha256
@@ -22,14 +16,7 @@ from simgap.common import svg
 from simgap.common.json_digest import json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement
-from simgap.common.report import (
-    Heading,
-    ReportFigure,
-    ReportPage,
-    ReportTable,
-    file_lines,
-    to_json,
-)
+from simgap.common.report import Heading, ReportFigure, ReportPage, ReportTable, file_lines, to_json
 
 RULES: Final = ("paper", "moments", "root sum square", "worst case")
 WHEN: Final = {

@@ -5,20 +5,16 @@ gives the same bytes, except for the date.
 """
 
 import html
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final
 
+from simgap.common.console import NUMBER
 from simgap.common.date import current_date
 from simgap.common.files import atomic_write
 from simgap.common.git import git_revision
-
-NUMBER: Final = re.compile(r"[-+±]? ?\d.{0,23}|never|-")
-"""Cell that is a number with its unit or an interval; a column of these is aligned right and not wrapped."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,16 @@ from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
-from simgap.common.page import NUMBER, Origin, Requirement, figures, heading, paragraph, save_page, table
-from simgap.common.svg import render_svg
+from simgap.common.console import NUMBER, WARNING_STYLE, plain_console
+
+if TYPE_CHECKING:  # the console does not wait for what draws pages
+    from simgap.common.page import Origin, Requirement
 
 WHOLE_WIDTH: Final = 240
 """Columns of a table whose lines are not wrapped, on a narrow terminal and in a pipe."""
@@ -60,8 +64,8 @@ class ReportPage:
     """Page of a report: requirements with their verdicts first, then its parts."""
 
     title: str
-    requirements: Sequence[Requirement]
-    origin: Origin
+    requirements: "Sequence[Requirement]"
+    origin: "Origin"
     parts: Sequence[str | Heading | ReportTable | tuple[ReportFigure, ...]]
     """Sentences, headings, tables, and figures that stand side by side."""
 
@@ -91,10 +95,6 @@ def to_json(value: Any) -> Any:
 
 def print_parts(parts: Sequence[str | Emphasis | ReportTable]) -> None:
     """Print sentences and tables of a report on the console."""
-    from rich.console import Console
-
-    from simgap.common.console import WARNING_STYLE, plain_console
-
     console = plain_console()
     for part in parts:
         if isinstance(part, str):
@@ -108,10 +108,8 @@ def print_parts(parts: Sequence[str | Emphasis | ReportTable]) -> None:
             console.print(_console_table(part, part.title))
 
 
-def _console_table(part: ReportTable, title: str) -> Any:
+def _console_table(part: ReportTable, title: str) -> Table:
     """Make a table for the console; columns of numbers are aligned right."""
-    from rich.table import Table
-
     made = Table(title=title or None, title_justify="left", show_header=bool(part.head))
     for k in range(max(map(len, (part.head, *part.rows)))):
         cells = [row[k] for row in part.rows if k < len(row) and row[k]]
@@ -137,10 +135,15 @@ def save_report_page(page: ReportPage, path: Path) -> None:
     Raises:
         BadOutput: The file cannot be written.
     """
+    from simgap.common.page import save_page
+
     save_page(page.title, "", page.requirements, page.origin, [_html(part) for part in page.parts], path)
 
 
 def _html(part: str | Heading | ReportTable | tuple[ReportFigure, ...]) -> str:
+    from simgap.common.page import figures, heading, paragraph, table
+    from simgap.common.svg import render_svg
+
     match part:
         case str():
             return paragraph(part)
