@@ -12,9 +12,9 @@ from marsarm.diagnosis.closure import CandidateMotion, Closure
 from marsarm.diagnosis.diagnose import MAX_MEMBERS, Diagnosis, Finding, LackOfFit, ResidualCell
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis
+from simgap import Trace
 from simgap.common import report
 from simgap.common.console import plain_console, pluralize
-from simgap.report.traces import Trace
 
 MAX_LISTED: Final = 10
 """Number of groups with structure in the output."""

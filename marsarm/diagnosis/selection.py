@@ -12,6 +12,7 @@ all. The change by an effect is the parabola of the sensitivities.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -21,10 +22,8 @@ from marsarm.diagnosis.model import KINDS_OF_TEST, DiagnosisModel
 from marsarm.diagnosis.normal_equations import Whitener, build_full_whitener
 from marsarm.diagnosis.problem import Ints, Simulator
 from marsarm.diagnosis.sensitivity import Sensitivities, continue_parabola
-from simgap.effects.effect import Effect, Family, Size
-from simgap.residuals.residuals import ResidualModel
+from simgap import Effect, ResidualModel, Size, select_effects
 from simgap.selection.context import Selection as EngineSelection
-from simgap.selection.selection import select_effects
 
 MAX_SIMULATIONS: Final = 3
 """Greatest number of times that the selected effects are simulated at their estimates."""
@@ -166,7 +165,7 @@ class FeatureEffect(Effect):
     index: int
     """Index of the hypothesis."""
     effect: str
-    kind: Family
+    kind: StrEnum
     departures: tuple[Size, ...]
 
     @property
@@ -175,7 +174,7 @@ class FeatureEffect(Effect):
         return self.effect
 
     @property
-    def family(self) -> Family:  # type: ignore[override]
+    def family(self) -> StrEnum:  # type: ignore[override]
         """Family of the effect."""
         return self.kind
 
