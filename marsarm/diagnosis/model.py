@@ -107,7 +107,6 @@ def build_model(
     """Build the diagnosis model from the sensitivities of a campaign.
 
     Args:
-        sensitivities: Sensitivities of the campaign.
         families: Family of each of its hypotheses.
         locations: Location of each.
     """

@@ -194,20 +194,12 @@ def _displaced_frame(frame: Frame, tool: str | None, axis: int, value: float) ->
 
 
 def list_families(hypotheses: Sequence[Hypothesis]) -> tuple[Family, ...]:
-    """List the families of hypotheses.
-
-    Args:
-        hypotheses: Hypotheses of the catalogue.
-    """
+    """List the families of hypotheses."""
     return tuple(family_of(catalogue()[one.effect]) for one in hypotheses)
 
 
 def list_locations(hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
-    """List the locations of hypotheses: joints, links, tools, or what `LOCATIONS` names.
-
-    Args:
-        hypotheses: Hypotheses of the catalogue.
-    """
+    """List the locations of hypotheses: joints, links, tools, or what `LOCATIONS` names."""
     return tuple(locate(one.effect, one.place) for one in hypotheses)
 
 
