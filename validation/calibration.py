@@ -1,11 +1,9 @@
 """Campaign of calibrations of as-built arms: accuracy, coverage of confidence intervals, and speed.
 
-Each arm is measured at equilibria of the equations or, with --closed-loop, by flight software in the plant.
+Each arm is measured at equilibria of the equations or by flight software in the plant.
 The truth is the noise-free equilibrium of the sampled arm.
 """
 
-import json
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,14 +27,14 @@ from marsarm.calibration.simulation import (
     zero_errors_rad,
 )
 from marsarm.calibration.verify import register_tools
-from marsarm.common.pool import Runner
 from marsarm.common.rates import clopper_pearson
 from sim.arms import arm_named
 from sim.params import nominal_params
+from simgap.common.errors import BadRequest
+from simgap.common.progress import no_progress
 from simgap.serial_arm.fit import fit
-from validation.options import campaign_parser, campaign_runner
+from validation.campaigns import Context, Document
 
-EXAMPLE: Final = "example: python -m validation.calibration --arms 20 --closed-loop > calibration.json"
 INTERVAL: Final = 1.645
 """Half width of a 90 % interval, in standard deviations."""
 NUMERIC: Final[dict[str, Any]] = {
@@ -68,8 +66,8 @@ def measure(trial: CalibrationTrial) -> tuple[Campaign, Array]:
     arm, plan = arm_named(f"as-built:{trial.seed}"), CampaignPlan(seed=trial.seed)
     if not trial.closed_loop:
         return simulate_campaign(arm, plan), hardstop_errors_rad(arm)
-    reference = earth_reference(arm, _quiet)
-    return run_campaign(arm, reference, plan, _quiet), zero_errors_rad(arm, reference)
+    reference = earth_reference(arm, no_progress)
+    return run_campaign(arm, reference, plan, no_progress), zero_errors_rad(arm, reference)
 
 
 def run(trial: CalibrationTrial) -> dict[str, Any]:
@@ -112,7 +110,7 @@ def run(trial: CalibrationTrial) -> dict[str, Any]:
     }
 
 
-def speed(campaign: Campaign) -> dict[str, Any]:
+def measure_speed(campaign: Campaign) -> dict[str, Any]:
     """Time the calibration, its fit, and scipy's least squares with numeric derivatives on its residual."""
     nominal, parameters = nominal_params(), arm_parameters()
     model = arm_model(nominal, campaign)
@@ -150,23 +148,23 @@ def _best_time(work: Any) -> tuple[float, Any]:
     return min(spent), result
 
 
-def campaign(
-    arms: int,
-    seed: int,
-    runner: Runner,
-    closed_loop: bool,
-    files: Path | None = None,
-    with_speed: bool = True,
-) -> dict[str, Any]:
-    """Calibrate all arms, and check the results; checks of speed require an otherwise idle machine."""
-    files = files and files.absolute()  # a worker may be in another folder
-    trials = [CalibrationTrial(seed + k, closed_loop, files) for k in range(arms)]
-    results = []
-    for result in runner(run, trials):
-        results.append(result)
-        print(f"marsarm: {len(results)} of {arms} arms", file=sys.stderr)
-    results.sort(key=lambda result: int(result["seed"]))
-    fast = speed(measure(CalibrationTrial(seed, False))[0]) if with_speed else None
+def campaign(context: Context, arms: int = 20, closed_loop: bool = False, speed: bool = True) -> Document:
+    """Calibrate all arms, and check the results.
+
+    Args:
+        context: Its folder takes the parameter files of the arms, SEED.toml each.
+        arms: Number of as-built arms.
+        closed_loop: Measure in the closed loop: three minutes an arm, not ten seconds.
+        speed: Check the speed too, on a machine that is idle.
+    """
+    if arms < 1:
+        raise BadRequest("set: arms are 1 or more")
+    files = context.out and context.out.absolute()  # a worker may be in another folder
+    if files is not None:
+        files.mkdir(exist_ok=True)
+    trials = [CalibrationTrial(context.seed + k, closed_loop, files) for k in range(arms)]
+    results = context.each(run, ((trial,) for trial in trials), "arms")
+    fast = measure_speed(measure(CalibrationTrial(context.seed, False))[0]) if speed else None
     inside, of = np.sum([result["intervals_hold"] for result in results], axis=0)
     low, high = clopper_pearson(int(inside), int(of))
     checks = {
@@ -187,7 +185,7 @@ def campaign(
         }
     return {
         "arms": arms,
-        "seed": seed,
+        "seed": context.seed,
         "closed_loop": closed_loop,
         "intervals": {"inside": int(inside), "of": int(of), "share": inside / of, "interval_95": [low, high]},
         "speed": fast,
@@ -201,41 +199,3 @@ def _save(found: Calibration, trial: CalibrationTrial) -> None:
     tools = register_tools(arm_named(f"as-built:{trial.seed}"), trial.seed)
     assert trial.files is not None
     save_parameter_file(found, calibrated_params(found, tools), trial.files / f"{trial.seed}.toml")
-
-
-def _quiet(*_: Any) -> None:
-    """Ignore progress."""
-
-
-def main() -> int:
-    """Print the result as JSON; return 1 if a check fails."""
-    parser = campaign_parser("calibration", __doc__, EXAMPLE)
-    parser.add_argument("--arms", type=int, default=20, help="as-built arms (default 20)")
-    parser.add_argument(
-        "--closed-loop",
-        action="store_true",
-        help="use the closed loop: three minutes an arm, not ten seconds",
-    )
-    parser.add_argument("--files", type=Path, help="folder for the arms' parameter files, SEED.toml each")
-    parser.add_argument(
-        "--without-speed", action="store_true", help="do not check the speed, on a machine that is not idle"
-    )
-    options = parser.parse_args()
-    if options.arms < 1 or options.seed < 0:
-        parser.error("arms are 1 or more, the seed is not negative")
-    if options.files is not None:
-        options.files.mkdir(exist_ok=True)
-    result = campaign(
-        options.arms,
-        options.seed,
-        campaign_runner(options),
-        options.closed_loop,
-        options.files,
-        not options.without_speed,
-    )
-    print(json.dumps(result, indent=2))
-    return 0 if result["in_bounds"] else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,11 +2,8 @@
 
 `plant-50fd31b.mjb` is that model as MuJoCo compiled it, without textures. It is a fixed reference, so that
 ratios of different days are comparable even if the plant becomes faster.
-
-Example: python -m validation.closed_loop
 """
 
-import json
 import time
 from collections.abc import Callable
 from functools import cache
@@ -131,7 +128,3 @@ def closed_loop() -> dict[str, Any]:
         },
         "mean_us_per_cycle": means,
     }
-
-
-if __name__ == "__main__":
-    print(json.dumps(closed_loop(), indent=2))

@@ -3,12 +3,8 @@
 Each command starts in its own process group, as a shell starts it, and the whole group is interrupted after a
 time. Measured are the time until the command has ended, its status, what it says, and what it leaves behind.
 A command that ends before the signal counts as too late. A log must say that it is interrupted.
-
-Example: python -m validation.interrupt --moments 2 10
 """
 
-import argparse
-import json
 import os
 import re
 import shlex
@@ -18,12 +14,17 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Final
+
+import numpy as np
 
 from marsarm.telemetry.errors import LogError
 from marsarm.telemetry.read import read_log
+from simgap.common.errors import BadRequest
+from validation.campaigns import Context, Document
 
 BOUND_S: Final = 2.0
 ROOT: Final = Path(__file__).parents[1]
@@ -53,9 +54,9 @@ OF_A_LOG: Final = {
     "log export": "log export long.mcap tables --csv",
     "log recover": "log recover long.mcap saved.mcap",
 }
-"""Commands that need the log of `--long-log`."""
+"""Commands that need the log of `log`."""
 OF_A_CAMPAIGN: Final = {"diagnose": "diagnose logs --report gap.html --patch found.toml"}
-"""Commands that need the logs of `--campaign`."""
+"""Commands that need the logs of `logs`."""
 LEFT: Final = {"run.mcap", "arms.jsonl", "long.mcap", "targets.npz", "logs", ".cache"}
 """Files that may be there after an interruption: logs, results to continue from, and inputs."""
 
@@ -144,20 +145,18 @@ def find_problem(
 
 def write_targets(path: Path, count: int) -> Path:
     """Write a batch of equal targets for `ik`."""
-    import numpy as np
-
     position, approach = np.array([2.1, 0.0, -0.3]), np.array([0.5, 0.0, 0.85])
     np.savez(path, position_m=np.tile(position, (count, 1)), approach=np.tile(approach, (count, 1)))
     return path
 
 
-def summarize(found: Sequence[Interruption]) -> dict[str, Any]:
-    """Return all interruptions, the longest time, and those out of bounds, as a JSON document."""
+def summarize(found: Sequence[Interruption]) -> Document:
+    """Count the interruptions; return the longest time, and those out of bounds."""
     wrong = [asdict(one) for one in found if one.outcome not in ("in bounds", "too late")]
     in_time = [one for one in found if one.outcome == "in bounds"]
     return {
         "interruptions": len(found),
-        "in_bounds": len(in_time),
+        "in_time": len(in_time),
         "too_late": sum(one.outcome == "too late" for one in found),
         "wrong": wrong,
         "longest_s": max((one.ended_in_s for one in in_time), default=None),
@@ -167,42 +166,37 @@ def summarize(found: Sequence[Interruption]) -> dict[str, Any]:
         },
         "bound_s": BOUND_S,
         "load_average": os.getloadavg()[0],
+        "in_bounds": bool(in_time) and not wrong,
     }
 
 
-def main() -> None:
-    """Print the result as JSON; exit with 1 if an interruption is out of bounds, or all came too late."""
-    parser = argparse.ArgumentParser(prog="python -m validation.interrupt", description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument(
-        "--moments", type=float, nargs="+", default=[0.8, 2.0, 5.0, 12.0, 25.0], metavar="S",
-        help="times of the signal after the start (default 0.8 2 5 12 25)",
-    )  # fmt: skip
-    parser.add_argument("--only", action="append", help="interrupt only this command; repeatable")
-    parser.add_argument("--signal", choices=("SIGINT", "SIGTERM"), default="SIGINT", help="default SIGINT")
-    parser.add_argument("--long-log", type=Path, help="log for replay, export and recovery")
-    parser.add_argument("--campaign", type=Path, help="folder of logs for diagnose")
-    options = parser.parse_args()
-    # A shell that starts a job in the background ignores SIGINT for it; commands inherit that.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    commands = COMMANDS | (OF_A_LOG if options.long_log else {}) | (OF_A_CAMPAIGN if options.campaign else {})
-    unknown = set(options.only or ()) - set(commands)
-    if unknown:
-        parser.error(f"--only: {', '.join(sorted(unknown))} is not known; there are {', '.join(commands)}")
+def campaign(
+    context: Context,
+    moments: str = "0.8,2,5,12,25",
+    only: str = "",
+    signal_name: str = "SIGINT",
+    log: Path | None = None,
+    logs: Path | None = None,
+) -> Document:
+    """Interrupt every command at every moment; in bounds if all that came in time were right.
+
+    Args:
+        context: Told of the progress.
+        moments: Times of the signal after the start [s], with commas.
+        only: Names of commands, with commas; empty for all.
+        signal_name: SIGINT or SIGTERM.
+        log: Log for replay, export and recovery.
+        logs: Folder of logs for diagnose.
+    """
+    commands = COMMANDS | (OF_A_LOG if log else {}) | (OF_A_CAMPAIGN if logs else {})
+    chosen = only.split(",") if only else list(commands)
+    if unknown := set(chosen) - set(commands):
+        raise BadRequest(f"set only: {', '.join(sorted(unknown))}: there are {', '.join(commands)}")
     found: list[Interruption] = []
     with TemporaryDirectory() as folder:
-        inputs = Inputs(
-            write_targets(Path(folder) / "targets.npz", 2_000_000), options.long_log, options.campaign
-        )
-        for name in options.only or commands:
-            for after_s in options.moments:
-                number = signal.Signals[options.signal]
-                found.append(interrupt(name, commands[name], number, after_s, inputs))
-                print(f"{name} after {after_s:g} s: {found[-1].outcome}", file=sys.stderr)
-    summary = summarize(found)
-    print(json.dumps(summary, indent=2))
-    sys.exit(1 if summary["wrong"] or not summary["in_bounds"] else 0)
-
-
-if __name__ == "__main__":
-    main()
+        inputs = Inputs(write_targets(Path(folder) / "targets.npz", 2_000_000), log, logs)
+        for name, after in product(chosen, moments.split(",")):
+            number = signal.Signals[signal_name]
+            found.append(interrupt(name, commands[name], number, float(after), inputs))
+            context.progress(len(found), len(chosen) * len(moments.split(",")), name)
+    return summarize(found)

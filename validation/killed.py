@@ -4,16 +4,11 @@ Each run is a fork of this process, in its own process group. It stores in share
 opened and when each cycle was recorded; this process stores when it kills. The loss is the time from the last
 cycle in the log to the kill. The same run without a kill gives the duration, and the expected contents of a
 log. Only kills of open logs count. Each log is also recovered.
-
-Example: python -m validation.killed --kills 200
 """
 
-import argparse
-import json
 import mmap
 import os
 import signal
-import sys
 import time
 import warnings
 from collections.abc import Iterator, Sequence
@@ -33,6 +28,7 @@ from marsarm.telemetry.recover import recover
 from sim.loop import ClosedLoop
 from sim.placement import PlacementRun
 from simgap.common.errors import BadOutput
+from validation.campaigns import Context, Document
 from validation.closed_loop import TARGET, placement_loop
 
 CYCLES = 4000
@@ -176,7 +172,6 @@ def kill_runs(number: int, seed: int) -> Iterator[Kill]:
             if kill.outcome == "closed":  # update the duration: the speed of the machine varies
                 lengths_s.append(float(stamps_s[-1]) - forked_s)
             counted += kill.outcome not in ("closed", "not begun")
-            print(f"{counted} of {number} kills", file=sys.stderr)
             if counted == number:
                 return
 
@@ -192,16 +187,18 @@ def spread(losses: Sequence[float]) -> dict[str, float] | None:
     }
 
 
-def measure_losses(number: int, seed: int) -> dict[str, Any]:
-    """Count outcomes and errors, and summarize the losses of truncated logs."""
-    kills = list(kill_runs(number, seed))
-    outcomes = [kill.outcome for kill in kills]
-    truncated = [kill for kill in kills if kill.outcome == "cut short"]
+def campaign(context: Context, kills: int = 200) -> Document:
+    """Kill runs until so many logs were open; in bounds if none is wrong or lost too much."""
+    with warnings.catch_warnings():  # Python warns of a fork with idle library threads
+        warnings.simplefilter("ignore", DeprecationWarning)
+        found = list(kill_runs(kills, context.seed))
+    outcomes = [kill.outcome for kill in found]
+    truncated = [kill for kill in found if kill.outcome == "cut short"]
     lost_ms = [1e3 * kill.lost_s for kill in truncated]
     wrong = [outcome for outcome in outcomes if outcome.startswith("wrong")]
     counts = {name: outcomes.count(name) for name in ("cut short", "closed", "not begun")}
     return {
-        "runs": len(kills),
+        "runs": len(found),
         "kills": len(truncated) + len(wrong),
         "outcomes": {**counts, "wrong": len(wrong)},
         "wrong": wrong,
@@ -210,23 +207,5 @@ def measure_losses(number: int, seed: int) -> dict[str, Any]:
         "beyond_bound": sum(one > 1e3 * BOUND_S for one in lost_ms),
         "bound_ms": 1e3 * BOUND_S,
         "load_average": os.getloadavg()[0],
+        "in_bounds": not wrong and max(lost_ms, default=0.0) <= 1e3 * BOUND_S and len(truncated) == kills,
     }
-
-
-def main() -> None:
-    """Print the result as JSON; exit with 1 if a log is wrong or lost too much, or too few were open."""
-    parser = argparse.ArgumentParser(prog="python -m validation.killed", description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument(
-        "--kills", type=int, default=200, help="number of kills with an open log (default 200)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the times (default 0)")
-    options = parser.parse_args()
-    warnings.simplefilter("ignore", DeprecationWarning)  # Python warns of a fork with idle library threads
-    found = measure_losses(options.kills, options.seed)
-    print(json.dumps(found, indent=2))
-    sys.exit(1 if found["wrong"] or found["beyond_bound"] or found["kills"] < options.kills else 0)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,5 @@
 """Speed of reading a log of ten minutes into numpy arrays, compared with the stock reader of MCAP."""
 
-import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -69,7 +68,3 @@ def log_reading(cycles: int = CYCLES) -> dict[str, Any]:
             "ratio_to_stock_iterating": median((times_s[:, 1] / times_s[:, 0]).tolist()),
             "ratio_to_stock_to_numpy": median((times_s[:, 2] / times_s[:, 0]).tolist()),
         }
-
-
-if __name__ == "__main__":
-    print(json.dumps(log_reading(), indent=2))

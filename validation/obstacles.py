@@ -6,9 +6,6 @@ that leads. Each must be reported as an unexpected contact. The true force is at
 `docs/faults.md` derives the bound of joint moves.
 """
 
-import json
-import sys
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Final
 
@@ -23,7 +20,6 @@ from fsw.dictionary.types import Joints5, Vector3, joints5, vector3
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Array
-from marsarm.common.pool import Runner, in_order
 from sim.arms import arm_named
 from sim.effects.environment import Ambient
 from sim.effects.faults import SensorFault
@@ -32,10 +28,8 @@ from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.sequence import run_sequence
 from sim.world import Surface, World
-from validation.options import campaign_parser, campaign_runner
+from validation.campaigns import Context, Document
 
-EXAMPLE: Final = "example: python -m validation.obstacles --count 10"
-COUNT: Final = 40
 STRAIGHT_N: Final = 50.0
 """Largest true force in a straight move."""
 TEMPERATURES_C: Final = (-55.0, 10.0)
@@ -186,36 +180,14 @@ def _fly(one: Obstacle, seed: int) -> Encounter | None:
     )
 
 
-def document(count: int, seed: int, run: Runner) -> dict[str, object]:
+def campaign(context: Context, count: int = 40) -> Document:
     """Fly this many obstacles; in bounds if each is reported, in straight moves below 50 N."""
-    met: list[Encounter] = []
-    for k, one in enumerate(in_order(run, meet, ((seed, k) for k in range(count))), start=1):
-        met.append(one)
-        print(f"\robstacles: {k} of {count}", end="", file=sys.stderr)
-    print(file=sys.stderr)
+    met = context.each(meet, ((context.seed, k) for k in range(count)), "obstacles")
     return {
         "obstacles": count,
         "reported": sum(one.reported for one in met),
-        "max_straight_N": _largest([one.true_N for one in met if one.kind == "line"]),
-        "max_joint_N": _largest([one.true_N for one in met if one.kind != "line"]),
+        "max_straight_N": max((one.true_N for one in met if one.kind == "line"), default=0.0),
+        "max_joint_N": max((one.true_N for one in met if one.kind != "line"), default=0.0),
         "met": [asdict(one) for one in met],
         "in_bounds": all(one.in_bounds for one in met),
     }
-
-
-def _largest(values: Sequence[float]) -> float:
-    return max(values, default=0.0)
-
-
-def main() -> int:
-    """Print the result as JSON; return 1 if an obstacle was not reported, or pressed too hard."""
-    parser = campaign_parser("obstacles", __doc__, EXAMPLE)
-    parser.add_argument("--count", type=int, default=COUNT, help="obstacles (default %(default)s)")
-    options = parser.parse_args()
-    found = document(options.count, options.seed, campaign_runner(options))
-    print(json.dumps(found, indent=2))
-    return 0 if found["in_bounds"] else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

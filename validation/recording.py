@@ -5,13 +5,9 @@ recorder. Stretches with and without a log alternate, so that a slower machine a
 a log has its own recorder, so that no other one runs during a stretch without. Closing a log happens once in
 a run, and counts once. The bare physics is timed with each pair of stretches. Truth and recorder are measured
 in its steps, which makes the result independent of the machine.
-
-Example: python -m validation.recording
 """
 
-import json
 import os
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -152,14 +148,3 @@ def _time_stretch(cycles: Iterator[CycleRecord], recorder: Recorder | None) -> S
         recorder.close()
     end_us = 1e6 * (time.perf_counter() - ended_s)
     return Stretch(1e6 * np.diff(times_s), 1e6 * np.array(write_s), end_us)
-
-
-def main() -> None:
-    """Print the result as JSON; exit with 1 if recording costs too much."""
-    found = recording()
-    print(json.dumps(found, indent=2))
-    sys.exit(0 if found["in_bounds"] else 1)
-
-
-if __name__ == "__main__":
-    main()

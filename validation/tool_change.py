@@ -6,16 +6,20 @@ also placed by coordinates alone. As-built arms are flown with the nominal param
 
 Every target counts at which flight software accepts to place the APXS. A refused change is compared with an
 independent search for a clear way (validation/clear_way.py).
+
+Contacts are judged on calibrated arms: from 0.5 s after the last change of set-point, no contact is lost and
+no switch changes. The force stays within 20 % of its mean over the last second; from 2 s on, or once the
+brakes hold, within 5 %.
 """
 
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import chain
 from typing import Literal
 
 import numpy as np
 
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import AUTO, Command, Retract, ToolChange
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
@@ -24,20 +28,20 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan_tool import start_line
-from marsarm.common.pool import Runner, in_order
 from sim.arms import SPRING_FRAMES, BuiltArm, arm_named
+from sim.contact import tool_forces
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError, Warming
 from sim.effects.joints import GearStiffness
 from sim.effects.structure import LinkStiffness
-from sim.initialisation import initial_reference
+from sim.initialisation import initial_reference, true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import place_command
 from sim.preview import random_placement
 from sim.sequence import run_sequence
 from sim.world import World
+from validation.campaigns import Context, Document
 from validation.clear_way import find_clear_way, reaches
-from validation.options import campaign_parser, campaign_runner
 
 WARMING_K = 50.0
 STIFFNESS = 1.2
@@ -173,7 +177,7 @@ def _lateral_mm(difference_m: Array, axis: Array) -> float:
     return 1e3 * float(np.linalg.norm(difference_m - (difference_m @ axis) * axis))
 
 
-def summary(tried: list[ToolChangeErrors | NotChanged]) -> dict[str, object]:
+def summary(tried: list[ToolChangeErrors | NotChanged]) -> Document:
     """Count the outcomes; three times the root mean square of each lateral distance, and the largest."""
     changes = [one for one in tried if isinstance(one, ToolChangeErrors)]
     others = [one for one in tried if isinstance(one, NotChanged)]
@@ -199,16 +203,12 @@ def summary(tried: list[ToolChangeErrors | NotChanged]) -> dict[str, object]:
     return {**counts, **named}
 
 
-def document(calibrated: int, as_built: int, seed: int, run: Runner, poses: int = POSES) -> dict[str, object]:
+def campaign(context: Context, calibrated: int = 50, as_built: int = 20, poses: int = POSES) -> Document:
     """Measure tool changes of this many arms."""
     tried: dict[str, list[ToolChangeErrors | NotChanged]] = {}
     for kind, count in (("calibrated", calibrated), ("as-built", as_built)):
-        tried[kind] = []
-        arms = in_order(run, one_arm, ((kind, seed + k, poses) for k in range(count)))
-        for k, one in enumerate(arms, start=1):
-            tried[kind].extend(one)
-            print(f"\rtool changes, {kind}: {k} of {count} arms", end="", file=sys.stderr)
-        print(file=sys.stderr)
+        arms = context.each(one_arm, ((kind, context.seed + k, poses) for k in range(count)), f"{kind} arms")
+        tried[kind] = [change for arm in arms for change in arm]
     measured = {kind: summary(found) for kind, found in tried.items() if found}
     return {**measured, "in_bounds": _is_in_bounds(tried["calibrated"])}
 
@@ -225,21 +225,99 @@ def _is_in_bounds(tried: list[ToolChangeErrors | NotChanged]) -> bool:
     return near and few_fail and few_refused and all(one.clear_way is None for one in refused)
 
 
-def main() -> int:
-    """Print the result as JSON; return 1 if a calibrated arm is too far from the spot, or fails."""
-    parser = campaign_parser("tool_change", __doc__, "example: python -m validation.tool_change --as-built 0")
-    parser.add_argument("--calibrated", type=int, default=50, help="calibrated arms (default %(default)s)")
-    parser.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
-    parser.add_argument(
-        "--poses", type=int, default=POSES, help="tool changes of each arm (default %(default)s)"
-    )
-    options = parser.parse_args()
-    found = document(
-        options.calibrated, options.as_built, options.seed, campaign_runner(options), options.poses
-    )
-    print(json.dumps(found, indent=2))
-    return 0 if found["in_bounds"] else 1
+SOON_S, LATER_S, HELD_S = 0.5, 2.0, 4.0
+SOON, LATER = 0.20, 0.05
+"""Largest deviations of the force from its mean, as a share of it."""
+MOST_DRAWS = 25
+"""Largest number of targets that are tried on an arm."""
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+@dataclass(frozen=True, slots=True)
+class ContactRest:
+    """Contact of a tool, from the touch until 4 s after the command."""
+
+    arm: str
+    tool: str
+    mean_N: float
+    """Mean force over the last second."""
+    force_error_0_5_s: float
+    """Largest deviation of the force from its mean from 0.5 s on, as a share of it."""
+    force_error_2_s: float
+    """Likewise from 2 s on or once the brakes hold."""
+    lost: int
+    """Cycles without contact."""
+    switched: int
+    """Changes of a switch of the tool."""
+
+    @property
+    def in_bounds(self) -> bool:
+        """True if the contact is at rest within the bounds."""
+        return (
+            self.force_error_0_5_s < SOON and self.force_error_2_s < LATER and self.lost == self.switched == 0
+        )
+
+
+def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: str, arm: str = "") -> ContactRest | str:
+    """Measure the contact of a tool that touches at the end of these commands.
+
+    The loop runs until 4 s after the last command.
+
+    Returns:
+        The measured contact, or the warning that ended the commands early.
+    """
+    evrs: list[Evr] = []
+    force_N, closed, setpoint_count, braked = [], [], [], []
+    commanded = run_sequence(loop, commands)
+    for record in chain(commanded, (loop.cycle() for _ in range(round(HELD_S * CYCLE_HZ)))):
+        evrs += record.outputs.evrs
+        force_N.append(float(np.linalg.norm(tool_forces(loop.plant)[loop.plant.tools.index(tool)])))
+        closed.append(record.sensors.switch_closed[list(loop.config.protection.tool_switches[tool])])
+        setpoint_count.append(record.outputs.drive.setpoint_count)
+        braked.append(loop.braked)
+    problem = not_completed(commands[-1], evrs)
+    if problem is not None:
+        return problem
+    last = int(np.flatnonzero(np.diff(np.array(setpoint_count), axis=0).any(axis=1))[-1]) + 1
+    soon = last + round(SOON_S * CYCLE_HZ)
+    later = min(last + round(LATER_S * CYCLE_HZ), max(soon, braked.index(True, last)))
+    force, mean_N = np.array(force_N), float(np.mean(force_N[-CYCLE_HZ:]))
+    deviation = np.abs(force - mean_N) / mean_N
+    changes = np.diff(np.array(closed[soon:]).astype(int), axis=0)
+    return ContactRest(
+        arm,
+        tool,
+        mean_N,
+        force_error_0_5_s=float(deviation[soon:].max()),
+        force_error_2_s=float(deviation[later:].max()),
+        lost=int(np.sum(force[soon:] == 0.0)),
+        switched=int(np.abs(changes).sum()),
+    )
+
+
+def contacts_of(seed: int) -> list[ContactRest]:
+    """Measure a placement and a tool change of one arm, at the first target where both succeed."""
+    name = f"calibrated:{seed}"
+    arm = arm_named(name)
+    for draw in range(1, MOST_DRAWS + 1):
+        world, preview = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
+        loop = ClosedLoop(Setup(arm, world, joints5(preview.standoff_rad), draw, true_reference(arm)))
+        first = rest_after(loop, (place_command(preview.placement),), FIRST, name)
+        second = (
+            rest_after(loop, (ToolChange(SECOND),), SECOND, name) if isinstance(first, ContactRest) else first
+        )
+        if isinstance(first, ContactRest) and isinstance(second, ContactRest):
+            return [first, second]
+    raise RuntimeError(f"{name}: no tool change was carried out at {MOST_DRAWS} targets")
+
+
+def contacts(context: Context, arms: int = 20) -> Document:
+    """Measure contacts on this many calibrated arms; in bounds if every contact is at rest."""
+    measured = context.each(contacts_of, ((context.seed + arm,) for arm in range(arms)), "arms")
+    found = [rest for rests in measured for rest in rests]
+    return {
+        "contacts": len(found),
+        "max_force_error_0_5_s": max(rest.force_error_0_5_s for rest in found),
+        "max_force_error_2_s": max(rest.force_error_2_s for rest in found),
+        "not_at_rest": [asdict(rest) for rest in found if not rest.in_bounds],
+        "in_bounds": all(rest.in_bounds for rest in found),
+    }

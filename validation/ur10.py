@@ -1,8 +1,6 @@
 """Calibration of a real arm, a UR10: measured poses of two series, with held-out parts and across series."""
 
-import json
 import os
-import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -14,10 +12,10 @@ from fsw.kinematics.transforms import Array, Integers
 from marsarm.calibration.request import SerialRequest
 from marsarm.calibration.serial.execution import SerialReport, calibrate_serial
 from marsarm.calibration.serial.report import serial_json
+from simgap.common.errors import BadRequest
 from simgap.serial_arm.calibrate import periodic_error_rad
-from validation.options import campaign_parser
+from validation.campaigns import Context, Document
 
-EXAMPLE = "example: MARSARM_DATA=~/data python -m validation.ur10 > ur10.json"
 FILES = Path(__file__).parents[1] / "models" / "robots" / "ur10"
 TABLES = {"a": "series_a_grid.csv", "c": "series_c_random_poses.csv"}
 BOUNDS_MM = {"a": 0.50, "c": 0.52, "a_to_c": 0.60}
@@ -30,32 +28,28 @@ LEAST_DEGREES = 8
 KEYS = ("models", "contributions_m", "joints", "temperature")
 
 
-def main() -> int:
-    """Print the result as JSON; return 1 if a bound is exceeded, 2 without the data."""
-    parser = campaign_parser("ur10", __doc__, EXAMPLE)
-    parser.add_argument(
-        "--data", type=Path, default=os.environ.get("MARSARM_DATA"), help="folder with the data"
-    )
-    options = parser.parse_args()
-    if options.data is None or not (options.data / "ur10-tracker").is_dir():
-        parser.error("data: there is no folder ur10-tracker; name its folder by --data or MARSARM_DATA")
-    found = document(options.data / "ur10-tracker")
-    print(json.dumps(found, indent=2))
-    return 0 if found["passed"] else 1
+def campaign(context: Context, data: Path | None = None) -> Document:
+    """Calibrate both series, validate one on the other, and compare the errors with their bounds.
 
-
-def document(folder: Path) -> dict[str, Any]:
-    """Calibrate both series, validate one on the other, and compare the errors with their bounds."""
+    Args:
+        context: Its seed is not used.
+        data: Folder with the data; that which MARSARM_DATA names if there is none.
+    """
+    data = data or Path(os.environ.get("MARSARM_DATA", ""))
+    folder = data / "ur10-tracker"
+    if not folder.is_dir():
+        raise BadRequest("set data: there is no folder ur10-tracker; name its folder here or by MARSARM_DATA")
     with tempfile.TemporaryDirectory() as output:
-        reports = {name: _calibrate_series(folder, name, Path(output)) for name in TABLES}
+        reports = {name: _calibrate_series(context, folder, name, Path(output)) for name in TABLES}
         from_a = SerialRequest(
             Path(output) / "a.toml", folder / TABLES["c"], FILES / "series_c.toml", terms="none"
         )
-        reports["a_to_c"] = calibrate_serial(from_a, _print_progress)
+        reports["a_to_c"] = calibrate_serial(from_a, context.progress)
     checks = {name: _check_error(reports[name], bound) for name, bound in BOUNDS_MM.items()}
     temperature = {name: serial_json(reports[name], None)["temperature"]["explains"] for name in TABLES}
     return {
-        "passed": all(one["passed"] for one in checks.values()) and set(temperature.values()) == {"nothing"},
+        "in_bounds": all(one["passed"] for one in checks.values())
+        and set(temperature.values()) == {"nothing"},
         "held_out_position_rms": checks,
         "temperature_explains": temperature,
         "periodic_comparison": [_compare_periodic(reports["a"], reports["c"], k) for k in range(JOINTS)],
@@ -63,9 +57,9 @@ def document(folder: Path) -> dict[str, Any]:
     }
 
 
-def _calibrate_series(folder: Path, name: str, output: Path) -> SerialReport:
+def _calibrate_series(context: Context, folder: Path, name: str, output: Path) -> SerialReport:
     request = SerialRequest(FILES / "arm.toml", folder / TABLES[name], FILES / f"series_{name}.toml")
-    return calibrate_serial(replace(request, nested=True, out=output / f"{name}.toml"), _print_progress)
+    return calibrate_serial(replace(request, nested=True, out=output / f"{name}.toml"), context.progress)
 
 
 def _check_error(report: SerialReport, bound_mm: float) -> dict[str, Any]:
@@ -117,11 +111,3 @@ def _periodic_rad(report: SerialReport, joint: int, at_rad: Array) -> Array:
 def _select_keys(report: SerialReport) -> dict[str, Any]:
     whole = serial_json(report, None)
     return {name: whole[name] for name in KEYS}
-
-
-def _print_progress(done: float, total: float, what: str) -> None:
-    print(f"{what}: {done:.0f} of {total:.0f}", file=sys.stderr)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,11 +1,5 @@
-"""Frames a second of the page that plays a run, in headless Chromium without a GPU, and its size.
+"""Campaign of the page that plays a run, in headless Chromium."""
 
-Prints JSON; with `--shots DIR`, takes the pictures of docs/view.md. Without Chromium it says so, status 0.
-"""
-
-import argparse
-import json
-import sys
 import tempfile
 from pathlib import Path
 
@@ -13,8 +7,10 @@ from marsarm.runs.place import place
 from marsarm.runs.request import PlaceRequest, RunFiles
 from marsarm.view.html import save_page
 from marsarm.view.watched_run import watch_log
-from simgap.common.progress import show_progress
+from simgap.common.errors import BadRequest
+from simgap.common.progress import Progress
 from validation.browser import MISSING, Browser, find_chromium
+from validation.campaigns import Context, Document
 
 SECONDS = 5.0
 SPEEDS = (1, 10, 50)
@@ -43,44 +39,40 @@ SHOTS = {
 """Width, height, dark mode, time and magnification of each picture of the docs."""
 
 
-def main(words: list[str]) -> int:
-    """Measure, print, and return the exit status."""
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--log", type=Path, help="a log to play; a placement of as-built:7 if not given")
-    options.add_argument("--shots", type=Path, help="folder for the pictures of the docs")
-    given = options.parse_args(words)
+def campaign(context: Context, log: Path | None = None) -> Document:
+    """Measure the frames a second of the page that plays a run, without a GPU, and its size.
+
+    Args:
+        context: Its folder takes the pictures of docs/view.md.
+        log: The log to play; a placement of as-built:7 if there is none.
+    """
     if find_chromium() is None:
-        print(f"view: {MISSING}", file=sys.stderr)
-        return 0
+        raise BadRequest(f"view: {MISSING}")
     with tempfile.TemporaryDirectory() as folder, Browser() as browser:
-        log = given.log or record_placement(Path(folder) / "run.mcap")
+        log = log or record_placement(Path(folder) / "run.mcap", context.progress)
         page = Path(folder) / "run.html"
         size = save_page(watch_log(log), page)
         browser.open(page.as_uri())
         browser.evaluate(MEASURE % (1, SECONDS))  # the first frames compile shaders and upload shapes
         measured = {speed: browser.evaluate(MEASURE % (speed, SECONDS)) for speed in SPEEDS}
-        if given.shots is not None:
-            take_pictures(browser, page, given.shots)
+        if context.out is not None:
+            take_pictures(browser, page, context.out)
     frames = {speed: frames_s for speed, (frames_s, _) in measured.items()}
     passed = min(frames.values()) >= BOUND_FRAMES_S and size <= BOUND_BYTES
-    document = {
+    return {
         "page_bytes": size,
         "page_bytes_bound": BOUND_BYTES,
         "frames_per_s": {f"{speed}x": round(frames_s, 1) for speed, frames_s in frames.items()},
         "frames_per_s_bound": BOUND_FRAMES_S,
         "run_s_per_wall_s": {f"{speed}x": round(ratio, 2) for speed, (_, ratio) in measured.items()},
         "problems_of_the_page": browser.problems,
-        "passed": passed and not browser.problems,
+        "in_bounds": passed and not browser.problems,
     }
-    print(json.dumps(document, indent=2))
-    return 0 if document["passed"] else 3
 
 
-def record_placement(log: Path) -> Path:
+def record_placement(log: Path, progress: Progress) -> Path:
     """Record a placement of an as-built arm on a tilted rover."""
-    request = PlaceRequest(arm="as-built:7", tilt_pitch_deg=10.0, files=RunFiles(log=log))
-    with show_progress() as progress:
-        place(request, progress)
+    place(PlaceRequest(arm="as-built:7", tilt_pitch_deg=10.0, files=RunFiles(log=log)), progress)
     return log
 
 
@@ -93,7 +85,3 @@ def take_pictures(browser: Browser, page: Path, folder: Path) -> None:
             f"player.seek({time_s}); player.draw()"
         )
         browser.save_screenshot(folder / name)
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
