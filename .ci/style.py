@@ -17,8 +17,8 @@ NUMERIC: Final = (
     *(
         f"simgap/src/simgap/{name}"
         for name in (
-            *("serial_arm", "simulation/engine", "selection", "residuals/noise", "residuals/kinds"),
-            *("assemble", "diagnose"),
+            *("serial_arm", "simulation/simulation", "selection", "residuals/noise"),
+            *("residuals/simulation_residuals", "assemble", "diagnose"),
         )
     ),
 )

@@ -24,14 +24,13 @@ from simgap.common.errors import RobotError
 from simgap.diagnose import diagnose
 from simgap.load import load
 from simgap.logs import Logs, Motion, Signal
-from simgap.residuals.kinds import list_kinds
 from simgap.residuals.residuals import ResidualModel
-from simgap.residuals.simulation_residuals import SimulationResiduals
+from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
 from simgap.result import Diagnosis
 from simgap.robot import Robot
+from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.joint_fits import fit_base
-from simgap.selection.meter import Meter
 from validation.campaigns import Context, Document, keep_results
 from validation.cases.robot_draw import draw_case
 

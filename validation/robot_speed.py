@@ -26,6 +26,7 @@ from typing import Any, Final
 import mujoco
 import mujoco.rollout
 import numpy as np
+from simgap.selection.meter import Progress
 
 from simgap.arrays import Array
 from simgap.assemble import simulate_models
@@ -35,19 +36,18 @@ from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.common.figures import save_figure
 from simgap.diagnose import diagnose
 from simgap.effects.actuation import GainError
-from simgap.effects.effect import Effect
-from simgap.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
+from simgap.effects.effect import Effect, joint_scales
+from simgap.effects.forces import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature
-from simgap.effects.joint import joint_scales
 from simgap.load import load
 from simgap.logs import JointLog, Logs, Motion, Signal
-from simgap.residuals.kinds import list_kinds
+from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
+from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.joint_fits import fit_base
-from simgap.selection.meter import Meter, Progress
 from simgap.simulation.compiled import Models, control_laws, nominal_gains
-from simgap.simulation.engine import Engine
+from simgap.simulation.simulation import Engine
 from simgap.simulation.windows import cut_windows
 from validation.campaigns import Context, Document, keep_results
 from validation.cases.robot_draw import Kind, draw_case

@@ -20,20 +20,18 @@ import pyarrow.parquet as pq
 from simgap.arrays import Array
 from simgap.assemble import list_base, simulate_models
 from simgap.audit.audit import audit
-from simgap.audit.plane import site_heights
+from simgap.audit.limits import site_heights
 from simgap.audit.records import Audit, RemarkKind
 from simgap.catalogue.catalogue import base_effects
 from simgap.common.errors import RobotError
 from simgap.common.figures import save_figure
-from simgap.files.split_file import read_split
-from simgap.load import load
+from simgap.load import load, read_split
 from simgap.logs import Logs, Motion
-from simgap.residuals.kinds import list_kinds
-from simgap.residuals.simulation_residuals import SimulationResiduals
+from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
 from simgap.robot import Robot
+from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.joint_fits import fit_base
-from simgap.selection.meter import Meter
 from validation.campaigns import Context, Document
 
 ROBOT: Final = Path(__file__).parents[1] / "models" / "robots" / "so101" / "robot.toml"

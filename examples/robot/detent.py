@@ -6,8 +6,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.effects.effect import Family, Size, State
-from simgap.effects.joint import JointEffect
+from simgap.effects.effect import Family, JointEffect, Size, State
 
 DETENTS: Final = 12
 """Per turn of the joint."""

@@ -14,9 +14,9 @@ from marsarm.accuracy.confidence import describe_sample, is_within
 from marsarm.accuracy.reproduce import MagnitudeFit
 from marsarm.accuracy.sources import sources_sha256
 from simgap.common import svg
-from simgap.common.command_text import command_text
 from simgap.common.console import plain_console
 from simgap.common.json_digest import json_sha256
+from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 
 RULES: Final = ("paper", "moments", "root sum square", "worst case")

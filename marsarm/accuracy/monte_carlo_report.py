@@ -19,9 +19,9 @@ from marsarm.accuracy.monte_carlo import MonteCarloReport
 from marsarm.accuracy.reproduce import TABLE_3, TABLE_4
 from marsarm.accuracy.sources import sources_sha256
 from simgap.common import svg
-from simgap.common.command_text import command_text
 from simgap.common.console import plain_console
 from simgap.common.json_digest import json_sha256
+from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 
 JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)

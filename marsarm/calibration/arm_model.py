@@ -36,8 +36,8 @@ from marsarm.calibration.deflection_jacobian import (
 from marsarm.calibration.measured_poses import MeasuredPoses
 from sim.arms import SPRING_FRAMES
 from sim.effects.structure import params_with_stand_in
+from simgap.serial_arm.chain import error_screw, linearise
 from simgap.serial_arm.fit import Fit, Linearisation
-from simgap.serial_arm.screws import error_screw, linearise
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,11 +17,12 @@ from simgap.serial_arm.fit import (
     Fit,
     FitParameter,
     HoldOutValidation,
+    Identifiability,
     Linearisation,
+    assess_identifiability,
     fit,
     validate_hold_out,
 )
-from simgap.serial_arm.identifiability import Identifiability, assess_identifiability
 
 HOLD_OUT_STRIDE: Final = 5
 """Stride of held-out poses in each group: every fifth pose is left out of the fit that it validates.

@@ -16,9 +16,8 @@ from marsarm.calibration.request import LEAST_POSES
 from marsarm.calibration.survey import MIN_TARGETS
 from sim.frames import P_NR_M
 from simgap.common.errors import BadRequest
-from simgap.serial_arm.fit import Fit, HoldOutValidation
-from simgap.serial_arm.identifiability import Identifiability
-from simgap.serial_arm.screws import error_screw
+from simgap.serial_arm.chain import error_screw
+from simgap.serial_arm.fit import Fit, HoldOutValidation, Identifiability
 
 LEAST_SPAN_RAD: Final = 0.5
 FRAME_RANK: Final = 26

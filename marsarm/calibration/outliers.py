@@ -8,8 +8,15 @@ from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array, Flags
 from simgap.common.errors import BadRequest
-from simgap.serial_arm.fit import Fit, FitParameter, ResidualModel, fit
-from simgap.serial_arm.outliers import FALSE_ALARM, MAX_OUTLIER_SHARE, leave_one_out_distance
+from simgap.serial_arm.fit import (
+    FALSE_ALARM,
+    MAX_OUTLIER_SHARE,
+    Fit,
+    FitParameter,
+    ResidualModel,
+    fit,
+    leave_one_out_distance,
+)
 
 
 class TooManyOutliers(BadRequest):

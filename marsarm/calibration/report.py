@@ -17,11 +17,11 @@ from marsarm.calibration.execution import CalibrateReport
 from marsarm.calibration.parameter_file import data_sha256, provenance
 from marsarm.calibration.verify import PlaceErrors, Verification
 from simgap.common import svg
-from simgap.common.command_text import command_text
 from simgap.common.console import plain_console, pluralize
 from simgap.common.json_digest import json_sha256
+from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
-from simgap.serial_arm.identifiability import UnidentifiableGroup
+from simgap.serial_arm.fit import UnidentifiableGroup
 
 ROTATION: Final = slice(0, 3)
 POSITION: Final = slice(3, 6)

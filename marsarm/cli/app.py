@@ -23,8 +23,7 @@ from marsarm.cli.log import log_app, replay
 from marsarm.cli.robot import robot_app
 from marsarm.cli.runs import hardstop, place, run, scenarios
 from marsarm.cli.view import view
-from simgap.common.stdout import buffer_stdout
-from simgap.common.verb import VerbCommand
+from simgap.common.verb import VerbCommand, buffer_stdout
 
 GL_OFF: Final = ("disable", "disabled", "off", "false", "0")
 """Values of MUJOCO_GL that turn OpenGL off in mujoco."""

@@ -8,7 +8,7 @@ import pytest
 from helpers.planar_arm import RATE_HZ, TABLE_M, commands, planar_arm, record, slow_logs, with_joint
 from simgap.audit.audit import audit
 from simgap.audit.records import RemarkKind
-from simgap.audit.stops import find_lower_stop, median_interval
+from simgap.audit.static import find_lower_stop, median_interval
 from simgap.common.errors import RobotError
 from simgap.diagnose import diagnose
 from simgap.load import load

@@ -7,9 +7,9 @@ import pytest
 
 from helpers.toy import draw_toy
 from helpers.two_joint_arm import arm, scales, simulated
-from simgap.effects.friction import CoulombFriction
-from simgap.residuals.blocks import Blocks, correlation_time_s, cut_into_blocks, cut_rows
+from simgap.effects.forces import CoulombFriction
 from simgap.residuals.inverse_residuals import InverseResiduals
+from simgap.residuals.noise import Blocks, correlation_time_s, cut_into_blocks, cut_rows
 
 PERIOD_s = 0.01
 

@@ -13,8 +13,7 @@ from helpers.effect_lab import ARM_XML, PENDULUM_XML, robot_of, simulate
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.effects import effect as interface
 from simgap.effects.effect import Effect, Family
-from simgap.effects.periodic import PeriodicError, SmoothPeriodicError
-from simgap.effects.transmission import Backlash
+from simgap.effects.transmission import Backlash, PeriodicError, SmoothPeriodicError
 from simgap.logs import JointLog, Logs, Motion, Signal
 
 ARM = robot_of(ARM_XML)

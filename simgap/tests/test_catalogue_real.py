@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from simgap.catalogue.catalogue import base_effects, catalogue
-from simgap.effects.contact import PlaneContact
+from simgap.effects.forces import PlaneContact
 from simgap.load import load
 from simgap.robot import Robot
 

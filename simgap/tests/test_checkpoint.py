@@ -13,9 +13,8 @@ from helpers.planar_arm import planar_arm, slow_logs, with_joint
 from helpers.toy import BASE, CATALOGUE, Toy, ToyResiduals, draw_toy
 from simgap.arrays import Array
 from simgap.effects.effect import Effect
-from simgap.selection.checkpoint import STEPS, Checkpoint, EXPIRED_s, digest_inputs, pack, unpack
+from simgap.selection.checkpoint import STEPS, Checkpoint, EXPIRED_s, Meter, digest_inputs, pack, unpack
 from simgap.selection.context import Selection
-from simgap.selection.meter import Meter
 from simgap.selection.selection import select_effects
 from simgap.selection.verdict import ConfidenceSet, find_confidence_sets
 

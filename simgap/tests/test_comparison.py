@@ -8,9 +8,9 @@ import pytest
 from helpers.toy import BASE, NAMES, Toy, ToyResiduals, draw_toy
 from simgap.effects.effect import Effect
 from simgap.residuals.noise import repeat_pairs
-from simgap.selection.comparison import compare_motions, compare_with_noise
+from simgap.selection.acceptance import compare_motions, compare_with_noise
+from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
-from simgap.selection.meter import Meter
 from simgap.selection.selection import select_effects
 
 LIMIT = Toy("near", "limit", lambda x: np.maximum(x - 0.8, 0.0))

@@ -9,7 +9,7 @@ from helpers.two_joint_arm import arm
 from simgap.arrays import Array
 from simgap.robot import Robot
 from simgap.simulation.compiled import Models
-from simgap.simulation.profiler import profiler_off
+from simgap.simulation.simulation import profiler_off
 
 IDLE = mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_ISLAND
 

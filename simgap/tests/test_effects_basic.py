@@ -30,19 +30,30 @@ from simgap.effects.actuation import (
     TorqueConstant,
     TorqueLimit,
 )
-from simgap.effects.command import AccelerationLimit, ClampHigh, ClampLow, CommandDelay, VelocityLimit
-from simgap.effects.external import ConstantTorque, PeriodicTorque, PositionTorque, Spring
-from simgap.effects.friction import (
+from simgap.effects.command import (
+    AccelerationLimit,
+    ClampHigh,
+    ClampLow,
+    CommandDelay,
+    EncoderScale,
+    JointZero,
+    MeasurementDelay,
+    VelocityLimit,
+)
+from simgap.effects.effect import JointEffect
+from simgap.effects.forces import (
     AsymmetricFriction,
+    ConstantTorque,
     CoulombFriction,
     LoadFriction,
+    PeriodicTorque,
+    PositionTorque,
+    Spring,
     StribeckFriction,
     TemperatureFriction,
     ViscousFriction,
 )
 from simgap.effects.inertia import Armature
-from simgap.effects.joint import JointEffect
-from simgap.effects.timing import EncoderScale, JointZero, MeasurementDelay
 from simgap.logs import Motion, Signal
 from simgap.residuals.simulation_residuals import SimulationResiduals
 from simgap.robot import ControlMode, Robot

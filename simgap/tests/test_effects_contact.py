@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from helpers.effect_lab import ARM_XML, PENDULUM_XML, changed, robot_of
-from simgap.effects.contact import PlaneContact
+from simgap.effects.forces import PlaneContact
 
 PENDULUM = robot_of(PENDULUM_XML)
 PLANE = PlaneContact("tool", lowest_m=-0.3, high_m=0.3)

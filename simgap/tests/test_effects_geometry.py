@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from helpers.effect_lab import ARM_XML, PENDULUM_XML, changed, inverse_Nm, robot_of
-from simgap.effects.geometry import GravityDirection, LinkLength, level_axes
+from simgap.effects.inertia import GravityDirection, LinkLength, level_axes
 
 ARM = robot_of(ARM_XML)
 LENGTH_M = float(np.hypot(0.15, 0.03))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simgap.effects.periodic import PeriodicError, SmoothPeriodicError
+from simgap.effects.transmission import PeriodicError, SmoothPeriodicError
 
 ANGLES_RAD = np.linspace(-4, 4, 401)[None, :]
 

@@ -6,9 +6,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from helpers.effect_lab import ARM_XML, robot_of, simulate
-from simgap.effects.coupling import JointCoupling
 from simgap.effects.effect import State
-from simgap.effects.transmission import DAMPING_RATIO, Backlash, JointCompliance, gear_inertia_kgm2
+from simgap.effects.transmission import (
+    DAMPING_RATIO,
+    Backlash,
+    JointCompliance,
+    JointCoupling,
+    gear_inertia_kgm2,
+)
 
 ARM = robot_of(ARM_XML)
 PERIOD_S = ARM.control_period_s

@@ -11,13 +11,13 @@ from helpers.real_robots import robot_path
 from helpers.two_joint_arm import PERIOD_s, arm, rms, scales, simulated
 from simgap.catalogue.catalogue import catalogue
 from simgap.common.errors import RobotError
-from simgap.effects.friction import CoulombFriction
-from simgap.effects.timing import EncoderScale, MeasurementDelay
+from simgap.effects.command import EncoderScale, MeasurementDelay
+from simgap.effects.forces import CoulombFriction
 from simgap.effects.transmission import Backlash, JointCompliance
 from simgap.load import load
 from simgap.logs import JointLog, Motion, Signal
-from simgap.residuals.blocks import correlation_time_s
 from simgap.residuals.encoder_residuals import EncoderResiduals, shows, why_refused
+from simgap.residuals.noise import correlation_time_s
 from simgap.robot import Robot
 
 SKEW_s, COMPLIANCE_rad_Nm, OFFSET_rad = 0.003, 2e-5, 0.02

@@ -21,11 +21,9 @@ from helpers.pendulum import (
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import DeadZone, GainError
-from simgap.effects.command import CommandDelay
+from simgap.effects.command import CommandDelay, MeasurementDelay
 from simgap.effects.effect import Effect
-from simgap.effects.external import ConstantTorque
-from simgap.effects.friction import CoulombFriction, LoadFriction, StribeckFriction
-from simgap.effects.timing import MeasurementDelay
+from simgap.effects.forces import ConstantTorque, CoulombFriction, LoadFriction, StribeckFriction
 from simgap.effects.transmission import Backlash
 from simgap.logs import JointLog, Motion, Signal
 from simgap.residuals.residuals import residuals_by_motion

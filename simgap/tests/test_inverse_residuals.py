@@ -11,10 +11,9 @@ from helpers.real_robots import robot_path
 from helpers.two_joint_arm import arm, rms, scales, simulated
 from simgap.catalogue.catalogue import catalogue
 from simgap.common.errors import RobotError
-from simgap.effects.external import PositionTorque
-from simgap.effects.friction import CoulombFriction, StribeckFriction, ViscousFriction
+from simgap.effects.command import EncoderScale, JointZero
+from simgap.effects.forces import CoulombFriction, PositionTorque, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature, LinkMass
-from simgap.effects.timing import EncoderScale, JointZero
 from simgap.effects.transmission import JointCompliance
 from simgap.load import load
 from simgap.logs import JointLog, Motion, Signal

@@ -11,11 +11,11 @@ from simgap.arrays import Array
 from simgap.assemble import find_interval
 from simgap.effects.effect import Effect, Size
 from simgap.residuals.noise import WhitenedResiduals, whiten_noise
+from simgap.selection.acceptance import step_without
+from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
-from simgap.selection.cross_validation import step_without
-from simgap.selection.fit import Fit, Hypothesis, Union, fit_hypotheses
+from simgap.selection.fit import Hypothesis, JointFit, Union, fit_hypotheses
 from simgap.selection.joint_fits import fit_base
-from simgap.selection.meter import Meter
 from simgap.selection.selection import select_effects
 from simgap.selection.sharing import share_nothing
 
@@ -70,7 +70,7 @@ def test_without_a_fold_a_size_at_its_bound_does_not_move_another() -> None:
     context = start_context(model, base, (), 1, Meter())
     x = model.commands[0].ravel()
     jacobian = -np.column_stack([x**2, x + 3.0 * x**2])
-    fit = Fit(np.array([0.0, 0.3]), np.arange(2), 0, -0.1 * x**2, np.arange(x.size), jacobian)
+    fit = JointFit(np.array([0.0, 0.3]), np.arange(2), 0, -0.1 * x**2, np.arange(x.size), jacobian)
     alone = replace(fit, columns=np.array([1]), jacobian=jacobian[:, 1:])
     both, single = (step_without(context, one, frozenset({0})) for one in (fit, alone))
     np.testing.assert_allclose(both, single, rtol=1e-9)

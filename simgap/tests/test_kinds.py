@@ -9,16 +9,15 @@ from helpers.verdicts import Rub, diagnosis
 from simgap.assemble import list_base
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.effects.actuation import GainError
-from simgap.effects.effect import Family
-from simgap.effects.joint import joint_scales
-from simgap.effects.timing import MeasurementDelay
+from simgap.effects.command import MeasurementDelay
+from simgap.effects.effect import Family, joint_scales
 from simgap.logs import Logs, Motion
 from simgap.report.traces import trace_motions
-from simgap.residuals.kinds import list_kinds
+from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
+from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.joint_fits import fit_base
-from simgap.selection.meter import Meter
 
 
 def with_commands(robot: Robot) -> list[Motion]:

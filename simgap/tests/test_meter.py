@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from helpers.toy import BASE, CATALOGUE, draw_toy
-from simgap.selection.meter import Meter
+from simgap.selection.checkpoint import Meter
 from simgap.selection.selection import select_effects
 from simgap.selection.verdict import find_confidence_sets
 

@@ -21,7 +21,7 @@ LOGS = Logs((Motion("m", {joint.name: JointLog(SIGNAL, command=SIGNAL) for joint
 IMPORTS = """
 from dataclasses import dataclass
 from simgap.effects.effect import Effect, Family, Size
-from simgap.effects.joint import JointEffect
+from simgap.effects.effect import JointEffect
 """
 KIND = (
     IMPORTS
@@ -74,7 +74,7 @@ def test_the_page_shows_the_example():
 def test_a_function_of_the_file_chooses_the_places(tmp_path):
     text = KIND.format(sizes=SIZE, hook=HOOK) + (
         "\ndef effects(robot, logs):\n"
-        "    from simgap.effects.joint import joint_scales\n"
+        "    from simgap.effects.effect import joint_scales\n"
         "    return [Mine.at(robot, 'lift', joint_scales(robot, logs.fit))]\n"
     )
     assert [one.key for one in load_effects(write(tmp_path, text), ARM, LOGS)] == ["lift: mine"]

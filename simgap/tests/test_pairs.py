@@ -8,10 +8,10 @@ import pytest
 from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 from simgap.arrays import Array
 from simgap.effects.effect import Effect
+from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.fit import gather_residuals
 from simgap.selection.joint_fits import fit_base, fit_joints
-from simgap.selection.meter import Meter
 from simgap.selection.selection import find_log_chance, select_effects
 
 STEP = Toy("near", "step of all", np.sign)

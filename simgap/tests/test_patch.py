@@ -11,16 +11,23 @@ from helpers.pendulum import motion, pendulum, waves
 from helpers.planar_arm import planar_arm
 from helpers.verdicts import diagnosis
 from simgap.effects.actuation import BackEmf, DeadZone, GainError, LeakyIntegral
-from simgap.effects.command import AccelerationLimit, ClampHigh, CommandDelay, VelocityLimit
-from simgap.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
+from simgap.effects.command import (
+    AccelerationLimit,
+    ClampHigh,
+    CommandDelay,
+    EncoderScale,
+    JointZero,
+    MeasurementDelay,
+    VelocityLimit,
+)
+from simgap.effects.effect import JointScales
+from simgap.effects.forces import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature
-from simgap.effects.joint import JointScales
-from simgap.effects.timing import EncoderScale, JointZero, MeasurementDelay
 from simgap.logs import Signal
 from simgap.patch.patch import make_patch, save_patch
 from simgap.patch.runtime import RuntimeEffects
 from simgap.simulation.compiled import Models
-from simgap.simulation.engine import Engine
+from simgap.simulation.simulation import Engine
 from simgap.simulation.windows import cut_windows
 
 SCALES = {"swing": JointScales(0.02, 0.01, 0.002, -1, 1, 5, 50, -1, 1, 2.0, math.nan, math.nan)}

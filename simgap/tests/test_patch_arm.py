@@ -6,11 +6,9 @@ import pytest
 
 from helpers.effect_lab import ARM_XML, robot_of, simulate
 from helpers.verdicts import diagnosis
-from simgap.effects.contact import PlaneContact
-from simgap.effects.coupling import JointCoupling
-from simgap.effects.geometry import GravityDirection, LinkLength
-from simgap.effects.inertia import LinkCentre, LinkInertia, LinkMass, Payload
-from simgap.effects.transmission import Backlash, JointCompliance
+from simgap.effects.forces import PlaneContact
+from simgap.effects.inertia import GravityDirection, LinkCentre, LinkInertia, LinkLength, LinkMass, Payload
+from simgap.effects.transmission import Backlash, JointCompliance, JointCoupling
 from simgap.logs import Signal
 from simgap.patch.patch import make_patch, save_patch
 from simgap.patch.runtime import RuntimeEffects

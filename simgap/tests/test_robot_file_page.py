@@ -13,8 +13,8 @@ from simgap.files.robot_file import (
     SignalColumn,
     TimeTable,
 )
-from simgap.files.split_file import SplitFile, SplitTable
 from simgap.files.toml_record import Record
+from simgap.load import SplitFile, SplitTable
 
 PAGE = Path(__file__).parents[2] / "docs" / "robot-file.md"
 TABLES = {

@@ -10,7 +10,7 @@ from helpers.pendulum import motion, pendulum, waves
 from simgap.catalogue.own_effects import load_effects
 from simgap.common.errors import RobotError
 from simgap.effects.command import AccelerationLimit, ClampHigh, ClampLow, CommandDelay, VelocityLimit
-from simgap.effects.friction import LoadFriction
+from simgap.effects.forces import LoadFriction
 from simgap.logs import Logs
 from simgap.patch.patch import make_patch
 from simgap.patch.runtime import RuntimeEffects
@@ -23,7 +23,7 @@ OWN = """
 from dataclasses import dataclass
 
 from simgap.effects.effect import Family, Size
-from simgap.effects.joint import JointEffect
+from simgap.effects.effect import JointEffect
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +106,6 @@ def test_a_runtime_file_of_another_format_is_refused(tmp_path):
 
 def test_a_runtime_file_names_no_class_outside_of_the_package(tmp_path):
     text = make_patch(ROBOT, *made({LoadFriction: 0.1})).runtime
-    (tmp_path / "runtime.toml").write_text(text.replace("simgap.effects.friction:LoadFriction", "os:system"))
+    (tmp_path / "runtime.toml").write_text(text.replace("simgap.effects.forces:LoadFriction", "os:system"))
     with pytest.raises(RobotError, match="os is no module of simgap"):
         RuntimeEffects.from_toml(ROBOT.model, tmp_path / "runtime.toml")

@@ -8,7 +8,7 @@ import pytest
 
 from helpers.toy import NAMES, Toy, ToyResiduals
 from simgap.effects.effect import Size
-from simgap.selection.fit import Fit, Union
+from simgap.selection.fit import JointFit, Union
 from simgap.selection.screening import list_trials, score_effect, whiten
 
 X = np.linspace(-1.0, 1.0, 50)
@@ -40,7 +40,7 @@ def start(effect: Toy, amplitude: float, silent_below: float = 0.0) -> list[floa
     model, union = ToyResiduals(commands, 0.0 * commands, NAMES), Union((effect,))
     rows = np.flatnonzero(model.joint_of == 0)
     change = np.square(commands).ravel()[rows]
-    fit = Fit(np.zeros(2), np.empty(0, np.int64), 0, amplitude * change, rows, np.empty((rows.size, 0)))
+    fit = JointFit(np.zeros(2), np.empty(0, np.int64), 0, amplitude * change, rows, np.empty((rows.size, 0)))
     at = np.zeros(len(effect.sizes))
     trials = list_trials(union, effect, at)
     sizes = [float(trial.points[0][0]) for trial in trials]

@@ -13,12 +13,12 @@ from simgap.assemble import (
     list_remainders,
     simulate_models,
 )
-from simgap.residuals.loss import root_weight
+from simgap.residuals.residuals import root_weight
 from simgap.selection.chance import FALSE_ALARM
+from simgap.selection.checkpoint import Meter
 from simgap.selection.context import FittedModel, Score, start_context
 from simgap.selection.fit import Hypothesis, Union, fit_hypotheses
 from simgap.selection.joint_fits import fit_base, fit_joints
-from simgap.selection.meter import Meter
 from simgap.selection.screening import adjust
 from simgap.selection.selection import list_again, select_effects
 from simgap.selection.sharing import Sharing, share_nothing

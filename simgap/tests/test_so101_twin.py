@@ -24,9 +24,9 @@ from simgap.catalogue.catalogue import base_effects
 from simgap.diagnose import diagnose
 from simgap.logs import Logs
 from simgap.residuals.simulation_residuals import SimulationResiduals
+from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.joint_fits import fit_base
-from simgap.selection.meter import Meter
 
 LIFT, ELBOW, ROLL = "shoulder_lift", "elbow_flex", "wrist_roll"
 REACH_rad = {LIFT: 0.3, ELBOW: 0.4}

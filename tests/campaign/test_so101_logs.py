@@ -8,8 +8,7 @@ import pytest
 
 from helpers.real_robots import robot_path
 from simgap.common.errors import RobotError
-from simgap.files.split_file import read_split
-from simgap.load import load
+from simgap.load import load, read_split
 from simgap.robot import Robot
 from validation.so101_logs import convert
 

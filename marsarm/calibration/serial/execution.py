@@ -14,16 +14,12 @@ from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
-from simgap.serial_arm.arm import SerialArm
-from simgap.serial_arm.arm_file import arm_to_toml, read_arm
-from simgap.serial_arm.calibrate import held_out_ratio
-from simgap.serial_arm.identifiability import Identifiability, assess_identifiability
-from simgap.serial_arm.initial_setup import estimate_setup
-from simgap.serial_arm.model import TERMS
-from simgap.serial_arm.nested_models import NestedModel, fit_nested_models
-from simgap.serial_arm.series import PoseSeries
-from simgap.serial_arm.temperature import TemperatureTest, temperature_test
-from simgap.serial_arm.tracker_table import read_series
+from simgap.serial_arm.calibrate import estimate_setup, held_out_ratio
+from simgap.serial_arm.chain import PoseSeries
+from simgap.serial_arm.files import arm_to_toml, read_arm, read_series
+from simgap.serial_arm.fit import Identifiability, assess_identifiability
+from simgap.serial_arm.model import TERMS, SerialArm
+from simgap.serial_arm.nested_models import NestedModel, TemperatureTest, fit_nested_models, temperature_test
 
 ALL: Final = "all"
 NONE: Final = "none"

@@ -9,11 +9,9 @@ from rich.table import Table
 from marsarm.calibration.serial.execution import SerialReport
 from simgap.common.console import plain_console
 from simgap.common.figures import save_figure
-from simgap.serial_arm.arm import GEOMETRY_NAMES
 from simgap.serial_arm.calibrate import contributions_m, joint_errors, periodic_error_rad
-from simgap.serial_arm.model import GEOMETRY, NON_PERIODIC, PERIODIC
-from simgap.serial_arm.nested_models import NestedModel
-from simgap.serial_arm.temperature import TemperatureTest
+from simgap.serial_arm.model import GEOMETRY, GEOMETRY_NAMES, NON_PERIODIC, PERIODIC
+from simgap.serial_arm.nested_models import NestedModel, TemperatureTest
 
 MAX_NOISE_RATIO: Final = 1.5
 """Largest ratio of residuals to the noise of the file; above it, the model lacks an effect."""

@@ -63,7 +63,7 @@ _NAMES: Final = TypeAdapter(Names)
 
 
 COMPARING_MODULES: Final = (
-    "simgap.serial_arm.screws",
+    "simgap.serial_arm.chain",
     "marsarm.diagnosis.problem",
     "marsarm.diagnosis.normal_equations",
     "marsarm.diagnosis.sensitivity",

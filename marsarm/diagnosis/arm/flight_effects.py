@@ -24,7 +24,7 @@ from sim.effects.sensors import EncoderScale
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.params import nominal_params
 from sim.plant import SPRING_NAMES
-from simgap.serial_arm.screws import screw_log
+from simgap.serial_arm.chain import screw_log
 
 ROUNDING = 1e-9
 """Differences below this, relative or in SI, are those of floating-point numbers."""

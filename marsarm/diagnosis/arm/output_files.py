@@ -18,9 +18,9 @@ from sim.params import nominal_params
 from sim.params_table import BadParams, check_params
 from sim.scenario.effect_file import effect_file_text
 from sim.scenario.effects import effect_text
-from simgap.common.command_text import command_text
 from simgap.common.files import atomic_write
 from simgap.common.json_digest import json_sha256
+from simgap.common.options import command_text
 from simgap.common.page import Origin
 
 

@@ -30,7 +30,7 @@ from sim.open_loop import scale_shift_rad
 from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import World, build
-from simgap.serial_arm.screws import screw_log
+from simgap.serial_arm.chain import screw_log
 
 MEAN_TICKS = CYCLE_HZ // 4
 """Number of ticks at the end of a rest over which resolvers are averaged."""

@@ -8,13 +8,11 @@ import numpy as np
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.actuation import GainError
 from simgap.effects.effect import READING_HOOKS, Effect
-from simgap.residuals.blocks import cut_rows
-from simgap.residuals.loss import root_weight
-from simgap.residuals.noise import noise_residuals
-from simgap.residuals.residuals import SECOND_ENCODER, ResidualModel
+from simgap.residuals.noise import cut_rows, noise_residuals
+from simgap.residuals.residuals import SECOND_ENCODER, ResidualModel, root_weight
 from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Remainder
 from simgap.robot import Robot
-from simgap.selection.comparison import improvement_share, knows_noise
+from simgap.selection.acceptance import improvement_share, knows_noise
 from simgap.selection.context import Context, FittedModel, Selection
 from simgap.selection.joint_fits import MIN_MOTIONS
 from simgap.selection.verdict import (

@@ -9,19 +9,16 @@ from typing import Final
 import numpy as np
 
 from simgap.assemble import assemble
-from simgap.audit.rates import COARSE_RAD
-from simgap.audit.records import Audit, Remark, RemarkKind
-from simgap.audit.samples import joint_samples
+from simgap.audit.records import COARSE_RAD, Audit, Remark, RemarkKind, joint_samples
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
 from simgap.logs import Logs, Motion, Signal
 from simgap.residuals.encoder_residuals import why_refused
-from simgap.residuals.kinds import ResidualKind, list_kinds
+from simgap.residuals.simulation_residuals import ResidualKind, list_kinds
 from simgap.result import Diagnosis, Rejected
 from simgap.robot import ControlMode, Robot
-from simgap.selection.checkpoint import STEPS, Checkpoint, digest_inputs
-from simgap.selection.meter import Meter, Progress
+from simgap.selection.checkpoint import STEPS, Checkpoint, Meter, Progress, digest_inputs
 from simgap.selection.selection import select_effects
 from simgap.selection.verdict import find_confidence_sets
 

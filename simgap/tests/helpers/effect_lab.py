@@ -11,7 +11,7 @@ from simgap.arrays import Array
 from simgap.effects.effect import Effect, Fields
 from simgap.robot import ControlMode, Robot, RobotJoint
 from simgap.simulation.compiled import Models
-from simgap.simulation.engine import Engine
+from simgap.simulation.simulation import Engine
 from simgap.simulation.windows import Window
 
 ARM_XML = """

@@ -6,12 +6,11 @@ import mujoco
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.effects.effect import Effect
-from simgap.effects.joint import JointEffect, JointScales
+from simgap.effects.effect import Effect, JointEffect, JointScales
 from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import ControlMode, Robot, RobotJoint
 from simgap.simulation.compiled import Models
-from simgap.simulation.engine import Engine
+from simgap.simulation.simulation import Engine
 from simgap.simulation.windows import cut_windows
 
 MASS_kg, LENGTH_m, ARMATURE_kgm2, g_m_s2 = 0.5, 0.1, 0.002, 9.81

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from helpers.serial_synthetic import built_arm, drawn_arm, series, setup
-from simgap.serial_arm.arm_file import arm_to_toml
+from simgap.serial_arm.files import arm_to_toml
 
 JOINTS = ("joint0", "joint1", "joint2")
 MAPPING = """arm = "made up"

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from simgap.serial_arm.arm import Link, Repeatability, SerialArm, Uncertainty
-from simgap.serial_arm.model import TrackerSetup, serial_model
-from simgap.serial_arm.poses import Pose
-from simgap.serial_arm.series import PoseSeries, move_directions
+from simgap.serial_arm.chain import Pose, PoseSeries, move_directions
+from simgap.serial_arm.model import Link, Repeatability, SerialArm, TrackerSetup, Uncertainty, serial_model
 
 POSITION_M, ROTATION_RAD = 5e-5, 2e-4
 ORDERS = 6

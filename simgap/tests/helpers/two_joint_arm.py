@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.effects.joint import JointScales, joint_scales
+from simgap.effects.effect import JointScales, joint_scales
 from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import ControlMode, Robot, RobotJoint
 

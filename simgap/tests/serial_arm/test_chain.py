@@ -3,8 +3,7 @@
 import numpy as np
 
 from helpers.serial_synthetic import built_arm, drawn_arm
-from simgap.serial_arm.chain import forward_kinematics, load_torque_Nm
-from simgap.serial_arm.poses import IDENTITY, Pose, repeat_pose
+from simgap.serial_arm.chain import IDENTITY, Pose, forward_kinematics, load_torque_Nm, repeat_pose
 
 
 def matrix(six, q):

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from helpers.serial_synthetic import POSITION_M, built_arm, drawn_arm, series, setup
-from simgap.serial_arm.calibrate import calibrate_series, fit_poses, pose_errors
-from simgap.serial_arm.initial_setup import estimate_setup
+from simgap.serial_arm.calibrate import calibrate_series, estimate_setup, fit_poses, pose_errors
+from simgap.serial_arm.chain import Pose
 from simgap.serial_arm.model import GEOMETRY, TERMS
-from simgap.serial_arm.nested_models import BLOCKS, CrossValidation
-from simgap.serial_arm.poses import Pose
-from simgap.serial_arm.temperature import temperature_test
+from simgap.serial_arm.nested_models import BLOCKS, CrossValidation, temperature_test
 
 COUNT = 300
 

@@ -9,9 +9,8 @@ import pytest
 from helpers.serial_files import MAPPING, rows, text
 from helpers.serial_synthetic import built_arm, drawn_arm
 from simgap.common.errors import RobotError
-from simgap.serial_arm.arm import UPRIGHT_B_m_s2
-from simgap.serial_arm.arm_file import arm_to_toml, read_arm
-from simgap.serial_arm.tracker_table import read_mapping, series_from_table
+from simgap.serial_arm.files import arm_to_toml, read_arm, read_mapping, series_from_table
+from simgap.serial_arm.model import UPRIGHT_B_m_s2
 
 MODELS = Path(__file__).parents[3] / "models" / "robots" / "ur10"
 

@@ -8,9 +8,13 @@ from scipy.optimize import least_squares
 from scipy.stats import binom, kstest
 
 from helpers.serial_planar import Planar, parameters
-from simgap.serial_arm.fit import Linearisation, fit, validate_hold_out
-from simgap.serial_arm.identifiability import assess_identifiability
-from simgap.serial_arm.outliers import leave_one_out_distance
+from simgap.serial_arm.fit import (
+    Linearisation,
+    assess_identifiability,
+    fit,
+    leave_one_out_distance,
+    validate_hold_out,
+)
 
 
 def test_the_jacobian_of_the_planar_chain_is_right():

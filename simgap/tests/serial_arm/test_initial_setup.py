@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from helpers.serial_synthetic import built_arm, drawn_arm, series, setup
 from simgap.common.errors import RobotError
-from simgap.serial_arm.initial_setup import estimate_setup
-from simgap.serial_arm.poses import Pose
+from simgap.serial_arm.calibrate import estimate_setup
+from simgap.serial_arm.chain import Pose
 
 
 @pytest.mark.parametrize("seed", range(5))

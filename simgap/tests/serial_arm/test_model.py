@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from helpers.serial_synthetic import POSITION_M, built_arm, drawn_arm, series, setup
-from simgap.serial_arm.calibrate import calibrate_series, held_out_ratio, pose_errors
-from simgap.serial_arm.identifiability import assess_identifiability
-from simgap.serial_arm.initial_setup import estimate_setup
+from simgap.serial_arm.calibrate import calibrate_series, estimate_setup, held_out_ratio, pose_errors
+from simgap.serial_arm.chain import Pose
+from simgap.serial_arm.fit import assess_identifiability
 from simgap.serial_arm.model import TERMS, serial_model
-from simgap.serial_arm.poses import Pose
 
 NOISE_RMS_M = POSITION_M * np.sqrt(3)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.transforms import screw_exp
-from simgap.serial_arm.screws import error_screw, linearise, screw_log
+from simgap.serial_arm.chain import error_screw, linearise, screw_log
 
 RNG = np.random.default_rng(0)
 

@@ -7,10 +7,15 @@ import pytest
 
 from helpers.serial_synthetic import POSITION_M, built_arm, drawn_arm, series, setup
 from simgap.common.errors import RobotError
-from simgap.serial_arm.calibrate import calibrate_series, pose_errors
-from simgap.serial_arm.effects import DirectionHysteresis, JointCompliance, PeriodicJointError, patch_arm
-from simgap.serial_arm.elimination import BLOCKS, Elimination
-from simgap.serial_arm.initial_setup import estimate_setup
+from simgap.serial_arm.calibrate import calibrate_series, estimate_setup, pose_errors
+from simgap.serial_arm.effects import (
+    BLOCKS,
+    DirectionHysteresis,
+    Elimination,
+    PeriodicJointError,
+    TrackerCompliance,
+    patch_arm,
+)
 from simgap.serial_arm.model import TERMS
 from simgap.serial_arm.tracker import diagnose_tracker
 
@@ -46,14 +51,14 @@ def three():
 def test_each_effect_is_named_at_its_joint_and_no_other(three):
     assert {(one.place, one.effect) for one in three.findings} == {
         ("joint0", DirectionHysteresis.name),
-        ("joint1", JointCompliance.name),
+        ("joint1", TrackerCompliance.name),
         ("joint2", PeriodicJointError.name),
     }
 
 
 def test_the_intervals_hold_the_sizes(three):
     sizes = {one.effect: (one.size[0], one.interval[0]) for one in three.findings}
-    truth = {DirectionHysteresis.name: 2e-4, JointCompliance.name: 4e-5}
+    truth = {DirectionHysteresis.name: 2e-4, TrackerCompliance.name: 4e-5}
     truth[PeriodicJointError.name] = 3e-4 / np.sqrt(2)
     for name, (size, (low, high)) in sizes.items():
         assert size == pytest.approx(truth[name], rel=0.15)
@@ -104,9 +109,9 @@ def test_an_arm_with_errors_of_its_links_only_has_no_finding(seed):
 
 def test_a_compliance_below_zero_is_not_named():
     found = diagnose(built_with(joint1={"compliance_rad_per_Nm": -4e-5}))
-    assert all(one.effect != JointCompliance.name for one in found.findings)
+    assert all(one.effect != TrackerCompliance.name for one in found.findings)
     (reason,) = (
-        one.reason for one in found.rejected if (one.place, one.effect) == ("joint1", JointCompliance.name)
+        one.reason for one in found.rejected if (one.place, one.effect) == ("joint1", TrackerCompliance.name)
     )
     assert "no joint is" in reason or "does not lower" in reason
 

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from simgap.serial_arm.arm_file import read_arm
+from simgap.serial_arm.files import read_arm, read_series
 from simgap.serial_arm.tracker import diagnose_tracker
-from simgap.serial_arm.tracker_table import read_series
 
 MODELS = Path(__file__).parents[3] / "models" / "robots" / "ur10"
 

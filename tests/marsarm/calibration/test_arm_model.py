@@ -19,7 +19,7 @@ from marsarm.calibration.arm_parameters import (
 )
 from marsarm.calibration.campaign_data import BelievedPoses
 from sim.effects.structure import StandInTurret
-from simgap.serial_arm.screws import error_screw
+from simgap.serial_arm.chain import error_screw
 from tests.marsarm.calibration.lab import NOMINAL, campaign
 
 PARAMETERS = arm_parameters()

@@ -15,7 +15,7 @@ from marsarm.calibration.simulation import simulate_campaign, true_poses, zero_e
 from sim.arms import arm_named
 from sim.hardstop_loads import NoPlan
 from simgap.common.errors import BadRequest
-from simgap.serial_arm.screws import error_screw
+from simgap.serial_arm.chain import error_screw
 from tests.marsarm.calibration.lab import campaign, quiet
 
 ZERO_RAD = 3e-4

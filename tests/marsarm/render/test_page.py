@@ -9,8 +9,8 @@ from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
 from marsarm.calibration.request import CalibrateRequest
 from marsarm.diagnosis.arm.request import DiagnoseRequest
 from simgap.common import svg
-from simgap.common.command_text import command_text
 from simgap.common.errors import BadRequest
+from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 from tests.marsarm.command import marsarm_process
 

@@ -16,7 +16,7 @@ import pytest
 import simgap.command.diagnosis
 import simgap.diagnose
 from helpers.planar_arm import planar_arm, slow_logs
-from simgap.audit.nominal import NominalModel
+from simgap.audit.audit import NominalModel
 from tests.marsarm.cli.test_bad_input import LIBRARY_WORDS, snapshot
 from tests.marsarm.command import marsarm
 from tests.marsarm.robot.arm_folder import columns_of, write_arm, write_logs
@@ -70,7 +70,7 @@ EFFECTS = {
 EFFECT = """
 from dataclasses import dataclass
 from simgap.effects.effect import Family, Size
-from simgap.effects.joint import JointEffect
+from simgap.effects.effect import JointEffect
 
 @dataclass(frozen=True, slots=True)
 class Boom(JointEffect):

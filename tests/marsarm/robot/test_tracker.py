@@ -9,7 +9,7 @@ from helpers.serial_files import write
 from simgap.command.diagnosis import diagnose_robot
 from simgap.command.request import RobotDiagnoseRequest
 from simgap.common.errors import BadRequest, RobotError
-from simgap.serial_arm.arm_file import read_arm
+from simgap.serial_arm.files import read_arm
 from tests.marsarm.command import marsarm
 
 ROBOT = 'name = "made up"\nserial_arm = "arm.toml"\n[poses]\n"poses.csv" = "mapping.toml"\n'

@@ -9,11 +9,9 @@ import mujoco.batch
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.effects.contact import PlaneContact
-from simgap.effects.effect import Effect, Fields
-from simgap.effects.geometry import GravityDirection, LinkLength
-from simgap.effects.inertia import LinkCentre, LinkInertia, LinkMass, Payload
-from simgap.effects.joint import JointScales
+from simgap.effects.effect import Effect, Fields, JointScales
+from simgap.effects.forces import PlaneContact
+from simgap.effects.inertia import GravityDirection, LinkCentre, LinkInertia, LinkLength, LinkMass, Payload
 from simgap.logs import JointLog, Motion, Signal
 from simgap.robot import ControlMode, Robot
 

@@ -12,8 +12,7 @@ from types import ModuleType
 from typing import Final, TypeVar
 
 from simgap.common.errors import RobotError
-from simgap.effects.effect import BODY_HOOKS, HOOKS, Effect, Family, Size
-from simgap.effects.joint import JointEffect, joint_scales
+from simgap.effects.effect import BODY_HOOKS, HOOKS, Effect, Family, JointEffect, Size, joint_scales
 from simgap.logs import Logs
 from simgap.robot import Robot
 

@@ -27,11 +27,10 @@ from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, writ
 from simgap.report.traces import Trace, trace_motions
 from simgap.result import Diagnosis
 from simgap.robot import Robot
-from simgap.serial_arm.arm import SerialArm
-from simgap.serial_arm.arm_file import arm_to_toml, read_arm
 from simgap.serial_arm.effects import patch_arm
+from simgap.serial_arm.files import arm_to_toml, read_arm, read_series
+from simgap.serial_arm.model import SerialArm
 from simgap.serial_arm.tracker import diagnose_tracker
-from simgap.serial_arm.tracker_table import read_series
 
 GOES_ON: Final = "the same command goes on after its last complete step"
 """Sentence about an interruption."""

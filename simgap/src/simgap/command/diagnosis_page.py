@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from simgap.command.diagnosis import RobotDiagnosis
-from simgap.common.command_text import command_text
 from simgap.common.console import plain_console
 from simgap.common.json_digest import json_sha256
+from simgap.common.options import command_text
 from simgap.common.page import Origin, save_page
 from simgap.report.document import to_document
 from simgap.report.page import page_title

@@ -5,8 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.audit.audit import audit
-from simgap.audit.nominal import NominalModel, NominalMotion
+from simgap.audit.audit import NominalModel, NominalMotion, audit
 from simgap.audit.records import Audit
 from simgap.command.request import CheckRequest
 from simgap.common.errors import RobotError

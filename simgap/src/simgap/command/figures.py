@@ -5,7 +5,7 @@ from typing import Any, Final
 import numpy as np
 
 from simgap.arrays import Array, Flags, Integers
-from simgap.audit.samples import hold, runs
+from simgap.audit.records import hold, runs
 from simgap.command.execution import CheckReport
 from simgap.common import svg
 from simgap.logs import JointLog, Motion

@@ -9,9 +9,9 @@ import numpy as np
 from simgap.command.execution import CheckReport, summarize_joints
 from simgap.command.figures import motion_figures
 from simgap.command.tables import JOINT_HEAD, check_json, joint_cells, refusal_sentence, remark_place
-from simgap.common.command_text import command_text
 from simgap.common.console import pluralize
 from simgap.common.json_digest import json_sha256
+from simgap.common.options import command_text
 from simgap.common.page import Origin, figures, heading, paragraph, save_page, table
 
 MAX_DRAWN: Final = 4

@@ -4,8 +4,9 @@ A field is declared as `poses: Annotated[int, Option("Number of poses.", within=
 line makes an option of it with the default of the field; `check_options` refuses what is not allowed.
 """
 
+import shlex
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from numbers import Integral, Real
 from pathlib import Path
 from types import UnionType
@@ -187,3 +188,41 @@ ClusterOption = Annotated[str | None, Option(CLUSTER_HELP, "HOST:PORT")]
 ReportOption = Annotated[
     Path | None, Option("Write a page with tables and pictures.", "FILE.html", suffixes=(".html",))
 ]
+
+
+def command_text(verb: str, request: Any) -> str:
+    """Return the command line of a request, without options that have their defaults."""
+    return shlex.join(["marsarm", *verb.split(), *_words(request, MISSING)])
+
+
+def _words(request: Any, group: Any) -> Iterator[str]:
+    """Yield the words of a request; `group` holds its defaults if it is a group in another request."""
+    for field in option_fields(type(request)):
+        value = getattr(request, field.name)
+        default = field.default if group is MISSING else getattr(group, field.name)
+        if field.option is None:
+            yield from _words(value, default)
+        elif value != default and not field.option.suffixes:
+            yield from _option_words(field, value)
+
+
+def _option_words(field: Field, value: Any) -> Iterator[str]:
+    assert field.option is not None
+    values = value if isinstance(value, tuple) else (value,)
+    name = f"--{field.label}"
+    if field.option.is_argument:
+        yield from map(str, values)
+    elif value is None:
+        yield f"--no-{field.label}"
+    elif value is True:
+        yield name
+    elif _is_repeatable(field):
+        for one in values:
+            yield from (name, str(one))
+    else:
+        yield from (name, *map(str, values))
+
+
+def _is_repeatable(field: Field) -> bool:
+    """Check whether an option is given once for each value: its type is a tuple of any length."""
+    return getattr(field.type, "__args__", ())[1:] == (...,)

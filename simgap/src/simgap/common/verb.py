@@ -2,23 +2,104 @@
 
 import inspect
 import json
+import os
 import re
+import signal
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, is_dataclass
+from io import BytesIO, TextIOWrapper
 from itertools import pairwise
-from typing import Annotated, Any, Final, Literal, get_args, get_origin
+from typing import Annotated, Any, Final, Literal, TextIO, get_args, get_origin
 
 import typer
 from typer.core import TyperCommand
 
 from simgap.common.date import current_date
 from simgap.common.errors import RobotError, UserError, describe_problems
-from simgap.common.failed_effect import describe_failed_effect
 from simgap.common.options import CLUSTER_HERE, Field, Option, option_fields
 from simgap.common.progress import show_progress
-from simgap.common.stdout import EXIT_BAD_INPUT, release_stdout
+
+EXIT_BAD_INPUT: Final = 2
+EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
+"""Exit status of a program whose reader has closed the pipe, as `head` does."""
+
+
+class BufferedStdout(TextIOWrapper):
+    """Text that is kept until it is released to the standard output."""
+
+    def __init__(self, stdout: TextIO) -> None:
+        self._kept = BytesIO()
+        super().__init__(self._kept, stdout.encoding, stdout.errors, write_through=True)
+        self._stdout = stdout
+
+    def release(self) -> None:
+        """Write what was kept; end the command if that is impossible."""
+        printed = self._kept.getvalue()
+        self._kept.seek(0)
+        self._kept.truncate()
+        _write(self._stdout, printed)
+
+
+@contextmanager
+def buffer_stdout() -> Iterator[None]:
+    """Buffer the standard output and write it when the block ends, unless it is a terminal."""
+    stdout = sys.stdout
+    if stdout is None or stdout.isatty():
+        yield
+        return
+    buffered = BufferedStdout(stdout)
+    sys.stdout = buffered
+    try:
+        yield
+    finally:
+        sys.stdout = stdout
+        buffered.release()
+
+
+def release_stdout() -> None:
+    """Write what was printed so far, for a program that reads it while the command continues."""
+    if isinstance(sys.stdout, BufferedStdout):
+        sys.stdout.release()
+
+
+def _write(stdout: TextIO, printed: bytes) -> None:
+    try:
+        stdout.buffer.write(printed)
+        stdout.flush()
+    except BrokenPipeError:
+        _discard(stdout)
+        sys.exit(EXIT_PIPE_CLOSED)
+    except OSError as error:
+        _discard(stdout)
+        print(f"standard output: cannot be written ({error.strerror}); give it room", file=sys.stderr)
+        sys.exit(EXIT_BAD_INPUT)
+
+
+def _discard(stdout: TextIO) -> None:
+    """Redirect the standard output to the null device: the interpreter flushes it once more on exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())
+
+
+FRAME_PATTERN: Final = re.compile(r'File "(?P<file>[^"]+)", line (?P<line>[0-9]+)')
+"""Line of a traceback as text, which is all that a worker process sends."""
+
+
+def describe_failed_effect(error: Exception) -> str | None:
+    """Describe an exception that passed through the file of a user's effect; None for any other exception."""
+    modules = (sys.modules.get(name) for name in ("sim.scenario.effects", "simgap.catalogue.own_effects"))
+    files = set().union(*(module.user_files() for module in modules if module is not None))
+    if not files:
+        return None
+    lines = "".join(traceback.format_exception(error))
+    places = [found for found in FRAME_PATTERN.finditer(lines) if found["file"] in files]
+    if not places:
+        return None
+    what = " ".join(f"{type(error).__name__}: {error}".split())
+    return f"effect {places[-1]['file']}:{places[-1]['line']}: {what}; mend the effect, or leave it out"
+
 
 ADDRESS: Final = re.compile(rf"{CLUSTER_HERE}|\S+:[0-9]+")
 """Value of the option `--cluster`."""

@@ -7,8 +7,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.effects.effect import Effect, Family, Fields, Size, Tick
-from simgap.effects.joint import QUANTILE, JointEffect, JointScales
+from simgap.effects.effect import QUANTILE, Effect, Family, Fields, JointEffect, JointScales, Size, Tick
 from simgap.logs import Motion
 from simgap.robot import ControlMode, Robot
 

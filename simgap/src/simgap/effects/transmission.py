@@ -1,24 +1,6 @@
-"""Effects of gears: backlash, compliance, and the rotor that both need in a simulation.
+"""Effects of gears and encoders: backlash, compliance and its rotor, coupling, errors that repeat."""
 
-Three kinds of residual, three realisations:
-
-- Simulation: a rotor with an angle of its own. The motor with its armature, damping and dry friction turns
-  the rotor; an elastic or a free gear turns the joint. Quasi-statics would not do: an encoder at the output
-  sees no deflection at rest, because the loop corrects it. It sees the time that the rotor needs to cross the
-  backlash after a reversal, and a resonance. Dry friction stays at the motor, as most of it comes from the
-  fast stages of a gear. At the output it would hold the joint while the rotor crosses, and backlash would
-  leave hardly a trace.
-- Second encoder: `deflection_rad`, quasi-static. Output and motor are both measured, and their difference is
-  the deflection under the load, far below the resonance.
-- Inverse dynamics: no hook, so neither effect is a candidate. Torques are computed at the measured motion. A
-  deflection changes the pose by milliradians. The acceleration of the rotor relative to the joint would need
-  the fourth derivative of a measured position.
-
-At size 0 the rotor stands still beside the robot, and the motor turns the joint itself: no bit of the motion
-changes. A rotor in the world, not in the link, is the usual model of an elastic joint: it leaves out the
-gyroscopic torques of the rotor, as armature does.
-"""
-
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Final
 
@@ -26,8 +8,7 @@ import mujoco
 import numpy as np
 
 from simgap.arrays import Array, Flags
-from simgap.effects.effect import Effect, Family, Fields, Rotor, Size, State
-from simgap.effects.joint import mjcf_joint
+from simgap.effects.effect import Effect, Family, Fields, Rotor, Size, State, Tick, mjcf_joint
 from simgap.robot import Robot
 
 FREE_RAD: Final = 1e6
@@ -184,3 +165,154 @@ def _connect(fields: Fields, robot: Robot, index: int, rows: Flags, encoder_is_a
     """Let the motor turn the rotor."""
     place = robot.joints[index].name
     fields.rotors.append(Rotor(index, _rotor(place), rows, encoder_is_at_output))
+
+
+@dataclass(frozen=True, slots=True)
+class JointCoupling(Effect):
+    """The motor of a joint turns by size times the motion of a neighbour while the joint stands still.
+
+    Motor angle m = q + size * q_neighbour, so by virtual work the load of the joint comes back to the
+    neighbour: its motor carries size * load less. A second encoder at the output shows the angle. An encoder
+    at the motor is in the loop, which hides the angle, so that a simulation has the torque alone. The torque
+    acts at the neighbour, for which inverse dynamics has no hook.
+    """
+
+    name: ClassVar[str] = "joint coupling"
+    family: ClassVar[Family] = Family.TRANSMISSION
+    place: str
+    index: int
+    neighbour: str
+    neighbour_index: int
+    typical_ratio: float
+
+    @property
+    def key(self) -> str:
+        """Name with the neighbour."""
+        return f"{self.place}: {self.name} to {self.neighbour}"
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Turn of the motor per turn of the neighbour; 1 is a joint that keeps its direction in the world."""
+        return (Size("coupling_ratio", -1.0, 1.0, self.typical_ratio),)
+
+    def act(self, size: Array, tick: Tick) -> None:
+        """Add the torque at the neighbour."""
+        tick.applied_Nm[:, self.neighbour_index] += size[:, 0] * tick.state.load_Nm[:, self.index]
+
+    def deflection_rad(self, size: Array, state: State) -> Array:
+        """Return the turn of the output that the motor does not make."""
+        return np.asarray(-size[:, 0] * state.q_rad[:, self.neighbour_index])
+
+
+NEWTON_STEPS: Final = 8
+"""Newton's method doubles its digits in each step; errors of a few milliradians need three."""
+STEEPEST: Final = 0.5
+"""Largest slope of one sine or cosine: with both, the shown angle still grows with the true one."""
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodicError(Effect):
+    """Sine and cosine of one order: the order is the number of periods in a turn of the joint."""
+
+    name: ClassVar[str] = "periodic joint error"
+    family: ClassVar[Family] = Family.GEOMETRY
+    place: str
+    order: int
+    typical_rad: float
+
+    @property
+    def key(self) -> str:
+        """Name with the order."""
+        return f"{self.place}: {self.name} of order {self.order}"
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Amplitudes; both may have any sign."""
+        bound_rad = STEEPEST / self.order
+        return (
+            Size("sine_rad", -bound_rad, bound_rad, self.typical_rad),
+            Size("cosine_rad", -bound_rad, bound_rad, self.typical_rad),
+        )
+
+    def describe(self, size: Array) -> str:
+        """Return amplitude and phase."""
+        amplitude_mrad, phase_rad = 1e3 * np.hypot(size[0], size[1]), np.arctan2(size[1], size[0])
+        return f"{amplitude_mrad:.3g} mrad with {self.order} periods a turn, phase {phase_rad:.2f} rad"
+
+    def encode(self, size: Array, q_rad: Array) -> Array:
+        """Add the error."""
+        return np.asarray(q_rad + _waves(size, (self.order,), q_rad)[0])
+
+    def decode(self, size: Array, shown_rad: Array) -> Array:
+        """Subtract the error at the true angle."""
+        return _solve(size, (self.order,), shown_rad)
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothPeriodicError(Effect):
+    """Periodic error of all orders up to a highest one, expected to be smooth.
+
+    The prior of order k has the width sigma / k. An order that the data do not show stays near 0, so the
+    effective number of sizes is far below twice the highest order. It is for linear residuals, of geometry or
+    a second encoder: in a forward model each size costs a simulation.
+    """
+
+    name: ClassVar[str] = "periodic joint error of many orders"
+    family: ClassVar[Family] = Family.GEOMETRY
+    place: str
+    sigma_rad: float
+    highest: int = 48
+    """All orders up to about 32 are needed for a UR10, and 48 are better for one of two series."""
+
+    @property
+    def sizes(self) -> tuple[Size, ...]:
+        """Sine and cosine of each order."""
+        return tuple(
+            Size(
+                f"{wave}_{order}_rad",
+                -STEEPEST / order,
+                STEEPEST / order,
+                self.sigma_rad / order,
+                self.sigma_rad / order,
+            )
+            for order in range(1, self.highest + 1)
+            for wave in ("sine", "cosine")
+        )
+
+    def describe(self, size: Array) -> str:
+        """Return the root mean square, and the strongest order."""
+        amplitude_rad = np.hypot(size[::2], size[1::2])
+        strongest = int(np.argmax(amplitude_rad))
+        return (
+            f"{1e3 * np.sqrt(np.sum(np.square(size)) / 2):.3g} mrad RMS, "
+            f"most of it {1e3 * amplitude_rad[strongest]:.3g} mrad with {strongest + 1} periods a turn"
+        )
+
+    def encode(self, size: Array, q_rad: Array) -> Array:
+        """Add the error."""
+        return np.asarray(q_rad + _waves(size, range(1, self.highest + 1), q_rad)[0])
+
+    def decode(self, size: Array, shown_rad: Array) -> Array:
+        """Subtract the error at the true angle."""
+        return _solve(size, range(1, self.highest + 1), shown_rad)
+
+
+def _waves(size: Array, orders: Sequence[int], q_rad: Array) -> tuple[Array, Array]:
+    """Return error and slope, (n_sims, n) each, of sines and cosines in turn, (n_sims, 2 n_orders)."""
+    error, slope = np.zeros_like(q_rad), np.zeros_like(q_rad)
+    for k, order in enumerate(orders):
+        sine, cosine = size[:, [2 * k]], size[:, [2 * k + 1]]
+        s, c = np.sin(order * q_rad), np.cos(order * q_rad)
+        error += sine * s + cosine * c
+        slope += order * (sine * c - cosine * s)
+    return error, slope
+
+
+def _solve(size: Array, orders: Sequence[int], shown_rad: Array) -> Array:
+    """Return the angle that is shown so, by Newton's method; at size 0 the first step is exact."""
+    q_rad = shown_rad.copy()
+    for _ in range(NEWTON_STEPS):
+        error, slope = _waves(size, orders, q_rad)
+        # orders together may be steeper than 1 in a wild guess of a fit: the step stays finite
+        q_rad = q_rad - (q_rad + error - shown_rad) / np.maximum(1 + slope, 0.25)
+    return q_rad

@@ -14,11 +14,17 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
-from simgap.effects.effect import RUN_HOOKS, Effect, Fields, Rotor
-from simgap.effects.joint import mjcf_joint
-from simgap.patch.effect_table import effect_table, toml_text
-from simgap.patch.patch_law import law_attributes, model_law
-from simgap.patch.patch_text import BODY_OF, Change, change_text, number_text
+from simgap.effects.effect import RUN_HOOKS, Effect, Fields, Rotor, mjcf_joint
+from simgap.patch.text import (
+    BODY_OF,
+    Change,
+    change_text,
+    effect_table,
+    law_attributes,
+    model_law,
+    number_text,
+    toml_text,
+)
 from simgap.result import Diagnosis
 from simgap.robot import Robot
 from simgap.simulation.compiled import HARD_IMPEDANCE, nominal_fields, step_armature

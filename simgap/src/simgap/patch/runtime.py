@@ -22,8 +22,8 @@ from simgap.arrays import Array, Integers
 from simgap.common.errors import RobotError
 from simgap.effects.effect import HISTORY_S, Effect, State, Tick
 from simgap.files.toml_record import read_toml
-from simgap.patch.effect_table import read_effect
 from simgap.patch.patch import FORMAT
+from simgap.patch.text import read_effect
 from simgap.robot import ControlMode
 
 

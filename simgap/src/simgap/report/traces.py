@@ -8,9 +8,8 @@ import numpy as np
 
 from simgap.arrays import Array, Flags
 from simgap.logs import Motion
-from simgap.residuals.kinds import list_kinds
 from simgap.residuals.residuals import ResidualModel
-from simgap.residuals.simulation_residuals import SimulationResiduals
+from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
 from simgap.result import Diagnosis
 from simgap.robot import Robot
 

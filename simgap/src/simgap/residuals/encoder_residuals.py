@@ -24,7 +24,6 @@ from simgap.arrays import Array, Flags, Integers
 from simgap.common.errors import RobotError
 from simgap.effects.effect import ENCODER_HOOKS, Effect, State
 from simgap.logs import Motion
-from simgap.residuals.explain import measured_variable
 from simgap.residuals.filtered_motion import (
     FilteredMotion,
     LowPass,
@@ -33,7 +32,7 @@ from simgap.residuals.filtered_motion import (
     find_usable,
     inverse_dynamics,
 )
-from simgap.residuals.residuals import SECOND_ENCODER
+from simgap.residuals.residuals import SECOND_ENCODER, measured_variable
 from simgap.robot import Robot
 
 

@@ -20,7 +20,6 @@ from simgap.arrays import Array, Flags, Integers
 from simgap.common.errors import RobotError
 from simgap.effects.effect import TORQUE_HOOKS, Effect, State
 from simgap.logs import Motion
-from simgap.residuals.explain import measured_variable
 from simgap.residuals.filtered_motion import (
     FilteredMotion,
     choose_filter,
@@ -29,6 +28,7 @@ from simgap.residuals.filtered_motion import (
     find_usable,
     inverse_dynamics,
 )
+from simgap.residuals.residuals import measured_variable
 from simgap.robot import Robot
 from simgap.simulation.compiled import nominal_fields
 
@@ -37,7 +37,7 @@ PER_CUT_OFF: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Acting:
+class _ActingTorque:
     effect: Effect
     size: Array
     """(n_candidates, n_sizes)."""
@@ -140,14 +140,14 @@ class InverseResiduals:
         candidates = _Candidates(self._robot, acting, len(sizes))
         return np.concatenate([self._of_motion(m, candidates) for m in range(len(self._filtered))], axis=1)
 
-    def _acting(self, effects: Sequence[Effect], sizes: Array) -> list[_Acting]:
+    def _acting(self, effects: Sequence[Effect], sizes: Array) -> list[_ActingTorque]:
         found, first = [], 0
         for effect in effects:
             size = sizes[:, first : first + len(effect.sizes)]
             first += len(effect.sizes)
             if shows(effect) and size.any():
                 joint = self.joints.index(effect.place) if effect.place in self.joints else -1
-                found.append(_Acting(effect, size, joint))
+                found.append(_ActingTorque(effect, size, joint))
         return found
 
     def _of_motion(self, m: int, candidates: "_Candidates") -> Array:
@@ -245,7 +245,7 @@ def _each(size: Array, one: FilteredMotion) -> Array:
 class _Candidates:
     """Numbers of the model for each candidate."""
 
-    def __init__(self, robot: Robot, acting: Sequence[_Acting], n: int) -> None:
+    def __init__(self, robot: Robot, acting: Sequence[_ActingTorque], n: int) -> None:
         self.n = n
         self._robot = robot
         self._acting = acting
@@ -264,7 +264,7 @@ class _Candidates:
         if changed.any():
             self._batch.set_const()
 
-    def with_hook(self, hook: str) -> list[_Acting]:
+    def with_hook(self, hook: str) -> list[_ActingTorque]:
         """Return the effects that override a hook."""
         return [one for one in self._acting if one.effect.overrides(hook)]
 

@@ -7,10 +7,13 @@ at once. Selection, fit and verdict know no more of them than this.
 from collections.abc import Sequence
 from typing import Final, Protocol
 
+import mujoco
 import numpy as np
 
 from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect
+from simgap.logs import Motion, Signal
+from simgap.robot import Robot
 
 SECOND_ENCODER: Final = "second encoder"
 """Kind of the residual between two encoders."""
@@ -87,3 +90,129 @@ def residuals_by_motion(model: ResidualModel, effects: Sequence[Effect], sizes: 
         rows = model.residuals(effects, distinct)
         found.append(rows[which.reshape(-1)[model.motion_of], np.arange(rows.shape[1])])
     return np.array(found)
+
+
+def pseudo_huber(z: Array) -> Array:
+    """Compute the loss: the square of small residuals, twice the absolute value of large ones.
+
+    Args:
+        z: Residuals over their scale, (n,), unitless.
+
+    Returns:
+        Losses, (n,).
+    """
+    square = z * z
+    loss: Array = 2.0 * square / (np.sqrt(1.0 + square) + 1.0)  # exact for small residuals too
+    return loss
+
+
+def half_loss_derivatives(z: Array) -> tuple[Array, Array]:
+    """Compute the first two derivatives of half the pseudo-Huber loss.
+
+    Args:
+        z: Residuals over their scale, (n,), unitless.
+
+    Returns:
+        Slope and curvature, (n,) each.
+    """
+    return z / np.sqrt(1.0 + z * z), (1.0 + z * z) ** -1.5
+
+
+def root_weight(z: Array) -> Array:
+    """Compute the weights with which a sum of squares acts as the pseudo-Huber loss near these residuals.
+
+    Args:
+        z: Residuals over their scale, (n,), unitless.
+
+    Returns:
+        Square roots of the weights of the squares, (n,).
+    """
+    weight: Array = (1.0 + z * z) ** -0.25
+    return weight
+
+
+SMOOTH_SAMPLES = 5
+"""Samples of the straight lines that give speeds and accelerations, as at the start of windows."""
+
+
+def measured_variable(
+    robot: Robot, motions: Sequence[Motion], name: str, motion_of: Integers, joint_of: Integers, time_s: Array
+) -> Array:
+    """Interpolate a variable of the measured motion.
+
+    Args:
+        motions: Its logs.
+        name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC],
+            "command".
+        motion_of: Index of the motion of each value, (n,).
+        joint_of: Index of the joint, (n,).
+        time_s: Time in the motion, (n,) [s].
+
+    Returns:
+        Values, (n,); NaN where the variable is not logged.
+    """
+    if name == "time":
+        return time_s.copy()
+    value = np.full(time_s.size, np.nan)
+    for m, motion in enumerate(motions):
+        of_motion = motion_of == m
+        for j, joint in enumerate(robot.joints):
+            here = np.flatnonzero(of_motion & (joint_of == j))
+            log = motion.joints.get(joint.name)
+            if log is None or not here.size:
+                continue
+            if name == "load":
+                value[here] = _load_Nm(robot, motion, j, time_s[here])
+                continue
+            signal = {
+                "position": log.position,
+                "velocity": slopes(log.position),
+                "temperature": log.temperature,
+                "command": log.command,
+            }[name]
+            if signal is not None:
+                value[here] = np.interp(time_s[here], signal.time_s, signal.value)
+    return value
+
+
+def slopes(signal: Signal) -> Signal:
+    """Differentiate a signal by straight lines through some neighbouring samples.
+
+    Args:
+        signal: Signal of n samples.
+
+    Returns:
+        Slopes at the middles of the lines.
+    """
+    n = min(SMOOTH_SAMPLES, signal.time_s.size)
+    t = np.lib.stride_tricks.sliding_window_view(signal.time_s, n)
+    x = np.lib.stride_tricks.sliding_window_view(signal.value, n)
+    middle = t.mean(axis=1, keepdims=True)
+    spread = np.sum((t - middle) ** 2, axis=1)
+    return Signal(middle[:, 0], np.sum((t - middle) * x, axis=1) / spread)
+
+
+def _load_Nm(robot: Robot, motion: Motion, j: int, time_s: Array) -> Array:
+    """Compute `State.load_Nm` of a joint at the measured motion."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    q, v, a = (np.zeros((time_s.size, len(robot.joints))) for _ in range(3))
+    for i, joint in enumerate(robot.joints):
+        log = motion.joints.get(joint.name)
+        if log is None:
+            continue
+        speed = slopes(log.position)
+        acceleration = slopes(speed)
+        q[:, i] = np.interp(time_s, log.position.time_s, log.position.value)
+        v[:, i] = np.interp(time_s, speed.time_s, speed.value)
+        a[:, i] = np.interp(time_s, acceleration.time_s, acceleration.value)
+    qpos = [joint.qpos_index for joint in robot.joints]
+    dof = [joint.dof_index for joint in robot.joints]
+    load, torque = np.empty(time_s.size), np.empty(model.nv)
+    for k in range(time_s.size):
+        data.qpos[qpos], data.qvel[dof], data.qacc[dof] = q[k], v[k], a[k]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_rne(model, data, 1, torque)
+        load[k] = torque[robot.joints[j].dof_index]
+    return load

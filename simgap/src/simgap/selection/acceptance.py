@@ -1,4 +1,4 @@
-"""Accept an effect: it predicts motions that took no part better, and harms no other joint."""
+"""Accept an effect: it predicts motions that took no part better, in pairs, and harms no other joint."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,13 +6,113 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array
+from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect
-from simgap.residuals.loss import pseudo_huber
-from simgap.selection.comparison import improvement_z
+from simgap.residuals.noise import cut_rows
+from simgap.residuals.residuals import half_loss_derivatives, pseudo_huber
 from simgap.selection.context import Context, FittedModel, simulate
-from simgap.selection.fit import Fit, gather_residuals
+from simgap.selection.fit import STEP, JointFit, gather_residuals
 from simgap.selection.sharing import ALL_JOINTS
+
+
+def improvement_share(context: Context, rows: Integers, before: Array, after: Array) -> float:
+    """Return the mean improvement of the losses of left-out motions, as a share of what can be explained.
+
+    Args:
+        rows: Rows of the residual model, (n_rows,) indices.
+        before: Their residuals when their motion was left out, over their scales, (n_rows,), without a unit.
+        after: The same of another model, (n_rows,), without a unit.
+
+    Returns:
+        The share, from -1 to 1.
+    """
+    loss = pseudo_huber(before)
+    mean = float(np.mean(loss - pseudo_huber(after)))
+    explainable = float(np.mean(loss - context.noise_loss[context.model.joint_of[rows]]))
+    return mean / max(explainable, abs(mean), 1e-12)
+
+
+def improvement_z(context: Context, rows: Integers, before: Array, after: Array) -> float:
+    """Return the improvement of the losses of left-out motions, over its standard error.
+
+    Where repeats show the noise, the standard error is what that noise can do: an effect counts although it
+    acts in few motions, such as a limit. Else it is the scatter from motion to motion, which counts a misfit.
+
+    Args:
+        rows: Rows of the residual model, (n_rows,) indices.
+        before: Their residuals when their motion was left out, over their scales, (n_rows,), without a unit.
+        after: The same of another model, (n_rows,), without a unit.
+
+    Returns:
+        The ratio.
+    """
+    if knows_noise(context, rows):
+        return compare_with_noise(context, rows, before, after)
+    return compare_motions(context.model.motion_of[rows], pseudo_huber(before), pseudo_huber(after))
+
+
+def knows_noise(context: Context, rows: Integers) -> bool:
+    """Return whether the noise of all joints is known, or shown by repeated motions.
+
+    Args:
+        rows: Rows of the joints in the residual model, (n_rows,) indices.
+
+    Returns:
+        True if they do.
+    """
+    return bool(context.model.noise_std) or bool(
+        np.all(context.noise_loss[np.unique(context.model.joint_of[rows])] > 0.0)
+    )
+
+
+def compare_motions(motion: Integers, before: Array, after: Array) -> float:
+    """Return the improvement of the losses of motions, over its scatter between them.
+
+    The improvement is that of differences or of logarithms of ratios, whichever says more. Motions of very
+    different strength scatter in differences; motions that an effect does not touch scatter in ratios.
+
+    Args:
+        motion: Motion of each loss, (n_rows,), index.
+        before: Losses, (n_rows,), without a unit.
+        after: Losses of another model, (n_rows,), without a unit.
+
+    Returns:
+        The mean over its standard error; 0 with fewer than two motions.
+    """
+    _, motion = np.unique(motion, return_inverse=True)
+    count = np.bincount(motion)
+    old, new = np.bincount(motion, weights=before) / count, np.bincount(motion, weights=after) / count
+    ratios = np.log(np.maximum(old, 1e-12) / np.maximum(new, 1e-12))
+    return max(_mean_over_error(old - new), _mean_over_error(ratios))
+
+
+def _mean_over_error(values: Array) -> float:
+    """Return the mean of values, (n,), over its standard error; 0 if there is none."""
+    if len(values) < 2:
+        return 0.0
+    error = float(np.std(values, ddof=1) / np.sqrt(len(values)))
+    return float(np.mean(values)) / error if error > 0.0 else 0.0
+
+
+def compare_with_noise(context: Context, rows: Integers, before: Array, after: Array) -> float:
+    """Return the mean improvement of a loss over the standard error by the noise that remains.
+
+    Where two models differ, noise makes one of them the better by chance: to first order, by the slope of
+    the loss times the difference. Its totals over blocks of the noise are independent.
+
+    Args:
+        rows: Rows of the residual model, (n_rows,) indices.
+        before: Their residuals over their scales, (n_rows,), without a unit.
+        after: The same of another model, (n_rows,), without a unit.
+
+    Returns:
+        The ratio; 0 where the models do not differ.
+    """
+    slope, _ = half_loss_derivatives(after)
+    totals = np.bincount(cut_rows(context.model, rows, after), weights=2.0 * slope * (before - after))
+    error = float(np.sqrt(totals @ totals))
+    return float(np.sum(pseudo_huber(before) - pseudo_huber(after))) / error if error > 0.0 else 0.0
+
 
 MIN_SHARE: Final = 0.05
 """Least share of the error of left-out motions that an effect has to remove: less is not worth a name."""
@@ -33,7 +133,7 @@ class Candidate:
     effect: Effect
     joints: tuple[int, ...]
     """Joints at which it was judged."""
-    fit: Fit
+    fit: JointFit
     left_out: Array
     """Residuals of the fit when their motion was left out, over the scale of their joint, (n_rows,)."""
     at_bound: bool
@@ -123,3 +223,76 @@ def worsens_another(context: Context, present: FittedModel, candidate: Candidate
         float(np.mean(np.abs(after[rows]))) > (1.0 + MAX_WORSE) * float(np.mean(np.abs(before[rows])))
         for rows in (model.joint_of == j for j in others)
     )
+
+
+def cross_validate(context: Context, fits: Sequence[JointFit]) -> Array:
+    """Predict the residuals of each motion by a fit without its fold.
+
+    Args:
+        fits: Fits of different joints.
+
+    Returns:
+        Each residual when its motion was left out, over the scale of its joint, (n_rows,); 0 without a fit.
+    """
+    found = np.zeros(context.model.joint_of.size)
+    for fit, left_out in zip(fits, cross_validate_each(context, fits), strict=True):
+        found[fit.rows] = left_out
+    return found
+
+
+def cross_validate_each(context: Context, fits: Sequence[JointFit]) -> list[Array]:
+    """Predict the residuals of each motion without its fold, for each fit by itself.
+
+    Where the noise is known, nothing is left out: the chance of an effect counts what its sizes explain of
+    the noise.
+
+    A fit without a fold begins at the optimum of all motions and takes one Newton step, with the
+    Jacobian of that optimum. It is then simulated, so that nothing of its loss is linearised.
+
+    Returns:
+        The residuals of each fit when their motion was left out, over the scale of their joint, (n_rows,).
+    """
+    joint_of = context.model.joint_of
+    if context.model.noise_std:
+        return [fit.residuals / context.scales[joint_of[fit.rows]] for fit in fits]
+    points = []
+    for fit in fits:
+        sizes = np.tile(fit.sizes, (len(context.model.motions), 1))
+        for fold in context.folds:
+            sizes[sorted(fold)] = step_without(context, fit, fold)
+        points.append((fit.joint, sizes))
+    rows = simulate(context, points, "cross-validation")
+    return [row / context.scales[joint_of[fit.rows]] for fit, row in zip(fits, rows, strict=True)]
+
+
+def step_without(context: Context, fit: JointFit, fold: frozenset[int]) -> Array:
+    """Return the sizes of a fit after one step without a fold of motions.
+
+    A size at a bound stays there if the step would lead beyond it. Derivatives are known to about STEP: what
+    changes in sizes together do to the residual is not known where it is STEP times less than what they do
+    alone, and the step does not go there.
+
+    Args:
+        fit: Fit of all motions.
+        fold: Indices of motions that take no part.
+
+    Returns:
+        (n_sizes,), in their own units.
+    """
+    model, free = context.model, fit.columns
+    sizes = context.union.sizes_at(free)
+    low, high = np.array([size.low for size in sizes]), np.array([size.high for size in sizes])
+    prior = np.array([size.prior_std for size in sizes]) ** -2.0
+    weight = np.where(np.isin(model.motion_of[fit.rows], sorted(fold)), 0.0, 1.0)
+    weight /= context.scales[model.joint_of[fit.rows]]
+    a, at = fit.jacobian * weight[:, None], fit.sizes[free]
+    slope, curvature = half_loss_derivatives(fit.residuals * weight)
+    gradient = a.T @ slope + prior * at
+    go = ~(((at <= low) & (gradient > 0.0)) | ((at >= high) & (gradient < 0.0)))
+    normal = (a.T @ (a * curvature[:, None]) + np.diag(prior))[np.ix_(go, go)]
+    unit = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / np.outer(unit, unit), rcond=STEP**2, hermitian=True)
+    at[go] -= inverse @ (gradient[go] / unit) / unit
+    found = fit.sizes.copy()
+    found[free] = np.clip(at, low, high)
+    return found

@@ -8,11 +8,10 @@ import numpy as np
 
 from simgap.arrays import Array, Integers
 from simgap.effects.effect import Effect
-from simgap.residuals.blocks import Blocks
+from simgap.residuals.noise import Blocks
 from simgap.residuals.residuals import ResidualModel
-from simgap.selection.checkpoint import Checkpoint
-from simgap.selection.fit import MAX_ITERATIONS, Fit, Hypothesis, Union, evaluate_points, fit_hypotheses
-from simgap.selection.meter import Meter
+from simgap.selection.checkpoint import Checkpoint, Meter
+from simgap.selection.fit import MAX_ITERATIONS, Hypothesis, JointFit, Union, evaluate_points, fit_hypotheses
 from simgap.selection.sharing import ALL_JOINTS, Point, Sharing, share_nothing
 
 P = ParamSpec("P")
@@ -60,7 +59,7 @@ class FittedModel:
     """Accepted effects, without base parameters."""
     sizes: Array
     """(n_sizes,)."""
-    fits: tuple[Fit, ...]
+    fits: tuple[JointFit, ...]
     """One a joint; a single one of all joints if an effect is judged at all."""
     left_out: Array
     """Each residual when its motion was left out, over the scale of its joint, (n_rows,)."""
@@ -193,7 +192,7 @@ def resume_step(
 
 def fit_together(
     context: Context, hypotheses: Sequence[Hypothesis], text: str, iterations: int = MAX_ITERATIONS
-) -> list[Fit]:
+) -> list[JointFit]:
     """Fit hypotheses in this context.
 
     Args:

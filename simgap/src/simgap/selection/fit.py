@@ -15,8 +15,7 @@ import numpy as np
 
 from simgap.arrays import Array, Flags, Integers
 from simgap.effects.effect import Effect, Size
-from simgap.residuals.loss import pseudo_huber, root_weight
-from simgap.residuals.residuals import ResidualModel, residuals_by_motion
+from simgap.residuals.residuals import ResidualModel, pseudo_huber, residuals_by_motion, root_weight
 from simgap.selection.sharing import ALL_JOINTS, Point, Sharing
 
 STEP: Final = 0.05
@@ -101,7 +100,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class JointFit:
     """Hypothesis at its optimum."""
 
     sizes: Array
@@ -117,7 +116,7 @@ class Fit:
     """Derivatives of the residuals by the free sizes, (n_rows, p)."""
 
 
-def gather_residuals(fits: Sequence[Fit], n_rows: int) -> Array:
+def gather_residuals(fits: Sequence[JointFit], n_rows: int) -> Array:
     """Put the residuals of the joints in one array.
 
     Args:
@@ -163,7 +162,7 @@ def fit_hypotheses(
     sharing: Sharing,
     iterations: int = MAX_ITERATIONS,
     report: Callable[[int], None] | None = None,
-) -> list[Fit]:
+) -> list[JointFit]:
     """Fit hypotheses together by Levenberg-Marquardt with a pseudo-Huber loss.
 
     Args:
@@ -336,8 +335,8 @@ class _Problem:
             rows = self.part[joint]
             self.jacobian[rows, k] += missed[rows] * slope[k]
 
-    def fit(self) -> Fit:
-        return Fit(self.x, self.free, self.joint, self.r, self.rows, self.jacobian)
+    def fit(self) -> JointFit:
+        return JointFit(self.x, self.free, self.joint, self.r, self.rows, self.jacobian)
 
 
 class _Evaluator:

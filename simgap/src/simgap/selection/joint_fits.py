@@ -9,9 +9,9 @@ import numpy as np
 from simgap.arrays import Array, Integers
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
-from simgap.residuals.blocks import Blocks, cut_into_blocks
-from simgap.residuals.noise import noise_losses, whiten_noise
+from simgap.residuals.noise import Blocks, cut_into_blocks, noise_losses, whiten_noise
 from simgap.residuals.residuals import ResidualModel
+from simgap.selection.acceptance import cross_validate
 from simgap.selection.context import (
     Context,
     FittedModel,
@@ -21,15 +21,14 @@ from simgap.selection.context import (
     resume_step,
     simulate,
 )
-from simgap.selection.cross_validation import cross_validate
 from simgap.selection.fit import (
-    Fit,
     Hypothesis,
+    JointFit,
     gather_residuals,
     scale_residuals,
     select_rows,
 )
-from simgap.selection.reach import share_simulations
+from simgap.selection.screening import share_simulations
 from simgap.selection.sharing import ALL_JOINTS
 
 MIN_MOTIONS: Final = 4
@@ -78,7 +77,11 @@ def _count_motions(model: ResidualModel) -> int:
 
 
 def add_effects(
-    context: Context, base: FittedModel, present: FittedModel, effects: Sequence[Effect], found: Sequence[Fit]
+    context: Context,
+    base: FittedModel,
+    present: FittedModel,
+    effects: Sequence[Effect],
+    found: Sequence[JointFit],
 ) -> tuple[Context, FittedModel]:
     """Add effects to the present model, and refit it in the scales of its new residuals.
 
@@ -129,7 +132,7 @@ def recut_blocks(
     return context, replace(present, left_out=cross_validate(context, present.fits))
 
 
-def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[Fit, ...]]:
+def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[JointFit, ...]]:
     """Fit the base parameters of all joints.
 
     Args:
@@ -157,7 +160,7 @@ def free_columns(context: Context, effects: Sequence[Effect], joint: int) -> Int
 
 
 def start_fit(
-    context: Context, effects: Sequence[Effect], joint: int, sizes: Array, known: Sequence[Fit] = ()
+    context: Context, effects: Sequence[Effect], joint: int, sizes: Array, known: Sequence[JointFit] = ()
 ) -> Hypothesis:
     """Return the hypothesis of base and effects at a joint, with the derivatives that are known.
 
@@ -181,8 +184,8 @@ def start_fit(
 
 
 def fit_joints(
-    context: Context, effects: Sequence[Effect], sizes: Array, known: Sequence[Fit] = ()
-) -> tuple[Fit, ...]:
+    context: Context, effects: Sequence[Effect], sizes: Array, known: Sequence[JointFit] = ()
+) -> tuple[JointFit, ...]:
     """Fit base and effects of every joint; all joints together if an effect is judged at all of them.
 
     The residuals are those with the new sizes of all joints: a joint was fitted with the others as they were.
@@ -206,7 +209,7 @@ def fit_joints(
     return tuple(replace(fit, sizes=sizes, residuals=rows[fit.rows]) for fit in fits)
 
 
-def fits_at(context: Context, present: FittedModel, joint: int) -> tuple[Fit, ...]:
+def fits_at(context: Context, present: FittedModel, joint: int) -> tuple[JointFit, ...]:
     """Return the fits of the residuals of a joint.
 
     Args:
@@ -231,7 +234,7 @@ def fits_at(context: Context, present: FittedModel, joint: int) -> tuple[Fit, ..
     return (part,)
 
 
-def merge_sizes(context: Context, sizes: Array, fits: Sequence[Fit]) -> Array:
+def merge_sizes(context: Context, sizes: Array, fits: Sequence[JointFit]) -> Array:
     """Return the sizes with those that each fit has found.
 
     Args:

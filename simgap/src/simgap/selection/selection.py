@@ -11,13 +11,20 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.effect import Effect
-from simgap.residuals.blocks import count_independent
-from simgap.residuals.loss import pseudo_huber
-from simgap.residuals.residuals import ResidualModel
-from simgap.selection.acceptance import MIN_SHARE, MIN_Z, Candidate, choose
+from simgap.residuals.noise import count_independent
+from simgap.residuals.residuals import ResidualModel, pseudo_huber
+from simgap.selection.acceptance import (
+    MIN_SHARE,
+    MIN_Z,
+    Candidate,
+    choose,
+    cross_validate_each,
+    improvement_share,
+    improvement_z,
+    knows_noise,
+)
 from simgap.selection.chance import FALSE_ALARM, count_distinct, known_noise_log_p
-from simgap.selection.checkpoint import Checkpoint
-from simgap.selection.comparison import improvement_share, improvement_z, knows_noise
+from simgap.selection.checkpoint import Checkpoint, Meter
 from simgap.selection.context import (
     Context,
     FittedModel,
@@ -28,8 +35,7 @@ from simgap.selection.context import (
     simulate,
     start_context,
 )
-from simgap.selection.cross_validation import cross_validate_each
-from simgap.selection.fit import Fit, Hypothesis, gather_residuals, select_rows
+from simgap.selection.fit import Hypothesis, JointFit, gather_residuals, select_rows
 from simgap.selection.joint_fits import (
     add_effects,
     fit_base,
@@ -40,9 +46,15 @@ from simgap.selection.joint_fits import (
     recut_blocks,
     start_fit,
 )
-from simgap.selection.meter import Meter
-from simgap.selection.reach import expected_change
-from simgap.selection.screening import Trial, adjust, list_trials, refit_p, score_effect, whiten
+from simgap.selection.screening import (
+    Trial,
+    adjust,
+    expected_change,
+    list_trials,
+    refit_p,
+    score_effect,
+    whiten,
+)
 from simgap.selection.sharing import ALL_JOINTS
 
 MAX_EFFECTS: Final = 3
@@ -210,7 +222,7 @@ def screen(
     return [score for group in ranked for score in group[:SHORTLIST]], n_distinct
 
 
-def _order(simulated: Sequence[Array], fits: Sequence[Fit]) -> Sequence[Array]:
+def _order(simulated: Sequence[Array], fits: Sequence[JointFit]) -> Sequence[Array]:
     """Bring residuals of all joints into the order of the fits of several joints."""
     if len(fits) == 1:
         return simulated
@@ -247,7 +259,7 @@ def find_winners(
     return choose(context, present, candidates), [*finalists, *others]
 
 
-def explain_loss(context: Context, fit: Fit, without: Array) -> float:
+def explain_loss(context: Context, fit: JointFit, without: Array) -> float:
     """Return by how much a fit decreases the loss of its joints.
 
     Args:
@@ -297,7 +309,7 @@ def judge(
     return candidates
 
 
-def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit: Fit) -> bool:
+def is_at_bound(context: Context, others: Sequence[Effect], effect: Effect, fit: JointFit) -> bool:
     """Check whether a size of an effect ends at a bound, is not plausible, or is too small to be simulated.
 
     A simulation works in steps: a delay of less than half a step is none in it.
@@ -361,7 +373,7 @@ def drop_needless(
         present = leave_out(context, present, weakest)
 
 
-def find_log_chance(context: Context, fits: Sequence[Fit], effect: Effect, without: Array) -> float:
+def find_log_chance(context: Context, fits: Sequence[JointFit], effect: Effect, without: Array) -> float:
     """Return the logarithm of the probability of so strong an effect, beside all others, if none is present.
 
     Args:

@@ -10,10 +10,10 @@ from scipy.stats import t as student
 
 from simgap.arrays import Array, Integers, orthonormal
 from simgap.effects.effect import Effect, Family
-from simgap.residuals.blocks import cut_rows
-from simgap.residuals.loss import half_loss_derivatives, root_weight
+from simgap.residuals.noise import cut_rows
+from simgap.residuals.residuals import half_loss_derivatives, root_weight
+from simgap.selection.acceptance import improvement_share
 from simgap.selection.chance import alternative_p
-from simgap.selection.comparison import improvement_share
 from simgap.selection.context import (
     Context,
     FittedModel,
@@ -23,7 +23,7 @@ from simgap.selection.context import (
     resume_step,
     simulate,
 )
-from simgap.selection.fit import Fit, gather_residuals
+from simgap.selection.fit import JointFit, gather_residuals
 from simgap.selection.joint_fits import fits_at, joints_of
 from simgap.selection.selection import is_at_bound, start_refit
 from simgap.selection.sharing import ALL_JOINTS
@@ -127,7 +127,7 @@ def find_layer_sets(
 
 
 def _cause_p(
-    context: Context, without: FittedModel, joints: Sequence[int], tested: Sequence[Fit]
+    context: Context, without: FittedModel, joints: Sequence[int], tested: Sequence[JointFit]
 ) -> list[float]:
     """Return for each alternative the probability that a finding fits so much better if it is the cause.
 
@@ -153,7 +153,7 @@ def _cause_p(
     ]
 
 
-def _join(fits: Sequence[Fit], n_rows: int) -> tuple[Array, Array]:
+def _join(fits: Sequence[JointFit], n_rows: int) -> tuple[Array, Array]:
     """Return residuals, (n_rows,), and derivatives, (n_rows, n_free), of several fits together."""
     jacobian, first = np.zeros((n_rows, sum(len(fit.columns) for fit in fits))), 0
     for fit in fits:
@@ -163,7 +163,7 @@ def _join(fits: Sequence[Fit], n_rows: int) -> tuple[Array, Array]:
     return gather_residuals(fits, n_rows), jacobian
 
 
-def size_intervals(context: Context, fit: Fit) -> Array:
+def size_intervals(context: Context, fit: JointFit) -> Array:
     """Return intervals of the free sizes of a fit that hold for residuals with autocorrelation.
 
     The covariance is the sandwich with motions as clusters: residuals of one motion may depend on one another
@@ -196,7 +196,7 @@ def size_intervals(context: Context, fit: Fit) -> Array:
     return np.column_stack([at - half, at + half])
 
 
-def _scatter_of_motions(context: Context, fit: Fit, a: Array, slope: Array) -> Array:
+def _scatter_of_motions(context: Context, fit: JointFit, a: Array, slope: Array) -> Array:
     """Return the covariance of the gradient from its sums over motions, (n_free, n_free)."""
     motion = context.model.motion_of[fit.rows]
     sums = np.array([a[motion == k].T @ slope[motion == k] for k in np.unique(motion)])

@@ -1,21 +1,29 @@
-"""Effects that a tracker shows: errors of links and joints of a serial arm, and how they change an arm."""
+"""Effects in the joints of a serial arm: fits without some of them, and whether each is named."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Final
 
 import numpy as np
+from scipy.stats import chi2, norm
+from scipy.stats import t as student
 
+from simgap.arrays import Array, Flags, Integers
 from simgap.effects.effect import Effect, Family, Size
-from simgap.serial_arm.arm import GEOMETRY_NAMES, Link, SerialArm
+from simgap.serial_arm.calibrate import SerialCalibration
+from simgap.serial_arm.fit import MIN_SENSITIVITY, Fit
 from simgap.serial_arm.model import (
     COMPLIANCE,
     GEOMETRY,
+    GEOMETRY_NAMES,
     HYSTERESIS,
     NON_PERIODIC,
     PERIODIC,
+    Link,
+    SerialArm,
     coefficient_names,
 )
+from simgap.serial_arm.nested_models import NestedModel
 
 MAX_SIZE: Final = 1.0
 """Largest size in radians, metres or rad/(N m): that of an arm file."""
@@ -56,7 +64,7 @@ class LinkGeometry(TrackerEffect):
 
 
 @dataclass(frozen=True, slots=True)
-class JointCompliance(TrackerEffect):
+class TrackerCompliance(TrackerEffect):
     """Rotation of a joint in proportion to its gravity torque."""
 
     name: ClassVar[str] = "joint compliance"
@@ -139,3 +147,230 @@ def _patch_link(link: Link, effect: TrackerEffect, size: Sequence[float]) -> Lin
     names = [with_unit(number) for number in effect.numbers]
     added = {name: getattr(link, name) + float(value) for name, value in zip(names, size, strict=True)}
     return replace(link, **added)
+
+
+BLOCKS: Final = 10
+"""Number of blocks of time: a standard error of ten values is known within a quarter."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Eliminated:
+    """Values with some parameters at zero."""
+
+    values: Array
+    """Values from all poses in the units of the parameters, shape (p,)."""
+    by_block: Array
+    """Values from the poses outside of each block, shape (b, p)."""
+    block_error: Array
+    """Root mean square whitened residual of each block, predicted from the others, shape (b,)."""
+
+
+class Elimination:
+    """Normal equations of a fit, by block of time, solved for any part of the parameters."""
+
+    def __init__(self, fitted: Fit):
+        used = fitted.used
+        self._fit = fitted
+        self._scale = np.array([one.scale for one in fitted.parameters])
+        prior = self._scale / np.array([one.prior_sigma for one in fitted.parameters])
+        self._J = fitted.at.jacobian[used] * self._scale
+        self._r = fitted.at.residual[used]
+        self.block: Integers = np.arange(self._r.shape[0]) * BLOCKS // self._r.shape[0]
+        parts = [self._J[self.block == k].reshape(-1, self._scale.size) for k in range(BLOCKS)]
+        H = np.array([part.T @ part for part in parts])
+        g = np.array([part.T @ self._r[self.block == k].ravel() for k, part in enumerate(parts)])
+        penalty = np.diag(prior**2 + MIN_SENSITIVITY**2)
+        pull = prior**2 * fitted.values / self._scale
+        left_out = [np.zeros_like(H[0]), *H], [np.zeros_like(g[0]), *g]
+        self._inverse = [np.linalg.inv(H.sum(axis=0) - part + penalty) for part in left_out[0]]
+        self._gradient = [g.sum(axis=0) - part + pull for part in left_out[1]]
+
+    def without(self, removed: Flags) -> Eliminated:
+        """Fit with some parameters at zero.
+
+        Args:
+            removed: Boolean flags of these parameters, shape (p,).
+
+        Returns:
+            Values of all parameters, and errors of blocks that took no part.
+        """
+        steps = [self._step(H, g, removed) for H, g in zip(self._inverse, self._gradient, strict=True)]
+        error = np.empty(BLOCKS)
+        for k in range(BLOCKS):
+            here = self.block == k
+            error[k] = np.sqrt(np.mean((self._r[here] + self._J[here] @ steps[k + 1]) ** 2))
+        values = self._fit.values + np.array(steps) * self._scale
+        values[:, removed] = 0.0
+        return Eliminated(values[0], values[1:], error)
+
+    def _step(self, inverse: Array, gradient: Array, removed: Flags) -> Array:
+        """Solve the normal equations under the constraint that the values of some parameters become zero."""
+        step = -inverse @ gradient
+        if removed.any():
+            excess = step[removed] + (self._fit.values / self._scale)[removed]
+            step = step - inverse[:, removed] @ np.linalg.solve(inverse[np.ix_(removed, removed)], excess)
+        return step
+
+
+def jackknife_sigma(by_block: Array) -> Array:
+    """Compute standard errors of numbers from their values without each block.
+
+    Blocks differ by all that the model lacks, so these know more than the covariance of a fit.
+
+    Args:
+        by_block: Numbers in any unit, shape (b, k).
+
+    Returns:
+        Standard errors in their unit, shape (k,).
+    """
+    b = by_block.shape[0]
+    sigma: Array = np.sqrt((b - 1) * np.var(by_block, axis=0))
+    return sigma
+
+
+FALSE_ALARM: Final = 0.05
+"""Probability of naming any effect on an arm without one."""
+COVERAGE: Final = 0.90
+"""Coverage of the intervals."""
+
+
+@dataclass(frozen=True, slots=True)
+class EffectTest:
+    """Test of one effect among all others."""
+
+    effect: TrackerEffect
+    half_width: float
+    """Half of the interval of its size, in its unit."""
+    gain: float
+    """Share of the error of left-out blocks that comes back without it."""
+    problem: str
+    """Reason not to name it; empty: it is named."""
+
+
+def list_effects(found: SerialCalibration) -> list[TrackerEffect]:
+    """List the effects of all joints that compete, from the base outward."""
+    effects: list[TrackerEffect] = []
+    for one in found.model.arm.links:
+        effects += [PeriodicJointError(one.name, found.model.orders), TrackerCompliance(one.name)]
+        effects += [DirectionHysteresis(one.name)]
+    return effects
+
+
+def flag_parameters(fit: Fit, effects: list[TrackerEffect]) -> Flags:
+    """Flag the parameters of some effects.
+
+    Args:
+        fit: Fit with the parameters.
+
+    Returns:
+        Flags, shape (p,).
+    """
+    wanted = {f"{effect.place}.{number}" for effect in effects for number in effect.numbers}
+    return np.array([one.name in wanted for one in fit.parameters])
+
+
+def judge_effects(
+    models: tuple[NestedModel, ...], elimination: Elimination, effects: list[TrackerEffect]
+) -> list[EffectTest]:
+    """Test effects of joints.
+
+    An effect is named if three things hold. Its term lowers the error of left-out blocks. Its size is not 0,
+    with FALSE_ALARM over all effects together. Without it, left-out blocks are predicted worse.
+
+    Args:
+        models: Nested models, one for each term.
+        elimination: Fits of the last model without some parameters.
+        effects: Effects to test.
+
+    Returns:
+        A test for each effect.
+    """
+    found = models[-1].found
+    significant = {model.terms[-1]: model.is_significant for model in models[1:]}
+    whole = elimination.without(flag_parameters(found.fit, []))
+    return [
+        _test(found, elimination, whole, effect, FALSE_ALARM / len(effects), significant[effect.term])
+        for effect in effects
+    ]
+
+
+def _test(
+    found: SerialCalibration,
+    elimination: Elimination,
+    whole: Eliminated,
+    effect: TrackerEffect,
+    false_alarm: float,
+    is_significant: bool,
+) -> EffectTest:
+    fit = found.fit
+    own = flag_parameters(fit, [effect])
+    without = elimination.without(own)
+    gain = 1.0 - float(np.mean(whole.block_error) / np.mean(without.block_error))
+    covariance = widened_covariance(fit)[np.ix_(own, own)]
+    values = whole.values[own]
+    distance = float(values @ np.linalg.solve(covariance, values))
+    size, gradient, by_block = effect_size(found, effect, whole)
+    sigma = float(np.sqrt(gradient @ covariance @ gradient))
+    scatter = float(jackknife_sigma(by_block[:, None])[0])
+    half_width = max(
+        norm.isf((1 - COVERAGE) / 2) * sigma, student.isf((1 - COVERAGE) / 2, BLOCKS - 1) * scatter
+    )
+    is_zero = distance < chi2.isf(false_alarm, values.size)
+    is_zero |= values.size == 1 and abs(size) < student.isf(false_alarm / 2, BLOCKS - 1) * scatter
+    problem = ""
+    if not is_significant:
+        problem = f"{effect.term} at all joints together does not lower the error of left-out blocks"
+    elif is_zero:
+        problem = "its size is not different from 0"
+    elif isinstance(effect, TrackerCompliance) and size < 0:
+        problem = "it is negative, which no joint is"
+    elif gain <= 0:
+        problem = "left-out blocks are predicted as well without it"
+    return EffectTest(effect, half_width, gain, problem)
+
+
+def widened_covariance(fit: Fit) -> Array:
+    """Compute the covariance of a fit, widened where the noise is larger than stated.
+
+    Returns:
+        Covariance in the units of the parameters, shape (p, p).
+    """
+    return fit.covariance * max(1.0, fit.sigma0) ** 2
+
+
+def effect_size(
+    found: SerialCalibration, effect: TrackerEffect, fits: Eliminated
+) -> tuple[float, Array, Array]:
+    """Compute the size of an effect; that of a periodic error is its root mean square at the fitted poses.
+
+    Args:
+        found: Calibration with all effects.
+        effect: The effect, with k parameters.
+        fits: Values of all parameters.
+
+    Returns:
+        The size in its unit, its gradient, shape (k,), and its values without each block, shape (b,).
+    """
+    own = flag_parameters(found.fit, [effect])
+    values, by_block = fits.values[own], fits.by_block[:, own]
+    if not isinstance(effect, PeriodicJointError):
+        return float(values[0]), np.ones(1), by_block[:, 0]
+    waves = wave_features(found, effect)
+    square = waves.T @ waves / waves.shape[0]
+    size = float(np.sqrt(values @ square @ values))
+    gradient: Array = square @ values / max(size, np.finfo(float).tiny)
+    return size, gradient, np.sqrt(np.einsum("bi,ij,bj->b", by_block, square, by_block))
+
+
+def wave_features(found: SerialCalibration, effect: PeriodicJointError) -> Array:
+    """Select the features of the periodic error of a joint.
+
+    Args:
+        effect: Periodic error of the joint, with k parameters.
+
+    Returns:
+        Cosines and sines at the fitted poses, unitless, shape (n, k).
+    """
+    joint = [one.name for one in found.model.arm.links].index(effect.place)
+    waves: Array = found.model.features[joint][found.fit.used, len(NON_PERIODIC) :]
+    return waves

@@ -1,4 +1,4 @@
-"""Weighted nonlinear least squares with priors, and validation of a fit on held-out poses."""
+"""Weighted least squares with priors; identifiability, outliers, and validation on held-out poses."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
-from simgap.arrays import Array, Flags
+from simgap.arrays import Array, Flags, Integers
 
 NO_PRIOR: Final = np.inf
 """Prior sigma of a parameter without prior knowledge."""
@@ -241,3 +241,121 @@ def validate_hold_out(fitted: Fit, fresh: Linearisation) -> HoldOutValidation:
     J = fresh.jacobian
     learnt = np.einsum("nij,jk,nik->ni", J, fitted.covariance, J, optimize=True)
     return HoldOutValidation(fresh.residual, fresh.is_informative + learnt)
+
+
+MIN_SIGMAS: Final = 10.0
+"""A combination is identified if a change by its scale shows this many sigmas in all poses together."""
+MIN_SHARE: Final = 0.02
+"""A parameter belongs to an unidentified combination if this squared share of it does."""
+MIN_CORRELATION: Final = 0.05
+"""Parameters belong to one group if they correlate by more than this within the unidentified subspace."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnidentifiableGroup:
+    """Parameters of which only some combinations are identified."""
+
+    names: tuple[str, ...]
+    identified: int
+    """Number of identified combinations."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identifiability:
+    """Identified and unidentified combinations of parameters."""
+
+    parameters: tuple[FitParameter, ...]
+    singular_values: Array
+    """Singular values of the whitened Jacobian in units of the scales, in descending order, shape (p,)."""
+    combinations: Array
+    """Right singular vectors in units of the scales, one in each column, shape (p, p)."""
+
+    @property
+    def rank(self) -> int:
+        """Return the number of identified combinations."""
+        return int(np.count_nonzero(self.singular_values > MIN_SIGMAS))
+
+    @property
+    def condition(self) -> float:
+        """Return the condition number of the identified combinations."""
+        return float(self.singular_values[0] / self.singular_values[self.rank - 1]) if self.rank else np.inf
+
+    def unidentifiable_groups(self) -> tuple[UnidentifiableGroup, ...]:
+        """Group the parameters that are confounded or have no effect; none is in two groups."""
+        unseen = self.combinations[:, self.rank :]
+        projector = unseen @ unseen.T
+        share = np.diag(projector)
+        part = np.flatnonzero(share > MIN_SHARE)
+        together = np.abs(projector) > MIN_CORRELATION * np.sqrt(np.outer(share, share))
+        groups = _connected(part, together)
+        return tuple(self._group(group, projector) for group in groups)
+
+    def _group(self, group: Integers, projector: Array) -> UnidentifiableGroup:
+        unseen = round(float(np.trace(projector[np.ix_(group, group)])))
+        return UnidentifiableGroup(tuple(self.parameters[k].name for k in group), group.size - unseen)
+
+
+def assess_identifiability(
+    parameters: Sequence[FitParameter], at: Linearisation, used: Flags | None = None
+) -> Identifiability:
+    """Assess which combinations of parameters some poses identify.
+
+    Args:
+        parameters: Parameters with their scales.
+        at: Linearisation of all poses.
+        used: Boolean flags of the poses to use, shape (n,); all by default.
+
+    Returns:
+        Singular values and combinations.
+    """
+    jacobian = at.jacobian if used is None else at.jacobian[used]
+    scale = np.array([parameter.scale for parameter in parameters])
+    J = jacobian.reshape(-1, scale.size) * scale
+    _, s, Vt = np.linalg.svd(J, full_matrices=True) if J.shape[0] < scale.size else _svd_of_tall(J)
+    values = np.zeros(scale.size)
+    values[: s.size] = s
+    return Identifiability(tuple(parameters), values, Vt.T)
+
+
+def _svd_of_tall(J: Array) -> tuple[Array, Array, Array]:
+    # R of the QR decomposition has the same singular values and directions, and far fewer rows
+    U, s, Vt = np.linalg.svd(np.linalg.qr(J, mode="r"))
+    return U, s, Vt
+
+
+def _connected(members: Integers, linked: Flags) -> list[Integers]:
+    """Return the connected components of the links among members (k,), in order."""
+    remaining, groups = list(members), []
+    while remaining:
+        group = [remaining.pop(0)]
+        for one in group:
+            neighbours = [other for other in remaining if linked[one, other]]
+            group += neighbours
+            remaining = [other for other in remaining if other not in neighbours]
+        groups.append(np.array(sorted(group)))
+    return groups
+
+
+FALSE_ALARM: Final = 0.01
+"""Probability of reporting an outlier in a campaign without outliers."""
+MAX_OUTLIER_SHARE: Final = 0.2
+"""Largest share of poses that may be outliers; if there are more, the model is wrong."""
+
+
+def leave_one_out_distance(fitted: Fit) -> Array:
+    """Compute the squared distance of each pose from the prediction of a fit to the other poses.
+
+    For poses that were not fitted, the fit itself predicts.
+
+    Args:
+        fitted: Fit with its linearisation.
+
+    Returns:
+        Squared distances over their variances, unitless, shape (n,).
+    """
+    J, r = fitted.at.jacobian, fitted.at.residual
+    hat = np.einsum("nij,jk,nlk->nil", J, fitted.covariance, J, optimize=True)
+    sign = np.where(fitted.used, -1.0, 1.0)[:, None, None]
+    # a fitted pose pulls the fit towards itself, which reduces the variance of its residual
+    variance = np.eye(r.shape[1]) + sign * hat
+    return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(variance, r[..., None])[..., 0]))

@@ -24,45 +24,56 @@ from simgap.result import (
     Rejected,
     Remainder,
 )
-from simgap.serial_arm.arm import SerialArm
-from simgap.serial_arm.calibrate import PoseErrors, SerialCalibration, pose_errors
-from simgap.serial_arm.effect_tests import (
+from simgap.serial_arm.calibrate import (
+    LEAST_POSES,
+    PoseErrors,
+    SerialCalibration,
+    estimate_setup,
+    pose_errors,
+)
+from simgap.serial_arm.chain import PoseSeries
+from simgap.serial_arm.effects import (
+    BLOCKS,
     COVERAGE,
+    DirectionHysteresis,
     EffectTest,
+    Eliminated,
+    Elimination,
+    LinkGeometry,
+    PeriodicJointError,
+    TrackerCompliance,
+    TrackerEffect,
     effect_size,
     flag_parameters,
+    jackknife_sigma,
     judge_effects,
     list_effects,
     wave_features,
     widened_covariance,
-)
-from simgap.serial_arm.effects import (
-    DirectionHysteresis,
-    JointCompliance,
-    LinkGeometry,
-    PeriodicJointError,
-    TrackerEffect,
     with_unit,
 )
-from simgap.serial_arm.elimination import BLOCKS, Eliminated, Elimination, jackknife_sigma
-from simgap.serial_arm.identifiability import assess_identifiability
-from simgap.serial_arm.initial_setup import LEAST_POSES, estimate_setup
-from simgap.serial_arm.model import TERMS
-from simgap.serial_arm.nested_models import NestedModel, Progress, fit_nested_models
-from simgap.serial_arm.series import PoseSeries
-from simgap.serial_arm.temperature import TemperatureTest, drift_gain, temperature_test
+from simgap.serial_arm.fit import assess_identifiability
+from simgap.serial_arm.model import TERMS, SerialArm
+from simgap.serial_arm.nested_models import (
+    NestedModel,
+    Progress,
+    TemperatureTest,
+    drift_gain,
+    fit_nested_models,
+    temperature_test,
+)
 
 TARGET: Final = "target"
 """Place of an error of the whole arm."""
 FAMILIES: Final = {
     PeriodicJointError: (Family.GEOMETRY, Family.TRANSMISSION),
-    JointCompliance: (Family.TRANSMISSION,),
+    TrackerCompliance: (Family.TRANSMISSION,),
     DirectionHysteresis: (Family.TRANSMISSION, Family.FRICTION),
 }
 """Families that poses at rest cannot tell apart, the likelier first."""
 NEXT_MOTION: Final = {
     PeriodicJointError: "the same poses with another payload, which changes an error of the gear only",
-    JointCompliance: "",
+    TrackerCompliance: "",
     DirectionHysteresis: "the same poses from both sides, with a payload, which changes friction only",
 }
 """Motion that would separate these families."""
@@ -169,7 +180,7 @@ def _finding(found: SerialCalibration, test: EffectTest, chosen: Eliminated, sha
 def _text(
     found: SerialCalibration, effect: TrackerEffect, chosen: Eliminated, size: float, half_width: float
 ) -> str:
-    if isinstance(effect, JointCompliance):
+    if isinstance(effect, TrackerCompliance):
         return f"{1e6 * size:.1f} +- {1e6 * half_width:.1f} urad/Nm"
     if isinstance(effect, DirectionHysteresis):
         text = f"{1e6 * size:.0f} +- {1e6 * half_width:.0f} urad"

@@ -8,8 +8,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.effects.effect import Effect, Fields, State, Tick
-from simgap.simulation.compiled import Compiled, Places, UNLIMITED_Nm, control_laws
-from simgap.simulation.rotors import Rotors
+from simgap.simulation.compiled import Compiled, Places, Rotors, UNLIMITED_Nm, control_laws
 
 
 @dataclass(slots=True)
@@ -24,7 +23,7 @@ class Acting:
     memory: dict[str, Array]
 
 
-class Columns:
+class ColumnView:
     """The columns of the joints in an array of the batch, for its first simulations."""
 
     def __init__(self, array: Array, places: Places, n: int) -> None:
@@ -124,8 +123,8 @@ class Periods:
             one.memory = {name: kept[:n] for name, kept in one.memory.items()}
         at, fields = self._compiled, self._fields
 
-        def columns(name: str, places: Places) -> Columns:
-            return Columns(self._batch.bind(name), places, n)
+        def columns(name: str, places: Places) -> ColumnView:
+            return ColumnView(self._batch.bind(name), places, n)
 
         self._ctrl = columns("ctrl", at.actuator)
         if not self._has_effects:
@@ -138,7 +137,7 @@ class Periods:
         ]
         self._motor = columns("actuator_force", at.actuator)
         self._read = [q, v, *self._forces, self._motor]
-        self._applied, self._friction = columns("qfrc_applied", at.dof), Columns(self._dry, at.dof, n)
+        self._applied, self._friction = columns("qfrc_applied", at.dof), ColumnView(self._dry, at.dof, n)
         self._state = State(np.empty(n), q.values, v.values, np.empty_like(q.values), self._temperature[:n])
         self._limit, self._gain = np.empty_like(q.values), np.empty_like(q.values)
         self._torque_columns = [self._applied.values[:, one.joint] for one in self._torques]

@@ -1,7 +1,9 @@
-"""One batch of simulations: candidates times windows."""
+"""Forward simulation of many candidates in many windows at once, with effects in each control period."""
 
+import ctypes
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 from typing import Final
@@ -13,11 +15,30 @@ import numpy as np
 from simgap.arrays import Array, Flags, Integers
 from simgap.effects.effect import Effect, Fields
 from simgap.robot import ControlMode
-from simgap.simulation.compiled import Models, nominal_fields, step_armature
+from simgap.simulation.compiled import Models, Rotors, nominal_fields, step_armature
 from simgap.simulation.periods import Acting, Periods
-from simgap.simulation.rotors import Rotors
-from simgap.simulation.sampling import Sampling
-from simgap.simulation.windows import Window
+from simgap.simulation.windows import Sampling, Window
+
+
+@contextmanager
+def profiler_off() -> Iterator[None]:
+    """Switch the profiler off, as it is in the C library; the Python package switches it on.
+
+    It takes a quarter of the time of a step of one joint. No bit of a simulation depends on it.
+    `mujoco.set_mjcb_time(None)` would switch it on again, so the pointer itself is set.
+    """
+    try:
+        clock = ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco._structs.__file__), "mjcb_time")
+    except (AttributeError, OSError, ValueError):  # another build of MuJoCo: its steps only take longer
+        yield
+        return
+    before = clock.value
+    try:
+        clock.value = None
+        yield
+    finally:
+        clock.value = before
+
 
 CHUNK: Final = 1024
 """Control periods whose positions are kept until they are sampled: some seconds, a multiple of `SPAN`."""
@@ -247,3 +268,84 @@ class Simulation:
                 q_rad[failed[sims], part] = np.nan
                 first += time_s.size
         return q_rad
+
+
+MEMORY_BYTES: Final = 200_000_000
+"""Commands that are kept at once, beside a few copies. More candidates in one batch would not be faster."""
+
+
+class Engine:
+    """Simulations of a robot with a set of effects in a set of windows.
+
+    A candidate is simulated with those effects alone that have a size other than 0, so that its result does
+    not depend on the other candidates.
+    """
+
+    def __init__(
+        self, models: Models, effects: Sequence[Effect], windows: Sequence[Window], n_threads: int = 0
+    ) -> None:
+        """Keep what is common to all candidates.
+
+        Args:
+            models: Models of the robot.
+            effects: Effects of all candidates.
+            windows: Windows to simulate.
+            n_threads: Most threads; 0: as many as there are processors. The result does not depend on it.
+        """
+        self.models = models
+        self.effects = tuple(effects)
+        self.windows = tuple(windows)
+        self.n_threads = n_threads
+        first = np.cumsum([0, *(len(effect.sizes) for effect in effects)])
+        self._sizes = [slice(int(a), int(b)) for a, b in pairwise(first)]
+
+    def positions(self, sizes: Array) -> Array:
+        """Simulate candidates and sample what the encoders show.
+
+        Args:
+            sizes: Sizes of all effects one after the other, (n_candidates, n_sizes) or (n_candidates,
+                n_windows, n_sizes), each in its own unit.
+
+        Returns:
+            Positions, (n_candidates, n_samples) [rad], in the order of windows, joints, times; NaN in
+            windows in which the simulation blew up.
+        """
+        if sizes.ndim == 2:
+            sizes = np.repeat(sizes[:, None], len(self.windows), axis=1)
+        active = np.zeros((sizes.shape[0], len(self.effects)), dtype=bool)
+        for e, part in enumerate(self._sizes):
+            active[:, e] = np.any(sizes[..., part] != 0.0, axis=(1, 2))
+        n_samples = sum(one.size for window in self.windows for one in window.sample_time_s)
+        shown = np.empty((sizes.shape[0], n_samples))
+        for rows in self._groups(active):
+            chosen = np.flatnonzero(active[rows].any(axis=0))
+            effects = [ActiveEffect(self.effects[e], sizes[rows][..., self._sizes[e]]) for e in chosen]
+            simulation = Simulation(self.models, effects, self.windows, len(rows), self.n_threads)
+            with profiler_off():
+                shown[rows] = simulation.positions()
+        return shown
+
+    def _groups(self, active: Integers) -> list[Integers]:
+        """Put candidates together that have the same model, and like effects in each control period."""
+        varies = np.array([effect.overrides("vary") for effect in self.effects], dtype=bool)
+        acts = np.array([_acts(effect) for effect in self.effects], dtype=bool)
+        # candidates without effects in each period need no Python between the steps
+        kind = np.column_stack([active[:, varies], active[:, acts].any(axis=1)])
+        keys = np.column_stack([kind, active[:, acts]])
+        order = np.lexsort(keys.T[::-1])
+        longest = max(window.n_ticks for window in self.windows)
+        candidate_bytes = 8 * longest * len(self.models.robot.joints) * len(self.windows)
+        at_once = max(1, MEMORY_BYTES // candidate_bytes)
+        groups = []
+        first = 0
+        for k in range(1, order.size + 1):
+            is_end = k == order.size or k - first == at_once
+            if is_end or np.any(kind[order[k]] != kind[order[first]]):
+                groups.append(order[first:k])
+                first = k
+        return groups
+
+
+def _acts(effect: Effect) -> bool:
+    hooks = ("act",) if effect.is_steady else ("act", "friction_Nm", "torque_Nm")
+    return effect.overrides(*hooks)

@@ -10,7 +10,7 @@ from helpers.serial_synthetic import POSITION_M
 from marsarm.calibration.request import SerialRequest
 from marsarm.calibration.serial.execution import calibrate_serial
 from simgap.common.errors import BadRequest, RobotError
-from simgap.serial_arm.arm_file import read_arm
+from simgap.serial_arm.files import read_arm
 from tests.marsarm.command import marsarm, marsarm_process
 
 NAMES = {"arm": "arm.toml", "table": "poses.csv", "mapping": "mapping.toml"}

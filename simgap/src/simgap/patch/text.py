@@ -1,0 +1,307 @@
+"""Text of a patch: elements and control laws of an MJCF file, and tables of effects of a TOML file."""
+
+import importlib
+import json
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
+from math import inf
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final, cast, get_args, get_origin, get_type_hints
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Comment, Element, TreeBuilder, XMLParser
+
+import mujoco
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.catalogue.own_effects import load_module
+from simgap.common.errors import RobotError
+from simgap.effects.effect import Effect
+from simgap.robot import ControlMode, Robot, RobotJoint
+
+ORIENTATIONS: Final = ("quat", "axisangle", "euler", "xyaxes", "zaxis", "fullinertia")
+"""Attributes of an inertial element that say the same as `quat`, or what `diaginertia` says."""
+BODY_OF: Final = "body of "
+"""Before the name of a joint: the body that it moves, which has no name of its own."""
+SHORTCUTS: Final = ("kp", "kv", "dampratio", "inheritrange", "timeconst")
+"""Attributes of position and velocity actuators that a general one does not have."""
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """New attributes of one element, and the reason."""
+
+    tag: str
+    """"joint", "actuator", "inertial", "body", "geom", "tendon" or "option"."""
+    name: str
+    """Name of the element; of an actuator without a name, that of its joint; of an inertial element, that of
+    its body; empty for options."""
+    attributes: tuple[tuple[str, str], ...]
+    reason: str
+
+
+def change_text(text: str, changes: Sequence[Change]) -> str:
+    """Return MJCF text with changes made.
+
+    Args:
+        text: MJCF text.
+        changes: Changes; an element may have several.
+
+    Raises:
+        RobotError: An element is not in this text, as those that MuJoCo makes from others.
+    """
+    root = ElementTree.fromstring(text, XMLParser(target=TreeBuilder(insert_comments=True)))
+    for change in changes:
+        parent, element = _find(root, change)
+        _set(element, change)
+        said = Comment(f" {change.reason.replace('--', '- -')} ")
+        said.tail = _indent(parent, element)
+        parent.insert(list(parent).index(element), said)
+    head = text[: text.index("<mujoco")]  # comments above the root, which the parser leaves out
+    return f"{head}{ElementTree.tostring(root, encoding='unicode').replace(' />', '/>')}\n"
+
+
+def number_text(*values: float) -> str:
+    """Return numbers as an attribute, with all their digits."""
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _find(root: Element, change: Change) -> tuple[Element, Element]:
+    """Return an element and its parent."""
+    if change.tag == "option":
+        found = root.find("option")
+        return root, (_add(root, "option") if found is None else found)
+    if change.tag == "inertial":
+        _, body = _body(root, change.name)
+        found = body.find("inertial")
+        return body, (_add(body, "inertial") if found is None else found)
+    if change.tag == "body":
+        return _body(root, change.name)
+    if change.tag == "new actuator":
+        section = root.find("actuator")
+        if section is None:
+            section = _add(root, "actuator")
+            section.text, section.tail = f"{root.text or ''}  ", root.text
+        section.append(Element("general"))  # the order of actuators is that of commands
+        section[-1].tail = root.text
+        return section, section[-1]
+    return _named(root, change.tag, change.name)
+
+
+def _body(root: Element, name: str) -> tuple[Element, Element]:
+    """Return a body and its parent."""
+    if not name.startswith(BODY_OF):
+        return _named(root, "body", name)
+    body, _ = _named(root, "joint", name.removeprefix(BODY_OF))
+    return next(one for one in root.iter() if any(child is body for child in one)), body
+
+
+def _named(root: Element, tag: str, name: str) -> tuple[Element, Element]:
+    for section in root.findall({"actuator": "actuator", "tendon": "tendon"}.get(tag, "worldbody")):
+        for parent in section.iter():
+            for element in parent:
+                is_kind = tag in ("actuator", "tendon") or element.tag == tag
+                own = element.get("name") or (element.get("joint") if tag == "actuator" else None)
+                if is_kind and own == name:
+                    return parent, element
+    raise RobotError(f"the model's text has no {tag} {name!r}")
+
+
+def _set(element: Element, change: Change) -> None:
+    new = dict(change.attributes)
+    if change.tag == "inertial":
+        for one in ORIENTATIONS:
+            element.attrib.pop(one, None)
+    if change.tag == "actuator" and "gainprm" in new:
+        element.tag = "general"
+        for one in SHORTCUTS:
+            element.attrib.pop(one, None)
+    element.attrib.update(new)
+
+
+def _add(parent: Element, tag: str) -> Element:
+    """Add an element as the first one of its parent."""
+    element = Element(tag)
+    element.tail = parent.text
+    parent.insert(0, element)
+    return element
+
+
+def _indent(parent: Element, element: Element) -> str | None:
+    """Return the white space before an element."""
+    place = list(parent).index(element)
+    return parent.text if place == 0 else list(parent)[place - 1].tail
+
+
+def law_attributes(
+    robot: Robot, joint: RobotJoint, kp: float, kd: float, limit: float
+) -> tuple[tuple[str, str], ...]:
+    """Return the attributes of an actuator with a law; its gear scales length and force."""
+    gear = 1.0
+    if joint.actuator_index >= 0:
+        gear = float(robot.model.actuator_gear[joint.actuator_index, 0])
+    position, velocity, gain = {
+        ControlMode.POSITION: (kp / gear**2, kd / gear**2, kp / gear**2),
+        ControlMode.VELOCITY: (0.0, kd / gear**2, kd / gear**2),
+    }.get(joint.mode, (0.0, 0.0, kp / gear))
+    return _attributes(gain, position, velocity, limit / abs(gear))
+
+
+def _attributes(gain: float, position: float, velocity: float, limit: float) -> tuple[tuple[str, str], ...]:
+    """Return the attributes; numbers are in the units of the actuator."""
+    is_limited = limit < inf
+    force = (("forcerange", number_text(-limit, limit)),) if is_limited else ()
+    return (
+        ("dyntype", "none"),
+        ("gaintype", "fixed"),
+        ("biastype", "affine"),
+        ("gainprm", number_text(gain)),
+        ("biasprm", number_text(0.0, -position, -velocity)),
+        ("ctrllimited", "false"),  # as in the engine: logged commands are what the robot took
+        ("forcelimited", str(is_limited).lower()),
+        *force,
+    )
+
+
+def model_law(model: mujoco.MjModel, number: int) -> tuple[tuple[str, str], ...] | None:
+    """Return the attributes of an actuator as the model has it; None if it has no such law."""
+    if number < 0 or model.actuator_dyntype[number] != mujoco.mjtDyn.mjDYN_NONE:
+        return None
+    bias = model.actuator_biasprm[number]
+    low, high = model.actuator_forcerange[number] if model.actuator_forcelimited[number] else (-inf, inf)
+    is_fixed = model.actuator_gaintype[number] == mujoco.mjtGain.mjGAIN_FIXED
+    if model.actuator_ctrllimited[number] or not is_fixed or bias[0] != 0.0 or low != -high:
+        return None
+    return _attributes(float(model.actuator_gainprm[number, 0]), -bias[1], -bias[2], high)
+
+
+PACKAGE: Final = "simgap"
+"""Package whose effects are named by their module; those of other modules by their file."""
+
+
+def effect_table(effect: Effect, size: Sequence[float]) -> dict[str, Any]:
+    """Return a table from which `read_effect` makes the effect again."""
+    kind = type(effect)
+    is_own = kind.__module__.partition(".")[0] != PACKAGE
+    file = {"file": str(Path(sys.modules[kind.__module__].__file__ or "").resolve())} if is_own else {}
+    return {
+        "effect": effect.name,
+        "place": effect.place,
+        "text": effect.describe(np.asarray(size, dtype=float)),
+        **file,
+        "class": kind.__qualname__ if is_own else f"{kind.__module__}:{kind.__qualname__}",
+        "size": {one.name: float(value) for one, value in zip(effect.sizes, size, strict=True)},
+        "fields": _plain(effect),
+    }
+
+
+def read_effect(table: Mapping[str, Any], path: Path) -> tuple[Effect, Array]:
+    """Make the effect of a table.
+
+    Args:
+        table: Table as `effect_table` makes it. The file of an effect of one's own is run.
+        path: File of the table, for errors.
+
+    Returns:
+        The effect, and its sizes, (n_sizes,) in the units of their names.
+
+    Raises:
+        RobotError: The table names no effect, or its sizes are not those of the effect.
+    """
+    try:
+        kind = _effect_class(table)
+        effect = cast(Effect, _build(kind, table["fields"]))
+        size = table["size"]
+    except (KeyError, TypeError, ValueError, ImportError, AttributeError, OSError) as error:
+        name = table.get("effect", "an effect")
+        raise RobotError(f"{path}: {name}: cannot be made ({error}); write the file again") from error
+    names = [one.name for one in effect.sizes]
+    if list(size) != names:
+        raise RobotError(f"{path}: {effect.key}: size has {', '.join(size)}; it takes {', '.join(names)}")
+    return effect, np.array([float(size[name]) for name in names])
+
+
+def toml_text(tables: Mapping[str, Any]) -> str:
+    """Write values and lists of tables as TOML; a table within another is written in one line."""
+    return "\n".join(_lines(tables)) + "\n"
+
+
+def _effect_class(table: Mapping[str, Any]) -> type[Effect]:
+    if "file" in table:
+        module: Any = _module_of_file(Path(table["file"]))
+        name = table["class"]
+    else:
+        place, _, name = table["class"].partition(":")
+        if place.partition(".")[0] != PACKAGE:
+            raise ValueError(f"{place} is no module of {PACKAGE}")
+        module = importlib.import_module(place)
+    kind = getattr(module, name)
+    if not (isinstance(kind, type) and issubclass(kind, Effect)):
+        raise TypeError(f"{name} is no effect")
+    return kind
+
+
+def _module_of_file(file: Path) -> ModuleType:
+    loaded = (one for one in list(sys.modules.values()) if getattr(one, "__file__", None) == str(file))
+    return next(loaded, None) or load_module(file)
+
+
+def _plain(value: Any) -> Any:
+    """Return a record as a table; None has no place in TOML and is left out."""
+    if is_dataclass(value) and not isinstance(value, type):
+        values = {one.name: getattr(value, one.name) for one in fields(value)}
+        return {name: _plain(each) for name, each in values.items() if each is not None}
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, tuple):
+        return [_plain(one) for one in value]
+    return value
+
+
+def _build(kind: Any, value: Any) -> Any:
+    """Make a value of a type from a table, by the types of the fields."""
+    if is_dataclass(kind):
+        hints = get_type_hints(kind)
+        known = {one.name: hints[one.name] for one in fields(kind)}
+        made = {name: _build(known[name], each) for name, each in value.items()}
+        absent = {name: None for name in known if name not in made}
+        return cast(Any, kind)(**made, **absent)
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return kind(value)
+    if get_origin(kind) is tuple:
+        inner = get_args(kind)
+        each = [inner[0]] * len(value) if inner[1:] == (...,) else inner
+        return tuple(_build(one, part) for one, part in zip(each, value, strict=True))
+    return float(value) if kind is float else value
+
+
+def _lines(table: Mapping[str, Any]) -> Iterator[str]:
+    """Yield values first, because they would belong to a table above them."""
+    for key, value in table.items():
+        if not _is_list_of_tables(value):
+            yield f"{_key(key)} = {_value(value)}"
+    for key, value in table.items():
+        for one in value if _is_list_of_tables(value) else ():
+            yield from ("", f"[[{_key(key)}]]", *_lines(one))
+
+
+def _is_list_of_tables(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and isinstance(value[0], Mapping)
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{_key(key)} = {_value(one)}' for key, one in value.items())} }}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, str):
+        return json.dumps(value)  # a JSON string is a basic string of TOML
+    return repr(value).lower() if isinstance(value, bool) else repr(value)
