@@ -26,7 +26,6 @@ from typing import Any, Final
 import mujoco
 import mujoco.rollout
 import numpy as np
-from simgap.selection.meter import Progress
 
 from simgap.arrays import Array
 from simgap.assemble import simulate_models
@@ -34,6 +33,7 @@ from simgap.audit.audit import audit
 from simgap.audit.records import Audit
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.common.figures import save_figure
+from simgap.common.progress import Progress
 from simgap.diagnose import diagnose
 from simgap.effects.actuation import GainError
 from simgap.effects.effect import Effect, joint_scales

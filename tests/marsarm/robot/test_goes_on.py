@@ -13,8 +13,8 @@ import pytest
 from simgap.command.diagnosis import GOES_ON
 from simgap.logs import Logs, Signal
 from tests.marsarm.command import ROOT, marsarm_process
-from validation.robot_cases.draw import draw_case
-from validation.robot_cases.write import write_logs, write_robot
+from validation.cases.robot import write_logs, write_robot
+from validation.cases.robot_draw import draw_case
 
 WORDS = ("robot", "diagnose", "robot.toml", "log.parquet", "--json")
 N_SAMPLES = 400

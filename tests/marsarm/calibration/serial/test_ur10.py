@@ -6,7 +6,8 @@ import pytest
 
 from marsarm.calibration.request import SerialRequest
 from marsarm.calibration.serial.execution import calibrate_serial
-from validation.ur10 import BOUNDS_MM, FILES, TABLES, document
+from validation.campaigns import Context
+from validation.ur10 import BOUNDS_MM, FILES, TABLES, campaign
 
 
 def quiet(*_) -> None:
@@ -27,8 +28,8 @@ def test_half_of_series_c_predicts_the_other_half(real_data):
 @pytest.mark.real_data
 @pytest.mark.slow
 def test_all_that_the_measured_arm_has_to_show(real_data):
-    found = document(real_data / "ur10-tracker")
-    assert found["passed"], json.dumps(found["held_out_position_rms"])
+    found = campaign(Context(), real_data)
+    assert found["in_bounds"], json.dumps(found["held_out_position_rms"])
     assert set(found["temperature_explains"].values()) == {"nothing"}
     for name in ("a", "c"):
         assert all(step["significant"] for step in found[name]["models"])
