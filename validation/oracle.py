@@ -187,7 +187,7 @@ def campaign(context: Context, targets: int = 100_000) -> Document:
         ) from missing
     tools = nominal_params().tool_names
     each = -(-targets // (len(tools) * len(KINDS)))
-    results = {}
+    results: dict[str, Comparison] = {}
     for kind in KINDS:
         for tool in tools:
             context.progress(len(results), len(tools) * len(KINDS), f"{kind}, {tool}")

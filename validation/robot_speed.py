@@ -33,7 +33,6 @@ from simgap.audit.audit import audit
 from simgap.audit.records import Audit
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.common.figures import save_figure
-from simgap.common.progress import Progress
 from simgap.diagnose import diagnose
 from simgap.effects.actuation import GainError
 from simgap.effects.effect import Effect, joint_scales
@@ -43,7 +42,7 @@ from simgap.load import load
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
-from simgap.selection.checkpoint import Meter
+from simgap.selection.checkpoint import Meter, Progress
 from simgap.selection.context import start_context
 from simgap.selection.joint_fits import fit_base
 from simgap.simulation.compiled import Models, control_laws, nominal_gains

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Final, Generic, Protocol, TypeVar
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -93,12 +93,13 @@ class CaseScore:
 class CaseMaker(Protocol[Case]):
     """What differs between robots. Objects go to other processes."""
 
-    name: str
+    name: ClassVar[str]
     """Name of the campaign."""
-    suffix: str
+    suffix: ClassVar[str]
     """Suffix of the file of a case's logs; empty for a folder."""
-    truth_type: TypeAdapter[SealedTruth[Case]]
-    result_type: TypeAdapter[Any]
+    truth_type: ClassVar[TypeAdapter[Any]]
+    """Type of the sealed truth."""
+    result_type: ClassVar[TypeAdapter[Any]]
 
     def draw(
         self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress
@@ -286,7 +287,7 @@ def load_truth(folder: Path, maker: CaseMaker[Case]) -> SealedTruth[Case]:
     if hashlib.sha256(raw).hexdigest() != digest:
         raise BadRequest(f"{path}: is not what was sealed: its SHA-256 is not that in {DIGEST}")
     try:
-        truth = maker.truth_type.validate_json(raw)
+        truth: SealedTruth[Case] = maker.truth_type.validate_json(raw)
     except ValidationError as error:
         raise BadRequest(f"{path}: was sealed, but is no truth ({describe_first_problem(error)})") from error
     if contradiction := next(maker.check(truth.cases), None):
