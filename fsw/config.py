@@ -10,7 +10,7 @@ from fsw.collision.geometry import CollisionGeometry, build_collision_geometry
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.transforms import Array
-from fsw.protect.bounds import ProtectionBounds, compute_bounds
+from fsw.protect.inputs import ProtectionBounds, compute_bounds
 
 CYCLE_HZ = 64
 CYCLE_S = 1.0 / CYCLE_HZ

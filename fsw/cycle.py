@@ -3,24 +3,22 @@
 from dataclasses import replace
 
 from fsw.config import CYCLE_S, Config, configure_at
-from fsw.dictionary.arguments import Wrong, read_arguments
-from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Booted, Evr, ModeChanged
+from fsw.dictionary.validity import Wrong, read_arguments
 from fsw.estimate import joints as joint_estimate
-from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
-from fsw.executive.checks import known_names
+from fsw.estimate.reference import HardstopFit
 from fsw.executive.commands import continue_sequence, handle
-from fsw.executive.context import CommandContext, refuse
+from fsw.executive.context import CommandContext, known_names, refuse
 from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
 from fsw.kinematics.transforms import Array
-from fsw.messages import Outputs, Sensors
+from fsw.messages import Outputs, Sensors, ToolChannels
 from fsw.motion.move import Phase, advance_move, command_actuators, move_preload
 from fsw.motion.preload import PreloadState
-from fsw.protect.protection import protect
-from fsw.protect.readings import check_readings
+from fsw.protect.inputs import check_readings
+from fsw.protect.monitors import protect
 from fsw.state import State, joint_channels
 
 

@@ -1,13 +1,73 @@
-"""Messages between flight software and avionics in each cycle."""
+"""Messages of each cycle: readings and actuator commands of the avionics, telemetry channels, events.
 
+Each channel is a field, and its packet is the dataclass.
+"""
+
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.dictionary.channels import JointChannels, ToolChannels
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import Evr
-from fsw.dictionary.types import Limits, cycle_record
+from fsw.dictionary.types import Limits, NameMark, cycle_record
+
+
+@cycle_record
+class JointChannels:
+    """State and commands of the joints in each cycle, on the output side, in the order of Joint."""
+
+    tick: int
+    """Number of the cycle since boot."""
+    mode: Mode
+    """Mode of the arm."""
+    busy: bool
+    """True while a command runs."""
+    motor_rad: Annotated[NDArray[np.float64], Limits(-6.5, 6.5)]
+    """Encoder angle over gear ratio with the zero applied: the output angle without backlash and wind-up.
+
+    For an uncalibrated joint, the first resolver reading plus the motion since.
+    """
+    motor_rate_rad_s: Annotated[NDArray[np.float64], Limits(-0.1, 0.1)]
+    """Rate of the motor angle."""
+    setpoint_rad: Annotated[NDArray[np.float64], Limits(-6.5, 6.5)]
+    """Last commanded motor angle, or the angle at which the brakes hold the motor."""
+    output_rad: Annotated[NDArray[np.float64], Limits(-6.5, 6.5)]
+    """Estimated output angle, with backlash and wind-up."""
+    backlash_rad: Annotated[NDArray[np.float64], Limits(-0.01, 0.01)]
+    """Estimated position of the output inside its backlash, without wind-up."""
+    backlash_side: Annotated[NDArray[np.float64], Limits(-1.0, 1.0)]
+    """Side of the backlash: +1 or -1 if the output certainly lies on that flank, 0 if it is undecided."""
+    backlash_uncertainty_rad: Annotated[NDArray[np.float64], Limits(0.0, 0.02)]
+    """Largest error of the estimated output less motor angle."""
+    planned_backlash_rad: Annotated[NDArray[np.float64], Limits(-0.01, 0.01)]
+    """Position inside the backlash that the set-points of the last plan allow for."""
+    calibrated: NDArray[np.bool_]
+    """True for joints that have found their hardstop."""
+    resolver_error_rad: Annotated[NDArray[np.float64], Limits(-0.1, 0.1)]
+    """Resolver less estimated output and learned bias, smoothed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolChannels:
+    """Estimated pose of the tool with deflection and thermal growth, at a lower rate than the cycle."""
+
+    tick: int
+    """Number of the cycle since boot."""
+    tool: Annotated[int, NameMark.TOOL]
+    """Tool of the last tool command: its index among the tools of the parameters."""
+    p_RoTo_R_m: Annotated[NDArray[np.float64], Limits(-5.0, 5.0)]
+    """Origin of the tool in the rover frame RMECH."""
+    R_RT: Annotated[NDArray[np.float64], Limits(-1.0, 1.0)]
+    """Axes of the tool as columns, 3x3, in the rover frame RMECH."""
+    output_rad: Annotated[NDArray[np.float64], Limits(-6.5, 6.5)]
+    """Output angles, with backlash and wind-up."""
+    structure_C: Annotated[float, Limits(-150.0, 100.0)]
+    """Temperature of the structure that the pose allows for."""
+    load_torque_Nm: Annotated[NDArray[np.float64], Limits(-1500.0, 1500.0)]
+    """Estimated torque of the load on each joint, order of Joint."""
+
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]

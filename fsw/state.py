@@ -6,14 +6,13 @@ import numpy as np
 
 from fsw.collision.geometry import Surface
 from fsw.config import Config
-from fsw.dictionary.channels import JointChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.types import cycle_record
 from fsw.estimate.joints import JointEstimate, LoadEstimate, no_load, uninitialised_estimate
 from fsw.estimate.reference import Reference, no_reference
 from fsw.kinematics.transforms import Array
-from fsw.messages import ActuatorCommand, Outputs
+from fsw.messages import ActuatorCommand, JointChannels, Outputs
 from fsw.motion.move import Move
 from fsw.motion.preload import PreloadState
 from fsw.protect.monitors import MonitorState

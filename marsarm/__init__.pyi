@@ -34,7 +34,7 @@ from marsarm.diagnosis.arm.output_files import effects_of_findings as effects_of
 from marsarm.diagnosis.arm.record import record_logs as record_logs
 from marsarm.diagnosis.arm.request import DiagnoseRequest as DiagnoseRequest
 from marsarm.diagnosis.arm.request import RecordRequest as RecordRequest
-from marsarm.diagnosis.sentences import verdict_lines as verdict_lines
+from marsarm.diagnosis.result import verdict_lines as verdict_lines
 from marsarm.replay.replay import ReplayRequest as ReplayRequest
 from marsarm.replay.replay import replay as replay
 from marsarm.runs.place import place as place
@@ -47,8 +47,6 @@ from marsarm.telemetry.read import read_log as read_log
 from marsarm.telemetry.record_run import record_commands as record_commands
 from sim.arms import BuiltArm as BuiltArm
 from sim.arms import arm_named as arm_named
-from sim.disturbance import Disturbance as Disturbance
-from sim.disturbance import at_joint as at_joint
 from sim.effects.effect import EachCycle as EachCycle
 from sim.effects.effect import EachMove as EachMove
 from sim.effects.effect import Effect as Effect
@@ -56,6 +54,7 @@ from sim.effects.effect import Hardware as Hardware
 from sim.effects.effect import ParameterSpec as ParameterSpec
 from sim.effects.effect import Timed as Timed
 from sim.initialisation import initial_reference as initial_reference
+from sim.initialisation import start_loop as start_loop
 from sim.initialisation import true_reference as true_reference
 from sim.loop import ClosedLoop as ClosedLoop
 from sim.loop import Setup as Setup
@@ -64,11 +63,12 @@ from sim.placement import Placement as Placement
 from sim.placement import placement_commands as placement_commands
 from sim.plant import Plant as Plant
 from sim.record import CycleRecord as CycleRecord
+from sim.record import Disturbance as Disturbance
 from sim.record import Truth as Truth
+from sim.record import at_joint as at_joint
 from sim.scenario.effects import parse_effect_text as parse_effect_text
 from sim.sequence import Outcome as Outcome
 from sim.sequence import SequenceResult as SequenceResult
 from sim.sequence import run_commands as run_commands
-from sim.start import start_loop as start_loop
 from sim.world import Surface as Surface
 from sim.world import World as World

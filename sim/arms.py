@@ -10,7 +10,7 @@ import numpy as np
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Row6, row6
-from sim.arm_check import check_arm
+from sim.arm_check import POSE_NAMES, check_arm, compute_hardstop_loads, equalise_loads, with_poses
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ArmModel, arm_names, default_arm, default_name, has_description, load_arm
 from sim.effects.effect import Effect, check_effects, params_with_effects
@@ -25,7 +25,6 @@ from sim.effects.joints import (
 )
 from sim.effects.sensors import StructureSensor
 from sim.effects.structure import LinkMass, LinkStiffness, StandInTurret
-from sim.hardstop_loads import POSE_NAMES, compute_hardstop_loads, equalise_loads, with_poses
 from sim.params_table import BadParams
 from sim.world import World
 

@@ -22,8 +22,8 @@ from sim.effects.effect import (
     draw_move_disturbance,
 )
 from sim.frames import FLIP
+from sim.mujoco_settings import RESISTANCE
 from sim.plant import Plant, as_slice
-from sim.servos import RESISTANCE
 
 UNPOWERED: Final = np.zeros(len(Joint), bool)
 VIBRATION_N: Final = 10.0

@@ -1,4 +1,4 @@
-"""Least distances of the arm to rover, ground and itself."""
+"""Least distances of the arm to rover, ground and itself, and contact forces on tools and rover."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,6 +11,8 @@ from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from sim.arm_model.load import ArmModel
+from sim.arm_model.mjcf import HULL
+from sim.frames import FLIP
 from sim.plant import Plant
 from sim.world import World, build
 
@@ -121,3 +123,39 @@ def _link_number(model: mujoco.MjModel, geom: int) -> int:
     while not model.body(body).name.removeprefix("link").isdigit():
         body = model.body_parentid[body]
     return int(model.body(body).name.removeprefix("link"))
+
+
+DOCK: Final = "bit_box"
+
+
+def tool_forces(plant: Plant) -> Array:
+    """Compute the contact force on each tool, friction included.
+
+    Returns:
+        Forces [N] in RMECH axes, shape (n, 3), in the order of the tools.
+    """
+    model, data = plant.model, plant.data
+    total = np.zeros((len(plant.tools), 3))
+    if data.ncon == 0:
+        return total
+    wrench = np.zeros(6)
+    bodies = model.geom_bodyid[data.contact.geom]
+    for n, tool in enumerate(plant.tools):
+        is_tool = bodies == model.body(tool).id
+        for k in np.flatnonzero(is_tool.any(axis=1)):
+            mujoco.mj_contactForce(model, data, k, wrench)
+            force_W = data.contact.frame[k].reshape(3, 3).T @ wrench[:3]  # of the first geom on the second
+            total[n] += FLIP * force_W * (1.0 if is_tool[k, 1] else -1.0)
+    return total
+
+
+def hull_force_N(plant: Plant) -> float:
+    """Return the largest normal force between the arm and the rover, the bit boxes excluded."""
+    model, data = plant.model, plant.data
+    largest_N, wrench = 0.0, np.zeros(6)
+    for k in range(data.ncon):
+        geoms = [model.geom(geom) for geom in data.contact.geom[k]]
+        if any(model.body(geom.bodyid[0]).name == HULL and not geom.name.startswith(DOCK) for geom in geoms):
+            mujoco.mj_contactForce(model, data, k, wrench)
+            largest_N = max(largest_N, float(wrench[0]))
+    return largest_N

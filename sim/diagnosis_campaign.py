@@ -20,14 +20,13 @@ from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
-from sim.drawing import WARM_C
 from sim.effects.effect import Effect
 from sim.effects.environment import Ambient
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.sequence import Outcome, run_sequence
-from sim.world import Surface, World
+from sim.world import WARM_C, Surface, World
 
 Degrees5 = tuple[int, int, int, int, int]
 ROLL_RAD: Final = float(np.radians(20.0))

@@ -1,6 +1,9 @@
-"""Hardstop initialisation of an arm in the closed loop, and homing of one joint under random conditions."""
+"""Start of a run: hardstop initialisation in the closed loop, or the reference that one without errors gives.
 
-from collections.abc import Iterator
+`start_loop` is for Python users: an arm by its name, effects by their texts, and defaults for the rest.
+"""
+
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,18 +13,19 @@ from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.commands import Calibrate, CalibrateAll
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.evrs import Evr, JointCalibrated
-from fsw.dictionary.types import joints5
+from fsw.dictionary.types import Joints5, joints5
 from fsw.estimate.reference import Reference
-from fsw.executive.homing_poses import homing_start_poses
+from fsw.executive.poses import homing_start_poses
 from fsw.kinematics.transforms import Array
 from fsw.motion.homing import HomingStage
-from sim.arms import BuiltArm
+from sim.arms import BuiltArm, arm_named, effects_of_run
 from sim.effects.effect import Effect, apply_effects, nominal_hardware
 from sim.effects.environment import Ambient, CurrentNoise
 from sim.effects.joints import GearFriction
 from sim.loop import ClosedLoop, Setup
 from sim.plant import JOINT_NAMES, Plant
 from sim.record import CycleRecord
+from sim.scenario.effects import parse_effect_text
 from sim.sequence import Outcome, observe_cycles, run_sequence
 from sim.world import World, build
 
@@ -178,7 +182,6 @@ def prepare_homing(
     """Prepare the homing of one joint near its hardstop.
 
     Args:
-        seed: Seed of the noise.
         effects: Effects beyond those of the arm.
         reference: Reference in the memory of flight software; None if no joint was homed.
         away_rad: Offset of the other joints from the homing pose, shape (5,); None for 0.
@@ -257,3 +260,41 @@ def prepare_random_homing(arm: BuiltArm, joint: Joint, world: World, seed: int) 
         away_rad=rng.uniform(-RANDOM_OFFSET_RAD, RANDOM_OFFSET_RAD, len(Joint)),
         before_stop_rad=rng.uniform(*RANDOM_DISTANCE_RAD),
     )
+
+
+LEVEL_MARS: Final = World()
+
+
+def start_loop(
+    arm: BuiltArm | str = "nominal",
+    world: World = LEVEL_MARS,
+    effects: Iterable[Effect | str] = (),
+    *,
+    start_rad: Joints5 | None = None,
+    reference: Reference | None = None,
+    seed: int = 0,
+    with_truth: bool = True,
+) -> ClosedLoop:
+    """Start a run of an arm that has found its hardstops.
+
+    Args:
+        arm: Arm or its name: nominal, as-built:SEED or calibrated:SEED; MODEL/ before it for another drawing,
+            or a folder with an arm.toml.
+        effects: Effects, or their texts as on the command line.
+        start_rad: Output angles at the start; None for the stowed pose.
+        reference: Reference in the memory of flight software; None for that of an initialisation without
+            errors. `initial_reference` simulates the initialisation, which takes some seconds.
+        seed: Seed of everything random but the arm.
+        with_truth: True to record the state of the plant in every cycle.
+
+    Raises:
+        UnknownArm: there is no such arm.
+        BadEffect: the text of an effect is wrong.
+    """
+    built = arm_named(arm) if isinstance(arm, str) else arm
+    tools = built.params.tool_names
+    added = tuple(parse_effect_text(one, tools) if isinstance(one, str) else one for one in effects)
+    built = built.with_effects(added)
+    start = built.params.poses.stowed_rad if start_rad is None else start_rad
+    known = true_reference(built) if reference is None else reference
+    return ClosedLoop(Setup(built, world, start, seed, known, effects_of_run(added)), with_truth)

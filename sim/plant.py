@@ -11,12 +11,17 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Pose, screw_exp
-from sim.disturbance import LINK_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, no_move_disturbance
 from sim.frames import FLIP, P_NR_M
-from sim.library_settings import apply_settings
-from sim.record import Truth
-from sim.servos import MOTOR_CONSTANT, change_gains, read_servos
-from sim.time_step import RATE_GAIN, REFERENCE_STEP_S, match_reference_damping
+from sim.mujoco_settings import (
+    MOTOR_CONSTANT,
+    RATE_GAIN,
+    REFERENCE_STEP_S,
+    apply_settings,
+    change_gains,
+    match_reference_damping,
+    read_servos,
+)
+from sim.record import LINK_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, Truth, no_move_disturbance
 
 JOINT_NAMES = tuple(joint.name.lower() for joint in Joint)
 SPRING_NAMES = ("rover", "link1", "link2", "link3", "link4")

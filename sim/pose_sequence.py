@@ -11,15 +11,14 @@ from fsw.dictionary.commands import BacklashMode, Command, MoveJoints
 from fsw.dictionary.evrs import CommandCompleted, Severity
 from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
 from sim.effects.environment import NothingToTouch
-from sim.frames import p_R_from_N
+from sim.frames import PRIMARY, Workspace, approach_from, p_R_from_N, random_targets
 from sim.loop import ClosedLoop, Setup
 from sim.sequence import run_sequence
-from sim.workspace import PRIMARY, Workspace, approach_from, random_targets
 from sim.world import World
 
 WAKE_S: Final = 1.0
@@ -109,7 +108,6 @@ def visit_poses(
         world: World of the run; only its gravity acts.
         goals: Output angles [rad], each of shape (5,).
         backlash: Compensation of the backlash in every move.
-        seed: Seed of the noise.
 
     Yields:
         The arm at rest at each goal.

@@ -16,9 +16,8 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.chain import frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, screw_exp
-from fsw.motion.compensation import Compensation
-from fsw.motion.plan import JointPositions, plan_joint_move
-from sim.disturbance import MoveDisturbance, frame_body
+from fsw.motion.plan import Compensation, JointPositions, plan_joint_move
+from sim.record import MoveDisturbance, frame_body
 
 
 @dataclass(frozen=True, slots=True, eq=False)

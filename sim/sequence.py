@@ -142,7 +142,6 @@ def run_commands(
     """Run commands one after the other, and keep every cycle.
 
     Args:
-        loop: Run of an arm.
         *commands: Commands; each starts when the last is done.
         stop_when: Monitor of every cycle; if it returns true, the arm is stopped instead of the remaining
             commands.

@@ -1,5 +1,10 @@
-"""World around the arm: the scene, the tilt of the rover, and the rock face to touch."""
+"""World around the arm: the scene, the tilt of the rover, the rock face to touch, and the drawing of the arm.
 
+MuJoCo has no field for thermal expansion. `attach_drawing` puts it into the comment of the specification,
+which the compiler leaves out of the model.
+"""
+
+import json
 import re
 from dataclasses import dataclass, replace
 from functools import cache
@@ -8,14 +13,16 @@ from typing import Final, Literal
 import mujoco
 import numpy as np
 
+from fsw.dictionary.enums import Frame
 from fsw.dictionary.params import Params
-from fsw.dictionary.types import Direction, Position, Vector3
-from fsw.kinematics.transforms import Array
+from fsw.dictionary.types import Direction, Position, Row6, Vector3, row6
+from fsw.kinematics.arm import transform6_to_pose
+from fsw.kinematics.transforms import Array, Pose, screw_exp
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import SCENES, ArmModel, default_arm
 from sim.arm_model.mjcf import HULL
-from sim.drawing import attach_drawing
 from sim.frames import FLIP, P_NR_M, gravity_in_rover
+from sim.record import LINK_BODIES
 
 Scene = Literal["mars", "earth"]
 ARM_FILE: Final = "arm.xml"
@@ -240,3 +247,61 @@ def _add_outcrop(spec: mujoco.MjSpec, rock: mujoco.MjsBody, face: Array, z: Arra
         half_m = 0.5 * foot[2] + 0.05
         foot[2] -= half_m
         spec.worldbody.add_geom(pos=foot, size=(0.14, 0.12, half_m), euler=(0.15, -0.1, 0.9), **no_contact)
+
+
+TURRET: Final = "turret"
+WARM_C: Final = 20.0
+"""Temperature of an arm for which no effect sets another."""
+
+
+def attach_drawing(spec: mujoco.MjSpec, params: Params) -> None:
+    """Add the temperature of the drawing, and expansion and length of its parts, to a specification."""
+    expansion = {tool.name: tool.expansion_1_K for tool in params.tools}
+    length = {}
+    for body, link in zip(LINK_BODIES, params.links.in_order(), strict=True):
+        X = transform6_to_pose(link.transform)
+        expansion[body] = link.expansion_1_K
+        length[body] = (X.R.T @ X.p).tolist()
+    drawn = {"temperature_C": params.heat.calibration_C, "expansion_1_K": expansion, "length_m": length}
+    spec.comment = json.dumps(drawn)
+
+
+def expansion_of(spec: mujoco.MjSpec, body: str) -> Row6:
+    """Return the expansion per kelvin of the link or tool that a frame body ends, in axes of its frame."""
+    return row6(json.loads(spec.comment)["expansion_1_K"][body])
+
+
+def scale_expansion(spec: mujoco.MjSpec, body: str, factor: float) -> None:
+    """Scale the expansion of the link or tool that a frame body ends."""
+    drawn = json.loads(spec.comment)
+    drawn["expansion_1_K"][body] = [factor * value for value in drawn["expansion_1_K"][body]]
+    spec.comment = json.dumps(drawn)
+
+
+def grow(spec: mujoco.MjSpec, temperature_C: float) -> None:
+    """Displace the frame at the end of each link and tool by its growth to a temperature."""
+    drawn = json.loads(spec.comment)
+    warming_K = temperature_C - drawn["temperature_C"]
+    for body, expansion_1_K in drawn["expansion_1_K"].items():
+        displace(spec.body(body), warming_K * np.array(expansion_1_K))
+
+
+def displace(body: mujoco.MjsBody, screw: Array) -> None:
+    """Displace a body by a small screw in its own axes, rotation first [rad, m], shape (6,)."""
+    if not screw.any():
+        return
+    R, quat = np.zeros(9), np.zeros(4)
+    mujoco.mju_quat2Mat(R, body.quat)
+    X = Pose(R.reshape(3, 3), body.pos) @ screw_exp(screw)
+    mujoco.mju_mat2Quat(quat, X.R.ravel())
+    body.pos, body.quat = X.p, quat
+
+
+def length_of(spec: mujoco.MjSpec, frame: Frame) -> Array:
+    """Return the link that ends in a frame, from start to end [m], shape (3,), in axes of its end."""
+    return np.array(json.loads(spec.comment)["length_m"][LINK_BODIES[frame]])
+
+
+def tools_of(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Return the names of the tools: the bodies on the turret."""
+    return tuple(body.name for body in spec.body(TURRET).bodies)

@@ -15,6 +15,7 @@ from marsarm.common.pool import select_runner
 from simgap.common.errors import UserError
 from simgap.common.options import CLUSTER_HELP, CLUSTER_HERE
 from simgap.common.progress import show_progress
+from simgap.common.report import to_json
 from validation.campaigns import TABLE, Campaign, Context, Document, find_campaign, read_sizes
 
 EXAMPLE = "example: python -m validation hardstops --set arms=4 --set repeats=10 --json"
@@ -58,7 +59,7 @@ def run(campaign: Campaign, options: Any) -> int:
         runner = select_runner(options.workers, options.cluster)
         kept = options.out if campaign.keeps else None
         context = Context(options.seed, runner, kept, progress, options.workers, options.cluster)
-        document = work(context, **sizes)
+        document = to_json(work(context, **sizes))
     text = json.dumps(document, indent=2)
     if options.out is not None and not campaign.keeps:
         options.out.write_text(text + "\n", encoding="utf-8")

@@ -29,7 +29,7 @@ Once = Callable[[str, Callable[[], Document]], Document]
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What all campaigns are given."""
+    """Seed, workers, output and progress, which all campaigns are given."""
 
     seed: int = 0
     """Seed of everything random."""

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from fsw.config import Config
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array

@@ -23,13 +23,13 @@ from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAccepted, CommandRefused
 from fsw.dictionary.params import Params, TeachPoint
 from fsw.dictionary.types import DirectionMark, Limits, NameMark
-from fsw.executive.checks import known_names
+from fsw.executive.context import known_names
 from fsw.messages import ActuatorCommand, Sensors
 from fsw.state import Hold, State
 from sim.arms import arm_named
+from sim.initialisation import start_loop
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
-from sim.start import start_loop
 from simgap.common.errors import BadRequest
 from validation.campaigns import Context, Document
 

@@ -18,7 +18,7 @@ from fsw.dictionary.faults import Fault as FaultEvr
 from fsw.motion.move import Phase
 from fsw.protect.responses import Response
 from sim.arms import arm_named
-from sim.contact import hull_force_N, tool_forces
+from sim.clearance import hull_force_N, tool_forces
 from sim.effects.environment import PowerLoss
 from sim.effects.faults import (
     BrakeStuck,

@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from fsw.kinematics.arm import limit_excess
 from fsw.kinematics.ik import BranchVerdict, IkResult, inverse_kinematics
-from fsw.kinematics.soft_limits import limit_excess
 from fsw.kinematics.transforms import Array
 from simgap.common.errors import BadRequest
 from validation.campaigns import Context, Document

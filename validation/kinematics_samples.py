@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.enums import Joint
+from fsw.kinematics.arm import limit_excess, wrap_into_limits
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.soft_limits import limit_excess, wrap_into_limits
 from fsw.kinematics.transforms import Array, cross, dot, norm
-from sim.frames import P_NR_M
-from sim.workspace import PRIMARY
+from sim.frames import P_NR_M, PRIMARY
 from validation.kinematics_trials import Trial, task_jacobian
 
 NEAREST: Final = 1e-6
@@ -204,7 +203,7 @@ def workspace_targets(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
 
 
 def _workspace(rng: np.random.Generator, n: int, edge: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Draw targets as `sim.workspace.random_surface` does; those of `edge` near a face, on either side."""
+    """Draw targets as `sim.frames.random_surface` does; those of `edge` near a face, on either side."""
     low = np.array([0.0, PRIMARY.top_z_m, 0.0, -PRIMARY.wedge_side_rad])[:, None]
     high = np.array([PRIMARY.radius_m, PRIMARY.bottom_z_m, np.pi / 2, PRIMARY.wedge_side_rad])[:, None]
     u = rng.random((4, n))

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.arm import Arm, build_arm, build_orthogonal_arm
-from fsw.kinematics.branches import fold_distances
 from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.closed_form import fold_distances
 from fsw.kinematics.ik import BranchVerdict, IkResult
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import (

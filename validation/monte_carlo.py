@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 
 from marsarm.accuracy.budget import COMPONENTS, MOMENTS
-from marsarm.accuracy.combine import COVERAGE
 from marsarm.accuracy.monte_carlo import MonteCarloReport, run_monte_carlo
-from marsarm.accuracy.monte_carlo_report import monte_carlo_json
+from marsarm.accuracy.monte_carlo_report import monte_carlo_document
+from marsarm.accuracy.propagation import COVERAGE
 from marsarm.accuracy.request import MonteCarloRequest
 from validation.campaigns import Context, Document
 
@@ -46,8 +46,8 @@ def against_budget(context: Context, case: str, statics: int, closed_loop: int) 
         if is_same
     ]
     return {
-        "statics": {**monte_carlo_json(many), "in_bounds": _rule_holds(many)},
-        "closed-loop": {**monte_carlo_json(some), "in_bounds": _rule_holds(some)},
+        "statics": {**monte_carlo_document(many), "in_bounds": _rule_holds(many)},
+        "closed-loop": {**monte_carlo_document(some), "in_bounds": _rule_holds(some)},
         "statics_difference_m": {
             "rms": float(np.sqrt(np.mean(np.square(difference_m)))),
             "max": max(difference_m),

@@ -15,8 +15,8 @@ import numpy as np
 
 from fsw.config import Config, configure
 from fsw.estimate.reference import Reference
-from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.statics import settle, settle_output
 from marsarm.calibration.campaign import PAPER_GROUPS, SHOULDER_IN_SHARE
 from sim.arms import BuiltArm, arm_named

@@ -26,18 +26,17 @@ from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
 from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
-from fsw.motion.compensation import Compensation
+from fsw.motion.plan import Compensation
 from fsw.motion.plan_tool import start_line
 from sim.arms import SPRING_FRAMES, BuiltArm, arm_named
-from sim.contact import tool_forces
+from sim.clearance import tool_forces
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError, Warming
 from sim.effects.joints import GearStiffness
 from sim.effects.structure import LinkStiffness
 from sim.initialisation import initial_reference, true_reference
 from sim.loop import ClosedLoop, Setup
-from sim.placement import place_command
-from sim.preview import random_placement
+from sim.placement import place_command, random_placement
 from sim.sequence import run_sequence
 from sim.world import World
 from validation.campaigns import Context, Document

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from marsarm.runs.place import place
 from marsarm.runs.request import PlaceRequest, RunFiles
-from marsarm.view.html import save_page
+from marsarm.view.page import save_page
 from marsarm.view.watched_run import watch_log
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress

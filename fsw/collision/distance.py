@@ -125,7 +125,6 @@ def compute_clearances(
     """Compute the distance of each part of the arm to each obstacle.
 
     Args:
-        frames: Frames of the links in RMECH, batch (n).
         within_m: Distances beyond this are infinite in the result.
         touching: Tool whose distances are infinite in the result.
         surface: Surface of a target; without one, distances to it are infinite.
@@ -153,10 +152,6 @@ def compute_clearances(
 
 def place_shapes(geometry: CollisionGeometry, frames: Frames) -> Pose:
     """Place the shapes of the arm in RMECH.
-
-    Args:
-        geometry: Shapes of arm and rover.
-        frames: Frames of the links in RMECH, batch (n).
 
     Returns:
         Poses of the m shapes in RMECH, batch (m, n).

@@ -12,8 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.dictionary.collision_params import ArmGeometry, Box, Capsule, PartGeometry, RoverPart
-from fsw.dictionary.params import Params
+from fsw.dictionary.params import ArmGeometry, Box, Capsule, Params, PartGeometry, RoverPart
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import IDENTITY, Array, Flags, Pose, cross, norm, rotation_z, stack_poses
 

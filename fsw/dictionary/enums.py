@@ -5,7 +5,7 @@ from typing import Final
 
 
 class Mode(IntEnum):
-    """Mode of the arm; fsw/executive/modes.py defines the transitions."""
+    """Mode of the arm; fsw/executive/context.py defines the transitions."""
 
     STOWED = 0
     DEPLOYED = 1

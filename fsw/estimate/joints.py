@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ, Config
-from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.types import cycle_record
 from fsw.estimate.gear import (
@@ -20,12 +19,11 @@ from fsw.estimate.gear import (
     gear_after_motor_turn,
     locate_in_backlash,
 )
-from fsw.estimate.hardstop import HardstopFit
-from fsw.estimate.reference import Reference, provisional_reference, record_calibration
+from fsw.estimate.reference import HardstopFit, Reference, provisional_reference, record_calibration
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import ToolForce, load_arm, push_torque, settle_output
 from fsw.kinematics.transforms import Array
-from fsw.messages import Sensors
+from fsw.messages import Sensors, ToolChannels
 
 GRAVITY_FILTER_S: Final = 1.0
 """Time constant of the smoothing of gravity."""

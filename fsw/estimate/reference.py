@@ -1,12 +1,235 @@
-"""Reference of encoders and resolvers: the result of hardstop calibration, kept while the power is off."""
+"""Reference of encoders and resolvers, and the fit of a run against the hardstop from which it comes.
+
+The reference is kept while the power is off. The fit gives the position of the hardstop, the compliance of
+stop and gear, and the backlash.
+
+Motor torque is current times the torque constant. On the slow approach, the motor torque is the friction of
+motor and gear plus the torque T = load + friction of the output. On the stop, T rises along the line
+
+    T = T_running + (angle of contact - motor angle) / compliance
+
+with the compliances of gear and stop in series. The running current contains the friction of the day. The
+line therefore meets the running current at the motor angle of contact, wherever the output lay in its
+backlash. There, output = motor + b/2 + T / K.
+
+On the way back, the torque follows the line until the gear carries nothing. The motor then crosses the
+backlash with the current of friction alone. At the end of the backlash the gear takes up the load of the
+output again. The length of the crossing is the width of the backlash.
+"""
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from fsw.config import Config
+from fsw.dictionary.enums import Joint
+from fsw.dictionary.evrs import JointCalibrated
 from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
+
+RISE: Final = (0.2, 0.85)
+"""Share of the rise to which the line is fitted, clear of both ends."""
+BEFORE_RAD: Final = 3e-4
+"""Distance before contact at which the readings of running end."""
+RUNNING_RAD: Final = 4e-3
+"""Length of the way before contact whose readings give the running torque."""
+LATEST_READINGS: Final = 5
+"""Number of last readings that give the first estimate of the pressing torque."""
+PASSES: Final = 3
+"""Iterations of line and running torque."""
+BEYOND: Final = 0.3
+"""Share of the backlash at the end of the way back, where the gear moves the output."""
+PLATEAU: Final = (0.15, 0.7)
+"""Share of the backlash whose torque counts as friction alone."""
+MIN_READINGS: Final = 8
+"""Least number of readings of a line or a level."""
+MAX_LOAD_SHARE: Final = 0.5
+"""Load towards positive angles, as a share of the output friction, that hides the backlash."""
+BACKLASH_FACTOR: Final = (0.5, 2.0)
+"""Plausible width of the backlash, as a factor of the nominal width."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """Motor angles and torques at a slow constant speed, in time order."""
+
+    motor_rad: Array
+    """Motor angles on the output side, (n,)."""
+    torque_Nm: Array
+    """Motor torques on the output side, (n,)."""
+
+    def append(self, motor_rad: float, torque_Nm: float) -> "Readings":
+        """Append one reading."""
+        return Readings(np.append(self.motor_rad, motor_rad), np.append(self.torque_Nm, torque_Nm))
+
+
+NO_READINGS: Final = Readings(np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True)
+class ContactLine:
+    """Line of torque over motor angle of a run against the hardstop."""
+
+    contact_rad: float
+    """Motor angle at which the line has the running torque."""
+    running_Nm: float
+    """Magnitude of the motor torque before contact."""
+    compliance_rad_Nm: float
+    """Compliance of gear and hardstop in series."""
+
+
+@dataclass(frozen=True, slots=True)
+class HardstopFit:
+    """Result of the calibration of a joint."""
+
+    stop_rad: float
+    """Output angle at the hardstop, with the encoder zero before calibration."""
+    running_Nm: float
+    """Magnitude of the motor torque before contact."""
+    compliance_rad_Nm: float
+    """Compliance of gear and hardstop in series."""
+    half_backlash_rad: float
+    """Half the width of the backlash."""
+    backlash_measured: bool
+    """True if the width was measured; else it is nominal."""
+
+    def to_event(self, joint: Joint, moved_rad: float) -> JointCalibrated:
+        """Build the event report; moved_rad is the change of the encoder zero."""
+        return JointCalibrated(
+            joint,
+            moved_rad,
+            self.running_Nm,
+            1e6 * self.compliance_rad_Nm,
+            2 * self.half_backlash_rad,
+            self.backlash_measured,
+        )
+
+
+def fit_contact_line(config: Config, joint: int, load_Nm: float, towards: Readings) -> ContactLine | None:
+    """Fit the line of a run towards the hardstop.
+
+    A load that pushes the output onto the stop is first taken off the gear, which then crosses its backlash.
+    The line begins where the gear takes up torque again.
+
+    Args:
+        load_Nm: Torque of the load, positive towards positive angles.
+        towards: Readings of the run.
+
+    Returns:
+        The line, or None if the readings contain none.
+    """
+    params = config.params.joints.in_order()[joint]
+    angle, push = towards.motor_rad, -towards.torque_Nm
+    if push.size < MIN_READINGS:
+        return None
+    relieved = max(0.0, -(load_Nm + params.output_friction_Nm))
+    crossing_rad = 2 * config.half_backlash_rad[joint] * BACKLASH_FACTOR[1] if relieved > 0 else 0.0
+    low, high = (relieved + share * (params.hardstop_press_Nm - relieved) for share in RISE)
+    level = float(push[-LATEST_READINGS:].mean()) - params.hardstop_press_Nm
+    for _ in range(PASSES):
+        line = _fit_line(angle, push - level, low, high)
+        if line is None:
+            return None
+        contact, compliance = line
+        before = angle - (contact + crossing_rad + BEFORE_RAD)
+        running = push[(before > 0) & (before < RUNNING_RAD)]
+        if running.size < MIN_READINGS:
+            return None
+        level = float(running.mean())
+    return ContactLine(contact, level, compliance)
+
+
+def _fit_line(angle: Array, rise: Array, low: float, high: float) -> tuple[float, float] | None:
+    """Fit the line of the last rise from low to high; return its start and compliance, or None."""
+    below = np.flatnonzero(rise < low)
+    first = int(below[-1]) + 1 if below.size else 0
+    above = np.flatnonzero(rise[first:] > high)
+    last = first + (int(above[0]) if above.size else rise.size - first)
+    if last - first < MIN_READINGS:
+        return None
+    slope, offset = np.polyfit(angle[first:last], rise[first:last], 1)
+    return (float(-offset / slope), float(-1.0 / slope)) if slope < 0 else None
+
+
+def measure_backlash(
+    config: Config, joint: int, load_Nm: float, press: ContactLine, away: Readings
+) -> float | None:
+    """Measure the width of the backlash on the way back from the hardstop.
+
+    Args:
+        load_Nm: Torque of the load, positive towards positive angles.
+        press: Line of the run towards the hardstop.
+        away: Readings of the way back.
+
+    Returns:
+        The width in rad, or None if the readings do not show it.
+    """
+    params = config.params.joints.in_order()[joint]
+    friction, nominal = params.output_friction_Nm, 2 * float(config.half_backlash_rad[joint])
+    taken_up = friction - load_Nm
+    if taken_up < MAX_LOAD_SHARE * friction:
+        return None
+    angle, push, compliance = away.motor_rad, away.torque_Nm, press.compliance_rad_Nm
+    final = float(push[angle > angle.max() - BEYOND * nominal].mean())
+    crossing = final - taken_up
+    for _ in range(PASSES):
+        fall = (crossing - push) / (crossing - push.min())
+        on_line = (fall > RISE[0]) & (fall < RISE[1])
+        if np.count_nonzero(on_line) < MIN_READINGS:
+            return None
+        # the run towards the stop gives the slope; only the position of the line is fitted here
+        start = float(np.mean(angle[on_line] + (crossing - push[on_line]) * compliance))
+        flat = (angle > start + PLATEAU[0] * nominal) & (angle < start + PLATEAU[1] * nominal)
+        if np.count_nonzero(flat) < MIN_READINGS:
+            return None
+        crossing = float(push[flat].mean())
+    beyond = angle > start + PLATEAU[1] * nominal
+    angle, excess = angle[beyond], push[beyond] - 0.5 * (crossing + final)
+    half_way = float(angle[int(np.argmin(np.cumsum(excess)))])
+    gear_compliance = compliance if -load_Nm > friction else 1.0 / params.gear_stiffness_Nm_rad
+    return half_way - 0.5 * (final - crossing) * gear_compliance - start
+
+
+def locate_hardstop(
+    config: Config, joint: int, load_Nm: float, press: ContactLine, width_rad: float | None
+) -> HardstopFit:
+    """Compute the output angle at the hardstop from the line and the backlash.
+
+    Args:
+        load_Nm: Torque of the load, positive towards positive angles.
+        press: Line of the run towards the hardstop.
+        width_rad: Measured width of the backlash, or None.
+
+    Returns:
+        The result of the calibration; it has the nominal width if the measured one is implausible.
+    """
+    nominal = 2 * float(config.half_backlash_rad[joint])
+    measured = nominal if width_rad is None else width_rad
+    plausible = width_rad is not None and BACKLASH_FACTOR[0] < measured / nominal < BACKLASH_FACTOR[1]
+    half = 0.5 * (measured if plausible else nominal)
+    gear_Nm = load_Nm + float(config.output_friction_Nm[joint])
+    gear_rad_Nm = press.compliance_rad_Nm * gear_compliance_share(config, joint)
+    return HardstopFit(
+        stop_rad=press.contact_rad + half + gear_Nm * gear_rad_Nm,
+        running_Nm=press.running_Nm,
+        compliance_rad_Nm=press.compliance_rad_Nm,
+        half_backlash_rad=half,
+        backlash_measured=plausible,
+    )
+
+
+def series_compliance(config: Config, joint: int) -> float:
+    """Compute the nominal compliance of gear and hardstop in series, in rad / (N m)."""
+    params = config.params.joints.in_order()[joint]
+    return 1.0 / params.gear_stiffness_Nm_rad + 1.0 / params.hardstop_stiffness_Nm_rad
+
+
+def gear_compliance_share(config: Config, joint: int) -> float:
+    """Compute the share of the gear in that compliance; it also splits a measured compliance."""
+    return 1.0 / (
+        config.params.joints.in_order()[joint].gear_stiffness_Nm_rad * series_compliance(config, joint)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

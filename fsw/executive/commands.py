@@ -45,15 +45,22 @@ from fsw.dictionary.evrs import (
 from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.types import vector3
 from fsw.estimate.reference import forget_joint
-from fsw.executive.checks import check_arguments, check_force
 from fsw.executive.context import (
+    EVENT_OF,
+    TRANSITIONS,
     CommandContext,
+    ModeEvent,
+    check_arguments,
     check_calibrated,
+    check_force,
     check_mode,
     check_ready,
     command_name,
     in_contact,
+    is_stowed,
+    next_mode,
     refuse,
+    stop_event,
     tool_preload,
     with_events,
 )
@@ -64,9 +71,8 @@ from fsw.executive.expansion import (
     locate_surface,
     locate_touched_surface,
 )
-from fsw.executive.homing_poses import check_homing, check_homing_all
-from fsw.executive.modes import EVENT_OF, TRANSITIONS, ModeEvent, is_stowed, next_mode, stop_event
 from fsw.executive.planning import SingleMoveCommand, plan_command, plan_sequence
+from fsw.executive.poses import check_homing, check_homing_all
 from fsw.executive.settings import set_param, set_tilt
 from fsw.motion import homing
 from fsw.motion.force_fit import ForceFit

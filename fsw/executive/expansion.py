@@ -26,11 +26,9 @@ from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params, TeachPoint
 from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.joints import JointEstimate
-from fsw.executive.homing_poses import HOMED_TWICE
+from fsw.executive.poses import HOMED_TWICE, find_gravity_pose
 from fsw.kinematics.transforms import Array, normalize
-from fsw.motion.compensation import Compensation
-from fsw.motion.plan import Refusal
-from fsw.motion.plan_process import find_gravity_pose
+from fsw.motion.plan import Compensation, Refusal
 from fsw.motion.plan_tool import Line, start_line
 from fsw.state import Hold, Sequence, SequenceStep
 
@@ -51,7 +49,6 @@ def expand_command(
     """Expand a compound command into single moves from the present joint angles.
 
     Args:
-        tool: Tool of the last tool command.
         surface: Surface of `locate_surface`; None if there is none.
         farther_m: Distance from the standoff to a way point farther from the surface; 0 for none.
 
@@ -125,7 +122,6 @@ def locate_surface(
     """Return the surface that a command is to keep away from.
 
     Args:
-        tool: Tool of the last tool command.
         known: Surface of the last target.
 
     Returns:

@@ -22,11 +22,10 @@ from fsw.dictionary.commands import (
 )
 from fsw.dictionary.enums import Joint
 from fsw.estimate.joints import JointEstimate
-from fsw.executive.checks import check_arguments
+from fsw.executive.context import check_arguments
 from fsw.executive.expansion import CompoundCommand, expand_command, locate_surface
-from fsw.motion.compensation import Compensation
-from fsw.motion.path_check import check_paths, check_touch, compute_deflected_frames
-from fsw.motion.plan import Plan, Refusal, estimate_at, plan_joint, plan_poses
+from fsw.motion.paths import check_paths, check_touch, compute_deflected_frames
+from fsw.motion.plan import Compensation, Plan, Refusal, estimate_at, plan_joint, plan_poses
 from fsw.motion.plan_tool import find_branches, plan_guarded, plan_retract, plan_tool
 from fsw.state import SequenceStep
 
@@ -65,8 +64,6 @@ def plan_command(
     """Plan the move of a command, and check its paths for collisions with rover, ground and surface.
 
     Args:
-        joints: Estimate of the joints, from which the move starts.
-        tool: Tool of the last tool command.
         surface: Surface of `locate_surface`; None if there is none.
 
     Returns:
@@ -150,7 +147,6 @@ def plan_sequence(
 
     Args:
         joints: Estimate of the joints, from which the first step starts.
-        tool: Tool of the last tool command.
         surface: Surface that the steps keep away from; None if there is none.
 
     Returns:

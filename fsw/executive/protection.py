@@ -11,13 +11,13 @@ from fsw.dictionary.evrs import CommandAborted, Evr
 from fsw.dictionary.types import cycle_record
 from fsw.estimate.gear import LIKELY
 from fsw.estimate.joints import JointEstimate
-from fsw.executive.modes import TRANSITIONS, ModeEvent, stop_event
+from fsw.executive.context import TRANSITIONS, ModeEvent, stop_event
 from fsw.kinematics.transforms import Array
 from fsw.motion.move import NO_JOINTS, Move, Phase, distance_travelled, stop_early
 from fsw.motion.paths import LinePath, Setpoint
 from fsw.motion.preload import PreloadState
+from fsw.protect.inputs import ArmStatus, MoveStatus, PressStatus
 from fsw.protect.responses import Decision, Response, StandingFault
-from fsw.protect.status import ArmStatus, MoveStatus, PressStatus
 from fsw.state import Sequence
 
 
@@ -43,7 +43,6 @@ def describe_arm(
     """Describe the arm to protection in plain values.
 
     Args:
-        tool: Tool of the last tool command.
         backlash_state: That of the estimate, shape (3, 5).
 
     Returns:

@@ -1,4 +1,4 @@
-"""The arm as constant arrays, and the orthogonal arm: quantities that the parameters determine once.
+"""The arm as constant arrays, the orthogonal arm, and soft limits: what the parameters determine once.
 
 The orthogonal arm has the lengths of this arm, and axes that are parallel or at right angles. The closed form
 of the inverse kinematics solves it.
@@ -6,14 +6,14 @@ of the inverse kinematics solves it.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import cos, sin
-from typing import Final
+from math import cos, floor, log10, sin
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params, PointMass, Transform6
-from fsw.kinematics.single_pose import Link
-from fsw.kinematics.transforms import Array, Pose, rotation_x, rotation_z, screw_exp, stack_poses
+from fsw.kinematics.transforms import Array, Pose, rotation_x, rotation_z, screw_exp, stack_poses, wrap_angle
 
 ROUNDING: Final = 1e-12
 """Relative rounding error of a length or a cosine."""
@@ -112,6 +112,28 @@ def _is_orthogonal(X_LF: Pose) -> bool:
     turns = np.stack([rotation_x(np.array(angle)) for angle in quarter], -1)
     offsets = [*X_LF.p[1, 2:], *X_LF.p[0, 5:]]
     return bool(np.abs(X_LF.R[:, :, 1:] - turns).max() < 1e-15 and np.abs(offsets).max() < 1e-15)
+
+
+Vector = tuple[float, float, float]
+Rotation = tuple[float, float, float, float, float, float, float, float, float]
+"""Matrix row by row."""
+Row = tuple[float, float, float, float, float, float]
+
+
+class Link(NamedTuple):
+    """Constant numbers of a link; they are those of `Arm`."""
+
+    theta_rad: float
+    p_LC_m: Vector
+    R_CF: Rotation
+    p_CF_m: Vector
+    compliance: tuple[Row, ...]
+    near_kg: float
+    far_kg: float
+    near_kg_m: Vector
+    """First moment of the near mass in the link frame."""
+    far_kg_m: Vector
+    """First moment of the far mass about the spring."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -231,9 +253,6 @@ def heat_arm(arm: Arm, warming_K: float) -> Arm:
 def transform6_to_pose(t: Transform6) -> Pose:
     """Compute the pose of a general link transform, equation 1 of the paper.
 
-    Args:
-        t: The six parameters.
-
     Returns:
         The pose.
     """
@@ -277,3 +296,70 @@ def _positions(masses: list[PointMass]) -> Array:
 def _side_by_side(X: Pose) -> Array:
     """Join rotation and position, (3, 4, ...)."""
     return np.concatenate([X.R, X.p[:, None]], axis=1)
+
+
+def wrap_into_limits(arm: Arm, q: Array, near_rad: Array | None = None) -> Array:
+    """Add whole turns to angles so that they lie inside the soft limits.
+
+    If no turn fits, the result is the turn nearest to the limits.
+
+    Args:
+        q: Output angles in rad, shape (5, ...).
+        near_rad: Angles to stay near if two turns fit, shape (5,); None for the middle of the limits.
+
+    Returns:
+        The angles in rad, shape (5, ...).
+    """
+    low, high = _limits(arm, q)
+    middle = 0.5 * (low + high)
+    central = middle + wrap_angle(q - middle)
+    if near_rad is None:
+        return central
+    near = np.clip(near_rad.reshape(low.shape), low, high)
+    best = near + wrap_angle(q - near)
+    inside = (best >= low) & (best <= high)
+    return np.where(inside, best, central)
+
+
+def limit_excess(arm: Arm, q: Array) -> Array:
+    """Compute the excess of joint angles over the soft limits.
+
+    Args:
+        q: Output angles in rad, shape (5, ...).
+
+    Returns:
+        Excess in rad, negative inside the limits, shape (5, ...).
+    """
+    low, high = _limits(arm, q)
+    return np.maximum(low - q, q - high)
+
+
+def describe_outside(arm: Arm, joint: Joint, angle_rad: float) -> str:
+    """Describe a joint outside its soft limits, with enough digits to show the excess."""
+    low, high = arm.soft_min_rad[joint], arm.soft_max_rad[joint]
+    places = max(1, 1 - floor(log10(np.degrees(max(low - angle_rad, angle_rad - high, 1e-12)))))
+    angle = f"{np.degrees(angle_rad):.{min(places, 9)}f} deg"
+    return f"joint {joint.name.lower()}: {angle} is outside {_describe_range(arm, joint, min(places, 9))}"
+
+
+def format_digits(value: float, places: int) -> str:
+    """Format a positive number with this many decimals, or more if it would read as 0."""
+    return f"{value:.{max(places, -floor(log10(max(value, 1e-12))))}f}"
+
+
+def describe_estimated_outside(arm: Arm, joint: Joint, beyond_rad: float) -> str:
+    """Describe a joint outside its soft limits whose angle is only estimated."""
+    limits = _describe_range(arm, joint, 1)
+    return f"joint {joint.name.lower()}: about {np.degrees(beyond_rad):.1f} deg outside {limits}"
+
+
+def _describe_range(arm: Arm, joint: Joint, places: int) -> str:
+    """Describe the soft limits of a joint in degrees."""
+    low_deg, high_deg = np.degrees(arm.soft_min_rad[joint]), np.degrees(arm.soft_max_rad[joint])
+    return f"its soft limits {low_deg:.{places}f} .. {high_deg:.{places}f} deg"
+
+
+def _limits(arm: Arm, q: Array) -> tuple[Array, Array]:
+    """Return the lowest and highest angles, with as many axes as the angles."""
+    ones = (1,) * (q.ndim - 1)
+    return arm.soft_min_rad.reshape(5, *ones), arm.soft_max_rad.reshape(5, *ones)

@@ -35,7 +35,6 @@ def solve_azimuths(s: OrthogonalArm, foot: Array, a: Array) -> tuple[Array, Arra
     """Solve the azimuths of a radial tool.
 
     Args:
-        s: Orthogonal arm.
         foot: Point on the target's boresight nearest to the turret axis, in m in frame Arm1, shape (3, ...).
         a: Approach direction, unit vector in frame Arm1, shape (3, ...).
 
@@ -55,7 +54,6 @@ def solve_azimuth_near(
     """Solve the azimuth of a radial tool on a given side of the shoulder and the wrist.
 
     Args:
-        s: Orthogonal arm.
         foot: Point on the target's boresight nearest to the turret axis, in m in frame Arm1, shape (3, n).
         a: Approach direction, unit vector in frame Arm1, shape (3, n).
         wrist: Signs of the wrist sine, unitless, shape (n,).
@@ -84,7 +82,6 @@ def solve_offset_azimuths(s: OrthogonalArm, foot: Array, a: Array) -> tuple[Arra
     eigenvalues of a companion matrix. Newton steps polish those on the unit circle.
 
     Args:
-        s: Orthogonal arm.
         foot: Point on the target's boresight nearest to the turret axis, in m in frame Arm1, shape (3, ...).
         a: Approach direction, unit vector in frame Arm1, shape (3, ...).
 
@@ -112,7 +109,6 @@ def solve_offset_azimuth_near(
     """Solve the azimuth of a tool with an offset by Newton steps from a given azimuth.
 
     Args:
-        s: Orthogonal arm.
         foot: Point on the target's boresight nearest to the turret axis, in m in frame Arm1, shape (3, n).
         a: Approach direction, unit vector in frame Arm1, shape (3, n).
         wrist: Signs of the wrist sine, unitless, shape (n,).

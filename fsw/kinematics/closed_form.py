@@ -1,4 +1,4 @@
-"""Closed-form inverse kinematics of the orthogonal rigid arm for position and approach: eight roots.
+"""Closed-form inverse kinematics of the orthogonal rigid arm for position and approach, by branch.
 
 The plane of the arm holds the three parallel joints. The turret axis is normal to the pitch axis and makes a
 fixed angle with the approach. This gives two directions: wrist down and up. The wrist centre has a known
@@ -11,6 +11,7 @@ from typing import Final
 
 import numpy as np
 
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import Arm, OrthogonalArm
 from fsw.kinematics.azimuth import (
     solve_azimuth_near,
@@ -18,9 +19,52 @@ from fsw.kinematics.azimuth import (
     solve_offset_azimuth_near,
     solve_offset_azimuths,
 )
-from fsw.kinematics.batch import record_arrays
-from fsw.kinematics.branches import branch_index, fold_distances
-from fsw.kinematics.transforms import Array, rotate_back
+from fsw.kinematics.transforms import Array, Integers, record_arrays, rotate_back
+
+BRANCHES: Final = tuple(
+    f"shoulder-{shoulder} elbow-{elbow} wrist-{wrist}"
+    for shoulder in ("out", "in")
+    for elbow in ("up", "down")
+    for wrist in ("up", "down")
+)
+"""Names of the eight branches, in the order of the slots."""
+
+
+def fold_distances(s: OrthogonalArm, output_rad: Array) -> Array:
+    """Compute signed distances of poses from the folds of shoulder, elbow and wrist.
+
+    A negative value means out, up, up. The shoulder's value is the distance [m] of the turret axis' foot
+    behind the azimuth axis. The elbow's value is the sine of its bend, negative above the line from shoulder
+    to wrist. The wrist's value is the sine of the turret axis against the approach. The elbow also changes
+    its name, without a fold, where the wrist joint passes over or under the elevation joint.
+
+    Args:
+        output_rad: Output angles, shape (5, ...).
+
+    Returns:
+        Distances of shoulder [m], elbow and wrist [sine], shape (3, ...).
+    """
+    q = output_rad + s.theta_rad.reshape(5, *(1,) * (output_rad.ndim - 1))
+    upper, fore = q[Joint.ELEVATION], q[Joint.ELEVATION] + q[Joint.ELBOW]
+    pitch = fore + q[Joint.WRIST]
+    x = s.upper_m * np.cos(upper) + s.fore_m * np.cos(fore)
+    ahead = s.out_m + x + s.wrist_m * np.cos(pitch) - s.along_m * np.sin(pitch)
+    elbow = np.sin(q[Joint.ELBOW])
+    return np.stack([-ahead, np.where(x >= 0, -elbow, elbow), np.cos(q[Joint.TURRET] + s.clock_rad)])
+
+
+def branch_index(signs: Array) -> Integers:
+    """Compute the index of a branch from the signs of its fold distances.
+
+    Args:
+        signs: Fold distances, or unitless numbers of the same sign, shape (3, ...).
+
+    Returns:
+        Indices into BRANCHES, shape (...).
+    """
+    index: Integers = (signs >= 0).astype(np.int64).T @ np.array([4, 2, 1])
+    return index.T
+
 
 FREE_SINE: Final = 1e-7
 """Below it the approach is parallel to the pitch axes within rounding: the wrist pitch is free."""
@@ -56,8 +100,6 @@ def closed_form(
     The roots are exact for an orthogonal arm with any tool. For a calibrated arm they are starting points.
 
     Args:
-        arm: Arm.
-        tool: Name of the tool.
         p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).
         approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
         least_bend_rad: Least distance of the elbow from straight and folded, where two roots meet.
@@ -116,7 +158,6 @@ def closed_form_branch(
     """Compute the root of each target on the branch of a given pose.
 
     Args:
-        s: Orthogonal arm.
         p_RoTo_R_m: Target positions in the rover frame, shape (3, n).
         approach_R: Approach directions, unit vectors in the rover frame, shape (3, n).
         near_rad: Output angles that name the branch, shape (5, n).
@@ -144,7 +185,6 @@ def to_shoulder_frame(s: OrthogonalArm, p_R_m: Array, v_R: Array) -> tuple[Array
     """Transform points and directions into frame Arm1, in which the azimuth turns about z.
 
     Args:
-        s: Orthogonal arm.
         p_R_m: Points in the rover frame, shape (3, ...).
         v_R: Directions in the rover frame, unit vectors, shape (3, ...).
 
@@ -177,7 +217,6 @@ def turret_axis(s: OrthogonalArm, a: InPlane, sine: Array) -> tuple[Array, Array
     in the plane, and bz the cosine of boresight and turret axis.
 
     Args:
-        s: Orthogonal arm.
         a: Approach direction in the plane of the arm.
         sine: Sines of the wrist, unitless, shape (...).
 
@@ -214,7 +253,6 @@ def locate_wrist(s: OrthogonalArm, foot: InPlane, b: InPlane, t_e: Array, t_z: A
     """Locate the wrist joint and compute the bend of the elbow without its sign.
 
     Args:
-        s: Orthogonal arm.
         foot: Foot of the tool's offset in the plane of the arm, in m.
         b: Boresight in the plane of the arm.
         t_e: Forward components of the turret axis, part of a unit vector, shape (...).
@@ -252,7 +290,6 @@ def joint_angles(
     """Compute the output angles from the geometry in the plane of the arm.
 
     Args:
-        s: Orthogonal arm.
         b_n: Boresight along the pitch axis, unitless, shape (...).
         q1: Azimuths in rad, constant turn included, shape (...).
         t_e: Forward components of the turret axis, part of a unit vector, shape (...).

@@ -14,22 +14,27 @@ from typing import Final
 import numpy as np
 
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.arm import Arm
-from fsw.kinematics.batch import concatenate_records, record_arrays
-from fsw.kinematics.branches import BRANCHES
-from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import FREE_SINE, Roots, closed_form
-from fsw.kinematics.fixed_point import CLEAR_OF_FOLD, solve_fixed_point
-from fsw.kinematics.soft_limits import (
+from fsw.kinematics.arm import (
+    Arm,
     describe_estimated_outside,
     describe_outside,
     format_digits,
     limit_excess,
     wrap_into_limits,
 )
-from fsw.kinematics.straight_elbow import find_straight, solve_straight
-from fsw.kinematics.task import ROOT_TOLERANCE, task_error
-from fsw.kinematics.transforms import Array, Flags, Integers, norm, wrap_angle
+from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.closed_form import BRANCHES, FREE_SINE, Roots, closed_form
+from fsw.kinematics.roots import CLEAR_OF_FOLD, find_straight, solve_fixed_point, solve_straight
+from fsw.kinematics.statics import ROOT_TOLERANCE, task_error
+from fsw.kinematics.transforms import (
+    Array,
+    Flags,
+    Integers,
+    concatenate_records,
+    norm,
+    record_arrays,
+    wrap_angle,
+)
 
 NEGLIGIBLE_M: Final = 1e-6
 """A target out of reach by less than this is at the edge of reach."""
@@ -138,8 +143,6 @@ def inverse_kinematics(
     next to double roots by the tolerance of the forward check.
 
     Args:
-        arm: Arm.
-        tool: Name of the tool.
         p_RoTo_R_m: Target positions in the rover frame RMECH, shape (3, ...).
         approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,); None for the rigid arm.
@@ -266,8 +269,6 @@ def find_regular_approach(arm: Arm, tool: str, p_RoTo_R_m: Array, approach_R: Ar
     """Find the approach nearest to that of a target which is clear of the pitch axes.
 
     Args:
-        arm: Arm.
-        tool: Name of the tool.
         p_RoTo_R_m: Target position in the rover frame, shape (3,).
         approach_R: Approach direction of the target, unit vector in the rover frame, shape (3,).
         slot: Branch, which gives the azimuth.

@@ -5,7 +5,8 @@ components leading, the inner loops of numpy run over the batch.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,10 +36,7 @@ class Pose:
 
 
 def stack_poses(poses: Sequence[Pose]) -> Pose:
-    """Stack poses along a new last axis.
-
-    Args:
-        poses: One or more poses of the same batch shape.
+    """Stack poses of one batch shape along a new last axis.
 
     Returns:
         The poses, with one batch axis more.
@@ -92,10 +90,7 @@ def rotate_back(R: Array, v: Array) -> Array:
 
 
 def inverse(X: Pose) -> Pose:
-    """Invert poses.
-
-    Args:
-        X: Poses X_AB.
+    """Invert poses, X_AB to X_BA.
 
     Returns:
         The poses X_BA.
@@ -269,12 +264,9 @@ def skew(v: Array) -> Array:
 
 
 def adjoint(X: Pose) -> Array:
-    """Build the matrices [[R, 0], [[p] R, R]] that transform a screw from frame B to frame A.
+    """Build the matrices [[R, 0], [[p] R, R]] of poses X_AB, which transform a screw from frame B to frame A.
 
     Equation 3 of the paper prints [p] alone in the lower left. Finite differences confirm [p] R.
-
-    Args:
-        X: Poses X_AB.
 
     Returns:
         The matrices, shape (6, 6, ...).
@@ -326,3 +318,47 @@ def wrap_angle(angle_rad: Array) -> Array:
     # the operator % takes three times as long
     wrapped: Array = angle_rad - 2 * np.pi * np.floor(angle_rad / (2 * np.pi) + 0.5)
     return wrapped
+
+
+Record = TypeVar("Record")
+
+
+def record_arrays(record: Any) -> tuple[NDArray[Any], ...]:
+    """Return the arrays of a record.
+
+    Args:
+        record: Data class of arrays.
+
+    Returns:
+        Its arrays, in the order of the fields.
+    """
+    return tuple(getattr(record, field.name) for field in fields(record))
+
+
+def select_targets(record: Record, where: Any) -> Record:
+    """Select some targets of a record.
+
+    Args:
+        record: Data class of arrays, shape (..., n).
+        where: Index of the last axis.
+
+    Returns:
+        The record at these targets.
+    """
+    # an index alone leaves the values of a target next to each other, and all that follows is slower
+    return type(record)(*(np.ascontiguousarray(values[..., where]) for values in record_arrays(record)))
+
+
+def concatenate_records(parts: Sequence[Record]) -> Record:
+    """Concatenate records along the last axis.
+
+    Args:
+        parts: Data classes of arrays, shape (..., n); at least one.
+
+    Returns:
+        One record with the targets of all parts in order.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    columns = zip(*(record_arrays(part) for part in parts), strict=True)
+    return type(parts[0])(*(np.concatenate(column, axis=-1) for column in columns))

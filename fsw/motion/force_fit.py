@@ -144,14 +144,7 @@ def update_force_fit(
     The measured load is the motor torque less friction, and less the load without the force.
 
     Args:
-        config: Configuration of flight software.
-        fit: Fit of the cycles before.
-        preload: Preload of this cycle.
         rate_N_s: Rate of the overdrive.
-        setpoint: Set-point of this cycle.
-        joints: Estimate of the joints.
-        load: Estimate of the loads.
-        sensors: Readings of this cycle.
 
     Returns:
         The fit with this cycle.
@@ -178,9 +171,6 @@ def estimate_force_ratio(
     way at both ends.
 
     Args:
-        config: Configuration of flight software.
-        fit: Fit of a press.
-        joints: Estimate of the joints.
         preload: Preload at the end of the leg.
 
     Returns:
@@ -237,10 +227,8 @@ def plan_correction(
     crossed to and fro. The wind-up of the gears is that of the corrected force.
 
     Args:
-        config: Configuration of flight software.
         change: Change of force that has ended.
         fit: Fit of the press.
-        joints: Estimate of the joints.
         preload: Preload at the end, by the fit.
         planned_for: Preload at the end, as planned.
 

@@ -23,7 +23,8 @@ from fsw.dictionary.faults import (
     StalledEarly,
 )
 from fsw.dictionary.params import JointParams
-from fsw.estimate.hardstop import (
+from fsw.estimate.joints import JointEstimate
+from fsw.estimate.reference import (
     NO_READINGS,
     ContactLine,
     HardstopFit,
@@ -33,7 +34,6 @@ from fsw.estimate.hardstop import (
     measure_backlash,
     series_compliance,
 )
-from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from fsw.motion.paths import JointPath, Setpoint, joint_path
@@ -138,8 +138,6 @@ def begin_homing(joint: Joint, joints: JointEstimate, accept_moved: bool) -> Hom
     """Begin the homing of a joint.
 
     Args:
-        joint: Joint to be homed.
-        joints: Estimate of the joints.
         accept_moved: True if the hardstop may be elsewhere than before.
 
     Returns:
@@ -178,12 +176,8 @@ def advance_homing(
     """Advance homing by one cycle.
 
     Args:
-        config: Configuration of flight software.
-        homing: Homing after the cycle before.
         setpoint: Set-point of all joints in the cycle before.
-        joints: Estimate of the joints.
         load_Nm: Estimated loads, shape (5,).
-        sensors: Readings of this cycle.
 
     Returns:
         The update; homing has ended if `found` is set or there is an event.

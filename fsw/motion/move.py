@@ -22,8 +22,8 @@ from fsw.dictionary.evrs import (
 )
 from fsw.dictionary.faults import NoContact, NotSettled
 from fsw.dictionary.types import cycle_record
-from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
+from fsw.estimate.reference import HardstopFit
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Flags, Sensors
 from fsw.motion.force_fit import (
@@ -106,13 +106,6 @@ def advance_move(
     config: Config, move: Move, joints: JointEstimate, load: LoadEstimate, sensors: Sensors
 ) -> MoveUpdate:
     """Advance a move by one cycle.
-
-    Args:
-        config: Configuration of flight software.
-        move: Move after the cycle before.
-        joints: Estimate of the joints.
-        load: Estimate of the loads.
-        sensors: Readings of this cycle.
 
     Returns:
         The update; its move is None if the move has ended.
@@ -366,7 +359,6 @@ def command_actuators(
     """Command the actuators: power during a move, brakes off until its brake phase.
 
     Args:
-        config: Configuration of flight software.
         move: Move under way; without one, all brakes are on and all power is off.
         joints: Estimate of the joints, of which the encoder zero is used.
         last: Command of the cycle before.

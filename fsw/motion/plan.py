@@ -1,6 +1,6 @@
 """Plans of joint moves and of moves over knots: paths and the positions at their end, or a refusal.
 
-It also has the soft-limit check of a pose, which all plans use.
+Set-points are shifted by backlash and deflection, and a move ends on a known side of the backlash.
 """
 
 from dataclasses import dataclass, replace
@@ -10,14 +10,96 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
+from fsw.dictionary.commands import BacklashMode, DeflectionMode
 from fsw.dictionary.enums import Joint
-from fsw.estimate.gear import LIKELY, STILL_RAD, bound_gear, gear_after_output_turn
+from fsw.estimate.gear import (
+    LIKELY,
+    STILL_RAD,
+    bound_gear,
+    clip_to_backlash,
+    gear_after_output_turn,
+    load_error,
+)
 from fsw.estimate.joints import JointEstimate
-from fsw.kinematics.soft_limits import describe_outside, limit_excess
-from fsw.kinematics.statics import settle_output
+from fsw.kinematics.arm import describe_outside, limit_excess
+from fsw.kinematics.statics import relative_target, settle_output
 from fsw.kinematics.transforms import Array
-from fsw.motion.compensation import Compensation, final_direction
 from fsw.motion.paths import Path, Travel, joint_path, line_path
+
+NO_GRAVITY: Final = np.zeros(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Compensation:
+    """Compensations of a move; wind-up of the gears counts as deflection."""
+
+    backlash: BacklashMode = "on"
+    deflection: DeflectionMode = "absolute"
+
+    def gravity(self, joints: JointEstimate) -> Array:
+        """Return the gravity of the deflection model in RMECH, shape (3,); zero if it is off."""
+        return NO_GRAVITY if self.deflection == "off" else joints.gravity_R_m_s2
+
+    def allowance(self, joints: JointEstimate, gear_rad: Array) -> Array:
+        """Compute the part of the gear angles by which set-points are shifted.
+
+        Args:
+            gear_rad: Gear angles, output less motor, shape (5, ...).
+
+        Returns:
+            Backlash and wind-up in radians, each 0 if not compensated; same shape.
+        """
+        wind_up = gear_rad - clip_to_backlash(joints.reference.half_backlash_rad, gear_rad)
+        backlash = self.backlash_allowance(joints, gear_rad)
+        allowed: Array = backlash if self.deflection == "off" else backlash + wind_up
+        return allowed
+
+    def backlash_allowance(self, joints: JointEstimate, gear_rad: Array) -> Array:
+        """Compute the backlash part of `allowance`, in radians, same shape."""
+        backlash = clip_to_backlash(joints.reference.half_backlash_rad, gear_rad)
+        return backlash if self.backlash == "on" else np.zeros_like(backlash)
+
+    def target(
+        self, config: Config, joints: JointEstimate, reference: str, p_RoTo_R_m: Array, approach_R: Array
+    ) -> tuple[Array, Array]:
+        """Convert a target to one for absolute inverse kinematics.
+
+        Only relative compensation changes it: by the present deflection of the reference tool.
+
+        Args:
+            reference: Tool whose present deflection counts.
+            p_RoTo_R_m: Position of the tool in RMECH, shape (3, ...).
+            approach_R: Unit direction of the tool axis, same shape.
+
+        Returns:
+            Position and approach, same shapes.
+        """
+        if self.deflection != "relative":
+            return p_RoTo_R_m, approach_R
+        return relative_target(
+            config.arm, reference, joints.output_rad, joints.gravity_R_m_s2, p_RoTo_R_m, approach_R
+        )
+
+
+def final_direction(config: Config, load_Nm: Array, gravity_R_m_s2: Array) -> Array:
+    """Choose the direction in which each output ends its move, so that its side of the backlash is known.
+
+    If the load does not decide, the output moves in the positive direction and so ends on the negative side.
+    If the load may then push it to the positive side, it moves in the negative direction and ends there.
+
+    Args:
+        load_Nm: Loads at the end of the move, shape (5,).
+        gravity_R_m_s2: Gravity in RMECH, shape (3,).
+
+    Returns:
+        1, -1, or 0 if the load decides the side; shape (5,).
+    """
+    error = load_error(config, gravity_R_m_s2)
+    decided = np.abs(load_Nm) > config.output_friction_Nm + error
+    pushed = load_Nm > config.output_friction_Nm - error
+    direction: Array = np.where(decided, 0.0, np.where(pushed, -1.0, 1.0))
+    return direction
+
 
 TOO_SOFT: Final = "with these parameters, no static equilibrium of the arm is found"
 
@@ -76,10 +158,7 @@ def plan_poses(
     Only the last move ends on a known side of the backlash.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints, from which the first move starts.
         poses: Output angles in radians, shape (5,) each.
-        compensation: Compensation of backlash and deflection.
 
     Returns:
         The plan, or the reason for a refusal, such as a pose beyond the soft limits.
@@ -106,11 +185,7 @@ def plan_joint(
     """Plan a move of one output to an angle while the other joints stay on their brakes.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints, from which the move starts.
-        joint: Joint that moves.
         angle_rad: Output angle at the end.
-        compensation: Compensation of backlash and deflection.
 
     Returns:
         The plan, or the reason for a refusal.
@@ -144,12 +219,9 @@ def plan_joint_move(
     short for that, a first move makes room for the run-up.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints.
         start: Positions at the start.
         output_rad: Output angles at the end, shape (5,).
         load_Nm: Loads at the end, shape (5,).
-        compensation: Compensation of backlash and deflection.
         on_known_side: False to move directly, whatever the side at the end.
         only: Joint that moves while the other motors stay; None if all move.
 
@@ -186,7 +258,6 @@ def worst_limit_excess(config: Config, output_rad: Array) -> Array:
     """Compute the largest excess of a joint over its soft limit.
 
     Args:
-        config: Configuration of flight software.
         output_rad: Output angles, shape (5, ...).
 
     Returns:
@@ -216,11 +287,8 @@ def plan_over_knots(
     If the joints are not at the first outputs, a joint move to these comes first.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints.
         output_rad: Output angles at the knots, shape (5, k).
         load_Nm: Loads at the knots, shape (5, k).
-        compensation: Compensation of backlash and deflection.
         travel: Length of all knots together, and bounds of speed, acceleration and jerk.
 
     Returns:

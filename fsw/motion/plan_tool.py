@@ -10,9 +10,8 @@ from fsw.config import Config
 from fsw.dictionary.commands import AUTO, ROVER, GuardedMove, MoveTool, Retract
 from fsw.dictionary.enums import Frame, Joint
 from fsw.estimate.joints import JointEstimate
-from fsw.kinematics.batch import select_targets
-from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import Frames, tool_pose
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import (
     BranchVerdict,
     IkResult,
@@ -20,13 +19,12 @@ from fsw.kinematics.ik import (
     find_regular_approach,
     inverse_kinematics,
 )
-from fsw.kinematics.newton import NewtonRoots, refine_roots
+from fsw.kinematics.roots import NewtonRoots, refine_roots
 from fsw.kinematics.statics import settle_output
-from fsw.kinematics.transforms import Array, Pose, norm
-from fsw.motion.compensation import Compensation
-from fsw.motion.path_check import check_paths
-from fsw.motion.paths import Travel
+from fsw.kinematics.transforms import Array, Pose, norm, select_targets
+from fsw.motion.paths import Travel, check_paths
 from fsw.motion.plan import (
+    Compensation,
     Plan,
     Refusal,
     describe_worst_limit,
@@ -86,8 +84,6 @@ def plan_tool(
     A branch is valid if the target and the end of the straight travel after it are within limits.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints, from which the move starts.
         command: Command with the target, the branch and the compensation.
         reference: Tool whose present deflection relative compensation uses; None for that of the command.
         surface: Surface of a target to keep away from; None if there is none.
@@ -122,8 +118,6 @@ def find_branches(
     A branch is valid if the target and the end of the straight travel after it are within limits.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints, from which the move starts.
         command: Command with the target, the branch and the compensation.
         reference: Tool whose present deflection relative compensation uses; None for that of the command.
 

@@ -11,14 +11,12 @@ import numpy as np
 from fsw.config import Config
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import ToolForce, settle_output
-from fsw.kinematics.task import ROOT_TOLERANCE, task_error, task_jacobian
+from fsw.kinematics.statics import ROOT_TOLERANCE, ToolForce, settle_output, task_error, task_jacobian
 from fsw.kinematics.transforms import Array
-from fsw.motion.compensation import Compensation
-from fsw.motion.path_check import check_paths
-from fsw.motion.paths import Travel
+from fsw.motion.paths import Travel, check_paths
 from fsw.motion.plan import (
     TOO_SOFT,
+    Compensation,
     JointPositions,
     Plan,
     Refusal,
@@ -164,8 +162,6 @@ def plan_preload(
     friction to stay in place.
 
     Args:
-        config: Configuration of flight software.
-        joints: Estimate of the joints, from which the change starts.
         preload: Preload at the start.
         force_N: Commanded force.
 
@@ -216,9 +212,7 @@ def preload_limit_A(config: Config, joints: JointEstimate, change: PreloadChange
     """Compute current limits that stall the motors before the force much exceeds the commanded one.
 
     Args:
-        config: Configuration of flight software.
         joints: Estimate of the joints, of which the measured friction is used.
-        change: Change of force.
 
     Returns:
         Current limits in amperes, shape (5,).

@@ -21,8 +21,7 @@ from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.statics import held_on_flank
 from fsw.kinematics.transforms import Array, Flags
 from fsw.messages import Sensors
-from fsw.protect.bounds import ProtectionBounds
-from fsw.protect.status import ArmStatus, PressStatus
+from fsw.protect.inputs import ArmStatus, PressStatus, ProtectionBounds
 
 FULL_LEVER_M: Final = 1.0
 """Lever of all counted joints below which the bound rises: resolver errors look like larger forces."""
@@ -62,9 +61,7 @@ def check_contact_kept(
     press a switch may well be open.
 
     Args:
-        bounds: Bounds of protection.
         count: Cycles in a row in which no switch was closed.
-        press: Press under way.
         closed: Switches that are closed, one flag each.
 
     Returns:
@@ -83,10 +80,7 @@ def check_press_force(
     """Check that a tool presses with the force that is believed.
 
     Args:
-        bounds: Bounds of protection.
         count: Cycles in a row in which the force was beyond its bound.
-        arm: Arm with its joints.
-        press: Press under way.
 
     Returns:
         The count with this cycle, and the fault.
@@ -111,11 +105,6 @@ def estimate_force_error(bounds: ProtectionBounds, arm: ArmStatus, press: PressS
 
     A joint does not count if a force off by half its bound could take its output to the other side of the
     backlash: an early or late crossing is no force.
-
-    Args:
-        bounds: Bounds of protection.
-        arm: Arm with its joints.
-        press: Press under way.
 
     Returns:
         Error of the force in newtons, and the lever in metres of the joints that count.
@@ -151,10 +140,7 @@ def monitor_approach(
     """Check that nothing presses on a guarded tool that has not closed a switch yet.
 
     Args:
-        bounds: Bounds of protection.
         last: State of the cycle before; None if no tool approached.
-        arm: Arm with its joints and move.
-        sensors: Readings of this cycle.
 
     Returns:
         The state for the next cycle, None unless a tool approaches, and the fault.

@@ -41,14 +41,15 @@ from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import UnexpectedContact
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Array
-from fsw.protect.bounds import (
+from fsw.protect.inputs import (
     CURRENT_GAIN,
     CURRENT_UPDATES,
     UPDATE_CYCLES,
     WIND_UP_UPDATES,
+    ArmStatus,
+    MoveStatus,
     ProtectionBounds,
 )
-from fsw.protect.status import ArmStatus, MoveStatus
 
 CONTACT: Final = 50.7
 """Value that chi-square with five degrees of freedom passes with a probability of 1e-9."""
@@ -114,9 +115,7 @@ def monitor_free_move(
     """Check that nothing resists a free move.
 
     Args:
-        bounds: Bounds of protection.
         last: State of the cycle before; None if no free move was under way.
-        arm: Arm with its joints and move.
         readings: Noisy readings, in the order of `readings.NOISY`.
         unchanged: For how many cycles each of them has been the same.
 
@@ -309,9 +308,6 @@ def describe_contact(
     """Describe a contact by the joint that shows it best, and by a force against the motion of the tool.
 
     Args:
-        bounds: Bounds of protection.
-        arm: Arm with its joints.
-        move: Move under way.
         torque_Nm: Torques of the obstacle on the outputs, 0 where nothing is known, shape (5,).
         joint: Index of the joint.
 

@@ -40,7 +40,7 @@ from fsw.dictionary.faults import (
     UnexpectedContact,
 )
 from fsw.kinematics.transforms import Array
-from fsw.protect.bounds import ProtectionBounds
+from fsw.protect.inputs import ProtectionBounds
 
 
 class Response(StrEnum):
@@ -137,8 +137,6 @@ def decide(
     to the following error around the last set-point, so a wrong reading is not followed far.
 
     Args:
-        bounds: Bounds of protection.
-        mode: Mode of the arm.
         fault: Fault that stands already.
         found: Events of this cycle.
         motor_rad: Motor angles, shape (5,).

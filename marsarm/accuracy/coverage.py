@@ -16,11 +16,20 @@ from marsarm.accuracy.budget import (
     compute_tool_budget,
     errors_by_source,
 )
-from marsarm.accuracy.combine import COVERAGE, TOTAL, bounds, paper_rule, pooled_quantile, squared_length
 from marsarm.accuracy.confidence import Coverage, Interval, estimate_coverage, quantile_interval
-from marsarm.accuracy.placements import MeasuredPlacement
-from marsarm.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity
+from marsarm.accuracy.propagation import (
+    COVERAGE,
+    TOTAL,
+    Poses,
+    Sensitivity,
+    bounds,
+    compute_sensitivity,
+    paper_rule,
+    pooled_quantile,
+    squared_length,
+)
 from marsarm.accuracy.sources import BudgetCase, ErrorModel
+from marsarm.accuracy.trial import MeasuredPlacement
 
 ON_FLANK: Final = 0.999
 """Smallest distance from the centre, as a share of half the backlash, that counts as on a flank."""

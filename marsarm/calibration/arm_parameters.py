@@ -14,7 +14,7 @@ from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_ex
 from sim.arm_model.description import BuiltTolerances
 from sim.arm_model.load import default_arm
 from sim.arms import SPRING_FRAMES
-from sim.effects.flight_params import rotate_matrix
+from sim.effects.effect import rotate_matrix
 from sim.effects.geometry import FrameError
 from sim.effects.joints import BacklashWidth, GearStiffness
 from sim.effects.structure import LinkMass, LinkStiffness

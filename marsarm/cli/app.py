@@ -13,16 +13,12 @@ from typing import Annotated, Final, NoReturn
 
 import typer
 
-from marsarm.cli.accuracy import budget, monte_carlo
-from marsarm.cli.arm import arm_app
-from marsarm.cli.calibrate import calibrate, calibrate_serial
+from marsarm.cli.analysis import arm, budget, calibrate, dictionary, ik, monte_carlo, reach
+from marsarm.cli.calibrate_serial import calibrate_serial
 from marsarm.cli.diagnosis import diagnose, gap_app
-from marsarm.cli.dictionary import dictionary, effects
-from marsarm.cli.ik import ik, reach
 from marsarm.cli.log import log_app, replay
 from marsarm.cli.robot import robot_app
-from marsarm.cli.runs import hardstop, place, run, scenarios
-from marsarm.cli.view import view
+from marsarm.cli.runs import hardstop, place, run, view
 from simgap.common.verb import VerbCommand, buffer_stdout
 
 GL_OFF: Final = ("disable", "disabled", "off", "false", "0")
@@ -59,15 +55,13 @@ app.command(cls=VerbCommand)(ik)
 app.command(cls=VerbCommand)(reach)
 app.command()(hardstop)
 app.command()(run)
-app.command()(scenarios)
 app.command()(view)
 app.command()(replay)
 app.command()(dictionary)
-app.command()(effects)
 app.add_typer(log_app, name="log")
 app.add_typer(gap_app, name="gap")
 app.add_typer(robot_app, name="robot")
-app.add_typer(arm_app, name="arm")
+app.command()(arm)
 app.command()(budget)
 app.command("monte-carlo", cls=VerbCommand)(monte_carlo)
 app.command()(calibrate)
@@ -76,7 +70,7 @@ app.command(cls=VerbCommand)(diagnose)
 
 
 def main() -> None:
-    """Run the command `marsarm`; `marsarm.cli.start` calls this and reports an interruption."""
+    """Run the command `marsarm`; `marsarm.__main__` calls this and reports an interruption."""
     _drop_gl_settings()
     _do_without_glfw()
     warnings.simplefilter("ignore", RuntimeWarning)  # warnings of numpy are for developers

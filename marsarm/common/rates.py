@@ -19,15 +19,12 @@ class Rate:
     hits: int
     of: int
     """Number of cases."""
+    share: float
+    """Observed proportion; NaN if there was no case."""
     least: float
     """Lower end of the interval."""
     most: float
     """Upper end of the interval."""
-
-    @property
-    def share(self) -> float:
-        """Observed proportion; NaN if there was no case."""
-        return self.hits / self.of if self.of else float("nan")
 
     def __str__(self) -> str:
         if not self.of:
@@ -101,7 +98,8 @@ def estimate_rate(hits: int, of: int, level: float = 0.95) -> Rate:
     Raises:
         ValueError: not 0 <= hits <= of.
     """
-    return Rate(hits, of, *clopper_pearson(hits, of, level))
+    interval = clopper_pearson(hits, of, level)
+    return Rate(hits, of, hits / of if of else float("nan"), *interval)
 
 
 def clopper_pearson(hits: float, of: int, level: float = 0.95) -> tuple[float, float]:

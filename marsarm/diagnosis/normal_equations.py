@@ -1,4 +1,4 @@
-"""Normal equations of the linear model, with nuisances eliminated.
+"""Normal equations of the linear model, with nuisances eliminated, and the fit to a case.
 
 The whitened model is y = N v + S a + e with A = [N S] and e of unit covariance. The nuisances v have a
 Gaussian prior of precision P. With G = A'A and c = A'y, the nuisances are eliminated by the Schur complement:
@@ -195,3 +195,48 @@ def _scale_columns(raw: NormalEquations) -> NormalEquations:
         raw.G * np.outer(all_by, all_by), raw.prior, raw.nuisance_unit, raw.R * np.outer(by, by),
         raw.W * by[:, None], raw.C, scale,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearFit:
+    """Nuisances and chosen columns, fitted together."""
+
+    active: Ints
+    """Indices of the fitted columns of `NormalEquations.A`: all nuisances, then the chosen columns, shape
+    (n,)."""
+    theta: Array
+    """Fitted values, shape (n,): nuisances in `nuisance_unit`, amplitudes in standard errors."""
+    covariance: Array
+    """Posterior covariance, shape (n, n)."""
+
+
+def fit_linear(equations: NormalEquations, y: Array, columns: Ints) -> LinearFit:
+    """Fit nuisances and chosen columns by maximum posterior; singular combinations stay at 0.
+
+    Args:
+        equations: Normal equations of the campaign.
+        y: Whitened features, without a unit, shape (m,).
+        columns: Indices of columns of effects.
+
+    Returns:
+        The fit.
+    """
+    active = np.concatenate([np.arange(equations.q), equations.q + columns])
+    information = equations.G[np.ix_(active, active)]
+    information[: equations.q, : equations.q] += np.diag(equations.prior)
+    covariance = np.linalg.pinv(information, rcond=1e-13, hermitian=True)
+    return LinearFit(active, covariance @ (equations.A[:, active].T @ y), covariance)
+
+
+def whitened_residual(equations: NormalEquations, fit: LinearFit, y: Array) -> Array:
+    """Compute the residual of a fit.
+
+    Args:
+        equations: Normal equations of the campaign.
+        fit: Linear fit to these features.
+        y: Whitened features, shape (m,).
+
+    Returns:
+        Whitened residual, shape (m,).
+    """
+    return np.asarray(y - equations.A[:, fit.active] @ fit.theta)

@@ -27,6 +27,8 @@ INTERVAL_QUANTILES: Final = ((1.0 - INTERVAL_LEVEL) / 2.0, (1.0 + INTERVAL_LEVEL
 LOG_UNIT: Final = "ln"
 """Unit of a parameter that is the natural logarithm of a factor."""
 
+Ints = NDArray[np.intp]
+
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
@@ -139,9 +141,6 @@ class Nuisance:
     def __post_init__(self) -> None:
         if not self.sigma > 0.0 or (self.random_per_block and self.sigma == float("inf")):
             raise ValueError(f"{self.name}: sigma must be above 0, and finite if it is drawn in every block")
-
-
-Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

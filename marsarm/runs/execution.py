@@ -36,7 +36,7 @@ from simgap.common.interruption import describe_interruption
 from simgap.common.progress import Progress, part_of
 
 if TYPE_CHECKING:
-    from marsarm.view.live import LiveView
+    from marsarm.view.server import LiveView
 
 FRAME_CYCLES: Final = 3 * CYCLE_HZ
 """Cycles between two frames of a movie, and between two reports of the progress."""
@@ -92,7 +92,7 @@ def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[Initialisat
 
 
 @dataclass(slots=True)
-class Frames:
+class DrawnPoses:
     """Poses of a run, which are drawn after it."""
 
     poses: list[Qpos] = field(default_factory=list)
@@ -223,7 +223,7 @@ def describe_activity(record: CycleRecord) -> str:
 def save_artifacts(
     files: RunFiles,
     world: World,
-    frames: Frames,
+    drawn: DrawnPoses,
     last: Qpos,
     log: RunLog,
     progress: Progress,
@@ -234,7 +234,7 @@ def save_artifacts(
     Args:
         files: Files that the run writes.
         world: World of the run; its scene is drawn with all visual details.
-        frames: Poses of the run.
+        drawn: Poses of the run.
         last: Last pose, drawn if no pose was chosen, shape (nq,), in metres and radians.
         log: Log of the run, closed.
         progress: Receiver of the progress.
@@ -249,15 +249,15 @@ def save_artifacts(
     picture = movie = None
     if files.picture is not None:
         data = mujoco.MjData(model)
-        data.qpos[:] = last if frames.best is None else frames.best
+        data.qpos[:] = last if drawn.best is None else drawn.best
         mujoco.mj_forward(model, data)
         camera = "turret" if world.surface is None else "target"
         picture = save_picture(model, data, camera, files.picture, PICTURE_SIZE)
     if files.movie is not None:
 
         def iter_poses() -> Iterator[Qpos]:
-            for k, pose in enumerate(frames.poses):
-                progress(k, len(frames.poses), "drawing")
+            for k, pose in enumerate(drawn.poses):
+                progress(k, len(drawn.poses), "drawing")
                 yield pose
 
         model.vis.quality.shadowsize = MOVIE_SHADOWS
@@ -309,7 +309,7 @@ def open_view(
     if not is_wanted:
         yield None
         return
-    from marsarm.view.live import LiveView  # a run without a viewer does not wait for it
+    from marsarm.view.server import LiveView  # a run without a viewer does not wait for it
 
     with ExitStack() as stack:
         view = stack.enter_context(LiveView(title, world, arm, effects))
@@ -355,21 +355,21 @@ def execute(
     """
     share = 1.0 if files.movie is None else 0.5
     running, drawing = part_of(progress, 0.0, share), part_of(progress, share, 1.0)
-    frames = Frames()
+    drawn = DrawnPoses()
     started = time.perf_counter()
     with open_log(files.log, header, loop.config, world, arm) as log:
         for record in record_cycles(run, log, files.when_disk_full):
             if record.tick % FRAME_CYCLES == 0:
                 running(*progress_at(record), describe_activity(record))
                 if files.movie is not None:
-                    frames.poses.append(loop.plant.data.qpos.copy())
+                    drawn.poses.append(loop.plant.data.qpos.copy())
             if view is not None:
                 view.watch(record)
             if is_for_picture(record):
-                frames.best = loop.plant.data.qpos.copy()
+                drawn.best = loop.plant.data.qpos.copy()
     wall_s = time.perf_counter() - started
     if loop.failure is not None:
         raise loop.failure
     result = run.result()
-    artifacts = save_artifacts(files, world, frames, loop.plant.data.qpos, log, drawing, arm)
+    artifacts = save_artifacts(files, world, drawn, loop.plant.data.qpos, log, drawing, arm)
     return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts, view)

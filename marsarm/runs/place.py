@@ -31,8 +31,7 @@ from marsarm.telemetry.header import run_header
 from sim.arms import BuiltArm, effects_of_run
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop, Setup
-from sim.placement import Placement, PlacementResult, PlacementRun
-from sim.preview import preview_placement, unstow_duration_s
+from sim.placement import Placement, PlacementResult, PlacementRun, preview_placement, unstow_duration_s
 from sim.sequence import Outcome
 from sim.world import Surface, World, inside_rover
 from simgap.common.errors import BadRequest
@@ -41,7 +40,7 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress, part_of
 
 if TYPE_CHECKING:
-    from marsarm.view.live import LiveView
+    from marsarm.view.server import LiveView
 
 
 @dataclass(frozen=True, slots=True)

@@ -89,9 +89,9 @@ class RunRequest:
     scenario: Annotated[
         str,
         Option(
-            "A name from `marsarm scenarios`, or a .toml file.", "SCENARIO", is_argument=True, is_read=True
+            "A name from `marsarm run --list`, or a .toml file.", "SCENARIO", is_argument=True, is_read=True
         ),
-    ]
+    ] = ""
     arm: Annotated[
         str | None,
         Option(f"{ARM_HELP} That of the scenario if not given.", "ARM"),

@@ -15,9 +15,8 @@ from marsarm.render.rays import VISIBLE_GROUPS, geom_rgb
 from marsarm.telemetry.robot_description import ROVER_FRAME, TURRET_FRAME, DrawnScene, Visual
 from sim.arm_model.load import ArmModel
 from sim.arm_model.mjcf import HULL
-from sim.drawing import TURRET
 from sim.frames import FLIP, P_NR_M
-from sim.world import World, build
+from sim.world import TURRET, World, build
 
 GROUND_FRAME: Final = "ground"
 """Frame of ground and terrace: MuJoCo's world, on the ground below the rover."""

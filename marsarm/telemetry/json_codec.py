@@ -8,8 +8,8 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from fsw.dictionary.arguments import MAX_FLOAT
 from fsw.dictionary.commands import Command
+from fsw.dictionary.validity import MAX_FLOAT
 from marsarm.telemetry.errors import SchemaError
 from marsarm.telemetry.topics import strip_optional
 

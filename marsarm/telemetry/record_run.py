@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import Command
-from fsw.executive.checks import known_names
+from fsw.dictionary.validity import Wrong, read_arguments
+from fsw.executive.context import known_names
 from marsarm.telemetry.header import run_header
 from marsarm.telemetry.json_codec import record_to_json
 from marsarm.telemetry.recorder import Recorder

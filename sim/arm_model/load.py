@@ -2,22 +2,154 @@
 
 import hashlib
 import json
+import math
 import os
 import tomllib
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from fsw.dictionary.params import Params
-from sim.arm_model.description import ArmDescription, BadArm, read_description
-from sim.arm_model.flight import flight_params
+from fsw.dictionary.params import Params, Transform6
+from sim.arm_model.description import (
+    LINK_PARTS,
+    VISCOUS_COLD,
+    ArmDescription,
+    BadArm,
+    Hull,
+    LinkDescription,
+    Lump,
+    Shape,
+    default_rover,
+    on_rover,
+    read_description,
+)
 from sim.arm_model.mjcf import BadLooks, arm_mjcf
-from sim.arm_model.rover import default_rover, on_rover
-from sim.arm_model.validity import check_description
+from sim.arm_model.validity import check_description, reserved_of_flight
+from sim.frames import PRIMARY, Workspace
+from sim.params_table import merge_tables, params_from_table
 from sim.text_file import UnreadableText, read_text
-from sim.workspace import PRIMARY, Workspace
+
+ROUNDING: Final = 1e-18
+"""Expansions below this, in m/K, are rounding errors of a right angle."""
+
+
+def flight_params(arm: ArmDescription, hull: Hull, digest: str, defaults: Path, source: str) -> Params:
+    """Make the flight parameters of the drawing.
+
+    Args:
+        hull: Shapes of the rover in RMECH.
+        digest: SHA-256 of the description.
+        defaults: TOML file of the flight parameters that do not depend on the arm.
+        source: File of the description, for errors.
+
+    Raises:
+        BadArm: the table `[flight]` sets what another table sets.
+        BadParams: flight software does not accept them; the message names every wrong value.
+    """
+    shared = tomllib.loads(defaults.read_text(encoding="utf-8"))
+    del shared["default_arm"]
+    own = {
+        "arm_name": "nominal",
+        "model": {"name": arm.name, "sha256": digest},
+        "links": {f"arm{k + 1}": _link_table(link) for k, link in enumerate(arm.links.in_order())},
+        "tools": {name: _tool_table(arm, name) for name in arm.tools},
+        "switches": {name: switch.tool for name, switch in arm.switches.items()},
+        "joints": {name: _joint_table(arm, name) for name in arm.joints.by_name()},
+        "hardstop": {
+            name: getattr(arm.poses, f"hardstop_{name}")
+            for name in ("start_rad", "park_rad", "second_start_rad")
+        },
+        "poses": {name: getattr(arm.poses, name) for name in ("stowed_rad", "unstow_via_rad", "ready_rad")},
+        "collision": {
+            "arm": {part: _shape_tables(arm.shapes[part]) for part in LINK_PARTS},
+            "rover": {part: _shape_tables(shapes) for part, shapes in hull.items()},
+        },
+        "teach": [asdict(point) for point in arm.teach],
+    }
+    reserved = [f"flight.{place}" for place in reserved_of_flight(own, shared, arm.flight)]
+    if reserved:
+        raise BadArm(f"{source}: {', '.join(reserved)}: other tables set this; leave it out of [flight]")
+    return params_from_table(merge_tables(merge_tables(shared, arm.flight), own), source)
+
+
+def _link_table(link: LinkDescription) -> dict[str, Any]:
+    table: dict[str, Any] = {
+        "transform": asdict(link.transform),
+        "expansion_1_K": _expansion(link.transform, link.expansion_1_K),
+        "elastic_centre_m": link.elastic_centre_m,
+        "far": _mass_table(link.far),
+    }
+    if link.near is not None:
+        table["near"] = _mass_table(link.near)
+    if any(link.stiffness):
+        table["compliance"] = [
+            [1 / k if row == column else 0.0 for column in range(6)] for row, k in enumerate(link.stiffness)
+        ]
+    return table
+
+
+def _mass_table(lump: Lump) -> dict[str, Any]:
+    return {"mass_kg": lump.mass_kg, "com_m": lump.com_m}
+
+
+def _expansion(X: Transform6, per_K: float) -> list[float]:
+    """Return the growth of a link per kelvin, in axes of its end: along a, b and d of its transform."""
+    along = (X.a_m, X.b_m + X.d_m * math.sin(X.alpha_rad), X.d_m * math.cos(X.alpha_rad))
+    growth = [per_K * length for length in along]
+    return [0.0, 0.0, 0.0, *(0.0 if abs(value) < ROUNDING else value for value in growth)]
+
+
+def _tool_table(arm: ArmDescription, name: str) -> dict[str, Any]:
+    tool = arm.tools[name]
+    table = {
+        "transform": asdict(tool.transform),
+        "expansion_1_K": _expansion(tool.transform, tool.expansion_1_K),
+        "geometry": _shape_tables(arm.shapes[name]),
+    }
+    return table if tool.title is None else table | {"title": tool.title}
+
+
+def _joint_table(arm: ArmDescription, name: str) -> dict[str, Any]:
+    joint, actuator = arm.joints.by_name()[name], arm.actuator_of(name)
+    return {
+        "gear_ratio": actuator.gear_ratio,
+        "encoder_counts_per_turn": actuator.encoder_counts_per_turn,
+        "backlash_rad": actuator.backlash_rad,
+        "gear_stiffness_Nm_rad": actuator.gear_stiffness_Nm_rad,
+        "output_friction_Nm": actuator.output_friction_Nm,
+        "damping_Nms_rad": VISCOUS_COLD * actuator.damping_Nms_rad,
+        "load_error_Nm": joint.load_error_Nm,
+        "torque_constant_Nm_A": actuator.torque_constant_Nm_A,
+        "hardstop_rad": joint.hardstops_rad[0],
+        "hardstop_stiffness_Nm_rad": joint.hardstop_stiffness_Nm_rad,
+        "hardstop_press_Nm": joint.hardstop_press_Nm,
+        "hardstop_rated_Nm": joint.hardstop_rated_Nm,
+        "soft_min_rad": joint.soft_limits_rad[0],
+        "soft_max_rad": joint.soft_limits_rad[1],
+        "speed_rad_s": joint.speed_rad_s,
+        "acceleration_rad_s2": joint.acceleration_rad_s2,
+        "jerk_rad_s3": joint.jerk_rad_s3,
+        "current_limit_A": actuator.current_limit_A,
+    }
+
+
+def _shape_tables(shapes: tuple[Shape, ...]) -> dict[str, Any]:
+    seen = [shape for shape in shapes if shape.of != "plant"]
+    return {
+        "capsules": [
+            {"from_m": shape.from_m, "to_m": shape.to_m, "radius_m": shape.radius_m}
+            for shape in seen
+            if shape.kind == "capsule"
+        ],
+        "boxes": [
+            {"centre_m": shape.centre_m, "half_m": shape.half_m, "turn_rad": shape.turn_rad}
+            for shape in seen
+            if shape.kind == "box"
+        ],
+    }
+
 
 MODELS: Final = Path(str(files("sim") / "models"))
 ARMS: Final = MODELS / "arms"

@@ -17,8 +17,7 @@ from fsw.dictionary.params import Transform6
 from fsw.dictionary.types import Vector3
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Array
-from sim.arm_model.description import ArmDescription, Hull, LinkDescription, Lump, Shape
-from sim.arm_model.rover import move_shape
+from sim.arm_model.description import ArmDescription, Hull, LinkDescription, Lump, Shape, move_shape
 from sim.frames import FLIP, P_NR_M
 
 DAMPING_S: Final = 0.005

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from fsw.dictionary.commands import AUTO
 from fsw.dictionary.validity import check_limits
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from sim.arm_model.description import LINK_PARTS, ArmDescription, BadArm, LinkDescription, Lump, Shape
 
 MOST_HULL_M: Final = 5.0

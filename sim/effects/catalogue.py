@@ -12,13 +12,30 @@ from importlib import import_module
 from itertools import product
 from pkgutil import iter_modules
 from types import MappingProxyType, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 import sim.effects
 from fsw.dictionary.types import NameMark
 from sim.effects import effect as bases
 from sim.effects.effect import EachCycle, EachMove, Effect, ParameterSpec, Timed
 from sim.params import nominal_params
+
+ORDER: Final = (
+    *("flex-cable", "counterbalance", "contact-stiffness", "surface-position", "ambient"),
+    *("structure-temperature", "current-noise", "power-loss", "nothing-to-touch", "sensor-fault"),
+    *("joint-seized", "brake-stuck", "weak-motor", "hot-motor", "missed-cycles", "tilt-step", "rock-gone"),
+    *("coulomb-friction", "asymmetric-friction", "viscous-friction", "stribeck-friction", "load-friction"),
+    *("cold-friction", "output-friction", "gear-hysteresis", "gear-efficiency", "transmission-error"),
+    *("joint-coupling", "frame-error", "expansion", "link-warming", "warming", "hardstop-angle"),
+    *("hardstop-stiffness", "resolver-bias", "backlash-width", "gear-stiffness", "gear-friction"),
+    *("link-length", "link-angle", "tool-offset", "tool-turn", "thermal-gradient", "motor-constant"),
+    *("servo-gain", "command-delay", "bus-sag", "frame-play", "windup", "servo-error", "numerics"),
+    *("current-gain", "current-bias", "current-crosstalk", "encoder-scale", "encoder-zero"),
+    *("counter-start", "resolver-eccentricity", "resolver-scale", "gravity-direction", "structure-sensor"),
+    *("link-stiffness", "link-torsion", "link-bending", "link-creep", "rover-compliance", "link-mass"),
+    *("stand-in-turret", "turret-mass", "turret-centre"),
+)
+"""Order of the effects, from which sealed cases are drawn; a new effect comes last, in the order of files."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,13 +175,14 @@ def _choices_of(hint: Any, tools: Sequence[str] | None) -> dict[str, Any]:
 
 @cache
 def catalogue() -> Mapping[str, type[Effect]]:
-    """Return the class of every effect by its name, in the order of files and of classes in them."""
+    """Return the class of every effect by its name."""
     found: dict[str, type[Effect]] = {}
     for module in iter_modules(sim.effects.__path__):
         path = f"{sim.effects.__name__}.{module.name}"
         if path != bases.__name__:
             found |= {effect_name(kind): kind for kind in effect_classes_in(import_module(path))}
-    return MappingProxyType(found)
+    known = [name for name in ORDER if name in found]
+    return MappingProxyType({name: found[name] for name in dict.fromkeys((*known, *found))})
 
 
 def effect_classes_in(module: Any) -> Iterator[type[Effect]]:

@@ -13,8 +13,8 @@ from fsw.messages import Sensors
 from sim.effects.effect import Hardware, ParameterSpec, Timed, with_element
 from sim.effects.environment import PowerLoss
 from sim.frames import FLIP, gravity_in_rover
+from sim.mujoco_settings import MOTOR_CONSTANT
 from sim.plant import Plant
-from sim.servos import MOTOR_CONSTANT
 
 SensorName = Literal[
     "encoder_count",

@@ -11,12 +11,19 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
-from sim.disturbance import Disturbance, at_joint
-from sim.drawing import WARM_C
-from sim.effects.effect import EachCycle, Effect, Hardware, ParameterSpec, refuse_first_joint
+from sim.effects.effect import (
+    EachCycle,
+    Effect,
+    Hardware,
+    ParameterSpec,
+    joint_of,
+    refuse_first_joint,
+    with_joint,
+)
 from sim.effects.environment import COLD_C
-from sim.effects.flight_params import joint_of, with_joint
 from sim.plant import Plant
+from sim.record import Disturbance, at_joint
+from sim.world import WARM_C
 
 WaveAmplitude = Annotated[float, ParameterSpec(-0.01, 0.01, unit="rad", typical=3e-4, neutral=0.0)]
 WavesPerTurn = Annotated[int, ParameterSpec(1, 100, unit="1", typical=1)]

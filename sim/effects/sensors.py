@@ -9,7 +9,6 @@ from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, rotation_x, rotation_y
 from fsw.messages import Sensors
-from sim.disturbance import at_joint
 from sim.effects.effect import (
     Effect,
     Factor,
@@ -17,11 +16,15 @@ from sim.effects.effect import (
     ParameterSpec,
     ReadingError,
     SmallAngle,
+    joint_of,
+    link_of,
     refuse_first_joint,
     with_element,
+    with_joint,
+    with_link,
 )
-from sim.effects.flight_params import joint_of, link_of, with_joint, with_link
 from sim.effects.gears import WaveAmplitude
+from sim.record import at_joint
 
 _ROTATION_ABOUT: Final = {"x": rotation_x, "y": rotation_y}
 

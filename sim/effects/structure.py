@@ -10,11 +10,21 @@ from fsw.dictionary.enums import Frame
 from fsw.dictionary.params import Params, PointMass
 from fsw.dictionary.types import Vector3, vector3
 from fsw.kinematics.transforms import Array
-from sim.disturbance import Disturbance
-from sim.effects.effect import Compliance, EachCycle, Effect, Factor, Hardware, ParameterSpec
-from sim.effects.flight_params import add_compliance, link_of, scale_matrix, with_link
+from sim.effects.effect import (
+    Compliance,
+    EachCycle,
+    Effect,
+    Factor,
+    Hardware,
+    ParameterSpec,
+    add_compliance,
+    link_of,
+    scale_matrix,
+    with_link,
+)
 from sim.plant import SCREW_AXES as SPRING_AXES
 from sim.plant import SPRING_NAMES, Plant
+from sim.record import Disturbance
 
 MIN_MASS_KG = 1e-4
 """Mass in place of none: MuJoCo refuses a body without mass."""

@@ -11,10 +11,9 @@ from typing import Annotated, Final, Literal
 from fsw.dictionary.commands import AUTO, Command
 from fsw.dictionary.types import Direction, Limits, Position, ToolName
 from sim.arms import BuiltArm
-from sim.drawing import WARM_C
 from sim.effects.effect import Effect, check_effects
 from sim.effects.faults import InjectedFault
-from sim.world import World
+from sim.world import WARM_C, World
 
 CommandNumber = Annotated[int, Limits(1, 1000)]
 """Number of a command in its scenario."""

@@ -13,10 +13,9 @@ from fsw.dictionary.commands import Command, Preload, SetParam
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits
-from fsw.executive.checks import check_force
+from fsw.executive.context import check_force
 from fsw.executive.settings import replace_param
 from sim.arms import UnknownArm, arm_named
-from sim.drawing import WARM_C
 from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.scenario.data import Check, Done, Faulted, Injection, Recovered, Scenario, StartPose, TaughtPoint
@@ -34,7 +33,7 @@ from sim.scenario.toml_tables import (
     read_taught_point,
 )
 from sim.text_file import UnreadableText, read_text
-from sim.world import MAX_TILT_RAD, Scene, Surface, World
+from sim.world import MAX_TILT_RAD, WARM_C, Scene, Surface, World
 
 T = TypeVar("T")
 

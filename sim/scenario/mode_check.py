@@ -20,7 +20,7 @@ from fsw.dictionary.commands import (
     ToolChange,
 )
 from fsw.dictionary.enums import Mode
-from fsw.executive.modes import EVENT_OF, ModeEvent, next_mode
+from fsw.executive.context import EVENT_OF, ModeEvent, next_mode
 from sim.scenario.names import upper_snake
 
 _FREE: Final = (ModeEvent.MOVE_FREE, ModeEvent.DONE)

@@ -27,7 +27,7 @@ from fsw.dictionary.commands import (
 from fsw.dictionary.params import TeachPoint
 from fsw.dictionary.types import vector3
 from fsw.estimate.joints import JointEstimate
-from fsw.executive.checks import check_arguments, check_force
+from fsw.executive.context import check_arguments, check_force
 from fsw.executive.expansion import CompoundCommand, locate_surface
 from fsw.executive.planning import SingleMoveCommand, plan_sequence, plan_steps
 from fsw.executive.settings import replace_param, tilt_joints
@@ -36,7 +36,7 @@ from fsw.motion.plan import Refusal
 from fsw.motion.preload import model_contact, plan_preload
 from sim.arms import BuiltArm
 from sim.frames import p_R_from_N
-from sim.preview import first_estimate, joints_at
+from sim.placement import first_estimate, joints_at
 from sim.scenario.data import Scenario, TaughtPoint
 from sim.scenario.names import upper_snake
 from sim.world import Surface, params_in_world

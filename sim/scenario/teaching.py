@@ -7,16 +7,16 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import AUTO, MoveTool
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import TeachPoint
 from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.reference import Reference
 from fsw.kinematics.arm import build_arm
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import Array
+from fsw.messages import ToolChannels
 from sim.arms import BuiltArm
 from sim.effects.environment import NothingToTouch
 from sim.frames import p_R_from_N

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import Evr
 from fsw.kinematics.transforms import Array
-from sim.contact import tool_forces
+from sim.clearance import tool_forces
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
 from sim.scenario.data import Check

@@ -7,33 +7,32 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
-from fsw.executive.homing_poses import homing_start_poses
+from fsw.executive.poses import homing_start_poses
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle_output
 from marsarm.calibration.calibrate import calibrate, rms_m
 from marsarm.calibration.campaign import PAPER_GROUPS, CampaignPlan, resize_groups
-from marsarm.calibration.checks import check_data, check_fit
-from marsarm.calibration.simulation import simulate_campaign
+from marsarm.calibration.execution import check_data, check_fit
+from marsarm.calibration.verify import simulate_campaign
 from marsarm.runs.place import place, prepare_placement
 from marsarm.runs.request import PlaceRequest, RunFiles
-from sim.arm_model.load import load_arm
-from sim.arms import BuiltArm, arm_named, without_turret
-from sim.clearance import ClearanceModel
-from sim.frames import P_NR_M
-from sim.hardstop_loads import (
+from sim.arm_check import (
     EQUALISED_JOINTS,
     HARDSTOP_CLEARANCE_M,
     LOAD_TOLERANCE_NM,
     compute_hardstop_loads,
     sweep_clearance,
 )
+from sim.arm_model.load import load_arm
+from sim.arms import BuiltArm, arm_named, without_turret
+from sim.clearance import ClearanceModel
+from sim.frames import P_NR_M, approach_from, random_targets
 from sim.initialisation import prepare_homing, prepare_random_homing
+from sim.placement import preview_placement
 from sim.plant import Plant
-from sim.preview import preview_placement
 from sim.sequence import Outcome
-from sim.workspace import approach_from, random_targets
 from sim.world import World, build
 from simgap.common.errors import BadRequest
 

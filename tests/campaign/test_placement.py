@@ -8,7 +8,7 @@ import pytest
 from fsw.estimate.reference import Reference
 from sim.arms import arm_named
 from sim.initialisation import initialise_joints
-from sim.preview import random_placement, run_placement
+from sim.placement import random_placement, run_placement
 from sim.sequence import Outcome
 
 pytestmark = pytest.mark.slow

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from fsw.kinematics.arm import Arm, build_arm
-from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle
 from sim.frames import FLIP

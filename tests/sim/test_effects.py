@@ -10,7 +10,6 @@ from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Pose, inverse
-from sim.drawing import WARM_C
 from sim.effects.effect import Effect, nominal_hardware, params_with_effects
 from sim.effects.environment import (
     COLD_C,
@@ -32,7 +31,7 @@ from sim.effects.joints import (
 from sim.effects.structure import LinkMass, LinkStiffness, StandInTurret
 from sim.params import nominal_params
 from sim.plant import Plant
-from sim.world import World
+from sim.world import WARM_C, World
 from tests.sim import lab
 from tests.tools import TOOLS, tool_index
 

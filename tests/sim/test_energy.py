@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from sim.mujoco_settings import REFERENCE_STEP_S
 from sim.plant import Plant, PlantDiverged
-from sim.time_step import REFERENCE_STEP_S
 from sim.world import World
 from tests.sim import lab
 

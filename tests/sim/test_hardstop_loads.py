@@ -7,10 +7,8 @@ import pytest
 
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
-from fsw.executive.homing_poses import homing_start_poses
-from sim.arms import arm_named, without_turret
-from sim.clearance import ClearanceModel
-from sim.hardstop_loads import (
+from fsw.executive.poses import homing_start_poses
+from sim.arm_check import (
     EQUALISED_JOINTS,
     HARDSTOP_CLEARANCE_M,
     LOAD_TOLERANCE_NM,
@@ -20,6 +18,8 @@ from sim.hardstop_loads import (
     sweep_clearance,
     sweep_poses,
 )
+from sim.arms import arm_named, without_turret
+from sim.clearance import ClearanceModel
 from sim.world import World
 
 NOMINAL = arm_named("nominal")

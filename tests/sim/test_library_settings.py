@@ -2,7 +2,7 @@
 
 import mujoco
 
-from sim.library_settings import apply_settings
+from sim.mujoco_settings import apply_settings
 
 
 def test_the_profiler_of_mujoco_is_off() -> None:

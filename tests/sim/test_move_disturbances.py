@@ -12,11 +12,12 @@ from fsw.dictionary.types import joints5
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from sim.arms import arm_named
-from sim.disturbance import LINK_BODIES, frame_body, no_move_disturbance
-from sim.effects.move_disturbances import FramePlay, ServoError, Windup
+from sim.effects.geometry import FramePlay
+from sim.effects.joints import ServoError, Windup
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementRun
+from sim.record import LINK_BODIES, frame_body, no_move_disturbance
 from sim.world import Surface, World
 from tests.sim import lab
 from tests.tools import TOOLS, tool_index

@@ -14,8 +14,7 @@ from sim.effects.effect import Effect
 from sim.effects.gears import CoulombFriction, ViscousFriction
 from sim.effects.sensors import CurrentBias, EncoderZero
 from sim.initialisation import true_reference
-from sim.loop import ClosedLoop, Setup
-from sim.open_loop import OpenLoopArm, RecordedStart, SimulationOptions
+from sim.loop import ClosedLoop, OpenLoopArm, RecordedStart, Setup, SimulationOptions
 from sim.record import CycleRecord
 from sim.world import World
 

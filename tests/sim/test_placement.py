@@ -12,8 +12,7 @@ from fsw.dictionary.faults import ContactInFreeSpace, NoContact
 from fsw.dictionary.types import Vector3
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
-from sim.placement import Placement, PlacementResult, PlacementRun
-from sim.preview import Preview, preview_placement
+from sim.placement import Placement, PlacementResult, PlacementRun, Preview, preview_placement
 from sim.sequence import Outcome
 from sim.world import Surface, World
 from tests.sim import lab

@@ -13,7 +13,7 @@ from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import ToolForce, settle_output
 from sim.arms import arm_named
-from sim.contact import tool_forces
+from sim.clearance import tool_forces
 from sim.effects.faults import RockGone, SensorFault
 from sim.frames import FLIP, p_R_from_N
 from sim.loop import ClosedLoop, Setup

@@ -8,10 +8,10 @@ from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandCompleted
 from sim.arms import UnknownArm, arm_named
 from sim.effects.gears import CoulombFriction
-from sim.effects.links import ToolOffset
+from sim.effects.geometry import ToolOffset
+from sim.initialisation import start_loop
 from sim.scenario.effects import BadEffect, effect_text
 from sim.sequence import Outcome, run_commands
-from sim.start import start_loop
 from tests.tools import TOOLS
 
 READY_RAD = arm_named("nominal").params.poses.ready_rad

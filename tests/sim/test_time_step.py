@@ -9,8 +9,8 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from sim.effects.environment import Ambient
+from sim.mujoco_settings import REFERENCE_STEP_S
 from sim.plant import Plant
-from sim.time_step import REFERENCE_STEP_S
 from tests.sim import lab
 
 SIDEWAYS = lab.tilted_world(20, -15)

@@ -8,9 +8,8 @@ from fsw.config import configure
 from fsw.kinematics.chain import forward
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import rotation_x, rotation_y
-from sim.frames import FLIP, P_NR_M, gravity_in_rover, p_R_from_N
+from sim.frames import FLIP, P_NR_M, approach_from, gravity_in_rover, p_R_from_N, random_targets
 from sim.params import nominal_params
-from sim.workspace import approach_from, random_targets
 from sim.world import Surface, World, WrongMujoco, add_rock, build, inside_rover
 from tests.sim import lab
 

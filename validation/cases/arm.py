@@ -15,13 +15,18 @@ from marsarm.common.pool import Runner, in_order, local_runner
 from marsarm.common.rates import rate_of
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.blind_case import record_blind, sample_background
-from marsarm.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
-from marsarm.diagnosis.arm.case import FittedCase, diagnose_fitted_case, fit_case
+from marsarm.diagnosis.arm.case import (
+    CampaignModel,
+    FittedCase,
+    diagnose_fitted_case,
+    fit_case,
+    load_campaign_model,
+)
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import record_campaign, split_logs
 from marsarm.diagnosis.arm.simulator import catalogue_effect
 from marsarm.diagnosis.problem import Hypothesis
-from marsarm.diagnosis.result import to_json
+from marsarm.diagnosis.result import to_json as diagnosis_json
 from marsarm.diagnosis.sampling import DetectableEffect, SampledEffect, list_detectable
 from sim.arms import arm_named
 from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
@@ -31,6 +36,7 @@ from sim.plant import PlantDiverged
 from sim.scenario.effects import effect_text
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress, no_progress, part_of
+from simgap.common.report import to_json
 from validation.campaigns import Context, Document
 from validation.cases import sealed
 from validation.cases.arm_features import (
@@ -45,7 +51,7 @@ from validation.cases.arm_features import (
     load_classes,
     read_case_parts,
 )
-from validation.cases.arm_score import NAMED_LEVELS, make_tables, plain, score
+from validation.cases.arm_score import NAMED_LEVELS, make_tables, score
 from validation.cases.arm_truth import (
     PlannedCase,
     TrueCase,
@@ -149,7 +155,7 @@ class ArmCases:
         try:
             fitted, held = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(case))
             fitted_case = fit_case(fitted, held, campaign, DIAGNOSIS_SEED)
-            found = to_json(diagnose_fitted_case(fitted_case, campaign, DIAGNOSIS_SEED))
+            found = diagnosis_json(diagnose_fitted_case(fitted_case, campaign, DIAGNOSIS_SEED))
         except (NotForDiagnosis, PlantDiverged) as error:
             raise NoDiagnosis(str(error)) from error
         return found, case_features(fitted_case)
@@ -181,7 +187,7 @@ class ArmCases:
         found = score(load_classes(folder / CAMPAIGN_FOLDER), solved, true_closure)
         is_right = found.found.covered.hits == found.found.reported.of
         in_bounds = found.false_alarm.hits == found.spurious.hits == 0 and is_right
-        return CaseScore(plain(found), make_tables(found), in_bounds or self.kinds is None)
+        return CaseScore(to_json(found), make_tables(found), in_bounds or self.kinds is None)
 
 
 @cache
@@ -285,7 +291,7 @@ def leave_out(context: Context, maker: ArmCases, cases: int) -> Document:
 
     Args:
         context: Its folder holds the cases.
-        maker: The arm.
+        maker: Diagnoses them.
         cases: Greatest number of cases; those with the largest effects are taken.
     """
     folder = context.out or Path(f"{maker.name}-{context.seed}")
@@ -333,7 +339,7 @@ def score_left_out(classes: EquivalenceClasses, solved: Sequence[tuple[TrueCase,
     reported = [one["verdict"] != "none" for _, one in solved]
     named_rate = rate_of([True] * len(wrong) + [False] * (len(solved) - len(wrong)))
     rates = {"named": named_rate, "reported": rate_of(reported), "right_place": rate_of(right)}
-    return {**plain(rates), "wrong": wrong}
+    return {**to_json(rates), "wrong": wrong}
 
 
 def campaign(

@@ -61,7 +61,7 @@ class _Closure:
 
 @dataclass(frozen=True, slots=True)
 class ResultFile:
-    """What the score reads of a result."""
+    """Part of a result that the score reads."""
 
     verdict: Verdict
     effects: list[_Finding]

@@ -1,8 +1,7 @@
 """Score of blind cases of this arm: results compared with the truth, level by level, and its tables."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from math import isfinite
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -353,17 +352,3 @@ def _outside_text(found: OutsideRates, level: str) -> str:
     least, most = found.by_effect[level]
     between = f"{100 * least:.1f} to {100 * most:.1f}"
     return f"{100 * rate.share:.1f} % ({rate.hits} of {rate.of}; {between})" if rate.of else "no case"
-
-
-def plain(value: Any) -> Any:
-    """Return a score as JSON holds it: records as tables, NaN and infinity as None."""
-    if isinstance(value, Rate | Median):
-        share = {"share": plain(value.share)} if isinstance(value, Rate) else {}
-        return {**{key: plain(one) for key, one in asdict(value).items()}, **share}
-    if hasattr(value, "__dataclass_fields__"):
-        return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__}
-    if isinstance(value, Mapping):
-        return {str(key): plain(one) for key, one in value.items()}
-    if isinstance(value, tuple | list):
-        return [plain(one) for one in value]
-    return None if isinstance(value, float) and not isfinite(value) else value

@@ -18,8 +18,8 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from fsw.kinematics.transforms import Array
+from marsarm.diagnosis.arm.arm_effects import locate
 from marsarm.diagnosis.arm.blind_case import nominal_reference
-from marsarm.diagnosis.arm.families import locate
 from marsarm.diagnosis.arm.simulator import make_effect, to_hypothesis
 from marsarm.diagnosis.problem import Hypothesis
 from marsarm.diagnosis.sampling import (

@@ -15,6 +15,7 @@ from pydantic import TypeAdapter
 from marsarm.common.pool import Runner
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.progress import Progress
+from simgap.common.report import to_json
 from simgap.diagnose import diagnose
 from simgap.load import load
 from simgap.logs import Logs
@@ -148,19 +149,8 @@ def diagnose_files(robot_file: Path, log: Path) -> Diagnosis:
 def to_document(found: Diagnosis) -> Document:
     """Return what the score needs of a diagnosis, and what a reader wants to know."""
     names = ("findings", "remaining", "errors")
-    document = {name: [_finite(asdict(one)) for one in getattr(found, name)] for name in names}
+    document = {name: to_json(getattr(found, name)) for name in names}
     return {**document, "refused": "; ".join(one.reason for one in found.refused)}
-
-
-def _finite(value: Any) -> Any:
-    """Return a document without NaN and infinity, which JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
-    if isinstance(value, float) and not (abs(value) < float("inf")):
-        return None
-    return value
 
 
 def write_robot(folder: Path, robot: Robot, held_out: frozenset[str], motions: tuple[str, ...]) -> None:

@@ -91,7 +91,7 @@ class CaseScore:
 
 
 class CaseMaker(Protocol[Case]):
-    """What differs between robots. Objects go to other processes."""
+    """Robot of some cases: all that differs between robots. Objects go to other processes."""
 
     name: ClassVar[str]
     """Name of the campaign."""

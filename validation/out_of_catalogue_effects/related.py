@@ -8,10 +8,10 @@ import numpy as np
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.messages import Sensors
-from sim.disturbance import Disturbance, at_joint
 from sim.effects.effect import EachCycle, Hardware, ParameterSpec, ReadingError, refuse_first_joint
 from sim.effects.gears import MotorSample, mean_speed_rad_s, sample_motor
 from sim.plant import SPRING_NAMES, Plant
+from sim.record import Disturbance, at_joint
 
 FULL_RAD_S: Final = 0.02
 """Speed of an output at which friction has its amplitude."""

@@ -9,11 +9,11 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
-from sim.disturbance import Disturbance, at_joint
 from sim.effects.effect import EachCycle, Effect, Hardware, ParameterSpec, ReadingError, nominal_hardware
 from sim.frames import FLIP
+from sim.mujoco_settings import GAINS
 from sim.plant import SPRING_NAMES, Plant
-from sim.servos import GAINS
+from sim.record import Disturbance, at_joint
 
 LOAD_NM: Final = 100.0
 """Load at which slip has its amplitude."""

@@ -15,8 +15,8 @@ from sim.arm_model.load import default_arm
 from sim.arms import BuiltArm, arm_named, draw_calibration_errors, effects_of_run
 from sim.diagnosis_campaign import DiagnosisSession, SessionFailed
 from sim.effects.effect import Effect
+from sim.effects.environment import Numerics
 from sim.effects.joints import GearFriction
-from sim.effects.numerics import Numerics
 from sim.effects.sensors import CounterStart
 from sim.initialisation import DAILY_FRICTION_SIGMA, true_reference
 from sim.plant import PlantDiverged

@@ -26,7 +26,7 @@ from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.case_simulator import feature_keys
-from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, every_motion
+from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, estimate_floor, every_motion
 from marsarm.diagnosis.arm.features import MotionFeatures
 from marsarm.diagnosis.arm.finite_differences import (
     MAX_ROUNDS,
@@ -42,7 +42,6 @@ from marsarm.diagnosis.arm.finite_differences import (
     step_error,
     step_size,
 )
-from marsarm.diagnosis.arm.noise_floor import estimate_floor
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
 from marsarm.diagnosis.arm.simulator import ArmSimulator, build_simulator
 from marsarm.diagnosis.normal_equations import form_normal_equations

@@ -17,9 +17,8 @@ from marsarm.common.pool import select_runner
 from marsarm.diagnosis.arm import record
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.blind_case import record_blind, sample_background
-from marsarm.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
 from marsarm.diagnosis.arm.campaign_sensitivities import check_cache_folder, list_sources
-from marsarm.diagnosis.arm.case import diagnose_case
+from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs, split_logs
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect

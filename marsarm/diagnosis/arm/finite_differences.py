@@ -1,6 +1,6 @@
 """Finite differences of the arm's simulator: columns, adaptive steps, and simultaneous simulation.
 
-Under a recorded drive, an effect at one joint changes only that joint (sim/open_loop.py). So effects of one
+Under a recorded drive, an effect at one joint changes only that joint (sim/loop.py). So effects of one
 kind are simulated at several joints at once, and each takes the motions of its own joint.
 """
 

@@ -37,7 +37,8 @@ class DiagnoseRequest:
     catalogue: Annotated[
         str | None,
         Option(
-            "Effects of `marsarm effects` that may be the cause; all of them if not given.", "NAME,NAME,..."
+            "Effects of `marsarm dictionary --effects` that may be the cause; all of them if not given.",
+            "NAME,NAME,...",
         ),
     ] = None
     campaign: Annotated[

@@ -8,9 +8,9 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
+from marsarm.diagnosis.arm.arm_effects import NuisanceEffect, list_nuisance_effects
 from marsarm.diagnosis.arm.feature_set import FeatureSet, every_motion, simulate_features
 from marsarm.diagnosis.arm.features import CONDITIONS, UNITS, MotionFeatures, feature_channel
-from marsarm.diagnosis.arm.nuisances import NuisanceEffect, list_nuisance_effects
 from marsarm.diagnosis.problem import (
     LOG_UNIT,
     EffectValues,
@@ -24,12 +24,21 @@ from sim.effects import catalogue
 from sim.effects.catalogue import effect_name, effect_place_text
 from sim.effects.effect import EachMove, Effect, ParameterSpec
 from sim.effects.environment import Ambient, ContactStiffness, StructureTemperature, SurfacePosition
-from sim.effects.geometry import Expansion, FrameError, LinkWarming, Warming
+from sim.effects.geometry import (
+    Expansion,
+    FrameError,
+    LinkAngle,
+    LinkLength,
+    LinkWarming,
+    ThermalGradient,
+    ToolOffset,
+    ToolTurn,
+    Warming,
+)
 from sim.effects.joints import HardstopStiffness
-from sim.effects.links import LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
 from sim.effects.sensors import StructureSensor
 from sim.effects.structure import LinkBending, LinkCreep, LinkStiffness, LinkTorsion, RoverCompliance
-from sim.open_loop import SimulationOptions
+from sim.loop import SimulationOptions
 
 SHORT_SETTLING: Final = SimulationOptions(settle_s=4.0)
 """Settling time before a recording, shorter than in the closed loop: sufficient for differences."""

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsw.dictionary.arguments import Wrong, read_arguments
 from fsw.dictionary.commands import (
     Command,
     MoveJoint,
@@ -25,7 +24,8 @@ from fsw.dictionary.commands import (
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits
-from fsw.executive.checks import known_names
+from fsw.dictionary.validity import Wrong, read_arguments
+from fsw.executive.context import known_names
 from fsw.state import Hold
 from sim.params import nominal_params
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from fsw.estimate.hardstop import Readings, fit_contact_line, locate_hardstop, measure_backlash
+from fsw.estimate.reference import Readings, fit_contact_line, locate_hardstop, measure_backlash
 from tests.fsw.rig import config_of
 
 CONFIG = config_of()

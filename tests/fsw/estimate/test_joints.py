@@ -11,7 +11,6 @@ from hypothesis.extra import numpy as hnp
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.estimate.gear import LIKELY
-from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import (
     RESOLVER_FILTER_S,
     apply_calibration,
@@ -19,7 +18,7 @@ from fsw.estimate.joints import (
     uninitialised_estimate,
     update_joints,
 )
-from fsw.estimate.reference import Reference, forget_joint, no_reference
+from fsw.estimate.reference import HardstopFit, Reference, forget_joint, no_reference
 from tests.fsw.rig import MARS_R_m_s2, config_of, quiet_sensors
 
 CONFIG = config_of()

@@ -34,7 +34,7 @@ from fsw.dictionary.evrs import (
     ModeChanged,
 )
 from fsw.dictionary.faults import HardstopMissed
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.state import Sequence
 from tests.fsw.executive.lab import (
     COMMANDS,

@@ -23,7 +23,7 @@ from fsw.dictionary.commands import (
 )
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, CommandRefused
-from fsw.executive.modes import EVENT_OF, next_mode
+from fsw.executive.context import EVENT_OF, next_mode
 from tests.fsw.executive import lab
 from tests.fsw.executive.lab import COMMANDS, RIGS, TOUCHED, TOUCHING
 

@@ -19,8 +19,8 @@ from fsw.dictionary.commands import (
 from fsw.dictionary.enums import Frame, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, ContactMade, SpotSet
 from fsw.executive.expansion import expand_command
-from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.statics import settle_output
 from fsw.state import Hold
 from tests.fsw.executive.lab import CONFIG, HERE, TOUCHED, deployed, guarded_in_contact, refusal

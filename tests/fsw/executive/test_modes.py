@@ -3,7 +3,7 @@
 import pytest
 
 from fsw.dictionary.enums import Mode
-from fsw.executive.modes import TRANSITIONS, ModeEvent, next_mode
+from fsw.executive.context import TRANSITIONS, ModeEvent, next_mode
 
 NO = None
 STOW, DEPL, FREE, GUARD, BACK, FAULT, PRESS = Mode

@@ -14,7 +14,7 @@ from fsw.dictionary.faults import (
     OverTemperature,
     SensorNotFinite,
 )
-from fsw.executive.modes import TRANSITIONS, ModeEvent
+from fsw.executive.context import TRANSITIONS, ModeEvent
 from fsw.executive.protection import MoveOutcome, apply_decision
 from fsw.motion.move import Phase
 from fsw.protect.responses import StandingFault, decide

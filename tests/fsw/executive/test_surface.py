@@ -12,11 +12,11 @@ from fsw.dictionary.commands import GuardedMove, MoveTool, PlaceTool, Retract, S
 from fsw.dictionary.types import vector3
 from fsw.estimate.joints import uninitialised_estimate
 from fsw.estimate.reference import no_reference
-from fsw.executive.checks import check_arguments
+from fsw.executive.context import check_arguments
 from fsw.executive.expansion import locate_surface
 from fsw.executive.planning import PlannedSequence, plan_command, plan_sequence
 from fsw.kinematics.transforms import normalize
-from fsw.motion.path_check import FINE_STEP_M, check_paths, compute_deflected_frames, sample_paths
+from fsw.motion.paths import FINE_STEP_M, check_paths, compute_deflected_frames, sample_paths
 from fsw.motion.plan import Plan, Refusal, estimate_at
 from fsw.motion.plan_tool import plan_retract
 from sim.arms import arm_named

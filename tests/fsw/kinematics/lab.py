@@ -6,10 +6,10 @@ from functools import lru_cache
 import numpy as np
 
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.arm import limit_excess
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import SAME_RAD as TWICE_RAD
 from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics
-from fsw.kinematics.soft_limits import limit_excess
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 from tests.tools import tool_index

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import closed_form
+from fsw.kinematics.closed_form import BRANCHES, branch_index, closed_form, fold_distances
 from tests.fsw.rig import config_of, in_limits
 from tests.tools import TOOLS
 

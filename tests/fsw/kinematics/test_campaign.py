@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from fsw.kinematics.soft_limits import limit_excess
+from fsw.kinematics.arm import limit_excess
 from tests.tools import TOOLS
 from validation.campaigns import Context
 from validation.kinematics import Chunk, Tally, campaign, plan_chunks, run_chunk

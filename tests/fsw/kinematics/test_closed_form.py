@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.arm import build_orthogonal_arm
-from fsw.kinematics.branches import fold_distances
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import closed_form, closed_form_branch
+from fsw.kinematics.closed_form import closed_form, closed_form_branch, fold_distances
 from fsw.kinematics.ik import FREE_SINE
-from fsw.kinematics.task import task_error, task_jacobian
+from fsw.kinematics.statics import task_error, task_jacobian
 from fsw.kinematics.transforms import Pose, rotation_y, wrap_angle
 from tests.fsw.rig import config_of, in_limits
 from tests.tools import TOOLS, tool_index

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fsw.kinematics.fixed_point import DEFLECTED_TOLERANCE, RIGID_TOLERANCE, root_tolerance, solve_fixed_point
-from fsw.kinematics.task import task_error
+from fsw.kinematics.roots import DEFLECTED_TOLERANCE, RIGID_TOLERANCE, root_tolerance, solve_fixed_point
+from fsw.kinematics.statics import task_error
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.kinematics.lab import trial_of
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits

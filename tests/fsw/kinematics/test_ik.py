@@ -8,11 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.arm import heat_arm
-from fsw.kinematics.batch import select_targets
-from fsw.kinematics.branches import BRANCHES, fold_distances
+from fsw.kinematics.arm import describe_outside, heat_arm, limit_excess, wrap_into_limits
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import FREE_SINE, closed_form
+from fsw.kinematics.closed_form import BRANCHES, FREE_SINE, closed_form, fold_distances
 from fsw.kinematics.ik import (
     CHUNK,
     REGULAR_SINE,
@@ -22,11 +20,9 @@ from fsw.kinematics.ik import (
     find_regular_approach,
     inverse_kinematics,
 )
-from fsw.kinematics.newton import refine_roots
-from fsw.kinematics.soft_limits import describe_outside, limit_excess, wrap_into_limits
-from fsw.kinematics.statics import settle_output
-from fsw.kinematics.task import task_error
-from fsw.kinematics.transforms import wrap_angle
+from fsw.kinematics.roots import refine_roots
+from fsw.kinematics.statics import settle_output, task_error
+from fsw.kinematics.transforms import select_targets, wrap_angle
 from tests.fsw.kinematics.lab import (
     GRAVITIES,
     assert_consistent,

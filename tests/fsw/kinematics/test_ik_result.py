@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.batch import select_targets
-from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import (
     FREE_SINE,
     BranchVerdict,
     IkResult,
     describe_slot,
 )
+from fsw.kinematics.transforms import select_targets
 from tests.fsw.rig import config_of
 
 ARM = config_of().arm

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
+from fsw.kinematics.arm import limit_excess, wrap_into_limits
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import closed_form
-from fsw.kinematics.newton import TASK_TOLERANCE, refine_roots
-from fsw.kinematics.soft_limits import limit_excess, wrap_into_limits
-from fsw.kinematics.statics import settle, settle_output
-from fsw.kinematics.task import ROOT_TOLERANCE, task_error
+from fsw.kinematics.roots import TASK_TOLERANCE, refine_roots
+from fsw.kinematics.statics import ROOT_TOLERANCE, settle, settle_output, task_error
 from fsw.kinematics.transforms import dot
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 from tests.tools import TOOLS, tool_index

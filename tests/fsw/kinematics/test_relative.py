@@ -7,7 +7,7 @@ import pytest
 
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
-from fsw.kinematics.newton import refine_roots
+from fsw.kinematics.roots import refine_roots
 from fsw.kinematics.statics import relative_target
 from tests.fsw.kinematics.test_newton import RIGID, deflected_targets, deflected_tool
 from tests.fsw.rig import MARS_R_m_s2, config_of

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.batch import select_targets
-from fsw.kinematics.branches import branch_index, fold_distances
+from fsw.kinematics.closed_form import branch_index, fold_distances
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.statics import settle_output
+from fsw.kinematics.transforms import select_targets
 from tests.fsw.kinematics.lab import (
     assert_consistent,
     assert_no_root_twice,

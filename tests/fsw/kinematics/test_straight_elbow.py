@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.branches import fold_distances
-from fsw.kinematics.closed_form import closed_form
+from fsw.kinematics.closed_form import closed_form, fold_distances
 from fsw.kinematics.ik import BranchVerdict
-from fsw.kinematics.straight_elbow import BEND, MOST_MISSING_M, find_straight, solve_straight
+from fsw.kinematics.roots import BEND, MOST_MISSING_M, find_straight, solve_straight
 from tests.fsw.kinematics.lab import GRAVITIES, assert_no_root_twice, solve_poses, trial_of
 from tests.fsw.rig import config_of, in_limits
 from validation.kinematics_trials import CLEAR_OF_FOLDS, CLEAR_SIGMA, SAME_RAD, root_distances

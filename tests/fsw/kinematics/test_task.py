@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.statics import settle_output
-from fsw.kinematics.task import evaluate_pose, task_error, task_jacobian
+from fsw.kinematics.statics import evaluate_pose, settle_output, task_error, task_jacobian
 from tests.fsw.kinematics.test_newton import RIGID, TILTED_R_m_s2, deflected_targets
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 

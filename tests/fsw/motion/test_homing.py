@@ -20,7 +20,7 @@ from fsw.dictionary.faults import (
     MotorStuck,
     StalledEarly,
 )
-from fsw.executive.homing_poses import HOMED_TWICE
+from fsw.executive.poses import HOMED_TWICE
 from fsw.motion.homing import HomingStage
 from tests.fsw.motion.stops import StopRig
 from tests.fsw.rig import config_of, floats, with_params

@@ -14,20 +14,19 @@ from fsw.dictionary.commands import MoveJoints, MoveTool, Retract
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward
 from fsw.kinematics.statics import settle, settle_output
-from fsw.motion.compensation import Compensation
-from fsw.motion.path_check import (
+from fsw.motion.paths import (
     COARSE_STEP_M,
     DEFLECTION_CHANGE_M,
     FINE_STEP_M,
     check_paths,
     compute_deflected_frames,
+    joint_path,
     sample_paths,
 )
-from fsw.motion.paths import joint_path
-from fsw.motion.plan import Plan, plan_poses
+from fsw.motion.plan import Compensation, Plan, plan_poses
 from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
+from sim.arm_check import sweep_poses
 from sim.clearance import MAX_CLEARANCE_M, ClearanceModel
-from sim.hardstop_loads import sweep_poses
 from sim.world import World
 from tests.fsw.rig import MARS_R_m_s2, Rig, beside_the_rover, config_of, facing, floats, in_limits
 

@@ -8,13 +8,12 @@ import pytest
 
 from fsw.dictionary.commands import AUTO, GuardedMove, MoveJoints, MoveTool, Retract
 from fsw.dictionary.enums import Joint
-from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
-from fsw.kinematics.newton import refine_roots
+from fsw.kinematics.roots import refine_roots
 from fsw.kinematics.statics import settle
-from fsw.motion.compensation import Compensation
-from fsw.motion.plan import Plan, Refusal, plan_joint, plan_poses, worst_limit_excess
+from fsw.motion.plan import Compensation, Plan, Refusal, plan_joint, plan_poses, worst_limit_excess
 from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
 from tests.fsw.motion.lab import gear_at_end, tool_at
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits

@@ -8,10 +8,10 @@ import pytest
 from fsw.config import Config
 from fsw.dictionary.commands import Process
 from fsw.dictionary.enums import Joint
+from fsw.executive.poses import find_gravity_pose
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.motion.plan import Refusal
-from fsw.motion.plan_process import find_gravity_pose
 from tests.fsw.rig import Rig, config_of, floats, in_limits
 from tests.tools import TOOLS
 

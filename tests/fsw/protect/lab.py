@@ -3,7 +3,7 @@
 import numpy as np
 
 from fsw.dictionary.enums import Mode
-from fsw.protect.status import ArmStatus, MoveStatus, PressStatus
+from fsw.protect.inputs import ArmStatus, MoveStatus, PressStatus
 from tests.fsw.rig import MARS_R_m_s2, config_of, quiet_sensors
 from tests.tools import SWITCHES
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.config import CYCLE_S
-from fsw.protect.bounds import compute_bounds
+from fsw.protect.inputs import compute_bounds
 from tests.fsw.protect.lab import CONFIG, JOINTS, MONITORS, PARAMS, STIFFNESS
 
 LOW, HIGH = CONFIG.arm.soft_min_rad, CONFIG.arm.soft_max_rad

@@ -20,7 +20,7 @@ from fsw.dictionary.faults import (
     SoftLimitPassed,
     UnderTemperature,
 )
-from fsw.protect.motors import (
+from fsw.protect.monitors import (
     ROUNDING_RAD,
     check_current,
     check_following,

@@ -25,9 +25,8 @@ from fsw.dictionary.faults import (
     UnderTemperature,
 )
 from fsw.protect.contact import ApproachState
-from fsw.protect.monitors import MonitorState, run_monitors
-from fsw.protect.protection import protect
-from fsw.protect.readings import NONE_UNCHANGED, noisy_readings
+from fsw.protect.inputs import NONE_UNCHANGED, noisy_readings
+from fsw.protect.monitors import MonitorState, protect, run_monitors
 from fsw.protect.responses import Response, StandingFault
 from tests.fsw.protect.lab import (
     BOUNDS,

@@ -19,7 +19,7 @@ from fsw.dictionary.faults import (
     StructureTemperatureImplausible,
     TiltChanged,
 )
-from fsw.protect.readings import (
+from fsw.protect.inputs import (
     NONE_UNCHANGED,
     check_cycle_count,
     check_frozen,

@@ -9,7 +9,7 @@ from fsw.config import CYCLE_S
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.faults import UnexpectedContact
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
-from fsw.protect.bounds import CURRENT_GAIN, UPDATE_CYCLES, compute_bounds
+from fsw.protect.inputs import CURRENT_GAIN, UPDATE_CYCLES, compute_bounds
 from fsw.protect.resistance import CONTACT, LEAST_UPDATES, monitor_free_move
 from tests.fsw.protect.lab import (
     BOUNDS,

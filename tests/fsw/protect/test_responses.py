@@ -19,7 +19,7 @@ from fsw.dictionary.faults import (
     OverCurrent,
     SensorNotFinite,
 )
-from fsw.dictionary.params import MonitorParams
+from fsw.dictionary.motion_params import MonitorParams
 from fsw.protect.responses import RESPONSE_TO, Response, StandingFault, decide, identify, response_to
 from tests.fsw.protect.lab import BOUNDS, CONFIG, MONITORS, READY, at
 

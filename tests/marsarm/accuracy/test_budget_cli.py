@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from marsarm.accuracy.budget import BudgetReport, run_budget
-from marsarm.accuracy.budget_report import budget_json, list_requirements, save_budget_page
-from marsarm.accuracy.reproduce import TABLE_3, TABLE_4
+from marsarm.accuracy.budget import TABLE_3, TABLE_4, BudgetReport, run_budget
+from marsarm.accuracy.budget_report import budget_document, budget_page, budget_requirements
 from marsarm.accuracy.request import BudgetRequest
 from simgap.common.errors import BadRequest
+from simgap.common.report import save_report_page, to_json
 from tests.marsarm.command import marsarm, marsarm_process
 
 
@@ -59,7 +59,7 @@ def test_sourced_magnitudes_are_not_changed_to_reproduce_it(report):
 
 
 def test_the_document_holds_shares_that_add_up_to_the_mean_total(report):
-    for name, case in budget_json(report)["cases"].items():
+    for name, case in to_json(budget_document(report))["cases"].items():
         total = sum(sum(frames.values()) for frames in case["share_m"].values())
         by_tool = [tool.by_rule["paper"].total_m for tool in report.budgets[name].tools.values()]
         assert total == pytest.approx(np.concatenate(by_tool).mean())
@@ -67,7 +67,7 @@ def test_the_document_holds_shares_that_add_up_to_the_mean_total(report):
 
 def test_the_page_is_one_file_with_its_pictures_in_it(report, tmp_path):
     page = tmp_path / "budget.html"
-    save_budget_page(report, page)
+    save_report_page(budget_page(report), page)
     text = page.read_text()
     assert text.count("<svg ") == 2 * len(report.budgets)
     met = sum(value <= row.required for row, value in report.rows)
@@ -93,7 +93,8 @@ def test_bad_input_is_named(wrong, words):
 
 def test_few_poses_show_nothing(tmp_path):
     page = tmp_path / "budget.html"
-    save_budget_page(run_budget(BudgetRequest(case="mars", tool="apxs", poses=1000), quiet), page)
+    report = run_budget(BudgetRequest(case="mars", tool="apxs", poses=1000), quiet)
+    save_report_page(budget_page(report), page)
     assert "Not shown: 0 of 3 requirements are met, 3 are not shown." in page.read_text()
     assert "1000 of 1365 poses" in page.read_text()
 
@@ -104,7 +105,7 @@ def test_few_poses_show_nothing(tmp_path):
 def test_a_bound_within_the_interval_of_the_estimate_is_not_shown(times, passed):
     report = run_budget(BudgetRequest(case="mars", tool="apxs", poses=2000), quiet)
     rows = tuple((replace(row, required=times * value), value) for row, value in report.rows)
-    assert [row.passed for row in list_requirements(replace(report, rows=rows))] == [passed] * 3
+    assert [row.passed for row in budget_requirements(replace(report, rows=rows))] == [passed] * 3
 
 
 def test_the_command_prints_one_document_and_writes_a_page_and_a_picture(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.random import SeedSequence
 
-from marsarm.accuracy.placements import (
+from marsarm.accuracy.trial import (
     closed_loop_model,
     configure_believed,
     measure_placements,

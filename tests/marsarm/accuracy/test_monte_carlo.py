@@ -12,11 +12,16 @@ from fsw.config import configure
 from marsarm.accuracy.budget import COMPONENTS, MOMENTS
 from marsarm.accuracy.coverage import check_coverage
 from marsarm.accuracy.monte_carlo import MonteCarloReport, run_monte_carlo
-from marsarm.accuracy.monte_carlo_report import list_requirements, monte_carlo_json, save_monte_carlo_page
+from marsarm.accuracy.monte_carlo_report import (
+    monte_carlo_document,
+    monte_carlo_page,
+    monte_carlo_requirements,
+)
 from marsarm.accuracy.request import MonteCarloRequest
 from sim.params import nominal_params
 from sim.world import World
 from simgap.common.errors import BadRequest
+from simgap.common.report import save_report_page, to_json
 from tests.marsarm.command import marsarm, marsarm_process
 
 STATICS = MonteCarloRequest(arms=150, move_model="statics", seed=3, workers=1)
@@ -139,7 +144,7 @@ def test_an_arm_of_its_own_has_what_the_case_adds():
 @pytest.mark.slow
 def test_the_page_holds_its_picture(report, tmp_path):
     page = tmp_path / "mc.html"
-    save_monte_carlo_page(report, page)
+    save_report_page(monte_carlo_page(report), page)
     text = page.read_text()
     assert text.count("<svg ") == len(COMPONENTS)
     assert "equation 13" in text
@@ -148,7 +153,7 @@ def test_the_page_holds_its_picture(report, tmp_path):
 @pytest.mark.parametrize("arms", [1, 3])
 def test_a_sample_that_is_too_small_for_a_bound_shows_nothing(arms):
     small = run_monte_carlo(replace(STATICS, case="mars", arms=arms, places=1), quiet)
-    moved, *rows = list_requirements(small)
+    moved, *rows = monte_carlo_requirements(small)
     assert moved.passed
     assert len(rows) == 4
     assert not any(row.passed for row in rows)
@@ -160,13 +165,13 @@ def test_a_sample_that_is_large_enough_shows_what_it_bounds():
     trials = few.trials * 273
     found = check_coverage(few.model, "mars", configure(nominal_params()), World().gravity_N_m_s2, trials)
     enough = replace(few, trials=trials, coverage=found)
-    assert [row.passed for row in list_requirements(enough)] == [True] * 5
-    assert all("1365 arms" in row.value for row in list_requirements(enough)[1:])
+    assert [row.passed for row in monte_carlo_requirements(enough)] == [True] * 5
+    assert all("1365 arms" in row.value for row in monte_carlo_requirements(enough)[1:])
 
 
 @pytest.mark.slow
 def test_an_interval_without_an_end_is_null_in_the_document(report):
-    document = monte_carlo_json(report)
+    document = to_json(monte_carlo_document(report))
     assert document["coverage"]["percentile_interval"]["total_m"][1] is None
     json.dumps(document, allow_nan=False)
 

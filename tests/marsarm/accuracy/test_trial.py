@@ -8,24 +8,26 @@ import pytest
 from fsw.config import configure
 from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.transforms import Array, Pose
-from marsarm.accuracy.placements import (
+from marsarm.accuracy.propagation import Poses, Sensitivity, compute_sensitivity
+from marsarm.accuracy.sources import load_error_model
+from marsarm.accuracy.trial import (
+    Z_TURN,
     closed_loop_model,
     configure_believed,
     error_in_tool,
     random_placements,
+    sample_effects,
+    sample_source,
     statics_model,
 )
-from marsarm.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity
-from marsarm.accuracy.sources import load_error_model
-from marsarm.accuracy.trial import Z_TURN, sample_effects, sample_source
 from sim.arms import BuiltArm, arm_named
 from sim.avionics import move_rng
-from sim.disturbance import frame_body
 from sim.effects.effect import EachMove, Effect, draw_move_disturbance
 from sim.effects.geometry import Expansion, FrameError
 from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle
 from sim.initialisation import true_reference
 from sim.loop import hardware_rng
+from sim.record import frame_body
 from sim.world import World
 
 MODEL = load_error_model()

@@ -7,7 +7,7 @@ import pytest
 
 from tests.marsarm.command import ROOT
 
-MAIN = "from marsarm.cli.start import start; start()"
+MAIN = "from marsarm.__main__ import start; start()"
 
 
 def to(target, *words):
@@ -17,7 +17,7 @@ def to(target, *words):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("words", [["scenarios"], ["dictionary", "--json"], ["--help"]])
+@pytest.mark.parametrize("words", [["run", "--list"], ["dictionary", "--json"], ["--help"]])
 def test_a_full_disk_behind_the_output_is_said(words):
     ran = to("> /dev/full", *words)
     assert ran.returncode == 2

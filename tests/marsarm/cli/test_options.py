@@ -13,8 +13,9 @@ import pytest
 import typer
 
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
+from marsarm.arms.request import ArmRequest
 from marsarm.calibration.request import CalibrateRequest, SerialRequest
-from marsarm.cli import accuracy, calibrate, diagnosis, ik, robot, runs, view
+from marsarm.cli import analysis, calibrate_serial, diagnosis, robot, runs
 from marsarm.diagnosis.arm.request import DiagnoseRequest, RecordRequest
 from marsarm.ik.request import IkRequest, ReachRequest
 from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest
@@ -29,13 +30,14 @@ VERBS = {
     PlaceRequest: runs.place,
     RunRequest: runs.run,
     HardstopRequest: runs.hardstop,
-    IkRequest: ik.ik,
-    ReachRequest: ik.reach,
-    BudgetRequest: accuracy.budget,
-    MonteCarloRequest: accuracy.monte_carlo,
-    CalibrateRequest: calibrate.calibrate,
-    SerialRequest: calibrate.calibrate_serial,
-    ViewRequest: view.view,
+    IkRequest: analysis.ik,
+    ReachRequest: analysis.reach,
+    BudgetRequest: analysis.budget,
+    MonteCarloRequest: analysis.monte_carlo,
+    CalibrateRequest: analysis.calibrate,
+    ArmRequest: analysis.arm,
+    SerialRequest: calibrate_serial.calibrate_serial,
+    ViewRequest: runs.view,
     DiagnoseRequest: diagnosis.diagnose,
     RecordRequest: diagnosis.record,
     CheckRequest: robot.check,

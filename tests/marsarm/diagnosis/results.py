@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from marsarm.diagnosis.closure import build_held_out_model, compute_held_out_residuals
+from marsarm.diagnosis.closure import build_held_out_model, compute_held_out_residuals, rank_motions
 from marsarm.diagnosis.diagnose import Diagnosis, effect_values
-from marsarm.diagnosis.experiment_design import rank_motions
 from marsarm.diagnosis.normal_equations import form_normal_equations
 from marsarm.diagnosis.problem import Residuals
 from marsarm.diagnosis.result import DiagnosisResult, ToolError

@@ -8,10 +8,10 @@ import pytest
 from marsarm.diagnosis.closure import (
     build_held_out_model,
     compute_held_out_residuals,
+    rank_motions,
     whitened_closure,
 )
 from marsarm.diagnosis.diagnose import effect_values
-from marsarm.diagnosis.experiment_design import rank_motions
 from marsarm.diagnosis.normal_equations import form_normal_equations
 from marsarm.diagnosis.problem import Residuals
 from tests.marsarm.diagnosis.worlds import found, modelled, select_and_diagnose, world

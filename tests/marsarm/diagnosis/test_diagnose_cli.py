@@ -13,8 +13,7 @@ from marsarm.cli.app import app
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import PARAMS_FILE
 from marsarm.diagnosis.diagnose import Alternative
-from marsarm.diagnosis.result import to_json
-from marsarm.diagnosis.sentences import verdict_lines
+from marsarm.diagnosis.result import to_json, verdict_lines
 from simgap.report.traces import Trace
 
 RUN = CliRunner()

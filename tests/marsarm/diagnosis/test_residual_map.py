@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from marsarm.diagnosis.residual_analysis import map_residual
+from marsarm.diagnosis.diagnose import map_residual
 
 
 def test_a_channel_that_several_places_have_is_mapped_place_by_place(made, rng):

@@ -8,13 +8,13 @@ import pytest
 from fsw.kinematics.arm import build_arm, heat_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle
-from marsarm.ik.report import ik_json
 from marsarm.ik.request import IkRequest, ModelRequest
-from marsarm.ik.solve import solve
+from marsarm.ik.solve import ik_document, solve
 from sim.arms import arm_named
 from sim.frames import p_R_from_N
 from sim.world import World
 from simgap.common.errors import BadRequest
+from simgap.common.report import to_json
 from tests.marsarm.command import marsarm, marsarm_process
 from tests.tools import TOOLS
 
@@ -24,7 +24,7 @@ APPROACH = (0.5, 0.1, 0.8)
 
 def answer(position=POSITION, approach=APPROACH, frame="rnav", **model):
     request = IkRequest(ModelRequest(**model), frame, position, approach)
-    return ik_json(solve(request, lambda *_: None))
+    return to_json(ik_document(solve(request, lambda *_: None)))
 
 
 def valid_poses(document) -> np.ndarray:

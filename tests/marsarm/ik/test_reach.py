@@ -8,12 +8,12 @@ import PIL.Image
 import pytest
 
 from marsarm.common.pool import run_here
-from marsarm.ik.model import build_ik_model
-from marsarm.ik.reach import reach, sample_workspace
-from marsarm.ik.report import reach_json
+from marsarm.ik.reach import reach, reach_document, sample_workspace
 from marsarm.ik.request import ModelRequest, ReachRequest
-from sim.workspace import approach_from, random_surface, random_targets
+from marsarm.ik.solve import build_ik_model
+from sim.frames import approach_from, random_surface, random_targets
 from simgap.common.errors import BadRequest
+from simgap.common.report import to_json
 from tests.marsarm.command import marsarm, marsarm_process
 
 
@@ -23,7 +23,7 @@ def quiet(*_) -> None:
 
 @pytest.fixture(scope="module")
 def document():
-    return reach_json(reach(ReachRequest(samples=4000, picture=None), quiet))
+    return to_json(reach_document(reach(ReachRequest(samples=4000, picture=None), quiet)))
 
 
 def test_nearly_every_target_of_the_workspace_has_a_branch_and_at_most_four(document):
@@ -93,7 +93,7 @@ def test_a_map_of_few_targets_is_drawn_too(tmp_path, samples):
 def test_without_matplotlib_there_is_a_message_and_no_picture(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     report = reach(ReachRequest(samples=50, picture=tmp_path / "reach.png"), quiet)
-    document = reach_json(report)
+    document = to_json(reach_document(report))
     assert document["picture"] is None
     assert "pip install matplotlib" in document["picture_problem"]
     assert list(tmp_path.iterdir()) == []

@@ -49,7 +49,7 @@ def steps(cache: Path) -> list[Path]:
 ENDING = """
 import os, signal, sys
 from simgap.selection.checkpoint import Checkpoint
-from marsarm.cli.start import start
+from marsarm.__main__ import start
 
 number, keep = int(sys.argv.pop(1)), Checkpoint._write
 

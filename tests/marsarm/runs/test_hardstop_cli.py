@@ -7,9 +7,10 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from marsarm.runs.hardstop import hardstop, plan_stops
-from marsarm.runs.hardstop_report import hardstop_json, plan_json
+from marsarm.runs.report import hardstop_document, plan_document
 from marsarm.runs.request import HardstopRequest
 from simgap.common.errors import BadRequest
+from simgap.common.report import to_json
 from tests.marsarm.command import marsarm, marsarm_process
 
 
@@ -42,7 +43,7 @@ def test_people_see_a_table_and_what_was_said(tmp_path):
 @pytest.mark.slow
 def test_repetitions_are_of_other_days_and_the_same_again():
     request = HardstopRequest(joint="turret", repeat=3, arm="as-built:2")
-    first, again = (hardstop_json(hardstop(request, quiet)) for _ in range(2))
+    first, again = (to_json(hardstop_document(hardstop(request, quiet))) for _ in range(2))
     assert first == again
     turret = first["joints"]["turret"]
     assert turret["found"] == 3
@@ -52,7 +53,7 @@ def test_repetitions_are_of_other_days_and_the_same_again():
 
 
 def test_the_plan_shows_equal_torques_and_moves_nothing():
-    document = plan_json(plan_stops(HardstopRequest()))
+    document = plan_document(plan_stops(HardstopRequest()))
     mars, earth = (document[place]["joints"] for place in ("mars, with turret", "earth, without turret"))
     for joint in ("elevation", "elbow", "wrist"):
         assert mars[joint]["torque_Nm"] == pytest.approx(earth[joint]["torque_Nm"], abs=0.5)

@@ -1,4 +1,4 @@
-"""Tests of `marsarm run` and `marsarm scenarios` as a user runs them."""
+"""Tests of `marsarm run` and `marsarm run --list` as a user runs them."""
 
 import json
 
@@ -190,18 +190,17 @@ def test_a_full_disk_ends_the_run_or_does_not_as_asked_and_an_event_tells(
 
 
 def test_the_scenarios_are_listed_with_a_line_each(tmp_path):
-    done = marsarm_process(tmp_path, "scenarios")
+    done = marsarm_process(tmp_path, "run", "--list")
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert [line.split()[0] for line in lines] == list(built_in_scenarios())
-    listed = json.loads(marsarm(tmp_path, "scenarios", "--json").stdout)["scenarios"]
+    listed = json.loads(marsarm(tmp_path, "run", "--list", "--json").stdout)["scenarios"]
     assert [scenario["name"] for scenario in listed] == list(built_in_scenarios())
     assert all(scenario["summary"] in line for scenario, line in zip(listed, lines, strict=True))
     assert "TOOL_CHANGE" in {scenario["name"]: scenario for scenario in listed}["tool-change"]["commands"]
 
 
-@pytest.mark.parametrize("verb", ["run", "scenarios"])
-def test_help_comes_with_an_example(tmp_path, verb):
-    done = marsarm(tmp_path, verb, "--help")
+def test_help_comes_with_an_example(tmp_path):
+    done = marsarm(tmp_path, "run", "--help")
     assert done.returncode == 0
-    assert f"Example: marsarm {verb}" in done.stdout
+    assert "Example: marsarm run" in done.stdout

@@ -11,7 +11,7 @@ from marsarm.replay.replay import ReplayRequest, replay
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.record_run import record_commands
 from sim.arms import BuiltArm, arm_named
-from sim.start import start_loop
+from sim.initialisation import start_loop
 
 PARAMS = arm_named("nominal").params
 READY_RAD = PARAMS.poses.ready_rad

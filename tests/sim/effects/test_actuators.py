@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from sim.effects.cables import Counterbalance, FlexCable
 from sim.effects.effect import Effect
 from sim.effects.environment import COLD_C, Ambient
 from sim.effects.gears import (
@@ -22,9 +21,16 @@ from sim.effects.gears import (
     TransmissionError,
     ViscousFriction,
 )
-from sim.effects.joints import GearStiffness
-from sim.effects.motors import BusSag, CommandDelay, MotorConstant, ServoGain
-from sim.servos import BUS_V, GAINS
+from sim.effects.joints import (
+    BusSag,
+    CommandDelay,
+    Counterbalance,
+    FlexCable,
+    GearStiffness,
+    MotorConstant,
+    ServoGain,
+)
+from sim.mujoco_settings import BUS_V, GAINS
 from tests.sim import lab
 from tests.sim.effects import bench
 

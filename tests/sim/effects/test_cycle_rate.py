@@ -8,7 +8,6 @@ import pytest
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.enums import Frame, Joint
 from sim.arms import arm_named
-from sim.effects.cables import Counterbalance, FlexCable
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import EachCycle
 from sim.effects.gears import (
@@ -20,7 +19,7 @@ from sim.effects.gears import (
     StribeckFriction,
     TransmissionError,
 )
-from sim.effects.motors import BusSag, CommandDelay
+from sim.effects.joints import BusSag, CommandDelay, Counterbalance, FlexCable
 from sim.effects.structure import LinkCreep
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup

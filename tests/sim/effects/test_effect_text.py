@@ -7,8 +7,7 @@ import pytest
 from fsw.dictionary.enums import Frame, Joint
 from sim.arms import arm_named
 from sim.effects.gears import CoulombFriction, StribeckFriction
-from sim.effects.geometry import FrameError
-from sim.effects.links import LinkAngle, ToolOffset
+from sim.effects.geometry import FrameError, LinkAngle, ToolOffset
 from sim.effects.sensors import EncoderZero
 from sim.effects.structure import LinkMass
 from sim.scenario.effects import BadEffect, parse_effect_text

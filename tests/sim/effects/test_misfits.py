@@ -10,9 +10,7 @@ from marsarm.runs.request import PlaceRequest
 from sim.arms import arm_named
 from sim.effects.effect import Effect, EffectMisfit, check_effects
 from sim.effects.faults import SensorFault
-from sim.effects.geometry import FrameError, LinkWarming
-from sim.effects.links import ToolOffset
-from sim.effects.move_disturbances import FramePlay
+from sim.effects.geometry import FrameError, FramePlay, LinkWarming, ToolOffset
 from sim.loop import ClosedLoop, Setup
 from sim.scenario.file import BadScenario, parse_scenario
 from sim.world import World

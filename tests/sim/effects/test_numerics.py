@@ -5,7 +5,7 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from sim.effects.catalogue import hypotheses
-from sim.effects.numerics import Numerics
+from sim.effects.environment import Numerics
 from sim.scenario.effects import effect_text, parse_effect_text
 from tests.sim import lab
 from tests.sim.effects import bench

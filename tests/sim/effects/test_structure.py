@@ -9,8 +9,16 @@ from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Pose
 from sim.effects.effect import Effect
-from sim.effects.geometry import LinkWarming, Warming
-from sim.effects.links import WIDTH_M, LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
+from sim.effects.geometry import (
+    WIDTH_M,
+    LinkAngle,
+    LinkLength,
+    LinkWarming,
+    ThermalGradient,
+    ToolOffset,
+    ToolTurn,
+    Warming,
+)
 from sim.effects.sensors import EncoderZero
 from sim.effects.structure import (
     LinkBending,

@@ -7,7 +7,7 @@ import pytest
 from fsw.config import configure
 from fsw.kinematics.ik import inverse_kinematics
 from sim.arms import arm_named
-from sim.contact import tool_forces
+from sim.clearance import tool_forces
 from sim.frames import FLIP, p_R_from_N
 from sim.plant import Plant
 from sim.world import Surface, World, build

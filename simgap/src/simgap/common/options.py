@@ -169,8 +169,8 @@ MismatchOption = Annotated[
 EffectsOption = Annotated[
     tuple[str, ...],
     Option(
-        "Switch on an effect of `marsarm effects`, or FILE.py:CLASS as its name, or every effect of a "
-        "FILE.toml; repeatable.",
+        "Switch on an effect of `marsarm dictionary --effects`, or FILE.py:CLASS as its name, or every "
+        "effect of a FILE.toml; repeatable.",
         "NAME:PLACE:PARAMETER=VALUE,...",
         "--effect",
         is_read=True,

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, is_dataclass
 from io import BytesIO, TextIOWrapper
 from itertools import pairwise
-from typing import Annotated, Any, Final, Literal, TextIO, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Protocol, TextIO, get_args, get_origin
 
 import typer
 from typer.core import TyperCommand
@@ -21,6 +21,9 @@ from simgap.common.date import current_date
 from simgap.common.errors import RobotError, UserError, describe_problems
 from simgap.common.options import CLUSTER_HERE, Field, Option, option_fields
 from simgap.common.progress import show_progress
+
+if TYPE_CHECKING:
+    from simgap.common.report import Emphasis, ReportTable
 
 EXIT_BAD_INPUT: Final = 2
 EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
@@ -119,6 +122,34 @@ class VerbResult:
     """Function that writes files; a result that took minutes is printed first."""
     play: Callable[[], None] | None = None
     """Function that shows the result until Ctrl-C; a program can read the result before."""
+
+
+class Playable(Protocol):
+    """View that a user can play."""
+
+    def play(self) -> None:
+        """Play until Ctrl-C."""
+
+
+def shown(
+    document: Any,
+    parts: Sequence["str | Emphasis | ReportTable"],
+    is_done: bool = True,
+    view: Playable | None = None,
+) -> VerbResult:
+    """Make the result of a verb.
+
+    Args:
+        document: Values for programs, as `to_json` takes them.
+        parts: Sentences and tables for people.
+        is_done: False if the arm refused or faulted and is safe.
+        view: View that plays the result after it was printed.
+    """
+    from simgap.common.report import print_parts, to_json
+
+    return VerbResult(
+        to_json(document), lambda: print_parts(parts), is_done, play=None if view is None else view.play
+    )
 
 
 class VerbCommand(TyperCommand):

@@ -11,15 +11,15 @@ import pytest
 from fsw.kinematics.transforms import IDENTITY, stack_poses
 from marsarm.diagnosis.arm import diagnose_logs, logs, record
 from marsarm.diagnosis.arm.campaign_sensitivities import keys_path, load_keys
-from marsarm.diagnosis.arm.logs import NotForDiagnosis
-from marsarm.diagnosis.arm.request import RecordRequest
-from marsarm.diagnosis.arm.tracker_poses import (
+from marsarm.diagnosis.arm.logs import (
     BadTracker,
+    NotForDiagnosis,
     TrackerPoses,
     no_tracker_poses,
     read_tracker_poses,
     write_tracker_poses,
 )
+from marsarm.diagnosis.arm.request import RecordRequest
 from sim.diagnosis_campaign import SessionFailed
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress

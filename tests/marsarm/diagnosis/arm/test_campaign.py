@@ -13,6 +13,7 @@ from marsarm.diagnosis.arm.case_simulator import build_case_simulator, feature_k
 from marsarm.diagnosis.arm.feature_set import (
     build_feature_set,
     changes_readings_only,
+    estimate_floor,
     every_motion,
     measure_features,
     simulate_features,
@@ -34,15 +35,14 @@ from marsarm.diagnosis.arm.finite_differences import (
     simulate_side,
 )
 from marsarm.diagnosis.arm.logs import Recording
-from marsarm.diagnosis.arm.noise_floor import estimate_floor
-from marsarm.diagnosis.arm.open_loop import simulate_open_loop, stack_readings
+from marsarm.diagnosis.arm.rest_poses import simulate_open_loop, stack_readings
 from marsarm.diagnosis.arm.simulator import SHORT_SETTLING, AffectedMotions, build_simulator, make_effect
 from marsarm.diagnosis.sensitivity import Sensitivities
 from marsarm.telemetry.read import read_log
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
+from sim.effects.geometry import LinkLength, ToolOffset
 from sim.effects.joints import GearStiffness, ResolverBias
-from sim.effects.links import LinkLength, ToolOffset
 from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
 from sim.effects.structure import TurretMass
 from sim.params import nominal_params

@@ -9,9 +9,14 @@ import pytest
 
 from fsw.dictionary.enums import Frame, Joint
 from marsarm.common.pool import local_runner
-from marsarm.diagnosis.arm import campaign_sensitivities, nuisance_fit
-from marsarm.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
-from marsarm.diagnosis.arm.case import TooLittleMotion, diagnose_case, fit_case
+from marsarm.diagnosis.arm import campaign_sensitivities, case_simulator
+from marsarm.diagnosis.arm.case import (
+    CampaignModel,
+    TooLittleMotion,
+    diagnose_case,
+    fit_case,
+    load_campaign_model,
+)
 from marsarm.diagnosis.arm.case_simulator import CaseSimulator, resimulate
 from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, diagnose_logs
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, load_recording
@@ -22,9 +27,8 @@ from sim.arm_model.load import default_arm
 from sim.arms import arm_named
 from sim.diagnosis_campaign import campaign_sessions
 from sim.effects.effect import Effect
-from sim.effects.geometry import FrameError
+from sim.effects.geometry import FrameError, LinkLength
 from sim.effects.joints import ResolverBias
-from sim.effects.links import LinkLength
 from sim.initialisation import true_reference
 
 pytestmark = pytest.mark.slow
@@ -127,7 +131,7 @@ def test_only_nuisances_that_an_arm_may_have_are_simulated(
         shifts.extend(effect.screw[3:] for effect in near if isinstance(effect, FrameError))
         return resimulate(case, near, *rest)
 
-    monkeypatch.setattr(nuisance_fit, "resimulate", noted)
+    monkeypatch.setattr(case_simulator, "resimulate", noted)
     fit_case([load_recording(path) for path in logs[0]], [], against, 0)
     assert 9.0 * CALIBRATED_FRAME_SIGMA_M < np.abs(shifts).max() < 10.1 * CALIBRATED_FRAME_SIGMA_M
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from marsarm.diagnosis.arm.arm_effects import list_families, list_locations
 from marsarm.diagnosis.arm.demo import SIZES, DemoTruth, draw_truth, judge
-from marsarm.diagnosis.arm.families import list_families, list_locations
 from marsarm.diagnosis.arm.simulator import list_candidates, to_hypothesis
 from marsarm.diagnosis.diagnose import Finding
 from marsarm.diagnosis.model import build_model

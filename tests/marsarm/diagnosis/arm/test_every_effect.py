@@ -9,7 +9,7 @@ import pytest
 from fsw.dictionary.enums import Joint
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, simulate_features
 from marsarm.diagnosis.arm.logs import Recording
-from marsarm.diagnosis.arm.open_loop import simulate_open_loop, stack_readings
+from marsarm.diagnosis.arm.rest_poses import simulate_open_loop, stack_readings
 from sim.effects.catalogue import (
     ParameterField,
     all_places,
@@ -20,9 +20,9 @@ from sim.effects.catalogue import (
 )
 from sim.effects.effect import Effect
 from sim.effects.faults import SensorFault
-from sim.effects.motors import BusSag
+from sim.effects.joints import BusSag
 from sim.effects.sensors import CounterStart
-from sim.open_loop import SimulationOptions
+from sim.loop import SimulationOptions
 
 BRIEF = SimulationOptions(settle_s=1.0)
 

@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from marsarm.diagnosis.arm.families import FAMILIES, family_of
+from marsarm.diagnosis.arm.arm_effects import FAMILIES, family_of
 from marsarm.diagnosis.arm.simulator import list_candidates
 
 

@@ -8,9 +8,9 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import transform6_to_pose
+from marsarm.diagnosis.arm.arm_effects import effects_of_params
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.diagnose_logs import flight_params, prepare_diagnosis
-from marsarm.diagnosis.arm.flight_effects import effects_of_params
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import PARAMS_FILE, record_logs
 from marsarm.diagnosis.arm.request import DiagnoseRequest, RecordRequest

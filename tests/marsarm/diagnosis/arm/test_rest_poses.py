@@ -15,8 +15,7 @@ from marsarm.diagnosis.arm.feature_set import (
 )
 from marsarm.diagnosis.arm.features import RESOLVER
 from marsarm.diagnosis.arm.logs import Recording
-from marsarm.diagnosis.arm.open_loop import simulate_open_loop
-from marsarm.diagnosis.arm.rest_poses import creep_shares
+from marsarm.diagnosis.arm.rest_poses import creep_shares, simulate_open_loop
 from marsarm.diagnosis.arm.simulator import SHORT_SETTLING
 from sim.effects.structure import LinkCreep
 from sim.params import nominal_params

@@ -21,9 +21,9 @@ from sim.arm_model.load import default_arm
 from sim.arms import arm_named, draw_calibration_errors
 from sim.diagnosis_campaign import run_session, start_session
 from sim.effects.effect import nominal_hardware
+from sim.effects.environment import Numerics
 from sim.effects.gears import CoulombFriction
 from sim.effects.joints import GearFriction
-from sim.effects.numerics import Numerics
 from sim.initialisation import true_reference
 from sim.scenario.effects import effect_text
 from validation.cases import arm

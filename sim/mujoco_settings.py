@@ -1,0 +1,101 @@
+"""Settings of MuJoCo for a plant: its library, the damping of a time step, the gains of motor controllers.
+
+The library writes no file of warnings, as `Plant.step` checks their count. Its profiler is off: it would read
+a clock many times in each step, and nothing here reads the profile.
+"""
+
+import ctypes
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.kinematics.transforms import Array
+
+
+def apply_settings() -> None:
+    """Apply the settings; a build of MuJoCo that does not show its clock keeps the profiler."""
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        clock = ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco._structs.__file__), "mjcb_time")
+    except (AttributeError, OSError, ValueError):
+        return
+    # mujoco.set_mjcb_time(None) would set the clock of the Python package again
+    clock.value = None
+
+
+POSITION_GAIN, RATE_GAIN = 4, 6
+"""Indices in MuJoCo's gain parameters of a dcmotor."""
+REFERENCE_STEP_S: Final = 1 / 2048
+"""Time step that the dampers of `arm.xml` are made for."""
+
+
+def match_reference_damping(model: mujoco.MjModel) -> float:
+    """Remove added damping from springs and servos, so that it equals that of the reference step.
+
+    `discrete` evaluates a spring at the end of a step h, which adds its stiffness times h to its damping.
+    PROVENANCE.md has the derivation.
+
+    Returns:
+        Time [s] that, times the stiffness of a gear, is its added damping; to be removed on a flank.
+    """
+    excess_s = float(model.opt.timestep) - REFERENCE_STEP_S
+    model.dof_damping[model.jnt_dofadr] -= excess_s * model.jnt_stiffness
+    if model.opt.solver == mujoco.mjtSolver.mjSOL_PGS:
+        excess_s = -REFERENCE_STEP_S  # the dual solver evaluates them at the start of a step
+    model.actuator_gainprm[:, RATE_GAIN] -= excess_s * model.actuator_gainprm[:, POSITION_GAIN]
+    return excess_s
+
+
+RESISTANCE, MOTOR_CONSTANT, GAINS = 0, 1, slice(4, 7)
+"""Indices in MuJoCo's gain parameters of a dcmotor; GAINS are those of position, integral and rate."""
+INTEGRAL_LIMIT: Final = 8
+"""Index of `Imax` in its dynamic parameters."""
+BUS_V: Final = 28.0
+LEAST_GAIN_SHARE: Final = 1e-9
+"""Gains of a servo without power, as a share: MuJoCo fails at 0, where a dcmotor would have no integral."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Servos:
+    """Motor controllers as they were built, in the order of Joint."""
+
+    actuators: NDArray[np.intp]
+    """Indices of their actuators, shape (5,)."""
+    gains: Array
+    """Gains of position, integral and rate, shape (5, 3)."""
+    integral_limit_rads: Array
+    """Limit of the integral of the error, shape (5,)."""
+    full_voltage: Array
+    """Current that the bus drives through the winding at rest, over the current limit, shape (5,)."""
+
+
+def read_servos(model: mujoco.MjModel, actuators: NDArray[np.intp]) -> Servos:
+    """Read the motor controllers of a model in which nothing is disturbed."""
+    gain = model.actuator_gainprm[actuators]
+    limit_A = model.actuator_forcerange[actuators, 1] / gain[:, MOTOR_CONSTANT]
+    return Servos(
+        actuators,
+        gain[:, GAINS].copy(),
+        model.actuator_dynprm[actuators, INTEGRAL_LIMIT],
+        BUS_V / gain[:, RESISTANCE] / limit_A,
+    )
+
+
+def change_gains(model: mujoco.MjModel, servos: Servos, change: Array) -> None:
+    """Change the gains in proportion to the bus voltage.
+
+    A controller sets the duty cycle of its bridge. The limit of its integral is a current. So the limit of
+    the integrated error rises as the gains fall, until the duty cycle is 1: then the bus sets the limit.
+
+    Args:
+        model: Model to change.
+        servos: Its motor controllers as built.
+        change: Change of their gains relative to the built ones, shape (5,).
+    """
+    share = np.maximum(1.0 + change, LEAST_GAIN_SHARE)
+    model.actuator_gainprm[servos.actuators, GAINS] = servos.gains * share[:, None]
+    rise = np.minimum(1.0 / share, servos.full_voltage)
+    model.actuator_dynprm[servos.actuators, INTEGRAL_LIMIT] = servos.integral_limit_rads * rise
