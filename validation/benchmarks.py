@@ -24,11 +24,9 @@ from marsarm.runs.request import RunRequest
 from marsarm.runs.scenario import run_scenario
 from validation import kinematics
 from validation.campaigns import Context, Document
-from validation.closed_loop import closed_loop
 from validation.kinematics_trials import Trial, arm_of, claimed_roots
-from validation.log_reading import log_reading
 from validation.oracle import KINDS, Eaik, distinct_poses, interface_poses, random_targets
-from validation.recording import recording
+from validation.speed import closed_loop, log_reading, recording
 
 CAMPAIGN_TARGETS: Final = 20_000
 """Number of targets, and of vectors; the campaign of the kinematics runs ten million of each."""

@@ -16,7 +16,7 @@ from math import degrees, isclose
 from pathlib import Path
 from typing import Any, Final
 
-from simgap.common.git import git_revision
+from simgap.common.origin import git_revision
 from validation.campaigns import Context, Document
 
 ROOT: Final = Path(__file__).parents[1]

@@ -27,18 +27,18 @@ import mujoco
 import mujoco.rollout
 import numpy as np
 
+from marsarm.render.svg import save_figure
 from simgap.arrays import Array
 from simgap.assemble import simulate_models
-from simgap.audit.audit import audit
-from simgap.audit.records import Audit
 from simgap.catalogue.catalogue import base_effects, catalogue
-from simgap.common.figures import save_figure
-from simgap.diagnose import diagnose
+from simgap.checks.audit import audit
+from simgap.checks.records import Audit
+from simgap.diagnosis import diagnose
 from simgap.effects.actuation import GainError
 from simgap.effects.effect import Effect, joint_scales
 from simgap.effects.forces import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature
-from simgap.load import load
+from simgap.loading import load
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot
@@ -50,7 +50,7 @@ from simgap.simulation.simulation import Engine
 from simgap.simulation.windows import cut_windows
 from validation.campaigns import Context, Document, keep_results
 from validation.cases.robot_draw import Kind, draw_case
-from validation.cases.robot_motions import PERIOD_S, SAMPLES
+from validation.cases.robot_setup import PERIOD_S, SAMPLES
 
 MODELS: Final = {"pendulum": "pendulum", "two_joint": "arm with two joints"}
 KINDS: Final[tuple[Kind, ...]] = ("none", "single", "pair")

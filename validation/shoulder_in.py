@@ -19,13 +19,13 @@ from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.statics import settle, settle_output
 from marsarm.calibration.campaign import PAPER_GROUPS, SHOULDER_IN_SHARE
+from marsarm.render.svg import save_figure
 from sim.arms import BuiltArm, arm_named
 from sim.effects.structure import StandInTurret
 from sim.initialisation import initial_reference
 from sim.pose_sequence import RestState, pose_in_workspace, visit_poses
 from sim.world import World
 from simgap.common.errors import BadOutput, BadRequest
-from simgap.common.figures import save_figure
 from validation.campaigns import Context, Document
 
 POSES: Final = PAPER_GROUPS[0].count

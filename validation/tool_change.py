@@ -1,46 +1,47 @@
 """Campaign of tool changes: distance of the second tool from the spot of the first, against absolute moves.
 
-Calibrated arms are 50 K warmer or colder than their sensor tells, and all their springs are a fifth
-softer or stiffer. The APXS is placed, and the tool changed to MAHLI. On the same arm and target, MAHLI is
-also placed by coordinates alone. As-built arms are flown with the nominal parameters.
+Calibrated arms are 50 K warmer or colder than their sensor tells, and all their springs are a fifth softer or
+stiffer. The APXS is placed, and the tool changed to MAHLI. On the same arm and target, MAHLI is also placed
+by coordinates alone. As-built arms are flown with the nominal parameters.
 
 Every target counts at which flight software accepts to place the APXS. A refused change is compared with an
-independent search for a clear way (validation/clear_way.py).
-
-Contacts are judged on calibrated arms: from 0.5 s after the last change of set-point, no contact is lost and
-no switch changes. The force stays within 20 % of its mean over the last second; from 2 s on, or once the
-brakes hold, within 5 %.
+independent search for a clear way by other code than that of flight software, in MuJoCo's geometry: the rock
+is an infinite plane at the true face. The arm retracts straight, turns with even joint rates to the standoff
+of the second tool, and goes straight on to the face.
 """
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import chain
-from typing import Literal
+from typing import Any, Final, Literal
 
+import mujoco
 import numpy as np
 
-from fsw.config import CYCLE_HZ
+from fsw.config import Config
 from fsw.dictionary.commands import AUTO, Command, Retract, ToolChange
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
 from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
+from fsw.kinematics.closed_form import BRANCHES
+from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from fsw.motion.plan import Compensation
 from fsw.motion.plan_tool import start_line
 from sim.arms import SPRING_FRAMES, BuiltArm, arm_named
-from sim.clearance import tool_forces
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError, Warming
 from sim.effects.joints import GearStiffness
 from sim.effects.structure import LinkStiffness
-from sim.initialisation import initial_reference, true_reference
+from sim.frames import FLIP
+from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import place_command, random_placement
+from sim.plant import Plant
 from sim.sequence import run_sequence
-from sim.world import World
+from sim.world import World, build, lower_ground
 from validation.campaigns import Context, Document
-from validation.clear_way import find_clear_way, reaches
 
 WARMING_K = 50.0
 STIFFNESS = 1.2
@@ -224,99 +225,137 @@ def _is_in_bounds(tried: list[ToolChangeErrors | NotChanged]) -> bool:
     return near and few_fail and few_refused and all(one.clear_way is None for one in refused)
 
 
-SOON_S, LATER_S, HELD_S = 0.5, 2.0, 4.0
-SOON, LATER = 0.20, 0.05
-"""Largest deviations of the force from its mean, as a share of it."""
-MOST_DRAWS = 25
-"""Largest number of targets that are tried on an arm."""
+RETRACTIONS_M: Final = np.arange(0.10, 0.501, 0.05)
+SPACING_RAD: Final = 0.02
+LINE_POSES: Final = 6
+UNCHECKED: Final = {"link2", "link3"}
+"""Bodies that may be below the plane: rock is not endless."""
 
 
-@dataclass(frozen=True, slots=True)
-class ContactRest:
-    """Contact of a tool, from the touch until 4 s after the command."""
-
-    arm: str
-    tool: str
-    mean_N: float
-    """Mean force over the last second."""
-    force_error_0_5_s: float
-    """Largest deviation of the force from its mean from 0.5 s on, as a share of it."""
-    force_error_2_s: float
-    """Likewise from 2 s on or once the brakes hold."""
-    lost: int
-    """Cycles without contact."""
-    switched: int
-    """Changes of a switch of the tool."""
-
-    @property
-    def in_bounds(self) -> bool:
-        """True if the contact is at rest within the bounds."""
-        return (
-            self.force_error_0_5_s < SOON and self.force_error_2_s < LATER and self.lost == self.switched == 0
-        )
+def reaches(config: Config, tool: str, p_R_m: Array, approach_R: Array, gravity: Array) -> bool:
+    """Return whether any branch reaches the face with a tool, and 0.1 m in front of it."""
+    return bool(_valid_poses(config, tool, p_R_m, approach_R, gravity, 0.1))
 
 
-def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: str, arm: str = "") -> ContactRest | str:
-    """Measure the contact of a tool that touches at the end of these commands.
+def find_clear_way(
+    arm: BuiltArm,
+    world: World,
+    config: Config,
+    tools: tuple[str, str],
+    start_rad: Array,
+    p_R_m: Array,
+    approach_R: Array,
+) -> str | None:
+    """Find a branch and a retraction that are clear by flight software's padding.
 
-    The loop runs until 4 s after the last command.
+    Args:
+        arm: Arm with its flight parameters.
+        world: World with the face.
+        config: Configuration of flight software.
+        tools: Touching tool, and the tool that is to touch next.
+        start_rad: Outputs in contact, (5,).
+        p_R_m: Point of contact in RMECH, (3,).
+        approach_R: Unit approach, (3,).
 
     Returns:
-        The measured contact, or the warning that ended the commands early.
+        The branch and the retraction in words, or None.
     """
-    evrs: list[Evr] = []
-    force_N, closed, setpoint_count, braked = [], [], [], []
-    commanded = run_sequence(loop, commands)
-    for record in chain(commanded, (loop.cycle() for _ in range(round(HELD_S * CYCLE_HZ)))):
-        evrs += record.outputs.evrs
-        force_N.append(float(np.linalg.norm(tool_forces(loop.plant)[loop.plant.tools.index(tool)])))
-        closed.append(record.sensors.switch_closed[list(loop.config.protection.tool_switches[tool])])
-        setpoint_count.append(record.outputs.drive.setpoint_count)
-        braked.append(loop.braked)
-    problem = not_completed(commands[-1], evrs)
-    if problem is not None:
-        return problem
-    last = int(np.flatnonzero(np.diff(np.array(setpoint_count), axis=0).any(axis=1))[-1]) + 1
-    soon = last + round(SOON_S * CYCLE_HZ)
-    later = min(last + round(LATER_S * CYCLE_HZ), max(soon, braked.index(True, last)))
-    force, mean_N = np.array(force_N), float(np.mean(force_N[-CYCLE_HZ:]))
-    deviation = np.abs(force - mean_N) / mean_N
-    changes = np.diff(np.array(closed[soon:]).astype(int), axis=0)
-    return ContactRest(
-        arm,
-        tool,
-        mean_N,
-        force_error_0_5_s=float(deviation[soon:].max()),
-        force_error_2_s=float(deviation[later:].max()),
-        lost=int(np.sum(force[soon:] == 0.0)),
-        switched=int(np.abs(changes).sum()),
+    plant, gravity = _plant_with_plane(arm, world, config.params.collision.padding_m), world.gravity_N_m_s2
+    first, second = tools
+    for retraction_m in RETRACTIONS_M:
+        back = _follow(config, first, p_R_m, approach_R, gravity, retraction_m, start_rad)
+        if back is None or not _is_clear(plant, config, gravity, back, first):
+            continue
+        for branch, pose in _valid_poses(config, second, p_R_m, approach_R, gravity, retraction_m):
+            turn = _between(back[:, -1], pose)
+            onward = _follow(config, second, p_R_m, approach_R, gravity, retraction_m, pose, onward=True)
+            if onward is None or not _is_clear(plant, config, gravity, turn, None):
+                continue
+            if _is_clear(plant, config, gravity, onward, second):
+                return f"{branch} after {1e3 * retraction_m:.0f} mm"
+    return None
+
+
+def _plant_with_plane(arm: BuiltArm, world: World, padding_m: float) -> Plant:
+    """Build a plant whose rock is an infinite plane, and whose contacts begin at the padding."""
+    face = world.surface
+    assert face is not None
+    spec = build(replace(world, surface=None), arm.model)
+    lower_ground(spec, -world.ground_N_m)
+    z, quat = FLIP * np.array(face.normal_N), np.zeros(4)
+    mujoco.mju_quatZ2Vec(quat, z / np.linalg.norm(z))
+    spec.worldbody.add_geom(
+        name="rock_face",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=(0, 0, 1),
+        pos=FLIP * np.array(face.p_N_m),
+        quat=quat,
+        contype=2,
+        conaffinity=1,
     )
+    for geom in spec.geoms:
+        geom.margin = 0.5 * padding_m
+    return Plant(spec.compile())
 
 
-def contacts_of(seed: int) -> list[ContactRest]:
-    """Measure a placement and a tool change of one arm, at the first target where both succeed."""
-    name = f"calibrated:{seed}"
-    arm = arm_named(name)
-    for draw in range(1, MOST_DRAWS + 1):
-        world, preview = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
-        loop = ClosedLoop(Setup(arm, world, joints5(preview.standoff_rad), draw, true_reference(arm)))
-        first = rest_after(loop, (place_command(preview.placement),), FIRST, name)
-        second = (
-            rest_after(loop, (ToolChange(SECOND),), SECOND, name) if isinstance(first, ContactRest) else first
-        )
-        if isinstance(first, ContactRest) and isinstance(second, ContactRest):
-            return [first, second]
-    raise RuntimeError(f"{name}: no tool change was carried out at {MOST_DRAWS} targets")
+def _valid_poses(
+    config: Config, tool: str, p_R_m: Array, approach_R: Array, gravity: Array, distance_m: float
+) -> list[tuple[str, Array]]:
+    """Return branches and outputs at a distance from the face from which the face is reached too."""
+    distances = np.array([distance_m, 0.0])
+    p = p_R_m[:, None] - approach_R[:, None] * distances
+    found = inverse_kinematics(config.arm, tool, p, np.tile(approach_R[:, None], 2), gravity)
+    valid = np.all(found.verdict == BranchVerdict.VALID, axis=-1)
+    return [(BRANCHES[k % len(BRANCHES)], found.output_rad[:, k, 0]) for k in np.flatnonzero(valid)]
 
 
-def contacts(context: Context, arms: int = 20) -> Document:
-    """Measure contacts on this many calibrated arms; in bounds if every contact is at rest."""
-    measured = context.each(contacts_of, ((context.seed + arm,) for arm in range(arms)), "arms")
-    found = [rest for rests in measured for rest in rests]
-    return {
-        "contacts": len(found),
-        "max_force_error_0_5_s": max(rest.force_error_0_5_s for rest in found),
-        "max_force_error_2_s": max(rest.force_error_2_s for rest in found),
-        "not_at_rest": [asdict(rest) for rest in found if not rest.in_bounds],
-        "in_bounds": all(rest.in_bounds for rest in found),
-    }
+def _follow(
+    config: Config,
+    tool: str,
+    p_R_m: Array,
+    approach_R: Array,
+    gravity: Array,
+    distance_m: float,
+    near_rad: Array,
+    onward: bool = False,
+) -> Array | None:
+    """Return outputs (5, n) on the line away from the face, or onward to it, from a pose; None if it ends."""
+    distances = np.linspace(0.0, distance_m, LINE_POSES)
+    poses = [near_rad]
+    for away in distances[::-1] if onward else distances:
+        found = inverse_kinematics(config.arm, tool, p_R_m - away * approach_R, approach_R, gravity)
+        valid = found.verdict == BranchVerdict.VALID
+        if not valid.any():
+            return None
+        far = np.abs(found.output_rad - poses[-1][:, None]).max(axis=0)
+        nearest = int(np.where(valid, far, np.inf).argmin())
+        if far[nearest] > 0.6:
+            return None
+        poses.append(found.output_rad[:, nearest])
+    return np.array(poses[1:]).T
+
+
+def _between(start: Array, end: Array) -> Array:
+    count = int(np.abs(end - start).max() / SPACING_RAD) + 2
+    return start[:, None] + np.linspace(0.0, 1.0, count) * (end - start)[:, None]
+
+
+def _is_clear(plant: Plant, config: Config, gravity: Array, outputs: Array, touching: str | None) -> bool:
+    """Return whether no geoms but those of the touching tool are closer than the padding at these poses."""
+    at_rest = settle_output(config.arm, outputs, gravity)
+    for output, strain in zip(outputs.T, np.moveaxis(at_rest.strain, -1, 0), strict=True):
+        plant.show(output, strain)
+        mujoco.mj_collision(plant.model, plant.data)
+        if any(_matters(plant, contact, touching) for contact in plant.data.contact):
+            return False
+    return True
+
+
+def _matters(plant: Plant, contact: Any, touching: str | None) -> bool:
+    """Return whether a close pair of geoms counts; upper arm and forearm may be near the endless plane."""
+    model = plant.model
+    bodies = {model.body(model.geom_bodyid[geom]).name for geom in contact.geom}
+    if touching is not None and touching.lower() in bodies:
+        return False
+    with_face = "rock_face" in {model.geom(geom).name for geom in contact.geom}
+    return not (with_face and bodies & UNCHECKED)

@@ -8,8 +8,8 @@ import pytest
 from simgap.common.errors import BadRequest
 from validation import campaigns
 from validation.__main__ import main
-from validation.brief import BriefResult
 from validation.campaigns import TABLE, Campaign, Context, find_campaign, keep_results, read_sizes
+from validation.programs import BriefResult
 
 WITHOUT_A_BRIEF_FORM = {
     *("benchmarks", "brief", "cluster", "examples", "mutants", "robot-baselines", "robot-engine", "so101"),

@@ -14,7 +14,7 @@ from marsarm.common.pool import run_here
 from marsarm.common.rates import check_rate
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
-from simgap.load import load
+from simgap.loading import load
 from simgap.logs import JointLog, Logs, Motion, Signal
 from validation.cases import robot as robot_cases
 from validation.cases.robot import (
@@ -25,8 +25,8 @@ from validation.cases.robot import (
     write_robot,
 )
 from validation.cases.robot_draw import DrawnEffect, Truth, draw_case
-from validation.cases.robot_motions import HELD_OUT, PLAN, load_robot, sample_times
 from validation.cases.robot_score import SealedCase, score_cases
+from validation.cases.robot_setup import HELD_OUT, PLAN, load_robot, sample_times
 from validation.cases.sealed import (
     SealedTruth,
     case_path,

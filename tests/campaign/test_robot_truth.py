@@ -7,14 +7,16 @@ from simgap.arrays import Array
 from validation.cases import robot_inside as inside
 from validation.cases import robot_structure as structure
 from validation.cases.robot_draw import measure
-from validation.cases.robot_limits import (
+from validation.cases.robot_setup import (
     NOISE_RAD,
+    PERIOD_S,
     QUANTUM_RAD,
+    draw_plan,
     limit_noncentrality,
+    load_robot,
     noise_with_quantisation,
     whiten,
 )
-from validation.cases.robot_motions import PERIOD_S, draw_plan, load_robot
 from validation.cases.robot_table import ENTRIES, OUTSIDE, list_hypotheses
 from validation.cases.robot_truth import Nuisances, Plant, Scene, no_nuisances
 

@@ -54,8 +54,8 @@ from validation.cases.arm_features import (
 from validation.cases.arm_score import NAMED_LEVELS, make_tables, score
 from validation.cases.arm_truth import (
     PlannedCase,
+    SealedEffect,
     TrueCase,
-    TrueEffect,
     check_leakage,
     find_contradictions,
     list_uncatalogued,
@@ -243,7 +243,7 @@ def _true_case(number: int, plan: PlannedCase, seed: int) -> TrueCase:
     return TrueCase(sealed.case_name(number), plan.kind, effects, specs, int(rng.integers(10**9, 2**31)))
 
 
-def _true_effect(one: SampledEffect, outside: bool) -> TrueEffect:
+def _true_effect(one: SampledEffect, outside: bool) -> SealedEffect:
     hypothesis = one.source.hypothesis
     name = hypothesis.effect, hypothesis.place
     if outside:
@@ -251,7 +251,7 @@ def _true_effect(one: SampledEffect, outside: bool) -> TrueEffect:
     else:
         spec = effect_text(catalogue_effect(hypothesis, one.values))
     values = {p.name: float(v) for p, v in zip(hypothesis.parameters, one.values, strict=True)}
-    return TrueEffect(*name, values, one.times_limit, spec)
+    return SealedEffect(*name, values, one.times_limit, spec)
 
 
 def check_result(case: TrueCase, result: Document) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from marsarm.common.rates import Median, Rate, median_with_interval, rate_of
 from validation.cases.arm_features import EquivalenceClasses
-from validation.cases.arm_truth import TrueCase, TrueEffect, load_outside_effects, locate_outside
+from validation.cases.arm_truth import SealedEffect, TrueCase, load_outside_effects, locate_outside
 from validation.cases.sealed import Table
 
 SIZE_BINS: Final = ((0.5, 1.0), (1.0, 1.5), (1.5, 2.0), (2.0, 4.0))
@@ -100,7 +100,7 @@ class Score:
 class _Assigned:
     """A true effect, its size in limits of the selection, and the finding that stands for it, if any."""
 
-    effect: TrueEffect
+    effect: SealedEffect
     times_family_wise: float
     finding: FindingDocument | None
 
@@ -156,7 +156,7 @@ def _assign(classes: EquivalenceClasses, true: TrueCase, result: ResultDocument)
     """Assign a finding to each true effect: one that names its class, else its place, else any other."""
     free = list(result["effects"])
     assigned: dict[int, FindingDocument] = {}
-    rules: tuple[Callable[[TrueEffect, FindingDocument], bool], ...] = (
+    rules: tuple[Callable[[SealedEffect, FindingDocument], bool], ...] = (
         lambda effect, one: _class(classes, effect) in _classes(classes, one),
         lambda effect, one: bool(classes.locations(effect.name, effect.place) & set(one["places"])),
         lambda effect, one: True,
@@ -178,8 +178,8 @@ def _assign(classes: EquivalenceClasses, true: TrueCase, result: ResultDocument)
 
 def _first(
     free: Sequence[FindingDocument],
-    rule: Callable[[TrueEffect, FindingDocument], bool],
-    effect: TrueEffect,
+    rule: Callable[[SealedEffect, FindingDocument], bool],
+    effect: SealedEffect,
 ) -> FindingDocument | None:
     return next((one for one in free if rule(effect, one)), None)
 
@@ -201,7 +201,7 @@ def _detection_rates(classes: EquivalenceClasses, each: Sequence[_Assigned]) -> 
     )
 
 
-def _is_covered(classes: EquivalenceClasses, one: TrueEffect, found: FindingDocument) -> bool:
+def _is_covered(classes: EquivalenceClasses, one: SealedEffect, found: FindingDocument) -> bool:
     """Check that the set at the level of a finding holds the truth."""
     if found["level"] in NAMED_LEVELS:
         return _class(classes, one) in {classes.of(e["name"], e["place"]) for e in found["effects"]}
@@ -227,13 +227,13 @@ def _outside_rates(cases: Sequence[SolvedCase]) -> OutsideRates:
     )
 
 
-def _says_wrong_place(true: TrueEffect, result: ResultDocument) -> bool:
+def _says_wrong_place(true: SealedEffect, result: ResultDocument) -> bool:
     """Check that a finding has places, and not that of the effect."""
     location = locate_outside(true.name, true.place)
     return any(one["places"] and location not in one["places"] for one in result["effects"])
 
 
-def _says_wrong_family(true: TrueEffect, result: ResultDocument) -> bool:
+def _says_wrong_family(true: SealedEffect, result: ResultDocument) -> bool:
     """Check that a finding has families, and none that counts as right."""
     right = load_outside_effects()[true.name].families
     return any(one["families"] and not right & set(one["families"]) for one in result["effects"])
@@ -280,7 +280,7 @@ def _share(result: ResultDocument) -> float | None:
     return None if closure is None else closure["share"]
 
 
-def _class(classes: EquivalenceClasses, one: TrueEffect) -> int | None:
+def _class(classes: EquivalenceClasses, one: SealedEffect) -> int | None:
     return classes.of(one.name, one.place)
 
 

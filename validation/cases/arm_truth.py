@@ -60,7 +60,7 @@ LINK_FRAME: Final = {f"link{k}": f"arm{k + 1}" for k in range(1, 5)}
 
 
 @dataclass(frozen=True, slots=True)
-class TrueEffect:
+class SealedEffect:
     """Effect that is switched on in a blind case."""
 
     name: str
@@ -79,7 +79,7 @@ class TrueCase:
 
     name: str
     kind: CaseKind
-    effects: tuple[TrueEffect, ...]
+    effects: tuple[SealedEffect, ...]
     background: tuple[str, ...]
     seed: int
 

@@ -16,17 +16,16 @@ from marsarm.common.pool import Runner
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.progress import Progress
 from simgap.common.report import to_json
-from simgap.diagnose import diagnose
-from simgap.load import load
+from simgap.diagnosis import diagnose
+from simgap.loading import load
 from simgap.logs import Logs
 from simgap.result import Diagnosis
 from simgap.robot import Robot
 from validation.campaigns import Context, Document
 from validation.cases import sealed
 from validation.cases.robot_draw import Kind, draw_truth, make_campaign, record_logs
-from validation.cases.robot_equivalents import find_equivalents
-from validation.cases.robot_motions import ARMS, HELD_OUT, PLAN, load_robot
-from validation.cases.robot_score import SealedCase, score_cases
+from validation.cases.robot_score import SealedCase, find_equivalents, score_cases
+from validation.cases.robot_setup import ARMS, HELD_OUT, PLAN, load_robot
 from validation.cases.sealed import CaseScore, SealedTruth
 
 ROBOTS_FOLDER: Final = "robots"

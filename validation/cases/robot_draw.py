@@ -13,29 +13,27 @@ import numpy as np
 from simgap.arrays import Array
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.robot import Robot
-from validation.cases.robot_limits import (
-    CORRELATION,
-    NOISE_RAD,
-    QUANTUM_RAD,
-    Nuisance,
-    information,
-    limit_noncentrality,
-    make_nuisance,
-    whiten,
-)
-from validation.cases.robot_motions import (
+from validation.cases.robot_outside import Outside
+from validation.cases.robot_setup import (
     ARMS,
+    CORRELATION,
     HELD_OUT,
+    NOISE_RAD,
     PERIOD_S,
+    QUANTUM_RAD,
     REPEATED,
+    Nuisance,
     Plan,
     draw_plan,
+    information,
+    limit_noncentrality,
     load_robot,
     lowest_m,
+    make_nuisance,
     sample_times,
+    whiten,
 )
-from validation.cases.robot_outside import Outside
-from validation.cases.robot_table import ENTRIES, OUTSIDE, Entry, Hypothesis, list_hypotheses
+from validation.cases.robot_table import ENTRIES, OUTSIDE, Entry, PlacedEntry, list_hypotheses
 from validation.cases.robot_truth import Nuisances, Plant, Scene, TrueEffect
 
 Kind = Literal["none", "single", "pair", "outside"]
@@ -91,7 +89,7 @@ class NoSize(ValueError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Campaign:
+class CaseMotions:
     """Motions of a case, and what their changes are compared with."""
 
     robot: Robot
@@ -137,7 +135,7 @@ def draw_truth(seed: int, kind: Kind, model: str) -> Truth:
 
 
 @lru_cache(maxsize=4)
-def make_campaign(seed: int, model: str) -> Campaign:
+def make_campaign(seed: int, model: str) -> CaseMotions:
     """Draw motions and nuisances of a case, and simulate what its effects are compared with."""
     robot = load_robot(model)
     rng = np.random.default_rng([seed, 1, sorted(ARMS).index(model)])
@@ -162,7 +160,7 @@ def make_campaign(seed: int, model: str) -> Campaign:
     count = len(list_hypotheses(robot, ENTRIES))
     stacked = np.array(columns).T if columns else np.zeros((whiten_later(base).size, 0))
     limit = limit_noncentrality(len(fitted), count)
-    return Campaign(robot, plan, fitted, nuisances, base, make_nuisance(stacked), limit)
+    return CaseMotions(robot, plan, fitted, nuisances, base, make_nuisance(stacked), limit)
 
 
 def whiten_later(change_rad: Array) -> Array:
@@ -181,7 +179,7 @@ def temperature_degC(motion: int) -> tuple[float, float]:
     return first, last
 
 
-def change_of(campaign: Campaign, effect: TrueEffect, motions: Sequence[int] | None = None) -> Array:
+def change_of(campaign: CaseMotions, effect: TrueEffect, motions: Sequence[int] | None = None) -> Array:
     """Return the whitened change of the fitted motions, or of some, given by their places, (n,)."""
     chosen = range(len(campaign.fitted)) if motions is None else motions
     plant = Plant(campaign.robot, campaign.nuisances, (effect,), LIMIT_STEP_S)
@@ -189,7 +187,7 @@ def change_of(campaign: Campaign, effect: TrueEffect, motions: Sequence[int] | N
     return whiten_later(moved - campaign.base[list(chosen)])
 
 
-def strength(campaign: Campaign, effect: TrueEffect) -> float:
+def strength(campaign: CaseMotions, effect: TrueEffect) -> float:
     """Return the strength of an effect, without what the nuisances imitate; see `limits`.
 
     A large imitation is no straight line, so the nuisances are simulated where the linear one leads.
@@ -206,7 +204,7 @@ def strength(campaign: Campaign, effect: TrueEffect) -> float:
     return float(np.sqrt(max(min(information(one, one, campaign.nuisance) for one in left), 0.0)))
 
 
-def _draw_effect(campaign: Campaign, entries: tuple[Entry, ...], rng: np.random.Generator) -> DrawnEffect:
+def _draw_effect(campaign: CaseMotions, entries: tuple[Entry, ...], rng: np.random.Generator) -> DrawnEffect:
     """Draw an effect, then one of its places, then a strength; NoSize if its bounds do not allow it."""
     everything = list_hypotheses(campaign.robot, entries)
     names = sorted({one.entry.kind.name for one in everything})
@@ -230,7 +228,7 @@ def make_effect(drawn: DrawnEffect, scene: Scene) -> TrueEffect:
 
 
 def find_size(
-    campaign: Campaign, one: Hypothesis, sign: float, shape: float, times: float
+    campaign: CaseMotions, one: PlacedEntry, sign: float, shape: float, times: float
 ) -> tuple[TrueEffect, float]:
     """Search the size of an effect with a strength.
 

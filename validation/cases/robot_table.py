@@ -92,7 +92,7 @@ BASE: Final = "base"
 
 
 @dataclass(frozen=True, slots=True)
-class Hypothesis:
+class PlacedEntry:
     """Effect at a place."""
 
     entry: Entry
@@ -106,10 +106,10 @@ class Hypothesis:
         return f"{self.place}: {self.entry.kind.name}"
 
 
-def list_hypotheses(robot: Robot, entries: tuple[Entry, ...]) -> tuple[Hypothesis, ...]:
+def list_hypotheses(robot: Robot, entries: tuple[Entry, ...]) -> tuple[PlacedEntry, ...]:
     """List the effects of a table at all their places."""
     return tuple(
-        Hypothesis(entry, place, scale) for entry in entries for place, scale in _places(robot, entry)
+        PlacedEntry(entry, place, scale) for entry in entries for place, scale in _places(robot, entry)
     )
 
 

@@ -20,7 +20,7 @@ from validation.cases.arm_features import (
     classes_json,
     read_case_features,
 )
-from validation.cases.arm_truth import TrueCase, TrueEffect, plan_cases
+from validation.cases.arm_truth import SealedEffect, TrueCase, plan_cases
 from validation.cases.sealed import CASES_FOLDER, SealedTruth, case_name, seal, write_json
 
 CASES_MADE = 10
@@ -58,7 +58,7 @@ def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
         for one in case.effects:
             hypothesis = one.source.hypothesis
             values = {p.name: float(v) for p, v in zip(hypothesis.parameters, one.values, strict=True)}
-            effects.append(TrueEffect(hypothesis.effect, hypothesis.place, values, one.times_limit, ""))
+            effects.append(SealedEffect(hypothesis.effect, hypothesis.place, values, one.times_limit, ""))
             if case.kind != "out-of-catalogue":
                 t[made.owner == made.hypotheses.index(hypothesis)] = [
                     v / p.typical for v, p in zip(one.values, hypothesis.parameters, strict=True)

@@ -10,7 +10,7 @@ from marsarm.diagnosis.problem import Hypothesis, Parameter
 from marsarm.diagnosis.sampling import BOUND_SHARE, LIMIT_MULTIPLES, DetectableEffect, can_sample
 from simgap.common.errors import BadRequest
 from validation.cases.arm import ArmCases
-from validation.cases.arm_truth import TrueCase, TrueEffect, plan_cases
+from validation.cases.arm_truth import SealedEffect, TrueCase, plan_cases
 from validation.cases.sealed import (
     DIGEST,
     SEALED_FOLDER,
@@ -111,7 +111,7 @@ def test_the_same_seed_plans_the_same() -> None:
     assert planned(3) != planned(4)
 
 
-EFFECT = TrueEffect("e", "p", {"size": 1.25}, 2.0, "e:p:size=1.25")
+EFFECT = SealedEffect("e", "p", {"size": 1.25}, 2.0, "e:p:size=1.25")
 SEALED = SealedTruth(
     "00ff", (TrueCase("case-000", "single", (EFFECT,), ("b:p",), 5), TrueCase("case-001", "none", (), (), 6))
 )
