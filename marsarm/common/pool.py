@@ -8,7 +8,8 @@ import os
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import resource_tracker
@@ -141,9 +142,10 @@ def _run_in_processes(
     left = dict(enumerate(jobs))
     for deaths in range(1, MOST_DEATHS + 1):
         try:
-            for number, outcome in _start_processes(workers, work, list(left.items())):
-                del left[number]
-                yield outcome.unwrap()
+            with closing(_start_processes(workers, work, list(left.items()))) as outcomes:
+                for number, outcome in outcomes:
+                    del left[number]
+                    yield outcome.unwrap()
             return
         except TerminatedWorkerError:
             if deaths < MOST_DEATHS:
@@ -153,7 +155,7 @@ def _run_in_processes(
 
 def _start_processes(
     workers: int, work: Callable[[Any], Any], jobs: Sequence[tuple[int, Any]]
-) -> Iterator[tuple[int, Outcome]]:
+) -> Generator[tuple[int, Outcome], None, None]:
     from joblib import Parallel, cpu_count, delayed, parallel_config
 
     numbered = _NumberedCall(partial(attempt, work))
@@ -168,7 +170,8 @@ def _start_processes(
         parallel = Parallel(workers, return_as="generator_unordered", max_nbytes=None)
         found = parallel(delayed(numbered)((number, (job,))) for number, job in jobs)
     try:
-        yield from found
+        for one in found:  # `yield from` would close it before the warning is silenced
+            yield one
     finally:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that a run ended early, which the caller knows

@@ -216,7 +216,7 @@ BOTH = {
     "robot.toml empty_arrays.npz": "has no rows; name a log with samples",
     "pipe.toml log.parquet": "is not a regular file",
     "pipe_model.toml log.parquet": "is no regular file",
-    "zero_byte.toml log.parquet": "cannot be read",
+    "zero_byte.toml log.parquet": "is no name of a file",
     "bytes_model.toml log.parquet": "is not UTF-8 text",
     # robot
     "other_model.toml log.parquet": "the model has no joint 'elbow'; it has shoulder, wrist",

@@ -90,7 +90,7 @@ def test_a_command_behind_the_table_is_refused_with_its_line(
     assert log.commands[-1].tick == make.N_CYCLES - 1
     with pytest.raises(BadRequest) as caught:
         import_into(tmp_path, as_parquet, mapping + last + last.replace(str(ends_s), "100"))
-    message = f"map.toml: command[2].at_s: is 100, the table ends at {ends_s}; it would never be given"
+    message = f"map.toml: command[4].at_s: is 100, the table ends at {ends_s}; it would never be given"
     assert message in str(caught.value)
 
 
