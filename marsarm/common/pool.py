@@ -170,7 +170,7 @@ def _start_processes(
         parallel = Parallel(workers, return_as="generator_unordered", max_nbytes=None)
         found = parallel(delayed(numbered)((number, (job,))) for number, job in jobs)
     try:
-        for one in found:  # `yield from` would close it before the warning is silenced
+        for one in found:  # noqa: UP028; `yield from` would close it before the warning is silenced
             yield one
     finally:
         with warnings.catch_warnings():
