@@ -84,7 +84,7 @@ def _start_conditions(log: Log, notes: list[str]) -> tuple[Params, Mode, Referen
     if lacking:
         raise BadJson(
             f"its header has no {', '.join(lacking)}, so its start conditions are unknown; "
-            f"record it with this marsarm, or import it with a [start]"
+            f"record it with this marsarm, or import it with a [reference]"
         )
     document = _header_document(log, "params")
     count = len(notes)

@@ -52,6 +52,8 @@ WORLD: Final = "world"
 """Key of the header: scene, tilt of the rover and surface as JSON, for viewers."""
 SESSION: Final = "session"
 """Key of the header: motion and conditions of a session as JSON, for the diagnosis."""
+IMPORT: Final = "import"
+"""Key of the request of a log that was made of a table: its files and their digests."""
 
 
 def run_header(
