@@ -20,8 +20,7 @@ from marsarm.calibration.residual_model import residual_model
 from marsarm.common.params_toml import params_toml
 from sim.arm_model.description import BuiltTolerances
 from sim.arms import own_name
-from simgap.common.files import atomic_write
-from simgap.serial_arm.fit import (
+from simgap import (
     Fit,
     FitParameter,
     HoldOutValidation,
@@ -31,6 +30,7 @@ from simgap.serial_arm.fit import (
     fit,
     validate_hold_out,
 )
+from simgap.common.files import atomic_write
 
 HOLD_OUT_STRIDE: Final = 5
 """Stride of held-out poses in each group: every fifth pose is left out of the fit that it validates.
@@ -79,13 +79,8 @@ def calibrate(
     `checks.check_fit` decides whether the result is acceptable.
 
     Args:
-        nominal: Nominal parameters of flight software.
-        campaign: Measured poses.
         with_backlash: True if the model uses the state of the backlash.
         built: Tolerances of manufacture; None for those of the default arm.
-
-    Returns:
-        The calibration.
 
     Raises:
         TooManyOutliers: No arm explains the poses.

@@ -13,6 +13,7 @@ regime is a second test. A last test takes all directions of all channels togeth
 """
 
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Final, Literal
 
 import numpy as np
@@ -24,13 +25,10 @@ from marsarm.diagnosis.normal_equations import (
     NormalEquations,
     fit_linear,
     form_normal_equations,
-    whitened_residual,
 )
 from marsarm.diagnosis.problem import INTERVAL_QUANTILES, EffectValues, FeatureLayout, Residuals
 from marsarm.diagnosis.selection import FeatureEffect, Selection
-from simgap.effects.effect import Family
-from simgap.selection.chance import chi_square_log_p
-from simgap.selection.verdict import ConfidenceSet, find_confidence_sets
+from simgap import ConfidenceSet, chi_square_log_p, find_confidence_sets
 
 MAX_MEMBERS: Final = 3
 """Most members of a set: more effects are told as their families, more families as their places."""
@@ -107,7 +105,7 @@ class Finding:
     """Hypotheses that this campaign cannot distinguish from the finding, itself included."""
     places: tuple[str, ...]
     """Set of places, the best first; empty if there are more than MAX_MEMBERS."""
-    families: tuple[Family, ...]
+    families: tuple[StrEnum, ...]
     """Set of families; empty if the level is "place" or "unlocated"."""
     effects: tuple[int, ...]
     """Set of effects, one hypothesis of each class; empty if the level is "family" or less."""
@@ -137,12 +135,6 @@ class Diagnosis:
 
 def diagnose(model: DiagnosisModel, residuals: Residuals, selection: Selection, seed: int) -> Diagnosis:
     """Diagnose one case whose effects are selected.
-
-    Args:
-        model: Diagnosis model of the campaign.
-        residuals: Residuals of the case.
-        selection: Selected effects.
-        seed: Seed of all random draws.
 
     Returns:
         Verdict, findings, and what remains unexplained.
@@ -176,9 +168,6 @@ def diagnose(model: DiagnosisModel, residuals: Residuals, selection: Selection, 
 
 def effect_values(diagnosis: Diagnosis) -> EffectValues:
     """Return the values of the findings in the form that a simulator takes.
-
-    Args:
-        diagnosis: Diagnosis with findings.
 
     Returns:
         Values of all p parameters of each effect in their units, shape (p,).
@@ -268,7 +257,6 @@ def map_residual(layout: FeatureLayout, residual: Array, seed: int) -> tuple[Res
     Args:
         layout: Description of the m features.
         residual: Residual in units of the noise floor, shape (m,).
-        seed: Seed of the bootstrap.
 
     Returns:
         Cells, largest ratio first.
@@ -303,14 +291,12 @@ def find_lack_of_fit(
     """Test every group, and all groups together, for structure.
 
     Args:
-        equations: Normal equations of the campaign.
-        fit: Linear fit of the case.
         y: Whitened features, shape (m,).
 
     Returns:
         Results, most significant first; the greater -log10 p of both tests counts.
     """
-    rest = whitened_residual(equations, fit, y)
+    rest = np.asarray(y - equations.A[:, fit.active] @ fit.theta)
     total, freedom, found = 0.0, 0, []
     for group in groups:
         statistic, d = _chi_square(group, fit, rest)

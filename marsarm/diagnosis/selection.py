@@ -12,6 +12,7 @@ all. The change by an effect is the parabola of the sensitivities.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -21,10 +22,8 @@ from marsarm.diagnosis.model import KINDS_OF_TEST, DiagnosisModel
 from marsarm.diagnosis.normal_equations import Whitener, build_full_whitener
 from marsarm.diagnosis.problem import Ints, Simulator
 from marsarm.diagnosis.sensitivity import Sensitivities, continue_parabola
-from simgap.effects.effect import Effect, Family, Size
-from simgap.residuals.residuals import ResidualModel
+from simgap import Effect, ResidualModel, Size, select_effects
 from simgap.selection.context import Selection as EngineSelection
-from simgap.selection.selection import select_effects
 
 MAX_SIMULATIONS: Final = 3
 """Greatest number of times that the selected effects are simulated at their estimates."""
@@ -76,10 +75,7 @@ def select_simulated(
     """Select effects, simulate those beyond the reach of their sensitivities, and select again.
 
     Args:
-        model: Diagnosis model of the campaign.
-        whiten: Its full whitener.
         value: Measured minus nominal features in the units of the channels, (m,).
-        seed: Seed of the engine.
         simulator: Simulator of the case; None to extrapolate.
 
     Returns:
@@ -139,11 +135,9 @@ def select(
     """Select the effects that a case needs.
 
     Args:
-        model: Diagnosis model of the campaign.
         sensitivities: Its sensitivities, also with parabolas through simulated changes.
         whiten: Whitener of the sensitivities by noise and nuisances.
         value: Measured minus nominal features in the units of the channels, (m,).
-        seed: Seed of the engine.
         excluded: Hypotheses that do not compete.
 
     Returns:
@@ -174,7 +168,7 @@ class FeatureEffect(Effect):
     index: int
     """Index of the hypothesis."""
     effect: str
-    kind: Family
+    kind: StrEnum
     departures: tuple[Size, ...]
 
     @property
@@ -183,7 +177,7 @@ class FeatureEffect(Effect):
         return self.effect
 
     @property
-    def family(self) -> Family:  # type: ignore[override]
+    def family(self) -> StrEnum:  # type: ignore[override]
         """Family of the effect."""
         return self.kind
 
@@ -200,7 +194,6 @@ def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) 
     makes longer cannot stand for one that was built too long.
 
     Args:
-        model: Diagnosis model of the campaign.
         excluded: Indices of hypotheses that do not compete.
 
     Returns:

@@ -23,8 +23,8 @@ from marsarm.ik.solve import (
     tally_table,
 )
 from marsarm.render.rover_scene import draw_outlines, project_outlines
+from marsarm.render.svg import save_figure
 from sim.frames import P_NR_M, approach_from, p_R_from_N, random_targets
-from simgap.common.figures import save_figure
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 from simgap.common.report import ReportTable, file_lines
@@ -55,11 +55,7 @@ class ReachSamples:
 def sample_workspace(
     model: IkModel, count: int, seed: int, run: Runner, progress: Progress
 ) -> tuple[ReachSamples, Tally]:
-    """Draw random targets of the workspace and solve their inverse kinematics.
-
-    Returns:
-        The targets, and counts over all of them.
-    """
+    """Draw random targets of the workspace and solve their inverse kinematics."""
     p_N_m, angles = random_targets(np.random.default_rng(seed), count, model.workspace)
     targets = IkTargets(p_R_from_N(p_N_m.T).T, approach_from(angles))
     valid, counted = [], Tally()

@@ -45,7 +45,7 @@ from sim.effects.gears import OutputFriction
 from sim.loop import SimulationOptions
 from sim.params import nominal_params
 from sim.plant import SCREW_AXES
-from simgap.serial_arm.chain import screw_log
+from simgap import screw_log
 
 READING_FIELDS: Final = frozenset({"resolver_bias_rad", "resolver_errors", "sensor_errors"})
 """Fields of the hardware that influence only readings."""
@@ -114,9 +114,6 @@ def _more_friction(torque_Nm: Array) -> tuple[Effect, ...]:
 def measure_features(feature_set: FeatureSet) -> Array:
     """Compute the measured features.
 
-    Args:
-        feature_set: Features of all recordings.
-
     Returns:
         Features in the units of their channels, shape (m,).
     """
@@ -145,12 +142,6 @@ def simulate_features(
     wanted: Callable[[MotionFeatures], bool] = every_motion,
 ) -> Array:
     """Compute the features that the simulator predicts.
-
-    Args:
-        feature_set: Features of all recordings.
-        effects: Effects that are switched on.
-        options: Simulation options of the motions.
-        wanted: Predicate of the motions to simulate.
 
     Returns:
         Features in the units of their channels, shape (m,); NaN for motions that are not wanted.

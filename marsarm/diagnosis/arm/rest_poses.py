@@ -31,7 +31,7 @@ from sim.plant import Plant
 from sim.record import NO_DISTURBANCE, Disturbance
 from sim.tracker import turret_pose
 from sim.world import World, build
-from simgap.serial_arm.chain import screw_log
+from simgap import screw_log
 
 MEAN_TICKS = CYCLE_HZ // 4
 """Number of ticks at the end of a rest over which resolvers are averaged."""
@@ -250,8 +250,6 @@ def simulate_open_loop(
     """Simulate an arm with these effects under the recorded drive.
 
     Args:
-        recording: Recorded session.
-        effects: Effects that are switched on.
         pose_ticks: Numbers of cycles after which the turret pose is taken.
         ticks: Number of ticks from the start that are simulated; None for all.
 

@@ -1,16 +1,18 @@
 """Reports: records of what a result shows, and one function each for JSON, the console and a page."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
-from simgap.common.page import NUMBER, Origin, Requirement, figures, heading, paragraph, save_page, table
-from simgap.common.svg import render_svg
+from simgap.common.console import NUMBER, WARNING_STYLE, plain_console
+from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 
 WHOLE_WIDTH: Final = 240
 """Columns of a table whose lines are not wrapped, on a narrow terminal and in a pipe."""
@@ -44,15 +46,11 @@ class Heading:
     text: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReportFigure:
-    """Figure on a page."""
+class ReportFigure(Protocol):
+    """Figure on a page; a program brings its own class, so that no library for plots is needed here."""
 
-    alt: str
-    """Description for readers who do not see it; unique on the page."""
-    height_inch: float
-    draw: Callable[[Any], None]
-    """Function that draws on a matplotlib figure."""
+    def render(self) -> str:
+        """Return the element of HTML."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,10 +89,6 @@ def to_json(value: Any) -> Any:
 
 def print_parts(parts: Sequence[str | Emphasis | ReportTable]) -> None:
     """Print sentences and tables of a report on the console."""
-    from rich.console import Console
-
-    from simgap.common.console import WARNING_STYLE, plain_console
-
     console = plain_console()
     for part in parts:
         if isinstance(part, str):
@@ -108,10 +102,8 @@ def print_parts(parts: Sequence[str | Emphasis | ReportTable]) -> None:
             console.print(_console_table(part, part.title))
 
 
-def _console_table(part: ReportTable, title: str) -> Any:
+def _console_table(part: ReportTable, title: str) -> Table:
     """Make a table for the console; columns of numbers are aligned right."""
-    from rich.table import Table
-
     made = Table(title=title or None, title_justify="left", show_header=bool(part.head))
     for k in range(max(map(len, (part.head, *part.rows)))):
         cells = [row[k] for row in part.rows if k < len(row) and row[k]]
@@ -149,7 +141,7 @@ def _html(part: str | Heading | ReportTable | tuple[ReportFigure, ...]) -> str:
         case ReportTable():
             width = max(map(len, (part.head, *part.rows)))
             return table(_padded(part.head, width), [_padded(row, width) for row in part.rows])
-    return figures(*(render_svg(one.alt, one.height_inch, one.draw) for one in part))
+    return figures(*(one.render() for one in part))
 
 
 def _padded(cells: Sequence[str], width: int) -> list[str]:

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from simgap.assemble import assemble
-from simgap.audit.records import COARSE_RAD, Audit, Remark, RemarkKind, joint_samples
 from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.checks.records import COARSE_RAD, Audit, Remark, RemarkKind, joint_samples
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Effect
 from simgap.logs import Logs, Motion, Signal
@@ -202,7 +202,7 @@ def check_audit(audit: Audit, motions: Sequence[Motion]) -> None:
     if not any(audit.is_usable(motion.name, joint).any() for motion in motions for joint in motion.joints):
         reasons = ", ".join(dict.fromkeys(one.reason for one in audit.refused))
         raise RobotError(
-            f"no sample of the fitted motions can be used ({reasons}); `marsarm robot check` shows where"
+            f"no sample of the fitted motions can be used ({reasons}); `simgap check` shows where"
         )
 
 

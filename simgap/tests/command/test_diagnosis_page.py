@@ -1,4 +1,4 @@
-"""`marsarm robot diagnose`: its page in a browser, its files, and requests that are wrong."""
+"""`simgap diagnose`: its page in a browser, its files, and requests that are wrong."""
 
 import json
 import re
@@ -7,6 +7,8 @@ from dataclasses import replace
 import pytest
 
 import simgap.command.diagnosis as execution
+from helpers.arm_folder import write_arm
+from helpers.command import snapshot
 from helpers.verdicts import (
     ARMATURE,
     FRICTION,
@@ -20,33 +22,33 @@ from helpers.verdicts import (
     finding,
     without_floor,
 )
-from simgap.command.diagnosis import RobotDiagnosis, diagnose_robot, save_diagnosis_files
-from simgap.command.diagnosis_page import print_diagnosis, save_diagnosis_page
-from simgap.command.request import RobotDiagnoseRequest
+from simgap.command.diagnosis import (
+    RobotDiagnosis,
+    diagnose_robot,
+    print_diagnosis,
+    save_diagnosis_files,
+    save_page_of,
+)
+from simgap.command.request import DiagnoseRequest
 from simgap.common.errors import BadRequest, RobotError
 from simgap.report.traces import choose_traces, make_traces
-from tests.marsarm.cli.test_bad_input import snapshot
-from tests.marsarm.robot.arm_folder import write_arm
-from validation.browser import LOADED, MISSING, Browser, find_chromium
 
-WIDTHS = (320, 400, 1400)
 FOUND = diagnosis(
     findings=(FRICTION, finding(effects=("lift: gain error", "lift: torque constant"))),
     base=(GAIN, ARMATURE),
     remaining=(REST,),
     refused=REFUSED,
 )
-needs_chromium = pytest.mark.skipif(find_chromium() is None, reason=MISSING)
 
 
 def made(tmp_path, result=FOUND, traces=True):
-    request = RobotDiagnoseRequest(tmp_path / "robot.toml", (tmp_path / "log.parquet",))
+    request = DiagnoseRequest(tmp_path / "robot.toml", (tmp_path / "log.parquet",))
     shown = make_traces(Drawn(), result) if traces else ()
     return RobotDiagnosis(request, result, shown, None, {"robot": "0" * 64})
 
 
 def text_of(tmp_path, **changes):
-    save_diagnosis_page(made(tmp_path, **changes), tmp_path / "page.html")
+    save_page_of(made(tmp_path, **changes), tmp_path / "page.html")
     return (tmp_path / "page.html").read_text()
 
 
@@ -55,7 +57,7 @@ def test_the_page_opens_with_the_four_lines_then_the_origin(tmp_path):
     verdict = re.search(r'<p class="verdict[^>]*>(.*?)</p>', text, re.S)[1].splitlines()
     assert [line.partition(":")[0] for line in verdict] == ["Where", "What", "How far", "Next"]
     assert text.index("Where: lift") < text.index('<dl class="origin">') < text.index("<h2>")
-    assert "marsarm robot diagnose" in text
+    assert "simgap diagnose" in text
 
 
 def test_the_page_asks_for_nothing(tmp_path):
@@ -79,7 +81,7 @@ def test_each_joint_has_a_figure_with_the_worst_the_middle_and_the_best_motion(t
 
 def test_a_long_trace_is_thinned_and_the_page_stays_small(tmp_path):
     long = replace(made(tmp_path), traces=make_traces(Drawn(20000), FOUND))
-    save_diagnosis_page(long, tmp_path / "page.html")
+    save_page_of(long, tmp_path / "page.html")
     assert (tmp_path / "page.html").stat().st_size < 1_000_000
 
 
@@ -98,53 +100,6 @@ def test_a_page_without_held_out_motions_or_floor_says_so(tmp_path):
     assert 'class="floor"' not in text
 
 
-@needs_chromium
-def test_the_page_fits_every_width_in_both_schemes_without_an_error(tmp_path):
-    text_of(tmp_path)
-    with Browser() as browser:
-        for width in WIDTHS:
-            for dark in (False, True):
-                browser.open((tmp_path / "page.html").as_uri(), width, 900, dark, LOADED)
-                assert browser.evaluate("document.documentElement.scrollWidth") == width
-                assert browser.evaluate("document.querySelectorAll('.traces path.trace').length") == 10
-        assert not browser.problems
-        assert len(browser.requests) == 2 * len(WIDTHS)
-
-
-@needs_chromium
-def test_traces_zoom_and_show_values_at_the_pointer(tmp_path):
-    text_of(tmp_path)
-    with Browser() as browser:
-        browser.open((tmp_path / "page.html").as_uri(), 1400, 900, False, LOADED)
-        browser.evaluate(
-            "window.box = document.querySelector('.traces'); window.svg = box.querySelector('svg')"
-        )
-
-        def pointer(kind, x):
-            browser.evaluate(
-                "(() => { const r = svg.getBoundingClientRect(); svg.setPointerCapture = () => {};"
-                f"svg.dispatchEvent(new PointerEvent('{kind}', {{clientX: r.left + {x}, clientY: r.top + 50,"
-                "pointerType: 'mouse', bubbles: true})); })()"
-            )
-
-        pointer("pointermove", 300)
-        readout = browser.evaluate("box.querySelector('.readout').textContent")
-        assert re.match(r"\d+\.\d{3} s; measured -?\d\.\d+, model as it is -?\d", readout)
-        whole = browser.evaluate("box.figure.span")
-        for kind, x in (("pointerdown", 300), ("pointermove", 500), ("pointerup", 500)):
-            pointer(kind, x)
-        low, high = browser.evaluate("box.figure.span")
-        assert whole[0] < low < high < whole[1]
-        browser.evaluate("box.querySelector('button[data-zoom=\"0\"]').click()")
-        assert browser.evaluate("box.figure.span") == whole
-        browser.evaluate("box.querySelector('button[data-series=nominal]').click()")
-        assert browser.evaluate("box.querySelectorAll('path.trace').length") == 3
-        browser.evaluate("window.list = box.querySelector('select'); list.value = 1")
-        browser.evaluate("list.dispatchEvent(new Event('change'))")
-        assert browser.evaluate("box.figure.motion === box.figure.motions[1]")
-        assert not browser.problems
-
-
 def test_the_screen_has_the_four_lines_then_the_details(tmp_path, capsys):
     print_diagnosis(made(tmp_path))
     shown = " ".join(capsys.readouterr().out.split())
@@ -160,7 +115,7 @@ def folder(tmp_path_factory):
 
 
 def request(folder, **changes):
-    return RobotDiagnoseRequest(folder / "robot.toml", (folder / "log.parquet",), **changes)
+    return DiagnoseRequest(folder / "robot.toml", (folder / "log.parquet",), **changes)
 
 
 def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypatch):

@@ -1,4 +1,4 @@
-"""Loading of logs: from files to signals in SI units at the joint, by motion."""
+"""Loading of logs: from files to signals in SI units at the joint, by motion, and their splits."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

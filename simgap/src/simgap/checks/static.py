@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import binom
 
 from simgap.arrays import Array, Flags, Integers
-from simgap.audit.records import Samples, joint_samples, robust_sigma, runs
+from simgap.checks.records import Samples, joint_samples, robust_sigma, runs
 from simgap.logs import Motion
 from simgap.robot import ControlMode, Robot
 

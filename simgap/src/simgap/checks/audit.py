@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from simgap.arrays import Array, Flags
-from simgap.audit.limits import chain_joints, find_collisions, find_cut_offs, find_plane, find_saturation
-from simgap.audit.records import (
+from simgap.checks.limits import chain_joints, find_collisions, find_cut_offs, find_plane, find_saturation
+from simgap.checks.records import (
     Audit,
     Remark,
     RemarkKind,
@@ -22,7 +22,7 @@ from simgap.audit.records import (
     joint_samples,
     stale_flags,
 )
-from simgap.audit.static import Rest, find_rest, predict_free
+from simgap.checks.static import Rest, find_rest, predict_free
 from simgap.logs import JointLog, Logs, Motion
 from simgap.result import Refusal
 from simgap.robot import ControlMode, Robot

@@ -1,4 +1,4 @@
-"""`marsarm robot check` on the screen, in JSON and on its page; wrong input gets one sentence."""
+"""`simgap check` on the screen, in JSON and on its page; wrong input gets one sentence."""
 
 import json
 import re
@@ -8,16 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.arm_folder import JOINT, ROBOT, columns_of, write_arm, write_logs
+from helpers.command import LIBRARY_WORDS, run_simgap, snapshot
 from helpers.planar_arm import TABLE_M, planar_arm, slow_logs
-from simgap.command.execution import check_robot, summarize_joints
-from simgap.command.page import drawn_motions
+from simgap.command.check import check_robot, drawn_motions, summarize_joints
 from simgap.command.request import CheckRequest
-from tests.marsarm.cli.test_bad_input import LIBRARY_WORDS, snapshot
-from tests.marsarm.command import marsarm
-from tests.marsarm.robot.arm_folder import JOINT, ROBOT, columns_of, write_arm, write_logs
-from validation.browser import LOADED, MISSING, Browser, find_chromium
 
-WIDTHS = (400, 1400)
 SCREEN_LINES = 24
 
 
@@ -48,7 +44,7 @@ def report(folder: Path):
 
 
 def test_the_screen_has_a_line_for_each_joint_and_the_remarks(folder):
-    done = marsarm(folder, "robot", "check", "robot.toml", "log.parquet")
+    done = run_simgap(folder, "check", "robot.toml", "log.parquet")
     assert done.returncode == 0
     lines = done.stdout.splitlines()
     assert len(lines) <= SCREEN_LINES
@@ -59,7 +55,7 @@ def test_the_screen_has_a_line_for_each_joint_and_the_remarks(folder):
 
 
 def test_the_document_has_what_the_screen_has(folder):
-    done = marsarm(folder, "robot", "check", "robot.toml", "log.parquet", "--json")
+    done = run_simgap(folder, "check", "robot.toml", "log.parquet", "--json")
     document = json.loads(done.stdout)
     (remark,) = document["remarks"]
     assert remark["kind"] == "contact with a plane"
@@ -72,14 +68,14 @@ def test_the_document_has_what_the_screen_has(folder):
 def test_a_check_says_that_a_diagnosis_will_refuse_the_logs(folder):
     logs = slow_logs(planar_arm(), count=2)
     write_logs(folder / "degrees.parquet", logs, command_elbow=np.degrees(columns_of(logs)["command_elbow"]))
-    done = marsarm(folder, "robot", "check", "robot.toml", "degrees.parquet")
+    done = run_simgap(folder, "check", "robot.toml", "degrees.parquet")
     assert done.returncode == 0
     words = " ".join(done.stdout.split())
     assert (
         "A diagnosis will refuse these logs: joint elbow: unit looks wrong; the position is 0.0173 times"
         in words
     )
-    done = marsarm(folder, "robot", "check", "robot.toml", "degrees.parquet", "--json")
+    done = run_simgap(folder, "check", "robot.toml", "degrees.parquet", "--json")
     assert "unit looks wrong" in json.loads(done.stdout)["refusal"]
 
 
@@ -101,31 +97,18 @@ def test_motions_of_remarks_are_drawn_first(report):
     assert report.logs.motions[first].name == worst.motion
 
 
-@pytest.mark.slow
 def test_the_page_draws_each_joint_and_asks_for_nothing(folder, tmp_path):
     page = tmp_path / "check.html"
     words = ("robot.toml", "log.parquet", "--report", str(page))
-    assert marsarm(folder, "robot", "check", *words).returncode == 0
+    assert run_simgap(folder, "check", *words).returncode == 0
     text = page.read_text()
-    assert text.count("<svg ") == text.count("<figure>") == 4 * 2
-    assert not re.search(r"<img|<image|data:image|<script|<link|url\(['\"]?http|src=", text)
-    assert text.index("Remarks, the worst first") < text.index("<svg ") < text.index("Rates</h2>")
-    assert "marsarm robot check robot.toml log.parquet" in text
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(find_chromium() is None, reason=MISSING)
-def test_the_page_never_scrolls_sideways_in_a_browser(folder, tmp_path):
-    page = tmp_path / "check.html"
-    assert (
-        marsarm(folder, "robot", "check", "robot.toml", "log.parquet", "--report", str(page)).returncode == 0
-    )
-    with Browser() as browser:
-        for width in WIDTHS:
-            for dark in (False, True):
-                browser.open(page.as_uri(), width, 900, dark, LOADED)
-                assert browser.evaluate("document.documentElement.scrollWidth") == width
-        assert not browser.problems
+    assert text.count('<figure class="traces"') == 2
+    assert not re.search(r"<img|<image|data:image|<link|url\(['\"]?http|src=", text)
+    assert text.index("Remarks, the worst first") < text.index("<figure ") < text.index("Rates</h2>")
+    (motions, _) = map(json.loads, re.findall(r'<script type="application/json">(.*?)</script>', text))
+    assert len(motions) == 4
+    assert list(motions[0]["panels"][0]["series"]) == ["refused", "measured", "nominal", "command"]
+    assert "simgap check robot.toml log.parquet" in text
 
 
 CASES = {
@@ -150,7 +133,7 @@ CASES = {
 @pytest.mark.parametrize("words", CASES)
 def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder, words):
     before = snapshot(folder)
-    done = marsarm(folder, "robot", "check", *shlex.split(words))
+    done = run_simgap(folder, "check", *shlex.split(words))
     assert CASES[words] in done.stderr
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
@@ -159,5 +142,5 @@ def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder, words):
 
 
 def test_the_help_shows_an_example(tmp_path):
-    done = marsarm(tmp_path, "robot", "check", "--help")
-    assert "Example: marsarm robot check" in " ".join(done.stdout.split())
+    done = run_simgap(tmp_path, "check", "--help")
+    assert "Example: simgap check" in " ".join(done.stdout.split())

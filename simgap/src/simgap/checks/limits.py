@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from simgap.arrays import Array, Flags
-from simgap.audit.records import Remark, RemarkKind, hold, joint_samples, runs
-from simgap.audit.static import Free, Rest, Stop, find_lower_stop, median_interval
+from simgap.checks.records import Remark, RemarkKind, hold, joint_samples, runs
+from simgap.checks.static import Free, Rest, Stop, find_lower_stop, median_interval
 from simgap.logs import JointLog, Motion
 from simgap.robot import ControlMode, Robot, RobotJoint
 

@@ -1,18 +1,20 @@
-"""Figures of pages: as SVG inside a page, whose colours follow the page, or as PNG for documents.
+"""Figures drawn with matplotlib, which may not be installed: as SVG inside a page, or as PNG for documents.
 
 Functions that draw use the names of colours below. In an SVG they stand for the variables of the style sheet,
 so that one figure serves a light and a dark page. In a PNG they have the values of the light page.
 """
 
 import html
+import os
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from importlib import resources
-from io import StringIO
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any, Final
 
-from simgap.common.figures import save_figure
+from simgap.common.files import atomic_write
 
 WIDTH_INCH: Final = 5.2
 """Width of a figure: its text is readable on a phone, and two fit beside each other on a desk."""
@@ -54,6 +56,21 @@ STYLE: Final[Any] = {
     "legend.frameon": False,
     "legend.fontsize": 9.0,
 }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReportFigure:
+    """Figure on the page of a report."""
+
+    alt: str
+    """Description for readers who do not see it; unique on the page."""
+    height_inch: float
+    draw: Callable[[Any], None]
+    """Function that draws on a matplotlib figure."""
+
+    def render(self) -> str:
+        """Return the SVG element."""
+        return render_svg(self.alt, self.height_inch, self.draw)
 
 
 def render_svg(alt: str, height_inch: float, draw: Callable[[Any], None]) -> str:
@@ -131,3 +148,49 @@ def _embed(svg: str, alt: str) -> str:
         body = body.replace(marker, f"var(--{name.removeprefix('page:')})")
     label = html.escape(alt, quote=True)
     return f'<svg viewBox="{view_box[1]}" role="img" aria-label="{label}"><title>{label}</title>{body}'
+
+
+def save_figure(
+    path: Path, size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], None]
+) -> str | None:
+    """Draw a figure and save it as PNG.
+
+    Args:
+        path: The PNG file.
+        size_inch: Width and height.
+        dpi: Pixels per inch.
+        draw: Function that draws on a matplotlib figure.
+
+    Returns:
+        None, or the reason why there is no picture: matplotlib is missing.
+
+    Raises:
+        BadOutput: the file cannot be written.
+    """
+    try:
+        image = render_png(size_inch, dpi, draw)
+    except ImportError as error:
+        return f"matplotlib is missing ({error}); pip install matplotlib"
+    with atomic_write(path, "picture") as file:
+        file.write(image)
+    return None
+
+
+def render_png(size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], None]) -> bytes:
+    """Draw a figure, and return the bytes of a PNG.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
+    os.environ.pop("MPLBACKEND", None)  # an unknown backend stops the import, and none is needed
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(matplotlib.rcParamsDefault):
+        figure = Figure(figsize=size_inch, layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(figure)
+        image = BytesIO()
+        figure.savefig(image, format="png", dpi=dpi, facecolor=figure.get_facecolor())
+    return image.getvalue()

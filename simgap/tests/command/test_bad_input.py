@@ -1,4 +1,4 @@
-"""Wrong input of `marsarm robot`: one sentence, status 2, nothing written, and no simulation before.
+"""Wrong input of `simgap`: one sentence, status 2, nothing written, and no simulation before.
 
 The tables hold wrong logs, robot files, splits, effects and options of an arm of two joints.
 """
@@ -14,12 +14,11 @@ import pyarrow.parquet as pq
 import pytest
 
 import simgap.command.diagnosis
-import simgap.diagnose
+import simgap.diagnosis
+from helpers.arm_folder import columns_of, write_arm, write_logs
+from helpers.command import LIBRARY_WORDS, run_simgap, snapshot
 from helpers.planar_arm import planar_arm, slow_logs
-from simgap.audit.audit import NominalModel
-from tests.marsarm.cli.test_bad_input import LIBRARY_WORDS, snapshot
-from tests.marsarm.command import marsarm
-from tests.marsarm.robot.arm_folder import columns_of, write_arm, write_logs
+from simgap.checks.audit import NominalModel
 
 POSITION = 'column = "position_elbow", unit = "rad"'
 ROBOTS = {
@@ -263,6 +262,7 @@ DIAGNOSE = {
     "no_command.toml log.parquet": "joint elbow has no command",
     # options
     "robot.toml log.parquet --nosuch": "No such option",
+    "robot.toml log.parquet --nested": "nested: is for poses of a tracker",
     "robot.toml log.parquet --seed -1": "seed: -1 is below 0",
     "robot.toml log.parquet --split nosuch": "the robot file names no split file",
     "robot.toml log.parquet --held-out nosuch": "'nosuch' is no motion, condition or file",
@@ -297,7 +297,7 @@ def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(simgap.diagnose, "select_effects", refuse)
+    monkeypatch.setattr(simgap.diagnosis, "select_effects", refuse)
     monkeypatch.setattr(NominalModel, "simulate", refuse)
 
 
@@ -308,7 +308,7 @@ def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder: Path, verb: str, words: str) -> None:
     before = snapshot(folder)
-    done = marsarm(folder, "robot", verb, *shlex.split(words))
+    done = run_simgap(folder, verb, *shlex.split(words))
     assert {**BOTH, **DIAGNOSE}[words] in done.stderr
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
@@ -324,7 +324,7 @@ def test_an_effect_that_raises_in_a_simulation_is_named_with_its_line(
 
     monkeypatch.setattr(simgap.command.diagnosis, "diagnose", simulate)
     before = snapshot(folder)
-    done = marsarm(folder, "robot", "diagnose", "robot.toml", "log.parquet", "--effects", "boom.py")
+    done = run_simgap(folder, "diagnose", "robot.toml", "log.parquet", "--effects", "boom.py")
     assert done.returncode == 2
     assert "boom.py:16: ZeroDivisionError" in done.stderr
     assert len(done.stderr.splitlines()) == 1
@@ -333,5 +333,5 @@ def test_an_effect_that_raises_in_a_simulation_is_named_with_its_line(
 
 def test_a_simulation_that_becomes_unstable_leaves_no_file_of_mujoco(folder: Path) -> None:
     before = snapshot(folder)
-    assert "blew up" in marsarm(folder, "robot", "check", "robot.toml", "angles_1000.parquet").stdout
+    assert "blew up" in run_simgap(folder, "check", "robot.toml", "angles_1000.parquet").stdout
     assert snapshot(folder) == before
