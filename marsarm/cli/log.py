@@ -71,8 +71,7 @@ def plot(
 
     Example: marsarm log plot run.mcap '/joint.motor_rad[2]' /drive.current_limit_A --out joints.png
     """
-    from marsarm.telemetry.figure import save_log_figure
-    from marsarm.telemetry.inspection import select_channels
+    from marsarm.telemetry.inspection import save_log_figure, select_channels
     from simgap.common.console import pluralize
     from simgap.common.files import check_distinct_files, check_output
 

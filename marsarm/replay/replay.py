@@ -12,12 +12,18 @@ from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.params import Params
 from fsw.messages import Outputs
 from fsw.state import boot, outputs_at_rest
-from marsarm.replay.behaviour import OUTPUT_TOPICS, Behaviour, behaviour_from_log, behaviour_from_outputs
 from marsarm.replay.compare import Differences, compare_behaviours
-from marsarm.replay.inputs import Inputs, inputs_from_log
+from marsarm.replay.inputs import (
+    OUTPUT_TOPICS,
+    Behaviour,
+    Inputs,
+    behaviour_from_log,
+    behaviour_from_outputs,
+    inputs_from_log,
+)
 from marsarm.telemetry.errors import LogError
+from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.header import IMPORT, cpu_features
-from marsarm.telemetry.json_codec import record_to_json
 from marsarm.telemetry.read import Log, read_log
 from marsarm.telemetry.topics import channel_matches, channel_name
 from sim.loop import step_flight_software

@@ -19,8 +19,8 @@ from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
+from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.format import WRITER_KEY
-from marsarm.telemetry.json_codec import record_to_json
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
 from sim.scenario.effects import effect_text

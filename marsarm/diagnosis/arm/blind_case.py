@@ -20,9 +20,9 @@ from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
 from marsarm.diagnosis.arm.record import record_campaign
 from marsarm.diagnosis.blind_case import TrueCase
+from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.format import CHANNELS_KEY
 from marsarm.telemetry.header import SESSION
-from marsarm.telemetry.json_codec import record_to_json
 from marsarm.telemetry.read import read_log
 from sim.arm_model.load import default_arm
 from sim.arms import BuiltArm, arm_named, draw_calibration_errors, effects_of_run
