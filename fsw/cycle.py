@@ -149,7 +149,7 @@ def _move(
     evrs: tuple[Evr, ...] = ()
     if move is not None and (usable or move.phase is Phase.BRAKE):
         result = advance_move(config, move, joints, load, sensors)
-        if move.preload_change is not None:
+        if move.plan.preload_change is not None:
             preload = move_preload(result.move or move)
         move, evrs = result.move, result.evrs
         mode = mode if result.end_mode is None else result.end_mode

@@ -172,7 +172,7 @@ def check_ready(context: CommandContext) -> str | None:
     if context.state.mode is Mode.FAULTED:
         return "a fault stands; clear it first"
     if context.state.move is not None:
-        return f"{context.state.move.command} is under way"
+        return f"{context.state.move.plan.command} is under way"
     if context.state.sequence is not None:
         return f"{context.state.sequence.command} is under way"
     return None if context.usable else "a reading is unusable"

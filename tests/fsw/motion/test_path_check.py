@@ -203,7 +203,7 @@ def test_where_the_arm_goes_by_command_is_what_is_looked_at():
     rig = Rig(CONFIG)
     goal = READY + np.array([0.1, 0.05, -0.1, 0.1, 0.2])
     rig.until_moving(MoveJoints(floats(goal)), cycles=8)
-    checked = points_of_arm(forward(CONFIG.arm, sample_paths(CONFIG, rig.state.move.paths, FINE_STEP_M)))
+    checked = points_of_arm(forward(CONFIG.arm, sample_paths(CONFIG, rig.state.move.plan.paths, FINE_STEP_M)))
     while rig.outputs.joint.busy:
         rig.cycle()
         motor = rig.state.joints.motor_rad[:, None]

@@ -63,8 +63,8 @@ def currents(rig, stiffness: float, friction: float, offset_Nm: float, across) -
     move = state.move
     if move.phase is not Phase.RUN:
         return np.full(5, 1e-9 * state.tick)
-    of_model = move.preload_change.torque_per_N * state.preload.model_N
-    per_N = (stiffness - 1.0) * move.preload_change.torque_per_N + levers_across(rig) @ np.array(across)
+    of_model = move.plan.preload_change.torque_per_N * state.preload.model_N
+    per_N = (stiffness - 1.0) * move.plan.preload_change.torque_per_N + levers_across(rig) @ np.array(across)
     # the estimated load contains the estimated reaction already
     extra = per_N * state.preload.model_N + (1 - state.preload.force_ratio) * of_model
     resisting = friction * FRICTION_NM * np.sign(move.setpoint.rate_rad_s)

@@ -90,7 +90,7 @@ def test_the_set_point_is_frozen_from_the_bad_reading_on(kind, value):
 @pytest.mark.parametrize("kind", MOVES)
 def test_the_aborted_move_is_reported_and_later_moves_are_refused_until_cleared(kind):
     rig = moving(kind)
-    name = rig.state.move.command
+    name = rig.state.move.plan.command
     rig.evrs.clear()
     rig.cycle(**corrupted("resolver_rad", 0, BAD[0]))
     rig.run()
