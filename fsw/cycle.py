@@ -30,9 +30,6 @@ def step(
     Args:
         config: Configuration at boot; `state.changed_config` replaces it if there is one.
         state: State after the cycle before.
-
-    Returns:
-        The state and the outputs after this cycle.
     """
     before, config = state, state.changed_config or config
     unusable = check_readings(config.protection, sensors)

@@ -75,9 +75,6 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
     Args:
         mode: Mode to begin in.
         reference: Result of an earlier hardstop initialisation; None if there was none.
-
-    Returns:
-        The state.
     """
     n = config.rad_per_count.size
     off = np.zeros(n, bool)
@@ -118,9 +115,6 @@ def joint_channels(tick: int, state: State, backlash_state: Array) -> JointChann
     Args:
         state: State that the cycle left.
         backlash_state: Rows of `JointEstimate.backlash_state`: angle, side, uncertainty; shape (3, 5).
-
-    Returns:
-        The channels.
     """
     joints = state.joints
     # positional arguments, because they are faster and this runs in every cycle

@@ -271,9 +271,6 @@ def round_to_counts(motor_rad: Array, zero_rad: Array, rad_per_count: Array) -> 
 def run_session(loop: ClosedLoop, session: DiagnosisSession) -> Iterator[SessionCycle]:
     """Run a session with a rest before the first command and after each.
 
-    Yields:
-        Every cycle.
-
     Raises:
         SessionFailed: a command was refused or ended in a fault.
     """

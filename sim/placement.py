@@ -106,19 +106,11 @@ class PlacementRun:
         self._touched = False
 
     def __iter__(self) -> Iterator[CycleRecord]:
-        """Run the commands.
-
-        Yields:
-            Every cycle.
-        """
+        """Run the commands."""
         self._outcome = yield from observe_cycles(run_sequence(self._loop, self.commands), self._note)
 
     def stopping(self) -> Iterator[CycleRecord]:
-        """Stop the arm in place of the remaining commands.
-
-        Yields:
-            Every cycle.
-        """
+        """Stop the arm in place of the remaining commands."""
         self._outcome = yield from observe_cycles(stop_sequence(self._loop), self._note)
 
     def _note(self, record: CycleRecord) -> None:

@@ -109,9 +109,6 @@ def visit_poses(
         goals: Output angles [rad], each of shape (5,).
         backlash: Compensation of the backlash in every move.
 
-    Yields:
-        The arm at rest at each goal.
-
     Raises:
         RuntimeError: a move was not completed.
     """

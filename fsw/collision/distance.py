@@ -83,9 +83,6 @@ def find_violation(
     Args:
         frames: Frames of the links in RMECH along the path, batch (n).
         touching: Tool that is to touch; no distance is required of it.
-
-    Returns:
-        The violation, or None if there is none.
     """
     clearance = compute_clearances(geometry, frames, padding_m, touching, surface)
     return judge_clearances(geometry, clearance, padding_m, touching)

@@ -207,11 +207,7 @@ def known_names(params: Params) -> Names:
 
 
 def check_arguments(params: Params, command: Command) -> str | None:
-    """Check the arguments of a command, as far as the state does not matter.
-
-    Returns:
-        The first problem as a sentence, or None.
-    """
+    """Check the arguments of a command, as far as the state does not matter."""
     match command:
         case MoveTool(straight=True, branch=branch) if branch != AUTO:
             return f"a straight move stays on the branch that the arm is on; leave branch {AUTO}"

@@ -51,9 +51,6 @@ def expand_command(
     Args:
         surface: Surface of `locate_surface`; None if there is none.
         farther_m: Distance from the standoff to a way point farther from the surface; 0 for none.
-
-    Returns:
-        The steps, or the reason for a refusal.
     """
     match command:
         case PlaceTool():

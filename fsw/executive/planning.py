@@ -148,9 +148,6 @@ def plan_sequence(
     Args:
         joints: Estimate of the joints, from which the first step starts.
         surface: Surface that the steps keep away from; None if there is none.
-
-    Returns:
-        The steps and their plans, or the reason for a refusal.
     """
     steps = expand_command(config, joints, tool, command)
     if isinstance(steps, Refusal):

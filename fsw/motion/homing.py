@@ -139,9 +139,6 @@ def begin_homing(joint: Joint, joints: JointEstimate, accept_moved: bool) -> Hom
 
     Args:
         accept_moved: True if the hardstop may be elsewhere than before.
-
-    Returns:
-        Homing in its first stage.
     """
     known, motor_rad = (
         bool(joints.reference.known[joint]) and not accept_moved,
@@ -178,9 +175,6 @@ def advance_homing(
     Args:
         setpoint: Set-point of all joints in the cycle before.
         load_Nm: Estimated loads, shape (5,).
-
-    Returns:
-        The update; homing has ended if `found` is set or there is an event.
     """
     j = homing.joint
     inputs = HomingInputs(

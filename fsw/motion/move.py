@@ -116,11 +116,7 @@ class MoveUpdate:
 def advance_move(
     config: Config, move: Move, joints: JointEstimate, load: LoadEstimate, sensors: Sensors
 ) -> MoveUpdate:
-    """Advance a move by one cycle.
-
-    Returns:
-        The update; its move is None if the move has ended.
-    """
+    """Advance a move by one cycle."""
     match move.phase:
         case Phase.RELEASE:
             if move.ticks < config.brake_ticks:

@@ -119,9 +119,6 @@ def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
     Args:
         start_rad: Motor angles at the start, shape (5,).
         end_rad: Motor angles at the end, shape (5,).
-
-    Returns:
-        The path, from rest to rest.
     """
     speed_rad_s = config.speed_rad_s * _speed_share(config, start_rad, end_rad)
     trajectory = _plan_trajectory(
@@ -153,9 +150,6 @@ def line_path(config: Config, knots_rad: Array, travel: Travel) -> LinePath:
     Args:
         knots_rad: Motor angles at equal steps of the travel, shape (k, 5).
         travel: Length of the path, and bounds of its speed, acceleration and jerk.
-
-    Returns:
-        The path, from rest to rest.
     """
     step = travel.length / (len(knots_rad) - 1)
     coefficients = _cubics(knots_rad)
@@ -238,9 +232,6 @@ def check_paths(
         padding_m: Distance to be kept.
         touching: Tool that is to touch; no distance is required of it.
         surface: Surface of a target; None if there is none.
-
-    Returns:
-        The reason for a refusal, or None if the paths are clear.
     """
     motor = sample_paths(config, paths, COARSE_STEP_M)
     coarse = compute_deflected_frames(config, joints, motor)
@@ -327,9 +318,6 @@ def compute_deflected_frames(config: Config, joints: JointEstimate, motor_rad: A
     Args:
         joints: Estimate of the joints, of which gravity and backlash are used.
         motor_rad: Motor angles on the output side, shape (5, n).
-
-    Returns:
-        Frames of the links in RMECH, batch (n).
     """
     # one pass is within 0.4 mm of the equilibrium on Mars, 3 mm on Earth; the padding covers that
     _, strain, torque_Nm = load_arm(config.arm, motor_rad, None, joints.gravity_R_m_s2)

@@ -70,9 +70,6 @@ class Compensation:
             reference: Tool whose present deflection counts.
             p_RoTo_R_m: Position of the tool in RMECH, shape (3, ...).
             approach_R: Unit direction of the tool axis, same shape.
-
-        Returns:
-            Position and approach, same shapes.
         """
         if self.deflection != "relative":
             return p_RoTo_R_m, approach_R
@@ -186,9 +183,6 @@ def plan_joint(
 
     Args:
         angle_rad: Output angle at the end.
-
-    Returns:
-        The plan, or the reason for a refusal.
     """
     pose = joints.output_rad.copy()
     pose[joint] = angle_rad
@@ -224,9 +218,6 @@ def plan_joint_move(
         load_Nm: Loads at the end, shape (5,).
         on_known_side: False to move directly, whatever the side at the end.
         only: Joint that moves while the other motors stay; None if all move.
-
-    Returns:
-        The plan.
     """
     moving = np.array([only in (None, joint) for joint in Joint])
     bounds = bound_gear(config, joints.reference.half_backlash_rad, load_Nm)
@@ -290,9 +281,6 @@ def plan_over_knots(
         output_rad: Output angles at the knots, shape (5, k).
         load_Nm: Loads at the knots, shape (5, k).
         travel: Length of all knots together, and bounds of speed, acceleration and jerk.
-
-    Returns:
-        The plan.
     """
     step = travel.length / (output_rad.shape[1] - 1)
     stiffness = config.arm.gear_stiffness_Nm_rad

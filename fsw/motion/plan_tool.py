@@ -87,9 +87,6 @@ def plan_tool(
         command: Command with the target, the branch and the compensation.
         reference: Tool whose present deflection relative compensation uses; None for that of the command.
         surface: Surface of a target to keep away from; None if there is none.
-
-    Returns:
-        The plan, or the reason for a refusal.
     """
     if command.straight:
         plan = _plan_straight(config, joints, command, reference)
@@ -120,9 +117,6 @@ def find_branches(
     Args:
         command: Command with the target, the branch and the compensation.
         reference: Tool whose present deflection relative compensation uses; None for that of the command.
-
-    Returns:
-        The branches, or the reason that there is none.
     """
     compensation = Compensation(command.backlash, command.deflection)
     targets, approaches = _target(config, joints, command, reference, np.array([0.0, command.line_m]))

@@ -118,11 +118,7 @@ def protect(
 def run_monitors(
     bounds: ProtectionBounds, last: MonitorState, arm: ArmStatus, sensors: Sensors, usable: bool
 ) -> tuple[MonitorState, tuple[Evr, ...]]:
-    """Run the monitors on this cycle; unusable readings are only counted.
-
-    Returns:
-        The state for the next cycle, and what was found.
-    """
+    """Run the monitors on this cycle; unusable readings are only counted."""
     evrs = check_cycle_count(bounds, last.cycle, sensors.cycle)
     planned = None
     if arm.move is not None:
@@ -270,9 +266,6 @@ def check_stall(
         count: Cycles in a row in which a motor was too slow.
         error_rad: Distance of each motor from its set-point, shape (5,).
         rate_rad_s: Rate of each motor on the output side, shape (5,).
-
-    Returns:
-        The count with this cycle, and the fault.
     """
     monitors = bounds.monitors
     if move.homing is not None:

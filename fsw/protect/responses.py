@@ -141,9 +141,6 @@ def decide(
         found: Events of this cycle.
         motor_rad: Motor angles, shape (5,).
         last_rad: Set-point that went out last, shape (5,).
-
-    Returns:
-        The decision.
     """
     lag = bounds.monitors.following_error_rad
     hold_rad = np.clip(motor_rad, last_rad - lag, last_rad + lag)

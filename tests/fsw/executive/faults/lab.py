@@ -79,7 +79,7 @@ def resolver_off(rig, joint, off_rad):
 
 
 def misplanned(rig, setpoint_rad):
-    """The state with a path that asks for this in place of that of the move under way: an error of planning."""
+    """The state with a path that asks for this: an error of planning."""
     wrong = SimpleNamespace(duration_s=10.0, at=lambda _: Setpoint(setpoint_rad, np.zeros(5)))
     move = rig.state.move
     return replace(rig.state, move=replace(move, plan=replace(move.plan, paths=(wrong,)), ticks=0))
