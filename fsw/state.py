@@ -73,7 +73,6 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
     """Build the state before the first cycle: brakes on, power off.
 
     Args:
-        mode: Mode to begin in.
         reference: Result of an earlier hardstop initialisation; None if there was none.
     """
     n = config.rad_per_count.size

@@ -162,9 +162,6 @@ def apply_calibration(
 
     The gear must just have dragged the joint off its hardstop, to positive angles.
 
-    Args:
-        load_Nm: Modelled loads, shape (5,).
-
     Returns:
         The estimate after the calibration.
     """
@@ -200,7 +197,6 @@ def apply_load(
 
     Args:
         joints: Estimate under the previous loads.
-        load_Nm: Modelled loads, shape (5,).
         more_Nm: Further uncertainty of the loads, shape (5,).
 
     Returns:

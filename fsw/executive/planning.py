@@ -147,7 +147,6 @@ def plan_sequence(
 
     Args:
         joints: Estimate of the joints, from which the first step starts.
-        surface: Surface that the steps keep away from; None if there is none.
     """
     steps = expand_command(config, joints, tool, command)
     if isinstance(steps, Refusal):

@@ -38,9 +38,6 @@ def fold_distances(s: OrthogonalArm, output_rad: Array) -> Array:
     to wrist. The wrist's value is the sine of the turret axis against the approach. The elbow also changes
     its name, without a fold, where the wrist joint passes over or under the elevation joint.
 
-    Args:
-        output_rad: Output angles, shape (5, ...).
-
     Returns:
         Distances of shoulder [m], elbow and wrist [sine], shape (3, ...).
     """
@@ -100,8 +97,6 @@ def closed_form(
     The roots are exact for an orthogonal arm with any tool. For a calibrated arm they are starting points.
 
     Args:
-        p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).
-        approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
         least_bend_rad: Least distance of the elbow from straight and folded, where two roots meet.
 
     Returns:
@@ -158,8 +153,6 @@ def closed_form_branch(
     """Compute the root of each target on the branch of a given pose.
 
     Args:
-        p_RoTo_R_m: Target positions in the rover frame, shape (3, n).
-        approach_R: Approach directions, unit vectors in the rover frame, shape (3, n).
         near_rad: Output angles that name the branch, shape (5, n).
 
     Returns:

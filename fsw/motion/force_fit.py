@@ -242,7 +242,6 @@ def report_miss(target_N: float, preload: PreloadState, refused: Refusal | None)
     """Report a press that ends far from its target, or with an unknown force.
 
     Args:
-        target_N: Commanded force.
         preload: Preload at the end, with the standard deviation of its force ratio.
         refused: Reason for which it is not corrected, if there is one.
     """

@@ -174,7 +174,6 @@ def advance_homing(
 
     Args:
         setpoint: Set-point of all joints in the cycle before.
-        load_Nm: Estimated loads, shape (5,).
     """
     j = homing.joint
     inputs = HomingInputs(

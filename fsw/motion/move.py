@@ -352,7 +352,6 @@ def command_actuators(
     Args:
         move: Move under way; without one, all brakes are on and all power is off.
         joints: Estimate of the joints, of which the encoder zero is used.
-        last: Command of the cycle before.
 
     Returns:
         The command; it is `last` itself while nothing moves.

@@ -228,10 +228,8 @@ def check_paths(
 
     Args:
         joints: Estimate of the joints, of which gravity and backlash are used.
-        paths: Paths of the motors, one after the other.
         padding_m: Distance to be kept.
         touching: Tool that is to touch; no distance is required of it.
-        surface: Surface of a target; None if there is none.
     """
     motor = sample_paths(config, paths, COARSE_STEP_M)
     coarse = compute_deflected_frames(config, joints, motor)
@@ -265,7 +263,6 @@ def check_touch(
     Args:
         joints: Estimate of the joints, of which gravity and backlash are used.
         paths: Paths of the motors on the line, one after the other.
-        touching: Tool that is to touch.
         normal_R: Unit normal of the surface, (3,).
 
     Returns:
@@ -290,7 +287,6 @@ def sample_paths(config: Config, paths: tuple[Path, ...], step_m: float) -> Arra
     """Sample motor angles along paths so finely that no point of the arm moves farther than a step.
 
     Args:
-        paths: Paths of the motors, one after the other.
         step_m: Farthest that a point of the rigid arm may move between two samples.
 
     Returns:
@@ -317,7 +313,6 @@ def compute_deflected_frames(config: Config, joints: JointEstimate, motor_rad: A
 
     Args:
         joints: Estimate of the joints, of which gravity and backlash are used.
-        motor_rad: Motor angles on the output side, shape (5, n).
     """
     # one pass is within 0.4 mm of the equilibrium on Mars, 3 mm on Earth; the padding covers that
     _, strain, torque_Nm = load_arm(config.arm, motor_rad, None, joints.gravity_R_m_s2)

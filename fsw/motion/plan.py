@@ -43,9 +43,6 @@ class Compensation:
     def allowance(self, joints: JointEstimate, gear_rad: Array) -> Array:
         """Compute the part of the gear angles by which set-points are shifted.
 
-        Args:
-            gear_rad: Gear angles, output less motor, shape (5, ...).
-
         Returns:
             Backlash and wind-up in radians, each 0 if not compensated; same shape.
         """
@@ -68,8 +65,6 @@ class Compensation:
 
         Args:
             reference: Tool whose present deflection counts.
-            p_RoTo_R_m: Position of the tool in RMECH, shape (3, ...).
-            approach_R: Unit direction of the tool axis, same shape.
         """
         if self.deflection != "relative":
             return p_RoTo_R_m, approach_R
@@ -86,7 +81,6 @@ def final_direction(config: Config, load_Nm: Array, gravity_R_m_s2: Array) -> Ar
 
     Args:
         load_Nm: Loads at the end of the move, shape (5,).
-        gravity_R_m_s2: Gravity in RMECH, shape (3,).
 
     Returns:
         1, -1, or 0 if the load decides the side; shape (5,).
@@ -213,7 +207,6 @@ def plan_joint_move(
     short for that, a first move makes room for the run-up.
 
     Args:
-        start: Positions at the start.
         output_rad: Output angles at the end, shape (5,).
         load_Nm: Loads at the end, shape (5,).
         on_known_side: False to move directly, whatever the side at the end.
@@ -247,9 +240,6 @@ def _reverse_at_limits(config: Config, output_rad: Array, run_up_rad: Array, dir
 
 def worst_limit_excess(config: Config, output_rad: Array) -> Array:
     """Compute the largest excess of a joint over its soft limit.
-
-    Args:
-        output_rad: Output angles, shape (5, ...).
 
     Returns:
         Excess in radians, shape (...); negative inside all limits.

@@ -84,9 +84,7 @@ def plan_tool(
     A branch is valid if the target and the end of the straight travel after it are within limits.
 
     Args:
-        command: Command with the target, the branch and the compensation.
         reference: Tool whose present deflection relative compensation uses; None for that of the command.
-        surface: Surface of a target to keep away from; None if there is none.
     """
     if command.straight:
         plan = _plan_straight(config, joints, command, reference)
@@ -115,7 +113,6 @@ def find_branches(
     A branch is valid if the target and the end of the straight travel after it are within limits.
 
     Args:
-        command: Command with the target, the branch and the compensation.
         reference: Tool whose present deflection relative compensation uses; None for that of the command.
     """
     compensation = Compensation(command.backlash, command.deflection)

@@ -62,7 +62,6 @@ def check_contact_kept(
 
     Args:
         count: Cycles in a row in which no switch was closed.
-        closed: Switches that are closed, one flag each.
     """
     is_firm = press.force_N > bounds.press_step_N
     if not is_firm or any(closed[k] for k in bounds.tool_switches[press.tool]):

@@ -163,11 +163,7 @@ class ProtectionBounds:
 
 
 def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds:
-    """Compute the bounds of protection.
-
-    Args:
-        cycle_s: Duration of a control cycle.
-    """
+    """Compute the bounds of protection."""
     joints, monitors = params.joints.in_order(), params.monitors
     lowest = np.array([j.soft_min_rad - monitors.soft_limit_margin_rad for j in joints])
     highest = np.array([j.soft_max_rad + monitors.soft_limit_margin_rad for j in joints])

@@ -98,9 +98,7 @@ def protect(
 
     Args:
         last: State of the monitors after the cycle before.
-        fault: Fault that stands already.
         arm: Arm with its joints and move in this cycle.
-        last_rad: Set-point that went out last, shape (5,).
         unusable: What `check_readings` found in these readings.
         of_move: Events of the move in this cycle, among them its own faults.
 
@@ -188,10 +186,6 @@ def check_setpoint(bounds: ProtectionBounds, move: MoveStatus, last_rad: Array) 
     """Check that a set-point is finite, inside the limits and no jump, whatever planned it.
 
     Outside the limits it may still move inward: that is the way back.
-
-    Args:
-        move: Move whose set-point is about to go out.
-        last_rad: Set-point that went out last, shape (5,).
 
     Returns:
         The fault of the first joint whose set-point must not go out.
