@@ -68,12 +68,8 @@ class ClearanceViolation:
         )
 
 
-def find_violation(
-    geometry: CollisionGeometry,
-    frames: Frames,
-    padding_m: float,
-    touching: str | None = None,
-    surface: Surface | None = None,
+def judge_clearances(
+    geometry: CollisionGeometry, clearance: Array, padding_m: float, touching: str | None = None
 ) -> ClearanceViolation | None:
     """Find the first pose of a path at which a part of the arm is too close to an obstacle.
 
@@ -81,17 +77,10 @@ def find_violation(
     where a tool touches may a part start below the surface.
 
     Args:
-        frames: Frames of the links in RMECH along the path, batch (n).
+        clearance: Distances of `compute_clearances`, shape (parts, obstacles, n).
+        padding_m: Distance to be kept.
         touching: Tool that is to touch; no distance is required of it.
     """
-    clearance = compute_clearances(geometry, frames, padding_m, touching, surface)
-    return judge_clearances(geometry, clearance, padding_m, touching)
-
-
-def judge_clearances(
-    geometry: CollisionGeometry, clearance: Array, padding_m: float, touching: str | None = None
-) -> ClearanceViolation | None:
-    """Find the first pose that is too close, as `find_violation`, from distances (parts, obstacles, n)."""
     least = np.minimum(padding_m, clearance[..., :1] - ROUNDING_M)
     if touching is None:
         least[:, SURFACE] = np.maximum(least[:, SURFACE], 0.0)

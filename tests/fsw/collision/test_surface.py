@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from fsw.collision.distance import UP, compute_clearances, find_violation, limit_surface
+from fsw.collision.distance import UP, compute_clearances, limit_surface
 from fsw.collision.geometry import GROUND, SURFACE, SURFACE_FRAME, Surface
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
@@ -14,7 +14,7 @@ from sim.frames import FLIP, P_NR_M
 from sim.plant import Plant
 from sim.world import World, build
 from tests.fsw.collision.mujoco_reference import part_of
-from tests.fsw.rig import MARS_R_m_s2, beside_the_rover, in_limits
+from tests.fsw.rig import MARS_R_m_s2, beside_the_rover, find_violation, in_limits
 
 CONFIG = beside_the_rover()
 GEOMETRY = CONFIG.collision_geometry

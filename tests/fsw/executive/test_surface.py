@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.collision.distance import find_violation, limit_surface
+from fsw.collision.distance import limit_surface
 from fsw.collision.geometry import Surface
 from fsw.config import configure
 from fsw.dictionary.commands import GuardedMove, MoveTool, PlaceTool, Retract, Stow, Unstow
@@ -21,7 +21,7 @@ from fsw.motion.plan import Plan, Refusal, estimate_at
 from fsw.motion.plan_tool import plan_retract
 from sim.arms import arm_named
 from sim.frames import p_R_from_N
-from tests.fsw.rig import MARS_R_m_s2
+from tests.fsw.rig import MARS_R_m_s2, find_violation
 
 PARAMS = arm_named("nominal").params
 CONFIG = configure(PARAMS)
