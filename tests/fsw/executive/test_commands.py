@@ -107,18 +107,6 @@ def test_a_target_beyond_reach_is_refused_without_a_warning(far):
     assert "m long" in refusal(rig, GuardedMove("apxs", (far, far, -far), (1.0, 0.0, 0.0)))
 
 
-def test_a_named_branch_is_refused_for_its_own_reason():
-    reasons = {}
-    for name in BRANCHES:
-        rig = deployed()
-        rig.cycle(rig.here("apxs", branch=name))
-        reasons.update((name, evr.reason) for evr in rig.evrs if isinstance(evr, CommandRefused))
-    assert reasons
-    for name, reason in reasons.items():
-        assert reason.startswith(f"apxs: the target: {name}: ")
-        assert "soft limit" in reason or "out of reach" in reason
-
-
 def test_a_tool_move_says_which_branch_it_takes():
     rig = deployed()
     rig.cycle(rig.here("apxs", 0.01))
