@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fsw.collision.geometry import Surface
+from fsw.collision.geometry import TargetSurface
 from fsw.config import Config
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
@@ -63,7 +63,7 @@ class State:
     """Filtered temperature of the structure; without a meaning before the first usable reading."""
     structure_readings: int = 0
     """Number of usable readings in it."""
-    surface: Surface | None = None
+    surface: TargetSurface | None = None
     """Surface of the last target, from the last touch if there was one; None after an unstow."""
     changed_config: Config | None = None
     """Configuration with the present temperature and parameters; None if it is that at boot."""

@@ -8,7 +8,7 @@ from typing import Any, assert_never
 
 import numpy as np
 
-from fsw.collision.geometry import Surface
+from fsw.collision.geometry import TargetSurface
 from fsw.config import Config
 from fsw.dictionary.commands import (
     Calibrate,
@@ -225,7 +225,7 @@ def _begin_sequence(config: Config, context: CommandContext, command: CompoundCo
     return _accept(context, command, *evrs, sequence=sequence, surface=surface)
 
 
-def known_surface(config: Config, context: CommandContext) -> Surface | None:
+def known_surface(config: Config, context: CommandContext) -> TargetSurface | None:
     """Return the surface of the last target; through the tip of the tool if that touches now."""
     state = context.state
     if not in_contact(config, context, state.tool):

@@ -159,17 +159,13 @@ def stop_early(config: Config, move: Move, end_mode: Mode) -> Move:
     if move.phase is Phase.RELEASE:
         return _enter_phase(stopped, Phase.BRAKE)
     if move.phase is Phase.RUN and move.homing is not None:
-        return _enter_phase(replace(stopped, setpoint=_at_rest(move.setpoint)), Phase.BRAKE)
+        return _enter_phase(replace(stopped, setpoint=move.setpoint.at_rest()), Phase.BRAKE)
     if move.phase is Phase.RUN:
         path = stop_path(config, move.setpoint)
         return replace(
             stopped, plan=replace(plan, paths=(path,), travelled=distance_travelled(move)), ticks=0
         )
     return stopped
-
-
-def _at_rest(setpoint: Setpoint) -> Setpoint:
-    return Setpoint(setpoint.motor_rad, np.zeros_like(setpoint.rate_rad_s))
 
 
 def find_closed_switch(config: Config, tool: str, closed: Flags) -> str | None:
@@ -221,7 +217,7 @@ def _press_on_contact(
     A tool that touched before it moved is not preloaded further. If no preload can be planned, the tool stays
     where its switch closed.
     """
-    at_rest = _at_rest(move.setpoint)
+    at_rest = move.setpoint.at_rest()
     move = replace(move, plan=replace(move.plan, touched=True), setpoint=at_rest)
     settling = MoveUpdate(_enter_phase(move, Phase.SETTLE), (made,))
     if made.travel_m == 0:

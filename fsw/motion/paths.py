@@ -10,7 +10,7 @@ import numpy as np
 from ruckig import InputParameter, Result, Ruckig, Trajectory
 
 from fsw.collision.distance import compute_clearances, judge_clearances, limit_surface
-from fsw.collision.geometry import SURFACE, Surface
+from fsw.collision.geometry import SURFACE, TargetSurface
 from fsw.config import CYCLE_S, Config
 from fsw.dictionary.types import cycle_record
 from fsw.estimate.gear import bound_gear
@@ -29,6 +29,10 @@ class Setpoint:
 
     motor_rad: Array
     rate_rad_s: Array
+
+    def at_rest(self) -> "Setpoint":
+        """Return the same angles, at rest."""
+        return Setpoint(self.motor_rad, np.zeros_like(self.rate_rad_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,7 +224,7 @@ def check_paths(
     paths: tuple[Path, ...],
     padding_m: float,
     touching: str | None = None,
-    surface: Surface | None = None,
+    surface: TargetSurface | None = None,
 ) -> str | None:
     """Check that the deflected arm stays clear of rover, ground and surface along paths.
 
@@ -270,7 +274,7 @@ def check_touch(
     """
     geometry, padding_m = config.collision_geometry, config.params.collision.padding_m
     frames = compute_deflected_frames(config, joints, sample_paths(config, paths, COARSE_STEP_M))
-    surface = Surface(tool_pose(config.arm, frames, touching).p, normal_R)
+    surface = TargetSurface(tool_pose(config.arm, frames, touching).p, normal_R)
     height_m = compute_clearances(geometry, frames, padding_m, touching, surface)[:, SURFACE].min(axis=1)
     part = int(height_m.argmin())
     if height_m[part] >= padding_m:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fsw.collision.geometry import Surface as TargetSurface
+from fsw.collision.geometry import TargetSurface
 from fsw.config import Config, configure
 from fsw.dictionary.commands import (
     Calibrate,
