@@ -220,7 +220,7 @@ lint: $(VENV)/ready
 	$(BIN)/mypy || failed=1; \
 	$(BIN)/lint-imports --no-logo --no-cache || failed=1; \
 	$(BIN)/python .ci/style.py || failed=1; \
-	$(BIN)/marsarm arm build --check >/dev/null || failed=1; \
+	$(BIN)/marsarm arm --check >/dev/null || failed=1; \
 	$(BIN)/python -m validation.requirements --check || failed=1; \
 	exit $$failed
 

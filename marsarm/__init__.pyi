@@ -34,7 +34,7 @@ from marsarm.diagnosis.arm.output_files import effects_of_findings as effects_of
 from marsarm.diagnosis.arm.record import record_logs as record_logs
 from marsarm.diagnosis.arm.request import DiagnoseRequest as DiagnoseRequest
 from marsarm.diagnosis.arm.request import RecordRequest as RecordRequest
-from marsarm.diagnosis.sentences import verdict_lines as verdict_lines
+from marsarm.diagnosis.result import verdict_lines as verdict_lines
 from marsarm.replay.replay import ReplayRequest as ReplayRequest
 from marsarm.replay.replay import replay as replay
 from marsarm.runs.place import place as place
@@ -44,7 +44,7 @@ from marsarm.runs.request import RunRequest as RunRequest
 from marsarm.runs.scenario import run_scenario as run_scenario
 from marsarm.telemetry.read import Log as Log
 from marsarm.telemetry.read import read_log as read_log
-from marsarm.telemetry.record_run import record_commands as record_commands
+from marsarm.telemetry.recorder import record_commands as record_commands
 from sim.arms import BuiltArm as BuiltArm
 from sim.arms import arm_named as arm_named
 from sim.effects.effect import EachCycle as EachCycle

@@ -1,6 +1,16 @@
-"""Run the command line: `python -m marsarm`."""
+"""Start of the command `marsarm`: Ctrl-C is answered from here on, also while the rest is imported."""
 
-from marsarm.cli.start import start
+from simgap.common.interruption import report_interruption
+
+
+def start() -> None:
+    """Run the command `marsarm`."""
+    # An interruption is an exception, which unwinds the stack, so that temporary files are deleted.
+    with report_interruption():
+        from marsarm.cli.app import main
+
+        main()
+
 
 if __name__ == "__main__":
     start()

@@ -15,20 +15,25 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from fsw.kinematics.transforms import Array
-from marsarm.calibration.arm_model import arm_model
 from marsarm.calibration.arm_parameters import arm_parameters
-from marsarm.calibration.calibrate import Calibration, calibrate, rms_m
+from marsarm.calibration.calibrate import (
+    Calibration,
+    calibrate,
+    calibrated_params,
+    rms_m,
+    save_parameter_file,
+)
 from marsarm.calibration.campaign import CampaignPlan, earth_reference, run_campaign
-from marsarm.calibration.campaign_data import Campaign
-from marsarm.calibration.checks import BadData, check_data, check_fit
-from marsarm.calibration.parameter_file import calibrated_params, save_parameter_file
-from marsarm.calibration.simulation import (
+from marsarm.calibration.campaign_data import BadData, Campaign
+from marsarm.calibration.execution import check_data, check_fit
+from marsarm.calibration.residual_model import residual_model
+from marsarm.calibration.verify import (
     compare_with_truth,
     hardstop_errors_rad,
+    register_tools,
     simulate_campaign,
     zero_errors_rad,
 )
-from marsarm.calibration.verify import register_tools
 from marsarm.common.pool import Runner
 from marsarm.common.rates import clopper_pearson
 from sim.arms import arm_named
@@ -86,7 +91,7 @@ def run(trial: CalibrationTrial) -> dict[str, Any]:
         _save(found, trial)
     before, held = found.before[:, found.held_out_poses], found.held_out_error
     comparison = compare_with_truth(arm_named(f"as-built:{trial.seed}"), found, zero_error_rad)
-    state = arm_model(nominal, campaign, with_backlash=False).errors(found.best.values)
+    state = residual_model(nominal, campaign, with_backlash=False).errors(found.best.values)
     inside = np.array([branch.startswith("shoulder-in") for branch in campaign.branch])
     length = np.linalg.norm(state[3:], axis=0)
     return {
@@ -115,7 +120,7 @@ def run(trial: CalibrationTrial) -> dict[str, Any]:
 def speed(campaign: Campaign) -> dict[str, Any]:
     """Time the calibration, its fit, and scipy's least squares with numeric derivatives on its residual."""
     nominal, parameters = nominal_params(), arm_parameters()
-    model = arm_model(nominal, campaign)
+    model = residual_model(nominal, campaign)
     prior = np.array([parameter.prior_sigma for parameter in parameters])
 
     def residual(shifted: np.ndarray) -> np.ndarray:

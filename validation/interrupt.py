@@ -27,7 +27,7 @@ from marsarm.telemetry.read import read_log
 
 BOUND_S: Final = 2.0
 ROOT: Final = Path(__file__).parents[1]
-PROGRAM: Final = "from marsarm.cli.start import start; start()"
+PROGRAM: Final = "from marsarm.__main__ import start; start()"
 SENTENCE: Final = re.compile(r"interrupted by SIG[A-Z]+ before the end[^\n]*\n")
 PROGRESS: Final = re.compile(r"[^\n]*: \d+% after [^\n]*\n")
 """Line of progress, which a command prints each minute."""

@@ -16,10 +16,11 @@ from typing import Any, Final
 import numpy as np
 
 from marsarm.accuracy.budget import COMPONENTS, MOMENTS
-from marsarm.accuracy.combine import COVERAGE
 from marsarm.accuracy.monte_carlo import MonteCarloReport, run_monte_carlo
-from marsarm.accuracy.monte_carlo_report import monte_carlo_json
+from marsarm.accuracy.monte_carlo_report import monte_carlo_document
+from marsarm.accuracy.propagation import COVERAGE
 from marsarm.accuracy.request import MonteCarloRequest
+from simgap.common.report import to_json
 from validation.options import campaign_parser
 
 EXAMPLE = "example: python -m validation.monte_carlo --statics 2000 --closed-loop 100 --calibrated 5"
@@ -51,8 +52,8 @@ def against_budget(case: str, options: Any) -> dict[str, Any]:
         if is_same
     ]
     return {
-        "statics": {**monte_carlo_json(many), "in_bounds": _rule_holds(many)},
-        "closed-loop": {**monte_carlo_json(some), "in_bounds": _rule_holds(some)},
+        "statics": {**monte_carlo_document(many), "in_bounds": _rule_holds(many)},
+        "closed-loop": {**monte_carlo_document(some), "in_bounds": _rule_holds(some)},
         "statics_difference_m": {
             "rms": float(np.sqrt(np.mean(np.square(difference_m)))),
             "max": max(difference_m),
@@ -133,7 +134,7 @@ def main() -> None:
         "--results", type=Path, help="folder of results, from which an interrupted run continues"
     )
     found = document(parser.parse_args())
-    print(json.dumps(found, indent=2))
+    print(json.dumps(to_json(found), indent=2))
     out = _out_of_bounds(found)
     if out:
         sys.exit(f"out of bounds: {', '.join(out)}")

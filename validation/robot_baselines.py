@@ -15,16 +15,16 @@ from typing import Final
 import numpy as np
 
 from simgap.assemble import simulate_models
-from simgap.audit.audit import audit
-from simgap.audit.records import Audit
 from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.checks.audit import audit
+from simgap.checks.records import Audit
 from simgap.common.errors import RobotError
-from simgap.diagnose import diagnose
+from simgap.diagnosis import diagnose
 from simgap.effects.actuation import GainError
 from simgap.effects.effect import Effect
 from simgap.effects.forces import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature
-from simgap.load import load
+from simgap.loading import load
 from simgap.logs import Logs
 from simgap.residuals.simulation_residuals import list_kinds
 from simgap.robot import Robot

@@ -24,8 +24,8 @@ import numpy as np
 from simgap.arrays import Array
 from simgap.common.errors import RobotError, UserError
 from simgap.common.progress import show_progress
-from simgap.diagnose import diagnose
-from simgap.load import load
+from simgap.diagnosis import diagnose
+from simgap.loading import load
 from simgap.logs import Logs, Motion, Signal
 from simgap.residuals.residuals import ResidualModel
 from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds

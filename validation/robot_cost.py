@@ -14,10 +14,10 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
+from marsarm.render.svg import save_figure
 from simgap.common.errors import UserError
-from simgap.common.figures import save_figure
 from simgap.common.progress import show_progress
-from simgap.diagnose import diagnose
+from simgap.diagnosis import diagnose
 from simgap.selection.checkpoint import Progress
 from validation.options import campaign_parser
 from validation.resumable import keep_results

@@ -23,12 +23,12 @@ from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.statics import settle, settle_output
 from marsarm.calibration.campaign import PAPER_GROUPS, SHOULDER_IN_SHARE
 from marsarm.common.pool import Runner, in_order
+from marsarm.render.svg import save_figure
 from sim.arms import BuiltArm, arm_named
 from sim.effects.structure import StandInTurret
 from sim.initialisation import initial_reference
 from sim.pose_sequence import RestState, pose_in_workspace, visit_poses
 from sim.world import World
-from simgap.common.figures import save_figure
 from validation.options import campaign_parser, campaign_runner
 
 EXAMPLE = "example: python -m validation.shoulder_in --picture docs/shoulder-in.png"

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
-from simgap.load import read_split
+from simgap.loading import read_split
 from simgap.robot import Robot
 
 EXAMPLE: Final = "example: python -m validation.so101_logs sage/output/real/so101/custom so101.parquet"

@@ -13,15 +13,15 @@ from typing import Any, Final
 
 import numpy as np
 
+from marsarm.render.svg import save_figure
 from simgap.arrays import Array
 from simgap.assemble import list_base, simulate_models
-from simgap.audit.audit import audit
-from simgap.audit.limits import site_heights
-from simgap.audit.records import Audit, RemarkKind
 from simgap.catalogue.catalogue import base_effects
+from simgap.checks.audit import audit
+from simgap.checks.limits import site_heights
+from simgap.checks.records import Audit, RemarkKind
 from simgap.common.errors import RobotError
-from simgap.common.figures import save_figure
-from simgap.load import load
+from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
 from simgap.robot import Robot

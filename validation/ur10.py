@@ -3,18 +3,16 @@
 import json
 import os
 import sys
-import tempfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array, Integers
-from marsarm.calibration.request import SerialRequest
-from marsarm.calibration.serial.execution import SerialReport, calibrate_serial
-from marsarm.calibration.serial.report import serial_json
+from simgap.command.tracker import calibration_json
 from simgap.serial_arm.calibrate import periodic_error_rad
+from simgap.serial_arm.files import read_arm, read_series
+from simgap.serial_arm.tracker import TrackerFit, fit_tracker
 from validation.options import campaign_parser
 
 EXAMPLE = "example: MARSARM_DATA=~/data python -m validation.ur10 > ur10.json"
@@ -46,31 +44,27 @@ def main() -> int:
 
 def document(folder: Path) -> dict[str, Any]:
     """Calibrate both series, validate one on the other, and compare the errors with their bounds."""
-    with tempfile.TemporaryDirectory() as output:
-        reports = {name: _calibrate_series(folder, name, Path(output)) for name in TABLES}
-        from_a = SerialRequest(
-            Path(output) / "a.toml", folder / TABLES["c"], FILES / "series_c.toml", terms="none"
-        )
-        reports["a_to_c"] = calibrate_serial(from_a, _print_progress)
-    checks = {name: _check_error(reports[name], bound) for name, bound in BOUNDS_MM.items()}
-    temperature = {name: serial_json(reports[name], None)["temperature"]["explains"] for name in TABLES}
+    arm = read_arm(FILES / "arm.toml")
+    series = {
+        name: read_series(arm, folder / table, FILES / f"series_{name}.toml")
+        for name, table in TABLES.items()
+    }
+    fits = {name: fit_tracker(arm, one, progress=_print_progress) for name, one in series.items()}
+    fits["a_to_c"] = fit_tracker(fits["a"].found.arm, series["c"], terms=(), progress=_print_progress)
+    documents = {name: calibration_json(one) for name, one in fits.items()}
+    checks = {name: _check_error(fits[name], bound) for name, bound in BOUNDS_MM.items()}
+    temperature = {name: documents[name]["temperature"]["explains"] for name in TABLES}
     return {
         "passed": all(one["passed"] for one in checks.values()) and set(temperature.values()) == {"nothing"},
         "held_out_position_rms": checks,
         "temperature_explains": temperature,
-        "periodic_comparison": [_compare_periodic(reports["a"], reports["c"], k) for k in range(JOINTS)],
-        **{name: _select_keys(report) for name, report in reports.items()},
+        "periodic_comparison": [_compare_periodic(fits["a"], fits["c"], k) for k in range(JOINTS)],
+        **{name: {key: one[key] for key in KEYS} for name, one in documents.items()},
     }
 
 
-def _calibrate_series(folder: Path, name: str, output: Path) -> SerialReport:
-    request = SerialRequest(FILES / "arm.toml", folder / TABLES[name], FILES / f"series_{name}.toml")
-    return calibrate_serial(replace(request, nested=True, out=output / f"{name}.toml"), _print_progress)
-
-
-def _check_error(report: SerialReport, bound_mm: float) -> dict[str, Any]:
-    fresh = report.models[-1].fresh
-    assert fresh is not None
+def _check_error(fitted: TrackerFit, bound_mm: float) -> dict[str, Any]:
+    fresh = fitted.models[-1].fresh
     rms_mm = fresh.rms_m * 1e3
     return {
         "rms_mm": rms_mm,
@@ -80,16 +74,16 @@ def _check_error(report: SerialReport, bound_mm: float) -> dict[str, Any]:
     }
 
 
-def _compare_periodic(one: SerialReport, other: SerialReport, joint: int) -> dict[str, Any]:
+def _compare_periodic(one: TrackerFit, other: TrackerFit, joint: int) -> dict[str, Any]:
     """Compare the periodic errors of a joint from two series, at degrees that both visit, without slopes."""
     at_rad = np.radians(np.arange(-179.5, 180.0))
-    visits = [_visits(report, joint) for report in (one, other)]
+    visits = [_visits(fitted, joint) for fitted in (one, other)]
     at_rad = at_rad[np.all(np.array(visits) >= LEAST_VISITS, axis=0)]
-    name = one.arm.links[joint].name
+    name = one.found.model.arm.links[joint].name
     if at_rad.size < LEAST_DEGREES:
         return {"name": name, "degrees": at_rad.size}
     line = np.stack([np.ones(at_rad.size), at_rad], axis=1)
-    curves = np.array([_periodic_rad(report, joint, at_rad) for report in (one, other)]).T
+    curves = np.array([_periodic_rad(fitted, joint, at_rad) for fitted in (one, other)]).T
     curves -= line @ np.linalg.lstsq(line, curves, rcond=None)[0]
     return {
         "name": name,
@@ -100,23 +94,18 @@ def _compare_periodic(one: SerialReport, other: SerialReport, joint: int) -> dic
     }
 
 
-def _visits(report: SerialReport, joint: int) -> Integers:
+def _visits(fitted: TrackerFit, joint: int) -> Integers:
     """Count the fitted poses in each degree of a joint, shape (360,)."""
-    degrees = np.degrees(report.part.joint_rad[joint])
+    degrees = np.degrees(fitted.found.model.series.joint_rad[joint])
     return np.bincount(np.floor(np.mod(degrees + 180, 360)).astype(int), minlength=360)
 
 
-def _periodic_rad(report: SerialReport, joint: int, at_rad: Array) -> Array:
+def _periodic_rad(fitted: TrackerFit, joint: int, at_rad: Array) -> Array:
     """Compute the periodic error of a joint at angles of shape (n,)."""
-    arm = report.models[-1].found.arm
+    arm = fitted.found.arm
     phase = at_rad[:, None] * np.arange(1, arm.orders + 1)
     amplitudes = arm.links[joint].periodic_rad(arm.orders)
     return periodic_error_rad(np.concatenate([np.cos(phase), np.sin(phase)], axis=1), amplitudes)
-
-
-def _select_keys(report: SerialReport) -> dict[str, Any]:
-    whole = serial_json(report, None)
-    return {name: whole[name] for name in KEYS}
 
 
 def _print_progress(done: float, total: float, what: str) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from marsarm.runs.place import place
 from marsarm.runs.request import PlaceRequest, RunFiles
-from marsarm.view.html import save_page
+from marsarm.view.page import save_page
 from marsarm.view.watched_run import watch_log
 from simgap.common.progress import show_progress
 from validation.browser import MISSING, Browser, find_chromium

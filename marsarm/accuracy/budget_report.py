@@ -1,23 +1,23 @@
-"""Report of the error budget: JSON document, tables, and a page with the paper's values beside ours."""
+"""Report of the error budget: what it shows on the console, on its page and in its picture."""
 
+from functools import partial
 from math import degrees
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from rich.table import Table
 
 from fsw.dictionary.enums import Frame
-from marsarm.accuracy.budget import ALL, COMPONENTS, Budget, BudgetReport
-from marsarm.accuracy.combine import COVERAGE
+from marsarm.accuracy.budget import ALL, COMPONENTS, Budget, BudgetReport, MagnitudeFit
 from marsarm.accuracy.confidence import describe_sample, is_within
-from marsarm.accuracy.reproduce import MagnitudeFit
+from marsarm.accuracy.propagation import COVERAGE
 from marsarm.accuracy.sources import sources_sha256
-from simgap.common import svg
-from simgap.common.console import plain_console
+from marsarm.render import svg
+from marsarm.render.svg import ReportFigure
 from simgap.common.json_digest import json_sha256
 from simgap.common.options import command_text
-from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
+from simgap.common.page import Origin, Requirement
+from simgap.common.report import Heading, ReportPage, ReportTable, file_lines, to_json
 
 RULES: Final = ("paper", "moments", "root sum square", "worst case")
 WHEN: Final = {
@@ -33,68 +33,44 @@ CELLS: Final = 14
 """Number of cells along each side of the map."""
 
 
-def budget_json(report: BudgetReport) -> dict[str, Any]:
-    """Convert the budget to a JSON document in metres and radians."""
+def budget_document(report: BudgetReport) -> dict[str, Any]:
+    """Collect the budget in metres and radians."""
+    request = report.request
     return {
-        "poses": report.request.poses,
-        "seed": report.request.seed,
-        "gravity": report.request.gravity,
+        "poses": request.poses,
+        "seed": request.seed,
+        "gravity": request.gravity,
         "params_sha256": report.params_sha256,
         "rows": [
-            {
-                "name": row.name,
-                "case": row.case,
-                "component": row.component,
-                "required": row.required,
-                "paper": row.estimated,
-                "ours": value,
-                "ratio": value / row.estimated,
-            }
-            for row, value in report.rows
+            {**to_json(row), "ours": value, "ratio": value / row.estimated} for row, value in report.rows
         ],
-        "cases": {name: _case_json(budget) for name, budget in report.budgets.items()},
-        "sources": {
-            name: {
-                "text": source.text,
-                "kind": source.kind,
-                "label": source.label,
-                "basis": source.basis,
-                "distribution": source.distribution,
-                "at_limit": source.at_limit,
-            }
-            for name, source in report.model.source.items()
-        },
-        "reproduced": [_reproduced_json(found) for found in report.reproduced],
+        "cases": {name: _case_document(budget) for name, budget in report.budgets.items()},
+        "sources": report.model.source,
+        "reproduced": [_reproduced_document(found) for found in report.reproduced],
     }
 
 
-def _case_json(budget: Budget) -> dict[str, Any]:
+def _case_document(budget: Budget) -> dict[str, Any]:
+    frames = [frame.name.lower() for frame in Frame]
     return {
         "text": budget.case.text,
-        "sources": dict(budget.case.sources),
+        "sources": budget.case.sources,
         "tools": [*budget.tools],
-        "estimates": {
-            rule: {component: budget.estimate(rule, component) for component in COMPONENTS} for rule in RULES
-        },
+        "estimates": {rule: {c: budget.estimate(rule, c) for c in COMPONENTS} for rule in RULES},
         "share_m": {
-            name: dict(zip((frame.name.lower() for frame in Frame), share.tolist(), strict=True))
+            name: dict(zip(frames, share, strict=True))
             for name, share in zip(budget.case.sources, budget.share_m, strict=True)
         },
     }
 
 
-def _reproduced_json(found: MagnitudeFit) -> dict[str, Any]:
+def _reproduced_document(found: MagnitudeFit) -> dict[str, Any]:
     return {
         "rows": {row.name: value for row, value in found.rows},
         "magnitudes": [
-            {
-                "source": source,
-                "part": part,
-                "factor": factor,
-                "magnitude": found.magnitude[source, part][0],
-                "unit": found.magnitude[source, part][1],
-            }
+            {"source": source, "part": part, "factor": factor, "magnitude": value, "unit": unit}
             for (source, part), factor in found.factor.items()
+            for value, unit in [found.magnitude[source, part]]
         ],
     }
 
@@ -104,72 +80,62 @@ def format_value(component: str, value: float) -> str:
     return f"{degrees(value):.2f} deg" if component.endswith("_rad") else f"{value * 1e3:.1f} mm"
 
 
-def budget_table(report: BudgetReport, picture_problem: str | None) -> None:
-    """Print the paper's rows beside ours, the shares of the sources, and the other combination rules."""
-    console = plain_console()
-    console.print(_rows(report))
-    for budget in report.budgets.values():
-        console.print(_shares(report, budget))
-        console.print(_rules(budget))
-    for found in report.reproduced:
-        console.print(_reproduced(found))
-    if report.request.report is not None:
-        console.print(f"report  {report.request.report}")
-    if report.request.picture is not None:
-        console.print(f"picture  {picture_problem or report.request.picture}")
+def short_name(component: str) -> str:
+    """Return the name of a component without its unit."""
+    return component.rsplit("_", 1)[0]
 
 
-def _rows(report: BudgetReport) -> Table:
+def budget_parts(report: BudgetReport, picture_problem: str | None) -> list[str | ReportTable]:
+    """Show the paper's rows beside ours, the shares of the sources, and the other combination rules."""
     request = report.request
-    title = f"Error budget by the paper's rule, {request.poses} poses, tool {request.tool}"
-    table = Table(title=title, title_justify="left")
-    for name in ("", "case", "required", "paper", "ours", "ratio"):
-        table.add_column(name, justify="left" if name in ("", "case") else "right")
+    parts: list[str | ReportTable] = [_paper_table(report)]
+    for budget in report.budgets.values():
+        parts += [_share_table(report, budget), _rule_table(budget)]
+    parts += [_reproduced_table(found) for found in report.reproduced]
+    picture = None if request.picture is None else picture_problem or request.picture
+    return [*parts, *file_lines({"report": request.report, "picture": picture})]
+
+
+def _paper_table(report: BudgetReport) -> ReportTable:
+    request = report.request
+    rows = []
     for row, value in report.rows:
         limits = (format_value(row.component, v) for v in (row.required, row.estimated, value))
-        table.add_row(row.name, row.case, *limits, f"{value / row.estimated:.2f}")
-    return table
+        rows.append((row.name, row.case, *limits, f"{value / row.estimated:.2f}"))
+    title = f"Error budget by the paper's rule, {request.poses} poses, tool {request.tool}"
+    return ReportTable(("", "case", "required", "paper", "ours", "ratio"), rows, title)
 
 
-def _shares(report: BudgetReport, budget: Budget) -> Table:
-    table = Table(title=f"{budget.name}: shares of the total [mm]", title_justify="left")
-    table.add_column("source")
-    table.add_column("")
-    for frame in Frame:
-        table.add_column(frame.name.lower(), justify="right")
-    table.add_column("all", justify="right")
+def _share_table(report: BudgetReport, budget: Budget) -> ReportTable:
     order = sorted(
         zip(budget.case.sources, budget.share_m * 1e3, strict=True), key=lambda pair: -pair[1].sum()
     )
+    rows = []
     for name, share in order:
         cells = [f"{value:.2f}" if value >= 0.005 else "" for value in (*share, share.sum())]
-        table.add_row(name, report.model.source[name].label, *cells)
-    return table
+        rows.append((name, report.model.source[name].label, *cells))
+    head = ("source", "", *(frame.name.lower() for frame in Frame), "all")
+    return ReportTable(head, rows, f"{budget.name}: shares of the total [mm]")
 
 
-def _rules(budget: Budget) -> Table:
-    table = Table(title=f"{budget.name}: the same errors by other rules", title_justify="left")
-    table.add_column("rule")
-    for component in COMPONENTS:
-        table.add_column(component.rsplit("_", 1)[0], justify="right")
-    for rule in RULES:
-        table.add_row(rule, *(format_value(c, budget.estimate(rule, c)) for c in COMPONENTS))
-    return table
+def _rule_table(budget: Budget) -> ReportTable:
+    rows = [(rule, *(format_value(c, budget.estimate(rule, c)) for c in COMPONENTS)) for rule in RULES]
+    title = f"{budget.name}: the same errors by other rules"
+    return ReportTable(("rule", *map(short_name, COMPONENTS)), rows, title)
 
 
-def _reproduced(found: MagnitudeFit) -> Table:
-    table = Table(title="Magnitudes that reproduce the paper", title_justify="left")
-    for name in ("source", "part", "magnitude", "times ours"):
-        table.add_column(name, justify="right" if name in ("magnitude", "times ours") else "left")
+def _reproduced_table(found: MagnitudeFit) -> ReportTable:
+    rows = []
     for (source, part), factor in found.factor.items():
         value, unit = found.magnitude[source, part]
-        table.add_row(source, part, f"{value:.3f} {unit}", f"{factor:.2f}")
+        rows.append((source, part, f"{value:.3f} {unit}", f"{factor:.2f}"))
     for row, value in found.rows:
-        table.add_row(row.name, row.case, format_value(row.component, value), f"{value / row.estimated:.2f}")
-    return table
+        rows.append((row.name, row.case, format_value(row.component, value), f"{value / row.estimated:.2f}"))
+    head = ("source", "part", "magnitude", "times ours")
+    return ReportTable(head, rows, "Magnitudes that reproduce the paper")
 
 
-def list_requirements(report: BudgetReport) -> list[Requirement]:
+def budget_requirements(report: BudgetReport) -> list[Requirement]:
     """List the requirements of the cases; poses that are too few for a bound decide nothing."""
     sample = describe_sample(report.request.poses, "poses", COVERAGE)
     return [
@@ -183,42 +149,36 @@ def list_requirements(report: BudgetReport) -> list[Requirement]:
     ]
 
 
-def save_budget_page(report: BudgetReport, path: Path) -> None:
-    """Write the page.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
-    rows = [
-        (
-            row.name,
-            WHEN[row.case],
-            format_value(row.component, row.estimated),
-            format_value(row.component, value),
-            f"{value / row.estimated:.2f}",
-        )
-        for row, value in report.rows
-    ]
+def budget_page(report: BudgetReport) -> ReportPage:
+    """Show the paper's rows beside ours, each case with its figures, and the sources."""
     sources = [(s.text, s.label, s.kind, s.basis) for s in report.model.source.values()]
-    parts = [
-        paragraph(
-            f"{_poses(report)} Bounds, plus or minus, that hold at 99.73 % of the poses: our magnitudes by "
-            "the paper's rule."
-        ),
-        heading("Beside the paper"),
-        table(("", "", "paper", "ours", "ours to the paper's"), rows),
-        *(part for budget in report.budgets.values() for part in _case(budget)),
-        heading("Sources"),
-        table(("source", "", "kind", "basis"), sources),
-        paragraph("S from a public document, I inferred, A assumed."),
+    parts: list[str | Heading | ReportTable | tuple[ReportFigure, ...]] = [
+        f"{_poses(report)} Bounds, plus or minus, that hold at 99.73 % of the poses: our magnitudes by "
+        "the paper's rule.",
+        Heading("Beside the paper"),
+        _paper_table(report),
     ]
+    for name, budget in report.budgets.items():
+        shares = ReportFigure(f"{name}: shares of the total", 3.9, partial(_draw_shares, budget=budget))
+        total = ReportFigure(f"{name}: map of the total", 3.9, partial(_draw_map, budget=budget))
+        parts += [Heading(name), budget.case.text, (shares, total), _rule_table(budget)]
+    parts += [
+        Heading("Sources"),
+        ReportTable(("source", "", "kind", "basis"), sources),
+        "S from a public document, I inferred, A assumed.",
+    ]
+    origin = make_origin("budget", report.request, report.params_sha256, budget_document(report))
+    return ReportPage("Error budget of the arm", budget_requirements(report), origin, parts)
+
+
+def make_origin(verb: str, request: Any, params_sha256: str, document: dict[str, Any]) -> Origin:
+    """Name the command, the parameters, the sources of error and the result of a page."""
     digests = {
-        "parameters": report.params_sha256,
+        "parameters": params_sha256,
         "sources of error": sources_sha256(),
-        "result": json_sha256(budget_json(report)),
+        "result": json_sha256(to_json(document)),
     }
-    origin = Origin(command_text("budget", report.request), digests)
-    save_page("Error budget of the arm", "", list_requirements(report), origin, parts, path)
+    return Origin(command_text(f"marsarm {verb}", request), digests)
 
 
 def _poses(report: BudgetReport) -> str:
@@ -226,21 +186,6 @@ def _poses(report: BudgetReport) -> str:
     place = request.gravity.title()
     tools = "all tools" if request.tool == ALL else f"tool {request.tool}"
     return f"{request.poses} poses over the workspace, {tools}, gravity of {place}."
-
-
-def _case(budget: Budget) -> list[str]:
-    rules = [(rule, *(format_value(c, budget.estimate(rule, c)) for c in COMPONENTS)) for rule in RULES]
-    return [
-        heading(budget.name),
-        paragraph(budget.case.text),
-        figures(
-            svg.render_svg(
-                f"{budget.name}: shares of the total", 3.9, lambda figure: _draw_shares(figure, budget)
-            ),
-            svg.render_svg(f"{budget.name}: map of the total", 3.9, lambda figure: _draw_map(figure, budget)),
-        ),
-        table(("rule", *(name.rsplit("_", 1)[0] for name in COMPONENTS)), rules),
-    ]
 
 
 def save_budget_picture(report: BudgetReport, path: Path) -> str | None:

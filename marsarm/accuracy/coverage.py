@@ -9,18 +9,21 @@ import numpy as np
 from fsw.config import Config
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Flags
-from marsarm.accuracy.budget import (
-    COMPONENTS,
-    Budget,
-    ToolBudget,
-    compute_tool_budget,
-    errors_by_source,
-)
-from marsarm.accuracy.combine import COVERAGE, TOTAL, bounds, paper_rule, pooled_quantile, squared_length
+from marsarm.accuracy.budget import COMPONENTS, Budget, ToolBudget, compute_tool_budget, errors_by_source
 from marsarm.accuracy.confidence import Coverage, Interval, estimate_coverage, quantile_interval
-from marsarm.accuracy.placements import MeasuredPlacement
-from marsarm.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity
+from marsarm.accuracy.propagation import (
+    COVERAGE,
+    TOTAL,
+    Poses,
+    Sensitivity,
+    bounds,
+    compute_sensitivity,
+    paper_rule,
+    pooled_quantile,
+    squared_length,
+)
 from marsarm.accuracy.sources import BudgetCase, ErrorModel
+from marsarm.accuracy.trial import MeasuredPlacement
 
 ON_FLANK: Final = 0.999
 """Smallest distance from the centre, as a share of half the backlash, that counts as on a flank."""
@@ -75,8 +78,6 @@ def backlash_ratio(model: ErrorModel, sensitivity: Sensitivity, side: Array) -> 
     """Compute the tool motion by backlash over the sum of the largest motions by each joint.
 
     Args:
-        model: Error sources.
-        sensitivity: Sensitivity of the tool at each pose.
         side: Positions of the outputs in their backlash, -1 and +1 at the flanks, shape (5, n).
 
     Returns:

@@ -12,13 +12,12 @@ import numpy as np
 from fsw.config import configure, digest
 from fsw.dictionary.params import Params
 from marsarm.accuracy.budget import COMPONENTS
-from marsarm.accuracy.combine import PARTS
 from marsarm.accuracy.confidence import AccuracyEstimate, estimate_accuracy
 from marsarm.accuracy.coverage import CoverageReport, check_coverage
-from marsarm.accuracy.placements import MeasuredPlacement
+from marsarm.accuracy.propagation import PARTS
 from marsarm.accuracy.request import ArmKind, MonteCarloRequest, MoveModel
 from marsarm.accuracy.sources import ErrorModel, load_error_model, sources_sha256
-from marsarm.accuracy.trial import run_built_trial, run_sampled_trial
+from marsarm.accuracy.trial import MeasuredPlacement, run_built_trial, run_sampled_trial
 from marsarm.common.checkpoint import Checkpoint
 from marsarm.common.pool import Runner, select_runner
 from marsarm.common.requests import load_params, select_arm

@@ -1,45 +1,34 @@
-"""Report of a Monte Carlo: JSON document, tables, and a page with errors, coverage and additivity."""
+"""Report of a Monte Carlo: errors, coverage of the budget and additivity."""
 
-from dataclasses import asdict
-from math import degrees, isfinite
-from pathlib import Path
+from functools import partial
+from math import degrees
 from typing import Any, Final
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from fsw.dictionary.enums import Joint
-from marsarm.accuracy.budget import COMPONENTS, MOMENTS
-from marsarm.accuracy.budget_report import RULES, format_value
-from marsarm.accuracy.combine import COVERAGE
-from marsarm.accuracy.confidence import Interval, describe_sample, is_within, min_sample_size
-from marsarm.accuracy.coverage import AdditivityCheck, CoverageReport
+from marsarm.accuracy.budget import COMPONENTS, MOMENTS, TABLE_3, TABLE_4
+from marsarm.accuracy.budget_report import RULES, format_value, make_origin, short_name
+from marsarm.accuracy.confidence import describe_sample, is_within, min_sample_size
+from marsarm.accuracy.coverage import CoverageReport
 from marsarm.accuracy.monte_carlo import MonteCarloReport
-from marsarm.accuracy.reproduce import TABLE_3, TABLE_4
-from marsarm.accuracy.sources import sources_sha256
-from simgap.common import svg
-from simgap.common.console import plain_console
-from simgap.common.json_digest import json_sha256
-from simgap.common.options import command_text
-from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
+from marsarm.accuracy.propagation import COVERAGE
+from marsarm.render import svg
+from marsarm.render.svg import ReportFigure
+from simgap.common.page import Requirement
+from simgap.common.report import Heading, ReportPage, ReportTable, file_lines, to_json
 
 JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
-RULE_HEAD: Final = ("rule", "", "estimate", "covers", "95 %", "width", "95 %")
-ADDITIVITY_HEAD: Final = ("source", "added", "all with one sign", "each by itself")
-SIGMA_HEAD: Final = ("three sigma", "of any arm", "at most", "of one arm", "at most")
 BINS: Final = 60
 REPEATABILITY_OF: Final = {"accuracy": "repeatability", "mars": "mars-repeatability"}
 """Case of the paper's repeatability by that of its accuracy."""
 COLOURS: Final = dict(zip(RULES, (svg.RED, svg.GREEN, svg.AMBER, svg.VIOLET), strict=True))
 
 
-def monte_carlo_json(report: MonteCarloReport) -> dict[str, Any]:
-    """Convert the report to a JSON document in SI units.
-
-    An infinite end of an interval, which too few arms leave open, becomes null.
-    """
+def monte_carlo_document(report: MonteCarloReport) -> dict[str, Any]:
+    """Collect the result in SI units."""
     request, found = report.request, report.coverage
+    measured = [m for trial in report.trials for m in trial] if request.only is not None else None
     return {
         "case": request.case,
         "built": request.built,
@@ -47,105 +36,75 @@ def monte_carlo_json(report: MonteCarloReport) -> dict[str, Any]:
         "seed": request.seed,
         "places": request.places,
         "arms": len(report.trials),
-        "failed": {str(arm): why for arm, why in report.failed.items()},
-        "coverage": None if found is None else _coverage_json(found),
-        "three_sigma": None
-        if report.three_sigma is None
-        else {name: asdict(values) for name, values in report.three_sigma.items()},
-        "measured": _measured_json(report) if request.only is not None else None,
+        "failed": report.failed,
+        "coverage": None if found is None else _coverage_document(found),
+        "three_sigma": report.three_sigma,
+        "measured": measured,
     }
 
 
-def _coverage_json(found: CoverageReport) -> dict[str, Any]:
+def _coverage_document(found: CoverageReport) -> dict[str, Any]:
     return {
-        "percentile": dict(found.percentile),
-        "percentile_interval": {name: _interval_json(i) for name, i in found.percentile_interval.items()},
+        "percentile": found.percentile,
+        "percentile_interval": found.percentile_interval,
         "rules": {
             rule: {
-                name: {
-                    "coverage": c.share,
-                    "coverage_interval": _interval_json(c.share_interval),
-                    "width": c.width,
-                    "width_interval": _interval_json(c.width_interval),
-                    "estimate": found.budget.estimate(rule, name),
-                }
-                for name, c in by_component.items()
+                name: {**to_json(one), "estimate": found.budget.estimate(rule, name)}
+                for name, one in by_component.items()
             }
             for rule, by_component in found.by_rule.items()
         },
         "backlash": {
-            "on_flank": dict(zip(JOINT_NAMES, found.on_flank.tolist(), strict=True)),
-            "mean_side": dict(zip(JOINT_NAMES, found.side.tolist(), strict=True)),
+            "on_flank": dict(zip(JOINT_NAMES, found.on_flank, strict=True)),
+            "mean_side": dict(zip(JOINT_NAMES, found.side, strict=True)),
             "shift_over_sum": dict(zip(("median", "p95", "max"), found.backlash, strict=True)),
         },
-        "additivity": [asdict(one) for one in found.additivity],
-        "variant_totals_m": dict(found.variant_totals_m),
+        "additivity": found.additivity,
+        "variant_totals_m": found.variant_totals_m,
     }
 
 
-def _measured_json(report: MonteCarloReport) -> list[dict[str, Any]]:
-    return [
-        {
-            "tool": m.tool,
-            **{k: getattr(m, k).tolist() for k in ("output_rad", "error", "backlash_position")},
-        }
-        for trial in report.trials
-        for m in trial
-    ]
+def monte_carlo_parts(report: MonteCarloReport) -> list[str | ReportTable]:
+    """Show coverage and width of every rule, additivity, three sigma, failed arms and files."""
+    request, found = report.request, report.coverage
+    parts: list[str | ReportTable] = []
+    if request.only is not None:
+        parts.append(_one_arm_table(report))
+    elif found is not None:
+        parts += [_coverage_table(report, found), *_additivity_parts(found)]
+    if request.only is None and report.three_sigma is not None:
+        parts.append(_three_sigma_table(report))
+    parts += [f"arm {arm}: {why}" for arm, why in report.failed.items()]
+    return [*parts, *file_lines({"results": request.results, "report": request.report})]
 
 
-def _interval_json(interval: Interval) -> list[float | None]:
-    return [end if isfinite(end) else None for end in interval]
-
-
-def monte_carlo_table(report: MonteCarloReport) -> None:
-    """Print coverage and width of every rule, additivity, and three sigma."""
-    console = plain_console()
-    found = report.coverage
-    if found is not None:
-        console.print(_rules(report, found))
-        console.print(_additivity_table(found))
-        console.print(backlash_sentence(found))
-        console.print(additivity_sentence(found))
-    if report.three_sigma is not None:
-        console.print(_three_sigma(report))
-    _print_rest(console, report)
-
-
-def _print_rest(console: Console, report: MonteCarloReport) -> None:
-    """Print failed arms and the paths of the files."""
-    for arm, why in report.failed.items():
-        console.print(f"arm {arm}: {why}")
-    for what, path in (("results", report.request.results), ("report", report.request.report)):
-        if path is not None:
-            console.print(f"{what}  {path}")
-
-
-def rule_rows(found: CoverageReport) -> list[tuple[str, ...]]:
-    """Build rows of rule, component, estimate, coverage with its interval, and width with its interval."""
-    rows: list[tuple[str, ...]] = []
+def _coverage_table(report: MonteCarloReport, found: CoverageReport) -> ReportTable:
+    rows = []
     for rule in RULES:
         for name in COMPONENTS:
-            c = found.by_rule[rule][name]
-            low, high = c.share_interval
+            one = found.by_rule[rule][name]
+            low, high = one.share_interval
             rows.append(
                 (
                     rule,
-                    name.rsplit("_", 1)[0],
+                    short_name(name),
                     format_value(name, found.budget.estimate(rule, name)),
-                    f"{100 * c.share:.2f} %",
+                    f"{100 * one.share:.2f} %",
                     f"{100 * low:.2f} .. {100 * high:.2f} %",
-                    f"{c.width:.2f}",
-                    f"{c.width_interval[0]:.2f} .. {c.width_interval[1]:.2f}",
+                    f"{one.width:.2f}",
+                    f"{one.width_interval[0]:.2f} .. {one.width_interval[1]:.2f}",
                 )
             )
-    return rows
+    request = report.request
+    arms = f"{found.arms} arms, {request.built}, {request.move_model}"
+    title = f"{request.case}: {arms}. {_percentile_sentence(found)}"
+    return ReportTable(("rule", "", "estimate", "covers", "95 %", "width", "95 %"), rows, title)
 
 
-def percentile_sentence(found: CoverageReport) -> str:
+def _percentile_sentence(found: CoverageReport) -> str:
     """Describe the error lengths that 99.73 % of the errors do not exceed."""
     values = ", ".join(
-        f"{name.rsplit('_', 1)[0]} {format_value(name, found.percentile[name])}" for name in COMPONENTS
+        f"{short_name(name)} {format_value(name, found.percentile[name])}" for name in COMPONENTS
     )
     enough = min_sample_size(COVERAGE)
     if found.arms >= enough:
@@ -153,89 +112,50 @@ def percentile_sentence(found: CoverageReport) -> str:
     return f"The errors of these arms stay within {values}; what 99.73 % of all do needs {enough} arms."
 
 
-def _rules(report: MonteCarloReport, found: CoverageReport) -> Table:
-    request = report.request
-    arms = f"{found.arms} arms, {request.built}, {request.move_model}"
-    title = f"{request.case}: {arms}. {percentile_sentence(found)}"
-    table = Table(title=title, title_justify="left")
-    for k, name in enumerate(RULE_HEAD):
-        table.add_column(name, justify="left" if k < 2 else "right")
-    for row in rule_rows(found):
-        table.add_row(*row)
-    return table
-
-
-def additivity_row(one: AdditivityCheck) -> tuple[str, ...]:
-    """Build the row of a source that equation 13 adds, in millimetres."""
-    return one.source, *(f"{1e3 * v:.2f} mm" for v in (one.added_m, one.same_sign_m, one.independent_m))
-
-
-def _additivity_table(found: CoverageReport) -> Table:
-    table = Table(title="Bounds of the sources that equation 13 adds", title_justify="left")
-    for name in ADDITIVITY_HEAD:
-        table.add_column(name, justify="left" if name == "source" else "right")
-    for one in found.additivity:
-        table.add_row(*additivity_row(one))
-    return table
-
-
-def backlash_sentence(found: CoverageReport) -> str:
-    """Describe the positions of outputs in their backlash and the resulting tool motion."""
+def _additivity_parts(found: CoverageReport) -> list[str | ReportTable]:
+    """Show the sources that equation 13 adds, the positions in the backlash, and what adding does."""
+    rows = [
+        (one.source, *(f"{1e3 * v:.2f} mm" for v in (one.added_m, one.same_sign_m, one.independent_m)))
+        for one in found.additivity
+    ]
+    head = ("source", "added", "all with one sign", "each by itself")
     flank = ", ".join(f"{100 * share:.1f}" for share in found.on_flank)
     side = ", ".join(f"{value:+.2f}" for value in found.side)
     median, often, most = found.backlash
-    return (
+    totals = "; ".join(f"{name} {1e3 * value:.1f} mm" for name, value in found.variant_totals_m.items())
+    return [
+        ReportTable(head, rows, "Bounds of the sources that equation 13 adds"),
         f"Outputs lie on a flank of their backlash in {flank} % of the moves (J1 to J5), at the mean "
         f"position {side}. At the tool, backlash makes {100 * median:.0f} % of the sum over joints "
-        f"(median; 95 % stay within {100 * often:.0f} %, most {100 * most:.0f} %)."
-    )
+        f"(median; 95 % stay within {100 * often:.0f} %, most {100 * most:.0f} %).",
+        f"Total by the rule and with less of it added: {totals}.",
+    ]
 
 
-def additivity_sentence(found: CoverageReport) -> str:
-    """Describe the effect of the additions on the total by the paper's rule."""
-    values = "; ".join(f"{name} {1e3 * value:.1f} mm" for name, value in found.variant_totals_m.items())
-    return f"Total by the rule and with less of it added: {values}."
-
-
-def sigma_rows(report: MonteCarloReport) -> list[tuple[str, ...]]:
-    """Build the rows of accuracy and repeatability with their upper bounds."""
+def _three_sigma_table(report: MonteCarloReport) -> ReportTable:
     rows = []
     for name, values in (report.three_sigma or {}).items():
         both = (values.accuracy, values.repeatability)
-        shown_values = (format_value(name, v) for one in both for v in (one.estimate, one.upper))
-        rows.append((name.rsplit("_", 1)[0], *shown_values))
-    return rows
+        shown = (format_value(name, v) for one in both for v in (one.estimate, one.upper))
+        rows.append((short_name(name), *shown))
+    title = f"Three sigma, and its upper bound with 95 % confidence: {_sample(report)}"
+    return ReportTable(("three sigma", "of any arm", "at most", "of one arm", "at most"), rows, title)
 
 
 def _sample(report: MonteCarloReport) -> str:
     return f"{len(report.trials)} arms, {report.request.places} places each"
 
 
-def _three_sigma(report: MonteCarloReport) -> Table:
-    title = f"Three sigma, and its upper bound with 95 % confidence: {_sample(report)}"
-    table = Table(title=title, title_justify="left")
-    for name in SIGMA_HEAD:
-        table.add_column(name, justify="left" if name == "three sigma" else "right")
-    for row in sigma_rows(report):
-        table.add_row(*row)
-    return table
-
-
-def one_arm_table(report: MonteCarloReport) -> None:
-    """Print the errors of one arm at each placement."""
-    title = f"{report.request.case}: arm {report.request.only}, in tool axes"
-    table = Table(title=title, title_justify="left")
-    for name in ("tool", "x mm", "y mm", "z mm", "about y deg", "about z deg"):
-        table.add_column(name, justify="left" if name == "tool" else "right")
+def _one_arm_table(report: MonteCarloReport) -> ReportTable:
+    rows = []
     for m in (m for trial in report.trials for m in trial):
         shift, turn = (f"{1e3 * v:+.2f}" for v in m.error[3:]), (f"{degrees(v):+.3f}" for v in m.error[1:3])
-        table.add_row(m.tool, *shift, *turn)
-    console = plain_console()
-    console.print(table)
-    _print_rest(console, report)
+        rows.append((m.tool, *shift, *turn))
+    title = f"{report.request.case}: arm {report.request.only}, in tool axes"
+    return ReportTable(("tool", "x mm", "y mm", "z mm", "about y deg", "about z deg"), rows, title)
 
 
-def list_requirements(report: MonteCarloReport) -> list[Requirement]:
+def monte_carlo_requirements(report: MonteCarloReport) -> list[Requirement]:
     """List the requirements that this result decides: of the paper, of the budget, and that arms move.
 
     With several places of each arm, accuracy and repeatability are upper bounds of three sigma with 95 %
@@ -273,53 +193,40 @@ def list_requirements(report: MonteCarloReport) -> list[Requirement]:
     return [*found, Requirement(text, f"{100 * COVERAGE:.2f} %", shown, holds)]
 
 
-def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
-    """Write the page.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
+def monte_carlo_page(report: MonteCarloReport) -> ReportPage:
+    """Show errors with the bounds of the budget, coverage, additivity and three sigma."""
     request, found = report.request, report.coverage
-    parts = [
-        paragraph(
-            f"Case {request.case}: {len(report.trials)} arms, {request.built}, {request.places} places each, "
-            f"{request.move_model}, seed {request.seed}; {len(report.failed)} arms failed."
-        )
+    parts: list[str | Heading | ReportTable | tuple[ReportFigure, ...]] = [
+        f"Case {request.case}: {len(report.trials)} arms, {request.built}, {request.places} places each, "
+        f"{request.move_model}, seed {request.seed}; {len(report.failed)} arms failed."
     ]
     if found is not None:
+        drawn = [
+            ReportFigure(
+                f"{short_name(name)}: errors and bounds", 3.2, partial(_draw_errors, found=found, name=name)
+            )
+            for name in COMPONENTS
+        ]
         parts += [
-            paragraph(percentile_sentence(found)),
-            figures(*(_histogram(found, name) for name in COMPONENTS)),
-            paragraph(
-                "Width: the bound of a rule, pose by pose, over what 99.73 % of errors stay within there. "
-                "The 95 % intervals count arms."
-            ),
-            table(RULE_HEAD, rule_rows(found)),
-            heading("Additivity in equation 13"),
-            table(ADDITIVITY_HEAD, [additivity_row(one) for one in found.additivity]),
-            paragraph(backlash_sentence(found)),
-            paragraph(additivity_sentence(found)),
+            _percentile_sentence(found),
+            tuple(drawn),
+            "Width: the bound of a rule, pose by pose, over what 99.73 % of errors stay within there. "
+            "The 95 % intervals count arms.",
+            _coverage_table(report, found),
+            Heading("Additivity in equation 13"),
+            *_additivity_parts(found),
         ]
     if report.three_sigma is not None:
-        name = f"Accuracy and repeatability: {_sample(report)}"
-        parts += [heading(name), table(SIGMA_HEAD, sigma_rows(report))]
-    digests = {
-        "parameters": report.params_sha256,
-        "sources of error": sources_sha256(),
-        "result": json_sha256(monte_carlo_json(report)),
-    }
-    origin = Origin(command_text("monte-carlo", request), digests)
+        parts += [
+            Heading(f"Accuracy and repeatability: {_sample(report)}"),
+            _three_sigma_table(report),
+        ]
+    origin = make_origin("monte-carlo", request, report.params_sha256, monte_carlo_document(report))
     title = "The error budget against a Monte Carlo"
-    save_page(title, "", list_requirements(report), origin, parts, path)
+    return ReportPage(title, monte_carlo_requirements(report), origin, parts)
 
 
-def _histogram(found: CoverageReport, name: str) -> str:
-    """Draw the errors of a component, with the bounds of all rules."""
-    short = name.rsplit("_", 1)[0]
-    return svg.render_svg(f"{short}: errors and bounds", 3.2, lambda figure: _draw(figure, found, name))
-
-
-def _draw(figure: Any, found: CoverageReport, name: str) -> None:
+def _draw_errors(figure: Any, found: CoverageReport, name: str) -> None:
     from matplotlib.ticker import NullFormatter
 
     axes = figure.subplots()
@@ -334,5 +241,5 @@ def _draw(figure: Any, found: CoverageReport, name: str) -> None:
         axes.axvline(value, color=COLOURS[rule], label=rule)
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.set(title=name.rsplit("_", 1)[0], xlabel=unit, xlim=(0, top), ylabel="moves", ylim=(0.7, None))
+    axes.set(title=short_name(name), xlabel=unit, xlim=(0, top), ylabel="moves", ylim=(0.7, None))
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)

@@ -1,4 +1,4 @@
-"""Requests of `marsarm arm build` and `arm show`: their options."""
+"""Request of `marsarm arm`: its options."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,33 +8,20 @@ from simgap.common.options import Option
 
 
 @dataclass(frozen=True, slots=True)
-class ArmBuildRequest:
-    """Options of `marsarm arm build`."""
+class ArmRequest:
+    """Options of `marsarm arm`."""
 
     arm: Annotated[
         str | None,
         Option(
-            "Name of an arm, or a folder with an arm.toml; all arms of the project if not given.",
-            "ARM",
-            is_argument=True,
-        ),
-    ] = None
-    check: Annotated[bool, Option("Write nothing; say whether the files are those of arm.toml.")] = False
-
-
-@dataclass(frozen=True, slots=True)
-class ArmShowRequest:
-    """Options of `marsarm arm show`."""
-
-    arm: Annotated[
-        str | None,
-        Option(
-            "Name of an arm, or a folder with an arm.toml; the default arm if not given.",
-            "ARM",
-            is_argument=True,
+            "Name of an arm, or a folder with an arm.toml; all arms if not given.", "ARM", is_argument=True
         ),
     ] = None
     picture: Annotated[
         Path | None,
         Option("Draw arm, rover and frames, from the side and from above.", "FILE.png", suffixes=(".png",)),
     ] = None
+    build: Annotated[bool, Option("Write arm.xml and flight.toml where they are not those of arm.toml.")] = (
+        False
+    )
+    check: Annotated[bool, Option("Write nothing; say whether these files are those of arm.toml.")] = False

@@ -19,7 +19,7 @@ from sim.effects.geometry import FrameError
 from sim.effects.joints import BacklashWidth, GearStiffness
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.plant import SCREW_AXES
-from simgap.serial_arm.fit import FitParameter
+from simgap import FitParameter
 
 MASS_FRAMES: Final = (Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5, Frame.ARM6)
 FIXTURE_RAD, FIXTURE_M = 1e-4, 5e-5
@@ -82,7 +82,6 @@ def params_with_values(params: Params, x: Array) -> Params:
     Factors of backlash change the backlash widths. The measured frame Tool is not part of the arm.
 
     Args:
-        params: Nominal parameters of flight software.
         x: Parameter values, shape (p,), in the units of `arm_parameters`.
 
     Returns:
@@ -171,7 +170,6 @@ def move_zeros_to_hardstops(params: Params, x: Array) -> tuple[Array, Params]:
     angles are valid after each hardstop has been found again.
 
     Args:
-        params: Nominal parameters of flight software.
         x: Parameter values, shape (p,), in the units of `arm_parameters`.
 
     Returns:

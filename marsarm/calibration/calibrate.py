@@ -1,19 +1,26 @@
 """Calibration of the arm: fit, rejection of outliers, hold-out validation and identifiability."""
 
+import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from io import BytesIO
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from fsw.config import digest
 from fsw.dictionary.params import Params
-from fsw.kinematics.transforms import Array, Flags, Integers
-from marsarm.calibration.arm_model import arm_model
-from marsarm.calibration.arm_parameters import FRAME_SCREWS, arm_parameters
+from fsw.kinematics.arm import pose_to_transform6
+from fsw.kinematics.transforms import Array, Flags, Integers, Pose
+from marsarm.calibration.arm_parameters import FRAME_SCREWS, arm_parameters, move_zeros_to_hardstops
 from marsarm.calibration.campaign_data import Campaign
-from marsarm.calibration.outliers import OutlierRejection, reject_outliers
+from marsarm.calibration.consensus import OutlierRejection, reject_outliers
+from marsarm.calibration.residual_model import residual_model
+from marsarm.common.params_toml import params_toml
 from sim.arm_model.description import BuiltTolerances
-from simgap.serial_arm.fit import (
+from sim.arms import own_name
+from simgap import (
     Fit,
     FitParameter,
     HoldOutValidation,
@@ -23,6 +30,7 @@ from simgap.serial_arm.fit import (
     fit,
     validate_hold_out,
 )
+from simgap.common.files import atomic_write
 
 HOLD_OUT_STRIDE: Final = 5
 """Stride of held-out poses in each group: every fifth pose is left out of the fit that it validates.
@@ -71,13 +79,8 @@ def calibrate(
     `checks.check_fit` decides whether the result is acceptable.
 
     Args:
-        nominal: Nominal parameters of flight software.
-        campaign: Measured poses.
         with_backlash: True if the model uses the state of the backlash.
         built: Tolerances of manufacture; None for those of the default arm.
-
-    Returns:
-        The calibration.
 
     Raises:
         TooManyOutliers: No arm explains the poses.
@@ -85,11 +88,11 @@ def calibrate(
     parameters = arm_parameters(built)
     everything = np.ones(campaign.count, bool)
     preliminary = _preliminary_fit(parameters, nominal, campaign, everything, with_backlash)
-    model = arm_model(nominal, campaign, preliminary, with_backlash)
+    model = residual_model(nominal, campaign, preliminary, with_backlash)
     cleaned = reject_outliers(parameters, model, preliminary.values)
     is_held_out = select_held_out(campaign.group)
     preliminary_part = _preliminary_fit(parameters, nominal, campaign, ~is_held_out, with_backlash)
-    part_model = arm_model(nominal, campaign, preliminary_part, with_backlash, is_held_out)
+    part_model = residual_model(nominal, campaign, preliminary_part, with_backlash, is_held_out)
     part = reject_outliers(parameters, part_model, preliminary_part.values, ~is_held_out).fit
     held_out = is_held_out & cleaned.fit.used
     at = cleaned.fit.at
@@ -114,10 +117,13 @@ def _preliminary_fit(
     parameters: Sequence[FitParameter], nominal: Params, campaign: Campaign, used: Flags, with_backlash: bool
 ) -> Fit:
     """Fit the used poses to decide the side of uncertain outputs, without the measurements of other poses."""
-    preliminary = fit(parameters, arm_model(nominal, campaign, None, with_backlash), None, used)
+    preliminary = fit(parameters, residual_model(nominal, campaign, None, with_backlash), None, used)
     # fit again: with known backlash widths, more outputs can be confirmed
     return fit(
-        parameters, arm_model(nominal, campaign, preliminary, with_backlash, ~used), preliminary.values, used
+        parameters,
+        residual_model(nominal, campaign, preliminary, with_backlash, ~used),
+        preliminary.values,
+        used,
     )
 
 
@@ -146,3 +152,72 @@ def rms_m(error: Array) -> float:
         Root mean square error [m].
     """
     return float(np.sqrt(np.mean(np.sum(error[3:] ** 2, axis=0))))
+
+
+def calibrated_params(found: Calibration, tools: dict[str, Pose] | None = None) -> Params:
+    """Build the parameters of the calibrated arm, with the encoder zeros in its hardstop angles.
+
+    Args:
+        tools: Poses X_FT of registered tools in frame Arm6; they replace the nominal ones.
+
+    Returns:
+        Parameters of flight software.
+    """
+    _, params = move_zeros_to_hardstops(found.nominal, found.best.values)
+    registered = {name: pose_to_transform6(X_FT) for name, X_FT in (tools or {}).items()}
+    changed = tuple(
+        replace(tool, transform=registered.get(tool.name, tool.transform)) for tool in params.tools
+    )
+    return replace(params, tools=changed, arm_name=own_name(found.campaign.arm_name))
+
+
+def data_sha256(campaign: Campaign) -> str:
+    """Compute a digest of all measured data; it does not depend on the file format."""
+    b, m = campaign.believed, campaign.measured
+    # a table stores quaternions and half of each covariance, so the last digits of the rest may change
+    R = np.round(m.X_RT.R, 8) + 0.0
+    upper = m.covariance[:, *np.triu_indices(6)]
+    written = BytesIO()
+    for values in (b.motor_rad, b.backlash_rad, b.friction_Nm, b.side, b.gravity_R_m_s2, b.turret_kg):
+        np.save(written, np.ascontiguousarray(values))
+    for values in (R, m.X_RT.p, upper):
+        np.save(written, np.ascontiguousarray(values))
+    return hashlib.sha256(campaign.arm_name.encode() + written.getvalue()).hexdigest()
+
+
+def provenance(found: Calibration) -> tuple[str, ...]:
+    """Describe the origin of the parameters, one sentence a line; no date, so that files are reproducible."""
+    campaign, best = found.campaign, found.best
+    left_out = ", ".join(map(str, found.rejection.outliers)) or "none"
+    groups, held = np.unique(campaign.group).size, found.held_out_error
+    return (
+        f"Flight parameters of {campaign.arm_name}, calibrated; those that are not here are nominal.",
+        f"Over nominal parameters of digest {digest(found.nominal)}.",
+        f"Data of digest {data_sha256(campaign)}:",
+        f"{campaign.count} poses in {groups} groups; left out as outliers: {left_out}.",
+        f"Position error, root mean square: {1e3 * rms_m(found.before):.3f} mm before, "
+        f"{1e3 * rms_m(found.after[:, best.used]):.3f} mm after,",
+        f"{1e3 * rms_m(held):.3f} mm on {held.shape[1]} held-out poses.",
+        f"Residuals {best.sigma0:.3f} of the noise, p = {best.p_value:.3f}; "
+        f"held out {found.hold_out.ratio:.3f} of what is expected.",
+        (
+            f"Rank {found.frame_identifiability.rank} of 42 frame numbers, {found.identifiability.rank} of "
+            f"{best.values.size} in all."
+        ),
+        "Encoder zeros are in the hardstop angles: find every hardstop anew with this file loaded.",
+    )
+
+
+def save_parameter_file(found: Calibration, params: Params, path: Path) -> None:
+    """Write the parameter file.
+
+    Raises:
+        BadOutput: The file cannot be written.
+    """
+    with atomic_write(path, "out") as file:
+        file.write(parameter_text(found, params).encode())
+
+
+def parameter_text(found: Calibration, params: Params) -> str:
+    """Format all parameters that differ from the nominal ones as TOML."""
+    return params_toml(found.nominal, params, provenance(found))

@@ -1,11 +1,42 @@
 """Data of a calibration campaign: poses at rest, as believed by flight software and as measured."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
+import pyarrow as pa
+from pyarrow import csv, parquet
+from scipy.spatial.transform import Rotation
 
-from fsw.kinematics.transforms import Array, Flags, Integers, select_targets
-from marsarm.calibration.measured_poses import MeasuredPoses
+from fsw.dictionary.enums import Joint
+from fsw.kinematics.closed_form import BRANCHES
+from fsw.kinematics.transforms import Array, Flags, Integers, Pose, select_targets
+from marsarm.common.bad_tables import describe_bad_table
+from marsarm.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
+from simgap.common.errors import BadRequest
+from simgap.common.files import atomic_write
+
+
+class BadData(BadRequest):
+    """Error: data or a fit that are not acceptable, with one line for each reason."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredPoses:
+    """Measured poses with their covariances."""
+
+    X_RT: Pose
+    """Turret frame in the rover frame, batch (n,)."""
+    covariance: Array
+    """Covariance of the screw from true to measured pose, in its axes, rotation first, shape (n, 6, 6)."""
+
+    @property
+    def whitener(self) -> Array:
+        """Compute the matrices that make this screw independent with unit variance, shape (n, 6, 6)."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,3 +111,149 @@ class Campaign:
             self.misfit_m[where],
             self.tracker_moved_m[where],
         )
+
+
+JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
+COVARIANCE_INDICES: Final = tuple((i, j) for i in range(6) for j in range(i, 6))
+TEXT_COLUMNS: Final = ("arm", "branch")
+COUNT_COLUMNS: Final = ("group", "targets_ground", "targets_rover", "targets_turret")
+NUMBER_COLUMNS: Final = (
+    *(f"motor_{joint}_rad" for joint in JOINT_NAMES),
+    *(f"backlash_{joint}_rad" for joint in JOINT_NAMES),
+    *(f"friction_{joint}_Nm" for joint in JOINT_NAMES),
+    *(f"side_{joint}" for joint in JOINT_NAMES),
+    *(f"gravity_{axis}_m_s2" for axis in "xyz"),
+    "turret_kg",
+    *(f"p_{axis}_m" for axis in "xyz"),
+    *(f"q_{part}" for part in "wxyz"),
+    *(f"cov_{i}{j}" for i, j in COVARIANCE_INDICES),
+    "misfit_m",
+    "tracker_moved_m",
+)
+MAY_BE_EMPTY: Final = ("turret_kg",)
+NORM_TOLERANCE: Final = 1e-3
+"""Largest difference of the norm of a quaternion from 1."""
+MOST_ROWS: Final = 100_000
+
+
+def save_campaign(campaign: Campaign, path: Path) -> None:
+    """Write the table; the suffix, .parquet or .csv, selects the format.
+
+    Raises:
+        BadOutput: The file cannot be written.
+    """
+    table = pa.table(dict(_columns(campaign)))
+    with atomic_write(path, "data") as file:
+        if path.suffix.lower() == ".csv":
+            csv.write_csv(table, file)
+        else:
+            parquet.write_table(table, file)
+
+
+def read_campaign(path: Path) -> Campaign:
+    """Read a table.
+
+    Raises:
+        BadData: The file cannot be read or is too large, or columns or values are wrong.
+    """
+    try:
+        data = BytesIO(read_file(path, MAX_TABLE_BYTES))
+        table = csv.read_csv(data) if path.suffix.lower() == ".csv" else parquet.read_table(data)
+        problems = [f"{path}: {problem}" for problem in _problems(table)]
+    except BadImport as error:
+        raise BadData(str(error)) from error
+    except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
+        raise BadData(f"{path}: {describe_bad_table(error, 'a table')}") from error
+    if problems:
+        raise BadData("\n".join(problems))
+    return _campaign(
+        {name: table[name].to_numpy() for name in (*TEXT_COLUMNS, *COUNT_COLUMNS, *NUMBER_COLUMNS)}
+    )
+
+
+def _columns(campaign: Campaign) -> Iterator[tuple[str, Any]]:
+    b, X = campaign.believed, campaign.measured.X_RT
+    yield "arm", [campaign.arm_name] * campaign.count
+    yield "branch", list(campaign.branch)
+    yield "group", campaign.group
+    yield from zip(COUNT_COLUMNS[1:], campaign.targets_seen, strict=True)
+    of_joints = np.concatenate([b.motor_rad, b.backlash_rad, b.friction_Nm, b.side, b.gravity_R_m_s2])
+    quat = Rotation.from_matrix(np.moveaxis(X.R, -1, 0)).as_quat(canonical=True, scalar_first=True).T
+    cov = np.array([campaign.measured.covariance[:, i, j] for i, j in COVARIANCE_INDICES])
+    last = np.stack([campaign.misfit_m, campaign.tracker_moved_m])
+    rows = np.concatenate([of_joints, b.turret_kg[None], X.p, quat, cov, last])
+    for name, row in zip(NUMBER_COLUMNS, rows, strict=True):
+        yield name, pa.array(row, from_pandas=name in MAY_BE_EMPTY)
+
+
+def _problems(table: pa.Table) -> Iterator[str]:
+    names = (*TEXT_COLUMNS, *COUNT_COLUMNS, *NUMBER_COLUMNS)
+    missing = [name for name in names if name not in table.column_names]
+    if missing:
+        yield f"columns missing: {', '.join(missing)}; docs/calibration.md lists them all"
+        return
+    if table.num_rows > MOST_ROWS:
+        yield f"{table.num_rows} rows; {MOST_ROWS} poses are the most"
+        return
+    for name in (*COUNT_COLUMNS, *NUMBER_COLUMNS):
+        kind = table.schema.field(name).type
+        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
+            yield f"column {name}: holds {kind}; numbers are wanted"
+            continue
+        bad = ~np.isfinite(table[name].to_numpy().astype(float))
+        if name not in MAY_BE_EMPTY and bad.any():
+            yield (
+                f"column {name}: no number in {int(bad.sum())} rows, the first is {int(np.argmax(bad))}; "
+                "leave such poses out"
+            )
+    if set(table["branch"].to_pylist()) - set(BRANCHES):
+        yield f"column branch: only {', '.join(BRANCHES)}"
+    if len(set(table["arm"].to_pylist())) > 1:
+        yield "column arm: poses of several arms; calibrate one at a time"
+    if not all(table["arm"].to_pylist()):
+        yield "column arm: is empty; give the arm's name in every row"
+
+
+def _campaign(column: dict[str, Array]) -> Campaign:
+    def rows(*names: str) -> Array:
+        return np.array([column[name].astype(float) for name in names])
+
+    def of_joints(name: str) -> Array:
+        return rows(*(name.format(joint) for joint in JOINT_NAMES))
+
+    quat = rows(*(f"q_{part}" for part in "wxyz"))
+    length = np.linalg.norm(quat, axis=0)
+    if np.any(np.abs(length - 1) > NORM_TOLERANCE):
+        row = int(np.argmax(np.abs(length - 1)))
+        raise BadData(f"columns q_*: row {row} has length {length[row]:.4g}; a quaternion w, x, y, z has 1")
+    covariance = np.zeros((quat.shape[1], 6, 6))
+    for i, j in COVARIANCE_INDICES:
+        covariance[:, i, j] = covariance[:, j, i] = column[f"cov_{i}{j}"]
+    lowest = np.linalg.eigvalsh(covariance)[:, 0] if covariance.size else np.ones(0)
+    if np.any(lowest <= 0):
+        raise BadData(
+            f"columns cov_*: row {int(np.argmin(lowest))} is no covariance: it is not positive definite"
+        )
+    R = (
+        np.moveaxis(Rotation.from_quat(quat.T, scalar_first=True).as_matrix(), 0, -1)
+        if quat.size
+        else np.zeros((3, 3, 0))
+    )
+    believed = BelievedPoses(
+        of_joints("motor_{}_rad"),
+        of_joints("backlash_{}_rad"),
+        of_joints("friction_{}_Nm"),
+        of_joints("side_{}"),
+        rows(*(f"gravity_{axis}_m_s2" for axis in "xyz")),
+        column["turret_kg"].astype(float),
+    )
+    return Campaign(
+        arm_name=str(column["arm"][0]) if column["arm"].size else "",
+        group=column["group"].astype(np.int64),
+        branch=tuple(str(name) for name in column["branch"]),
+        believed=believed,
+        measured=MeasuredPoses(Pose(R, rows(*(f"p_{axis}_m" for axis in "xyz"))), covariance),
+        targets_seen=rows(*COUNT_COLUMNS[1:]).astype(np.int64),
+        misfit_m=column["misfit_m"].astype(float),
+        tracker_moved_m=column["tracker_moved_m"].astype(float),
+    )

@@ -1,27 +1,26 @@
-"""Report of a calibration: JSON document, tables, and a page with a plot like paper Figure 7."""
+"""Report of a calibration: what it shows on the console and on its page, with a plot like paper Figure 7."""
 
+from functools import partial
 from math import degrees
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from rich.table import Table
 
 from fsw.config import digest
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
-from marsarm.calibration.arm_model import arm_model
-from marsarm.calibration.calibrate import Calibration, rms_m
-from marsarm.calibration.checks import FRAME_RANK, MAX_HELD_OUT_RATIO, MAX_SIGMA0
-from marsarm.calibration.execution import CalibrateReport
-from marsarm.calibration.parameter_file import data_sha256, provenance
+from marsarm.calibration.calibrate import Calibration, data_sha256, provenance, rms_m
+from marsarm.calibration.execution import FRAME_RANK, MAX_HELD_OUT_RATIO, MAX_SIGMA0, CalibrateReport
+from marsarm.calibration.residual_model import residual_model
 from marsarm.calibration.verify import PlaceErrors, Verification
-from simgap.common import svg
-from simgap.common.console import plain_console, pluralize
+from marsarm.render import svg
+from marsarm.render.svg import ReportFigure
+from simgap.common.console import pluralize
 from simgap.common.json_digest import json_sha256
 from simgap.common.options import command_text
-from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
-from simgap.serial_arm.fit import UnidentifiableGroup
+from simgap.common.page import Origin, Requirement
+from simgap.common.report import Heading, ReportPage, ReportTable, file_lines, to_json
 
 ROTATION: Final = slice(0, 3)
 POSITION: Final = slice(3, 6)
@@ -36,14 +35,14 @@ SMALL_ERROR_M: Final = MAX_EARTH_ERROR_M / LEAST_REDUCTION
 """Error before, below which nothing needs to fall."""
 
 
-def calibration_json(report: CalibrateReport) -> dict[str, Any]:
-    """Convert the calibration to a JSON document in SI units."""
-    found = report.found
-    best = found.best
+def calibration_document(report: CalibrateReport) -> dict[str, Any]:
+    """Collect the calibration in SI units."""
+    found, best = report.found, report.found.best
+    frames = found.frame_identifiability
     return {
         "arm": found.campaign.arm_name,
         "poses": found.campaign.count,
-        "outliers": list(found.rejection.outliers),
+        "outliers": found.rejection.outliers,
         "data_sha256": data_sha256(found.campaign),
         "params_sha256": digest(report.params),
         "position_error_m": {
@@ -55,24 +54,19 @@ def calibration_json(report: CalibrateReport) -> dict[str, Any]:
         "p_value": best.p_value,
         "held_out_over_expected": found.hold_out.ratio,
         "rank": {
-            "frames": found.frame_identifiability.rank,
-            "of_frames": len(found.frame_identifiability.parameters),
+            "frames": frames.rank,
+            "of_frames": len(frames.parameters),
             "all": found.identifiability.rank,
             "of_all": len(best.parameters),
-            "condition_frames": found.frame_identifiability.condition,
-            "singular_values_frames": found.frame_identifiability.singular_values.tolist(),
+            "condition_frames": frames.condition,
+            "singular_values_frames": frames.singular_values,
         },
-        "unidentifiable": [
-            {"names": list(group.names), "identified": group.identified}
-            for group in found.frame_identifiability.unidentifiable_groups()
-        ],
+        "unidentifiable": frames.unidentifiable_groups(),
         "parameters": {
             parameter.name: {"unit": parameter.unit, "value": value, "sigma": sigma}
-            for parameter, value, sigma in zip(
-                best.parameters, best.values.tolist(), best.sigma.tolist(), strict=True
-            )
+            for parameter, value, sigma in zip(best.parameters, best.values, best.sigma, strict=True)
         },
-        "verification": None if report.verification is None else _verification_json(report.verification),
+        "verification": None if report.verification is None else _verification_document(report.verification),
     }
 
 
@@ -81,89 +75,65 @@ def _error_statistics(error: Array) -> dict[str, float]:
     return {"rms": rms_m(error), "max": float(length.max(initial=0.0))}
 
 
-def _verification_json(found: Verification) -> dict[str, Any]:
+def _verification_document(found: Verification) -> dict[str, Any]:
     return {
-        "zero_moved_rad": found.zero_rad.tolist(),
-        "zero_expected_rad": found.expected_rad.tolist(),
+        "zero_moved_rad": found.zero_rad,
+        "zero_expected_rad": found.expected_rad,
         "places": {
             place.name: {
-                "rms_m": float(np.sqrt(np.mean(place.total_m**2))),
-                "max_m": float(place.total_m.max()),
-                "max_lateral_m": float(place.lateral_m.max()),
-                "max_axis_rad": float(place.axis_rad.max()),
+                "rms_m": np.sqrt(np.mean(place.total_m**2)),
+                "max_m": place.total_m.max(),
+                "max_lateral_m": place.lateral_m.max(),
+                "max_axis_rad": place.axis_rad.max(),
             }
             for place in found.places
         },
     }
 
 
-def calibration_table(report: CalibrateReport, picture_problem: str | None) -> None:
-    """Print the calibration: errors, encoder zeros, unidentifiable parameters and verification."""
-    console = plain_console()
-    found = report.found
-    console.print(_summary_table(found))
-    console.print(_zero_table(found))
-    console.print("Not identifiable from this campaign, kept at nominal values:")
-    for group in found.frame_identifiability.unidentifiable_groups():
-        console.print(f"  {describe_group(group)}")
+def calibration_parts(report: CalibrateReport, picture_problem: str | None) -> list[str | ReportTable]:
+    """Show errors, encoder zeros, unidentifiable parameters and verification."""
+    request, found = report.request, report.found
+    parts: list[str | ReportTable] = [_summary_table(found), _zero_table(found), *_unidentifiable(found)]
     if report.verification is not None:
-        console.print(_verification_table(report.verification))
-    for name in ("out", "save_data", "report"):
-        path = getattr(report.request, name)
-        if path is not None:
-            console.print(f"{name.replace('_', '-'):<9} {path}")
-    if report.request.picture is not None:
-        console.print(f"picture   {picture_problem or report.request.picture}")
+        parts.append(_verification_table(report.verification))
+    files = {"out": request.out, "save-data": request.save_data, "report": request.report}
+    picture = None if request.picture is None else picture_problem or request.picture
+    return [*parts, *file_lines({**files, "picture": picture})]
 
 
-def describe_group(group: UnidentifiableGroup) -> str:
-    """Describe a group of unidentifiable parameters."""
-    names = ", ".join(group.names)
-    if group.identified == 0:
-        return f"{names}: not identified"
-    return f"{names}: identified as {pluralize(group.identified, 'combination')}"
+def _unidentifiable(found: Calibration) -> list[str]:
+    """List the groups of parameters that the campaign does not identify."""
+    lines = ["Not identifiable from this campaign, kept at nominal values:"]
+    for group in found.frame_identifiability.unidentifiable_groups():
+        known = (
+            f"identified as {pluralize(group.identified, 'combination')}"
+            if group.identified
+            else "not identified"
+        )
+        lines.append(f"  {', '.join(group.names)}: {known}")
+    return lines
 
 
-def summary_rows(found: Calibration) -> list[tuple[str, str]]:
-    """Build the rows of the summary."""
-    best = found.best
-    errors = (
-        ("before", found.before),
-        ("after", found.after[:, best.used]),
-        ("held out", found.held_out_error),
-    )
+def _summary_table(found: Calibration) -> ReportTable:
+    best, frames = found.best, found.frame_identifiability
+    errors = {"before": found.before, "after": found.after[:, best.used], "held out": found.held_out_error}
     outliers = ", ".join(map(str, found.rejection.outliers)) or "none"
-    return [
-        ("poses", f"{found.campaign.count}; left out as outliers: {outliers}"),
-        *(
-            (
-                f"position error, {name}",
-                f"{1e3 * rms_m(e):.2f} mm rms, {1e3 * _error_statistics(e)['max']:.2f} mm at most",
-            )
-            for name, e in errors
-        ),
+    rows = [("poses", f"{found.campaign.count}; left out as outliers: {outliers}")]
+    for name, error in errors.items():
+        most_mm = 1e3 * _error_statistics(error)["max"]
+        rows.append((f"position error, {name}", f"{1e3 * rms_m(error):.2f} mm rms, {most_mm:.2f} mm at most"))
+    rows += [
         ("residuals", f"{best.sigma0:.3f} of the noise, p = {best.p_value:.2g}"),
         ("held-out poses", f"{found.hold_out.ratio:.3f} of the error that noise and covariance predict"),
-        (
-            "rank, frames",
-            (
-                f"{found.frame_identifiability.rank} of 42, condition "
-                f"{found.frame_identifiability.condition:.0f}"
-            ),
-        ),
+        ("rank, frames", f"{frames.rank} of 42, condition {frames.condition:.0f}"),
         ("rank, all", f"{found.identifiability.rank} of {len(best.parameters)}"),
     ]
+    return ReportTable((), rows, f"Calibration of {found.campaign.arm_name}")
 
 
-def _summary_table(found: Calibration) -> Table:
-    table = Table(title=f"Calibration of {found.campaign.arm_name}", title_justify="left", show_header=False)
-    for row in summary_rows(found):
-        table.add_row(*row)
-    return table
-
-
-def zero_rows(found: Calibration) -> list[tuple[str, str, str]]:
-    """Build the rows of encoder zeros, which are rotations about z of the frames before the joints."""
+def _zero_table(found: Calibration) -> ReportTable:
+    """Show the encoder zeros, which are rotations about z of the frames before the joints."""
     best = found.best
     rows = []
     for joint, of_joint in zip(Joint, found.nominal.joints.in_order(), strict=True):
@@ -171,46 +141,27 @@ def zero_rows(found: Calibration) -> list[tuple[str, str, str]]:
         zero, sigma = best.values[k], best.sigma[k]
         hardstop = f"{degrees(of_joint.hardstop_rad + zero):.4f} deg"
         rows.append((joint.name.lower(), f"{1e3 * zero:+.2f} ± {1e3 * sigma:.2f} mrad", hardstop))
-    return rows
+    head = ("joint", "zero (rz of its frame)", "hardstop at")
+    return ReportTable(head, rows, "Encoder zeros, as new hardstop angles")
 
 
-def _zero_table(found: Calibration) -> Table:
-    table = Table(title="Encoder zeros, as new hardstop angles", title_justify="left")
-    for name in ("joint", "zero (rz of its frame)", "hardstop at"):
-        table.add_column(name, justify="left" if name == "joint" else "right")
-    for row in zero_rows(found):
-        table.add_row(*row)
-    return table
-
-
-def place_rows(found: Verification) -> list[tuple[str, str, str, str, str]]:
-    """Build the rows of tool errors at fresh targets."""
-    return [_place_row(place) for place in found.places]
-
-
-def _place_row(place: PlaceErrors) -> tuple[str, str, str, str, str]:
-    rms = 1e3 * float(np.sqrt(np.mean(place.total_m**2)))
-    return (
-        place.name,
-        f"{rms:.2f} mm",
-        f"{1e3 * place.total_m.max():.2f} mm",
-        f"{1e3 * place.lateral_m.max():.2f} mm",
-        f"{degrees(float(place.axis_rad.max())):.3f} deg",
-    )
-
-
-def _verification_table(found: Verification) -> Table:
+def _verification_table(found: Verification) -> ReportTable:
+    rows = [
+        (
+            place.name,
+            f"{1e3 * float(np.sqrt(np.mean(place.total_m**2))):.2f} mm",
+            f"{1e3 * place.total_m.max():.2f} mm",
+            f"{1e3 * place.lateral_m.max():.2f} mm",
+            f"{degrees(float(place.axis_rad.max())):.3f} deg",
+        )
+        for place in found.places
+    ]
     difference = 1e3 * np.abs(found.zero_rad - found.expected_rad).max()
     title = f"Fresh targets, full turret; new hardstops within {difference:.3f} mrad of the parameters"
-    table = Table(title=title, title_justify="left")
-    for name in ("", "rms", "largest", "lateral", "axis"):
-        table.add_column(name, justify="right" if name else "left")
-    for row in place_rows(found):
-        table.add_row(*row)
-    return table
+    return ReportTable(("", "rms", "largest", "lateral", "axis"), rows, title)
 
 
-def list_requirements(report: CalibrateReport) -> list[Requirement]:
+def calibration_requirements(report: CalibrateReport) -> list[Requirement]:
     """List the requirements of a calibration: those of the paper, and those without which it is refused."""
     found, best = report.found, report.found.best
     held = found.held_out_error
@@ -253,46 +204,37 @@ def _place_requirement(place: PlaceErrors) -> Requirement:
     return Requirement(text, f"{1e3 * bound_m:.0f} mm", f"{1e3 * largest_m:.2f} mm", largest_m < bound_m)
 
 
-def save_calibration_page(report: CalibrateReport, path: Path) -> None:
-    """Write the page.
-
-    Raises:
-        BadOutput: The file cannot be written.
-    """
+def calibration_page(report: CalibrateReport) -> ReportPage:
+    """Show the summary, the errors pose by pose, the encoder zeros and what is identifiable."""
     found = report.found
-    groups = [describe_group(group) for group in found.frame_identifiability.unidentifiable_groups()]
-    parts = [
-        heading("Summary"),
-        table(("", ""), summary_rows(found)),
-        heading("Pose by pose"),
-        paragraph(
-            "Shaded: shoulder-in poses. Crosses: calibrated parameters, but every output always on one side "
-            "of its backlash, as if the backlash state were not known."
+    parts: list[str | Heading | ReportTable | tuple[ReportFigure, ...]] = [
+        Heading("Summary"),
+        _summary_table(found),
+        Heading("Pose by pose"),
+        "Shaded: shoulder-in poses. Crosses: calibrated parameters, but every output always on one side "
+        "of its backlash, as if the backlash state were not known.",
+        (
+            ReportFigure("position errors", 3.6, partial(_draw_errors, found=found, part=POSITION)),
+            ReportFigure("rotation errors", 3.6, partial(_draw_errors, found=found, part=ROTATION)),
         ),
-        figures(
-            svg.render_svg("position errors", 3.6, lambda figure: _draw_errors(figure, found, POSITION)),
-            svg.render_svg("rotation errors", 3.6, lambda figure: _draw_errors(figure, found, ROTATION)),
-        ),
-        heading("Encoder zeros"),
-        table(("joint", "zero (rz of its frame)", "hardstop at"), zero_rows(found)),
-        heading("Identifiability of the 42 frame parameters"),
-        figures(svg.render_svg("singular values", 2.8, lambda figure: _draw_singular_values(figure, found))),
-        paragraph("Not identifiable from this campaign, kept at nominal values:"),
-        *(paragraph(one) for one in groups),
+        Heading("Encoder zeros"),
+        _zero_table(found),
+        Heading("Identifiability of the 42 frame parameters"),
+        (ReportFigure("singular values", 2.8, partial(_draw_singular_values, found=found)),),
+        *_unidentifiable(found),
     ]
     if report.verification is not None:
-        head = ("", "rms", "largest", "lateral", "axis")
-        parts += [heading("Fresh targets, full turret"), table(head, place_rows(report.verification))]
-    parts += [heading("Provenance"), *(paragraph(line) for line in provenance(found))]
+        parts += [Heading("Fresh targets, full turret"), _verification_table(report.verification)]
+    parts += [Heading("Provenance"), *provenance(found)]
     digests = {
         "poses": data_sha256(found.campaign),
         "parameters before": digest(found.nominal),
         "parameters after": digest(report.params),
-        "result": json_sha256(calibration_json(report)),
+        "result": json_sha256(to_json(calibration_document(report))),
     }
-    origin = Origin(command_text("calibrate", report.request), digests)
+    origin = Origin(command_text("marsarm calibrate", report.request), digests)
     title = f"Calibration of {found.campaign.arm_name}"
-    save_page(title, "", list_requirements(report), origin, parts, path)
+    return ReportPage(title, calibration_requirements(report), origin, parts)
 
 
 def save_calibration_picture(report: CalibrateReport, path: Path) -> str | None:
@@ -321,7 +263,7 @@ def errors_without_backlash(found: Calibration) -> Array:
     Returns:
         Error screws, rotation [rad] above translation [m], shape (6, n).
     """
-    model = arm_model(found.nominal, found.campaign, with_backlash=False)
+    model = residual_model(found.nominal, found.campaign, with_backlash=False)
     return model.errors(found.best.values)
 
 

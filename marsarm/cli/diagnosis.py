@@ -43,7 +43,7 @@ def demo(request: DemoRequest, progress: Progress) -> VerbResult:
     Example: marsarm gap demo --seed 3
     """
     from marsarm.diagnosis.arm.demo import demo_json, run_demo
-    from marsarm.diagnosis.tables import print_diagnosis
+    from marsarm.diagnosis.result import print_diagnosis
     from sim.plant import PlantDiverged
     from simgap.common.console import plain_console
 
@@ -77,8 +77,7 @@ def diagnose(request: DiagnoseRequest, progress: Progress) -> VerbResult:
     """
     from marsarm.diagnosis.arm.diagnose_logs import diagnose_logs, prepare_diagnosis
     from marsarm.diagnosis.arm.output_files import save_diagnosis_files
-    from marsarm.diagnosis.result import to_json
-    from marsarm.diagnosis.tables import print_diagnosis
+    from marsarm.diagnosis.result import print_diagnosis, to_json
     from sim.plant import PlantDiverged
 
     job = prepare_diagnosis(request)

@@ -1,4 +1,4 @@
-"""Define the verb `replay`, and `log` with `info`, `channels`, `plot`, `export`, `recover` and `import`."""
+"""Define the verb `replay`, and `log` with `info`, `plot`, `export`, `recover` and `import`."""
 
 import sys
 from pathlib import Path
@@ -27,36 +27,28 @@ log_app = typer.Typer(
 
 @log_app.command()
 @verb
-def info(log: LogArgument) -> VerbResult:
-    """Summarize a log: versions, duration, topics, events, and whether it is complete.
-
-    Example: marsarm log info run.mcap
-    """
-    from marsarm.telemetry.tables import info_json, info_table
-
-    read = _read(log)
-    return VerbResult(info_json(read), lambda: info_table(read))
-
-
-@log_app.command()
-@verb
-def channels(
+def info(
     log: LogArgument,
     glob: Annotated[
-        list[str] | None, typer.Argument(help="Patterns such as '/joint.*'.", metavar="[GLOB]...")
+        list[str] | None, typer.Argument(help="Patterns of channels such as '/joint.*'.", metavar="[GLOB]...")
     ] = None,
     start: FromOption = None,
     stop: ToOption = None,
 ) -> VerbResult:
-    """List the channels with type, unit, count and range.
+    """Summarize a log: versions, duration, topics, events, and whether it is complete.
 
-    Example: marsarm log channels run.mcap '/joint.*_rad'
+    With patterns, list the channels that match, with type, unit, count and range; '*' lists all.
+
+    Example: marsarm log info run.mcap '/joint.*_rad'
     """
-    from marsarm.telemetry.inspection import select_channels
-    from marsarm.telemetry.tables import channels_json, channels_table
+    from marsarm.telemetry.tables import channels_json, channels_table, info_json, info_table
 
     read = _read(log, start, stop)
-    selected = select_channels(read, glob or ())
+    if not glob:
+        return VerbResult(info_json(read), lambda: info_table(read))
+    from marsarm.telemetry.inspection import select_channels
+
+    selected = select_channels(read, glob)
     return VerbResult(channels_json(read, selected), lambda: channels_table(selected))
 
 
@@ -173,8 +165,8 @@ def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) 
     Raises:
         NoSuchChannel: the log has no message between these times.
     """
+    from marsarm.telemetry.errors import trailing_bytes_text
     from marsarm.telemetry.inspection import NoSuchChannel, bound_ns
-    from marsarm.telemetry.lost_messages import trailing_bytes_text
     from marsarm.telemetry.read import read_log
 
     start_ns, stop_ns = bound_ns("from", start_s), bound_ns("to", stop_s)

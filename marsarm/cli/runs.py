@@ -1,17 +1,14 @@
-"""Define the verbs of runs: `place`, `hardstop`, `run` and `scenarios`."""
+"""Define the verbs that move an arm or show it: `place`, `run`, `hardstop` and `view`."""
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest
+from marsarm.view.request import ViewRequest
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress
-from simgap.common.verb import VerbResult, verb
-
-if TYPE_CHECKING:
-    from marsarm.view.live import LiveView
+from simgap.common.verb import VerbResult, shown, verb
 
 AllOption = Annotated[
     bool, typer.Option("--all", help="All joints, one after the other, as flight software does it.")
@@ -19,11 +16,7 @@ AllOption = Annotated[
 PlanOption = Annotated[
     bool, typer.Option("--plan", help="Move nothing; show the poses and the torques that they equalise.")
 ]
-
-
-def _player(view: "LiveView | None") -> Callable[[], None] | None:
-    """Return the function that plays a run in its viewer after the result was printed."""
-    return None if view is None else view.play
+ListOption = Annotated[bool, typer.Option("--list", help="Run nothing; list the built-in scenarios.")]
 
 
 @verb
@@ -35,12 +28,11 @@ def place(request: PlaceRequest, progress: Progress) -> VerbResult:
     Example: marsarm place --tool mahli --target 2.1 0 -0.2 --normal -0.4 0 -1 --tilt-pitch 10
     """
     from marsarm.runs.place import place
-    from marsarm.runs.tables import place_json, place_table
+    from marsarm.runs.report import place_document, place_parts
 
     report = place(request, progress)
     is_done = report.execution.result.outcome == "done"
-    play = _player(report.execution.view)
-    return VerbResult(place_json(report), lambda: place_table(report), is_done, play=play)
+    return shown(place_document(report), place_parts(report), is_done, view=report.execution.view)
 
 
 @verb
@@ -53,14 +45,8 @@ def hardstop(
 
     Example: marsarm hardstop --joint elbow --arm as-built:7 --temperature -40 --picture elbow.png
     """
-    from marsarm.runs.hardstop import hardstop, plan_stops
-    from marsarm.runs.hardstop_report import (
-        hardstop_json,
-        hardstop_table,
-        plan_json,
-        plan_table,
-        save_hardstop_figure,
-    )
+    from marsarm.runs.hardstop import hardstop, plan_stops, save_hardstop_figure
+    from marsarm.runs.report import hardstop_document, hardstop_parts, plan_document, plan_parts
 
     if all_joints and request.joint is not None:
         raise BadRequest(
@@ -68,36 +54,45 @@ def hardstop(
         )
     if plan:
         plans = plan_stops(request)
-        return VerbResult(plan_json(plans), lambda: plan_table(plans))
+        return shown(plan_document(plans), plan_parts(plans))
     report = hardstop(request, progress)
     problem = None if request.picture is None else save_hardstop_figure(report.runs, request.picture)
-    document = hardstop_json(report, problem)
     is_done = report.outcome == "done"
-    return VerbResult(document, lambda: hardstop_table(report, problem), is_done, play=_player(report.view))
+    document = hardstop_document(report, problem)
+    return shown(document, hardstop_parts(report, problem), is_done, view=report.view)
 
 
 @verb
-def run(request: RunRequest, progress: Progress) -> VerbResult:
+def run(request: RunRequest, progress: Progress, lists: ListOption = False) -> VerbResult:
     """Run a scenario in the closed loop, and check it against the true motion of the arm.
 
     Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --movie sol46.mp4
     """
+    from marsarm.runs.report import run_document, run_parts, scenarios_document, scenarios_parts
+
+    if lists:
+        from sim.scenario.file import built_in_scenarios, load_scenario
+
+        loaded = tuple(load_scenario(name) for name in built_in_scenarios())
+        return shown(scenarios_document(loaded), scenarios_parts(loaded))
     from marsarm.runs.scenario import run_scenario
-    from marsarm.runs.tables import run_json, run_table
 
     report = run_scenario(request, progress)
-    play = _player(report.execution.view)
-    return VerbResult(run_json(report), lambda: run_table(report), report.passed, play=play)
+    return shown(run_document(report), run_parts(report), report.passed, view=report.execution.view)
 
 
 @verb
-def scenarios() -> VerbResult:
-    """List the built-in scenarios.
+def view(request: ViewRequest, progress: Progress) -> VerbResult:
+    """Play a log in the browser, or write a page that plays it without a server.
 
-    Example: marsarm scenarios --json
+    Both show the true arm, the arm that flight software believes, rover, rock, contact force, plots and
+    events. The viewer listens on 127.0.0.1 only, until Ctrl-C, and needs the optional package viser. The page
+    needs a browser only.
+
+    Example: marsarm view run.mcap --html run.html
     """
-    from marsarm.runs.tables import scenarios_json, scenarios_table
-    from sim.scenario.file import built_in_scenarios, load_scenario
+    from marsarm.view.page import view, view_document, view_parts
 
-    loaded = tuple(load_scenario(name) for name in built_in_scenarios())
-    return VerbResult({"scenarios": scenarios_json(loaded)}, lambda: scenarios_table(loaded))
+    report = view(request, progress)
+    view_of = None if report.viewer is None else report
+    return shown(view_document(report), view_parts(report), view=view_of)

@@ -1,19 +1,27 @@
-"""Closure: the share of the explainable residual that the findings remove on held-out motion.
+"""Closure of a diagnosis on held-out motion, and the motion to record next.
+
+It is the share of the explainable residual that the findings remove on held-out motion.
 
 Held-out motion takes no part in fitting or selection. The explainable residual lies in the directions in
 which detectable effects move that motion, and in the direction of the findings. The energy of noise in those
 directions is subtracted.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.detectability import noncentrality
 from marsarm.diagnosis.diagnose import Diagnosis
-from marsarm.diagnosis.normal_equations import NormalEquations, Whitener, build_whitener
+from marsarm.diagnosis.model import DiagnosisModel, noncentrality
+from marsarm.diagnosis.normal_equations import (
+    NormalEquations,
+    Whitener,
+    build_whitener,
+    form_normal_equations,
+)
 from marsarm.diagnosis.problem import INTERVAL_QUANTILES, FeatureLayout
 from marsarm.diagnosis.sensitivity import Sensitivities
 
@@ -112,10 +120,8 @@ def compute_closure(held_out_model: HeldOutModel, before: Array, after: Array, s
     """Compute the closure on held-out motion.
 
     Args:
-        held_out_model: Model of the held-out motion.
         before: Residual without the findings, in the units of the channels, shape (m,).
         after: Residual with the findings, in the units of the channels, shape (m,).
-        seed: Seed of the noise draws.
 
     Returns:
         Closure, with every channel.
@@ -130,10 +136,8 @@ def whitened_closure(held_out_model: HeldOutModel, r: Array, rest: Array, seed: 
     """Compute the closure of whitened residuals, without channels.
 
     Args:
-        held_out_model: Model of the held-out motion.
         r: Whitened residual without the findings, shape (m,).
         rest: Whitened residual with the findings, shape (m,).
-        seed: Seed of the noise draws.
 
     Returns:
         Closure; `channels` is empty.
@@ -211,34 +215,112 @@ def _channel_closures(
     return tuple(result)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HeldOutResiduals:
-    """Residuals of held-out motion without and with the findings, in the channels' units, shape (m,)."""
-
-    held_out_model: HeldOutModel
-    before: Array
-    after: Array
-
-    def closure(self, seed: int) -> Closure:
-        """Compute the closure."""
-        return compute_closure(self.held_out_model, self.before, self.after, seed)
-
-
 def compute_held_out_residuals(
     diagnosis: Diagnosis, held_out_model: HeldOutModel, residual: Array, change: Array
-) -> HeldOutResiduals:
+) -> tuple[Array, Array]:
     """Subtract the nuisances that fit beside the findings, then the change by the findings.
 
     Nuisances that fit alone would imitate a finding, far beyond their priors, and hide the gap.
 
     Args:
-        diagnosis: Diagnosis of the fitted motion.
-        held_out_model: Model of the held-out motion.
         residual: Measured minus simulated with nuisances at 0, in the units of the channels, shape (m,).
         change: Simulated change by the findings, in the units of the channels, shape (m,).
 
     Returns:
-        Residuals before and after.
+        Residuals without and with the findings, in the units of the channels, shape (m,) each.
     """
     before = residual - held_out_model.nuisance @ diagnosis.effect_fit.theta[: diagnosis.equations.q]
-    return HeldOutResiduals(held_out_model, np.asarray(before), np.asarray(before - change))
+    return np.asarray(before), np.asarray(before - change)
+
+
+@dataclass(frozen=True, slots=True)
+class CandidateMotion:
+    """Candidate motion, with the separation of the pair of hypotheses that is hardest to distinguish."""
+
+    name: str
+    separation: float
+    """Separation in sigmas of the noise floor, with all data so far and this motion."""
+    separation_now: float
+    """Separation with all data so far."""
+
+
+def rank_motions(
+    equations: NormalEquations, sizes: Mapping[int, Array], candidates: Mapping[str, NormalEquations]
+) -> tuple[CandidateMotion, ...]:
+    """Rank candidate motions by the least separation over all pairs of hypotheses.
+
+    The squared separation of hypothesis g, with amplitudes a in typical sizes, from hypothesis h is
+
+        a'(R_gg - R_gh R_hh^-1 R_hg) a
+
+    This is the part of g that h cannot imitate, with nuisances free. R sums the data so far and the
+    candidate.
+
+    Args:
+        equations: Normal equations of the data so far.
+        sizes: Amplitudes of each hypothesis, by index, in units of typical sizes, shape (n,).
+        candidates: Normal equations of each candidate motion, for the same hypotheses and nuisances.
+
+    Returns:
+        Candidates, best first.
+    """
+    now = _separation(_information([equations]), equations, sizes)
+    found = [
+        CandidateMotion(name, _separation(_information([equations, motion]), equations, sizes), now)
+        for name, motion in candidates.items()
+    ]
+    return tuple(sorted(found, key=lambda motion: (-motion.separation, motion.name)))
+
+
+def rank_repeats(model: DiagnosisModel, diagnosis: Diagnosis) -> tuple[CandidateMotion, ...]:
+    """Rank the campaign's motions by how well a repeat would distinguish aliases and alternatives."""
+    sizes: dict[int, Array] = {}
+    for finding in diagnosis.findings:
+        hypothesis = model.sensitivities.hypotheses[finding.hypothesis]
+        others = (one.hypothesis for one in finding.alternatives)
+        alternatives = (*others, *finding.equivalence_class)
+        if set(alternatives) - {finding.hypothesis}:
+            own = hypothesis.departures(finding.values)
+            seen = float(np.linalg.norm(own * _scale(model, finding.hypothesis)))
+            sizes |= {h: _equally_visible(model, h, seen) for h in alternatives} | {finding.hypothesis: own}
+    if len(sizes) < 2:
+        return ()
+    layout = model.sensitivities.layout
+    blocks = {layout.blocks[b]: np.flatnonzero(layout.block == b) for b in np.unique(layout.block)}
+    repeats = {name: form_normal_equations(model.sensitivities.select(rows)) for name, rows in blocks.items()}
+    return rank_motions(model.equations, sizes, repeats)
+
+
+def _scale(model: DiagnosisModel, hypothesis: int) -> Array:
+    """Return the standard errors per typical size of each column of a hypothesis."""
+    return np.asarray(model.equations.scale[model.equations.owner == hypothesis])
+
+
+def _equally_visible(model: DiagnosisModel, hypothesis: int, seen: float) -> Array:
+    """Return amplitudes in typical sizes with which a hypothesis is `seen` standard errors large."""
+    scale = _scale(model, hypothesis)
+    return np.asarray(seen / np.sqrt(scale.size) / np.where(scale > 0.0, scale, np.inf))
+
+
+def _information(parts: list[NormalEquations]) -> Array:
+    """Return the information per typical size of several campaigns together, nuisances eliminated, (k, k)."""
+    q, prior = parts[0].q, parts[0].prior / parts[0].nuisance_unit ** 2
+    total = np.zeros((q + parts[0].owner.size,) * 2)
+    for part in parts:
+        by = np.concatenate([1.0 / part.nuisance_unit, part.scale])
+        total += part.G * np.outer(by, by)
+    N = total[:q, :q] + np.diag(prior)
+    return np.asarray(total[q:, q:] - total[q:, :q] @ np.linalg.solve(N, total[:q, q:]))
+
+
+def _separation(R: Array, equations: NormalEquations, sizes: Mapping[int, Array]) -> float:
+    """Return the least separation over all pairs, in sigmas."""
+    least = np.inf
+    for g, a in sizes.items():
+        for h in sizes:
+            if g != h:
+                of_g, of_h = (np.flatnonzero(equations.owner == one) for one in (g, h))
+                across = R[np.ix_(of_g, of_h)]
+                other = np.linalg.pinv(R[np.ix_(of_h, of_h)], hermitian=True)
+                least = min(least, float(a @ (R[np.ix_(of_g, of_g)] - across @ other @ across.T) @ a))
+    return float(np.sqrt(max(least, 0.0)))

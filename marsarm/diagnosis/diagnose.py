@@ -1,42 +1,77 @@
 """Diagnosis of one case, from residuals to verdict.
 
 `diagnose` takes the effects that `selection` found by the engine that diagnoses any robot. It tests what
-remains (`residual_analysis`), and says at which level each effect is known.
+remains, and says at which level each effect is known.
+
+For the model y = N v + S a + e with A = [N S], the fit leaves M y, which has the covariance M:
+
+    M = I - A (A'A + P)^-1 A'
+
+For directions Q, the projection Q'M y is tested by a chi-square with covariance Q'M Q. The directions are a
+constant and the conditions, in every channel and each of its regimes. The energy of the channel in that
+regime is a second test. A last test takes all directions of all channels together.
 """
 
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Final, Literal
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.feature_residuals import FeatureEffect
-from marsarm.diagnosis.linear_fit import LinearFit, fit_linear
-from marsarm.diagnosis.model import DiagnosisModel
+from marsarm.diagnosis.model import MIN_DIRECTION_SHARE, DiagnosisModel, FeatureGroup, condition_directions
 from marsarm.diagnosis.normal_equations import (
+    LinearFit,
     NormalEquations,
+    fit_linear,
     form_normal_equations,
 )
-from marsarm.diagnosis.problem import EffectValues, Residuals
-from marsarm.diagnosis.residual_analysis import (
-    FeatureGroup,
-    LackOfFit,
-    ResidualCell,
-    find_lack_of_fit,
-    map_residual,
-)
-from marsarm.diagnosis.selection import Selection
-from simgap.effects.effect import Family
-from simgap.selection.verdict import ConfidenceSet, find_confidence_sets
+from marsarm.diagnosis.problem import INTERVAL_QUANTILES, EffectValues, FeatureLayout, Residuals
+from marsarm.diagnosis.selection import FeatureEffect, Selection
+from simgap import ConfidenceSet, chi_square_log_p, find_confidence_sets
 
 MAX_MEMBERS: Final = 3
 """Most members of a set: more effects are told as their families, more families as their places."""
 
+INTERVAL_DRAWS: Final = 400
+"""Number of bootstrap draws for an interval."""
+
 Verdict = Literal["found", "none", "unknown"]
 """Effects are found; nothing is; or something remains, and no effect explains it."""
+
 Level = Literal["size", "effect", "family", "place", "unlocated"]
 """What is known of a cause: one effect with its size, a few effects, only their families, only their places,
 or not even that."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualCell:
+    """Residual of one channel at one place in one regime."""
+
+    channel: str
+    place: str
+    regime: str
+    features: int
+    ratio: float
+    """Root mean square of the residual over its noise floor: 1 if there is only noise."""
+    least: float
+    most: float
+    """Upper end of the 90 % interval by a bootstrap over blocks; NaN if there is one block."""
+
+
+@dataclass(frozen=True, slots=True)
+class LackOfFit:
+    """Result of the lack-of-fit test of one group."""
+
+    neg_log10_p: float
+    """-log10 of its probability if the model is right."""
+    channel: str
+    place: str
+    regime: str
+    """Regime, or "all"."""
+    depends_on: str
+    """Condition with the strongest dependence. "nothing" means an offset, "noise" energy without a direction,
+    "several" all groups together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +105,7 @@ class Finding:
     """Hypotheses that this campaign cannot distinguish from the finding, itself included."""
     places: tuple[str, ...]
     """Set of places, the best first; empty if there are more than MAX_MEMBERS."""
-    families: tuple[Family, ...]
+    families: tuple[StrEnum, ...]
     """Set of families; empty if the level is "place" or "unlocated"."""
     effects: tuple[int, ...]
     """Set of effects, one hypothesis of each class; empty if the level is "family" or less."""
@@ -100,12 +135,6 @@ class Diagnosis:
 
 def diagnose(model: DiagnosisModel, residuals: Residuals, selection: Selection, seed: int) -> Diagnosis:
     """Diagnose one case whose effects are selected.
-
-    Args:
-        model: Diagnosis model of the campaign.
-        residuals: Residuals of the case.
-        selection: Selected effects.
-        seed: Seed of all random draws.
 
     Returns:
         Verdict, findings, and what remains unexplained.
@@ -139,9 +168,6 @@ def diagnose(model: DiagnosisModel, residuals: Residuals, selection: Selection, 
 
 def effect_values(diagnosis: Diagnosis) -> EffectValues:
     """Return the values of the findings in the form that a simulator takes.
-
-    Args:
-        diagnosis: Diagnosis with findings.
 
     Returns:
         Values of all p parameters of each effect in their units, shape (p,).
@@ -223,3 +249,102 @@ def _level(n_effects: int, n_families: int, n_places: int, finest: Level) -> Lev
 def _project_groups(model: DiagnosisModel, equations: NormalEquations) -> tuple[FeatureGroup, ...]:
     """Return the feature groups, projected to the present columns."""
     return tuple(replace(group, AQ=equations.A[group.rows].T @ group.Q) for group in model.groups)
+
+
+def map_residual(layout: FeatureLayout, residual: Array, seed: int) -> tuple[ResidualCell, ...]:
+    """Compute the root mean square of the residual by channel, place and regime.
+
+    Args:
+        layout: Description of the m features.
+        residual: Residual in units of the noise floor, shape (m,).
+
+    Returns:
+        Cells, largest ratio first.
+    """
+    rng = np.random.default_rng(seed)
+    count = len(layout.blocks)
+    weight = rng.multinomial(count, np.full(count, 1.0 / count), size=INTERVAL_DRAWS).astype(float)
+    result = []
+    of = np.stack([layout.channel, layout.place, layout.regime])
+    for channel, place, regime in np.unique(of, axis=1).T:
+        rows = np.flatnonzero(np.all(of == [[channel], [place], [regime]], axis=0))
+        n = np.bincount(layout.block[rows], minlength=count)
+        square = np.bincount(layout.block[rows], residual[rows] ** 2, minlength=count)
+        least, most = _interval(weight @ square, weight @ n) if np.count_nonzero(n) > 1 else (np.nan, np.nan)
+        result.append(ResidualCell(
+            layout.channels[channel], layout.places[place], layout.regimes[regime], rows.size,
+            float(np.sqrt(square.sum() / n.sum())), least, most,
+        ))  # fmt: skip
+    return tuple(sorted(result, key=lambda cell: -cell.ratio))
+
+
+def _interval(square: Array, n: Array) -> tuple[float, float]:
+    """Return the interval of drawn root mean squares."""
+    ratios = np.sqrt(square[n > 0.0] / n[n > 0.0])
+    least, most = np.quantile(ratios, INTERVAL_QUANTILES)
+    return float(least), float(most)
+
+
+def find_lack_of_fit(
+    equations: NormalEquations, groups: tuple[FeatureGroup, ...], fit: LinearFit, y: Array
+) -> tuple[LackOfFit, ...]:
+    """Test every group, and all groups together, for structure.
+
+    Args:
+        y: Whitened features, shape (m,).
+
+    Returns:
+        Results, most significant first; the greater -log10 p of both tests counts.
+    """
+    rest = np.asarray(y - equations.A[:, fit.active] @ fit.theta)
+    total, freedom, found = 0.0, 0, []
+    for group in groups:
+        statistic, d = _chi_square(group, fit, rest)
+        whole = group.regime is None
+        total, freedom = total + statistic * whole, freedom + d * whole
+        energy, n = _energy(equations, group, fit, rest)
+        of_direction, of_energy = _neg_log10_p(statistic, d), _neg_log10_p(energy, n)
+        found.append((max(of_direction, of_energy), of_direction >= of_energy, group))
+    together = _neg_log10_p(total, max(freedom, 1))
+    result = [
+        _describe(equations.layout, group, rest, larger, by_direction)
+        for larger, by_direction, group in found
+    ]
+    everywhere = LackOfFit(together, "all", "all", "all", "several")
+    return tuple(sorted([*result, everywhere], key=lambda one: -one.neg_log10_p))
+
+
+def _neg_log10_p(statistic: float, freedom: float) -> float:
+    return -chi_square_log_p(statistic, freedom) / float(np.log(10.0))
+
+
+def _chi_square(group: FeatureGroup, fit: LinearFit, rest: Array) -> tuple[float, int]:
+    """Return statistic and degrees of freedom of the directions of a group."""
+    AQ = group.AQ[fit.active]
+    s, V = np.linalg.eigh(np.eye(group.Q.shape[1]) - AQ.T @ fit.covariance @ AQ)
+    kept = s > MIN_DIRECTION_SHARE
+    along = V[:, kept].T @ (group.Q.T @ rest[group.rows])
+    return float(np.sum(along**2 / s[kept])), int(kept.sum())
+
+
+def _energy(
+    equations: NormalEquations, group: FeatureGroup, fit: LinearFit, rest: Array
+) -> tuple[float, float]:
+    """Return the sum of squares in a group, and its expectation."""
+    A = equations.A[np.ix_(group.rows, fit.active)]
+    expected = group.rows.size - float(np.sum((A @ fit.covariance) * A))
+    return float(np.sum(rest[group.rows] ** 2)), max(expected, 1.0)
+
+
+def _describe(
+    layout: FeatureLayout, group: FeatureGroup, rest: Array, neg_log10_p: float, by_direction: bool
+) -> LackOfFit:
+    """Return the test result with its names."""
+    along = np.abs(condition_directions(layout, group.rows).T @ rest[group.rows])
+    names = ("nothing", *layout.conditions)
+    places = np.bincount(layout.place[group.rows])
+    return LackOfFit(
+        neg_log10_p, layout.channels[group.channel], layout.places[int(np.argmax(places))],
+        "all" if group.regime is None else layout.regimes[group.regime],
+        names[int(np.argmax(along))] if by_direction else "noise",
+    )  # fmt: skip

@@ -1,14 +1,70 @@
-"""Diagnosis model: all that is fixed, and can be published, before a case is measured."""
+"""Diagnosis model: all that is fixed, and can be published, before a case is measured.
+
+It holds the equivalence classes and the detection limits of the hypotheses, and the groups of features that
+are tested for what remains.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
+from functools import cache
+from typing import Final
 
-from marsarm.diagnosis.detectability import Detectability, detection_limits, equivalence_classes
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.optimize import brentq
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+from scipy.stats import chi2, ncx2
+
+from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.normal_equations import NormalEquations, form_normal_equations
-from marsarm.diagnosis.problem import Ints
-from marsarm.diagnosis.residual_analysis import FeatureGroup, group_features, lack_of_fit_limit
+from marsarm.diagnosis.problem import FeatureLayout, Ints
 from marsarm.diagnosis.sensitivity import Sensitivities
-from simgap.effects.effect import Family
+from simgap.selection.chance import FALSE_ALARM
+
+ALIAS_COSINE: Final = 0.99
+"""Absolute cosine of projected sensitivities above which two hypotheses cannot be distinguished."""
+
+RANK_TOLERANCE: Final = 1e-9
+"""Eigenvalues below this share of the greatest count as 0."""
+
+KINDS_OF_TEST: Final = 2
+"""Effects and the test of what remains share the probability of a false alarm."""
+
+POWER: Final = 0.9
+"""Probability that an effect at the detection limit passes the test."""
+
+MIN_DIRECTION_SHARE: Final = 1e-6
+"""Directions below this share of the largest are not tested."""
+
+MIN_GROUP_FEATURES: Final = 4
+"""Least number of features in a group."""
+
+
+@dataclass(frozen=True, slots=True)
+class Detectability:
+    """Detection limit of one hypothesis in a campaign."""
+
+    limit: float
+    """Detection limit in typical sizes, all amplitudes growing together; infinite if it is not
+    identifiable."""
+    family_wise_limit: float
+    """Detection limit in the selection from all hypotheses, whose false alarms together have 5 %."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeatureGroup:
+    """Features that are tested together for structure."""
+
+    channel: int
+    regime: int | None
+    """Index of the regime; None for all regimes together."""
+    rows: Ints
+    Q: Array
+    """Orthonormal directions, shape (n, d)."""
+    AQ: Array
+    """Projected columns A'Q, shape (q + k, d)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -16,7 +72,7 @@ class DiagnosisModel:
     """Normal equations, equivalence classes and detection limits of a campaign."""
 
     sensitivities: Sensitivities
-    families: tuple[Family, ...]
+    families: tuple[StrEnum, ...]
     """Family of every hypothesis."""
     locations: tuple[str, ...]
     """Location of every hypothesis: its place without axis or direction."""
@@ -46,12 +102,11 @@ class DiagnosisModel:
 
 
 def build_model(
-    sensitivities: Sensitivities, families: Sequence[Family], locations: Sequence[str]
+    sensitivities: Sensitivities, families: Sequence[StrEnum], locations: Sequence[str]
 ) -> DiagnosisModel:
     """Build the diagnosis model from the sensitivities of a campaign.
 
     Args:
-        sensitivities: Sensitivities of the campaign.
         families: Family of each of its hypotheses.
         locations: Location of each.
     """
@@ -66,3 +121,133 @@ def build_model(
         detection_limits(equations, label),
         group_features(equations),
     )
+
+
+def alias_cosines(equations: NormalEquations) -> Array:
+    """Compute the cosine of the largest principal angle between the columns of every two hypotheses.
+
+    The metric is R, with nuisances eliminated. The cosine is 0 between hypotheses with different numbers of
+    columns: one is at most a special case of the other, and parsimony decides. It is 0 for a hypothesis that
+    is not identifiable.
+
+    Args:
+        equations: Normal equations of the campaign, with h hypotheses.
+
+    Returns:
+        Absolute cosines, shape (h, h).
+    """
+    of = [np.flatnonzero(equations.owner == h) for h in range(len(equations.hypotheses))]
+    roots = [_inverse_root(equations.R[np.ix_(at, at)]) for at in of]
+    whole = block_diag(*roots)
+    cosines = whole.T @ equations.R @ whole
+    ranks = np.array([at.size for at in of])
+    result = np.zeros((len(of), len(of)))
+    for k in np.unique(ranks):
+        chosen = np.flatnonzero(ranks == k)
+        at = np.array([of[h] for h in chosen])
+        pairs = cosines[at[:, None, :, None], at[None, :, None, :]]
+        result[np.ix_(chosen, chosen)] = np.linalg.svd(pairs, compute_uv=False)[..., -1]
+    result *= np.outer(equations.identifiable, equations.identifiable)
+    np.fill_diagonal(result, 1.0)
+    return result
+
+
+def equivalence_classes(equations: NormalEquations) -> Ints:
+    """Return the equivalence class of every hypothesis, shape (h,), numbered by its first member.
+
+    Classes are connected components: two members may have a smaller cosine than ALIAS_COSINE.
+    """
+    _, label = connected_components(csr_array(alias_cosines(equations) > ALIAS_COSINE), directed=False)
+    _, first = np.unique(label, return_index=True)
+    order = np.empty(first.size, np.intp)
+    order[np.argsort(first)] = np.arange(first.size)
+    return np.asarray(order[label])
+
+
+def _inverse_root(R: Array) -> Array:
+    """Return X (k, k) with X'R X = 1 on the range of R."""
+    s, V = np.linalg.eigh(R)
+    positive = s > RANK_TOLERANCE * max(s[-1], 1.0)
+    return np.asarray(V * np.where(positive, 1.0 / np.sqrt(np.where(positive, s, 1.0)), 0.0))
+
+
+@cache
+def noncentrality(k: int, false_alarm: float = FALSE_ALARM) -> float:
+    """Compute the noncentrality of a chi-square of k degrees of freedom for 90 % power and a false alarm."""
+    beyond = chi2.isf(false_alarm, k)
+    return float(brentq(lambda n: ncx2.sf(beyond, k, n) - POWER, 1e-6, 1e3))
+
+
+def detection_limits(equations: NormalEquations, label: Ints) -> tuple[Detectability, ...]:
+    """Compute the amplitude of every hypothesis that a likelihood-ratio test finds with 90 % power.
+
+    The test against no effect has 5 % false alarm, with nuisances free. Its statistic is a noncentral
+    chi-square of k degrees with noncentrality a'R a for amplitudes a. Typical sizes give a = limit * scale.
+    In the selection from all hypotheses, each class has its share of half of that (Bonferroni); the test of
+    what remains has the other half.
+
+    Args:
+        equations: Normal equations of the campaign, with h hypotheses.
+        label: Equivalence class of every hypothesis, shape (h,).
+
+    Returns:
+        One a hypothesis.
+    """
+    result = []
+    n_classes = np.unique(label[equations.identifiable]).size
+    false_alarm_of_each = FALSE_ALARM / KINDS_OF_TEST / max(n_classes, 1)
+    for index, seen in enumerate(equations.identifiable):
+        at = np.flatnonzero(equations.owner == index)
+        typical = equations.scale[at]
+        information = float(typical @ equations.R[np.ix_(at, at)] @ typical)
+        if not seen or information <= 0.0:
+            result.append(Detectability(np.inf, np.inf))
+            continue
+        alone, family_wise = (
+            float(np.sqrt(noncentrality(at.size, by) / information))
+            for by in (FALSE_ALARM, false_alarm_of_each)
+        )
+        result.append(Detectability(alone, family_wise))
+    return tuple(result)
+
+
+def group_features(equations: NormalEquations) -> tuple[FeatureGroup, ...]:
+    """Form the groups of the lack-of-fit test, before data."""
+    layout = equations.layout
+    result = []
+    for channel in np.unique(layout.channel):
+        mine = layout.channel == channel
+        regimes = np.unique(layout.regime[mine])
+        for regime in [None, *(int(one) for one in regimes)] if regimes.size > 1 else [None]:
+            rows = np.flatnonzero(mine if regime is None else mine & (layout.regime == regime))
+            if rows.size >= MIN_GROUP_FEATURES:
+                U, s, _ = np.linalg.svd(condition_directions(layout, rows), full_matrices=False)
+                Q = U[:, s > MIN_DIRECTION_SHARE * s[0]]
+                result.append(FeatureGroup(int(channel), regime, rows, Q, equations.A[rows].T @ Q))
+    return tuple(result)
+
+
+def condition_directions(layout: FeatureLayout, rows: Ints) -> Array:
+    """Compute the directions of the lack-of-fit test: a constant, and the centred conditions.
+
+    Args:
+        layout: Layout of the features with c conditions.
+        rows: Indices of n features.
+
+    Returns:
+        Directions of norm 1 or 0, shape (n, 1 + c).
+    """
+    centred = layout.condition[rows] - layout.condition[rows].mean(axis=0)
+    all_of = np.column_stack([np.ones(rows.size), centred])
+    norm = np.linalg.norm(all_of, axis=0)
+    small = norm <= MIN_DIRECTION_SHARE * np.maximum(np.linalg.norm(layout.condition, axis=0), 1.0).max()
+    return np.asarray(all_of * np.where(small, 0.0, 1.0 / np.where(small, 1.0, norm)))
+
+
+def lack_of_fit_limit(groups: tuple[FeatureGroup, ...]) -> float:
+    """Return the -log10 p from which on structure counts.
+
+    All tests together have their part of the probability of a false alarm (Bonferroni).
+    """
+    tests = 2 * len(groups) + 1
+    return float(-np.log10(FALSE_ALARM / KINDS_OF_TEST / tests))

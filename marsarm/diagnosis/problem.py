@@ -27,6 +27,8 @@ INTERVAL_QUANTILES: Final = ((1.0 - INTERVAL_LEVEL) / 2.0, (1.0 + INTERVAL_LEVEL
 LOG_UNIT: Final = "ln"
 """Unit of a parameter that is the natural logarithm of a factor."""
 
+Ints = NDArray[np.intp]
+
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
@@ -141,9 +143,6 @@ class Nuisance:
             raise ValueError(f"{self.name}: sigma must be above 0, and finite if it is drawn in every block")
 
 
-Ints = NDArray[np.intp]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureLayout:
     """Description of m features; ValueError if the arrays do not agree or a number is not finite."""
@@ -244,7 +243,6 @@ class Simulator(Protocol):
         """Predict the features with these effects and nuisances.
 
         Args:
-            settings: Values of the effects that are switched on.
             nuisance: Departures from nominal in the units of the nuisances, shape (q,). A random nuisance has
                 the same departure in all blocks here.
 

@@ -11,15 +11,23 @@ from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner, select_runner
-from marsarm.ik.model import IkModel, build_ik_model
+from marsarm.ik.batch import IkTargets
 from marsarm.ik.request import ReachRequest
-from marsarm.ik.tally import Tally, tally
-from marsarm.ik.targets import IkTargets
-from marsarm.render.outlines import draw_outlines, project_outlines
+from marsarm.ik.solve import (
+    IkModel,
+    Tally,
+    build_ik_model,
+    model_document,
+    tally,
+    tally_document,
+    tally_table,
+)
+from marsarm.render.rover_scene import draw_outlines, project_outlines
+from marsarm.render.svg import save_figure
 from sim.frames import P_NR_M, approach_from, p_R_from_N, random_targets
-from simgap.common.figures import save_figure
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
+from simgap.common.report import ReportTable, file_lines
 
 SAMPLES_PER_CELL: Final = 40
 CELLS: Final = (4, 30)
@@ -47,11 +55,7 @@ class ReachSamples:
 def sample_workspace(
     model: IkModel, count: int, seed: int, run: Runner, progress: Progress
 ) -> tuple[ReachSamples, Tally]:
-    """Draw random targets of the workspace and solve their inverse kinematics.
-
-    Returns:
-        The targets, and counts over all of them.
-    """
+    """Draw random targets of the workspace and solve their inverse kinematics."""
     p_N_m, angles = random_targets(np.random.default_rng(seed), count, model.workspace)
     targets = IkTargets(p_R_from_N(p_N_m.T).T, approach_from(angles))
     valid, counted = [], Tally()
@@ -215,3 +219,22 @@ def reach(request: ReachRequest, progress: Progress = no_progress) -> ReachRepor
         progress(1, 1, "drawing")
         problem = save_reach_figure(samples, counted, model, request.picture)
     return ReachReport(request, model, counted, problem)
+
+
+def reach_document(report: ReachReport) -> dict[str, Any]:
+    """Collect a reach map: counts, the model and the picture."""
+    request = report.request
+    return {
+        **tally_document(report.tally),
+        **model_document(report.model),
+        "seed": request.seed,
+        "picture": None if report.picture_problem else request.picture,
+        "picture_problem": report.picture_problem,
+    }
+
+
+def reach_parts(report: ReachReport) -> list[str | ReportTable]:
+    """Show a reach map: counts, and the path of the picture."""
+    title = f"{report.model.description}: {report.tally.targets} random targets of the workspace"
+    picture = f"none  ({report.picture_problem})" if report.picture_problem else report.request.picture
+    return [tally_table(title, report.tally), *file_lines({"picture": picture})]

@@ -1,22 +1,148 @@
 """Inverse kinematics of one target, or of a file of targets, as a request of the command line."""
 
-from dataclasses import asdict, dataclass
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fsw.kinematics.ik import IkResult
-from fsw.kinematics.transforms import select_targets
-from marsarm.common.pool import select_runner
-from marsarm.ik.model import IkModel, build_ik_model
-from marsarm.ik.request import IkRequest
-from marsarm.ik.tally import Tally, tally
-from marsarm.ik.targets import IkTargets, make_targets, read_targets
-from marsarm.ik.writers import open_writer
+from fsw.collision.geometry import RoundedBoxes, build_collision_geometry
+from fsw.config import digest
+from fsw.dictionary.enums import Joint
+from fsw.kinematics.arm import Arm, build_arm, heat_arm
+from fsw.kinematics.closed_form import BRANCHES
+from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics
+from fsw.kinematics.transforms import Array, select_targets
+from marsarm.common.pool import Runner, in_order, select_runner
+from marsarm.common.requests import make_world, parse_tool, select_arm
+from marsarm.ik.batch import JOINT_NAMES, VERDICT_NAMES, IkTargets, make_targets, open_writer, read_targets
+from marsarm.ik.request import IkRequest, ModelRequest
+from sim.frames import Workspace
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
+from simgap.common.report import ReportTable, file_lines
+
+MOST_WARMING_K: Final = 200.0
+"""Largest temperature difference from calibration; the coldest night on Mars is nearer."""
+BATCH_SIZE: Final = 8192
+"""Number of targets in a part of a batch; solving a part takes about a second."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IkModel:
+    """Arm as flight software knows it, with the gravity to compensate; None without compensation."""
+
+    request: ModelRequest
+    arm: Arm
+    tool: str
+    gravity_R_m_s2: Array | None
+    params_sha256: str
+    workspace: Workspace
+    """Workspace of the drawing."""
+    rover: RoundedBoxes
+    """Hull of the rover in RMECH."""
+
+    @property
+    def description(self) -> str:
+        """Describe the arm and its load."""
+        request = self.request
+        text = f"{self.tool}, {request.arm} arm"
+        if request.warming_K:
+            text += f" {request.warming_K:+g} K"
+        if self.gravity_R_m_s2 is None:
+            return text + ", rigid"
+        tilted = f", roll {request.tilt_roll_deg:g} pitch {request.tilt_pitch_deg:g} deg"
+        level = request.tilt_roll_deg == request.tilt_pitch_deg == 0.0
+        return text + f", deflected by the gravity of {request.gravity.title()}" + ("" if level else tilted)
+
+    def solve_in_batches(self, targets: IkTargets, run: Runner, progress: Progress) -> Iterator[IkResult]:
+        """Solve the inverse kinematics in parts, (8, n) each."""
+        starts = range(0, len(targets), BATCH_SIZE)
+        parts = ((self, targets.part(start, BATCH_SIZE)) for start in starts)
+        progress(0, len(targets), "solving")
+        for start, result in zip(starts, in_order(run, IkModel.solve, parts), strict=True):
+            progress(start, len(targets), "solving")
+            yield result
+
+    def solve(self, targets: IkTargets) -> IkResult:
+        """Solve the inverse kinematics of all targets for every branch, shape (8, n)."""
+        return inverse_kinematics(
+            self.arm, self.tool, targets.p_RoTo_R_m, targets.approach_R, self.gravity_R_m_s2
+        )
+
+
+def build_ik_model(request: ModelRequest) -> IkModel:
+    """Build the arm model of a request.
+
+    Raises:
+        BadRequest: A field of the request is wrong.
+    """
+    world = make_world(request.gravity, request.tilt_roll_deg, request.tilt_pitch_deg, "gravity")
+    if not math.isfinite(request.warming_K) or abs(request.warming_K) > MOST_WARMING_K:
+        raise BadRequest(
+            f"warming: {request.warming_K:g} K is not within {MOST_WARMING_K:g} K of calibration temperature"
+        )
+    arm = select_arm(request.arm, request.params, request.mismatch)
+    params = arm.params
+    tool = parse_tool(request.tool or arm.model.description.instrument, params.tool_names)
+    gravity = world.gravity_N_m_s2 if request.compensate == "absolute" else None
+    cold = build_arm(params)
+    rover = build_collision_geometry(params, cold).rover
+    warm = heat_arm(cold, request.warming_K)
+    return IkModel(request, warm, tool, gravity, digest(params), arm.model.workspace, rover)
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """Counts that add up over parts of a batch."""
+
+    targets_by_valid: Counter[int] = field(default_factory=Counter)
+    """Number of targets by their number of valid branches."""
+    valid_by_branch: Counter[str] = field(default_factory=Counter)
+    by_verdict: Counter[str] = field(default_factory=Counter)
+    outside_by_joint: Counter[str] = field(default_factory=Counter)
+    """Number of branches outside limits, by the joint farthest beyond its limit."""
+
+    def __add__(self, other: "Tally") -> "Tally":
+        return Tally(
+            self.targets_by_valid + other.targets_by_valid,
+            self.valid_by_branch + other.valid_by_branch,
+            self.by_verdict + other.by_verdict,
+            self.outside_by_joint + other.outside_by_joint,
+        )
+
+    @property
+    def targets(self) -> int:
+        """Return the number of targets."""
+        return self.targets_by_valid.total()
+
+    @property
+    def out(self) -> int:
+        """Return the number of invalid branches."""
+        return self.by_verdict.total() - self.by_verdict["valid"]
+
+
+def tally(result: IkResult) -> Tally:
+    """Count the results of a batch."""
+    valid = result.verdict == BranchVerdict.VALID
+    outside = result.verdict == BranchVerdict.OUTSIDE_LIMITS
+    return Tally(
+        Counter(dict(_count_values(valid.sum(axis=0)))),
+        Counter(dict(zip(BRANCHES, valid.sum(axis=1).tolist(), strict=True))),
+        Counter({VERDICT_NAMES[k]: count for k, count in _count_values(result.verdict)}),
+        Counter({Joint(k).name.lower(): count for k, count in _count_values(result.joint[outside])}),
+    )
+
+
+def _count_values(numbers: NDArray[np.int64]) -> list[tuple[int, int]]:
+    values, counts = np.unique(numbers, return_counts=True)
+    return [(int(value), int(count)) for value, count in zip(values, counts, strict=True)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,3 +219,125 @@ def _about(request: IkRequest, model: IkModel) -> dict[str, object]:
         "excess": "radians beyond the limit of the joint, or metres out of reach",
         "forward_error": "the larger of position error [m] and axis error [rad], by forward kinematics",
     }
+
+
+def ik_document(report: IkReport) -> dict[str, Any]:
+    """Collect the result for one target."""
+    branches = [_branch(report, slot) for slot in range(len(BRANCHES))]
+    return {
+        "valid": sum(branch["verdict"] == "valid" for branch in branches),
+        **model_document(report.model),
+        "frame": report.request.frame,
+        "position_m": report.request.position_m or (),
+        "approach": report.request.approach or (),
+        "joints": JOINT_NAMES,
+        "branches": branches,
+    }
+
+
+def _branch(report: IkReport, slot: int) -> dict[str, Any]:
+    result, name = report.result, BRANCHES[slot]
+    verdict = VERDICT_NAMES[int(result.verdict[slot])]
+    angles, excess = result.output_rad[:, slot], float(result.excess[slot])
+    is_outside, is_far = verdict == "outside_limits", verdict == "out_of_reach"
+    reason = describe_slot(report.model.arm, result, slot).removeprefix(f"{name}: ")
+    return {
+        "branch": name,
+        "verdict": verdict,
+        "reason": None if verdict == "valid" else reason,
+        "output_deg": [math.degrees(angle) for angle in angles] if np.isfinite(angles).all() else None,
+        "limiting_joint": JOINT_NAMES[int(result.joint[slot])] if is_outside else None,
+        "beyond_limit_deg": math.degrees(excess) if is_outside else None,
+        "out_of_reach_m": excess if is_far else None,
+        "forward_error": result.error[slot],
+    }
+
+
+def ik_parts(report: IkReport) -> list[ReportTable]:
+    """Show the joint angles of each branch of a target, or the reason why it is invalid."""
+    rows = []
+    for slot, name in enumerate(BRANCHES):
+        branch = _branch(report, slot)
+        angles = ["-"] * len(JOINT_NAMES)
+        if branch["output_deg"] is not None:
+            angles = [f"{angle:.3f}" for angle in branch["output_deg"]]
+        error = float(branch["forward_error"])
+        shown_error = f"{error:.1e}" if math.isfinite(error) else "-"
+        rows.append((name, *angles, shown_error, branch["reason"] or "valid"))
+    valid = sum(row[-1] == "valid" for row in rows)
+    head = ("branch", *(f"{joint}\ndeg" for joint in JOINT_NAMES), "forward check\nm, rad", "")
+    title = f"{report.model.description}: {valid} of {len(rows)} branches valid"
+    return [ReportTable(head, rows, title, is_whole=True)]
+
+
+def batch_document(report: BatchReport) -> dict[str, Any]:
+    """Collect the summary of a batch."""
+    request = report.request
+    return {
+        **tally_document(report.tally),
+        **model_document(report.model),
+        "frame": request.frame,
+        "batch": request.batch,
+        "out": request.out,
+    }
+
+
+def batch_parts(report: BatchReport) -> list[str | ReportTable]:
+    """Show the summary of a batch: counts, and the path of the results."""
+    title = f"{report.model.description}: {report.tally.targets} targets"
+    return [tally_table(title, report.tally), *file_lines({"out": report.request.out})]
+
+
+def model_document(model: IkModel) -> dict[str, Any]:
+    """Collect what describes the arm of a request."""
+    request = model.request
+    return {
+        "tool": model.tool,
+        "arm": request.arm,
+        "compensate": request.compensate,
+        "gravity": request.gravity,
+        "tilt_deg": {"roll": request.tilt_roll_deg, "pitch": request.tilt_pitch_deg},
+        "gravity_R_m_s2": model.gravity_R_m_s2,
+        "warming_K": request.warming_K,
+        "params_sha256": model.params_sha256,
+    }
+
+
+def tally_document(tally: Tally) -> dict[str, Any]:
+    """Convert counts to shares of targets, or of invalid branches."""
+    at_most_four = sum(count for valid, count in tally.targets_by_valid.items() if valid <= 4)
+    invalid = {name: count for name, count in tally.by_verdict.items() if name != "valid"}
+    return {
+        "targets": tally.targets,
+        "targets_by_valid_branches": {
+            str(valid): count / tally.targets for valid, count in sorted(tally.targets_by_valid.items())
+        },
+        "targets_with_at_most_four": at_most_four / tally.targets,
+        "valid_by_branch": {name: tally.valid_by_branch[name] / tally.targets for name in BRANCHES},
+        "out_by_verdict": _shares_out(tally, invalid),
+        "outside_limits_by_joint": _shares_out(tally, tally.outside_by_joint),
+    }
+
+
+def _shares_out(tally: Tally, counts: dict[str, int]) -> dict[str, float]:
+    """Compute shares of the invalid branches, in descending order."""
+    ordered = sorted(counts.items(), key=lambda item: -item[1])
+    return {name: count / max(tally.out, 1) for name, count in ordered}
+
+
+def tally_table(title: str, tally: Tally) -> ReportTable:
+    """Show counts as shares in percent."""
+    shares = tally_document(tally)
+    parts = (
+        ("targets with so many valid branches", shares["targets_by_valid_branches"]),
+        ("targets with at most four", {"0 to 4": shares["targets_with_at_most_four"]}),
+        ("targets with this branch valid", shares["valid_by_branch"]),
+        ("of the branches that are out:", shares["out_by_verdict"]),
+        ("... outside limits, by joint farthest out", shares["outside_limits_by_joint"]),
+    )
+    rows = [
+        (name if row == 0 else "", key.replace("_", " "), f"{100.0 * share:.2f}")
+        for name, part in parts
+        for row, (key, share) in enumerate(part.items())
+    ]
+    return ReportTable(("share", "", "%"), rows, title, is_whole=True)

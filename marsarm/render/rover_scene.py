@@ -1,10 +1,13 @@
 """Changes of the scene before it is drawn: a tilted rover, or the collision shapes of flight software."""
 
+from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from fsw.collision.distance import place_shapes
 from fsw.collision.geometry import RoundedBoxes
@@ -81,11 +84,7 @@ def save_collision_picture(
     """Save a picture of the arm, deflected by gravity on Mars, with the collision shapes of arm and rover.
 
     Args:
-        params: Flight parameters.
         output_rad: Output angles, shape (5,).
-        path: The PNG file.
-        camera: Name of a camera of the scene.
-        size: Width and height in pixels.
         arm: Drawing of the arm; None for the default one.
 
     Raises:
@@ -117,3 +116,29 @@ def _add_shapes(spec: mujoco.MjSpec, solids: RoundedBoxes, X_RS: Pose, rgba: tup
         quaternion = np.empty(4)
         mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(R_WS).ravel())
         geom.quat = quaternion
+
+
+def project_outlines(boxes: RoundedBoxes, X_RS: Pose, axes: tuple[int, int]) -> Iterator[Array]:
+    """Yield the outline of each shape, seen along the third axis.
+
+    Args:
+        X_RS: Their poses in the rover frame, batch (m).
+        axes: Axes of the plane, 0 to 2 for x, y, z of the rover frame.
+
+    Yields:
+        Corners [m] of a convex polygon, shape (n, 2).
+    """
+    signs = np.array(list(product((-1.0, 1.0), repeat=3))).T
+    for k in range(boxes.part.size):
+        # a box as large as the rounded one: its corners are outside of the shape by less than its radius
+        corners = signs * (boxes.half_m[:, k] + boxes.radius_m[k])[:, None]
+        flat = (X_RS.R[:, :, k] @ corners + X_RS.p[:, k, None])[list(axes)].T
+        yield flat[ConvexHull(flat).vertices]
+
+
+def draw_outlines(axes: Any, outlines: Iterator[Array], shift_m: Array | float = 0.0, **style: Any) -> None:
+    """Draw outlines as filled polygons, shifted by an offset [m], shape (2,)."""
+    from matplotlib.patches import Polygon
+
+    for outline in outlines:
+        axes.add_patch(Polygon(outline + shift_m, closed=True, **style))

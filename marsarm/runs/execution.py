@@ -36,7 +36,7 @@ from simgap.common.interruption import describe_interruption
 from simgap.common.progress import Progress, part_of
 
 if TYPE_CHECKING:
-    from marsarm.view.live import LiveView
+    from marsarm.view.server import LiveView
 
 FRAME_CYCLES: Final = 3 * CYCLE_HZ
 """Cycles between two frames of a movie, and between two reports of the progress."""
@@ -92,7 +92,7 @@ def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[Initialisat
 
 
 @dataclass(slots=True)
-class Frames:
+class DrawnPoses:
     """Poses of a run, which are drawn after it."""
 
     poses: list[Qpos] = field(default_factory=list)
@@ -154,9 +154,6 @@ def open_log(
 
     Args:
         path: The log; None for a log that records nothing.
-        header: Header of the log, which describes the run.
-        config: Configuration of flight software.
-        world: World of the run, which the log shows.
         arm: Drawing of the arm; None for the default one.
 
     Raises:
@@ -201,11 +198,7 @@ def record_cycles(
     """Run and record cycle by cycle.
 
     Args:
-        log: Log in which each cycle is written.
         when_disk_full: Reaction to a log that can no longer be written: continue, or stop the arm.
-
-    Yields:
-        Each cycle, after it was recorded.
     """
     for record in run:
         log.write(record)
@@ -223,7 +216,7 @@ def describe_activity(record: CycleRecord) -> str:
 def save_artifacts(
     files: RunFiles,
     world: World,
-    frames: Frames,
+    drawn: DrawnPoses,
     last: Qpos,
     log: RunLog,
     progress: Progress,
@@ -232,12 +225,9 @@ def save_artifacts(
     """Draw the picture and the movie of a run, and collect its artifacts.
 
     Args:
-        files: Files that the run writes.
         world: World of the run; its scene is drawn with all visual details.
-        frames: Poses of the run.
         last: Last pose, drawn if no pose was chosen, shape (nq,), in metres and radians.
         log: Log of the run, closed.
-        progress: Receiver of the progress.
         arm: Drawing of the arm; None for the default one.
     """
     problem = next((event.message for _, event in log.events), None)
@@ -249,15 +239,15 @@ def save_artifacts(
     picture = movie = None
     if files.picture is not None:
         data = mujoco.MjData(model)
-        data.qpos[:] = last if frames.best is None else frames.best
+        data.qpos[:] = last if drawn.best is None else drawn.best
         mujoco.mj_forward(model, data)
         camera = "turret" if world.surface is None else "target"
         picture = save_picture(model, data, camera, files.picture, PICTURE_SIZE)
     if files.movie is not None:
 
         def iter_poses() -> Iterator[Qpos]:
-            for k, pose in enumerate(frames.poses):
-                progress(k, len(frames.poses), "drawing")
+            for k, pose in enumerate(drawn.poses):
+                progress(k, len(drawn.poses), "drawing")
                 yield pose
 
         model.vis.quality.shadowsize = MOVIE_SHADOWS
@@ -297,10 +287,6 @@ def open_view(
     It is stopped if the block fails, or no run begins in it. Else it stays open, to play the runs again.
 
     Args:
-        is_wanted: True for a viewer.
-        title: Title of the run.
-        world: World of the run.
-        arm: Arm of the run.
         effects: Effects beyond those of the arm.
 
     Raises:
@@ -309,7 +295,7 @@ def open_view(
     if not is_wanted:
         yield None
         return
-    from marsarm.view.live import LiveView  # a run without a viewer does not wait for it
+    from marsarm.view.server import LiveView  # a run without a viewer does not wait for it
 
     with ExitStack() as stack:
         view = stack.enter_context(LiveView(title, world, arm, effects))
@@ -340,36 +326,30 @@ def execute(
     """Carry out a run: record every cycle, then draw the picture and the movie.
 
     Args:
-        loop: Closed loop of the run.
-        header: Header of the log, which describes the run.
-        files: Files that the run writes.
-        world: World of the run.
-        progress: Receiver of the progress.
         progress_at: Function that returns the amount done at a cycle, and the total amount.
         is_for_picture: Function that returns whether the picture may show a cycle; it shows the last one.
         arm: Drawing of the arm, for log, picture and movie.
-        view: Viewer that shows the run; None for none.
 
     Raises:
         BadRequest: the log cannot be opened; nothing moved.
     """
     share = 1.0 if files.movie is None else 0.5
     running, drawing = part_of(progress, 0.0, share), part_of(progress, share, 1.0)
-    frames = Frames()
+    drawn = DrawnPoses()
     started = time.perf_counter()
     with open_log(files.log, header, loop.config, world, arm) as log:
         for record in record_cycles(run, log, files.when_disk_full):
             if record.tick % FRAME_CYCLES == 0:
                 running(*progress_at(record), describe_activity(record))
                 if files.movie is not None:
-                    frames.poses.append(loop.plant.data.qpos.copy())
+                    drawn.poses.append(loop.plant.data.qpos.copy())
             if view is not None:
                 view.watch(record)
             if is_for_picture(record):
-                frames.best = loop.plant.data.qpos.copy()
+                drawn.best = loop.plant.data.qpos.copy()
     wall_s = time.perf_counter() - started
     if loop.failure is not None:
         raise loop.failure
     result = run.result()
-    artifacts = save_artifacts(files, world, frames, loop.plant.data.qpos, log, drawing, arm)
+    artifacts = save_artifacts(files, world, drawn, loop.plant.data.qpos, log, drawing, arm)
     return Execution(result, loop.config.params_sha256, result.duration_s / wall_s, artifacts, view)

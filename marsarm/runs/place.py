@@ -40,7 +40,7 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress, part_of
 
 if TYPE_CHECKING:
-    from marsarm.view.live import LiveView
+    from marsarm.view.server import LiveView
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,18 +4,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-from simgap.common.options import (
+from marsarm.common.options import (
     ARM_HELP,
     ArmOption,
     EffectsOption,
     MismatchOption,
-    Option,
     ParamsOption,
     PitchOption,
     RollOption,
     SeedOption,
-    Vector,
 )
+from simgap.common.options import Option, Vector
 
 MOST_REPEATS: Final = 1000
 WhenDiskFull = Literal["go-on", "stop"]
@@ -89,9 +88,9 @@ class RunRequest:
     scenario: Annotated[
         str,
         Option(
-            "A name from `marsarm scenarios`, or a .toml file.", "SCENARIO", is_argument=True, is_read=True
+            "A name from `marsarm run --list`, or a .toml file.", "SCENARIO", is_argument=True, is_read=True
         ),
-    ]
+    ] = ""
     arm: Annotated[
         str | None,
         Option(f"{ARM_HELP} That of the scenario if not given.", "ARM"),

@@ -32,7 +32,7 @@ from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress, part_of
 
 if TYPE_CHECKING:
-    from marsarm.view.live import LiveView
+    from marsarm.view.server import LiveView
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +112,8 @@ def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     """Check a request, before anything moves or is written, and return its scenario and arm."""
     check_options(request)
     check_files(request.files)
+    if not request.scenario:
+        raise BadRequest("scenario: give a name or a file; `marsarm run --list` lists what there is")
     try:
         scenario = load_scenario(request.scenario, request.arm)
     except BadScenario as error:

@@ -155,7 +155,7 @@ def select_channels(log: Log, globs: Sequence[str] = ()) -> tuple[ChannelSeries,
         if not matching and globs:
             hint = suggest_name(glob.partition("[")[0], [one.name for one in every])
             raise NoSuchChannel(
-                f"log {log.path} has no channel {glob}; {hint}`marsarm log channels {log.path}` lists them, "
+                f"log {log.path} has no channel {glob}; {hint}`marsarm log info {log.path} '*'` lists them, "
                 "and a pattern is written as '/joint.motor_rad*' or '/joint.motor_rad[2]'"
             )
         found |= {one.name: one for one in matching}

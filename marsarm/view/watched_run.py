@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Severity
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, build_arm
@@ -14,8 +17,7 @@ from marsarm.telemetry.format import EVR_TOPIC, TICK_NS
 from marsarm.telemetry.header import WORLD
 from marsarm.telemetry.json_codec import BadJson, record_from_json
 from marsarm.telemetry.read import Log, read_log
-from marsarm.view.frames import Event, Frames, compute_frames
-from marsarm.view.samples import Samples
+from marsarm.view.frames import Event, Samples, ViewFrames, compute_frames
 from marsarm.view.scene import Scene, build_scene
 from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm, UnknownArm, arm_named
@@ -24,6 +26,36 @@ from sim.effects.structure import StandInTurret
 from sim.scenario.effects import BadEffect, parse_effect_text
 from sim.world import World
 from simgap.common.errors import BadRequest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plot:
+    """Curves of one unit over the time of the frames."""
+
+    title: str
+    unit: str
+    values: Mapping[str, Array]
+    """Values of each curve by its label, shape (n,)."""
+
+
+def make_plots(frames: ViewFrames) -> tuple[Plot, ...]:
+    """Make the plots of a run; those of the truth only if it is known."""
+    samples = frames.samples
+    plots = [Plot("joint angle", "deg", _by_joint(np.degrees(samples.believed_rad)))]
+    if samples.true_rad is not None:
+        plots.append(
+            Plot(
+                "true less believed angle", "mrad", _by_joint(1e3 * (samples.true_rad - samples.believed_rad))
+            )
+        )
+    plots.append(Plot("motor current", "A", _by_joint(samples.current_A)))
+    if samples.force_N is not None:
+        plots.append(Plot("contact force", "N", {"": samples.force_N}))
+    return tuple(plots)
+
+
+def _by_joint(values: Array) -> dict[str, Array]:
+    return {joint.name.lower(): values[joint] for joint in Joint}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +68,7 @@ class Surroundings:
     surface_normal_R: Array | None
     """Unit vector out of the surface in the rover frame, shape (3,)."""
 
-    def frames(self, samples: Samples) -> Frames:
+    def frames(self, samples: Samples) -> ViewFrames:
         """Compute the frames of samples.
 
         Raises:
@@ -55,7 +87,7 @@ class WatchedRun:
     notes: tuple[str, ...]
     """Sentences about what is not drawn as it was."""
     scene: Scene
-    frames: Frames
+    frames: ViewFrames
     events: tuple[Event, ...]
 
 
@@ -65,8 +97,6 @@ def build_surroundings(
     """Build the surroundings of a run.
 
     Args:
-        world: World of the run.
-        params: Parameters of flight software.
         effects: All effects of arm and run; those that a parameter describes change the true arm.
     """
     normal = None if world.surface is None else normalize(world.surface.normal_N)

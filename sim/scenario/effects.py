@@ -95,7 +95,8 @@ def find_effect_class(name: str) -> type[Effect]:
             close = get_close_matches(name.lower(), catalogue(), n=1)
             meant = f"did you mean {close[0]}? " if close else ""
             raise BadEffect(
-                f"effect {shorten(name)!r} is not known; {meant}`marsarm effects` lists what there is"
+                f"effect {shorten(name)!r} is not known; {meant}`marsarm dictionary --effects` lists what "
+                "there is"
             )
         return catalogue()[name]
     path, wanted = (name, "") if file is None else (file["file"], file["rest"])

@@ -1,9 +1,8 @@
 """The page of the robot file: a row for each key, as the code describes it."""
 
-from pathlib import Path
-
 import pytest
 
+from helpers.real_robots import repository_file
 from simgap.files.robot_file import (
     CsvTable,
     JointTable,
@@ -14,9 +13,8 @@ from simgap.files.robot_file import (
     TimeTable,
 )
 from simgap.files.toml_record import Record
-from simgap.load import SplitFile, SplitTable
+from simgap.loading import SplitFile, SplitTable
 
-PAGE = Path(__file__).parents[2] / "docs" / "robot-file.md"
 TABLES = {
     "Robot": RobotFile,
     "`[time]`": TimeTable,
@@ -43,6 +41,6 @@ def rows_of(record: type[Record]) -> list[str]:
 
 @pytest.mark.parametrize("heading", TABLES)
 def test_the_page_has_a_row_for_each_key(heading: str) -> None:
-    section = PAGE.read_text().split(f"## {heading}\n")[1].split("\n## ")[0]
+    section = repository_file("docs/robot-file.md").read_text().split(f"## {heading}\n")[1].split("\n## ")[0]
     shown = [line for line in section.splitlines() if line.startswith("| `")]
     assert shown == rows_of(TABLES[heading])

@@ -14,8 +14,8 @@ from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle_output
 from marsarm.calibration.calibrate import calibrate, rms_m
 from marsarm.calibration.campaign import PAPER_GROUPS, CampaignPlan, resize_groups
-from marsarm.calibration.checks import check_data, check_fit
-from marsarm.calibration.simulation import simulate_campaign
+from marsarm.calibration.execution import check_data, check_fit
+from marsarm.calibration.verify import simulate_campaign
 from marsarm.runs.place import place, prepare_placement
 from marsarm.runs.request import PlaceRequest, RunFiles
 from sim.arm_check import (

@@ -12,9 +12,9 @@ import pytest
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward
 from marsarm.common.pool import local_runner
-from marsarm.ik.model import build_ik_model
 from marsarm.ik.reach import sample_workspace
 from marsarm.ik.request import ModelRequest
+from marsarm.ik.solve import build_ik_model
 from sim.arm_check import check_arm
 from sim.arm_model.description import BadArm
 from sim.arm_model.load import ARMS, default_arm, load_arm
@@ -81,7 +81,7 @@ def test_with_room_it_can_be_homed_and_stowed_and_reaches_its_workspace(tmp_path
 @pytest.mark.parametrize(
     "words",
     [
-        ("arm", "build", "small"),
+        ("arm", "--build", "small"),
         ("place", "--arm", "small"),
         ("calibrate", "--arm", "small"),
         ("hardstop", "--arm", "small", "--plan"),

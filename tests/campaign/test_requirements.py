@@ -102,8 +102,8 @@ def test_tests_and_constants_are_found():
     assert has_test("tests/campaign/test_requirements.py::test_a_wrong_row_is_named")
     assert has_test("tests/campaign/test_requirements.py")
     assert not has_test("tests/campaign/test_requirements.py::TABLE")
-    assert read_constant("marsarm/calibration/checks.py:FRAME_RANK") == 26
-    assert read_constant("marsarm/calibration/checks.py:NOTHING") is None
+    assert read_constant("marsarm/calibration/execution.py:FRAME_RANK") == 26
+    assert read_constant("marsarm/calibration/execution.py:NOTHING") is None
 
 
 def test_the_number_of_a_changed_tree_is_marked():

@@ -13,7 +13,7 @@ import pytest
 from marsarm.common.pool import run_here
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
-from simgap.load import load
+from simgap.loading import load
 from simgap.logs import JointLog, Logs, Motion, Signal
 from validation.robot_cases import solve
 from validation.robot_cases.arms import load_robot

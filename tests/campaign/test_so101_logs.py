@@ -8,7 +8,7 @@ import pytest
 
 from helpers.real_robots import robot_path
 from simgap.common.errors import RobotError
-from simgap.load import load, read_split
+from simgap.loading import load, read_split
 from simgap.robot import Robot
 from validation.so101_logs import convert
 

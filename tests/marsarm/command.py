@@ -12,7 +12,7 @@ from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from unittest.mock import patch
 
-from marsarm.cli.start import start
+from marsarm.__main__ import start
 from simgap.common.interruption import END_SIGNALS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -73,7 +73,7 @@ def marsarm_process(folder: Path, *words: str, **variables: str) -> Ran:
         *words: Arguments of `marsarm`.
         **variables: Environment variables.
     """
-    command = [sys.executable, "-c", "from marsarm.cli.start import start; start()", *words]
+    command = [sys.executable, "-c", "from marsarm.__main__ import start; start()", *words]
     env = os.environ | {"PYTHONPATH": str(ROOT)} | variables
     return subprocess.run(
         command, cwd=folder, env=env, capture_output=True, text=True, timeout=3000, check=False

@@ -7,7 +7,7 @@ import pytest
 
 from fsw.config import configure, configure_at
 from fsw.kinematics.chain import forward, tool_pose
-from marsarm.accuracy.placements import configure_true
+from marsarm.accuracy.trial import configure_true
 from sim.arms import arm_named, list_frames
 from sim.effects.effect import Effect
 from sim.effects.environment import Ambient

@@ -9,8 +9,13 @@ import numpy as np
 
 from marsarm.common.pool import Runner, local_runner
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
-from marsarm.diagnosis.arm.case import FittedCase, diagnose_fitted_case, fit_case
+from marsarm.diagnosis.arm.case import (
+    CampaignModel,
+    FittedCase,
+    diagnose_fitted_case,
+    fit_case,
+    load_campaign_model,
+)
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
 from marsarm.diagnosis.arm.record import split_logs
 from marsarm.diagnosis.result import to_json

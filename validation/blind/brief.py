@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from marsarm.common.pool import Runner, local_runner
 from marsarm.diagnosis.arm.blind_case import check_leakage
-from marsarm.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
+from marsarm.diagnosis.arm.case import CampaignModel, load_campaign_model
 from marsarm.diagnosis.arm.record import record_campaign, split_logs
 from marsarm.diagnosis.blind_case import seal
 from marsarm.diagnosis.sampling import list_detectable

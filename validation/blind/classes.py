@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, TypeAdapter
 
-from marsarm.diagnosis.arm.families import locate
+from marsarm.diagnosis.arm.arm_effects import locate
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.result import finite_or_none
 from simgap.common.errors import BadRequest

@@ -8,8 +8,8 @@ from typing import Any, Final
 from marsarm.common.pool import Runner
 from simgap.common.errors import RobotError
 from simgap.common.progress import Progress
-from simgap.diagnose import diagnose
-from simgap.load import load
+from simgap.diagnosis import diagnose
+from simgap.loading import load
 from simgap.result import Diagnosis
 from simgap.robot import Robot
 from validation.blind.folder import SOLVED_FOLDER, write_json

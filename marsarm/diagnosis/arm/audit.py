@@ -16,9 +16,8 @@ from fsw.config import CYCLE_HZ, digest
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
-from marsarm.diagnosis.arm.segments import find_rests, find_segments
-from marsarm.diagnosis.sentences import join_names
+from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, find_rests, find_segments, load_recording
+from marsarm.diagnosis.result import join_names
 from sim.params import nominal_params
 
 CONTINUOUS: Final = ("resolver_rad", "current_A", "gravity_R_m_s2")
@@ -67,7 +66,6 @@ def load_checked_recordings(paths: Sequence[Path], base: Params | None = None) -
     """Load recordings, and check that they can be compared with a simulator of these parameters.
 
     Args:
-        paths: Logs.
         base: Flight parameters of the simulator; None for those of the first log.
 
     Raises:

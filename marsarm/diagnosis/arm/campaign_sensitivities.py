@@ -26,7 +26,7 @@ from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.case_simulator import feature_keys
-from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, every_motion
+from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, estimate_floor, every_motion
 from marsarm.diagnosis.arm.features import MotionFeatures
 from marsarm.diagnosis.arm.finite_differences import (
     MAX_ROUNDS,
@@ -42,7 +42,6 @@ from marsarm.diagnosis.arm.finite_differences import (
     step_error,
     step_size,
 )
-from marsarm.diagnosis.arm.noise_floor import estimate_floor
 from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
 from marsarm.diagnosis.arm.simulator import ArmSimulator, build_simulator
 from marsarm.diagnosis.normal_equations import form_normal_equations
@@ -112,10 +111,6 @@ def compute_sensitivities(
     """Compute the sensitivities of a campaign, or load them from the cache.
 
     Args:
-        logs: Logs of the campaign.
-        kept_in: Cache folder.
-        run: Runner of parallel jobs.
-        progress: Called with done, total and step.
         kinds: Names of the effects of the catalogue; None for all.
         steps_of: Logs with cached sensitivities, whose steps are taken; none to adapt the steps.
 
@@ -162,10 +157,6 @@ def _difference_all(
     """Simulate every column to both sides, with given steps or with adapted ones.
 
     Args:
-        paths: Logs of the campaign.
-        names: Names of the effects.
-        run: Runner of parallel jobs.
-        progress: Called with done, total and step.
         given: Step of each column of a hypothesis in typical sizes, shape (k,); None to adapt the steps.
     """
     simulator = _simulator(paths, names)

@@ -1,45 +1,96 @@
 """Diagnosis of one case of this arm, with a campaign whose sensitivities are known.
 
 `diagnose_case` restricts the campaign to the features of the case, and fits the nuisances with the simulator
-(`nuisance_fit`). It diagnoses the residual (`marsarm.diagnosis.diagnose`), and tests the findings on held-out
-motion (`marsarm.diagnosis.closure`).
+(`case_simulator`). It diagnoses the residual, and tests the findings on held-out motion.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from fsw.config import CYCLE_HZ, configure
 from fsw.kinematics.transforms import Array, skew
+from marsarm.common.pool import Runner
+from marsarm.diagnosis.arm.arm_effects import list_families, list_locations
 from marsarm.diagnosis.arm.audit import audit_recordings
-from marsarm.diagnosis.arm.campaign_model import CampaignModel
-from marsarm.diagnosis.arm.case_simulator import CaseSimulator, build_case_simulator
-from marsarm.diagnosis.arm.feature_set import build_feature_set, measure_features
-from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording
-from marsarm.diagnosis.arm.noise_floor import estimate_floor
-from marsarm.diagnosis.arm.nuisance_fit import fit_nuisances
-from marsarm.diagnosis.arm.segments import BIN_TICKS
+from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
+from marsarm.diagnosis.arm.case_simulator import CaseSimulator, build_case_simulator, fit_nuisances
+from marsarm.diagnosis.arm.feature_set import build_feature_set, estimate_floor, measure_features
+from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
 from marsarm.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_simulator
-from marsarm.diagnosis.closure import Closure, build_held_out_model, compute_held_out_residuals
+from marsarm.diagnosis.closure import (
+    Closure,
+    build_held_out_model,
+    compute_closure,
+    compute_held_out_residuals,
+    rank_repeats,
+)
 from marsarm.diagnosis.diagnose import Diagnosis, diagnose, effect_values
-from marsarm.diagnosis.experiment_design import rank_repeats
 from marsarm.diagnosis.model import DiagnosisModel, build_model
 from marsarm.diagnosis.problem import Ints, Residuals
 from marsarm.diagnosis.result import DiagnosisResult, ToolError
 from marsarm.diagnosis.selection import Selection
+from marsarm.diagnosis.sensitivity import Sensitivities
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.plant import SCREW_AXES
-from simgap.report.traces import Trace
+from simgap import Trace
+from simgap.common.progress import Progress, part_of
 
 MIN_FEATURE_SHARE: Final = 0.5
 """Least share of the campaign's features that a case must have."""
+
 OWN_FLOOR_RATIO: Final = 1.2
 """Ratio to the campaign's noise floor from which on the noise floor of the case replaces it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CampaignModel:
+    """Campaign whose motions a case repeats."""
+
+    model: DiagnosisModel
+    """Diagnosis model of the fitted motions."""
+    keys: tuple[str, ...]
+    """Keys of their features."""
+    held_out: Sensitivities | None
+    """Sensitivities of the held-out motions, if there are any."""
+    held_out_keys: tuple[str, ...]
+
+
+def load_campaign_model(
+    logs: Sequence[Path],
+    held_out: Sequence[Path],
+    kept_in: Path,
+    run: Runner,
+    progress: Progress,
+    kinds: Sequence[str] | None = None,
+) -> CampaignModel:
+    """Load the campaign model of these logs; compute in minutes what is not cached.
+
+    Args:
+        logs: Logs of the fitted motions.
+        held_out: Logs of the held-out motions.
+        kinds: Names of the effects of the catalogue; None for all.
+
+    Raises:
+        BadRequest: A cached file cannot be read.
+        BadOutput: A file cannot be written.
+    """
+    share = len(logs) / (len(logs) + len(held_out))
+    fitted = compute_sensitivities(logs, kept_in, run, part_of(progress, 0.0, share), kinds)
+    known = fitted.sensitivities.hypotheses
+    made = build_model(fitted.sensitivities, list_families(known), list_locations(known))
+    keys = fitted.keys()
+    if not held_out:
+        return CampaignModel(made, keys, None, ())
+    rest = part_of(progress, share, 1.0)
+    held_out_sensitivities = compute_sensitivities(held_out, kept_in, run, rest, kinds, steps_of=logs)
+    return CampaignModel(made, keys, held_out_sensitivities.sensitivities, held_out_sensitivities.keys())
 
 
 def compute_tool_error(keys: Sequence[str], before: Array, after: Array, sigma: Array) -> ToolError | None:
@@ -114,9 +165,6 @@ def diagnose_case(
     Args:
         recordings: Recordings that are fitted.
         held_out: Recordings that the findings are tested on.
-        campaign: Campaign that the recordings repeat.
-        seed: Seed of all random draws.
-        patch: Effects that are switched on in the simulator.
 
     Raises:
         TooLittleMotion: Most motions of the campaign are missing.
@@ -261,11 +309,10 @@ def _try_held_out(
         campaign.held_out.select(case.rows),
         diagnosis.effect_fit.covariance[:q, :q],
     )
-    residuals = compute_held_out_residuals(diagnosis, held_out_model, fitted.held_out_residual, change)
+    sides = compute_held_out_residuals(diagnosis, held_out_model, fitted.held_out_residual, change)
     keys = [campaign.held_out_keys[row] for row in case.rows]
-    return residuals.closure(seed), compute_tool_error(
-        keys, residuals.before, residuals.after, held_out_model.sigma
-    )
+    tool_error = compute_tool_error(keys, *sides, held_out_model.sigma)
+    return compute_closure(held_out_model, *sides, seed), tool_error
 
 
 def _check_motion(case: CaseSimulator, campaign: CampaignModel) -> None:

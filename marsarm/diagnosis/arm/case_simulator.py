@@ -1,7 +1,12 @@
-"""Case simulator: predicts the features of one case, in the order of the campaign's features.
+"""Case simulator, which predicts the features of one case in the order of the campaign, and its nuisances.
 
 A case may lack features of the campaign, or have others. Repeats of a motion got the same drive, so only the
 first of them is simulated.
+
+Nuisance parameters can be large and act nonlinearly, so linearisation error can look like an effect. So the
+case is simulated again at the estimated nuisances until they converge. Fitted alone, they can imitate an
+effect; fitted beside it, they give way to it. So they are fitted alone first, and beside the selected effects
+then.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,20 +14,38 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array, Flags
 from marsarm.diagnosis.arm.feature_set import FeatureSet, every_motion, measure_features
 from marsarm.diagnosis.arm.features import CONDITIONS, MotionFeatures
 from marsarm.diagnosis.arm.simulator import AffectedMotions, ArmSimulator
-from marsarm.diagnosis.problem import EffectValues, FeatureLayout, Hypothesis, Ints, Nuisance
+from marsarm.diagnosis.model import DiagnosisModel
+from marsarm.diagnosis.normal_equations import Whitener, build_full_whitener, fit_linear
+from marsarm.diagnosis.problem import LOG_UNIT, EffectValues, FeatureLayout, Hypothesis, Ints, Nuisance
+from marsarm.diagnosis.selection import Selection, select, select_simulated
 from sim.effects.effect import Effect
 from sim.plant import PlantDiverged
+from simgap.selection.chance import FALSE_ALARM
 
 MOTION_CONDITIONS: Final = tuple(
     CONDITIONS.index(name) for name in ("speed_rad_s", "sin_angle", "cos_angle", "direction")
 )
 MOTION_TOLERANCE: Final = 0.02
 """Greatest difference of speed [rad/s], sine and cosine of an angle, for the same motion in two logs."""
+
+MIN_CHANGE_SIGMAS: Final = 0.5
+"""Sigmas by which a nuisance must change for a resimulation: the linear model is exact to second order."""
+
+MIN_CURVED: Final = 0.25
+"""Second-order change of a feature, in noise floors, for which its motion is simulated again; else it is
+extrapolated. Rests are always solved again."""
+
+MAX_SIGMAS: Final = 10.0
+"""Greatest simulated departure: an effect can push a similar nuisance beyond any real arm."""
+
+MAX_UPDATES: Final = 3
+"""Greatest number of resimulations of nuisances alone, and of those beside effects."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +79,6 @@ class CaseSimulator:
         """Predict the features with these effects and nuisances.
 
         Args:
-            settings: Values of the effects that are switched on.
             nuisance: Departures from nominal in the units of the nuisances, shape (q,).
 
         Returns:
@@ -135,7 +157,6 @@ def simulate_change(
 
     Args:
         arm: Simulator of the arm, with n features.
-        effects: Effects that are switched on.
         nominal: Prediction without effects in the units of the channels, shape (n,).
         only: Predicate of the motions to simulate.
 
@@ -202,3 +223,129 @@ def copy_repeats(feature_set: FeatureSet, first: set[str], values: Array, otherw
     named = zip(features, values, strict=True)
     filled = [v if np.isfinite(v) else known.get((f.block, f.key), otherwise) for f, v in named]
     return np.array(filled)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NuisanceFit:
+    """Case simulated at estimated nuisances."""
+
+    simulator: CaseSimulator
+    nuisance: Array
+    """Nuisances of the simulation in their units, shape (q,)."""
+    residual: Array
+    """Measured minus simulated, extrapolated linearly to nuisances at 0, shape (m,)."""
+
+
+def fit_nuisances(
+    model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effect, ...], seed: int
+) -> tuple[NuisanceFit, Selection]:
+    """Fit the nuisances alone, and if an effect remains, beside the effect.
+
+    The nonlinear response of nuisances alone can be the simpler explanation, so the lower deviance wins, in
+    which effects have to pay for their parameters. Large effects are simulated before: their linear response
+    would lose against nuisances beyond any real arm.
+
+    Args:
+        first: Simulator at nominal nuisances.
+
+    Returns:
+        Best fit, and the effects that are selected there.
+    """
+    whiten = build_full_whitener(model.sensitivities)
+    alone = beside = _fit_alone(model, whiten, first, patch)
+    before = selection = select(model, model.sensitivities, whiten, alone.residual, seed)
+    if not before.chosen:
+        return alone, before
+    chosen = tuple[int, ...]()
+    for _ in range(MAX_UPDATES):
+        if set(selection.chosen) == set(chosen):
+            break
+        chosen = selection.chosen
+        moved = _update(model, beside, chosen, patch)
+        if moved is beside:
+            break
+        beside = moved
+        selection = select_simulated(model, whiten, beside.residual, seed, beside.simulator)
+    cost = _cost(whiten, beside, selection)
+    if beside is not alone and selection.chosen and cost < before.null_deviance:
+        return beside, selection
+    return alone, select_simulated(model, whiten, alone.residual, seed, alone.simulator)
+
+
+def _fit_alone(
+    model: DiagnosisModel, whiten: Whitener, first: CaseSimulator, patch: tuple[Effect, ...]
+) -> NuisanceFit:
+    """Fit the nuisances alone while the deviance falls: a simulated motor may stall where a real one ran."""
+    current = _extrapolate(model, first, np.zeros(len(first.nuisances)))
+    for _ in range(MAX_UPDATES):
+        moved = _update(model, current, (), patch)
+        if moved is current or _deviance(whiten, moved.residual) > _deviance(whiten, current.residual):
+            break
+        current = moved
+    return current
+
+
+def _deviance(whiten: Whitener, residual: Array) -> float:
+    white = whiten(residual)
+    return float(white @ white)
+
+
+def _update(
+    model: DiagnosisModel, current: NuisanceFit, beside: tuple[int, ...], patch: tuple[Effect, ...]
+) -> NuisanceFit:
+    """Simulate at the nuisances estimated beside some effects; the same fit if they have converged."""
+    sensitivities = model.sensitivities
+    sigma = np.array([nuisance.sigma for nuisance in sensitivities.nuisances])
+    arm, estimated = current.simulator.arm, _estimate_nuisances(model, current, beside)
+    difference = estimated - current.nuisance
+    if not np.any(np.abs(difference) > MIN_CHANGE_SIGMAS * sigma):
+        return current
+    blocks = _curved_blocks(model, difference)
+
+    def wanted(one: MotionFeatures) -> bool:
+        return one.recording.block in blocks
+
+    near, otherwise = (*patch, *arm.effects({}, estimated)), sensitivities.nuisance @ difference
+    return _extrapolate(model, resimulate(current.simulator, near, wanted, otherwise), estimated)
+
+
+def _curved_blocks(model: DiagnosisModel, difference: Array) -> set[str]:
+    """Return the blocks in which a change of the nuisances is not linear, to MIN_CURVED noise floors.
+
+    A factor exp(d) changes a feature by its slope times d + d^2 / 2 + ..; all else is nearly linear.
+    """
+    nuisances, layout = model.sensitivities.nuisances, model.sensitivities.layout
+    is_factor = np.array([nuisance.unit == LOG_UNIT for nuisance in nuisances])
+    second_order = model.sensitivities.nuisance @ (np.where(is_factor, difference, 0.0) ** 2 / 2.0)
+    curved = np.abs(second_order) > MIN_CURVED * layout.sigma
+    return {layout.blocks[b] for b in np.unique(layout.block[curved])}
+
+
+def _extrapolate(model: DiagnosisModel, simulator: CaseSimulator, nuisance: Array) -> NuisanceFit:
+    residual = simulator.residual() + model.sensitivities.nuisance @ nuisance
+    return NuisanceFit(simulator, nuisance, residual)
+
+
+def _cost(whiten: Whitener, fit: NuisanceFit, selection: Selection) -> float:
+    """Return the deviance beside the selected effects, plus the threshold for as many parameters.
+
+    The whitener is that of the model, so that deviances of several selections can be compared.
+    """
+    k = sum(a.size for a in selection.departures)
+    needed = float(chi2.isf(FALSE_ALARM / max(selection.n_distinct, 1.0), k)) if k else 0.0
+    return _deviance(whiten, fit.residual - selection.change()) + needed
+
+
+def _estimate_nuisances(model: DiagnosisModel, current: NuisanceFit, beside: tuple[int, ...]) -> Array:
+    """Estimate the nuisances beside some effects, (q,), limited to MAX_SIGMAS.
+
+    Random and one-sided nuisances stay 0.
+    """
+    equations = model.equations
+    fit = fit_linear(equations, equations.whiten(current.residual), equations.columns(beside))
+    found = np.zeros(len(model.sensitivities.nuisances))
+    found[model.sensitivities.shared_nuisances] = fit.theta[: equations.q] * equations.nuisance_unit
+    far = MAX_SIGMAS * np.array([nuisance.sigma for nuisance in model.sensitivities.nuisances])
+    return np.where(
+        [one.one_sided for one in current.simulator.arm.nuisance_effects], 0.0, np.clip(found, -far, far)
+    )

@@ -17,9 +17,8 @@ from marsarm.common.pool import select_runner
 from marsarm.diagnosis.arm import record
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.blind_case import record_blind, sample_background
-from marsarm.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
 from marsarm.diagnosis.arm.campaign_sensitivities import check_cache_folder, list_sources
-from marsarm.diagnosis.arm.case import diagnose_case
+from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs, split_logs
 from marsarm.diagnosis.arm.request import DemoRequest, RecordRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect
@@ -88,8 +87,6 @@ def run_demo(request: DemoRequest, progress: Progress, publish: Callable[[str], 
     """Draw an effect, record an arm with it, diagnose the logs, and compare.
 
     Args:
-        request: Seed and workers.
-        progress: Called with done, total and step.
         publish: Called with the digest of the truth before the logs are diagnosed.
 
     Raises:
@@ -116,7 +113,7 @@ def demo_json(found: Demo) -> dict[str, Any]:
 
 def load_demo_campaign(request: DemoRequest, progress: Progress) -> CampaignModel:
     """Load the campaign of the nominal arm; record and compute what is not cached."""
-    folder = cache_folder("gap-demo") / _campaign_digest()[:16]
+    folder = cache_folder("marsarm", "gap-demo") / _campaign_digest()[:16]
     if not folder.exists():
         check_cache_folder(folder.parent)
         record_logs(RecordRequest(folder), part_of(progress, 0.0, 0.05))
@@ -152,9 +149,6 @@ def _record_drawn(folder: Path, model: DiagnosisModel, seed: int, progress: Prog
 def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTruth, tuple[Effect, ...]]:
     """Draw what is on in the arm.
 
-    Args:
-        model: Diagnosis model of the campaign.
-
     Returns:
         The truth, and all effects of the arm.
     """
@@ -183,12 +177,7 @@ def _diagnose(folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int
 
 
 def judge(truth: DemoTruth, result: DiagnosisResult) -> tuple[bool, str]:
-    """Say whether a diagnosis is right, level by level, and why.
-
-    Args:
-        truth: What was drawn.
-        result: What was found.
-    """
+    """Say whether a diagnosis is right, level by level, and why."""
     findings = result.diagnosis.findings
     if truth.kind == "none":
         is_right = result.diagnosis.verdict == "none"
@@ -223,7 +212,6 @@ def holds(model: DiagnosisModel, finding: Finding, true: int) -> bool:
     """Check that the set of a finding, at its level, holds a hypothesis.
 
     Args:
-        model: Diagnosis model of the campaign.
         true: Index of the hypothesis.
     """
     alike = model.equivalence_class(true)

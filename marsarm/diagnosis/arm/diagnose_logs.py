@@ -11,11 +11,10 @@ from typing import Final
 from fsw.dictionary.params import Params
 from marsarm.common.pool import Runner, select_runner
 from marsarm.common.requests import load_fitting_params, parse_effects
+from marsarm.diagnosis.arm.arm_effects import effects_of_params
 from marsarm.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
-from marsarm.diagnosis.arm.campaign_model import load_campaign_model
 from marsarm.diagnosis.arm.campaign_sensitivities import Logs
-from marsarm.diagnosis.arm.case import diagnose_case
-from marsarm.diagnosis.arm.flight_effects import effects_of_params
+from marsarm.diagnosis.arm.case import diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, PARAMS_FILE
 from marsarm.diagnosis.arm.request import DiagnoseRequest
@@ -137,7 +136,8 @@ def _unknown_effect(name: str, known: set[str]) -> str:
         return f"catalogue: {name} is an effect that a diagnosis cannot identify; leave it out"
     near = get_close_matches(name.lower(), sorted(known), n=MAX_SUGGESTIONS, cutoff=0.4)
     meant = f"did you mean {' or '.join(near)}? " if near else ""
-    return f"catalogue: effect {shorten(name)!r} is not known; {meant}`marsarm effects` lists what there is"
+    lists = "`marsarm dictionary --effects` lists what there is"
+    return f"catalogue: effect {shorten(name)!r} is not known; {meant}{lists}"
 
 
 def diagnose(request: DiagnoseRequest, progress: Progress = no_progress) -> DiagnosisResult:
@@ -171,7 +171,7 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> DiagnosisResult:
     campaign = load_campaign_model(
         logs,
         held_out,
-        job.campaign or cache_folder("sensitivities"),
+        job.campaign or cache_folder("marsarm", "sensitivities"),
         job.run,
         part_of(progress, 0.0, CAMPAIGN_SHARE),
         job.kinds,

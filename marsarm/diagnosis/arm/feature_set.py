@@ -1,7 +1,8 @@
 """Features of all recordings of a campaign: their list, their measured values and their simulated values.
 
 Features of motions come from sensor readings bin by bin (`features`). Features of rests come from static
-equilibrium (`rest_poses`): resolver angles, and turret poses as screws relative to nominal.
+equilibrium (`rest_poses`): resolver angles, and turret poses as screws relative to nominal. The noise floor
+is that of repeats.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,36 +18,46 @@ from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, inverse, rotate_back
 from fsw.messages import Sensors
 from marsarm.diagnosis.arm.features import (
+    CHANNELS,
     RESOLVER,
     ROTATION,
     TRANSLATION,
     Feature,
     MotionFeatures,
     SensorColumns,
+    assumed_sigma,
     evaluate_features,
     list_motion_features,
 )
 from marsarm.diagnosis.arm.logs import Recording
-from marsarm.diagnosis.arm.open_loop import simulate_open_loop, simulate_open_loop_cached, stack_readings
 from marsarm.diagnosis.arm.rest_poses import (
     RestPoses,
     TurningPoints,
     find_turning_points,
     read_resolvers,
+    simulate_open_loop,
+    simulate_open_loop_cached,
     solve_rests,
+    stack_readings,
 )
 from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware
 from sim.effects.gears import OutputFriction
 from sim.loop import SimulationOptions
 from sim.params import nominal_params
 from sim.plant import SCREW_AXES
-from simgap.serial_arm.chain import screw_log
+from simgap import screw_log
 
 READING_FIELDS: Final = frozenset({"resolver_bias_rad", "resolver_errors", "sensor_errors"})
 """Fields of the hardware that influence only readings."""
 FRICTION_MARGIN: Final = 0.3
 """Change of the output friction, as a share, for the sensitivity of rests to friction. Near the friction
 limit, the side of the backlash is ambiguous."""
+
+MIN_PAIRS = 8
+"""Least number of pairs of repeats that estimate the noise floor of a channel."""
+
+DOUBT_SIGMAS = 3.0
+"""Doubt above this many sigmas of the noise is added to the noise floor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,9 +114,6 @@ def _more_friction(torque_Nm: Array) -> tuple[Effect, ...]:
 def measure_features(feature_set: FeatureSet) -> Array:
     """Compute the measured features.
 
-    Args:
-        feature_set: Features of all recordings.
-
     Returns:
         Features in the units of their channels, shape (m,).
     """
@@ -134,12 +142,6 @@ def simulate_features(
     wanted: Callable[[MotionFeatures], bool] = every_motion,
 ) -> Array:
     """Compute the features that the simulator predicts.
-
-    Args:
-        feature_set: Features of all recordings.
-        effects: Effects that are switched on.
-        options: Simulation options of the motions.
-        wanted: Predicate of the motions to simulate.
 
     Returns:
         Features in the units of their channels, shape (m,); NaN for motions that are not wanted.
@@ -279,3 +281,56 @@ def rests_moved_by(feature_set: FeatureSet, change: Array, joint: Joint, turns: 
 
 def _select_poses(X: Pose, rows: list[int]) -> Pose:
     return Pose(X.R[:, :, rows], X.p[:, rows])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseFloor:
+    """Standard deviation of every feature between repeats, shape (m,), and notes on its origin."""
+
+    sigma: Array
+    notes: tuple[str, ...]
+
+
+def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
+    """Estimate the noise floor by channel from repeats; it is never below the assumed sensor noise."""
+    features, values = feature_set.list_features(), measure_features(feature_set)
+    sigma = np.array([assumed_sigma(feature) for feature in features])
+    sigma = np.where(np.isfinite(tracker := _tracker_sigma(feature_set)), tracker, sigma)
+    known: dict[tuple[str, str], int] = {}
+    pairs: list[tuple[int, int]] = []
+    for k, feature in enumerate(features):
+        first = known.setdefault((feature.block, feature.key), k)
+        if first != k:
+            pairs.append((first, k))
+    doubt = np.array([feature.doubt for feature in features])
+    doubted = doubt > DOUBT_SIGMAS * sigma
+    notes = []
+    channel = np.array([feature.channel for feature in features])
+    for number, name in enumerate(CHANNELS):
+        mine = [(a, b) for a, b in pairs if features[a].channel == number and not doubted[a]]
+        if not (channel == number).any():
+            continue
+        if len(mine) < MIN_PAIRS:
+            notes.append(f"{name}: {len(mine)} repeats, so its floor is assumed to be the sensors' noise")
+            continue
+        a, b = np.array(mine).T
+        ratio = float(np.sqrt(np.mean(((values[a] - values[b]) / sigma[a]) ** 2) / 2.0))
+        sigma[channel == number] *= max(ratio, 1.0)
+        notes.append(f"{name}: {len(mine)} pairs of repeats differ by {ratio:.2f} times the sensors' noise")
+    if doubted.any():
+        notes.append(
+            f"{int(doubted.sum())} of {doubted.size} features have little weight: the arm rests near the "
+            f"friction limit, a joint has not yet turned through its backlash, or a tool is about to touch"
+        )
+    return NoiseFloor(np.where(doubted, np.hypot(sigma, doubt), sigma), tuple(notes))
+
+
+def _tracker_sigma(feature_set: FeatureSet) -> Array:
+    """Return the standard deviations of tracker poses by the tracker; NaN elsewhere."""
+    found = [np.full(len(one.features), np.nan) for one in feature_set.motions]
+    for posed in feature_set.rests:
+        seen = [k for _, k in posed.tracked_rests]
+        screws = posed.turning_points.recording.tracker_poses.sigma[:, seen].ravel()
+        others = np.full(len(posed.features) - screws.size, np.nan)
+        found.append(np.concatenate([others, screws]))
+    return np.concatenate(found)

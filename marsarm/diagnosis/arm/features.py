@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ, Config
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
-from marsarm.diagnosis.arm.logs import Recording
-from marsarm.diagnosis.arm.segments import BIN_TICKS, Segment, bin_means, find_segments
+from marsarm.diagnosis.arm.logs import BIN_TICKS, Recording, Segment, bin_means, find_segments
 
 CHANNELS: Final = ("current", "following-error", "resolver-encoder", "imu", "rotation", "translation")
 UNITS: Final = ("A", "rad", "rad", "m/s^2", "rad", "m")

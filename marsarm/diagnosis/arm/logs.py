@@ -1,30 +1,117 @@
-"""Recordings for a diagnosis: drive and sensors of the same ticks, start state, world and tracker poses."""
+"""Recordings for a diagnosis: drive and sensors of the same ticks, start state, world and tracker poses.
 
+Tracker poses are a CSV table by tick, beside a log. Segments of motion and rests are found from the drive
+alone, so that imported logs work too.
+"""
+
+import csv
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
+from io import StringIO
 from pathlib import Path
 from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
+from scipy.spatial.transform import Rotation
 
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, Pose
 from fsw.messages import ActuatorCommand, Sensors
-from marsarm.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, read_tracker_poses
 from marsarm.replay.inputs import NotReplayable, inputs_from_log
 from marsarm.telemetry.errors import LogError
 from marsarm.telemetry.header import SESSION
 from marsarm.telemetry.read import Log, read_log
 from sim.loop import RecordedStart
+from sim.text_file import UnreadableText, decode_text
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
 from simgap.common.errors import BadRequest
 from simgap.common.json_file import describe_first_problem
 
 DRIVE: Final = "/drive"
 COUNTS: Final = "setpoint_count"
+
+POSE_COLUMNS: Final = ("tick", "rx_rad", "ry_rad", "rz_rad", "x_m", "y_m", "z_m")
+
+SIGMA_COLUMNS: Final = ("rx_sigma_rad", "ry_sigma_rad", "rz_sigma_rad", "x_sigma_m", "y_sigma_m", "z_sigma_m")
+
+BIN_TICKS: Final = CYCLE_HZ // 4
+"""Width of a bin in ticks: a quarter of a second."""
+
+STILL_COUNTS: Final = 50
+"""Least range of the set-point in a motion."""
+
+SLOW_SHARE: Final = 0.5
+"""Share of the nominal speed below which a motion is slow."""
+
+REVERSAL_S: Final = 1.0
+"""Time after a reversal that belongs to the regime "reversal"."""
+
+
+class BadTracker(ValueError):
+    """Table that does not hold tracker poses; the message says where and why."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerPoses:
+    """Poses of the turret interface in RMECH, n of them, in the order of ticks."""
+
+    tick: NDArray[np.int64]
+    X_RF: Pose
+    sigma: Array
+    """Standard deviation of the screw from true to measured, turret axes, rotation first, shape (6, n)."""
+
+
+def no_tracker_poses() -> TrackerPoses:
+    """Return an empty table."""
+    return TrackerPoses(np.zeros(0, np.int64), Pose(np.zeros((3, 3, 0)), np.zeros((3, 0))), np.zeros((6, 0)))
+
+
+def write_tracker_poses(path: Path, seen: TrackerPoses) -> None:
+    """Write a CSV file: rotation vector, position, and standard deviations."""
+    turn = Rotation.from_matrix(np.moveaxis(seen.X_RF.R, -1, 0)).as_rotvec() if seen.tick.size else []
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow((*POSE_COLUMNS, *SIGMA_COLUMNS))
+        for k, tick in enumerate(seen.tick):
+            numbers = (*turn[k], *seen.X_RF.p[:, k], *seen.sigma[:, k])
+            table.writerow((int(tick), *(repr(float(number)) for number in numbers)))
+
+
+def read_tracker_poses(path: Path) -> TrackerPoses:
+    """Read a CSV file.
+
+    Raises:
+        BadTracker: It cannot be read, a column is missing, or a value is wrong or repeated.
+    """
+    try:
+        table = csv.DictReader(StringIO(decode_text(path.read_bytes()), newline=""))
+        rows, missing = list(table), {*POSE_COLUMNS, *SIGMA_COLUMNS} - set(table.fieldnames or ())
+    except OSError as error:
+        raise BadTracker(f"{path}: cannot be read ({error.strerror or error})") from error
+    except UnreadableText as error:
+        raise BadTracker(f"{path}: {error}") from error
+    except csv.Error as error:
+        raise BadTracker(f"{path}: is not a table in CSV; it is damaged or of another format") from error
+    if missing:
+        raise BadTracker(f"{path}: has no column {', '.join(sorted(missing))}")
+    if not rows:
+        return no_tracker_poses()
+    try:
+        numbers = np.array([[float(row[name]) for name in (*POSE_COLUMNS, *SIGMA_COLUMNS)] for row in rows]).T
+    except (TypeError, ValueError) as error:
+        raise BadTracker(f"{path}: something in it is no number") from error
+    if not np.isfinite(numbers).all() or (numbers[7:] <= 0).any():
+        raise BadTracker(f"{path}: every number must be finite, and every sigma above 0")
+    tick = numbers[0].astype(np.int64)
+    if np.any(tick != numbers[0]) or np.unique(tick).size != tick.size:
+        raise BadTracker(f"{path}: ticks must be whole numbers, each there once")
+    R = np.moveaxis(Rotation.from_rotvec(numbers[1:4].T).as_matrix(), 0, -1)
+    return TrackerPoses(tick, Pose(R, numbers[4:7]), numbers[7:])
 
 
 class NotForDiagnosis(BadRequest):
@@ -205,3 +292,66 @@ def _drive_packets(log: Log) -> NDArray[np.void]:
             f"map set-points, power, brakes and limits to {DRIVE} in the import"
         )
     return log[DRIVE]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Motion of a powered joint, from tick `first` to before `end`."""
+
+    joint: Joint
+    first: int
+    end: int
+    direction: int
+    """+1 or -1."""
+    slow: bool
+    reversed: bool
+    """Motion against the previous motion of the joint in this recording."""
+
+    def bins(self) -> list[tuple[int, int]]:
+        """Return the first tick, and the one after the last, of each whole bin."""
+        return [(k, k + BIN_TICKS) for k in range(self.first, self.end - BIN_TICKS + 1, BIN_TICKS)]
+
+    def regime(self, first: int) -> str:
+        """Return the regime of a bin that begins at this tick."""
+        early = first - self.first < REVERSAL_S * CYCLE_HZ
+        return "reversal" if self.reversed and early else "slow" if self.slow else "fast"
+
+
+def find_segments(recording: Recording) -> list[Segment]:
+    """Find the segments in the order of joints, then of time."""
+    found = []
+    for joint in Joint:
+        power = recording.drive["power_on"][:, joint].astype(np.int8)
+        edges = np.flatnonzero(np.diff(power, prepend=0, append=0))
+        before = 0
+        for first, end in zip(edges[::2], edges[1::2], strict=True):
+            moved = recording.drive["setpoint_count"][first:end, joint]
+            if np.ptp(moved) < STILL_COUNTS:
+                continue
+            direction = int(np.sign(moved[-1] - moved[0])) or 1
+            most = float(np.abs(recording.drive["setpoint_rate_rad_s"][first:end, joint]).max())
+            slow = most < SLOW_SHARE * recording.params.joints.in_order()[joint].speed_rad_s
+            found.append(Segment(joint, int(first), int(end), direction, slow, before * direction < 0))
+            before = direction
+    return found
+
+
+def find_rests(recording: Recording) -> list[int]:
+    """Find the last tick of every rest on the brakes of at least half a second."""
+    still = ~recording.drive["power_on"].any(axis=1) & ~recording.drive["brake_release"].any(axis=1)
+    edges = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0))
+    pairs = zip(edges[::2], edges[1::2], strict=True)
+    return [int(end) - 1 for first, end in pairs if end - first >= CYCLE_HZ // 2]
+
+
+def bin_means(values: Array, bins: list[tuple[int, int]]) -> Array:
+    """Compute means over bins.
+
+    Args:
+        values: Values by tick in any unit, shape (n,).
+        bins: First tick, and the one after the last, of each of b bins.
+
+    Returns:
+        Means in the same unit, shape (b,).
+    """
+    return np.array([values[first:end].mean() for first, end in bins])

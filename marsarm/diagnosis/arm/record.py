@@ -11,11 +11,11 @@ import numpy as np
 
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, Pose, stack_poses
-from marsarm.calibration.survey import TooFewTargets, measure_pose
+from marsarm.calibration.campaign import TooFewTargets, measure_pose
 from marsarm.common.params_toml import params_toml
 from marsarm.common.requests import fit_effects, parse_effects, select_arm
+from marsarm.diagnosis.arm.logs import TrackerPoses, no_tracker_poses, write_tracker_poses
 from marsarm.diagnosis.arm.request import RecordRequest
-from marsarm.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, write_tracker_poses
 from marsarm.telemetry.header import SESSION, flight_header
 from marsarm.telemetry.json_codec import record_to_json
 from marsarm.telemetry.recorder import Recorder
@@ -59,12 +59,7 @@ def record_campaign(
     """Record a log of each session, without the state of the plant.
 
     Args:
-        folder: Folder of the logs.
-        sessions: Sessions of the campaign.
-        arm: Simulated arm.
         reference: Joint zeros that flight software starts with.
-        seed: Seed of the sensor noise.
-        progress: Called with done, total and session.
         effects: Effects that begin with the run.
 
     Raises:

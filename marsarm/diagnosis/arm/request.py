@@ -4,17 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from simgap.common.options import (
-    ArmOption,
-    ClusterOption,
-    EffectsOption,
-    MismatchOption,
-    Option,
-    ParamsOption,
-    ReportOption,
-    SeedOption,
-    WorkersOption,
-)
+from marsarm.common.options import ArmOption, EffectsOption, MismatchOption, ParamsOption, SeedOption
+from simgap.common.options import ClusterOption, Option, ReportOption, WorkersOption
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +28,8 @@ class DiagnoseRequest:
     catalogue: Annotated[
         str | None,
         Option(
-            "Effects of `marsarm effects` that may be the cause; all of them if not given.", "NAME,NAME,..."
+            "Effects of `marsarm dictionary --effects` that may be the cause; all of them if not given.",
+            "NAME,NAME,...",
         ),
     ] = None
     campaign: Annotated[

@@ -5,7 +5,7 @@ motor to the next (fsw.estimate.gear). A link that creeps bends further by a sha
 from the times between turning points. No dynamics are simulated, except for what `is_stepped` tells.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -17,26 +17,29 @@ from fsw.dictionary.enums import Joint
 from fsw.estimate.gear import bound_gear
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, inverse, screw_exp, stack_poses
-from marsarm.diagnosis.arm.logs import Recording
-from marsarm.diagnosis.arm.open_loop import simulate_open_loop
-from marsarm.diagnosis.arm.segments import find_rests, find_segments
-from marsarm.diagnosis.arm.tracker_poses import no_tracker_poses
+from fsw.messages import Sensors
+from marsarm.diagnosis.arm.features import SensorColumns
+from marsarm.diagnosis.arm.logs import Recording, find_rests, find_segments, no_tracker_poses
+from sim.arms import effects_of_run
 from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal_hardware
-from sim.effects.environment import Numerics
+from sim.effects.environment import Ambient, Numerics, StructureTemperature
 from sim.effects.gears import GearHysteresis
 from sim.effects.structure import LinkBending, LinkCreep
-from sim.loop import scale_shift_rad
+from sim.loop import NOISE_FREE, OpenLoopArm, SimulationOptions, scale_shift_rad
 from sim.params import nominal_params
 from sim.plant import Plant
 from sim.record import NO_DISTURBANCE, Disturbance
+from sim.tracker import turret_pose
 from sim.world import World, build
-from simgap.serial_arm.chain import screw_log
+from simgap import screw_log
 
 MEAN_TICKS = CYCLE_HZ // 4
 """Number of ticks at the end of a rest over which resolvers are averaged."""
 STEP_NUMERICS: Final = Numerics("implicit", 2)
 """Numerics whose rests are simulated: those of other time steps and schemes agree with them to a hundredth of
 the noise floor, and take three times as long."""
+
+SENSOR_FIELDS: Final = tuple(Sensors.__dataclass_fields__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -226,3 +229,66 @@ def _act_at(
     """Evaluate the effects of a cycle at a pose: new hardware, gear shifts and output torques."""
     plant.data.qpos[plant.at.motor], plant.data.qpos[plant.at.gear] = motor_rad, gear_rad
     return evaluate_cycle_effects(plant, hardware)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenLoopRun:
+    """Result of an open-loop simulation."""
+
+    readings: tuple[Sensors, ...]
+    X_RF: Mapping[int, Pose]
+    """Pose of the turret interface in RMECH after the given numbers of cycles."""
+
+
+def simulate_open_loop(
+    recording: Recording,
+    effects: Sequence[Effect],
+    options: SimulationOptions = NOISE_FREE,
+    pose_ticks: frozenset[int] = frozenset(),
+    ticks: int | None = None,
+) -> OpenLoopRun:
+    """Simulate an arm with these effects under the recorded drive.
+
+    Args:
+        pose_ticks: Numbers of cycles after which the turret pose is taken.
+        ticks: Number of ticks from the start that are simulated; None for all.
+
+    Raises:
+        PlantDiverged: MuJoCo counted a warning.
+    """
+    arm = OpenLoopArm(recording.start, order_effects(recording, effects), options)
+    readings: list[Sensors] = []
+    poses: dict[int, Pose] = {}
+    for reading in arm.readings(recording.drives[:ticks]):
+        if len(readings) in pose_ticks:
+            poses[len(readings)] = _turret(arm)
+        readings.append(reading)
+    return OpenLoopRun(tuple(readings), poses)
+
+
+@lru_cache(maxsize=64)
+def simulate_open_loop_cached(
+    recording: Recording,
+    effects: tuple[Effect, ...],
+    options: SimulationOptions,
+    ticks: int,
+) -> OpenLoopRun:
+    """Simulate as `simulate_open_loop`, and cache runs that several effects share."""
+    return simulate_open_loop(recording, effects, options, ticks=ticks)
+
+
+def order_effects(recording: Recording, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Order effects: built-in ones, temperatures, those of the run; cold changes the first ones' friction."""
+    built = (effect for effect in effects if effect.built_in)
+    temperatures = (Ambient(recording.temperature_C), StructureTemperature(recording.structure_C))
+    return (*built, *temperatures, *effects_of_run(effects))
+
+
+def stack_readings(readings: Sequence[Sensors]) -> SensorColumns:
+    """Stack readings by field, ticks first."""
+    return {name: np.array([getattr(one, name) for one in readings]) for name in SENSOR_FIELDS}
+
+
+def _turret(arm: OpenLoopArm) -> Pose:
+    arm.plant.truth()  # updates the kinematics
+    return turret_pose(arm.plant)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from marsarm.accuracy.combine import (
+from marsarm.accuracy.propagation import (
     Bounds,
     bounds,
     moments_rule,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from marsarm.accuracy.combine import pooled_quantile, squared_length
+from marsarm.accuracy.propagation import pooled_quantile, squared_length
 from marsarm.accuracy.sources import CUMULANTS
 from marsarm.accuracy.trial import sample_errors
 from tests.marks import slow_but

@@ -10,7 +10,7 @@ from fsw.kinematics.arm import Arm, heat_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, rotate_back
-from marsarm.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity, workspace_poses
+from marsarm.accuracy.propagation import Poses, Sensitivity, compute_sensitivity, workspace_poses
 from marsarm.accuracy.sources import load_error_model
 from sim.params import nominal_params
 

@@ -9,7 +9,7 @@ from fsw.kinematics.transforms import Pose
 from marsarm.calibration.calibrate import Calibration, calibrate
 from marsarm.calibration.campaign import CampaignPlan
 from marsarm.calibration.campaign_data import Campaign
-from marsarm.calibration.simulation import simulate_campaign, true_params
+from marsarm.calibration.verify import simulate_campaign, true_params
 from sim.arms import arm_named
 from sim.params import nominal_params
 

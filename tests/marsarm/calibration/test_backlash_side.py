@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from marsarm.calibration.backlash_side import OutputErrors, find_consensus
+from marsarm.calibration.consensus import OutputErrors, find_consensus
 
 NOISE_RAD = 3e-5
 WIDTH_RAD = 2e-4

@@ -8,14 +8,15 @@ from scipy.optimize import least_squares
 from scipy.stats import binom
 
 from fsw.kinematics.transforms import Pose
-from marsarm.calibration.arm_model import arm_model
 from marsarm.calibration.arm_parameters import arm_parameters
 from marsarm.calibration.calibrate import calibrate, rms_m
-from marsarm.calibration.checks import check_data, check_fit
-from marsarm.calibration.measured_poses import MeasuredPoses
-from marsarm.calibration.simulation import compare_with_truth, hardstop_errors_rad
+from marsarm.calibration.campaign_data import MeasuredPoses
+from marsarm.calibration.execution import check_data, check_fit
+from marsarm.calibration.residual_model import residual_model
+from marsarm.calibration.verify import compare_with_truth, hardstop_errors_rad
 from sim.arms import arm_named
 from simgap.serial_arm.fit import fit
+from tests.marks import slow_but
 from tests.marsarm.calibration.lab import NOMINAL, calibration, campaign
 
 SEEDS = (1, 2)
@@ -50,9 +51,10 @@ def test_the_frames_have_rank_26_of_42_and_what_is_one_is_named_as_one():
     assert sum(len(names) - identified for names, identified in groups.items()) == 42 - 26
 
 
+@pytest.mark.slow
 def test_the_optimum_is_that_of_least_squares_with_numeric_derivatives():
     poses = campaign().at(np.arange(0, 160, 4))
-    model, parameters = arm_model(NOMINAL, poses), arm_parameters()
+    model, parameters = residual_model(NOMINAL, poses), arm_parameters()
     prior = np.array([parameter.prior_sigma for parameter in parameters])
     found = fit(parameters, model)
 
@@ -66,7 +68,7 @@ def test_the_optimum_is_that_of_least_squares_with_numeric_derivatives():
     assert 2 * other.cost == pytest.approx(np.sum(found.at.residual**2) + np.sum((found.values / prior) ** 2))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", slow_but(SEEDS, 1))
 def test_the_true_arm_lies_where_the_covariance_says(seed):
     """Nine of ten 90 % intervals contain the truth, for the combinations that the data determine."""
     arm = arm_named(f"as-built:{seed}")
@@ -78,7 +80,7 @@ def test_the_true_arm_lies_where_the_covariance_says(seed):
 
 def test_with_the_backlash_state_left_out_shoulder_in_poses_stand_apart():
     found = calibration()
-    model = arm_model(NOMINAL, found.campaign, with_backlash=False)
+    model = residual_model(NOMINAL, found.campaign, with_backlash=False)
     off = np.linalg.norm(model.errors(found.best.values)[3:], axis=0)
     inside = np.array([branch.startswith("shoulder-in") for branch in found.campaign.branch])
     assert np.median(off[inside]) > 2 * np.median(off[~inside])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from marsarm.calibration.calibrate import data_sha256
 from marsarm.calibration.campaign import (
     PAPER_GROUPS,
     CampaignPlan,
@@ -10,8 +11,7 @@ from marsarm.calibration.campaign import (
     resize_groups,
     run_campaign,
 )
-from marsarm.calibration.parameter_file import data_sha256
-from marsarm.calibration.simulation import simulate_campaign, true_poses, zero_errors_rad
+from marsarm.calibration.verify import simulate_campaign, true_poses, zero_errors_rad
 from sim.arm_check import NoPlan
 from sim.arms import arm_named
 from simgap.common.errors import BadRequest

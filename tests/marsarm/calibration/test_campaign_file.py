@@ -9,10 +9,9 @@ import pytest
 from pyarrow import parquet
 
 from fsw.kinematics.transforms import Pose, inverse
-from marsarm.calibration.campaign_file import read_campaign, save_campaign
-from marsarm.calibration.checks import BadData, check_data
-from marsarm.calibration.measured_poses import MeasuredPoses
-from marsarm.calibration.parameter_file import data_sha256
+from marsarm.calibration.calibrate import data_sha256
+from marsarm.calibration.campaign_data import BadData, MeasuredPoses, read_campaign, save_campaign
+from marsarm.calibration.execution import check_data
 from sim.frames import P_NR_M
 from tests.marsarm.calibration.lab import NOMINAL, campaign
 

@@ -1,7 +1,7 @@
 import numpy as np
 
 from fsw.kinematics.transforms import Pose
-from marsarm.calibration.measured_poses import MeasuredPoses
+from marsarm.calibration.campaign_data import MeasuredPoses
 
 RNG = np.random.default_rng(0)
 

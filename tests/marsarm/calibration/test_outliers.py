@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom
 
 from helpers.serial_planar import Planar, parameters
-from marsarm.calibration.outliers import TooManyOutliers, reject_outliers
+from marsarm.calibration.consensus import TooManyOutliers, reject_outliers
 
 
 def test_outliers_are_found_named_and_left_out():

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from marsarm.common.pool import local_runner
-from marsarm.ik.model import IkModel
+from marsarm.ik.solve import IkModel
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder
 from marsarm.telemetry.recover import recover
@@ -32,7 +32,7 @@ from simgap.common.interruption import (
 from tests.marsarm.command import ROOT, marsarm
 from tests.marsarm.telemetry.conftest import cycle_at
 
-RUN = [sys.executable, "-c", "from marsarm.cli.start import start; start()"]
+RUN = [sys.executable, "-c", "from marsarm.__main__ import start; start()"]
 
 
 @contextmanager
@@ -152,7 +152,7 @@ def test_the_log_of_an_interrupted_run_says_so_to_every_reader(tmp_path: Path) -
         "interrupted", "SIGINT", False, 8,
     )  # fmt: skip
     sentence = "the run was interrupted by SIGINT; the log ends there"
-    for words in (("info",), ("channels",), ("export", "tables")):
+    for words in (("info",), ("info", "*"), ("export", "tables")):
         done = marsarm(tmp_path, "log", words[0], "run.mcap", *words[1:])
         assert (done.returncode, done.stderr) == (0, f"log run.mcap: {sentence}\n")
     assert f" {sentence}\n" in marsarm(tmp_path, "log", "info", "run.mcap").stdout

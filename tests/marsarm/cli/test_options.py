@@ -13,12 +13,15 @@ import pytest
 import typer
 
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
-from marsarm.calibration.request import CalibrateRequest, SerialRequest
-from marsarm.cli import accuracy, calibrate, diagnosis, ik, robot, runs, view
+from marsarm.arms.request import ArmRequest
+from marsarm.calibration.request import CalibrateRequest
+from marsarm.cli import analysis, diagnosis, runs
 from marsarm.diagnosis.arm.request import DiagnoseRequest, RecordRequest
 from marsarm.ik.request import IkRequest, ReachRequest
 from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest
 from marsarm.view.request import ViewRequest
+from simgap.command import app
+from simgap.command import request as simgap_request
 from simgap.command.request import CheckRequest
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.options import Option, check_options, option_fields
@@ -29,16 +32,17 @@ VERBS = {
     PlaceRequest: runs.place,
     RunRequest: runs.run,
     HardstopRequest: runs.hardstop,
-    IkRequest: ik.ik,
-    ReachRequest: ik.reach,
-    BudgetRequest: accuracy.budget,
-    MonteCarloRequest: accuracy.monte_carlo,
-    CalibrateRequest: calibrate.calibrate,
-    SerialRequest: calibrate.calibrate_serial,
-    ViewRequest: view.view,
+    IkRequest: analysis.ik,
+    ReachRequest: analysis.reach,
+    BudgetRequest: analysis.budget,
+    MonteCarloRequest: analysis.monte_carlo,
+    CalibrateRequest: analysis.calibrate,
+    ArmRequest: analysis.arm,
+    ViewRequest: runs.view,
     DiagnoseRequest: diagnosis.diagnose,
     RecordRequest: diagnosis.record,
-    CheckRequest: robot.check,
+    CheckRequest: app.check,
+    simgap_request.DiagnoseRequest: app.diagnose,
 }
 HEAVY = ("numpy", "pydantic", "mujoco", "scipy", "pyarrow", "matplotlib", "sim", "fsw")
 

@@ -7,7 +7,7 @@ from importlib.metadata import version
 
 from tests.marsarm.command import ROOT, marsarm
 
-AS_INSTALLED = "import sys; sys.argv[0] = 'marsarm'; from marsarm.cli.start import start; start()"
+AS_INSTALLED = "import sys; sys.argv[0] = 'marsarm'; from marsarm.__main__ import start; start()"
 
 
 def test_the_version_is_that_of_the_package(tmp_path):
@@ -21,7 +21,7 @@ def test_a_verb_is_still_needed(tmp_path):
 
 def test_the_shell_completes_verbs_and_options():
     for words, expected in (
-        ("marsarm cal", {"calibrate", "calibrate-serial"}),
+        ("marsarm re", {"reach", "replay"}),
         ("marsarm ik --js", {"--json"}),
     ):
         variables = {

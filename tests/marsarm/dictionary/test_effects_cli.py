@@ -8,7 +8,7 @@ from tests.marsarm.command import marsarm, marsarm_process
 
 
 def test_the_catalogue_is_one_document(tmp_path: Path) -> None:
-    done = marsarm_process(tmp_path, "effects", "--json")
+    done = marsarm_process(tmp_path, "dictionary", "--effects", "--json")
     assert done.returncode == 0, done.stderr
     listed = {one["name"]: one for one in json.loads(done.stdout)["effects"]}
     assert set(listed) == set(catalogue())

@@ -15,8 +15,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from marsarm.ik.targets import APPROACH_COLUMNS, POSITION_COLUMNS, read_targets
-from marsarm.ik.writers import open_writer
+from marsarm.ik.batch import APPROACH_COLUMNS, POSITION_COLUMNS, open_writer, read_targets
 from simgap.common.errors import BadOutput, BadRequest
 from tests.marsarm.command import ROOT, marsarm
 from tests.marsarm.ik.batch import P_M, A, expected, save, solved
@@ -192,7 +191,7 @@ def test_a_disk_that_fills_up_leaves_what_was_there_before(tmp_path, name, monke
 def test_a_kill_leaves_nothing_behind(tmp_path):
     count = 200_000
     save(tmp_path / "in.npz", np.tile(P_M[0], (count, 1)), np.tile(A[0], (count, 1)))
-    command = "from marsarm.cli.start import start; start()"
+    command = "from marsarm.__main__ import start; start()"
     run = subprocess.Popen(
         [sys.executable, "-c", command, "ik", "--batch", "in.npz", "--out", "out.npz"],
         cwd=tmp_path,

@@ -5,16 +5,17 @@ import re
 import pytest
 
 from marsarm.accuracy.budget import run_budget
-from marsarm.accuracy.budget_report import save_budget_page
+from marsarm.accuracy.budget_report import budget_page
 from marsarm.accuracy.monte_carlo import run_monte_carlo
-from marsarm.accuracy.monte_carlo_report import save_monte_carlo_page
+from marsarm.accuracy.monte_carlo_report import monte_carlo_page
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
-from marsarm.calibration.campaign_file import save_campaign
+from marsarm.calibration.campaign_data import save_campaign
 from marsarm.calibration.execution import run_calibration
-from marsarm.calibration.report import save_calibration_page
+from marsarm.calibration.report import calibration_page
 from marsarm.calibration.request import CalibrateRequest
 from marsarm.diagnosis.page import save_diagnosis_page
 from simgap.common.page import Origin
+from simgap.common.report import save_report_page
 from tests.marks import slow_but
 from tests.marsarm.calibration.lab import campaign, quiet
 from tests.marsarm.diagnosis import results
@@ -48,20 +49,20 @@ CONTRAST = """
 
 
 def save_budget(path):
-    save_budget_page(run_budget(BudgetRequest(poses=100), quiet), path)
+    save_report_page(budget_page(run_budget(BudgetRequest(case="mars", poses=100), quiet)), path)
 
 
 def save_monte_carlo(path):
     request = MonteCarloRequest(
         "mars", "calibrated", arms=2, places=2, move_model="statics", seed=1, workers=1
     )
-    save_monte_carlo_page(run_monte_carlo(request, quiet), path)
+    save_report_page(monte_carlo_page(run_monte_carlo(request, quiet)), path)
 
 
 def save_calibration(path):
     poses = path.with_suffix(".parquet")
     save_campaign(campaign(), poses)
-    save_calibration_page(run_calibration(CalibrateRequest(data=poses), quiet), path)
+    save_report_page(calibration_page(run_calibration(CalibrateRequest(data=poses), quiet)), path)
 
 
 def save_diagnosis(path):

@@ -11,7 +11,7 @@ from marsarm.render.picture import PictureResult
 from marsarm.render.rays import Rays
 from marsarm.render.rover_scene import tilt_rover
 from marsarm.runs import execution
-from marsarm.runs.execution import Frames, RunLog, save_artifacts
+from marsarm.runs.execution import DrawnPoses, RunLog, save_artifacts
 from marsarm.runs.request import RunFiles
 from sim.world import Scene, Surface, World, build
 
@@ -103,7 +103,7 @@ def test_the_picture_of_a_run_is_of_the_tilted_rover(monkeypatch: pytest.MonkeyP
     world = tilted(10.0, -5.0)
     pose = np.zeros(build(world).compile().nq)
     save_artifacts(
-        RunFiles(picture=tmp_path / "x.png"), world, Frames(), pose, RunLog(None, None), lambda *_: None
+        RunFiles(picture=tmp_path / "x.png"), world, DrawnPoses(), pose, RunLog(None, None), lambda *_: None
     )
     (model,) = pictures
     np.testing.assert_allclose(model.opt.gravity, [0.0, 0.0, -3.711], atol=1e-12)

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from marsarm.render.triangles import triangulate
+from marsarm.render.rays import triangulate
 
 MODEL = """
 <mujoco>

@@ -7,9 +7,10 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from marsarm.runs.hardstop import hardstop, plan_stops
-from marsarm.runs.hardstop_report import hardstop_json, plan_json
+from marsarm.runs.report import hardstop_document, plan_document
 from marsarm.runs.request import HardstopRequest
 from simgap.common.errors import BadRequest
+from simgap.common.report import to_json
 from tests.marsarm.command import marsarm, marsarm_process
 
 
@@ -42,7 +43,7 @@ def test_people_see_a_table_and_what_was_said(tmp_path):
 @pytest.mark.slow
 def test_repetitions_are_of_other_days_and_the_same_again():
     request = HardstopRequest(joint="turret", repeat=3, arm="as-built:2")
-    first, again = (hardstop_json(hardstop(request, quiet)) for _ in range(2))
+    first, again = (to_json(hardstop_document(hardstop(request, quiet))) for _ in range(2))
     assert first == again
     turret = first["joints"]["turret"]
     assert turret["found"] == 3
@@ -52,7 +53,7 @@ def test_repetitions_are_of_other_days_and_the_same_again():
 
 
 def test_the_plan_shows_equal_torques_and_moves_nothing():
-    document = plan_json(plan_stops(HardstopRequest()))
+    document = plan_document(plan_stops(HardstopRequest()))
     mars, earth = (document[place]["joints"] for place in ("mars, with turret", "earth, without turret"))
     for joint in ("elevation", "elbow", "wrist"):
         assert mars[joint]["torque_Nm"] == pytest.approx(earth[joint]["torque_Nm"], abs=0.5)
@@ -69,35 +70,6 @@ def test_all_joints_one_after_the_other_as_flight_software_does_it(tmp_path):
         assert abs(found["zero_error_mrad"]) < 0.3
         assert found["max_torque_Nm"] < 600
     assert "CommandCompleted" in [evr["name"] for evr in document["evrs"]]
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--joint", "knee"], "joint: 'knee' is not known; there are azimuth, elevation"),
-        (["--joint", "elbow", "--all"], "--joint elbow asks for one joint, --all for all"),
-        (["--repeat", "0"], "repeat: 0 is not within 1 .. 1000"),
-        (["--temperature", "300"], "temperature: 300.0 degC is not within -130 .. 50 degC"),
-        (["--temperature", "nan"], "temperature: nan degC"),
-        (["--scene", "moon"], "scene: 'moon' is not known"),
-        (["--arm", "bent"], "arm 'bent' is not known"),
-        (["--seed", "-1"], "seed: -1 is below 0"),
-        (["--tilt-roll", "40"], "tilt"),
-        (["--picture", "x.jpg"], "its name must end in .png"),
-        (["--start", "0", "0", "0", "0", "0"], "start: is for one joint, once"),
-        (
-            ["--joint", "elbow", "--start", "0", "0", "170", "0", "0"],
-            "joint elbow: 170 deg is outside",
-        ),
-        (["--joint", "elbow", "--start", "0", "0", "nan", "0", "0"], "joint elbow: nan deg is outside"),
-        (["--params", "none.toml"], "cannot be read"),
-    ],
-)
-def test_bad_input_is_said_and_nothing_is_written(tmp_path, words, sentence):
-    done = marsarm(tmp_path, "hardstop", *words, "--json")
-    assert done.returncode == 2
-    assert sentence in json.loads(done.stdout)["error"]
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -131,6 +131,6 @@ def test_channels_by_pattern_with_their_ranges(log: Log) -> None:
 
 def test_a_pattern_that_matches_nothing_is_refused(log: Log) -> None:
     with pytest.raises(
-        NoSuchChannel, match=r"has no channel /joint/moter; did you mean /joint.mode\? `marsarm log channels"
+        NoSuchChannel, match=r"has no channel /joint/moter; did you mean /joint.mode\? `marsarm log info"
     ):
         select_channels(log, ["/joint/mode", "/joint/moter"])

@@ -12,8 +12,7 @@ from fsw.kinematics.chain import forward
 from marsarm.telemetry.header import run_header
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder
-from marsarm.view.frames import compute_frames
-from marsarm.view.samples import Samples
+from marsarm.view.frames import Samples, compute_frames
 from marsarm.view.scene import build_scene
 from marsarm.view.watched_run import build_surroundings, watch_log
 from sim.arm_model.load import default_arm

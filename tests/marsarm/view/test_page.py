@@ -12,7 +12,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from marsarm.view.html import make_page, save_page
+from marsarm.view.page import make_page, save_page
 from validation.browser import MISSING, Browser, find_chromium
 
 MOST_BYTES = 5_000_000

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from marsarm.view import server
-from marsarm.view.live import LiveView
-from marsarm.view.looks import TRAIL_STEP_M
+from marsarm.view.scene import TRAIL_STEP_M
+from marsarm.view.server import LiveView
 from simgap.common.errors import BadRequest
 from tests.marsarm.command import ROOT, marsarm
 from tests.marsarm.view.lab import ARM, TILTED, records_of, start_loop
@@ -108,7 +108,7 @@ def test_a_live_view_follows_a_run_and_plays_it_after(monkeypatch):
 @needs_viser
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_the_live_trail_begins_anew_with_another_tool_and_with_another_run(monkeypatch):
-    monkeypatch.setattr("marsarm.view.live.DRAW_PERIOD_S", 0.0)
+    monkeypatch.setattr("marsarm.view.server.DRAW_PERIOD_S", 0.0)
     trails = []
     monkeypatch.setattr(
         server.Viewer, "draw", lambda self, frames, time_s, events, trail: trails.append(trail)

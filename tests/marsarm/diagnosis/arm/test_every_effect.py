@@ -9,7 +9,7 @@ import pytest
 from fsw.dictionary.enums import Joint
 from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, simulate_features
 from marsarm.diagnosis.arm.logs import Recording
-from marsarm.diagnosis.arm.open_loop import simulate_open_loop, stack_readings
+from marsarm.diagnosis.arm.rest_poses import simulate_open_loop, stack_readings
 from sim.effects.catalogue import (
     ParameterField,
     all_places,

@@ -1,4 +1,4 @@
-"""The mapping of docs/import.md, applied to the measurements that it describes."""
+"""The mapping of docs/logs.md, applied to the measurements that it describes."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,7 @@ from marsarm.telemetry.imports.files import BadImport
 from marsarm.telemetry.imports.job import ImportRequest, convert_table, import_table
 from marsarm.telemetry.read import Log, read_log
 
-DOC = Path(__file__).parents[4] / "docs" / "import.md"
+DOC = Path(__file__).parents[4] / "docs" / "logs.md"
 ROWS = 11_911
 
 

@@ -2,7 +2,6 @@
 
 import io
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -132,12 +131,27 @@ def test_the_first_row_may_be_any_cycle(as_parquet: bytes, make: Any, tmp_path: 
     assert log.ticks("/imported/sensors")[[0, -1]].tolist() == [tick, tick + make.N_CYCLES - 1]
 
 
-def test_the_start_that_the_page_shows_is_understood(as_parquet: bytes, make: Any, tmp_path: Path) -> None:
-    page = (Path(__file__).parents[4] / "docs" / "import.md").read_text()
-    shown = next(text for text in re.findall(r"```toml\n(.*?)```", page, re.DOTALL) if "[start]" in text)
+START = """
+[start]
+mode = "deployed"
+params = "arm.toml"
+
+[start.reference]
+calibrated = [true, true, true, true, true]
+zero_rad = [0.1, -0.2, 0.3, 0.0, 1.5]
+friction_Nm = [20.0, 20.0, 15.0, 5.0, 5.0]
+
+[[command]]
+type = "MOVE_JOINTS"
+at_s = 0.125
+angle_deg = [0, -60, 110, 130, 90]
+"""
+
+
+def test_a_start_and_a_command_are_understood(as_parquet: bytes, make: Any, tmp_path: Path) -> None:
     (tmp_path / "arm.toml").write_text("[monitors]\ntilt_rad = 0.02\n")
     sensors = [name for name in known_targets() if name.startswith("/sensors.")]
-    log = import_into(tmp_path, as_parquet, make.TIME + make.channels(*sensors) + shown)
+    log = import_into(tmp_path, as_parquet, make.TIME + make.channels(*sensors) + START)
     assert json.loads(log.header["params"])["monitors"]["tilt_rad"] == 0.02
     began = json.loads(log.header["boot"])
     assert (began["mode"], began["reference"]["zero_rad"][0]) == ("DEPLOYED", 0.1)

@@ -1,0 +1,227 @@
+"""Outputs whose side of the backlash is uncertain to flight software.
+
+The believed side is usually right, and a campaign can confirm it. Friction drags the outputs of a joint to
+one side of the backlash. If most of them have the same angle error, this error is an encoder zero or a
+backlash width. Outputs that agree with it lie where they are believed to lie. The other outputs may lie
+anywhere in their backlash, so their poses carry no information about that joint.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.stats import chi2
+
+from fsw.kinematics.transforms import Array, Flags
+from marsarm.calibration.campaign_data import MeasuredPoses
+from simgap import Fit, FitParameter, fit, leave_one_out_distance
+from simgap.common.errors import BadRequest
+from simgap.serial_arm.fit import FALSE_ALARM, MAX_OUTLIER_SHARE, ResidualModel
+
+REST_SIGMA_RAD: Final = 3e-6
+"""Uncertainty of a joint angle at rest, one sigma: encoder and friction. Measured in the closed loop."""
+CONSENSUS_SIGMAS: Final = 3.0
+"""Largest difference, in sigmas, between two outputs that count as having the same angle error."""
+MIN_OUTPUTS: Final = 5
+"""Smallest number of outputs that must agree; at least half of all on that side must agree too."""
+KNOWN_SIGMAS: Final = 2.0
+"""Largest total sigma, as a multiple of the noise, at which the model alone predicts the output.
+
+Such an output needs no agreement with others.
+"""
+
+
+def pose_whitener(measured: MeasuredPoses, output_jacobian: Array, unknown: Flags) -> Array:
+    """Compute the matrices that make error screws independent with unit variance.
+
+    A pose carries no information along the screw of an output whose side is unknown: these rows are 0.
+
+    Args:
+        output_jacobian: Screws of the turret frame in its axes, per radian of each output, shape (6, n, 5).
+        unknown: Boolean flags of outputs whose side of the backlash is unknown, shape (5, n).
+
+    Returns:
+        Whitening matrices, shape (n, 6, 6).
+    """
+    W, A = whiten_joint_jacobian(measured, output_jacobian)
+    for pose in np.flatnonzero(unknown.any(axis=0)):
+        along = A[pose][:, unknown[:, pose]]
+        Q, _ = np.linalg.qr(along, mode="complete")
+        W[pose] = Q.T @ W[pose]
+        W[pose, : along.shape[1]] = 0.0
+    return W
+
+
+def whiten_joint_jacobian(measured: MeasuredPoses, output_jacobian: Array) -> tuple[Array, Array]:
+    """Compute the whitening matrices for the noise of the tracker and of joints at rest.
+
+    Args:
+        output_jacobian: Screws of the turret frame in its axes, per radian of each output, shape (6, n, 5).
+
+    Returns:
+        Whitening matrices, shape (n, 6, 6), and the whitened Jacobian, shape (n, 6, 5).
+    """
+    J = np.moveaxis(output_jacobian, 1, 0)
+    noise = measured.covariance + REST_SIGMA_RAD**2 * J @ J.swapaxes(1, 2)
+    W = np.linalg.inv(np.linalg.cholesky(noise))
+    return W, W @ J
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OutputErrors:
+    """Angle errors of some outputs of one joint, as the tracker measures them."""
+
+    error_rad: Array
+    """Measured angle less modelled angle, shape (k,)."""
+    noise_rad: Array
+    """Independent noise of each error, one sigma, shape (k,)."""
+    shared_rad2: Array
+    """Covariance that comes from the uncertainty of the model, shape (k, k)."""
+
+
+def confirm_sides(
+    measured: MeasuredPoses,
+    output_jacobian: Array,
+    error: Array,
+    parameter_jacobian: Array,
+    covariance: Array,
+    uncertain: Flags,
+    backlash_rad: Array,
+) -> Flags:
+    """Find the uncertain outputs that lie where they are believed to lie in their backlash.
+
+    Args:
+        output_jacobian: Screws of the turret frame in its axes, per radian of each output, shape (6, n, 5).
+        error: Screws [rad, m] from the modelled to the measured poses, shape (6, n).
+        parameter_jacobian: Screws of the turret frame per unit of each parameter, shape (6, n, p).
+        covariance: Covariance of the parameters, in squares of their units, shape (p, p).
+        uncertain: Boolean flags of the outputs to decide, shape (5, n).
+        backlash_rad: Believed positions of the outputs in their backlash, shape (5, n).
+
+    Returns:
+        Flags of the confirmed outputs, shape (5, n).
+    """
+    joints, n = uncertain.shape
+    output_error_rad, noise = np.full((joints, n), np.nan), np.full((joints, n), np.nan)
+    output_sensitivity = np.zeros((joints, n, covariance.shape[0]))
+    W, A = whiten_joint_jacobian(measured, output_jacobian)
+    for pose in np.flatnonzero(uncertain.any(axis=0)):
+        affected = uncertain[:, pose]
+        a = A[pose][:, affected]
+        inverse = np.linalg.inv(a.T @ a)
+        to_outputs = inverse @ a.T @ W[pose]
+        output_error_rad[affected, pose] = to_outputs @ error[:, pose]
+        noise[affected, pose] = np.sqrt(np.diag(inverse))
+        output_sensitivity[affected, pose] = to_outputs @ parameter_jacobian[:, pose]
+    found = np.zeros_like(uncertain)
+    for joint in range(joints):
+        for side in (backlash_rad[joint] < 0, backlash_rad[joint] >= 0):
+            poses = np.flatnonzero(uncertain[joint] & side)
+            B = output_sensitivity[joint, poses]
+            outputs = OutputErrors(output_error_rad[joint, poses], noise[joint, poses], B @ covariance @ B.T)
+            found[joint, poses] = find_consensus(outputs)
+    return found
+
+
+def find_consensus(outputs: OutputErrors) -> Flags:
+    """Find the outputs that agree with the model and with most outputs on the same side.
+
+    Model uncertainty shifts all of them together, so only independent noise separates them.
+
+    Returns:
+        Flags of the outputs that agree, shape (k,).
+    """
+    if outputs.error_rad.size == 0:
+        return np.zeros(0, bool)
+    shared = np.diag(outputs.shared_rad2)
+    total = np.sqrt(outputs.noise_rad**2 + shared)
+    difference_sigma = np.sqrt(np.maximum(total**2 + total[:, None] ** 2 - 2 * outputs.shared_rad2, 0.0))
+    agree_pairwise = (
+        np.abs(outputs.error_rad - outputs.error_rad[:, None]) <= CONSENSUS_SIGMAS * difference_sigma
+    )
+    most = agree_pairwise[int(np.argmax(agree_pairwise.sum(axis=1)))]
+    # compare with all of them, because the output with most agreement has noise of its own
+    most = agree_pairwise[:, most].mean(axis=1) >= 0.5
+    enough = most.sum() >= max(MIN_OUTPUTS, 0.5 * most.size)
+    agree: Flags = (np.abs(outputs.error_rad) < CONSENSUS_SIGMAS * total) & (
+        (most & enough) | (total <= KNOWN_SIGMAS * outputs.noise_rad)
+    )
+    return agree
+
+
+class TooManyOutliers(BadRequest):
+    """Error: more poses are outliers than are allowed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OutlierRejection:
+    """Fit without its outliers."""
+
+    fit: Fit
+    distance: Array
+    """Squared distance of each pose from the prediction by the others, over its variance, shape (n,)."""
+    limit: Array
+    """Limit of this distance, shape (n,)."""
+
+    @property
+    def outliers(self) -> tuple[int, ...]:
+        """Return the indices of the poses that were left out."""
+        return tuple(int(pose) for pose in np.flatnonzero(~self.fit.used))
+
+
+def reject_outliers(
+    parameters: Sequence[FitParameter],
+    model: ResidualModel,
+    start: Array | None = None,
+    used: Flags | None = None,
+    false_alarm: float = FALSE_ALARM,
+) -> OutlierRejection:
+    """Fit, leave out the worst pose beyond the limit, and repeat until all remaining poses agree.
+
+    Poses that agree with the last fit are included again. If all poses have more noise than stated, the
+    limit rises, so that no outliers appear.
+
+    Args:
+        parameters: Parameters with scales and priors.
+        start: Initial values in the units of the parameters, shape (p,); zeros by default.
+        used: Boolean flags of the poses to fit, shape (n,); all by default.
+        false_alarm: Probability of reporting an outlier if there is none.
+
+    Returns:
+        The fit without its outliers.
+
+    Raises:
+        TooManyOutliers: Too many poses would be left out.
+    """
+    found = fit(parameters, model, start, used)
+    selected = found.used
+    count = int(np.count_nonzero(selected))
+    while True:
+        share, limit = _share_of_limit(found, false_alarm / count)
+        worst = int(np.argmax(np.where(found.used, share, -np.inf)))
+        if share[worst] <= 1.0:
+            break
+        keep = found.used & (np.arange(share.size) != worst)
+        if np.count_nonzero(selected & ~keep) > MAX_OUTLIER_SHARE * count:
+            raise TooManyOutliers(
+                f"more than {MAX_OUTLIER_SHARE:.0%} of {count} poses do not agree with the rest: no arm "
+                "explains them all"
+            )
+        found = fit(parameters, model, found.values, keep)
+    restored = selected & ~found.used & (share <= 1.0)
+    if restored.any():
+        found = fit(parameters, model, found.values, found.used | restored)
+    return OutlierRejection(found, leave_one_out_distance(found), limit)
+
+
+def _share_of_limit(fitted: Fit, false_alarm: float) -> tuple[Array, Array]:
+    """Compute the distance of each pose as a share of its limit, and the limit.
+
+    Poses with fewer informative components have a lower limit.
+    """
+    components = np.maximum(fitted.at.is_informative.sum(axis=1), 1)
+    distance = leave_one_out_distance(fitted)
+    typical = float(np.median((distance / chi2.median(components))[fitted.used]))
+    limit = chi2.isf(false_alarm, components) * max(1.0, typical)
+    return distance / limit, limit

@@ -1,0 +1,339 @@
+"""Residuals of measured poses against the deflected arm, and their derivatives by the arm's parameters."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fsw.dictionary.enums import Frame, Joint
+from fsw.dictionary.params import Params
+from fsw.kinematics.arm import Arm, build_arm
+from fsw.kinematics.statics import Equilibrium, settle
+from fsw.kinematics.transforms import Array, Flags, Integers, Pose, screw_exp, skew
+from marsarm.calibration.arm_parameters import (
+    BACKLASHES,
+    FRAME_SCREWS,
+    GEAR_STIFFNESSES,
+    LINK_STIFFNESSES,
+    MASS_CENTRES,
+    MASS_FACTORS,
+    MASS_FRAMES,
+    PARAMETER_COUNT,
+    arm_with_values,
+    turret_displacement,
+)
+from marsarm.calibration.campaign_data import BelievedPoses, Campaign, MeasuredPoses
+from marsarm.calibration.consensus import confirm_sides, pose_whitener
+from marsarm.calibration.deflection_jacobian import (
+    JOINT_COUNT,
+    SCREW,
+    STRAIN,
+    DeflectionDerivatives,
+    add_batch_axis,
+    differentiate_deflection,
+    screw_derivatives,
+)
+from sim.arms import SPRING_FRAMES
+from sim.effects.structure import params_with_stand_in
+from simgap import Fit, Linearisation, error_screw, linearise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CampaignResiduals:
+    """Residual model of a campaign: whitened error screws as a function of the arm's parameters.
+
+    Parameters are differences from the nominal arm, in the order of `arm_parameters`.
+    """
+
+    nominal: Params
+    """Parameters of flight software from which the values differ."""
+    believed: BelievedPoses
+    measured: MeasuredPoses
+    whitener: Array
+    """Whitening matrices of the poses, shape (n, 6, 6)."""
+    unknown: Flags
+    """Outputs whose side of the backlash is unknown, shape (5, n)."""
+
+    def __call__(self, x: Array) -> Linearisation:
+        """Compute whitened error screws and their derivatives.
+
+        Args:
+            x: Parameter values, shape (p,).
+
+        Returns:
+            Residuals, shape (n, 6), and derivatives, shape (n, 6, p).
+        """
+        X, jacobian = _parameter_jacobian(settle_poses(self.nominal, x, self.believed), x)
+        return linearise(X, jacobian, self.measured.X_RT, self.whitener)
+
+    def errors(self, x: Array) -> Array:
+        """Compute the error screws from modelled to measured poses.
+
+        Args:
+            x: Parameter values, each in its own unit, shape (p,).
+
+        Returns:
+            Screws in axes of the modelled turret frame, rotation [rad] above translation [m], shape (6, n).
+        """
+        return error_screw(predict_poses(self.nominal, x, self.believed), self.measured.X_RT)
+
+
+def residual_model(
+    nominal: Params,
+    campaign: Campaign,
+    preliminary: Fit | None = None,
+    with_backlash: bool = True,
+    held_out: Flags | None = None,
+) -> CampaignResiduals:
+    """Build the residual model of a campaign.
+
+    A preliminary fit decides which uncertain outputs lie where they are believed to lie. Outputs that it
+    does not confirm carry no information about their joint.
+
+    Args:
+        preliminary: Fit close to the solution. Without it, all uncertain outputs count as unknown.
+        with_backlash: If false, every output counts as resting on the side where it rests most often.
+        held_out: Boolean flags of poses whose measurements must not decide any side, shape (n,).
+
+    Returns:
+        The residual model.
+    """
+    believed, unknown = campaign.believed, campaign.believed.side == 0
+    if not with_backlash:
+        believed, unknown = _fix_sides(believed), np.zeros_like(unknown)
+    x = np.zeros(PARAMETER_COUNT) if preliminary is None else preliminary.values
+    parts = settle_poses(nominal, x, believed)
+    output_jacobian = joint_jacobian(parts)
+    if preliminary is not None:
+        X, jacobian = _parameter_jacobian(parts, x)
+        error = error_screw(X, campaign.measured.X_RT)
+        uncertain = unknown if held_out is None else unknown & ~held_out
+        agree = confirm_sides(
+            campaign.measured,
+            output_jacobian,
+            error,
+            jacobian,
+            preliminary.covariance,
+            uncertain,
+            believed.backlash_rad,
+        )
+        unknown = unknown & ~agree
+    return CampaignResiduals(
+        nominal,
+        believed,
+        campaign.measured,
+        pose_whitener(campaign.measured, output_jacobian, unknown),
+        unknown,
+    )
+
+
+def _fix_sides(believed: BelievedPoses) -> BelievedPoses:
+    """Put every output at one fixed position in its backlash.
+
+    The choice does not affect a fit, because the encoder zeros absorb it.
+    """
+    half = np.abs(believed.backlash_rad).max(axis=1, keepdims=True)
+    side = np.where(believed.backlash_rad.sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
+    return replace(believed, backlash_rad=np.broadcast_to(side * half, believed.backlash_rad.shape))
+
+
+def group_by_turret(believed: BelievedPoses) -> list[tuple[float | None, Integers]]:
+    """Group poses by the turret that was mounted.
+
+    Returns:
+        Mass [kg] of each stand-in turret, None for the arm's own turret, with the indices of its poses.
+    """
+    kinds = np.unique(believed.turret_kg)
+    own = np.isnan(believed.turret_kg)
+    found: list[tuple[float | None, Integers]] = [
+        (float(kg), np.flatnonzero(believed.turret_kg == kg)) for kg in kinds if np.isfinite(kg)
+    ]
+    return [*found, *([(None, np.flatnonzero(own))] if own.any() else [])]
+
+
+def predict_poses(nominal: Params, x: Array, believed: BelievedPoses) -> Pose:
+    """Compute the poses of the turret frame.
+
+    Args:
+        x: Parameter values, shape (p,), in the units of `arm_parameters`.
+
+    Returns:
+        X_RT, the turret frame in the rover frame, batch (n,).
+    """
+    parts = (
+        (where, _settle_arm(nominal, x, turret_kg, believed.at(where)).X_RT)
+        for turret_kg, where in group_by_turret(believed)
+    )
+    return reorder_poses(parts, believed.motor_rad.shape[1])
+
+
+def reorder_poses(parts: Iterable[tuple[Integers, Pose]], count: int) -> Pose:
+    """Merge parts of a batch into one batch.
+
+    Args:
+        parts: Indices of the poses of each part, and these poses.
+
+    Returns:
+        All poses in order, batch (count,).
+    """
+    X = Pose(np.empty((3, 3, count)), np.empty((3, count)))
+    for where, part in parts:
+        X.R[:, :, where], X.p[:, where] = part.R, part.p
+    return X
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestingArm:
+    """Arm in static equilibrium.
+
+    It is mounted in frame D: the rover frame, displaced by the frame error of Arm1.
+    """
+
+    arm: Arm
+    X_RD: Pose
+    X_FT: Pose
+    gravity_D_m_s2: Array
+    rest: Equilibrium
+
+    @property
+    def X_RT(self) -> Pose:
+        """Compute the pose of the turret frame in the rover frame, batch (n,)."""
+        X_DT = self.rest.frames.X_RF[5] @ add_batch_axis(self.X_FT)
+        return add_batch_axis(self.X_RD) @ X_DT
+
+
+def _settle_arm(nominal: Params, x: Array, turret_kg: float | None, at: BelievedPoses) -> RestingArm:
+    arm, X_RD = arm_with_values(build_arm(params_with_stand_in(nominal, turret_kg)), x, turret_kg is not None)
+    backlash_rad = (
+        at.backlash_rad * np.exp(x[BACKLASHES])[:, None] - at.friction_Nm / arm.gear_stiffness_Nm_rad[:, None]
+    )
+    gravity_D = X_RD.R.T @ at.gravity_R_m_s2
+    rest = settle(arm, at.motor_rad, backlash_rad, gravity_D)
+    return RestingArm(arm, X_RD, screw_exp(_screw(x, Frame.TOOL)), gravity_D, rest)
+
+
+def _screw(x: Array, frame: Frame) -> Array:
+    return x[6 * frame : 6 * frame + 6]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TurretPoses:
+    """Equilibria with one turret, with the derivatives of the deflection."""
+
+    where: Integers
+    """Indices of these poses in the campaign."""
+    at: BelievedPoses
+    stand_in: bool
+    X_RT: Pose
+    derivatives: DeflectionDerivatives
+
+
+def settle_poses(nominal: Params, x: Array, believed: BelievedPoses) -> list[TurretPoses]:
+    """Compute the equilibria of all poses, grouped by turret.
+
+    Args:
+        x: Parameter values, shape (p,), in the units of `arm_parameters`.
+
+    Returns:
+        One record for each turret.
+    """
+    parts = []
+    for turret_kg, where in group_by_turret(believed):
+        at = believed.at(where)
+        resting = _settle_arm(nominal, x, turret_kg, at)
+        derivatives = differentiate_deflection(
+            resting.arm, resting.rest, resting.gravity_D_m_s2, resting.X_FT
+        )
+        parts.append(TurretPoses(where, at, turret_kg is not None, resting.X_RT, derivatives))
+    return parts
+
+
+def joint_jacobian(parts: Sequence[TurretPoses]) -> Array:
+    """Compute the Jacobian of the turret frame by the output angles.
+
+    Returns:
+        Screws of the turret frame in its own axes, per radian of each output, shape (6, n, 5).
+    """
+    jacobian = np.empty((6, _pose_count(parts), JOINT_COUNT))
+    for part in parts:
+        unit_rotations = np.zeros((SCREW, part.where.size, JOINT_COUNT))
+        unit_rotations[range(JOINT_COUNT), :, range(JOINT_COUNT)] = 1.0
+        no_screws = np.zeros((6 * len(Frame), JOINT_COUNT))
+        jacobian[:, part.where] = screw_derivatives(
+            part.derivatives, np.zeros_like(unit_rotations), unit_rotations, no_screws
+        )
+    return jacobian
+
+
+def _parameter_jacobian(parts: Sequence[TurretPoses], x: Array) -> tuple[Pose, Array]:
+    """Compute the turret poses, and their screws per unit of each parameter.
+
+    Returns:
+        X_RT, batch (n,), and the Jacobian in axes of the turret frame, shape (6, n, p).
+    """
+    n = _pose_count(parts)
+    jacobian = np.empty((6, n, PARAMETER_COUNT))
+    screws = np.zeros((6 * len(Frame), PARAMETER_COUNT))
+    for frame in Frame:
+        rows = slice(6 * frame, 6 * frame + 6)
+        screws[rows, FRAME_SCREWS][:, rows] = _right_jacobian(_screw(x, frame))
+    for part in parts:
+        dQ = _load_derivatives(part.derivatives, x, part.stand_in)
+        jacobian[:, part.where] = screw_derivatives(
+            part.derivatives, dQ, _direct_derivatives(part.derivatives, x, part.at), screws
+        )
+    return reorder_poses(((part.where, part.X_RT) for part in parts), n), jacobian
+
+
+def _pose_count(parts: Sequence[TurretPoses]) -> int:
+    return sum(part.where.size for part in parts)
+
+
+def _load_derivatives(deflection: DeflectionDerivatives, x: Array, stand_in: bool) -> Array:
+    """Compute the derivatives of loads by masses and centres of mass, shape (SCREW, n, p)."""
+    n = deflection.rest.output_rad.shape[1]
+    dQ = np.zeros((SCREW, n, PARAMETER_COUNT))
+    for k, frame in enumerate(MASS_FRAMES):
+        sides = slice(0, 1 if frame is Frame.ARM6 and stand_in else 2)  # the mass of a stand-in was weighed
+        dQ[:, :, MASS_FACTORS.start + k] = deflection.lump_Q[:, sides, frame].sum(axis=1)
+        near, far = np.moveaxis(deflection.lump_dQ[:, :, frame], 1, 0)
+        if frame is Frame.ARM6:  # the turret's own mass rotates with the frame error
+            far = np.einsum("cin,ij->cjn", far, turret_displacement(deflection.arm, x).R)
+        start = MASS_CENTRES.start + 3 * k
+        dQ[:, :, start : start + 3] = np.moveaxis(near + far, 1, 2)
+    return dQ
+
+
+def _direct_derivatives(deflection: DeflectionDerivatives, x: Array, at: BelievedPoses) -> Array:
+    """Compute the direct derivatives of strains and joint angles by stiffnesses and backlash widths.
+
+    Returns:
+        Derivatives, shape (SCREW, n, p).
+    """
+    rest, n = deflection.rest, deflection.rest.output_rad.shape[1]
+    direct = np.zeros((SCREW, n, PARAMETER_COUNT))
+    carried_Nm = rest.torque_Nm - at.friction_Nm
+    for joint in Joint:
+        stiffness = deflection.arm.gear_stiffness_Nm_rad[joint]
+        direct[joint, :, GEAR_STIFFNESSES.start + joint] = -carried_Nm[joint] / stiffness
+        direct[joint, :, BACKLASHES.start + joint] = at.backlash_rad[joint] * np.exp(
+            x[BACKLASHES.start + joint]
+        )
+    for k, frame in enumerate(SPRING_FRAMES):
+        start = STRAIN + 6 * frame
+        direct[start : start + 6, :, LINK_STIFFNESSES.start + k] = -rest.strain[:, frame]
+    return direct
+
+
+def _right_jacobian(screw: Array) -> Array:
+    """Compute the right Jacobian J of the exponential: exp(x + d) = exp(x) exp(J d).
+
+    The series ends after the third power of x.
+
+    Returns:
+        Matrix, shape (6, 6).
+    """
+    ad = np.zeros((6, 6))
+    ad[:3, :3] = ad[3:, 3:] = skew(screw[:3])
+    ad[3:, :3] = skew(screw[3:])
+    return np.eye(6) - ad / 2 + ad @ ad / 6 - ad @ ad @ ad / 24

@@ -1,0 +1,302 @@
+"""Effects of this arm in the diagnosis: nuisances, families and locations, and flight parameters.
+
+Nuisances are the errors left by a calibration, and friction that varies from day to day. Families and
+locations are the coarser levels of a verdict. A diagnosis looks for what flight software does not know. So
+its simulator begins at the arm of the flight parameters: those of a calibrated arm differ from the drawing by
+more than any effect.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from fsw.dictionary.enums import Frame, Joint
+from fsw.dictionary.params import LinkParams, Params
+from fsw.dictionary.types import row6, vector3
+from fsw.kinematics.arm import transform6_to_pose
+from fsw.kinematics.transforms import Pose, inverse, stack_poses
+from marsarm.diagnosis.arm.rest_poses import STEP_NUMERICS
+from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis, Nuisance
+from sim.arm_model.load import default_arm
+from sim.arms import IDENTIFIABLE_AXES, SPRING_FRAMES, list_frames
+from sim.effects import environment, gears, geometry, joints, sensors, structure
+from sim.effects.catalogue import catalogue, effect_name
+from sim.effects.effect import Effect, joint_of, link_of
+from sim.effects.environment import Numerics
+from sim.effects.gears import OutputFriction
+from sim.effects.geometry import FrameError
+from sim.effects.joints import (
+    BacklashWidth,
+    GearFriction,
+    GearStiffness,
+    HardstopAngle,
+    HardstopStiffness,
+    MotorConstant,
+    ResolverBias,
+)
+from sim.effects.sensors import CurrentBias, EncoderScale, EncoderZero
+from sim.effects.structure import LinkMass, LinkStiffness
+from sim.initialisation import DAILY_FRICTION_SIGMA
+from sim.params import nominal_params
+from sim.plant import SCREW_AXES, SPRING_NAMES
+from simgap import Family, screw_log
+
+NUMERICS: Final = {"time step": STEP_NUMERICS, "scheme": Numerics("explicit", 6)}
+"""Other numerics of the plant. The integrator is of first order, so that twice the change by half the time
+step is the change to the limit of short steps; the explicit scheme, whose steps cannot be as long, has an
+error of its own at 21 steps, which looks like friction at the elbow."""
+LEFT: Final = default_arm().description.tolerances.calibrated
+"""Errors that a calibration leaves."""
+COUNT_RAD: Final = 3.3e-6
+"""Encoder count: the position of a set-point within a count is random but constant."""
+NUMERICS_SIGMA: Final = 2.0
+"""Prior sigma of numerical errors, in differences to half the time step."""
+_TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-turn", "m": "tool-offset"})
+"""Effects of rotation and shift, of frames and of tools."""
+
+
+class ArmFamily(StrEnum):
+    """Family that this arm has besides those of any robot."""
+
+    STRUCTURE = "structure"
+    """Links and rover that bend."""
+
+
+FAMILIES: Final[dict[StrEnum, tuple[type[Effect], ...]]] = {
+    Family.FRICTION: (
+        *(gears.CoulombFriction, gears.AsymmetricFriction, gears.ViscousFriction, gears.StribeckFriction),
+        *(gears.LoadFriction, gears.ColdFriction, gears.OutputFriction, gears.GearEfficiency),
+        joints.GearFriction,
+    ),
+    Family.TRANSMISSION: (
+        *(gears.GearHysteresis, gears.TransmissionError, gears.JointCoupling),
+        *(joints.BacklashWidth, joints.GearStiffness),
+    ),
+    Family.ACTUATION: (joints.MotorConstant, joints.ServoGain, joints.BusSag),
+    Family.TIMING: (
+        *(joints.CommandDelay, sensors.CurrentGain, sensors.CurrentBias, sensors.CurrentCrosstalk),
+        *(sensors.EncoderScale, sensors.EncoderZero, joints.ResolverBias, sensors.ResolverScale),
+        *(sensors.ResolverEccentricity, sensors.GravityDirection),
+    ),
+    Family.GEOMETRY: (
+        *(
+            geometry.LinkLength,
+            geometry.LinkAngle,
+            geometry.ToolOffset,
+            geometry.ToolTurn,
+            geometry.ThermalGradient,
+        ),
+        *(geometry.Expansion, geometry.LinkWarming, geometry.Warming, joints.HardstopAngle),
+    ),
+    ArmFamily.STRUCTURE: (
+        *(structure.LinkStiffness, structure.LinkBending, structure.LinkTorsion, structure.LinkCreep),
+        structure.RoverCompliance,
+    ),
+    Family.INERTIA: (structure.LinkMass, structure.TurretMass, structure.TurretCentre),
+    Family.CONTACT: (environment.ContactStiffness, environment.SurfacePosition, joints.HardstopStiffness),
+    Family.EXTERNAL: (joints.FlexCable, joints.Counterbalance),
+}
+
+LOCATIONS: Final = {
+    "contact-stiffness": "surface",
+    "surface-position": "surface",
+    "bus-sag": "power bus",
+    "gravity-direction": "imu",
+    "rover-compliance": "rover",
+    "turret-mass": "turret",
+    "turret-centre": "turret",
+}
+"""Locations of effects whose place is an axis or the whole arm."""
+
+ROUNDING = 1e-9
+"""Differences below this, relative or in SI, are those of floating-point numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class NuisanceEffect:
+    """Nuisance parameter, and the effect that it switches on."""
+
+    nuisance: Nuisance
+    effect: Callable[[float], Effect]
+    """Effect for a departure."""
+    same_as: str
+    """Name of the hypothesis or nuisance that equals it for small departures."""
+    one_sided: bool = False
+    """One-sided nuisance: it departs only to positive values."""
+    only_place: str = ""
+    """Place of the only features that it influences; empty for all."""
+
+
+def list_nuisance_effects() -> Iterator[NuisanceEffect]:
+    """Yield calibration errors (sim.arms), friction of the day, and numerical errors."""
+    yield from _frame_nuisances()
+    for joint in Joint:
+        yield _joint_nuisance(joint, "zero", "rad", LEFT.hardstop_rad, HardstopAngle)
+        yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, LEFT.stiffness_share, GearStiffness)
+        yield _joint_nuisance(joint, "friction", LOG_UNIT, DAILY_FRICTION_SIGMA, GearFriction)
+    for frame in SPRING_FRAMES:
+        yield _joint_nuisance(frame, "link stiffness", LOG_UNIT, LEFT.stiffness_share, LinkStiffness)
+    for joint in Joint:
+        yield _joint_nuisance(joint, "counter", "rad", COUNT_RAD, EncoderZero)
+        for word, numerics in NUMERICS.items():
+            yield _numerics_nuisance(word, numerics, joint.name.lower())
+    yield from _session_nuisances()
+
+
+def _frame_nuisances() -> Iterator[NuisanceEffect]:
+    """Yield rotations and shifts of frames; the last frame has those of every tool."""
+    for frame, tool in list_frames(nominal_params().tool_names):
+        for axis in IDENTIFIABLE_AXES[frame]:
+            named = frame.name.lower() if tool is None else tool
+            unit, sigma = ("rad", LEFT.frame_rad) if axis < 3 else ("m", LEFT.frame_m)
+            word = SCREW_AXES[axis]
+            yield NuisanceEffect(
+                Nuisance(f"frame {named}.{word}", unit, sigma),
+                partial(_displaced_frame, frame, tool, axis),
+                f"{_TURN_SHIFT[tool is not None][unit]} at {named}.{word[1]}",
+            )
+
+
+def _session_nuisances() -> Iterator[NuisanceEffect]:
+    """Yield small variations between sessions."""
+    for joint in Joint:
+        yield _joint_nuisance(joint, "friction", LOG_UNIT, 0.01, GearFriction, random_per_block=True)
+        yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, 0.02, GearStiffness, random_per_block=True)
+        yield _joint_nuisance(joint, "current", "A", 0.003, CurrentBias, random_per_block=True)
+        yield _joint_nuisance(joint, "resolver", "rad", 6e-6, ResolverBias, random_per_block=True)
+
+
+def _numerics_nuisance(word: str, numerics: Numerics, place: str) -> NuisanceEffect:
+    """Return other numerics at one joint, on or off."""
+    nuisance = Nuisance(f"{word} {place}", "1", NUMERICS_SIGMA)
+    return NuisanceEffect(nuisance, lambda _: numerics, word, one_sided=True, only_place=place)
+
+
+def _joint_nuisance(
+    place: Joint | Frame,
+    word: str,
+    unit: str,
+    sigma: float,
+    kind: Any,
+    random_per_block: bool = False,
+) -> NuisanceEffect:
+    """Return an effect of one parameter at a joint or frame; a factor is given by its logarithm."""
+    name = place.name.lower()
+    full_name = f"{word} {name} of a session" if random_per_block else f"{word} {name}"
+    effect = partial(_scaled_effect, kind, place) if unit == LOG_UNIT else partial(kind, place)
+    return NuisanceEffect(
+        Nuisance(full_name, unit, sigma, random_per_block), effect, f"{effect_name(kind)} at {name}"
+    )
+
+
+def _scaled_effect(kind: Callable[[Any, float], Effect], place: Joint | Frame, logarithm: float) -> Effect:
+    return kind(place, float(np.exp(logarithm)))
+
+
+def _displaced_frame(frame: Frame, tool: str | None, axis: int, value: float) -> Effect:
+    return FrameError(frame, row6(value * np.eye(6)[axis]), tool)
+
+
+def list_families(hypotheses: Sequence[Hypothesis]) -> tuple[StrEnum, ...]:
+    """List the families of hypotheses."""
+    return tuple(family_of(catalogue()[one.effect]) for one in hypotheses)
+
+
+def list_locations(hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
+    """List the locations of hypotheses: joints, links, tools, or what `LOCATIONS` names."""
+    return tuple(locate(one.effect, one.place) for one in hypotheses)
+
+
+def locate(effect: str, place: str) -> str:
+    """Return the location of an effect: its place without axis and direction.
+
+    Args:
+        effect: Name of the effect.
+        place: Its place, such as "arm3.x", "elbow.positive" or "tool.drill".
+    """
+    return LOCATIONS.get(effect) or place.removeprefix("tool.").split(".")[0]
+
+
+def family_of(kind: type[Effect]) -> StrEnum:
+    """Return the family of an effect that a diagnosis can name.
+
+    Args:
+        kind: Class of the effect.
+
+    Raises:
+        StopIteration: It has none, which is a bug; a test holds the table to the catalogue.
+    """
+    return next(family for family, kinds in FAMILIES.items() if kind in kinds)
+
+
+def effects_of_params(params: Params) -> tuple[Effect, ...]:
+    """Return the effects whose perfect calibration gives these flight parameters.
+
+    They are frames, springs and masses of the links, frames of the tools, hardstops, backlash, stiffness and
+    friction of the joints, constants of the motors and scales of the encoders. A spring has one factor.
+
+    Args:
+        params: Flight parameters of an arm of the default drawing.
+
+    Returns:
+        Effects; none for the parameters of the drawing.
+    """
+    found: list[Effect] = []
+    now = nominal_params()
+    for effect in _frame_errors(now, params):
+        found.append(effect)
+        now = effect.on_params(now)
+    for frame in Frame:
+        if frame is not Frame.TOOL:
+            found += _link_effects(frame, link_of(now, frame), link_of(params, frame))
+    for joint in Joint:
+        found += _joint_effects(joint, now, params)
+    return tuple(found)
+
+
+def _frame_errors(nominal: Params, params: Params) -> Iterator[FrameError]:
+    for frame, tool in list_frames(nominal.tool_names):
+        X = inverse(_pose_of(nominal, frame, tool)) @ _pose_of(params, frame, tool)
+        screw = screw_log(stack_poses([X]))[:, 0]
+        if np.abs(screw).max() > ROUNDING:
+            yield FrameError(frame, row6(screw), tool)
+
+
+def _pose_of(params: Params, frame: Frame, tool: str | None) -> Pose:
+    if tool is None:
+        return transform6_to_pose(link_of(params, frame).transform)
+    return transform6_to_pose(params.tools[params.tool_names.index(tool)].transform)
+
+
+def _link_effects(frame: Frame, old: LinkParams, new: LinkParams) -> Iterator[Effect]:
+    """Yield the changes of spring and mass of a link, whose frame is already the new one."""
+    if frame < len(SPRING_NAMES):
+        factor = float(np.trace(old.compliance) / np.trace(new.compliance))
+        if abs(factor - 1.0) > ROUNDING:
+            yield LinkStiffness(frame, factor)
+    mass = new.far.mass_kg / old.far.mass_kg if old.far.mass_kg else 1.0
+    shift_m = np.array(new.far.com_m) - np.array(old.far.com_m)
+    if abs(mass - 1.0) > ROUNDING or np.abs(shift_m).max() > ROUNDING:
+        yield LinkMass(frame, mass, vector3(shift_m))
+
+
+def _joint_effects(joint: Joint, nominal: Params, params: Params) -> Iterator[Effect]:
+    old, new = joint_of(nominal, joint), joint_of(params, joint)
+    if new.hardstop_rad != old.hardstop_rad:
+        yield HardstopAngle(joint, new.hardstop_rad - old.hardstop_rad)
+    if new.output_friction_Nm != old.output_friction_Nm:
+        yield OutputFriction(joint, new.output_friction_Nm - old.output_friction_Nm)
+    if new.gear_ratio != old.gear_ratio:
+        yield EncoderScale(joint, new.gear_ratio / old.gear_ratio - 1.0)
+    for kind, before, after in (
+        (BacklashWidth, old.backlash_rad, new.backlash_rad),
+        (GearStiffness, old.gear_stiffness_Nm_rad, new.gear_stiffness_Nm_rad),
+        (HardstopStiffness, old.hardstop_stiffness_Nm_rad, new.hardstop_stiffness_Nm_rad),
+        (MotorConstant, old.torque_constant_Nm_A, new.torque_constant_Nm_A),
+    ):
+        if after != before:
+            yield kind(joint, after / before)

@@ -1,0 +1,329 @@
+"""Reports of `marsarm place`, `run` and `hardstop`: their documents, and what they show on the console."""
+
+from collections.abc import Sequence
+from math import degrees, isfinite
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
+from fsw.dictionary.evrs import Evr, JointCalibrated, Severity
+from marsarm.telemetry.events import json_fields
+from sim.scenario.effects import effect_text
+from sim.scenario.names import upper_snake
+from simgap.common.report import Emphasis, ReportTable, file_lines
+
+if TYPE_CHECKING:  # a placement loads neither scenarios nor the homing of joints
+    from marsarm.runs.execution import Execution
+    from marsarm.runs.hardstop import HardstopReport, StopPlan
+    from marsarm.runs.place import PlaceReport
+    from marsarm.runs.request import RunFiles
+    from marsarm.runs.scenario import RunReport
+    from sim.initialisation import HardstopResult
+    from sim.placement import PlacementError
+    from sim.scenario.data import Scenario
+    from sim.scenario.judge import CheckResult
+
+DISPLAY_UNITS: Final = {"m": ("mm", 1e3), "rad": ("deg", degrees(1.0))}
+"""Unit of reports for each SI unit, and the conversion factor."""
+
+
+def place_document(report: "PlaceReport") -> dict[str, Any]:
+    """Collect a placement."""
+    request, execution = report.request, report.execution
+    result = execution.result
+    contact, standoff = result.contact, result.standoff
+    return {
+        "outcome": result.outcome,
+        "tool": report.tool,
+        "arm": request.arm,
+        "branch": result.branch,
+        "duration_s": result.duration_s,
+        "realtime_factor": execution.realtime_factor,
+        "error_mm": contact and _error_mm(contact),
+        "axis_error_deg": contact and degrees(contact.axis_rad),
+        "standoff_error_mm": standoff and _error_mm(standoff),
+        "standoff_axis_error_deg": standoff and degrees(standoff.axis_rad),
+        "target_m": request.target_m,
+        "normal": request.normal,
+        "tilt_deg": {"roll": request.tilt_roll_deg, "pitch": request.tilt_pitch_deg},
+        "seed": request.seed,
+        **_execution_document(execution, request.files),
+    }
+
+
+def _error_mm(error: "PlacementError") -> dict[str, float]:
+    names = ("total", "lateral", "normal", "backlash")
+    return {name: 1e3 * float(getattr(error, f"{name}_m")) for name in names}
+
+
+def place_parts(report: "PlaceReport") -> list[str | Emphasis | ReportTable]:
+    """Show a placement: errors, warnings, and files."""
+    request, result = report.request, report.execution.result
+    rows = []
+    for name, error in (("at the standoff", result.standoff), ("in contact", result.contact)):
+        if error is not None:
+            total, lateral, normal, backlash = (f"{value:.2f}" for value in _error_mm(error).values())
+            rows.append((name, total, lateral, normal, f"{degrees(error.axis_rad):.3f}", backlash))
+    head = ("", "total mm", "lateral mm", "normal mm", "axis deg", "backlash mm")
+    title = f"{report.tool} on {request.arm} arm: {result.outcome.value}"
+    branch = f"branch    {result.branch or 'none'}"
+    return [ReportTable(head, rows, title), branch, *_execution_lines(report.execution, request.files)]
+
+
+def _execution_document(execution: "Execution[Any]", files: "RunFiles") -> dict[str, Any]:
+    """Collect the end of the document of a run: parameters, events and files."""
+    artifacts = execution.artifacts
+    return {
+        "params_sha256": execution.params_sha256,
+        "evrs": [evr_document(*one) for one in (*execution.result.evrs, *artifacts.events)],
+        "log": files.log,
+        "log_problem": artifacts.log_problem,
+        "picture": artifacts.picture and artifacts.picture.path,
+        "movie": artifacts.movie and artifacts.movie.path,
+    }
+
+
+def _execution_lines(execution: "Execution[Any]", files: "RunFiles") -> list[str | Emphasis]:
+    """List duration, warnings and files of a run, or the reasons why there are no files."""
+    result, artifacts = execution.result, execution.artifacts
+    speed = f"{execution.realtime_factor:.0f} times real time"
+    drawn = {
+        name: f"{one.path or 'none'}" + (f"  ({one.hint})" if one.hint else "")
+        for name, one in (("picture", artifacts.picture), ("movie", artifacts.movie))
+        if one is not None
+    }
+    return [
+        f"duration  {result.duration_s:.1f} s of Mars time, {speed}",
+        *(
+            Emphasis(f"{time_s:8.2f} s  {evr.severity.name}  {evr.message}")
+            for time_s, evr in result.evrs
+            if evr.severity >= Severity.WARNING_LO
+        ),
+        *file_lines({**drawn, "log": files.log and (artifacts.log_problem or files.log)}),
+    ]
+
+
+def evr_document(time_s: float, evr: Evr) -> dict[str, Any]:
+    """Collect an event and its time."""
+    return {
+        "time_s": time_s,
+        "name": evr.name,
+        "severity": evr.severity.name,
+        "message": evr.message,
+        "fields": json_fields(evr),
+    }
+
+
+def run_document(report: "RunReport") -> dict[str, Any]:
+    """Collect a run."""
+    execution, world = report.execution, report.scenario.world
+    result = execution.result
+    return {
+        "scenario": report.scenario.name,
+        "outcome": result.outcome,
+        "passed": report.passed,
+        "arm": report.arm,
+        "commands_begun": result.command,
+        "checks": [_check_document(check) for check in result.checks],
+        "duration_s": result.duration_s,
+        "realtime_factor": execution.realtime_factor,
+        "tilt_deg": {"roll": degrees(world.tilt_roll_rad), "pitch": degrees(world.tilt_pitch_rad)},
+        "seed": report.request.seed,
+        "effects": [effect_text(effect) for effect in report.scenario.effects],
+        **_execution_document(execution, report.request.files),
+    }
+
+
+def run_parts(report: "RunReport") -> list[str | Emphasis | ReportTable]:
+    """Show a run: each check with its bounds, the warnings, and the files."""
+    result, scenario = report.execution.result, report.scenario
+    passed = "passed" if report.passed else "NOT passed"
+    title = f"{scenario.title} on {report.arm} arm: {result.outcome.value}, {passed}"
+    rows = [_check_cells(check) for check in result.checks]
+    parts: list[str | Emphasis | ReportTable] = [
+        ReportTable(("check", "", "measured", "bound", ""), rows, title)
+    ]
+    number = result.command
+    if result.outcome != "done" and number > 0:
+        parts.append(f"ended in  command {number}, {upper_snake(type(scenario.commands[number - 1]))}")
+    return [*parts, *_execution_lines(report.execution, report.request.files)]
+
+
+def scenarios_document(scenarios: "Sequence[Scenario]") -> dict[str, Any]:
+    """Collect the built-in scenarios."""
+    return {
+        "scenarios": [
+            {
+                **{name: getattr(scenario, name) for name in ("name", "title", "summary", "start")},
+                "commands": [upper_snake(type(command)) for command in scenario.commands],
+                "checks": [upper_snake(type(check)).lower() for check in scenario.checks],
+            }
+            for scenario in scenarios
+        ]
+    }
+
+
+def scenarios_parts(scenarios: "Sequence[Scenario]") -> list[str]:
+    """List the built-in scenarios, one in each line."""
+    width = max(len(scenario.name) for scenario in scenarios)
+    return [f"{scenario.name:<{width}}  {scenario.summary}" for scenario in scenarios]
+
+
+def _check_document(check: "CheckResult") -> dict[str, Any]:
+    value, low, high, unit = _in_display_unit(check)
+    shown = {"value": value, "unit": unit or None, "low": low, "high": high}
+    return {"check": check.check, "name": check.name, **shown, "passed": check.passed}
+
+
+def _check_cells(check: "CheckResult") -> tuple[str, ...]:
+    value, low, high, unit = _in_display_unit(check)
+    verdict = "ok" if check.passed else "NOT"
+    if low == high == 1.0:
+        return check.check, check.name, "yes" if value == 1.0 else "no", "yes", verdict
+    measured = f"{value:.3g} {unit}".rstrip() if isfinite(value) else "not reached"
+    bound = f"at most {high:.3g}" if not isfinite(low) else f"{low:.3g} .. {high:.3g}"
+    return check.check, check.name, measured, f"{bound} {unit}".rstrip(), verdict
+
+
+def _in_display_unit(check: "CheckResult") -> tuple[float, float, float, str]:
+    """Convert value, lower and upper bound of a check to the unit of reports."""
+    unit, factor = DISPLAY_UNITS.get(check.unit, (check.unit, 1.0))
+    return factor * check.value, factor * check.low, factor * check.high, unit
+
+
+def hardstop_document(report: "HardstopReport", picture_problem: str | None = None) -> dict[str, Any]:
+    """Collect the runs; `picture_problem` is the reason why there is no picture."""
+    request = report.request
+    same = ("arm", "scene", "turret", "repeat", "seed")
+    return {
+        "outcome": report.outcome,
+        **{name: getattr(request, name) for name in same},
+        "tilt_deg": {"roll": request.tilt_roll_deg, "pitch": request.tilt_pitch_deg},
+        "temperature_C": request.temperature_C,
+        "joints": {joint.name.lower(): _joint_document(report, joint) for joint in _joints(report)},
+        "max_current_ratio": max(float(run.max_current_ratio.max()) for run in report.runs),
+        "duration_s": sum(run.duration_s for run in report.runs),
+        "evrs": [evr_document(*one) for one in report.runs[-1].evrs],
+        "picture": None if picture_problem is not None else request.picture,
+        "picture_problem": picture_problem,
+    }
+
+
+def hardstop_parts(report: "HardstopReport", picture_problem: str | None = None) -> list[str | ReportTable]:
+    """Show the hardstop errors, and the events of failed runs."""
+    request, is_repeated = report.request, report.request.repeat > 1
+    spread = ("3 sigma mrad",) if is_repeated else ()
+    head = ("joint", "zero error mrad", *spread, "without wind-up mrad", "half backlash error mrad")
+    head = (*head, "load N m", "most on stop N m")
+    rows = [_joint_cells(joint, _joint_document(report, joint), is_repeated) for joint in _joints(report)]
+    title = f"Hardstops of {request.arm} on {request.scene}: {report.outcome.value}"
+    events = [] if is_repeated and report.outcome == "done" else _shown_events(report)
+    picture = None if request.picture is None else picture_problem or request.picture
+    return [
+        ReportTable(head, rows, title),
+        "errors are against the true hardstop of this arm, which flight software cannot see",
+        *events,
+        *file_lines({"picture": picture}),
+    ]
+
+
+def _joint_cells(joint: Joint, row: dict[str, Any], is_repeated: bool) -> tuple[str, ...]:
+    name = joint.name.lower()
+    if row["found"] == 0:
+        return name, "not found"
+    return (
+        name,
+        f"{row['zero_error_mrad']:+.3f}",
+        *((f"{row['zero_error_3_sigma_mrad']:.3f}",) if is_repeated else ()),
+        f"{row['uncorrected_error_mrad']:+.3f}",
+        f"{row['half_backlash_error_mrad']:+.3f}",
+        f"{row['load_Nm']:.1f}",
+        f"{row['max_torque_Nm']:.0f}",
+    )
+
+
+def _shown_events(report: "HardstopReport") -> list[str]:
+    """List the events of the last of several runs; else those of calibration and warnings."""
+    is_repeated = report.request.repeat > 1
+    return [
+        f"{time_s:8.2f} s  {evr.message}"
+        for run in (report.runs[-1:] if is_repeated else report.runs)
+        for time_s, evr in run.evrs
+        if is_repeated or isinstance(evr, JointCalibrated) or evr.severity >= Severity.WARNING_LO
+    ]
+
+
+def plan_document(plans: "Sequence[StopPlan]") -> dict[str, Any]:
+    """Collect the plans."""
+    return {
+        plan.place: {
+            "joints": {
+                joint.name.lower(): {
+                    "pose_deg": [degrees(angle) for angle in plan.loads.pose_rad[:, joint]],
+                    "torque_Nm": float(plan.loads.torque_Nm[joint]),
+                }
+                for joint in Joint
+            },
+            "order": [joint.name.lower() for joint in HARDSTOP_ORDER],
+            "start_deg": [degrees(angle) for angle in plan.params.hardstop.start_rad],
+            "park_deg": [degrees(angle) for angle in plan.params.hardstop.park_rad],
+            "second_start_deg": [degrees(angle) for angle in plan.params.hardstop.second_start_rad],
+            "clearance_mm": {
+                "rover_and_ground": 1e3 * plan.clearance.outside_m,
+                "itself": 1e3 * plan.clearance.self_m,
+            },
+        }
+        for plan in plans
+    }
+
+
+def plan_parts(plans: "Sequence[StopPlan]") -> list[str | ReportTable]:
+    """Show the pose and the load of each joint at its hardstop."""
+    parts: list[str | ReportTable] = []
+    head = ("joint", "load N m", "azimuth", "elevation", "elbow", "wrist", "turret deg")
+    for plan in plans:
+        rows = []
+        for joint in HARDSTOP_ORDER:
+            pose = [f"{degrees(angle):.1f}" for angle in plan.loads.pose_rad[:, joint]]
+            rows.append((joint.name.lower(), f"{plan.loads.torque_Nm[joint]:.1f}", *pose))
+        parts += [
+            ReportTable(head, rows, f"At the hardstops, {plan.place}"),
+            f"on the way at least {1e3 * plan.clearance.outside_m:.0f} mm from rover and ground, "
+            f"{1e3 * plan.clearance.self_m:.0f} mm from itself",
+        ]
+    return parts
+
+
+def _joints(report: "HardstopReport") -> list[Joint]:
+    name = report.request.joint
+    return list(Joint) if name is None else [Joint[name.upper()]]
+
+
+def _joint_document(report: "HardstopReport", joint: Joint) -> dict[str, Any]:
+    """Compute means and spreads over the repetitions, from the last hardstop that each run found."""
+    stops_by_run = [[stop for stop in run.stops if stop.joint is joint] for run in report.runs]
+    stops = [of_run[-1] for of_run in stops_by_run if of_run]
+    if not stops:
+        return {"found": 0}
+    error = 1e3 * np.array([stop.zero_error_rad for stop in stops])
+    uncorrected = 1e3 * np.array([stop.uncorrected_error_rad for stop in stops])
+    return {
+        "found": len(stops),
+        "zero_error_mrad": float(error.mean()),
+        "zero_error_3_sigma_mrad": _three_sigma(error),
+        "uncorrected_error_mrad": float(uncorrected.mean()),
+        "uncorrected_error_3_sigma_mrad": _three_sigma(uncorrected),
+        "half_backlash_error_mrad": 1e3 * _mean(stops, "half_backlash_error_rad"),
+        "load_Nm": _mean(stops, "load_Nm"),
+        "max_torque_Nm": max(float(run.max_torque_Nm[joint]) for run in report.runs),
+        "planned_pose_deg": [degrees(angle) for angle in report.poses_rad[joint]],
+    }
+
+
+def _mean(stops: "list[HardstopResult]", name: str) -> float:
+    return float(np.mean([getattr(stop, name) for stop in stops]))
+
+
+def _three_sigma(values: np.ndarray) -> float | None:
+    return 3 * float(values.std(ddof=1)) if values.size > 1 else None

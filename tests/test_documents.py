@@ -1,0 +1,115 @@
+"""Documents: links, files and commands in them exist, and every page can be reached from the README."""
+
+import re
+import shlex
+from pathlib import Path
+from typing import Final
+
+import pytest
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from marsarm.cli.app import app as marsarm_app
+from simgap.command.app import app as simgap_app
+
+ROOT = Path(__file__).resolve().parents[1]
+FIRST = ROOT / "README.md"
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "simgap").glob("*.md")],
+)
+CODE = re.compile(r"```.*?```", re.DOTALL)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+PRODUCTS: Final = {"marsarm": get_command(marsarm_app), "simgap": get_command(simgap_app)}
+
+
+def links_of(page: Path) -> set[str]:
+    """Return the targets of the links and pictures of a page, but not those to other sites."""
+    return {link for link in LINK.findall(CODE.sub("", page.read_text())) if ":" not in link}
+
+
+def anchors_of(page: Path) -> set[str]:
+    """Return the anchors that headings have on code hosts and in site generators."""
+    headings = re.findall(r"^#+ (.+)$", CODE.sub("", page.read_text()), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def find_dead(page: Path) -> list[str]:
+    """Return the links of a page to a file or an anchor that does not exist."""
+    dead = []
+    for link in sorted(links_of(page)):
+        name, _, anchor = link.partition("#")
+        target = page.parent / name if name else page
+        if not target.exists() or (anchor and anchor not in anchors_of(target)):
+            dead.append(link)
+    return dead
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_to_a_file_and_a_heading_that_exist(page: Path) -> None:
+    assert not find_dead(page)
+
+
+def test_a_dead_link_and_a_dead_anchor_are_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("# A page\n[none](none.md) [here](#a-page) [there](#other)\n```\n[code](code.md)\n```\n")
+    assert find_dead(page) == ["#other", "none.md"]
+
+
+def test_every_page_and_picture_can_be_reached_from_the_readme() -> None:
+    reached: set[Path] = set()
+    waiting = [FIRST]
+    while waiting:
+        page = waiting.pop()
+        if page in reached:
+            continue
+        reached.add(page)
+        if page.is_dir():
+            waiting += sorted(page.glob("*.md"))
+        elif page.suffix == ".md":
+            waiting += [
+                (page.parent / link.partition("#")[0]).resolve() for link in links_of(page) if link[0] != "#"
+            ]
+    there = {path for path in (ROOT / "docs").rglob("*") if path.is_file()}
+    assert there <= reached
+
+
+def test_every_file_that_a_page_names_exists() -> None:
+    named = re.compile(r"`((?:fsw|sim|marsarm|simgap|tests|models|validation|examples|docs|\.ci)/[\w./-]+)`")
+    there = {page.name: named.findall(page.read_text()) for page in PAGES if page.name != "CHANGELOG.md"}
+    gone = {name: [file for file in files if not (ROOT / file).exists()] for name, files in there.items()}
+    assert {name: files for name, files in gone.items() if files} == {}
+
+
+def commands_in(text: str) -> list[list[str]]:
+    """Return the words of each command of `marsarm` or `simgap`, in blocks and lines of a page."""
+    in_blocks = [line for block in CODE.findall(text) for line in block.splitlines()]
+    in_lines = re.findall(r"`([^`\n]+)`", CODE.sub("", text))
+    return [
+        shlex.split(line.replace("\\|", "|"), comments=True)
+        for line in (*in_blocks, *in_lines)
+        if line.partition(" ")[0] in PRODUCTS
+    ]
+
+
+def find_unknown(words: list[str]) -> list[str]:
+    """Return the words of a command that are a verb or an option which the command line does not know."""
+    command, rest = PRODUCTS[words[0]], words[1:]
+    while isinstance(command, TyperGroup) and rest and not rest[0].startswith("-"):
+        if rest[0] not in command.commands:
+            return [rest[0]]
+        command, rest = command.commands[rest[0]], rest[1:]
+    known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
+    used = {word.partition("=")[0] for word in rest if word.startswith("--")}
+    return sorted(used - known - {"--help", "--install-completion"})
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_command_of_a_page_has_a_verb_and_options_that_exist(page: Path) -> None:
+    if page.name != "CHANGELOG.md":  # it names what is gone
+        unknown = {" ".join(words): find_unknown(words) for words in commands_in(page.read_text())}
+        assert {command: words for command, words in unknown.items() if words} == {}
+
+
+def test_an_unknown_verb_and_an_unknown_option_are_found() -> None:
+    text = "`marsarm place --arm x --where y`\n```sh\nmarsarm log info run.mcap --json\nsimgap fly  # no\n```"
+    assert [find_unknown(words) for words in commands_in(text)] == [[], ["fly"], ["--where"]]
