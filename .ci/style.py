@@ -23,7 +23,7 @@ NUMERIC: Final = (
     ),
 )
 """Folders whose public functions say shapes and units."""
-SAID_ONCE: Final = ("fsw/kinematics/transforms.py", "fsw/kinematics/azimuth.py")
+SAID_ONCE: Final = tuple(f"fsw/kinematics/{name}.py" for name in ("transforms", "azimuth", "closed_form"))
 """Modules whose own docstring says the shapes and units of all their functions."""
 ARRAYS: Final = re.compile(r"\b(Array|Flags|Integers|Indices|NDArray|Pose)\b")
 SHAPE: Final = re.compile(r"\((?:\d+|[a-z]\w*|\.\.\.)(?:, ?(?:\d+|[a-z]\w*|\.\.\.))*,?\)")

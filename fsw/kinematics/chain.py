@@ -240,18 +240,9 @@ def load_links(
 def spring_turn(
     cx: Number, cy: Number, cz: Number, sx: Number, sy: Number, sz: Number
 ) -> tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number]:
-    """Compute the rotation of springs that turn about x, y and z; each turn carries the later axes.
+    """Compute the rotation of springs, row by row, from cosines and sines of their turns about x, y and z.
 
-    Args:
-        cx: Cosine of the turn about x, unitless; then those about y and z.
-        cy: See cx.
-        cz: See cx.
-        sx: Sine of the turn about x, unitless; then those about y and z.
-        sy: See sx.
-        sz: See sx.
-
-    Returns:
-        The matrices row by row.
+    Each turn carries the later axes.
     """
     sxsy, cxsy = sx * sy, cx * sy
     row_x = cy * cz, -cy * sz, sy
