@@ -11,6 +11,7 @@ from fsw.dictionary.enums import Joint
 from sim.effects.environment import Ambient
 from sim.mujoco_settings import REFERENCE_STEP_S
 from sim.plant import Plant
+from tests.marks import slow_but
 from tests.sim import lab
 
 SIDEWAYS = lab.tilted_world(20, -15)
@@ -74,7 +75,7 @@ def to_and_fro(joint: Joint, rate_rad_s: float, time_step_s: float | None) -> Wa
     return Way(motor, current, output)
 
 
-JOINTS = pytest.mark.parametrize("joint", [Joint.AZIMUTH, Joint.WRIST])
+JOINTS = pytest.mark.parametrize("joint", slow_but([Joint.AZIMUTH, Joint.WRIST], Joint.AZIMUTH))
 
 
 def rms(values: lab.Array) -> float:

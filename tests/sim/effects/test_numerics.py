@@ -7,6 +7,7 @@ from fsw.dictionary.enums import Joint
 from sim.effects.catalogue import hypotheses
 from sim.effects.environment import Numerics
 from sim.scenario.effects import effect_text, parse_effect_text
+from tests.marks import slow_but
 from tests.sim import lab
 from tests.sim.effects import bench
 from tests.tools import TOOLS
@@ -23,7 +24,7 @@ def test_it_comes_back_from_what_is_written_of_it() -> None:
         assert parse_effect_text(effect_text(one), TOOLS) == one
 
 
-@pytest.mark.parametrize("scheme", ["implicit", "explicit"])
+@pytest.mark.parametrize("scheme", slow_but(["implicit", "explicit"], "implicit"))
 def test_the_arm_hangs_where_it_hangs_whatever_computes_it(scheme: str) -> None:
     drawn, other = (bench.build_arm(*effects)[0] for effects in ((), (Numerics(scheme, FINER),)))
     for plant in (drawn, other):
