@@ -36,8 +36,8 @@ def test_a_file_replaces_what_it_names_and_nothing_else(tmp_path: Path) -> None:
 
 
 BAD = {
-    "unknown key": ("[joints.elbow]\nbacklash = 0.005\n", ["joints.elbow.backlash: "]),
-    "unknown group": ("[jonts.elbow]\nbacklash_rad = 0.005\n", ["jonts: "]),
+    "unknown key": ("[joints.elbow]\nbacklash = 0.005\n", ["joints.elbow.backlash: is not a parameter"]),
+    "unknown group": ("[jonts.elbow]\nbacklash_rad = 0.005\n", ["jonts: is not a parameter"]),
     "text for a number": ('[joints.elbow]\nbacklash_rad = "wide"\n', ["joints.elbow.backlash_rad: "]),
     "text of a number": ('[joints.elbow]\nbacklash_rad = "0.005"\n', ["joints.elbow.backlash_rad: "]),
     "truth for a number": ("[joints.elbow]\nbacklash_rad = true\n", ["joints.elbow.backlash_rad: "]),
@@ -70,8 +70,6 @@ BAD = {
         "[poses]\nready_rad = [0.0, 0.0, 05:17:00, 0.0, 0.0]\n",
         ["poses.ready_rad.2: 05:17:00 is a date or a time"],
     ),
-    "an unknown name": ("[joints.elbow]\nlash = 1\n", ["joints.elbow.lash: is not a parameter"]),
-    "an unknown group": ("[elbows]\nlash = 1\n", ["elbows: is not a parameter"]),
     "a vector beyond the rover": (
         "[links.arm3]\nelastic_centre_m = [0.4, -5.1, 0.0]\nfar = { com_m = [1e300, 0, 0] }\n",
         ["links.arm3.elastic_centre_m.1: -5.1 is outside -5.0 .. 5.0", "links.arm3.far.com_m.0: 1e+300 "],
