@@ -338,8 +338,6 @@ def _next_cycle(move: Move, setpoint: Setpoint) -> Move:
     )
 
 
-
-
 def command_actuators(
     config: Config, move: Move | None, joints: JointEstimate, last: ActuatorCommand
 ) -> ActuatorCommand:

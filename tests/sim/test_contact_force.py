@@ -30,7 +30,7 @@ from tests.marks import slow_but
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest
 from tests.tools import TOOL_SWITCHES, TOOLS, switch_index
-from validation.contact import ContactRest, rest_after
+from validation.contacts import ContactRest, rest_after
 
 CONFIG = config_of()
 NOW_S = 0.0
