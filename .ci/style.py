@@ -18,7 +18,7 @@ NUMERIC: Final = (
         f"simgap/src/simgap/{name}"
         for name in (
             *("serial_arm", "simulation/simulation", "selection", "residuals/noise"),
-            *("residuals/simulation_residuals", "assemble", "diagnose"),
+            *("residuals/simulation_residuals", "assemble", "diagnosis"),
         )
     ),
 )

@@ -6,11 +6,7 @@ import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
 
-from simgap.audit.audit import audit
-from simgap.diagnose import diagnose
-from simgap.load import load
-from simgap.report.sentences import verdict_lines
-from simgap.robot import Robot
+from simgap import Robot, audit, diagnose, load, verdict_lines
 from simgap.simulation.compiled import HARD_IMPEDANCE
 
 MODEL = """

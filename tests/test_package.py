@@ -1,4 +1,4 @@
-"""The wheel and the source distribution hold all files, and the installed wheel works from anywhere."""
+"""Wheels and source distributions of both products hold all files, and work installed, from anywhere."""
 
 import json
 import os
@@ -10,6 +10,7 @@ import tomllib
 import venv
 from importlib.metadata import version
 from pathlib import Path
+from shutil import copyfile, copytree
 from zipfile import ZipFile
 
 import numpy as np
@@ -22,7 +23,7 @@ FILES = ", ".join(f"{name}.__file__" for name in PACKAGES)
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory) -> Path:
-    """Build the source distribution, and the wheel from it."""
+    """Build the source distributions, and the wheels from them."""
     folder = tmp_path_factory.mktemp("dist")
     subprocess.run([sys.executable, ".ci/package.py", folder], cwd=ROOT, check=True, capture_output=True)
     return folder
@@ -37,30 +38,42 @@ def files_below(folder: Path, place: str) -> set[str]:
     }
 
 
+def wheel_of(built: Path, product: str) -> Path:
+    """Return the wheel of a product."""
+    (wheel,) = built.glob(f"{product}-*.whl")
+    return wheel
+
+
 def test_the_wheel_holds_every_file_of_the_packages_and_all_models(built):
-    (wheel,) = built.glob("*.whl")
-    expected = set().union(*(files_below(ROOT / name, name) for name in PACKAGES))
-    expected |= files_below(ROOT / "models", "sim/models")
-    assert len(files_below(ROOT / "models", "sim/models")) >= 11
-    packed = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
-    assert packed == expected
+    models = files_below(ROOT / "models", "sim/models")
+    assert len(models) >= 11
+    expected = {
+        "marsarm": models.union(*(files_below(ROOT / name, name) for name in ("fsw", "sim", "marsarm"))),
+        "simgap": files_below(ROOT / "simgap/src/simgap", "simgap"),
+    }
+    for product, files in expected.items():
+        names = ZipFile(wheel_of(built, product)).namelist()
+        assert {name for name in names if ".dist-info/" not in name} == files
 
 
-def test_the_source_distribution_holds_documentation_and_examples_and_no_tests(built):
-    (archive,) = built.glob("*.tar.gz")
-    with tarfile.open(archive) as opened:
-        packed = {name.partition("/")[2] for name in opened.getnames()}
-    assert {"CITATION.cff", "CHANGELOG.md", "LICENSE", "requirements.lock", "docs/python.md"} <= packed
-    assert {f"examples/{path.name}" for path in (ROOT / "examples").glob("*.py")} <= packed
-    assert not any(name.startswith("tests/") for name in packed)
+def test_the_source_distributions_hold_what_belongs_to_each_product(built):
+    packed = {}
+    for product in ("marsarm", "simgap"):
+        (archive,) = built.glob(f"{product}-*.tar.gz")
+        with tarfile.open(archive) as opened:
+            packed[product] = {name.partition("/")[2] for name in opened.getnames()}
+    ours = packed["marsarm"]
+    assert {"CITATION.cff", "CHANGELOG.md", "LICENSE", "requirements.lock", "docs/python.md"} <= ours
+    assert {f"examples/{path.name}" for path in (ROOT / "examples").glob("*.py")} <= ours
+    assert not any(name.startswith(("tests/", "simgap/")) for name in ours)
+    tests = {path for path in files_below(ROOT / "simgap/tests", "tests") if path.endswith(".py")}
+    assert {"LICENSE", "README.md", *tests} <= packed["simgap"]
 
 
 class Installed:
-    """Environment outside of the repository in which the wheel is installed."""
+    """Environment outside of the repository, at first with nothing installed."""
 
-    def __init__(self, folder: Path, wheel: Path, installer: str) -> None:
-        """Install without an index: the packages of the lock file are those of this interpreter."""
-        self._wheel = wheel
+    def __init__(self, folder: Path, installer: str) -> None:
         self.home = folder / "home"
         self.work = folder / "elsewhere"
         for path in (self.home, self.work):
@@ -68,19 +81,26 @@ class Installed:
         venv.create(folder / "venv", symlinks=True)
         self.bin = folder / "venv" / "bin"
         pip = [installer, "-m", "pip", "--python", str(self.bin / "python"), "--disable-pip-version-check"]
-        install = [*pip, "--isolated", "install", "--no-index", "--no-deps", str(wheel)]
-        subprocess.run(install, cwd=self.work, check=True, capture_output=True)
-        (packages,) = (folder / "venv").glob("lib/*/site-packages")
-        # The path of a .pth file: .pth files there, such as that of the repository itself, are not read.
-        (packages / "lock.pth").write_text(str(Path(np.__file__).parents[1]) + "\n")
         self._pip = pip
 
-    def add(self, extra: str) -> str:
-        """Install an extra of the wheel from a package index; return the reason if that fails."""
+    def install_locked(self, *wheels: Path) -> None:
+        """Install without an index: the packages of the lock file are those of this interpreter."""
+        install = [*self._pip, "--isolated", "install", "--no-index", "--no-deps", *map(str, wheels)]
+        subprocess.run(install, cwd=self.work, check=True, capture_output=True)
+        (packages,) = self.bin.parent.glob("lib/*/site-packages")
+        # The path of a .pth file: .pth files there, such as that of the repository itself, are not read.
+        (packages / "lock.pth").write_text(str(Path(np.__file__).parents[1]) + "\n")
+
+    def add(self, *what: str) -> str:
+        """Install from wheels and a package index; return the reason if that fails."""
         install = [*self._pip, "install", "--retries", "0", "--timeout", "15", "--only-binary", ":all:"]
-        what = f"marsarm[{extra}] @ {self._wheel.as_uri()}"
-        done = subprocess.run([*install, what], cwd=self.work, capture_output=True, text=True, check=False)
+        done = subprocess.run([*install, *what], cwd=self.work, capture_output=True, text=True, check=False)
         return "" if done.returncode == 0 else done.stderr.strip().rpartition("\n")[2]
+
+    def find_conflict(self) -> str:
+        """Return what pip says of requirements that are not met."""
+        done = subprocess.run([*self._pip, "check"], capture_output=True, text=True, check=False)
+        return "" if done.returncode == 0 else done.stdout
 
     def run(self, *words: str) -> subprocess.CompletedProcess[str]:
         """Run a program of the environment in a folder outside of the repository."""
@@ -102,17 +122,52 @@ class Installed:
         return json.loads(done.stdout)
 
 
+def environment(folder: Path) -> Installed:
+    """Make an environment; one may be without pip, as in the Makefile."""
+    for python in (sys.executable, "python3"):
+        asked = subprocess.run([python, "-m", "pip", "--version"], capture_output=True, check=False)
+        if asked.returncode == 0:
+            return Installed(folder, python)
+    pytest.skip("there is no pip, which installs the wheel")
+
+
 @pytest.fixture(scope="module")
 def installed(built, tmp_path_factory) -> Installed:
-    """Install the wheel."""
-    (wheel,) = built.glob("*.whl")
-    for python in (sys.executable, "python3"):  # an environment may be without pip, as in the Makefile
-        if (
-            subprocess.run([python, "-m", "pip", "--version"], capture_output=True, check=False).returncode
-            == 0
-        ):
-            return Installed(tmp_path_factory.mktemp("installed"), wheel, python)
-    pytest.skip("there is no pip, which installs the wheel")
+    """Install both wheels."""
+    made = environment(tmp_path_factory.mktemp("installed"))
+    made.install_locked(wheel_of(built, "simgap"), wheel_of(built, "marsarm"))
+    return made
+
+
+@pytest.mark.slow
+def test_simgap_alone_passes_its_tests_in_a_fresh_environment(built, tmp_path):
+    made = environment(tmp_path)
+    problem = made.add(f"simgap[test] @ {wheel_of(built, 'simgap').as_uri()}")
+    if problem:
+        pytest.skip(f"what simgap needs cannot be installed here: {problem}")
+    copytree(ROOT / "simgap" / "tests", made.work / "tests")
+    copyfile(ROOT / "simgap" / "pyproject.toml", made.work / "pyproject.toml")
+    short = ("tests/test_names.py", "tests/test_document.py", "tests/command/test_check.py")
+    done = made.run("python", "-m", "pytest", "-q", "-m", "not slow", *short)
+    assert done.returncode == 0, done.stdout
+    ask = "import sys, simgap.command.check; print({'marsarm', 'matplotlib'} & set(sys.modules))"
+    assert made.run("python", "-c", ask).stdout == "set()\n"
+    assert made.run("python", "-c", "import marsarm").returncode == 1
+
+
+@pytest.mark.slow
+def test_an_environment_with_mujoco_takes_both_wheels(built, tmp_path):
+    made = environment(tmp_path)
+    wheels = [f"{name} @ {wheel_of(built, name).as_uri()}" for name in ("simgap", "marsarm")]
+    problem = made.add("mujoco>=4.0,<4.1")
+    before = made.run("python", "-c", "import mujoco; print(mujoco.__version__)").stdout
+    problem = problem or made.add(*wheels)
+    if problem:
+        pytest.skip(f"mujoco or what the wheels need cannot be installed here: {problem}")
+    assert made.find_conflict() == ""
+    assert made.run("python", "-c", "import mujoco; print(mujoco.__version__)").stdout == before
+    for program in ("simgap", "marsarm"):
+        assert made.run(program, "--version").stdout == f"{program} {version(program)}\n"
 
 
 @pytest.mark.slow
@@ -121,15 +176,16 @@ def test_the_installed_packages_are_those_of_the_wheel_and_of_the_lock_file(inst
     assert all(Path(home).is_relative_to(installed.bin.parent) for home in homes)
     locked = dict(re.findall(r"^([\w-]+)==(\S+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE))
     needed = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
-    names = [re.match(r"[\w-]+", one)[0] for one in needed]
+    names = [re.match(r"[\w-]+", one)[0] for one in needed if not one.startswith("simgap")]
     ask = f"from importlib.metadata import version; print(*[version(name) for name in {names}])"
     assert installed.run("python", "-c", ask).stdout.split() == [locked[name] for name in names]
 
 
 @pytest.mark.slow
 def test_the_command_and_the_module_print_the_version(installed):
-    for words in (("marsarm",), ("python", "-m", "marsarm")):
-        assert installed.run(*words, "--version").stdout == f"marsarm {version('marsarm')}\n"
+    for program in ("marsarm", "simgap"):
+        for words in ((program,), ("python", "-m", program)):
+            assert installed.run(*words, "--version").stdout == f"{program} {version(program)}\n"
 
 
 @pytest.fixture(scope="module")
@@ -177,8 +233,8 @@ def test_the_installed_names_start_a_run(installed):
 # Last: viser needs an older rich than that of the lock file.
 @pytest.mark.slow
 @pytest.mark.usefixtures("placed")
-def test_the_wheel_with_its_extra_for_views_makes_a_page_of_a_run(installed):
-    problem = installed.add("view")
+def test_the_wheel_with_its_extra_for_views_makes_a_page_of_a_run(built, installed):
+    problem = installed.add(f"marsarm[view] @ {wheel_of(built, 'marsarm').as_uri()}")
     page = installed.run_json("view", "run.mcap", "--html", "view.html")
     assert page["html_bytes"] == (installed.work / "view.html").stat().st_size < 5_000_000
     if problem:

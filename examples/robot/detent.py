@@ -5,8 +5,7 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from simgap.arrays import Array
-from simgap.effects.effect import Family, JointEffect, Size, State
+from simgap import Array, Family, JointEffect, Size, State
 
 DETENTS: Final = 12
 """Per turn of the joint."""

@@ -12,11 +12,12 @@ from marsarm.accuracy.budget import ALL, COMPONENTS, Budget, BudgetReport, Magni
 from marsarm.accuracy.confidence import describe_sample, is_within
 from marsarm.accuracy.propagation import COVERAGE
 from marsarm.accuracy.sources import sources_sha256
-from simgap.common import svg
+from marsarm.render import svg
+from marsarm.render.svg import ReportFigure
 from simgap.common.json_digest import json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement
-from simgap.common.report import Heading, ReportFigure, ReportPage, ReportTable, file_lines, to_json
+from simgap.common.report import Heading, ReportPage, ReportTable, file_lines, to_json
 
 RULES: Final = ("paper", "moments", "root sum square", "worst case")
 WHEN: Final = {
@@ -177,7 +178,7 @@ def make_origin(verb: str, request: Any, params_sha256: str, document: dict[str,
         "sources of error": sources_sha256(),
         "result": json_sha256(to_json(document)),
     }
-    return Origin(command_text(verb, request), digests)
+    return Origin(command_text(f"marsarm {verb}", request), digests)
 
 
 def _poses(report: BudgetReport) -> str:

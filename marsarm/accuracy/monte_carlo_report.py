@@ -13,9 +13,10 @@ from marsarm.accuracy.confidence import describe_sample, is_within, min_sample_s
 from marsarm.accuracy.coverage import CoverageReport
 from marsarm.accuracy.monte_carlo import MonteCarloReport
 from marsarm.accuracy.propagation import COVERAGE
-from simgap.common import svg
+from marsarm.render import svg
+from marsarm.render.svg import ReportFigure
 from simgap.common.page import Requirement
-from simgap.common.report import Heading, ReportFigure, ReportPage, ReportTable, file_lines, to_json
+from simgap.common.report import Heading, ReportPage, ReportTable, file_lines, to_json
 
 JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
 BINS: Final = 60

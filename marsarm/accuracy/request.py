@@ -4,14 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from simgap.common.options import (
-    ClusterOption,
-    MismatchOption,
-    Option,
-    ParamsOption,
-    ReportOption,
-    WorkersOption,
-)
+from marsarm.common.options import MismatchOption, ParamsOption
+from simgap.common.options import ClusterOption, Option, ReportOption, WorkersOption
 
 ArmKind = Literal["sampled", "calibrated", "as-built"]
 MoveModel = Literal["closed-loop", "statics"]

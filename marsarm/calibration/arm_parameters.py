@@ -19,7 +19,7 @@ from sim.effects.geometry import FrameError
 from sim.effects.joints import BacklashWidth, GearStiffness
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.plant import SCREW_AXES
-from simgap.serial_arm.fit import FitParameter
+from simgap import FitParameter
 
 MASS_FRAMES: Final = (Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5, Frame.ARM6)
 FIXTURE_RAD, FIXTURE_M = 1e-4, 5e-5

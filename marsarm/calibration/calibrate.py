@@ -20,8 +20,7 @@ from marsarm.calibration.residual_model import residual_model
 from marsarm.common.params_toml import params_toml
 from sim.arm_model.description import BuiltTolerances
 from sim.arms import own_name
-from simgap.common.files import atomic_write
-from simgap.serial_arm.fit import (
+from simgap import (
     Fit,
     FitParameter,
     HoldOutValidation,
@@ -31,6 +30,7 @@ from simgap.serial_arm.fit import (
     fit,
     validate_hold_out,
 )
+from simgap.common.files import atomic_write
 
 HOLD_OUT_STRIDE: Final = 5
 """Stride of held-out poses in each group: every fifth pose is left out of the fit that it validates.

@@ -15,16 +15,9 @@ from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array, Flags
 from marsarm.calibration.campaign_data import MeasuredPoses
+from simgap import Fit, FitParameter, fit, leave_one_out_distance
 from simgap.common.errors import BadRequest
-from simgap.serial_arm.fit import (
-    FALSE_ALARM,
-    MAX_OUTLIER_SHARE,
-    Fit,
-    FitParameter,
-    ResidualModel,
-    fit,
-    leave_one_out_distance,
-)
+from simgap.serial_arm.fit import FALSE_ALARM, MAX_OUTLIER_SHARE, ResidualModel
 
 REST_SIGMA_RAD: Final = 3e-6
 """Uncertainty of a joint angle at rest, one sigma: encoder and friction. Measured in the closed loop."""

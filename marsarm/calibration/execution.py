@@ -36,11 +36,10 @@ from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.frames import P_NR_M
 from sim.params_table import BadParams, check_params
 from sim.tracker import Tracker
+from simgap import Fit, HoldOutValidation, Identifiability, error_screw
 from simgap.common.errors import BadRequest
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress, part_of
-from simgap.serial_arm.chain import error_screw
-from simgap.serial_arm.fit import Fit, HoldOutValidation, Identifiability
 
 LEAST_SPAN_RAD: Final = 0.5
 FRAME_RANK: Final = 26

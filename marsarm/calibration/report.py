@@ -14,12 +14,13 @@ from marsarm.calibration.calibrate import Calibration, data_sha256, provenance, 
 from marsarm.calibration.execution import FRAME_RANK, MAX_HELD_OUT_RATIO, MAX_SIGMA0, CalibrateReport
 from marsarm.calibration.residual_model import residual_model
 from marsarm.calibration.verify import PlaceErrors, Verification
-from simgap.common import svg
+from marsarm.render import svg
+from marsarm.render.svg import ReportFigure
 from simgap.common.console import pluralize
 from simgap.common.json_digest import json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement
-from simgap.common.report import Heading, ReportFigure, ReportPage, ReportTable, file_lines, to_json
+from simgap.common.report import Heading, ReportPage, ReportTable, file_lines, to_json
 
 ROTATION: Final = slice(0, 3)
 POSITION: Final = slice(3, 6)
@@ -231,7 +232,7 @@ def calibration_page(report: CalibrateReport) -> ReportPage:
         "parameters after": digest(report.params),
         "result": json_sha256(to_json(calibration_document(report))),
     }
-    origin = Origin(command_text("calibrate", report.request), digests)
+    origin = Origin(command_text("marsarm calibrate", report.request), digests)
     title = f"Calibration of {found.campaign.arm_name}"
     return ReportPage(title, calibration_requirements(report), origin, parts)
 

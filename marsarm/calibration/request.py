@@ -1,10 +1,11 @@
-"""Requests of `marsarm calibrate` and `calibrate-serial`: their options, with defaults and bounds."""
+"""Request of `marsarm calibrate`: its options, with defaults and bounds."""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final
 
-from simgap.common.options import ARM_HELP, MismatchOption, Option, ParamsOption, ReportOption, SeedOption
+from marsarm.common.options import ARM_HELP, MismatchOption, ParamsOption, SeedOption
+from simgap.common.options import Option, ReportOption
 
 LEAST_POSES: Final = 24
 """Smallest number of poses: three times what the worst-conditioned combination needs. The paper took 160."""
@@ -50,39 +51,4 @@ class CalibrateRequest:
     picture: Annotated[
         Path | None,
         Option("Draw the errors of each pose before and after.", "FILE.png", suffixes=(".png",)),
-    ] = None
-
-
-@dataclass(frozen=True, slots=True)
-class SerialRequest:
-    """Request for a calibration of a serial arm."""
-
-    arm: Annotated[
-        Path,
-        Option("The arm: six numbers for each link.", "ARM.toml", is_argument=True, is_read=True),
-    ]
-    table: Annotated[
-        Path,
-        Option("Joint angles and measured poses, .csv or .parquet.", "TABLE", is_argument=True, is_read=True),
-    ]
-    mapping: Annotated[
-        Path, Option("Meaning and unit of each column.", "MAPPING.toml", is_argument=True, is_read=True)
-    ]
-    terms: Annotated[
-        str,
-        Option(
-            "Terms to fit: geometry, compliance, periodic and hysteresis, joined by commas; none fits only "
-            "base and target.",
-            "TERMS|all|none",
-        ),
-    ] = "all"
-    fit_share: Annotated[
-        float,
-        Option("Share of the poses to fit, the earliest ones; the others are held out.", within=(0.05, 1.0)),
-    ] = 0.5
-    nested: Annotated[bool, Option("Fit term by term, and show what each explains.")] = False
-    out: Annotated[Path | None, Option("Write the fitted arm.", "FILE.toml", suffixes=(".toml",))] = None
-    picture: Annotated[
-        Path | None,
-        Option("Draw the residuals and the joint errors.", "FILE.png", suffixes=(".png",)),
     ] = None

@@ -35,8 +35,7 @@ from marsarm.calibration.deflection_jacobian import (
 )
 from sim.arms import SPRING_FRAMES
 from sim.effects.structure import params_with_stand_in
-from simgap.serial_arm.chain import error_screw, linearise
-from simgap.serial_arm.fit import Fit, Linearisation
+from simgap import Fit, Linearisation, error_screw, linearise
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,6 +13,7 @@ regime is a second test. A last test takes all directions of all channels togeth
 """
 
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Final, Literal
 
 import numpy as np
@@ -27,9 +28,7 @@ from marsarm.diagnosis.normal_equations import (
 )
 from marsarm.diagnosis.problem import INTERVAL_QUANTILES, EffectValues, FeatureLayout, Residuals
 from marsarm.diagnosis.selection import FeatureEffect, Selection
-from simgap.effects.effect import Family
-from simgap.selection.chance import chi_square_log_p
-from simgap.selection.verdict import ConfidenceSet, find_confidence_sets
+from simgap import ConfidenceSet, chi_square_log_p, find_confidence_sets
 
 MAX_MEMBERS: Final = 3
 """Most members of a set: more effects are told as their families, more families as their places."""
@@ -106,7 +105,7 @@ class Finding:
     """Hypotheses that this campaign cannot distinguish from the finding, itself included."""
     places: tuple[str, ...]
     """Set of places, the best first; empty if there are more than MAX_MEMBERS."""
-    families: tuple[Family, ...]
+    families: tuple[StrEnum, ...]
     """Set of families; empty if the level is "place" or "unlocated"."""
     effects: tuple[int, ...]
     """Set of effects, one hypothesis of each class; empty if the level is "family" or less."""

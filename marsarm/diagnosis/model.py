@@ -6,6 +6,7 @@ are tested for what remains.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cache
 from typing import Final
 
@@ -20,7 +21,6 @@ from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.normal_equations import NormalEquations, form_normal_equations
 from marsarm.diagnosis.problem import FeatureLayout, Ints
 from marsarm.diagnosis.sensitivity import Sensitivities
-from simgap.effects.effect import Family
 from simgap.selection.chance import FALSE_ALARM
 
 ALIAS_COSINE: Final = 0.99
@@ -72,7 +72,7 @@ class DiagnosisModel:
     """Normal equations, equivalence classes and detection limits of a campaign."""
 
     sensitivities: Sensitivities
-    families: tuple[Family, ...]
+    families: tuple[StrEnum, ...]
     """Family of every hypothesis."""
     locations: tuple[str, ...]
     """Location of every hypothesis: its place without axis or direction."""
@@ -102,7 +102,7 @@ class DiagnosisModel:
 
 
 def build_model(
-    sensitivities: Sensitivities, families: Sequence[Family], locations: Sequence[str]
+    sensitivities: Sensitivities, families: Sequence[StrEnum], locations: Sequence[str]
 ) -> DiagnosisModel:
     """Build the diagnosis model from the sensitivities of a campaign.
 

@@ -25,10 +25,10 @@ from marsarm.diagnosis.result import (
     unexplained_sentence,
     verdict_lines,
 )
-from simgap.common import svg
+from marsarm.render import svg
+from simgap import Trace, choose_traces
 from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
-from simgap.report.parts import draw_traces, figure_style
-from simgap.report.traces import Trace, choose_traces
+from simgap.report.page import draw_traces, figure_style
 
 TITLES: Final = {
     "size": "The gap has a name",

@@ -12,6 +12,7 @@ all. The change by an effect is the parabola of the sensitivities.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -21,10 +22,8 @@ from marsarm.diagnosis.model import KINDS_OF_TEST, DiagnosisModel
 from marsarm.diagnosis.normal_equations import Whitener, build_full_whitener
 from marsarm.diagnosis.problem import Ints, Simulator
 from marsarm.diagnosis.sensitivity import Sensitivities, continue_parabola
-from simgap.effects.effect import Effect, Family, Size
-from simgap.residuals.residuals import ResidualModel
+from simgap import Effect, ResidualModel, Size, select_effects
 from simgap.selection.context import Selection as EngineSelection
-from simgap.selection.selection import select_effects
 
 MAX_SIMULATIONS: Final = 3
 """Greatest number of times that the selected effects are simulated at their estimates."""
@@ -49,8 +48,6 @@ class Selection:
     chosen: tuple[int, ...]
     departures: tuple[Array, ...]
     """Amplitudes of each in typical sizes, (n,)."""
-    deviance: float
-    """Deviance with these effects, nuisances free."""
     null_deviance: float
     """Deviance without effect, nuisances free."""
     n_distinct: float
@@ -149,11 +146,10 @@ def select(
     found = select_effects(residuals, (), effects, seed=seed, n_kinds=KINDS_OF_TEST)
     chosen = [one for one in found.chosen.effects if isinstance(one, FeatureEffect)]
     union, sizes = found.context.union, found.chosen.sizes
-    before, after = (np.concatenate([fit.residuals for fit in of.fits]) for of in (found.base, found.chosen))
+    before = np.concatenate([fit.residuals for fit in found.base.fits])
     return Selection(
         tuple(one.index for one in chosen),
         tuple(sizes[union.columns([one])] for one in chosen),
-        float(after @ after),
         float(before @ before),
         found.context.n_distinct,
         sensitivities,
@@ -169,7 +165,7 @@ class FeatureEffect(Effect):
     index: int
     """Index of the hypothesis."""
     effect: str
-    kind: Family
+    kind: StrEnum
     departures: tuple[Size, ...]
 
     @property
@@ -178,7 +174,7 @@ class FeatureEffect(Effect):
         return self.effect
 
     @property
-    def family(self) -> Family:  # type: ignore[override]
+    def family(self) -> StrEnum:  # type: ignore[override]
         """Family of the effect."""
         return self.kind
 

@@ -23,8 +23,8 @@ from marsarm.ik.solve import (
     tally_table,
 )
 from marsarm.render.rover_scene import draw_outlines, project_outlines
+from marsarm.render.svg import save_figure
 from sim.frames import P_NR_M, approach_from, p_R_from_N, random_targets
-from simgap.common.figures import save_figure
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 from simgap.common.report import ReportTable, file_lines

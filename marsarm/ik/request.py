@@ -4,16 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-from simgap.common.options import (
-    ARM_HELP,
-    ClusterOption,
-    MismatchOption,
-    Option,
-    ParamsOption,
-    PitchOption,
-    RollOption,
-    Vector,
-)
+from marsarm.common.options import ARM_HELP, MismatchOption, ParamsOption, PitchOption, RollOption
+from simgap.common.options import ClusterOption, Option, Vector
 
 MOST_SAMPLES: Final = 1_000_000
 BATCH_SUFFIXES: Final = (".npz", ".parquet")

@@ -17,6 +17,7 @@ from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.poses import homing_start_poses
 from fsw.motion.homing import HomingStage
 from marsarm.common.requests import fit_effects, make_world, parse_effects, select_arm
+from marsarm.render.svg import save_figure
 from marsarm.runs.execution import open_view
 from marsarm.runs.request import HardstopRequest
 from sim.arm_check import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance
@@ -36,7 +37,6 @@ from sim.record import CycleRecord
 from sim.sequence import Outcome
 from sim.world import WARM_C, World
 from simgap.common.errors import BadRequest
-from simgap.common.figures import save_figure
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress
 

@@ -4,18 +4,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-from simgap.common.options import (
+from marsarm.common.options import (
     ARM_HELP,
     ArmOption,
     EffectsOption,
     MismatchOption,
-    Option,
     ParamsOption,
     PitchOption,
     RollOption,
     SeedOption,
-    Vector,
 )
+from simgap.common.options import Option, Vector
 
 MOST_REPEATS: Final = 1000
 WhenDiskFull = Literal["go-on", "stop"]

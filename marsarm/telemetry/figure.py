@@ -9,12 +9,12 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Severity
+from marsarm.render.svg import save_figure
 from marsarm.telemetry.events import EvrEntry
 from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.inspection import ChannelSeries, index_text
 from marsarm.telemetry.topics import PACKET_TOPICS
 from simgap.common.errors import BadRequest
-from simgap.common.figures import save_figure
 
 MAX_PANELS: Final = 12
 """Panels in a figure; more would be too small to read."""

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from helpers.planar_arm import RATE_HZ, TABLE_M, commands, planar_arm, record, slow_logs, with_joint
-from simgap.audit.audit import audit
-from simgap.audit.records import RemarkKind
-from simgap.audit.static import find_lower_stop, median_interval
+from helpers.real_robots import robot_path
+from simgap.checks.audit import audit
+from simgap.checks.records import RemarkKind
+from simgap.checks.static import find_lower_stop, median_interval
 from simgap.common.errors import RobotError
-from simgap.diagnose import diagnose
-from simgap.load import load
+from simgap.diagnosis import diagnose
+from simgap.loading import load
 from simgap.logs import Logs, Signal
 from simgap.result import Refusal
 from simgap.robot import Robot
-from tests.marsarm.command import ROOT
 
 TABLE_MOTIONS = {
     *("boundary_exploration", "diagonal_sweep", "dual_joint_elbow_wrist", "figure_eight"),
@@ -232,7 +232,7 @@ def test_the_interval_of_a_median_holds_it_as_often_as_it_says():
 
 @pytest.mark.real_data
 def test_table_and_clamp_of_the_measured_so101_are_named(real_data):
-    robot = Robot.from_toml(ROOT / "models/robots/so101/robot.toml")
+    robot = Robot.from_toml(robot_path("so101"))
     found = audit(robot, load(robot, real_data / "so101" / "so101.parquet"))
     contact, cut_off = found.remarks
     assert contact.kind is RemarkKind.CONTACT
@@ -255,7 +255,7 @@ def test_table_and_clamp_of_the_measured_so101_are_named(real_data):
     ],
 )
 def test_logs_of_other_robots_lose_no_sample(real_data, robot, logs):
-    loaded = Robot.from_toml(ROOT / f"models/robots/{robot}/robot.toml")
+    loaded = Robot.from_toml(robot_path(robot))
     assert audit(loaded, load(loaded, [real_data / one for one in logs])).refused == ()
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from helpers.effect_lab import ARM_XML, PENDULUM_XML, robot_of, simulate
+from helpers.real_robots import repository_file
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.effects import effect as interface
 from simgap.effects.effect import Effect, Family
@@ -19,7 +20,6 @@ from simgap.logs import JointLog, Logs, Motion, Signal
 ARM = robot_of(ARM_XML)
 N_TICKS = 600
 TIME_S = ARM.control_period_s * np.arange(N_TICKS)
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "robot-effects.md").read_text(encoding="utf-8")
 
 
 def lively(speed=6.0):
@@ -201,11 +201,12 @@ def _below(kind):
 
 
 def test_the_page_lists_every_effect_with_its_family_and_its_sizes(arm_logs):
+    page = repository_file("docs/robot-effects.md").read_text(encoding="utf-8")
     rows = {
         cells[0]: cells[1:]
         for cells in (
             [cell.strip() for cell in line.strip("|").split("|")]
-            for line in PAGE.splitlines()
+            for line in page.splitlines()
             if line.startswith("| ") and line.count("|") == 5
         )
     }

@@ -1,19 +1,16 @@
 """Catalogues of the real robots: a table under the SO-101, second encoders of the KR300, one servo."""
 
-from pathlib import Path
-
 import pytest
 
+from helpers.real_robots import robot_path
 from simgap.catalogue.catalogue import base_effects, catalogue
 from simgap.effects.forces import PlaneContact
-from simgap.load import load
+from simgap.loading import load
 from simgap.robot import Robot
-
-ROBOTS = Path(__file__).resolve().parents[2] / "models" / "robots"
 
 
 def effects_of(folder, *tables):
-    robot = Robot.from_toml(ROBOTS / folder / "robot.toml")
+    robot = Robot.from_toml(robot_path(folder))
     logs = load(robot, tables)
     return robot, catalogue(robot, logs), base_effects(robot, logs)
 

@@ -1,10 +1,13 @@
 """The compiled models: stages of a step that are switched off must change nothing."""
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 import pytest
 
 from helpers.pendulum import pendulum
+from helpers.real_robots import robot_path
 from helpers.two_joint_arm import arm
 from simgap.arrays import Array
 from simgap.robot import Robot
@@ -25,13 +28,13 @@ def path(model: mujoco.MjModel) -> Array:
     return np.array(found)
 
 
-@pytest.mark.parametrize(
-    "robot",
-    [pendulum(), arm(), Robot.from_toml("models/robots/so101/robot.toml")],
-    ids=lambda robot: robot.name,
-)
-def test_the_stages_that_are_skipped_change_no_bit(robot: Robot) -> None:
-    model = Models(robot).compiled([]).robot.model
+def so101() -> Robot:
+    return Robot.from_toml(robot_path("so101"))
+
+
+@pytest.mark.parametrize("robot", [pendulum, arm, so101])
+def test_the_stages_that_are_skipped_change_no_bit(robot: Callable[[], Robot]) -> None:
+    model = Models(robot()).compiled([]).robot.model
     assert model.opt.disableflags & IDLE == IDLE
     fast = path(model)
     model.opt.disableflags &= ~IDLE

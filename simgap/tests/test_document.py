@@ -13,7 +13,7 @@ from helpers.verdicts import (
     finding,
     without_floor,
 )
-from simgap.report.document import to_document
+from simgap.report.sentences import to_document
 
 FULL = diagnosis(
     findings=(finding(next_motion="slow sweeps"), finding(place="pan", interval=((0.0, inf),))),

@@ -14,7 +14,7 @@ from simgap.common.errors import RobotError
 from simgap.effects.command import EncoderScale, MeasurementDelay
 from simgap.effects.forces import CoulombFriction
 from simgap.effects.transmission import Backlash, JointCompliance
-from simgap.load import load
+from simgap.loading import load
 from simgap.logs import JointLog, Motion, Signal
 from simgap.residuals.encoder_residuals import EncoderResiduals, shows, why_refused
 from simgap.residuals.noise import correlation_time_s

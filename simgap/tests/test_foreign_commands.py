@@ -5,7 +5,7 @@ import pytest
 
 from helpers.pendulum import motion, pendulum
 from simgap.common.errors import RobotError
-from simgap.diagnose import check_motions, count_foreign_commands
+from simgap.diagnosis import check_motions, count_foreign_commands
 from simgap.logs import Signal
 
 TIME_s = np.arange(0.0, 8.0, 0.02)

@@ -15,7 +15,7 @@ from simgap.effects.command import EncoderScale, JointZero
 from simgap.effects.forces import CoulombFriction, PositionTorque, StribeckFriction, ViscousFriction
 from simgap.effects.inertia import Armature, LinkMass
 from simgap.effects.transmission import JointCompliance
-from simgap.load import load
+from simgap.loading import load
 from simgap.logs import JointLog, Motion, Signal
 from simgap.residuals.inverse_residuals import InverseResiduals, shows
 from simgap.robot import Robot

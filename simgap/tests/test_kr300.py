@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.real_robots import robot_path
 from simgap.catalogue.catalogue import catalogue
-from simgap.diagnose import diagnose
+from simgap.diagnosis import diagnose
 from simgap.effects.effect import Family
-from simgap.load import load
+from simgap.loading import load
 from simgap.residuals.inverse_residuals import InverseResiduals, shows
 from simgap.result import Diagnosis, Finding
 from simgap.robot import Robot
@@ -19,7 +20,7 @@ GEAR = 267.43
 
 def find(folder: Path, split: str) -> tuple[Robot, Diagnosis, float]:
     """Return robot, diagnosis, and the torque error of axis 2 on the other batch [motor N m, RMS]."""
-    robot = Robot.from_toml(Path("models/robots/kr300/robot.toml"))
+    robot = Robot.from_toml(robot_path("kr300"))
     logs = load(robot, [folder / "kr300_A.parquet", folder / "kr300_B.parquet"], split=split)
     result = diagnose(robot, logs.fit, held_out=logs.judged, seed=1)
     other = InverseResiduals(robot, logs.judged)
@@ -34,7 +35,7 @@ def find_without_torques(folder: Path, split: str) -> Diagnosis:
     """Diagnose with a catalogue without external torques."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "simgap.diagnose.catalogue",
+            "simgap.diagnosis.catalogue",
             lambda robot, logs: [e for e in catalogue(robot, logs) if e.family is not Family.EXTERNAL],
         )
         return find(folder, split)[1]

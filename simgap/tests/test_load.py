@@ -11,7 +11,7 @@ from helpers.robot_folder import (
     write_robot,
 )
 from simgap.common.errors import RobotError
-from simgap.load import load
+from simgap.loading import load
 from simgap.robot import Robot
 
 GERMAN = ('[time]\ncolumn = "t"', '[csv]\nseparator = ";"\ndecimal = ","\n\n[time]\ncolumn = "t"')

@@ -10,7 +10,7 @@ from mcap.writer import Writer
 from helpers.robot_folder import write_robot
 from simgap.common.errors import RobotError
 from simgap.files.ros_message import BadMessage, RosReader
-from simgap.load import load
+from simgap.loading import load
 
 JOINT_STATE = """# joints
 std_msgs/Header header

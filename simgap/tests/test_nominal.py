@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from helpers.planar_arm import COUNT_RAD, commands, planar_arm, record
-from simgap.audit.audit import NominalModel
+from simgap.checks.audit import NominalModel
 from simgap.logs import Signal
 
 

@@ -1,19 +1,18 @@
 """Effects of the user's own: the example of the page, and files that are refused in one sentence."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from helpers.effect_lab import ARM_XML, robot_of, simulate
+from helpers.real_robots import repository_file
 from simgap.catalogue.catalogue import catalogue
 from simgap.catalogue.own_effects import load_effects
 from simgap.common.errors import RobotError
 from simgap.logs import JointLog, Logs, Motion, Signal
 
-ROOT = Path(__file__).resolve().parents[2]
-EXAMPLE = ROOT / "examples" / "robot" / "detent.py"
+EXAMPLE = "examples/robot/detent.py"
 ARM = robot_of(ARM_XML)
 TIME_S = np.linspace(0, 2, 200)
 SIGNAL = Signal(TIME_S, np.sin(3 * TIME_S))
@@ -46,7 +45,7 @@ def write(folder, text, name="mine.py"):
 
 
 def test_the_example_is_put_at_each_joint_and_moves_it():
-    effects = load_effects(EXAMPLE, ARM, LOGS)
+    effects = load_effects(repository_file(EXAMPLE), ARM, LOGS)
     assert [effect.key for effect in effects] == [f"{j.name}: magnetic detents" for j in ARM.joints]
     command = 0.3 * np.sin(np.linspace(0, 6, 300))[:, None] * np.ones(3)
     rest, moved = simulate(ARM, effects, [[0.0, 0.0, 0.0], [0.0, 0.5, 0.0]], command, command[0])
@@ -62,13 +61,15 @@ def test_a_torque_at_a_place_that_is_no_joint_is_refused(tmp_path):
 
 
 def test_own_effects_join_the_catalogue_without_a_clash():
-    keys = [one.key for one in (*catalogue(ARM, LOGS), *load_effects(EXAMPLE, ARM, LOGS))]
+    own = load_effects(repository_file(EXAMPLE), ARM, LOGS)
+    keys = [one.key for one in (*catalogue(ARM, LOGS), *own)]
     assert len(set(keys)) == len(keys)
 
 
 def test_the_page_shows_the_example():
-    page = (ROOT / "docs" / "robot-effects.md").read_text(encoding="utf-8")
-    assert re.findall(r"```python\n(.*?)```", page, re.DOTALL) == [EXAMPLE.read_text(encoding="utf-8")]
+    page = repository_file("docs/robot-effects.md").read_text(encoding="utf-8")
+    example = repository_file(EXAMPLE).read_text(encoding="utf-8")
+    assert re.findall(r"```python\n(.*?)```", page, re.DOTALL) == [example]
 
 
 def test_a_function_of_the_file_chooses_the_places(tmp_path):

@@ -18,10 +18,10 @@ from helpers.so101_twin import (
     with_locked_joints,
 )
 from simgap.assemble import list_base
-from simgap.audit.audit import audit
-from simgap.audit.records import RemarkKind
 from simgap.catalogue.catalogue import base_effects
-from simgap.diagnose import diagnose
+from simgap.checks.audit import audit
+from simgap.checks.records import RemarkKind
+from simgap.diagnosis import diagnose
 from simgap.logs import Logs
 from simgap.residuals.simulation_residuals import SimulationResiduals
 from simgap.selection.checkpoint import Meter

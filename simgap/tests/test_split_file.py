@@ -4,7 +4,7 @@ import pytest
 
 from helpers.robot_folder import write_parquet, write_robot
 from simgap.common.errors import RobotError
-from simgap.load import load
+from simgap.loading import load
 from simgap.robot import Robot
 
 SPLIT = """default = "first"

@@ -3,8 +3,8 @@
 import pytest
 
 from helpers.real_robots import robot_path
-from simgap.diagnose import diagnose
-from simgap.load import load
+from simgap.diagnosis import diagnose
+from simgap.loading import load
 from simgap.robot import Robot
 
 pytestmark = [pytest.mark.real_data, pytest.mark.slow]

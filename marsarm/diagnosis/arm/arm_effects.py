@@ -8,6 +8,7 @@ more than any effect.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import partial
 from typing import Any, Final
 
@@ -42,8 +43,7 @@ from sim.effects.structure import LinkMass, LinkStiffness
 from sim.initialisation import DAILY_FRICTION_SIGMA
 from sim.params import nominal_params
 from sim.plant import SCREW_AXES, SPRING_NAMES
-from simgap.effects.effect import Family
-from simgap.serial_arm.chain import screw_log
+from simgap import Family, screw_log
 
 NUMERICS: Final = {"time step": STEP_NUMERICS, "scheme": Numerics("explicit", 6)}
 """Other numerics of the plant. The integrator is of first order, so that twice the change by half the time
@@ -58,7 +58,15 @@ NUMERICS_SIGMA: Final = 2.0
 _TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-turn", "m": "tool-offset"})
 """Effects of rotation and shift, of frames and of tools."""
 
-FAMILIES: Final[dict[Family, tuple[type[Effect], ...]]] = {
+
+class ArmFamily(StrEnum):
+    """Family that this arm has besides those of any robot."""
+
+    STRUCTURE = "structure"
+    """Links and rover that bend."""
+
+
+FAMILIES: Final[dict[StrEnum, tuple[type[Effect], ...]]] = {
     Family.FRICTION: (
         *(gears.CoulombFriction, gears.AsymmetricFriction, gears.ViscousFriction, gears.StribeckFriction),
         *(gears.LoadFriction, gears.ColdFriction, gears.OutputFriction, gears.GearEfficiency),
@@ -84,7 +92,7 @@ FAMILIES: Final[dict[Family, tuple[type[Effect], ...]]] = {
         ),
         *(geometry.Expansion, geometry.LinkWarming, geometry.Warming, joints.HardstopAngle),
     ),
-    Family.STRUCTURE: (
+    ArmFamily.STRUCTURE: (
         *(structure.LinkStiffness, structure.LinkBending, structure.LinkTorsion, structure.LinkCreep),
         structure.RoverCompliance,
     ),
@@ -193,7 +201,7 @@ def _displaced_frame(frame: Frame, tool: str | None, axis: int, value: float) ->
     return FrameError(frame, row6(value * np.eye(6)[axis]), tool)
 
 
-def list_families(hypotheses: Sequence[Hypothesis]) -> tuple[Family, ...]:
+def list_families(hypotheses: Sequence[Hypothesis]) -> tuple[StrEnum, ...]:
     """List the families of hypotheses."""
     return tuple(family_of(catalogue()[one.effect]) for one in hypotheses)
 
@@ -213,7 +221,7 @@ def locate(effect: str, place: str) -> str:
     return LOCATIONS.get(effect) or place.removeprefix("tool.").split(".")[0]
 
 
-def family_of(kind: type[Effect]) -> Family:
+def family_of(kind: type[Effect]) -> StrEnum:
     """Return the family of an effect that a diagnosis can name.
 
     Args:

@@ -39,8 +39,8 @@ from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.plant import SCREW_AXES
+from simgap import Trace
 from simgap.common.progress import Progress, part_of
-from simgap.report.traces import Trace
 
 MIN_FEATURE_SHARE: Final = 0.5
 """Least share of the campaign's features that a case must have."""

@@ -113,7 +113,7 @@ def demo_json(found: Demo) -> dict[str, Any]:
 
 def load_demo_campaign(request: DemoRequest, progress: Progress) -> CampaignModel:
     """Load the campaign of the nominal arm; record and compute what is not cached."""
-    folder = cache_folder("gap-demo") / _campaign_digest()[:16]
+    folder = cache_folder("marsarm", "gap-demo") / _campaign_digest()[:16]
     if not folder.exists():
         check_cache_folder(folder.parent)
         record_logs(RecordRequest(folder), part_of(progress, 0.0, 0.05))

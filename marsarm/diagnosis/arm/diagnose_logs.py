@@ -171,7 +171,7 @@ def diagnose_logs(job: DiagnoseJob, progress: Progress) -> DiagnosisResult:
     campaign = load_campaign_model(
         logs,
         held_out,
-        job.campaign or cache_folder("sensitivities"),
+        job.campaign or cache_folder("marsarm", "sensitivities"),
         job.run,
         part_of(progress, 0.0, CAMPAIGN_SHARE),
         job.kinds,

@@ -45,7 +45,7 @@ from sim.effects.gears import OutputFriction
 from sim.loop import SimulationOptions
 from sim.params import nominal_params
 from sim.plant import SCREW_AXES
-from simgap.serial_arm.chain import screw_log
+from simgap import screw_log
 
 READING_FIELDS: Final = frozenset({"resolver_bias_rad", "resolver_errors", "sensor_errors"})
 """Fields of the hardware that influence only readings."""

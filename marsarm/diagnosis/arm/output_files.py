@@ -149,7 +149,7 @@ def _origin(result: DiagnosisResult, request: DiagnoseRequest, job: DiagnoseJob)
         "parameters": digest(flight_params(job)),
         "result": json_sha256(to_json(result)),
     }
-    return Origin(command_text("diagnose", request), digests)
+    return Origin(command_text("marsarm diagnose", request), digests)
 
 
 def _files_sha256(paths: Sequence[Path]) -> str:

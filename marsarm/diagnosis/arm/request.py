@@ -4,17 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from simgap.common.options import (
-    ArmOption,
-    ClusterOption,
-    EffectsOption,
-    MismatchOption,
-    Option,
-    ParamsOption,
-    ReportOption,
-    SeedOption,
-    WorkersOption,
-)
+from marsarm.common.options import ArmOption, EffectsOption, MismatchOption, ParamsOption, SeedOption
+from simgap.common.options import ClusterOption, Option, ReportOption, WorkersOption
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ from sim.plant import Plant
 from sim.record import NO_DISTURBANCE, Disturbance
 from sim.tracker import turret_pose
 from sim.world import World, build
-from simgap.serial_arm.chain import screw_log
+from simgap import screw_log
 
 MEAN_TICKS = CYCLE_HZ // 4
 """Number of ticks at the end of a rest over which resolvers are averaged."""

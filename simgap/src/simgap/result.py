@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
-from simgap.effects.effect import READING_HOOKS, Effect, Family
+from simgap.effects.effect import READING_HOOKS, Effect
 from simgap.logs import Motion
 from simgap.residuals.residuals import SECOND_ENCODER
 from simgap.robot import Robot
@@ -19,7 +20,7 @@ class Finding:
     """One effect that the data need, with the sets that cannot be excluded at 5 %."""
 
     place: str
-    family: Family
+    family: StrEnum
     effect: str
     size: tuple[float, ...]
     size_names: tuple[str, ...]
@@ -31,7 +32,7 @@ class Finding:
     """Share of the explainable error of its joint that comes back without it, in motions left out."""
     places: tuple[str, ...]
     """Places that cannot be excluded, the best first."""
-    families: tuple[Family, ...]
+    families: tuple[StrEnum, ...]
     effects: tuple[str, ...]
     """Keys of effects that cannot be excluded."""
     next_motion: str
@@ -180,7 +181,7 @@ class Diagnosis:
 
     def report(self, path: str | Path, robot: Robot, motions: Sequence[Motion] = ()) -> None:
         """Write the page, with interactive traces of these motions; see `simgap.report`."""
-        from simgap.report.page import save_page
+        from simgap.report.page import save_diagnosis_page
         from simgap.report.traces import trace_motions
 
-        save_page(self, trace_motions(robot, motions, self), Path(path))
+        save_diagnosis_page(self, trace_motions(robot, motions, self), Path(path))

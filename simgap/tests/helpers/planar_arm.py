@@ -5,7 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from simgap.audit.audit import NominalModel
+from simgap.checks.audit import NominalModel
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.robot import ControlMode, Robot, RobotJoint
 

@@ -1,18 +1,16 @@
 """Files of arms, mappings and tables: content is read back, and errors are named with their key."""
 
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from helpers.real_robots import repository_file
 from helpers.serial_files import MAPPING, rows, text
 from helpers.serial_synthetic import built_arm, drawn_arm
 from simgap.common.errors import RobotError
 from simgap.serial_arm.files import arm_to_toml, read_arm, read_mapping, series_from_table
 from simgap.serial_arm.model import UPRIGHT_B_m_s2
-
-MODELS = Path(__file__).parents[3] / "models" / "robots" / "ur10"
 
 
 def written(folder, name, content):
@@ -29,7 +27,7 @@ def test_an_arm_comes_back_from_its_file_bit_by_bit(tmp_path, seed):
 
 
 def test_the_ur10_of_the_models_has_six_joints_and_the_published_reach():
-    arm = read_arm(MODELS / "arm.toml")
+    arm = read_arm(repository_file("models/robots/ur10/arm.toml"))
     assert len(arm.links) == 6
     assert arm.links[0].alpha_rad == np.pi / 2
     assert arm.uncertainty.length_m == 1e-3
@@ -39,7 +37,7 @@ def test_the_ur10_of_the_models_has_six_joints_and_the_published_reach():
 
 @pytest.mark.parametrize("name", ["series_a.toml", "series_c.toml"])
 def test_the_mappings_of_the_models_are_of_the_ur10(name):
-    assert read_mapping(MODELS / name).arm == "UR10"
+    assert read_mapping(repository_file(f"models/robots/ur10/{name}")).arm == "UR10"
 
 
 @pytest.mark.parametrize(
@@ -56,7 +54,8 @@ def test_the_mappings_of_the_models_are_of_the_ur10(name):
     ],
 )
 def test_what_is_wrong_with_an_arm_is_named(tmp_path, change, line):
-    path = written(tmp_path, "arm.toml", (MODELS / "arm.toml").read_text().replace(*change))
+    ur10 = repository_file("models/robots/ur10/arm.toml")
+    path = written(tmp_path, "arm.toml", ur10.read_text().replace(*change))
     with pytest.raises(RobotError) as error:
         read_arm(path)
     assert line in str(error.value)

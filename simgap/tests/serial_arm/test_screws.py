@@ -1,10 +1,18 @@
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
-from fsw.kinematics.transforms import screw_exp
-from simgap.serial_arm.chain import error_screw, linearise, screw_log
+from simgap.serial_arm.chain import Pose, error_screw, linearise, screw_log, skew
 
 RNG = np.random.default_rng(0)
+
+
+def screw_exp(screw):
+    """Return the poses of screws, (6, n), by the exponential of matrices."""
+    twist = np.zeros((screw.shape[1], 4, 4))
+    twist[:, :3, :3], twist[:, :3, 3] = np.moveaxis(skew(screw[:3]), -1, 0), screw[3:].T
+    X = expm(twist)
+    return Pose(np.moveaxis(X[:, :3, :3], 0, -1), X[:, :3, 3].T)
 
 
 @pytest.mark.parametrize("size", [1e-12, 1e-6, 9e-3, 1.1e-2, 0.3, 2.5])

@@ -1,13 +1,10 @@
 """Diagnosis of a measured UR10: the same effects at the same joints in two series, and no temperature."""
 
-from pathlib import Path
-
 import pytest
 
+from helpers.real_robots import repository_file
 from simgap.serial_arm.files import read_arm, read_series
 from simgap.serial_arm.tracker import diagnose_tracker
-
-MODELS = Path(__file__).parents[3] / "models" / "robots" / "ur10"
 
 
 @pytest.mark.real_data
@@ -20,8 +17,11 @@ MODELS = Path(__file__).parents[3] / "models" / "robots" / "ur10"
     ],
 )
 def test_the_joints_have_the_effects_that_the_calibration_shows(real_data, table, mapping, held_out_mm):
-    arm = read_arm(MODELS / "arm.toml")
-    found = diagnose_tracker(arm, read_series(arm, real_data / "ur10-tracker" / table, MODELS / mapping))
+    arm = read_arm(repository_file("models/robots/ur10/arm.toml"))
+    series = read_series(
+        arm, real_data / "ur10-tracker" / table, repository_file(f"models/robots/ur10/{mapping}")
+    )
+    found = diagnose_tracker(arm, series)
     named = {(one.effect, one.place) for one in found.findings}
     assert {place for effect, place in named if effect == "periodic joint error"} == {
         one.name for one in arm.links

@@ -296,9 +296,6 @@ CASES = {
     "log import few.csv utf16.toml out.mcap": "is not text in UTF-8; save it as UTF-8",
     "log import few.csv empty.toml out.mcap": "channel: is missing",
     "log import nosuch.csv empty.toml out.mcap": "No such file or directory",
-    "calibrate-serial utf16.toml few.csv empty.toml": "is not UTF-8 text; name a TOML file",
-    "calibrate-serial empty.toml few.csv half.toml": "name: is missing",
-    "calibrate-serial link.toml few.csv link.toml": "give each a file of its own",
     # outputs
     "view none.mcap": "none.mcap",
     "view run.mcap --html run.htm": "must end in .html",

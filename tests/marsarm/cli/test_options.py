@@ -14,12 +14,14 @@ import typer
 
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
 from marsarm.arms.request import ArmRequest
-from marsarm.calibration.request import CalibrateRequest, SerialRequest
-from marsarm.cli import analysis, calibrate_serial, diagnosis, robot, runs
+from marsarm.calibration.request import CalibrateRequest
+from marsarm.cli import analysis, diagnosis, runs
 from marsarm.diagnosis.arm.request import DiagnoseRequest, RecordRequest
 from marsarm.ik.request import IkRequest, ReachRequest
 from marsarm.runs.request import HardstopRequest, PlaceRequest, RunRequest
 from marsarm.view.request import ViewRequest
+from simgap.command import app
+from simgap.command import request as simgap_request
 from simgap.command.request import CheckRequest
 from simgap.common.errors import BadRequest, RobotError
 from simgap.common.options import Option, check_options, option_fields
@@ -36,11 +38,11 @@ VERBS = {
     MonteCarloRequest: analysis.monte_carlo,
     CalibrateRequest: analysis.calibrate,
     ArmRequest: analysis.arm,
-    SerialRequest: calibrate_serial.calibrate_serial,
     ViewRequest: runs.view,
     DiagnoseRequest: diagnosis.diagnose,
     RecordRequest: diagnosis.record,
-    CheckRequest: robot.check,
+    CheckRequest: app.check,
+    simgap_request.DiagnoseRequest: app.diagnose,
 }
 HEAVY = ("numpy", "pydantic", "mujoco", "scipy", "pyarrow", "matplotlib", "sim", "fsw")
 

@@ -8,7 +8,7 @@ import pytest
 from marsarm.accuracy.request import BudgetRequest, MonteCarloRequest
 from marsarm.calibration.request import CalibrateRequest
 from marsarm.diagnosis.arm.request import DiagnoseRequest
-from simgap.common import svg
+from marsarm.render import svg
 from simgap.common.errors import BadRequest
 from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
@@ -156,4 +156,4 @@ def test_numbers_stay_on_a_line_and_text_wraps():
     ],
 )
 def test_the_command_has_what_differs_from_defaults_but_no_output_files(verb, request_, words):
-    assert command_text(verb, request_) == f"marsarm {verb} {words}".strip()
+    assert command_text(f"marsarm {verb}", request_) == f"marsarm {verb} {words}".strip()

@@ -1,13 +1,15 @@
-"""Execution of a diagnosis: read robot and logs, audit them, find the effects, write the files."""
+"""A diagnosis: read robot and logs, audit them, find the effects, print them and write the files."""
 
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from simgap.audit.audit import audit
 from simgap.catalogue.own_effects import load_effects
-from simgap.command.request import RobotDiagnoseRequest
+from simgap.checks.audit import audit
+from simgap.command.request import FIT_SHARE, DiagnoseRequest
+from simgap.command.tracker import calibration_json, parse_terms, print_calibration
+from simgap.common.console import plain_console
 from simgap.common.errors import BadOutput, BadRequest, RobotError
 from simgap.common.files import (
     atomic_write,
@@ -17,41 +19,49 @@ from simgap.common.files import (
     digest_files,
 )
 from simgap.common.interruption import Interrupted
-from simgap.common.options import check_options
+from simgap.common.json_digest import json_sha256
+from simgap.common.options import check_options, command_text
+from simgap.common.page import Origin
 from simgap.common.progress import Progress, no_progress
-from simgap.diagnose import diagnose
+from simgap.diagnosis import diagnose
 from simgap.files.robot_file import SerialFile, read_robot_file
-from simgap.load import load
+from simgap.loading import load
 from simgap.logs import Logs, Motion
 from simgap.patch.patch import MODEL_FILE, RUNTIME_FILE, Patch, make_patch, write_patch
+from simgap.report.page import save_diagnosis_page
+from simgap.report.sentences import detail_lines, to_document, verdict_lines
 from simgap.report.traces import Trace, trace_motions
 from simgap.result import Diagnosis
 from simgap.robot import Robot
 from simgap.serial_arm.effects import patch_arm
 from simgap.serial_arm.files import arm_to_toml, read_arm, read_series
 from simgap.serial_arm.model import SerialArm
-from simgap.serial_arm.tracker import diagnose_tracker
+from simgap.serial_arm.tracker import TrackerFit, describe_tracker, fit_tracker
 
 GOES_ON: Final = "the same command goes on after its last complete step"
 """Sentence about an interruption."""
 ARM_FILE: Final = "arm.toml"
-"""File of a serial arm in the folder of a patch."""
+"""File of a serial arm with its links and what was named, in the folder of a patch."""
+CALIBRATED_FILE: Final = "calibrated.toml"
+"""File of a serial arm with every term that was fitted, named or not."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotDiagnosis:
     """A diagnosis with what its files need."""
 
-    request: RobotDiagnoseRequest
+    request: DiagnoseRequest
     diagnosis: Diagnosis
     traces: tuple[Trace, ...]
     """Of held-out motions, or of the fitted ones if none is held out; empty without a report."""
     patch: Patch | SerialArm | None
     digests: dict[str, str]
     """SHA-256 of the files that were read."""
+    fitted: TrackerFit | None = None
+    """Calibration by poses; None for logs."""
 
 
-def diagnose_robot(request: RobotDiagnoseRequest, progress: Progress = no_progress) -> RobotDiagnosis:
+def diagnose_robot(request: DiagnoseRequest, progress: Progress = no_progress) -> RobotDiagnosis:
     """Diagnose a robot; nothing is written but steps in the cache, which are deleted at the end.
 
     Raises:
@@ -62,17 +72,28 @@ def diagnose_robot(request: RobotDiagnoseRequest, progress: Progress = no_progre
     if request.split and request.held_out:
         raise BadRequest("split, held-out: they exclude each other; give one of the two")
     check_distinct_files({"report": request.report, "patch": request.patch})
+    terms = parse_terms(request.terms)
     _check_folder(request.patch)
     progress(0.0, 0.0, "reading")
     file = read_robot_file(request.robot)
-    return (
-        _diagnose_tracker(request, file, progress)
-        if isinstance(file, SerialFile)
-        else _diagnose_logs(request, progress)
-    )
+    if isinstance(file, SerialFile):
+        return _diagnose_tracker(request, file, terms, progress)
+    given = {
+        "terms": request.terms != "all",
+        "fit-share": request.fit_share != FIT_SHARE,
+        "nested": request.nested,
+    }
+    _refuse_any(given, "is for poses of a tracker; this robot file has a model and logs")
+    return _diagnose_logs(request, progress)
 
 
-def _diagnose_logs(request: RobotDiagnoseRequest, progress: Progress) -> RobotDiagnosis:
+def _refuse_any(given: dict[str, bool], why: str) -> None:
+    wrong = next((name for name, is_given in given.items() if is_given), None)
+    if wrong:
+        raise BadRequest(f"{wrong}: {why}")
+
+
+def _diagnose_logs(request: DiagnoseRequest, progress: Progress) -> RobotDiagnosis:
     robot = Robot.from_toml(request.robot)
     if request.patch is not None and robot.file is not None:
         check_distinct_files({"model": robot.folder / robot.file.model, "patch": request.patch / MODEL_FILE})
@@ -90,7 +111,7 @@ def _diagnose_logs(request: RobotDiagnoseRequest, progress: Progress) -> RobotDi
             audit=found,
             seed=request.seed,
             progress=lambda share, text: progress(share, 1.0, text),
-            cache=cache_folder("robot-steps"),
+            cache=cache_folder("simgap", "steps"),
         )
     except Interrupted as error:
         error.add_note(GOES_ON)
@@ -100,13 +121,14 @@ def _diagnose_logs(request: RobotDiagnoseRequest, progress: Progress) -> RobotDi
     return RobotDiagnosis(request, result, traces, patch, digests)
 
 
-def _diagnose_tracker(request: RobotDiagnoseRequest, file: SerialFile, progress: Progress) -> RobotDiagnosis:
+def _diagnose_tracker(
+    request: DiagnoseRequest, file: SerialFile, terms: tuple[str, ...], progress: Progress
+) -> RobotDiagnosis:
     given = {"split": request.split, "held-out": request.held_out, "effects": request.effects}
-    wrong = next((name for name, value in given.items() if value), None)
-    if wrong:
-        raise BadRequest(
-            f"{wrong}: is for logs; of poses, the earlier half is fitted and the later one judges"
-        )
+    _refuse_any(
+        {name: bool(value) for name, value in given.items()},
+        "is for logs; of poses, the earlier ones are fitted and the later ones judge",
+    )
     if len(request.logs) != 1:
         raise BadRequest(f"logs: {len(request.logs)} tables of poses; give one, for one pose of the tracker")
     folder, (table,) = request.robot.parent, request.logs
@@ -120,9 +142,30 @@ def _diagnose_tracker(request: RobotDiagnoseRequest, file: SerialFile, progress:
     arm = read_arm(path)
     series = read_series(arm, table, mapping)
     digests = digest_files({"robot": [request.robot, path, mapping], "log": [table]})
-    result = diagnose_tracker(arm, series, progress=progress)
+    fitted = fit_tracker(arm, series, terms=terms, fit_share=request.fit_share, progress=progress)
+    result = describe_tracker(fitted)
     patched = None if request.patch is None else patch_arm(arm, result.effects, result.sizes)
-    return RobotDiagnosis(request, result, (), patched, digests)
+    return RobotDiagnosis(request, result, (), patched, digests, fitted)
+
+
+def diagnosis_json(made: RobotDiagnosis) -> dict[str, Any]:
+    """Convert a diagnosis to a JSON document, with the calibration where poses were fitted."""
+    document = to_document(made.diagnosis)
+    return document if made.fitted is None else document | {"calibration": calibration_json(made.fitted)}
+
+
+def print_diagnosis(made: RobotDiagnosis) -> None:
+    """Print the four lines, then the details."""
+    console = plain_console()
+    for line in verdict_lines(made.diagnosis):
+        console.print(line)
+    details = detail_lines(made.diagnosis)
+    if details:
+        console.print()
+    for line in details:
+        console.print(line)
+    if made.fitted is not None and made.request.nested:
+        print_calibration(made.fitted, console)
 
 
 def save_diagnosis_files(made: RobotDiagnosis) -> None:
@@ -131,10 +174,8 @@ def save_diagnosis_files(made: RobotDiagnosis) -> None:
     Raises:
         BadOutput: a file cannot be written.
     """
-    from simgap.command.diagnosis_page import save_diagnosis_page
-
     if made.request.report is not None:
-        save_diagnosis_page(made, made.request.report)
+        save_page_of(made, made.request.report)
     folder = made.request.patch
     if made.patch is not None and folder is not None:
         try:
@@ -142,17 +183,31 @@ def save_diagnosis_files(made: RobotDiagnosis) -> None:
                 write_patch(made.patch, folder)
             else:
                 folder.mkdir(exist_ok=True)
-                with atomic_write(folder / ARM_FILE, "patch") as file:
-                    file.write(arm_to_toml(made.patch, _origin(made)).encode())
+                _write_arm(made, made.patch, folder / ARM_FILE, "named")
+                if made.fitted is not None:
+                    _write_arm(made, made.fitted.found.arm, folder / CALIBRATED_FILE, "fitted")
         except OSError as error:
             raise BadOutput(f"patch {folder}: cannot be written ({error.strerror})") from error
 
 
-def _origin(made: RobotDiagnosis) -> list[str]:
-    return [
-        f"{made.diagnosis.robot}, with the links and effects that a diagnosis found.",
+def save_page_of(made: RobotDiagnosis, path: Path) -> None:
+    """Write the page.
+
+    Raises:
+        BadOutput: the file cannot be written.
+    """
+    digests = {**made.digests, "result": json_sha256(diagnosis_json(made))}
+    origin = Origin(command_text("simgap diagnose", made.request), digests)
+    save_diagnosis_page(made.diagnosis, made.traces, path, origin)
+
+
+def _write_arm(made: RobotDiagnosis, arm: SerialArm, path: Path, what: str) -> None:
+    about = [
+        f"{made.diagnosis.robot}, with links and effects as {what} by a diagnosis.",
         *(f"{name} sha256 {digest}" for name, digest in made.digests.items()),
     ]
+    with atomic_write(path, "patch") as file:
+        file.write(arm_to_toml(arm, about).encode())
 
 
 def _shown(logs: Logs) -> tuple[Motion, ...]:
@@ -172,6 +227,6 @@ def _check_folder(folder: Path | None) -> None:
         raise BadOutput(f"patch {folder}: this is a file; give the path of a folder")
     if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
         raise BadOutput(f"patch {folder}: no right to write there")
-    for name in (MODEL_FILE, RUNTIME_FILE, ARM_FILE):
+    for name in (MODEL_FILE, RUNTIME_FILE, ARM_FILE, CALIBRATED_FILE):
         if (folder / name).is_dir():
             raise BadOutput(f"patch {folder / name}: this is a folder; give another folder for the patch")

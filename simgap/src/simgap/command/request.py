@@ -1,11 +1,13 @@
-"""Requests of the verbs of `marsarm robot`: their options, with defaults and bounds."""
+"""Requests of the verbs of `simgap`: their options, with defaults and bounds."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 from simgap.common.options import Option, ReportOption
 
+FIT_SHARE: Final = 0.5
+"""Share of the poses of a tracker that are fitted, unless the user says so."""
 RobotArgument = Annotated[
     Path,
     Option("The robot: its MJCF model, joints and columns.", "ROBOT.toml", is_argument=True, is_read=True),
@@ -26,8 +28,8 @@ class CheckRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class RobotDiagnoseRequest:
-    """Request for a diagnosis of any robot."""
+class DiagnoseRequest:
+    """Request for a diagnosis, by logs or by poses that a tracker measured."""
 
     robot: RobotArgument
     logs: LogsArgument
@@ -43,6 +45,19 @@ class RobotDiagnoseRequest:
         Option("Python file with effects of your own, which join the catalogue; repeatable.", "FILE.py"),
     ] = ()
     seed: Annotated[int, Option("Seed of the parts into which motions are put.", within=(0, None))] = 1
+    terms: Annotated[
+        str,
+        Option(
+            "Of poses: the terms to fit, of geometry, compliance, periodic and hysteresis, joined by commas; "
+            "none fits only base and target.",
+            "TERMS|all|none",
+        ),
+    ] = "all"
+    fit_share: Annotated[
+        float,
+        Option("Of poses: share to fit, the earliest ones; the others only judge.", within=(0.05, 0.95)),
+    ] = FIT_SHARE
+    nested: Annotated[bool, Option("Of poses: show what each term explains, and joint errors.")] = False
     patch: Annotated[
         Path | None,
         Option("Write the patched model, and the runtime file for what MuJoCo cannot express.", "FOLDER"),

@@ -93,10 +93,10 @@ def digest_files(files: Mapping[str, Iterable[Path]]) -> dict[str, str]:
     return digests
 
 
-def cache_folder(name: str) -> Path:
-    """Return a cache folder of the user by the XDG specification; an empty variable counts as unset."""
+def cache_folder(program: str, name: str) -> Path:
+    """Return a cache folder of a program by the XDG specification; an empty variable counts as unset."""
     base = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
-    return base / "marsarm" / name
+    return base / program / name
 
 
 @contextmanager
@@ -205,7 +205,7 @@ def atomic_path(target: Path) -> Iterator[Path]:
     Raises:
         OSError: it cannot replace the target, which is then unchanged.
     """
-    part = target.with_name(f".marsarm-{secrets.token_hex(8)}.part")
+    part = target.with_name(f".write-{secrets.token_hex(8)}.part")
     try:
         yield part
         os.replace(part, target)

@@ -151,31 +151,6 @@ def _format(value: float) -> str:
     return str(value) if isinstance(value, int) else f"{value:g}"
 
 
-ARM_HELP: Final = (
-    "nominal, as-built:SEED or calibrated:SEED; MODEL/ before it for another drawing, or a folder with an "
-    "arm.toml."
-)
-ArmOption = Annotated[str, Option(ARM_HELP, "ARM")]
-RollOption = Annotated[float, Option("Rover roll, right side down, in degrees.", "DEG", "--tilt-roll")]
-PitchOption = Annotated[float, Option("Rover pitch, nose up, in degrees.", "DEG", "--tilt-pitch")]
-SeedOption = Annotated[int, Option("Seed of everything random except the arm.", within=(0, None))]
-ParamsOption = Annotated[
-    Path | None,
-    Option("TOML file of flight parameters that replace nominal ones.", "FILE.toml", is_read=True),
-]
-MismatchOption = Annotated[
-    bool, Option("Take parameters that do not fit the drawing of the arm.", name="--mismatch")
-]
-EffectsOption = Annotated[
-    tuple[str, ...],
-    Option(
-        "Switch on an effect of `marsarm dictionary --effects`, or FILE.py:CLASS as its name, or every "
-        "effect of a FILE.toml; repeatable.",
-        "NAME:PLACE:PARAMETER=VALUE,...",
-        "--effect",
-        is_read=True,
-    ),
-]
 CLUSTER_HERE: Final = "auto"
 """Value of `--cluster` alone: the cluster that RAY_ADDRESS names, or else that of this machine."""
 CLUSTER_HELP: Final = (
@@ -190,9 +165,15 @@ ReportOption = Annotated[
 ]
 
 
-def command_text(verb: str, request: Any) -> str:
-    """Return the command line of a request, without options that have their defaults."""
-    return shlex.join(["marsarm", *verb.split(), *_words(request, MISSING)])
+def command_text(command: str, request: Any) -> str:
+    """Return the command line of a request, without options that have their defaults.
+
+    Files that are written are left out: the name of a report is not part of its content.
+
+    Args:
+        command: Program and verb.
+    """
+    return shlex.join([*command.split(), *_words(request, MISSING)])
 
 
 def _words(request: Any, group: Any) -> Iterator[str]:

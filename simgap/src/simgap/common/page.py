@@ -12,9 +12,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from simgap.common.console import NUMBER
-from simgap.common.date import current_date
 from simgap.common.files import atomic_write
-from simgap.common.git import git_revision
+from simgap.common.origin import current_date, git_revision
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +32,7 @@ class Origin:
     """Origin of a result."""
 
     command: str
-    """Command that computes it again."""
+    """Command that computes it again; its first word is the package whose version is shown."""
     digests: Mapping[str, str]
     """SHA-256 by name of what was digested."""
 
@@ -42,7 +41,7 @@ def save_page(
     title: str,
     verdict: str,
     requirements: Sequence[Requirement],
-    origin: Origin,
+    origin: Origin | None,
     parts: Sequence[str],
     path: Path,
 ) -> None:
@@ -52,7 +51,7 @@ def save_page(
         title: Plain text.
         verdict: Sentence about the result; empty for a count of the requirements that are met.
         requirements: Requirements, shown before everything else.
-        origin: Origin of the result.
+        origin: Origin of the result; None for a page without it, the same at any time.
         parts: Further parts in HTML, as the other functions here make them.
         path: The HTML file.
 
@@ -70,7 +69,7 @@ def save_page(
         f"<h1>{html.escape(title)}</h1>",
         f'<p class="verdict {_kind(requirements)}">{html.escape(verdict or count_met(requirements))}</p>',
         *([_requirement_table(requirements)] if requirements else []),
-        _origin_list(origin),
+        *([_origin_list(origin)] if origin is not None else []),
         *parts,
         "</main></body></html>\n",
     ]
@@ -103,8 +102,9 @@ def _requirement_table(requirements: Sequence[Requirement]) -> str:
 
 
 def _origin_list(origin: Origin) -> str:
+    program = origin.command.partition(" ")[0]
     items = {
-        "version": f"marsarm {version('marsarm')}, commit {git_revision()}",
+        "version": f"{program} {version(program)}, commit {git_revision()}",
         "command": origin.command,
         "date": current_date().strftime("%Y-%m-%d %H:%M:%S UTC"),
         **{f"SHA-256, {name}": digest for name, digest in origin.digests.items()},

@@ -1,20 +1,18 @@
 """Reports: records of what a result shows, and one function each for JSON, the console and a page."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from simgap.common.console import NUMBER, WARNING_STYLE, plain_console
-
-if TYPE_CHECKING:  # the console does not wait for what draws pages
-    from simgap.common.page import Origin, Requirement
+from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 
 WHOLE_WIDTH: Final = 240
 """Columns of a table whose lines are not wrapped, on a narrow terminal and in a pipe."""
@@ -48,15 +46,11 @@ class Heading:
     text: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReportFigure:
-    """Figure on a page."""
+class ReportFigure(Protocol):
+    """Figure on a page; a program brings its own class, so that no library for plots is needed here."""
 
-    alt: str
-    """Description for readers who do not see it; unique on the page."""
-    height_inch: float
-    draw: Callable[[Any], None]
-    """Function that draws on a matplotlib figure."""
+    def render(self) -> str:
+        """Return the element of HTML."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,8 +58,8 @@ class ReportPage:
     """Page of a report: requirements with their verdicts first, then its parts."""
 
     title: str
-    requirements: "Sequence[Requirement]"
-    origin: "Origin"
+    requirements: Sequence[Requirement]
+    origin: Origin
     parts: Sequence[str | Heading | ReportTable | tuple[ReportFigure, ...]]
     """Sentences, headings, tables, and figures that stand side by side."""
 
@@ -135,15 +129,10 @@ def save_report_page(page: ReportPage, path: Path) -> None:
     Raises:
         BadOutput: The file cannot be written.
     """
-    from simgap.common.page import save_page
-
     save_page(page.title, "", page.requirements, page.origin, [_html(part) for part in page.parts], path)
 
 
 def _html(part: str | Heading | ReportTable | tuple[ReportFigure, ...]) -> str:
-    from simgap.common.page import figures, heading, paragraph, table
-    from simgap.common.svg import render_svg
-
     match part:
         case str():
             return paragraph(part)
@@ -152,7 +141,7 @@ def _html(part: str | Heading | ReportTable | tuple[ReportFigure, ...]) -> str:
         case ReportTable():
             width = max(map(len, (part.head, *part.rows)))
             return table(_padded(part.head, width), [_padded(row, width) for row in part.rows])
-    return figures(*(render_svg(one.alt, one.height_inch, one.draw) for one in part))
+    return figures(*(one.render() for one in part))
 
 
 def _padded(cells: Sequence[str], width: int) -> list[str]:

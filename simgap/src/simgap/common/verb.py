@@ -2,97 +2,45 @@
 
 import inspect
 import json
-import os
 import re
-import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, is_dataclass
-from io import BytesIO, TextIOWrapper
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Protocol, TextIO, get_args, get_origin
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Final,
+    Literal,
+    Protocol,
+    get_args,
+    get_origin,
+)
 
 import typer
 from typer.core import TyperCommand
 
-from simgap.common.date import current_date
+from simgap.common.app import EXIT_BAD_INPUT, release_stdout
 from simgap.common.errors import RobotError, UserError, describe_problems
 from simgap.common.options import CLUSTER_HERE, Field, Option, option_fields
+from simgap.common.origin import current_date
 from simgap.common.progress import show_progress
 
 if TYPE_CHECKING:
     from simgap.common.report import Emphasis, ReportTable
 
-EXIT_BAD_INPUT: Final = 2
-EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
-"""Exit status of a program whose reader has closed the pipe, as `head` does."""
-
-
-class BufferedStdout(TextIOWrapper):
-    """Text that is kept until it is released to the standard output."""
-
-    def __init__(self, stdout: TextIO) -> None:
-        self._kept = BytesIO()
-        super().__init__(self._kept, stdout.encoding, stdout.errors, write_through=True)
-        self._stdout = stdout
-
-    def release(self) -> None:
-        """Write what was kept; end the command if that is impossible."""
-        printed = self._kept.getvalue()
-        self._kept.seek(0)
-        self._kept.truncate()
-        _write(self._stdout, printed)
-
-
-@contextmanager
-def buffer_stdout() -> Iterator[None]:
-    """Buffer the standard output and write it when the block ends, unless it is a terminal."""
-    stdout = sys.stdout
-    if stdout is None or stdout.isatty():
-        yield
-        return
-    buffered = BufferedStdout(stdout)
-    sys.stdout = buffered
-    try:
-        yield
-    finally:
-        sys.stdout = stdout
-        buffered.release()
-
-
-def release_stdout() -> None:
-    """Write what was printed so far, for a program that reads it while the command continues."""
-    if isinstance(sys.stdout, BufferedStdout):
-        sys.stdout.release()
-
-
-def _write(stdout: TextIO, printed: bytes) -> None:
-    try:
-        stdout.buffer.write(printed)
-        stdout.flush()
-    except BrokenPipeError:
-        _discard(stdout)
-        sys.exit(EXIT_PIPE_CLOSED)
-    except OSError as error:
-        _discard(stdout)
-        print(f"standard output: cannot be written ({error.strerror}); give it room", file=sys.stderr)
-        sys.exit(EXIT_BAD_INPUT)
-
-
-def _discard(stdout: TextIO) -> None:
-    """Redirect the standard output to the null device: the interpreter flushes it once more on exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())
-
-
 FRAME_PATTERN: Final = re.compile(r'File "(?P<file>[^"]+)", line (?P<line>[0-9]+)')
 """Line of a traceback as text, which is all that a worker process sends."""
+EFFECT_MODULES: Final = ["simgap.catalogue.own_effects"]
+"""Modules whose `user_files` lists the files of a user's effects; a program adds its own."""
 
 
 def describe_failed_effect(error: Exception) -> str | None:
     """Describe an exception that passed through the file of a user's effect; None for any other exception."""
-    modules = (sys.modules.get(name) for name in ("sim.scenario.effects", "simgap.catalogue.own_effects"))
+    modules = (sys.modules.get(name) for name in EFFECT_MODULES)
     files = set().union(*(module.user_files() for module in modules if module is not None))
     if not files:
         return None
@@ -106,7 +54,7 @@ def describe_failed_effect(error: Exception) -> str | None:
 
 ADDRESS: Final = re.compile(rf"{CLUSTER_HERE}|\S+:[0-9]+")
 """Value of the option `--cluster`."""
-EXIT_ARM_SAFE: Final = 3
+EXIT_NOT_DONE: Final = 3
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 
 
@@ -117,7 +65,7 @@ class VerbResult:
     document: dict[str, Any]
     print_table: Callable[[], None]
     is_done: bool = True
-    """False if the arm refused or faulted and is safe."""
+    """False if it was not done although nothing is wrong with the request: an arm refused, or faulted."""
     save: Callable[[], None] | None = None
     """Function that writes files; a result that took minutes is printed first."""
     play: Callable[[], None] | None = None
@@ -189,7 +137,7 @@ def verb(work: Callable[..., VerbResult]) -> Callable[..., None]:
             with report_user_errors(as_json=False):
                 result.play()
         if not result.is_done:
-            raise typer.Exit(EXIT_ARM_SAFE)
+            raise typer.Exit(EXIT_NOT_DONE)
 
     options = [option for parameter in parameters for option in _verb_options(parameter)]
     signature = inspect.Signature([*options, _parameter("as_json", JsonOption, False)])

@@ -31,7 +31,7 @@ HISTORY_S: Final = 0.5
 
 
 class Family(StrEnum):
-    """Kinds of effects, the middle level of a verdict."""
+    """Kinds of effects, the middle level of a verdict; a program may have further ones of its own."""
 
     FRICTION = "friction"
     TRANSMISSION = "transmission"
@@ -41,8 +41,6 @@ class Family(StrEnum):
     INERTIA = "inertia"
     CONTACT = "contact"
     EXTERNAL = "external torque"
-    STRUCTURE = "structure"
-    """Links and base that bend; only the Mars arm has such effects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +159,7 @@ class Effect(ABC):
 
     name: ClassVar[str]
     """Standard term, such as "Coulomb friction"."""
-    family: ClassVar[Family]
+    family: ClassVar[StrEnum]
     has_shape: ClassVar[bool] = False
     """True if all sizes but the first give a form, and mean nothing while the first is 0."""
     is_steady: ClassVar[bool] = False

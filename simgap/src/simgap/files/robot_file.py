@@ -258,7 +258,6 @@ def read_model_file(path: Path) -> RobotFile:
     found = read_robot_file(path)
     if isinstance(found, SerialFile):
         raise RobotError(
-            f"{path}: serial_arm: has tracker poses and no MJCF model; "
-            "`marsarm robot diagnose` reads it, and `marsarm calibrate-serial ARM.toml TABLE MAPPING.toml`"
+            f"{path}: serial_arm: has tracker poses and no MJCF model; `simgap diagnose` reads it"
         )
     return found

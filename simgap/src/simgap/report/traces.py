@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Flags
+from simgap.arrays import Array, Flags, Integers
 from simgap.logs import Motion
 from simgap.residuals.residuals import ResidualModel
 from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
@@ -116,6 +116,26 @@ def thin(one: Trace) -> Trace:
     return replace(
         one, time_s=one.time_s[at], measured=measured, nominal=one.nominal[at], explained=one.explained[at]
     )
+
+
+def extreme_rows(series: Iterable[Array]) -> Integers:
+    """Return the rows with the smallest and the largest value of each series in many equal parts.
+
+    Args:
+        series: Values of any unit, (n,) each.
+
+    Returns:
+        Indices in order, at most MAX_POINTS of each series; all where there are no more.
+    """
+    rows: list[Integers] = []
+    for values in series:
+        if values.size <= MAX_POINTS:
+            return np.arange(values.size)
+        parts = np.array_split(np.nan_to_num(values), MAX_POINTS // 2)
+        first = np.cumsum([0, *(part.size for part in parts[:-1])])
+        rows += [first + [int(find(part)) for part in parts] for find in (np.argmin, np.argmax)]
+        rows.append(np.array([0, values.size - 1]))
+    return np.unique(np.concatenate(rows))
 
 
 def _error(one: Trace) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from simgap.arrays import Array, Integers, orthonormal
-from simgap.effects.effect import Effect, Family
+from simgap.effects.effect import Effect
 from simgap.residuals.noise import cut_rows
 from simgap.residuals.residuals import half_loss_derivatives, root_weight
 from simgap.selection.acceptance import improvement_share
@@ -266,7 +267,7 @@ def unexplained_dependence(residual: Array, variable: Array, group: Integers, n_
     return 1.0 - float(np.sum((residual - predicted[group, place]) ** 2)) / total if total > 0.0 else 0.0
 
 
-def list_members(found: ConfidenceSet) -> tuple[tuple[str, ...], tuple[Family, ...], tuple[str, ...]]:
+def list_members(found: ConfidenceSet) -> tuple[tuple[str, ...], tuple[StrEnum, ...], tuple[str, ...]]:
     """List the places, families and effects that cannot be excluded, the best first.
 
     Args:

@@ -248,12 +248,12 @@ class EffectTest:
 
 
 def list_effects(found: SerialCalibration) -> list[TrackerEffect]:
-    """List the effects of all joints that compete, from the base outward."""
+    """List the effects of all joints whose terms were fitted, from the base outward."""
     effects: list[TrackerEffect] = []
     for one in found.model.arm.links:
         effects += [PeriodicJointError(one.name, found.model.orders), TrackerCompliance(one.name)]
         effects += [DirectionHysteresis(one.name)]
-    return effects
+    return [effect for effect in effects if effect.term in found.model.terms]
 
 
 def flag_parameters(fit: Fit, effects: list[TrackerEffect]) -> Flags:

@@ -128,8 +128,8 @@ class NestedModel:
     """Reduction of the cross-validated error from the step before, mean over the blocks of time."""
     gain_sigma_m: float
     fitted: PoseErrors
-    fresh: PoseErrors | None
-    """Errors of poses that were not fitted; None if there are none."""
+    fresh: PoseErrors
+    """Errors of poses that were not fitted."""
 
     @property
     def is_significant(self) -> bool:
@@ -141,7 +141,7 @@ def fit_nested_models(
     arm: SerialArm,
     setup: TrackerSetup,
     part: PoseSeries,
-    fresh: PoseSeries | None,
+    fresh: PoseSeries,
     steps: Sequence[tuple[str, ...]],
     progress: Progress,
 ) -> tuple[NestedModel, ...]:
@@ -153,7 +153,7 @@ def fit_nested_models(
         arm: Arm before the calibration.
         setup: Initial base and target frames.
         part: Poses to fit.
-        fresh: Poses to compare with; None if there are none.
+        fresh: Poses to compare with.
         steps: Sets of terms; the last one is the largest.
         progress: Callback for progress.
 
@@ -174,7 +174,6 @@ def fit_nested_models(
         held_out = validation.held_out()
         gain = gain_m(done[-1].held_out, held_out) if done else (np.inf, 0.0)
         calibrated, calibrated_setup = found.arm, found.setup
-        fresh_errors = None if fresh is None else pose_errors(calibrated, calibrated_setup, fresh)
         done.append(
             NestedModel(
                 terms,
@@ -183,7 +182,7 @@ def fit_nested_models(
                 held_out,
                 *gain,
                 pose_errors(calibrated, calibrated_setup, part),
-                fresh_errors,
+                pose_errors(calibrated, calibrated_setup, fresh),
             )
         )
     return tuple(done)

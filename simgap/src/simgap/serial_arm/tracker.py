@@ -5,6 +5,8 @@ fitted together, so an effect is named only for what no other one explains.
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -53,7 +55,7 @@ from simgap.serial_arm.effects import (
     with_unit,
 )
 from simgap.serial_arm.fit import assess_identifiability
-from simgap.serial_arm.model import TERMS, SerialArm
+from simgap.serial_arm.model import GEOMETRY, TERMS, SerialArm
 from simgap.serial_arm.nested_models import (
     NestedModel,
     Progress,
@@ -79,21 +81,39 @@ NEXT_MOTION: Final = {
 """Motion that would separate these families."""
 
 
-def diagnose_tracker(
-    arm: SerialArm, series: PoseSeries, *, fit_share: float = 0.5, progress: Progress = lambda *_: None
-) -> Diagnosis:
-    """Find the effects in the joints of a serial arm from its measured poses.
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerFit:
+    """Models of an arm, fitted to the earlier poses of a series and judged by the later ones."""
 
-    The earliest poses are fitted, the others only judge.
+    models: tuple[NestedModel, ...]
+    """The first one has base and target alone, each other one a term more."""
+    fresh: PoseSeries
+    """Poses that only judge."""
+    temperature: TemperatureTest | None
+    """None if the air temperature is unknown."""
+
+    @property
+    def found(self) -> SerialCalibration:
+        """Return the calibration with all terms."""
+        return self.models[-1].found
+
+
+def fit_tracker(
+    arm: SerialArm,
+    series: PoseSeries,
+    *,
+    terms: Sequence[str] = TERMS,
+    fit_share: float = 0.5,
+    progress: Progress = lambda *_: None,
+) -> TrackerFit:
+    """Fit an arm to the earliest poses of a series, term by term.
 
     Args:
         arm: Arm of the file; sizes are differences from it.
         series: Measured poses in order of time.
+        terms: Terms to fit, of TERMS and in their order; none fits base and target alone.
         fit_share: Share of the poses that are fitted.
         progress: Called with the amount done, the total amount and the current activity.
-
-    Returns:
-        The diagnosis. `patch_arm` adds its effects to the arm.
 
     Raises:
         RobotError: There are too few poses, or they do not determine base and target.
@@ -106,14 +126,24 @@ def diagnose_tracker(
         )
     is_part = np.arange(series.count) < count
     part, fresh = series.at(is_part), series.at(~is_part)
-    steps = [TERMS[:k] for k in range(len(TERMS) + 1)]
+    steps = [tuple(terms[:k]) for k in range(len(terms) + 1)]
     models = fit_nested_models(arm, estimate_setup(arm, part), part, fresh, steps, progress)
     progress(len(steps), len(steps) + 1, "testing each effect of each joint")
-    return _describe(models, fresh)
+    return TrackerFit(models, fresh, temperature_test(models[-1].found, models[-1].validation))
 
 
-def _describe(models: tuple[NestedModel, ...], fresh: PoseSeries) -> Diagnosis:
-    found = models[-1].found
+def diagnose_tracker(arm: SerialArm, series: PoseSeries) -> Diagnosis:
+    """Find the effects in the joints of a serial arm; the later half of the poses only judges.
+
+    Raises:
+        RobotError: There are too few poses, or they do not determine base and target.
+    """
+    return describe_tracker(fit_tracker(arm, series))
+
+
+def describe_tracker(fitted: TrackerFit) -> Diagnosis:
+    """Test the effects of all joints whose terms were fitted; `patch_arm` adds those that are named."""
+    models, fresh, found = fitted.models, fitted.fresh, fitted.found
     arm, part = found.model.arm, found.model.series
     elimination = Elimination(found.fit)
     tests = judge_effects(models, elimination, list_effects(found))
@@ -126,23 +156,26 @@ def _describe(models: tuple[NestedModel, ...], fresh: PoseSeries) -> Diagnosis:
         without = elimination.without(flag_parameters(found.fit, [*unnamed, test.effect]))
         before = _in_noise(arm, _fresh_errors(found, without.values, fresh))
         findings.append(_finding(found, test, chosen, 1.0 - _in_noise(arm, explained) / before))
-    effects: list[TrackerEffect] = [LinkGeometry(one.name) for one in arm.links]
+    links = arm.links if GEOMETRY in found.model.terms else ()
+    effects: list[TrackerEffect] = [LinkGeometry(one.name) for one in links]
     effects += [test.effect for test in named]
-    temperature = temperature_test(found, models[-1].validation)
     return Diagnosis(
         robot=arm.name,
         kind="tracker",
         seed=0,
         findings=tuple(sorted(findings, key=lambda one: -one.share)),
-        base=_base(found, chosen),
+        base=_base(found, chosen) if links else (),
         errors=_errors(models, explained),
-        remaining=_remainders(models[-1], temperature, explained),
+        remaining=_remainders(models[-1], fitted.temperature, explained),
         refused=_refused(found),
         fitted_motions=(f"{part.name}: the first {part.count} poses",),
         judged_motions=(f"{part.name}: the last {fresh.count} poses",),
         effects=tuple(effects),
         sizes=tuple(tuple(chosen.values[flag_parameters(found.fit, [one])].tolist()) for one in effects),
-        rejected=(*(_rejected(test) for test in tests if test.problem), *_rejected_temperature(temperature)),
+        rejected=(
+            *(_rejected(test) for test in tests if test.problem),
+            *_rejected_temperature(fitted.temperature),
+        ),
     )
 
 
@@ -216,9 +249,8 @@ def _base(found: SerialCalibration, chosen: Eliminated) -> tuple[Base, ...]:
 
 def _errors(models: tuple[NestedModel, ...], explained: PoseErrors) -> tuple[JointError, ...]:
     """Return the held-out errors of position and rotation: frames only, with links, and with the findings."""
-    frames, links = models[0].fresh, models[1].fresh
-    assert frames is not None
-    assert links is not None
+    frames = models[0].fresh
+    links = next((model.fresh for model in models if model.terms == (GEOMETRY,)), frames)
     position = (frames.rms_m, links.rms_m, explained.rms_m)
     rotation = (frames.rms_rad, links.rms_rad, explained.rms_rad)
     return (

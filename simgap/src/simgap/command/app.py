@@ -1,0 +1,49 @@
+"""Command line `simgap`: its verbs."""
+
+from simgap.command.request import CheckRequest, DiagnoseRequest
+from simgap.common.app import make_app, run_app
+from simgap.common.progress import Progress
+from simgap.common.verb import VerbResult, verb
+
+app = make_app("simgap", "Find why a robot and its MuJoCo model differ: where, by which effect, and how far.")
+
+
+@app.command()
+@verb
+def check(request: CheckRequest, progress: Progress) -> VerbResult:
+    """Check a robot file and its logs before a diagnosis, and simulate the model as it is.
+
+    It lists rates, missing and stale rows, units that look wrong, saturation, commands that are cut off and
+    contact with a plane, and says which rows a diagnosis will leave out. docs/simgap.md describes the files.
+
+    Example: simgap check robot.toml logs.parquet --report check.html
+    """
+    from simgap.command.check import check_json, check_robot, print_check, save_check_page
+
+    report = check_robot(request, progress)
+    if request.report is not None:
+        save_check_page(report, request.report)
+    return VerbResult(check_json(report), lambda: print_check(report))
+
+
+@app.command()
+@verb
+def diagnose(request: DiagnoseRequest, progress: Progress) -> VerbResult:
+    """Find why a robot and its model differ: where, which effect, how far, and what to record next.
+
+    Motions that are held out take no part in the fit, and judge it. docs/simgap.md describes the files, and
+    how to read the verdict. The patch holds the changed model, and a file for simgap.patch.runtime.
+
+    Example: simgap diagnose robot.toml logs.parquet --report found.html --patch found
+    """
+    from simgap.command.diagnosis import diagnose_robot, diagnosis_json, print_diagnosis, save_diagnosis_files
+
+    made = diagnose_robot(request, progress)
+    return VerbResult(
+        diagnosis_json(made), lambda: print_diagnosis(made), save=lambda: save_diagnosis_files(made)
+    )
+
+
+def main() -> None:
+    """Run the command `simgap`; `simgap.__main__` calls this and reports an interruption."""
+    run_app(app, "simgap")

@@ -1,0 +1,332 @@
+"""A check: read robot and logs, audit them, simulate the nominal model; its table, document and page."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.table import Table
+
+from simgap.arrays import Array
+from simgap.checks.audit import NominalModel, NominalMotion, audit
+from simgap.checks.records import Audit, Remark, hold
+from simgap.command.request import CheckRequest
+from simgap.common.console import plain_console, pluralize
+from simgap.common.errors import RobotError
+from simgap.common.files import digest_files
+from simgap.common.json_digest import json_sha256
+from simgap.common.options import check_options, command_text
+from simgap.common.page import Origin, heading, paragraph, save_page, table
+from simgap.common.progress import Progress, no_progress
+from simgap.common.report import to_json
+from simgap.diagnosis import check_audit, check_motions
+from simgap.loading import load
+from simgap.logs import Logs, Motion
+from simgap.report.page import draw_figures, figure_style, motion_document, series_figure, series_panel
+from simgap.report.traces import extreme_rows
+from simgap.robot import Robot
+
+READ: Final = 0.05
+"""Share of the time that reading takes; measured on an hour of logs of six joints."""
+AUDITED: Final = 0.1
+"""Share after the audit; the rest is simulation."""
+MAX_REMARKS: Final = 8
+"""Remarks on the console; the page and the JSON document have all."""
+MAX_MOTIONS: Final = 3
+"""Names of motions in a line."""
+MAX_DRAWN: Final = 4
+"""Motions that are drawn."""
+JOINT_HEAD: Final = ("joint", "Hz", "+-ms", "missing", "stale", "range [rad]", "left out", "error [mrad]")
+"""Columns of a joint: rate, jitter, rows, range of the position, and mean error of the nominal model."""
+RATE_HEAD: Final = (
+    *("motion", "duration", "rate", "jitter", "missing", "stale", "rows left out"),
+    "largest nominal error",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CheckReport:
+    """Result of a check."""
+
+    request: CheckRequest
+    robot: Robot
+    logs: Logs
+    audit: Audit
+    nominal: tuple[NominalMotion, ...]
+    """The nominal model in each motion, in the order of the logs."""
+    digests: dict[str, str]
+    """SHA-256 of robot file and logs."""
+    refusal: str
+    """Why a diagnosis refuses these logs; empty if it takes them."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointSummary:
+    """One joint over all motions; numbers of motions are weighed by their samples."""
+
+    name: str
+    rate_Hz: float
+    jitter_s: float
+    n_missing: int
+    n_invalid: int
+    n_stale: int
+    refused_share: float
+    """Share of the position samples that a diagnosis must not use."""
+    lowest_rad: float
+    highest_rad: float
+    nominal_mean_abs_rad: float
+    """Of the nominal simulation; NaN if it blew up, or is none."""
+    is_simulated: bool
+    """False without a command in all motions."""
+
+
+def check_robot(request: CheckRequest, progress: Progress = no_progress) -> CheckReport:
+    """Check a robot file and its logs.
+
+    Raises:
+        BadRequest: an option is wrong.
+        RobotError: the robot file or a log is wrong; nothing was written.
+    """
+    check_options(request)
+    progress(0.0, 1.0, "reading")
+    robot = Robot.from_toml(request.robot)
+    logs = load(robot, request.logs)
+    progress(READ, 1.0, "auditing")
+    found = audit(robot, logs)
+    model = NominalModel(robot)
+    durations_s = [_duration_s(motion) for motion in logs.motions]
+    ends = np.cumsum([0.0, *durations_s]) / max(sum(durations_s), 1e-9)
+    nominal = []
+    for motion, done in zip(logs.motions, ends[:-1], strict=True):
+        progress(AUDITED + (1.0 - AUDITED) * float(done), 1.0, f"simulating {motion.name}")
+        nominal.append(model.simulate(motion))
+    digests = digest_files({"robot": [request.robot], "log": request.logs})
+    return CheckReport(request, robot, logs, found, tuple(nominal), digests, _refusal(robot, logs, found))
+
+
+def summarize_joints(report: CheckReport) -> list[JointSummary]:
+    """Return one summary for each joint, in the order of the robot file."""
+    return [_summary(report, joint.name) for joint in report.robot.joints]
+
+
+def _summary(report: CheckReport, joint: str) -> JointSummary:
+    rates = [rate for rate in report.audit.rates if rate.joint == joint]
+    weight = np.array([rate.n_samples for rate in rates], float)
+    is_simulated = all(motion.joints[joint].command is not None for motion in report.logs.motions)
+    usable = [report.audit.is_usable(motion.name, joint) for motion in report.logs.motions]
+    positions = [motion.joints[joint].position.value for motion in report.logs.motions]
+    errors = np.array([one.mean_abs_rad[joint] for one in report.nominal])
+    return JointSummary(
+        name=joint,
+        rate_Hz=float(np.median([rate.rate_Hz for rate in rates if np.isfinite(rate.rate_Hz)] or [np.nan])),
+        jitter_s=max((rate.jitter_s for rate in rates if np.isfinite(rate.jitter_s)), default=np.nan),
+        n_missing=sum(rate.n_missing for rate in rates),
+        n_invalid=sum(rate.n_invalid for rate in rates),
+        n_stale=sum(rate.n_stale for rate in rates),
+        refused_share=1.0 - sum(int(one.sum()) for one in usable) / max(sum(one.size for one in usable), 1),
+        lowest_rad=min(float(np.nanmin(one)) for one in positions),
+        highest_rad=max(float(np.nanmax(one)) for one in positions),
+        nominal_mean_abs_rad=float(np.average(errors, weights=weight))
+        if is_simulated and weight.any()
+        else float("nan"),
+        is_simulated=is_simulated,
+    )
+
+
+def _refusal(robot: Robot, logs: Logs, found: Audit) -> str:
+    """Return the sentence with which a diagnosis refuses these logs; empty if it takes them."""
+    try:
+        check_motions(robot, logs.fit, logs.judged)
+        check_audit(found, logs.fit)
+    except RobotError as error:
+        return str(error)
+    return ""
+
+
+def _duration_s(motion: Motion) -> float:
+    return max(float(np.ptp(log.position.time_s)) for log in motion.joints.values())
+
+
+def check_json(report: CheckReport) -> dict[str, Any]:
+    """Convert a check to a JSON document in SI units; null where a number is not known."""
+    return {
+        "robot": report.robot.name,
+        "motions": [motion.name for motion in report.logs.motions],
+        "held_out": sorted(report.logs.held_out),
+        "joints": [to_json(one) for one in summarize_joints(report)],
+        "remarks": [to_json(one) for one in report.audit.remarks],
+        "refused": [to_json(one) for one in report.audit.refused],
+        "rates": [to_json(one) for one in report.audit.rates],
+        "nominal": [
+            {"motion": one.motion, "mean_abs_rad": to_json(one.mean_abs_rad)} for one in report.nominal
+        ],
+        "refusal": report.refusal or None,
+        "sha256": report.digests,
+    }
+
+
+def print_check(report: CheckReport) -> None:
+    """Print one line for each joint, and the remarks with the worst first."""
+    console = plain_console()
+    console.print(_joint_table(report))
+    for line in remark_lines(report.audit.remarks)[:MAX_REMARKS]:
+        console.print(line)
+    more = len(report.audit.remarks) - MAX_REMARKS
+    if more > 0:
+        console.print(f"{pluralize(more, 'more remark')} in --report and --json")
+    console.print(refusal_sentence(report))
+
+
+def remark_lines(remarks: tuple[Remark, ...]) -> list[str]:
+    """Return a line for each remark, or one that says that there is none."""
+    return [f"{one.kind}: {remark_text(one)}{_motion_words(one)}" for one in remarks] or [
+        "no remark: the logs look sound"
+    ]
+
+
+def remark_text(remark: Remark) -> str:
+    """Return the text of a remark after its joint, if it is of one."""
+    return f"{remark.joint}: {remark.text}" if remark.joint else remark.text
+
+
+def refusal_sentence(report: CheckReport) -> str:
+    """Say why a diagnosis refuses the logs, or how many rows it leaves out, and why."""
+    if report.refusal:
+        return f"A diagnosis will refuse these logs: {report.refusal}."
+    refused = report.audit.refused
+    if not refused:
+        return "A diagnosis will use all rows."
+    motions = len({one.motion for one in refused})
+    reasons = ", ".join(dict.fromkeys(one.reason for one in refused))
+    rows = sum(one.n_samples for one in refused)
+    return f"A diagnosis will leave out {rows} rows of {pluralize(motions, 'motion')}: {reasons}."
+
+
+def _motion_words(remark: Remark) -> str:
+    names = remark.motions[:MAX_MOTIONS]
+    more = len(remark.motions) - len(names)
+    words = ", ".join(names) + (f" and {more} more" if more else "")
+    return f" [{words}]" if words else ""
+
+
+def _joint_table(report: CheckReport) -> Table:
+    motions = report.logs.motions
+    held_out = f", {len(report.logs.held_out)} held out" if report.logs.held_out else ""
+    title = f"{report.robot.name}: {pluralize(len(motions), 'motion')}{held_out}"
+    shown = Table(title=title, title_justify="left", box=None, padding=(0, 1))
+    for name in JOINT_HEAD:
+        shown.add_column(name, justify="left" if name == "joint" else "right", no_wrap=True)
+    for one in summarize_joints(report):
+        shown.add_row(*joint_cells(one))
+    return shown
+
+
+def joint_cells(one: JointSummary) -> tuple[str, ...]:
+    """Return the cells of a joint, as JOINT_HEAD names them."""
+    error = one.nominal_mean_abs_rad
+    return (
+        one.name,
+        f"{one.rate_Hz:.0f}",
+        f"{one.jitter_s * 1e3:.1f}",
+        str(one.n_missing + one.n_invalid),
+        str(one.n_stale),
+        f"{one.lowest_rad:.2f}..{one.highest_rad:.2f}",
+        f"{one.refused_share:.1%}",
+        f"{error * 1e3:.1f}" if math.isfinite(error) else "blew up" if one.is_simulated else "no command",
+    )
+
+
+def save_check_page(report: CheckReport, path: Path) -> None:
+    """Write the page.
+
+    Raises:
+        BadOutput: the file cannot be written.
+    """
+    digests = {**report.digests, "result": json_sha256(check_json(report))}
+    origin = Origin(command_text("simgap check", report.request), digests)
+    count = len(report.audit.remarks)
+    said = f"{pluralize(count, 'remark')}. " if count else "No remark: the logs look sound. "
+    verdict = said + refusal_sentence(report)
+    save_page(f"{report.robot.name}: check of the logs", verdict, (), origin, list(_page_parts(report)), path)
+
+
+def _page_parts(report: CheckReport) -> Iterator[str]:
+    if report.audit.remarks:
+        yield heading("Remarks, the worst first")
+        rows = [(str(one.kind), remark_text(one), ", ".join(one.motions)) for one in report.audit.remarks]
+        yield table(("kind", "what the logs show", "motions"), rows)
+    yield heading("Joints")
+    yield paragraph(
+        "Rate and jitter of the positions, rows that are missing or stale, their range, and the share "
+        "that a diagnosis leaves out. The error is the mean absolute difference between the logged position "
+        "and one simulation of the model as it is, from the start of each motion, with the logged commands."
+    )
+    yield table(JOINT_HEAD, [joint_cells(one) for one in summarize_joints(report)])
+    yield heading("Command, position and nominal simulation")
+    chosen = drawn_motions(report)
+    yield paragraph(
+        f"{len(chosen)} of {pluralize(len(report.logs.motions), 'motion')}: those of the remarks, then those "
+        "with the largest error. A diagnosis leaves out what is marked."
+    )
+    yield figure_style()
+    yield from draw_figures([joint_figure(report, joint.name, chosen) for joint in report.robot.joints])
+    yield heading("Rates")
+    yield table(RATE_HEAD, list(_rate_rows(report)))
+
+
+def drawn_motions(report: CheckReport) -> list[int]:
+    """Return the motions to draw: one of each remark, the worst first, then those of the largest error."""
+    names = [motion.name for motion in report.logs.motions]
+    refused = dict.fromkeys(names, 0)
+    for one in report.audit.refused:
+        refused[one.motion] += one.n_samples
+    error = [np.nansum(list(one.mean_abs_rad.values())) for one in report.nominal]
+    of_remarks = [
+        names.index(max(one.motions, key=lambda name: refused[name]))
+        for one in report.audit.remarks
+        if one.motions
+    ]
+    by_error = sorted(range(len(names)), key=lambda k: -error[k])
+    return list(dict.fromkeys([*of_remarks, *by_error]))[:MAX_DRAWN]
+
+
+def joint_figure(report: CheckReport, joint: str, motions: list[int]) -> str:
+    """Draw command, position and nominal simulation of one joint, and what a diagnosis leaves out."""
+    documents = []
+    for number in motions:
+        motion = report.logs.motions[number]
+        log = motion.joints[joint]
+        left_out = ~report.audit.is_usable(motion.name, joint)
+        series: dict[str, Array] = {
+            "refused": np.where(left_out, log.position.value, np.nan),
+            "measured": log.position.value,
+            "nominal": report.nominal[number].position[joint],
+        }
+        if log.command is not None:
+            series["command"] = hold(log.command, log.position.time_s)
+        rows = extreme_rows(series.values())
+        shown = {name: values[rows] for name, values in series.items()}
+        panel = series_panel("angle [rad]", "rad", shown, False)
+        documents.append((motion.name, motion_document(log.position.time_s[rows], [panel])))
+    has_command = all(report.logs.motions[k].joints[joint].command is not None for k in motions)
+    names = ("measured", "nominal", *(("command",) if has_command else ()), "refused")
+    return series_figure(joint, names, documents)
+
+
+def _rate_rows(report: CheckReport) -> Iterator[tuple[str, ...]]:
+    for motion, nominal in zip(report.logs.motions, report.nominal, strict=True):
+        rates = [one for one in report.audit.rates if one.motion == motion.name]
+        left_out = sum(one.n_samples for one in report.audit.refused if one.motion == motion.name)
+        worst = max(nominal.mean_abs_rad, key=lambda name: nominal.mean_abs_rad[name])
+        yield (
+            motion.name,
+            f"{rates[0].duration_s:.1f} s",
+            f"{rates[0].rate_Hz:.0f} Hz",
+            f"{max(one.jitter_s for one in rates) * 1e3:.1f} ms",
+            str(max(one.n_missing + one.n_invalid for one in rates)),
+            str(max(one.n_stale for one in rates)),
+            str(left_out),
+            f"{nominal.mean_abs_rad[worst] * 1e3:.1f} mrad at {worst}",
+        )

@@ -1,0 +1,167 @@
+"""Command line of a program: its version, its exit status, and its standard output.
+
+The output is buffered, so that a full disk gives one error and a closed pipe none.
+"""
+
+import json
+import os
+import signal
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from io import BytesIO, TextIOWrapper
+from typing import Annotated, Final, NoReturn, TextIO
+
+import typer
+
+GL_OFF: Final = ("disable", "disabled", "off", "false", "0")
+"""Values of MUJOCO_GL that turn OpenGL off in mujoco."""
+EXIT_BAD_INPUT: Final = 2
+EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
+"""Exit status of a program whose reader has closed the pipe, as `head` does."""
+
+
+class BufferedStdout(TextIOWrapper):
+    """Text that is kept until it is released to the standard output."""
+
+    def __init__(self, stdout: TextIO) -> None:
+        self._kept = BytesIO()
+        super().__init__(self._kept, stdout.encoding, stdout.errors, write_through=True)
+        self._stdout = stdout
+
+    def release(self) -> None:
+        """Write what was kept; end the command if that is impossible."""
+        printed = self._kept.getvalue()
+        self._kept.seek(0)
+        self._kept.truncate()
+        _write(self._stdout, printed)
+
+
+@contextmanager
+def buffer_stdout() -> Iterator[None]:
+    """Buffer the standard output and write it when the block ends, unless it is a terminal."""
+    stdout = sys.stdout
+    if stdout is None or stdout.isatty():
+        yield
+        return
+    buffered = BufferedStdout(stdout)
+    sys.stdout = buffered
+    try:
+        yield
+    finally:
+        sys.stdout = stdout
+        buffered.release()
+
+
+def release_stdout() -> None:
+    """Write what was printed so far, for a program that reads it while the command continues."""
+    if isinstance(sys.stdout, BufferedStdout):
+        sys.stdout.release()
+
+
+def _write(stdout: TextIO, printed: bytes) -> None:
+    try:
+        stdout.buffer.write(printed)
+        stdout.flush()
+    except BrokenPipeError:
+        _discard(stdout)
+        sys.exit(EXIT_PIPE_CLOSED)
+    except OSError as error:
+        _discard(stdout)
+        print(f"standard output: cannot be written ({error.strerror}); give it room", file=sys.stderr)
+        sys.exit(EXIT_BAD_INPUT)
+
+
+def _discard(stdout: TextIO) -> None:
+    """Redirect the standard output to the null device: the interpreter flushes it once more on exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())
+
+
+def make_app(program: str, about: str) -> typer.Typer:
+    """Make the command line of a program, with its version and no verb yet.
+
+    Args:
+        program: Name of the command and of the installed package.
+    """
+    app = typer.Typer(
+        name=program,
+        help=about,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+
+    def print_version(is_asked: bool) -> None:
+        if is_asked:
+            print(f"{program} {version(program)}")
+            raise typer.Exit
+
+    option = typer.Option(
+        "--version", help="Print the version and exit.", callback=print_version, is_eager=True
+    )
+
+    @app.callback()
+    def options_without_verb(_: Annotated[bool, option] = False) -> None:
+        """Declare the options that stand without a verb."""
+
+    return app
+
+
+def run_app(app: typer.Typer, program: str) -> None:
+    """Run a command line, and exit with its status.
+
+    0 done; 1 a bug; 2 bad input; 3 not done, and nothing is wrong; 130 interrupted by Ctrl-C, 143 by SIGTERM;
+    141 the reader of the output is closed.
+    """
+    _drop_gl_settings()
+    _do_without_glfw()
+    warnings.simplefilter("ignore", RuntimeWarning)  # warnings of numpy are for developers
+    with buffer_stdout():
+        _run(app, program)
+
+
+def _drop_gl_settings() -> None:
+    """Remove MUJOCO_GL from the environment, unless it turns OpenGL off.
+
+    A value that mujoco cannot serve stops its import. Pictures do not need the variable.
+    """
+    if os.environ.get("MUJOCO_GL", "").lower().strip() not in GL_OFF:
+        os.environ.pop("MUJOCO_GL", None)
+
+
+def _do_without_glfw() -> None:
+    """Let mujoco do without glfw on Linux, where pictures need no window.
+
+    The import of glfw starts Python once more to look for its library. This takes time, and Ctrl-C would
+    make that process print an error.
+    """
+    if sys.platform == "linux":
+        sys.modules["glfw"] = None  # type: ignore[assignment]
+
+
+def _run(app: typer.Typer, program: str) -> NoReturn:
+    try:
+        status = app(prog_name=program, standalone_mode=False)
+    except typer.TyperException as error:
+        message = _describe_usage_error(error)
+        if message:
+            if "--json" in sys.argv:
+                print(json.dumps({"error": message}))
+            print(message, file=sys.stderr)
+        status = error.exit_code
+    sys.exit(status)
+
+
+def _describe_usage_error(error: typer.TyperException) -> str:
+    """Return one sentence about wrong usage; nothing if typer has printed the help instead."""
+    message = error.format_message().rstrip(".")
+    parameter = getattr(error, "param", None)
+    if parameter is not None and "Input should be" in message:  # the words of a library
+        number = "whole number" if "integer" in message else "number"
+        plural = "s" if parameter.nargs > 1 else ""
+        message = f"{parameter.get_error_hint()}: takes {parameter.nargs} {number}{plural}"
+    context = getattr(error, "ctx", None)
+    advice = "" if context is None else f"; `{context.command_path} --help` lists what there is"
+    return f"{message}{advice}" if message else ""

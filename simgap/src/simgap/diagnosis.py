@@ -1,0 +1,279 @@
+"""Diagnose a robot: from its model and its logs to where, which effect, how far."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from simgap.assemble import assemble
+from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.checks.records import COARSE_RAD, Audit, Remark, RemarkKind, joint_samples
+from simgap.common.errors import RobotError
+from simgap.effects.effect import Effect
+from simgap.logs import Logs, Motion, Signal
+from simgap.residuals.encoder_residuals import why_refused
+from simgap.residuals.simulation_residuals import ResidualKind, list_kinds
+from simgap.result import Diagnosis, Rejected
+from simgap.robot import ControlMode, Robot
+from simgap.selection.checkpoint import STEPS, Checkpoint, Meter, Progress, digest_inputs
+from simgap.selection.selection import select_effects
+from simgap.selection.verdict import find_confidence_sets
+
+FOREIGN_SHARE: Final = 0.25
+"""Share of motions that follow another command from which commands count as mixed up.
+In the logs of the XL330 and the SO-101 it is at most 2 of 27. With shuffled commands it is at least 8 of 16,
+where four gains share commands."""
+
+
+def diagnose(
+    robot: Robot,
+    motions: Sequence[Motion],
+    *,
+    held_out: Sequence[Motion] = (),
+    effects: Sequence[Effect] = (),
+    audit: Audit | None = None,
+    seed: int = 1,
+    progress: Progress = lambda share, text: None,
+    cache: str | Path | None = None,
+) -> Diagnosis:
+    """Find the effects that make a robot differ from its model.
+
+    Args:
+        robot: The robot with its model.
+        motions: Motions that are fitted.
+        held_out: Motions that only judge.
+        effects: Effects of one's own, which join the catalogue.
+        audit: Audit of all these motions; the samples that it refuses take no part.
+        seed: Seed of the folds: the same seed gives the same bits.
+        progress: Called with the share that is done, from 0 to 1, and a text.
+        cache: Folder for the steps of an unfinished diagnosis: after an interruption, the same call goes on
+            from them. They are deleted at the end. None: nothing is kept.
+
+    Returns:
+        The diagnosis.
+
+    Raises:
+        RobotError: The motions are too few, are both fitted and held out, or do not follow their commands; a
+            unit looks wrong to the audit, a position never changes, or it refuses all samples; or two effects
+            have one name.
+    """
+    check_motions(robot, motions, held_out)
+    usable = None
+    if audit is not None:
+        check_audit(audit, motions)
+        names = [(motion.name, joint) for motion in (*motions, *held_out) for joint in motion.joints]
+        usable = {(motion, joint): audit.is_usable(motion, joint) for motion, joint in names}
+    kinds = list_kinds(robot, motions, usable)
+    logs = Logs(tuple(motions))
+    known = [*catalogue(robot, logs), *effects]
+    check_names(known)
+    parts = []
+    steps = None
+    if cache is not None:
+        steps = Path(cache) / f"{STEPS}{digest_inputs(robot, motions, usable, effects, seed)}"
+    with Checkpoint(steps, known) as checkpoint:
+        for k, kind in enumerate(kinds):
+            meter = Meter(_part_of(progress, k, len(kinds)))
+            fitted = kind.make(motions, False)
+            judge = kind.make(held_out, True) if held_out else fitted  # may refuse: before the long work
+            shown, rejected = choose_shown(robot, kind, known)
+            base = [one for one in base_effects(robot, logs) if kind.shows(one)] if kind.has_base else []
+            selection = select_effects(
+                fitted, base, shown, seed=seed, n_kinds=len(kinds), meter=meter, checkpoint=checkpoint
+            )
+            part = assemble(robot, fitted, selection, find_confidence_sets(selection), judge)
+            parts.append(replace(part, rejected=(*part.rejected, *rejected)))
+    progress(1.0, "done")
+    return replace(
+        join_parts(parts),
+        seed=seed,
+        refused=() if audit is None else audit.refused,
+        remarks=() if audit is None else tuple(map(describe_remark, audit.remarks)),
+        fitted_motions=tuple(motion.name for motion in motions),
+        judged_motions=tuple(motion.name for motion in held_out),
+    )
+
+
+def _part_of(progress: Progress, part: int, parts: int) -> Progress:
+    """Return the progress of one of some parts that are taken to last alike."""
+    return lambda share, text: progress((part + share) / parts, text)
+
+
+def choose_shown(
+    robot: Robot, kind: ResidualKind, known: Sequence[Effect]
+) -> tuple[list[Effect], list[Rejected]]:
+    """Choose the effects that a kind of residual can show.
+
+    Args:
+        known: All effects of the catalogue.
+
+    Returns:
+        Effects that compete, and those that get no name whatever the fit says, with the reason.
+    """
+    shown = [effect for effect in known if kind.shows(effect)]
+    if kind.has_base:
+        return shown, []
+    reasons = [(effect, why_refused(robot, effect)) for effect in shown]
+    rejected = [Rejected(effect.place, effect.name, reason) for effect, reason in reasons if reason]
+    return [effect for effect, reason in reasons if not reason], rejected
+
+
+def join_parts(parts: Sequence[Diagnosis]) -> Diagnosis:
+    """Join the results of several kinds of residual.
+
+    Args:
+        parts: One diagnosis a kind.
+
+    Returns:
+        A diagnosis with the findings of all.
+    """
+    return replace(
+        parts[0],
+        kind=" and ".join(part.kind for part in parts),
+        method=" ".join(part.method for part in parts),
+        findings=tuple(one for part in parts for one in part.findings),
+        base=tuple(one for part in parts for one in part.base),
+        errors=tuple(one for part in parts for one in part.errors),
+        remaining=tuple(one for part in parts for one in part.remaining),
+        rejected=tuple(one for part in parts for one in part.rejected),
+        effects=tuple(one for part in parts for one in part.effects),
+        sizes=tuple(one for part in parts for one in part.sizes),
+        effect_kinds=tuple(one for part in parts for one in part.effect_kinds),
+    )
+
+
+def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Motion]) -> None:
+    """Refuse motions that cannot be diagnosed.
+
+    Args:
+        motions: Motions that are fitted.
+        held_out: Motions that only judge.
+
+    Raises:
+        RobotError: The motions are too few, are both fitted and held out, or do not follow their commands.
+    """
+    twice = _find_repeated([motion.name for motion in motions])
+    if twice is not None:
+        raise RobotError(f"motion {twice}: is fitted twice; give each motion once, with its own name")
+    for motion in held_out:
+        same = next((one.name for one in motions if one.name == motion.name or is_copy(one, motion)), None)
+        if same is not None:
+            copied = f" as {same}" if same != motion.name else ""
+            raise RobotError(
+                f"motion {motion.name} is held out and is fitted{copied}; a motion can be one of both"
+            )
+    if not motions:
+        raise RobotError("no motion is fitted; a diagnosis needs one at least, and better four")
+    for joint in robot.joints:
+        if joint.mode is not ControlMode.POSITION:
+            continue
+        logs = [one.joints[joint.name] for one in (*motions, *held_out) if joint.name in one.joints]
+        moving = [
+            (log.position, log.command)
+            for log in logs
+            if log.command is not None and np.ptp(joint_samples(log).position) > COARSE_RAD
+        ]
+        wrong = count_foreign_commands(moving)
+        if wrong > max(1.0, FOREIGN_SHARE * len(moving)):
+            raise RobotError(
+                f"joint {joint.name}: {wrong} of {len(moving)} motions follow the command of another motion "
+                "better than their own; each motion needs its own command"
+            )
+
+
+def check_audit(audit: Audit, motions: Sequence[Motion]) -> None:
+    """Refuse logs with a wrong unit or a position that never changes, and logs without a usable sample.
+
+    Effects would explain a wrong unit, or a position that never changes.
+
+    Args:
+        audit: Audit of the motions.
+        motions: Motions that are fitted.
+
+    Raises:
+        RobotError: A unit looks wrong, a position never changes, or no sample can be used.
+    """
+    for one in audit.remarks:
+        if one.kind in (RemarkKind.UNIT, RemarkKind.CONSTANT):
+            raise RobotError(f"joint {one.joint}: {one.kind}; {one.text}")
+    if not any(audit.is_usable(motion.name, joint).any() for motion in motions for joint in motion.joints):
+        reasons = ", ".join(dict.fromkeys(one.reason for one in audit.refused))
+        raise RobotError(
+            f"no sample of the fitted motions can be used ({reasons}); `simgap check` shows where"
+        )
+
+
+def describe_remark(one: Remark) -> str:
+    """Return a remark of the audit as a sentence."""
+    return f"{one.joint or 'robot'}: {one.kind}: {one.text}."
+
+
+def check_names(effects: Sequence[Effect]) -> None:
+    """Refuse two effects of one name at one place.
+
+    Args:
+        effects: Effects of the catalogue and of one's own.
+
+    Raises:
+        RobotError: Two have the same key.
+    """
+    twice = _find_repeated([effect.key for effect in effects])
+    if twice is not None:
+        raise RobotError(f"effects: two have the key {twice!r}; give yours another name, and each file once")
+
+
+def _find_repeated(names: Sequence[str]) -> str | None:
+    """Return the first name that stands there twice, or None."""
+    return next((name for k, name in enumerate(names) if name in names[:k]), None)
+
+
+def is_copy(one: Motion, other: Motion) -> bool:
+    """Return whether two motions have the same positions, in which something moves.
+
+    Args:
+        other: Another one.
+    """
+    if one.joints.keys() != other.joints.keys():
+        return False
+    pairs = [(log.position.value, other.joints[name].position.value) for name, log in one.joints.items()]
+    return all(np.array_equal(*pair) for pair in pairs) and any(np.ptp(first) > 0.0 for first, _ in pairs)
+
+
+def count_foreign_commands(pairs: Sequence[tuple[Signal, Signal]]) -> int:
+    """Count motions whose position follows the command of another motion better than their own.
+
+    Two distances count: that from the command itself, and that beside the best offset and gain.
+    The second is needed because a weak servo hangs below its command.
+
+    Args:
+        pairs: Position and command of each motion.
+
+    Returns:
+        Number of motions with one of these distances to another command below half of that to their own.
+    """
+    if not pairs:
+        return 0
+    errors = np.array([[_follow_errors(position, other) for _, other in pairs] for position, _ in pairs])
+    own = np.diagonal(errors).T  # (n_motions, 2)
+    return int(np.sum((errors.min(axis=1) < 0.5 * own).any(axis=1)))
+
+
+def _follow_errors(position: Signal, command: Signal) -> tuple[float, float]:
+    """Return the RMS of a position beside a command, and beside its best offset and positive gain.
+
+    Both are infinite if the command covers less than half of the position.
+    """
+    time_s = position.time_s - position.time_s[0] + command.time_s[0]
+    sent = np.interp(time_s, command.time_s, command.value)
+    use = (time_s <= command.time_s[-1]) & np.isfinite(position.value) & np.isfinite(sent)
+    if np.mean(use) <= 0.5:
+        return math.inf, math.inf
+    shown, sent = position.value[use], sent[use]
+    distance = float(np.sqrt(np.mean((shown - sent) ** 2)))
+    shown, sent = shown - shown.mean(), sent - sent.mean()
+    norm = float(sent @ sent)
+    gain = max(float(shown @ sent), 0.0) / norm if norm > 0.0 else 0.0
+    return distance, float(np.sqrt(np.mean((shown - gain * sent) ** 2)))

@@ -1,0 +1,216 @@
+"""Loading of logs: from files to signals in SI units at the joint, by motion, and their splits."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from simgap.common.errors import RobotError
+from simgap.files.log_file import open_log
+from simgap.files.motion_rows import MotionRows
+from simgap.files.robot_file import RobotFile
+from simgap.files.toml_record import Record, parse_record, read_toml
+from simgap.logs import JointLog, Logs, Motion, Signal
+from simgap.robot import Robot
+
+
+class SplitTable(Record):
+    """One split: parts that are fitted, and parts that judge."""
+
+    fit: list[str] = Field(default_factory=list)
+    """Parts that are fitted; none: all that is not held out."""
+    held_out: Annotated[list[str], Field(min_length=1)]
+    """Parts that take no part in a fit."""
+
+
+class SplitFile(Record):
+    """Content of a split file."""
+
+    default: str
+    """Split that is taken if none is named."""
+    parts: dict[str, Annotated[list[str], Field(min_length=1)]]
+    """Part -> its motions, or the conditions or files whose motions it has."""
+    splits: dict[str, SplitTable]
+    """Name of a split -> what it fits and what it holds out."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "SplitFile":
+        if self.default not in self.splits:
+            raise ValueError(f"default: there is no split {self.default!r}{_near(self.default, self.splits)}")
+        for name, split in self.splits.items():
+            for part in (*split.fit, *split.held_out):
+                if part not in self.parts:
+                    raise ValueError(f"splits.{name}: there is no part {part!r}{_near(part, self.parts)}")
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """Names by which a split may refer to a motion."""
+
+    motion: str
+    condition: str
+    file: str
+
+
+def read_split(path: Path) -> SplitFile:
+    """Read a split file.
+
+    Raises:
+        RobotError: it cannot be read, or a key or a value is wrong.
+    """
+    return parse_record(SplitFile, read_toml(path), path)
+
+
+def choose_motions(
+    file: SplitFile | None, members: Sequence[Member], split: str, held_out: Sequence[str]
+) -> tuple[frozenset[str], frozenset[str]]:
+    """Return the names of the motions that are fitted, and of those that judge.
+
+    Args:
+        file: Split file; None: there is none.
+        members: Motions that were loaded.
+        split: Name of a split; empty: the default of the file.
+        held_out: Motions, conditions or files in place of a split; empty: the split counts.
+
+    Raises:
+        RobotError: a name is unknown, a motion is both fitted and held out, or nothing is left to fit.
+    """
+    everything = frozenset(one.motion for one in members)
+    if held_out:
+        judged = _members(held_out, members, "held out")
+        fitted = everything - judged
+    elif file is None:
+        if split:
+            raise RobotError(f"split {split!r}: the robot file names no split file; add the key split to it")
+        return everything, frozenset()
+    else:
+        name = split or file.default
+        if name not in file.splits:
+            raise RobotError(
+                f"split {name!r}: the split file has none of this name{_near(name, file.splits)}"
+            )
+        table = file.splits[name]
+        judged = _part_members(file, table.held_out, members)
+        fitted = _part_members(file, table.fit, members) if table.fit else everything - judged
+        both = sorted(fitted & judged)
+        if both:
+            raise RobotError(
+                f"split {name!r}: motion {both[0]!r} is both fitted and held out; leave it in one part"
+            )
+    if not fitted:
+        raise RobotError("split: all motions are held out, so that nothing is fitted; hold out fewer")
+    return fitted, judged
+
+
+def _part_members(file: SplitFile, parts: Sequence[str], members: Sequence[Member]) -> frozenset[str]:
+    return frozenset().union(*(_members(file.parts[part], members, f"part {part}") for part in parts))
+
+
+def _members(names: Sequence[str], members: Sequence[Member], where: str) -> frozenset[str]:
+    """Return the motions with these names, of these conditions or in these files."""
+    found: set[str] = set()
+    for name in names:
+        chosen = {one.motion for one in members if name and name in _names(one)}
+        if not chosen:
+            there = dict.fromkeys(text for one in members for text in _names(one))
+            raise RobotError(
+                f"{where}: {name!r} is no motion, condition or file of these logs{_near(name, there)}"
+            )
+        found |= chosen
+    return frozenset(found)
+
+
+def _names(one: Member) -> tuple[str, str, str]:
+    return one.motion, one.condition, one.file
+
+
+def _near(name: str, there: Iterable[str]) -> str:
+    listed = [one for one in there if one]
+    near = get_close_matches(name, listed, 1)
+    shown = ", ".join([*listed[:6], *([".."] if len(listed) > 6 else [])])
+    return f"; did you mean {near[0]!r}?" if near else f"; there are {shown or 'none'}"
+
+
+def load(
+    robot: Robot | str | Path,
+    paths: str | Path | Sequence[str | Path],
+    *,
+    split: str = "",
+    held_out: Sequence[str] = (),
+) -> Logs:
+    """Load logs by the columns that a robot file names.
+
+    Args:
+        robot: Robot that was read from a file, or the path of its file.
+        paths: Log files.
+        split: Name of a split of the split file; empty: its default.
+        held_out: Motions, conditions or files to hold out, in place of a split.
+
+    Returns:
+        Motions in the order of the files; each signal has its own times, from the start of its motion.
+
+    Raises:
+        RobotError: a file, a column, a value, a time or a name of the split is wrong.
+    """
+    robot = robot if isinstance(robot, Robot) else Robot.from_toml(robot)
+    if robot.file is None:
+        raise RobotError(f"robot {robot.name}: was not read from a robot file, which names the columns")
+    motions: list[Motion] = []
+    members: list[Member] = []
+    for path in [Path(paths)] if isinstance(paths, str | Path) else map(Path, paths):
+        for motion in _load_file(robot.file, path):
+            other = next((one for one in members if one.motion == motion.name), None)
+            if other is not None:
+                raise RobotError(
+                    f"{path}: motion {motion.name!r} is in {other.file} too; give each motion its own name"
+                )
+            motions.append(motion)
+            members.append(Member(motion.name, motion.condition, path.stem))
+    if not motions:
+        raise RobotError("logs: none is given; name at least one log file")
+    file = read_split(robot.folder / robot.file.split) if robot.file.split else None
+    fitted, judged = choose_motions(file, members, split, held_out)
+    return Logs(tuple(motion for motion in motions if motion.name in fitted | judged), judged)
+
+
+def _load_file(file: RobotFile, path: Path) -> list[Motion]:
+    """Load the motions of one file."""
+    signals = {
+        (joint, key): (one, quantity, table)
+        for joint, table in file.joints.items()
+        for key, (one, quantity) in table.columns().items()
+    }
+    wanted = [name for one, _, _ in signals.values() for name in (one.column, one.time_column)]
+    gains = {joint: table.gain_column for joint, table in file.joints.items() if table.gain_column}
+    numbers = dict.fromkeys(filter(None, (file.time.column, *wanted, *gains.values())))
+    labels = file.motion.repeat_column, file.motion.condition_column
+    texts = dict.fromkeys(filter(None, (*file.motion.columns, *labels)))
+    rows = MotionRows(open_log(path, list(numbers), list(texts), file.csv), file)
+    found = {place: rows.signals(*one) for place, one in signals.items()}
+    gain = {joint: rows.gains(column) for joint, column in gains.items()}
+    repeats, conditions = (rows.labels(column) for column in labels)
+    return [
+        Motion(
+            name,
+            _joint_logs({place: one[k] for place, one in found.items()}),
+            {joint: gain[joint][k] if joint in gain else 1.0 for joint in file.joints},
+            repeats[k],
+            conditions[k],
+        )
+        for k, name in enumerate(rows.names)
+    ]
+
+
+def _joint_logs(signals: dict[tuple[str, str], Signal]) -> dict[str, JointLog]:
+    """Group the signals of a motion by joint, and count times from its first sample."""
+    start_s = min(float(one.time_s[0]) for one in signals.values())
+    times = {id(one.time_s): one.time_s for one in signals.values()}
+    moved = {key: time_s - start_s for key, time_s in times.items()}  # signals with one clock share one array
+    found: dict[str, dict[str, Signal]] = {}
+    for (joint, key), one in signals.items():
+        found.setdefault(joint, {})[key] = Signal(moved[id(one.time_s)], one.value)
+    return {joint: JointLog(**one) for joint, one in found.items()}

@@ -1,0 +1,337 @@
+"""Wrong input of `simgap`: one sentence, status 2, nothing written, and no simulation before.
+
+The tables hold wrong logs, robot files, splits, effects and options of an arm of two joints.
+"""
+
+import os
+import shlex
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import simgap.command.diagnosis
+import simgap.diagnosis
+from helpers.arm_folder import columns_of, write_arm, write_logs
+from helpers.command import LIBRARY_WORDS, run_simgap, snapshot
+from helpers.planar_arm import planar_arm, slow_logs
+from simgap.checks.audit import NominalModel
+
+POSITION = 'column = "position_elbow", unit = "rad"'
+ROBOTS = {
+    "other_unit.toml": (POSITION, POSITION.replace("rad", "deg")),
+    "milliseconds.toml": ('unit = "s"', 'unit = "ms"'),
+    "velocity.toml": (f"position = {{ {POSITION}", 'velocity = { column = "speed", unit = "rad/s" }\n{}'),
+    "shared_position.toml": ("position_elbow", "position_shoulder"),
+    "own_command.toml": ("command_elbow", "position_elbow"),
+    "same_joint.toml": ("[joints.elbow]", '[joints.elbow]\njoint = "shoulder"'),
+    "twice.toml": ("[joints.elbow]", "[joints.shoulder]"),
+    "no_joint.toml": ("[joints.elbow]", "[joints.knee]"),
+    "no_gain.toml": ("kp_Nm_rad = 20.0", "kp_Nm_rad = 0"),
+    "negative_gain.toml": ("kd_Nms_rad = 1.0", "kd_Nms_rad = -1.0"),
+    "negative_limit.toml": ("torque_limit_Nm = 8.0", "torque_limit_Nm = -8.0"),
+    "no_gear.toml": ("kd_Nms_rad = 1.0", "kd_Nms_rad = 1.0\ngear_ratio = 0"),
+    "no_step.toml": ("time_step_s = 0.002", "time_step_s = 0"),
+    "long_step.toml": ("time_step_s = 0.002", "time_step_s = 1.0"),
+    "short_step.toml": ("time_step_s = 0.002", "time_step_s = 1e-9"),
+    "uneven_step.toml": ("time_step_s = 0.002", "time_step_s = 0.003"),
+    "pipe_model.toml": ("model.xml", "pipe.xml"),
+    "zero_byte.toml": ("model.xml", "mod\\u0000el.xml"),
+    "bytes_model.toml": ("model.xml", "bytes.xml"),
+    "other_model.toml": ("model.xml", "other.xml"),
+    "slide.toml": ("model.xml", "slide.xml"),
+    "no_command.toml": ('command = { column = "command_elbow", unit = "rad" }', ""),
+    "no_site.toml": ('"tip"', '"nosuch"'),
+    **{
+        f"{name}.toml": ("time_step_s", f'split = "split_{name}.toml"\ntime_step_s')
+        for name in ("empty_split", "no_motion", "both", "all_held")
+    },
+}
+"""Text of the good robot file, and what replaces its first copy there."""
+SPLITS = {
+    "empty_split": "",
+    "no_motion": ('["motion 9"]', '["motion 1"]', 'fit = ["one"]'),
+    "both": ('["motion 0", "motion 1"]', '["motion 1"]', 'fit = ["one"]'),
+    "all_held": ('["motion 0"]', '["log"]', ""),
+}
+"""Motions of part one, of part two, which is held out, and the line of the fit."""
+EFFECTS = {
+    "raises.py": "raise ValueError('no')\n",
+    "exits.py": "raise SystemExit(0)\n",
+    "no_code.py": "def (\n",
+    "no_effect.py": "x = 1\n",
+    "fails.py": "def effects(robot, logs):\n    return 1 / 0\n",
+    "number.py": "def effects(robot, logs):\n    return [1]\n",
+}
+EFFECT = """
+from dataclasses import dataclass
+from simgap.effects.effect import Family, Size
+from simgap.effects.effect import JointEffect
+
+@dataclass(frozen=True, slots=True)
+class Boom(JointEffect):
+    name = "boom"
+    family = Family.EXTERNAL
+
+    @property
+    def sizes(self):
+        return (Size("push_Nm", 0.0, 1.0, TYPICAL),)
+
+    def torque_Nm(self, size, state):
+        return size / 0
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a good robot and log, and with files that are wrong in one thing each."""
+    place = tmp_path_factory.mktemp("bad")
+    write_arm(place)
+    write_wrong_logs(place)
+    write_wrong_files(place)
+    robot = (place / "robot.toml").read_text()
+    for name, (before, after) in ROBOTS.items():
+        assert before in robot
+        (place / name).write_text(robot.replace(before, after.replace("{}", before), 1))
+    for name, text in SPLITS.items():
+        if text:
+            one, two, fit = text
+            text = (
+                f'default = "a"\n[parts]\none = {one}\ntwo = {two}\n[splits.a]\nheld_out = ["two"]\n{fit}\n'
+            )
+        (place / f"split_{name}.toml").write_text(text)
+    for name, text in EFFECTS.items():
+        (place / name).write_text(text)
+    (place / "held" / "runtime.toml").mkdir(parents=True)
+    (place / "patched.toml").write_text(robot.replace("model.xml", "patched.xml"))
+    (place / "patched.xml").write_text((place / "model.xml").read_text())
+    (place / "boom.py").write_text(EFFECT.replace("TYPICAL", "0.1"))
+    (place / "word.py").write_text(EFFECT.replace("TYPICAL", "'much'"))
+    return place
+
+
+def write_wrong_logs(place: Path) -> None:
+    """Write tables with one wrong column each, and files that are no tables."""
+    logs = slow_logs(planar_arm())
+    columns = columns_of(logs)
+    position, command, time_s = (columns[one] for one in ("position_elbow", "command_elbow", "t"))
+    speed = np.gradient(position, 0.02)
+    write_logs(place / "log.parquet", logs)
+
+    def write(name: str, **changes: np.ndarray | None) -> None:
+        write_logs(place / f"{name}.parquet", logs, **changes)
+
+    for factor, name in ((180 / np.pi, "57"), (1000.0, "1000")):
+        for word, wrong in ((name, factor), (f"1_{name}", 1 / factor)):
+            write(f"position_{word}", position_elbow=wrong * position)
+            write(f"command_{word}", command_elbow=wrong * command)
+            write(f"velocity_{word}", speed=wrong * speed)
+        write(f"angles_{name}", position_elbow=factor * position, command_elbow=factor * command)
+    write("time_1000", t=1000.0 * time_s)
+    write("time_1_1000", t=time_s / 1000.0)
+    for name, row, value in (("gap", 599, 1e6), ("still", 10, time_s[9]), ("no_time", 10, np.nan)):
+        changed = time_s.copy()
+        changed[row] = value
+        write(name, t=changed)
+    for name, value in (("nan", np.nan), ("inf", np.inf), ("huge", 1e300)):
+        changed = position.copy()
+        changed[10] = value
+        write(name, position_elbow=changed)
+    write("backwards", t=time_s[::-1])
+    write("no_column", position_elbow=None)
+    write("still_elbow", position_elbow=np.full(position.size, 0.4))
+    of_motion = [columns["motion"] == one.name for one in logs.motions]
+    shuffled = {
+        name: np.concatenate([columns[name][rows] for rows in (*of_motion[1:], of_motion[0])])
+        for name in ("command_shoulder", "command_elbow")
+    }
+    write("shuffled", **shuffled)
+    copied = {
+        name: np.concatenate([values[of_motion[0]], values[600:1800], values[of_motion[0]]])
+        for name, values in columns.items()
+        if name not in ("t", "motion")
+    }
+    write("copied", **copied)
+    table = pq.read_table(place / "log.parquet")
+    pq.write_table(table.slice(0, 0), place / "no_rows.parquet")
+    pq.write_table(table.slice(0, 1), place / "one_row.parquet")
+    names = [*table.column_names, "position_elbow"]
+    pq.write_table(pa.Table.from_arrays([*table.columns, table["t"]], names), place / "twice.parquet")
+    (place / "twice.csv").write_text(",".join(names) + "\n" + ",".join("0" for _ in names) + "\n")
+    np.savez(place / "empty_arrays.npz", **{name: values[:0] for name, values in columns.items()})
+    np.save(place / "one_array.npy", time_s)
+    (place / "one_array.npy").rename(place / "one_array.npz")
+
+
+def write_wrong_files(place: Path) -> None:
+    """Write empty files, bytes, pipes, folders and models."""
+    (place / "bytes.xml").write_bytes(bytes(range(128, 256)))
+    for suffix in ("csv", "parquet", "npz", "mcap"):
+        (place / f"empty.{suffix}").write_text("")
+        (place / f"bytes.{suffix}").write_bytes(np.random.default_rng(1).bytes(3000))
+        (place / f"folder.{suffix}").mkdir()
+    (place / "cut.npz").write_text("PK\x03\x04xx")
+    for name in ("pipe.toml", "pipe.xml", "pipe.parquet", "pipe.py"):
+        os.mkfifo(place / name)
+    model = (place / "model.xml").read_text()
+    (place / "other.xml").write_text(model.replace('"elbow"', '"wrist"'))
+    (place / "slide.xml").write_text(model.replace('joint name="elbow"', 'joint type="slide" name="elbow"'))
+
+
+BOTH = {
+    # columns and values
+    "robot.toml no_column.parquet": "has no column 'position_elbow', which the robot file names",
+    "robot.toml twice.parquet": "has 2 columns 'position_elbow'; give each its own name",
+    "robot.toml twice.csv": "has 2 columns 'position_elbow'; give each its own name",
+    "robot.toml nan.parquet": "is no finite number at 0.2 s",
+    "robot.toml inf.parquet": "is no finite number at 0.2 s",
+    "robot.toml huge.parquet": "reaches 1e+300 in SI units",
+    "robot.toml no_rows.parquet": "has no rows; name a log with samples",
+    "robot.toml one_row.parquet": "motion 'motion 0' has 1 position; a motion needs several",
+    # time
+    "robot.toml backwards.parquet": "runs backwards",
+    "robot.toml still.parquet": "stands still after 0.18 s",
+    "robot.toml no_time.parquet": "has rows without a time; remove them",
+    "robot.toml gap.parquet": "or is there a gap",
+    "robot.toml time_1000.parquet": "a position every 20 s on average",
+    "robot.toml time_1_1000.parquet": "has 5e+04 positions a second",
+    "milliseconds.toml log.parquet": "are the times in ms?",
+    # files
+    "robot.toml log.parquet log.parquet": "motion 'motion 0' is in log too",
+    "robot.toml empty.csv": "is an empty file",
+    "robot.toml empty.parquet": "is an empty file",
+    "robot.toml empty.npz": "is an empty file",
+    "robot.toml empty.mcap": "is an empty file",
+    "robot.toml bytes.csv": "is not text in UTF-8",
+    "robot.toml bytes.parquet": "cannot be read",
+    "robot.toml bytes.npz": "is no NumPy .npz file",
+    "robot.toml bytes.mcap": "not a valid MCAP file",
+    "robot.toml folder.csv": "is no regular file; name a log",
+    "robot.toml pipe.parquet": "is no regular file; name a log",
+    "robot.toml cut.npz": "is no NumPy .npz file",
+    "robot.toml one_array.npz": "is no NumPy .npz file",
+    "robot.toml empty_arrays.npz": "has no rows; name a log with samples",
+    "pipe.toml log.parquet": "is no regular file",
+    "pipe_model.toml log.parquet": "is no regular file",
+    "zero_byte.toml log.parquet": "is no name of a file",
+    "bytes_model.toml log.parquet": "is not UTF-8 text",
+    # robot
+    "other_model.toml log.parquet": "the model has no joint 'elbow'; it has shoulder, wrist",
+    "slide.toml log.parquet": "'elbow' is no hinge",
+    "no_joint.toml log.parquet": "the model has no joint 'knee'",
+    "same_joint.toml log.parquet": "is the joint of another table",
+    "twice.toml log.parquet": "is not TOML",
+    "no_site.toml log.parquet": "the model has no site 'nosuch'",
+    "shared_position.toml log.parquet": "elbow.position.column: is that of joints.shoulder.position too",
+    "own_command.toml log.parquet": "joints.elbow.command.column: is that of joints.elbow.position too",
+    "no_gain.toml log.parquet": "kp_Nm_rad: is 0 or missing",
+    "negative_gain.toml log.parquet": "kd_Nms_rad: should be greater than or equal to 0, not -1.0",
+    "negative_limit.toml log.parquet": "torque_limit_Nm: should be greater than 0, not -8.0",
+    "no_gear.toml log.parquet": "gear_ratio: should be greater than 0, not 0",
+    "no_step.toml log.parquet": "time_step_s: should be greater than or equal to 0.000001, not 0",
+    "long_step.toml log.parquet": "time_step_s: should be less than or equal to 0.1, not 1.0",
+    "short_step.toml log.parquet": "time_step_s: should be greater than or equal to 0.000001, not 1e-09",
+    "uneven_step.toml log.parquet": "its period is 0.666667 time steps",
+    # split
+    "empty_split.toml log.parquet": "default: is missing",
+    "no_motion.toml log.parquet": "'motion 9' is no motion, condition or file of these logs",
+    "both.toml log.parquet": "motion 'motion 1' is both fitted and held out",
+    "all_held.toml log.parquet": "nothing is fitted",
+}
+"""Part of the sentence, by arguments of both verbs."""
+UNITS = {
+    f"{robot}.toml {name}_{factor}.parquet": word
+    for robot, name, word in (
+        ("robot", "position", "times its command"),
+        ("robot", "command", "times its command"),
+        ("velocity", "velocity", "times the change of the position"),
+    )
+    for factor in ("57", "1_57", "1000", "1_1000")
+}
+DIAGNOSE = {
+    **UNITS,
+    "robot.toml angles_57.parquet": "is the log in degrees?",
+    "robot.toml angles_1000.parquet": "is the log in thousandths?",
+    "other_unit.toml log.parquet": "times its command",
+    "robot.toml shuffled.parquet": "follow the command of another motion better than their own",
+    "robot.toml shuffled.parquet --held-out 'motion 3'": "follow the command of another motion",
+    "robot.toml copied.parquet --held-out 'motion 3'": "motion 3 is held out and is fitted as motion 0",
+    "no_command.toml log.parquet": "joint elbow has no command",
+    # options
+    "robot.toml log.parquet --nosuch": "No such option",
+    "robot.toml log.parquet --nested": "nested: is for poses of a tracker",
+    "robot.toml log.parquet --seed -1": "seed: -1 is below 0",
+    "robot.toml log.parquet --split nosuch": "the robot file names no split file",
+    "robot.toml log.parquet --held-out nosuch": "'nosuch' is no motion, condition or file",
+    "robot.toml log.parquet --held-out ''": "'' is no motion, condition or file",
+    "robot.toml log.parquet --held-out log": "nothing is fitted",
+    "robot.toml log.parquet --split a --held-out log": "they exclude each other",
+    "robot.toml log.parquet --report nosuch/a.html": "there is no folder nosuch",
+    "robot.toml log.parquet --patch nosuch/a": "there is no folder nosuch",
+    "robot.toml log.parquet --patch log.parquet": "this is a file; give the path of a folder",
+    "robot.toml log.parquet --patch held": "held/runtime.toml: this is a folder; give another folder",
+    "patched.toml log.parquet --patch .": "this is the file of model too",
+    "robot.toml still_elbow.parquet": "joint elbow: position is constant; the position stays at",
+    "robot.toml log.parquet --patch a.html --report a.html": "this is the file of report too",
+    # effects
+    "robot.toml log.parquet --effects pipe.py": "no such file",
+    "robot.toml log.parquet --effects raises.py": "it cannot be loaded, ValueError: no",
+    "robot.toml log.parquet --effects exits.py": "it cannot be loaded, SystemExit: 0",
+    "robot.toml log.parquet --effects no_code.py": "it cannot be loaded, SyntaxError",
+    "robot.toml log.parquet --effects no_effect.py": "no effect; give a subclass",
+    "robot.toml log.parquet --effects fails.py": "its effects cannot be made, ZeroDivisionError",
+    "robot.toml log.parquet --effects number.py": "returned 1, which is not an Effect",
+    "robot.toml log.parquet --effects word.py": "low, high and typical have to be numbers",
+    "robot.toml log.parquet --effects boom.py --effects boom.py": "two have the key 'shoulder: boom'",
+}
+"""Part of the sentence, by arguments of `diagnose`."""
+
+
+@pytest.fixture
+def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no verb simulate the motions: a refusal comes first."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(simgap.diagnosis, "select_effects", refuse)
+    monkeypatch.setattr(NominalModel, "simulate", refuse)
+
+
+@pytest.mark.usefixtures("no_simulation")
+@pytest.mark.parametrize(
+    ("verb", "words"),
+    [*(("check", one) for one in BOTH), *(("diagnose", one) for one in (*BOTH, *DIAGNOSE))],
+)
+def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder: Path, verb: str, words: str) -> None:
+    before = snapshot(folder)
+    done = run_simgap(folder, verb, *shlex.split(words))
+    assert {**BOTH, **DIAGNOSE}[words] in done.stderr
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert not LIBRARY_WORDS.search(done.stderr)
+    assert snapshot(folder) == before
+
+
+def test_an_effect_that_raises_in_a_simulation_is_named_with_its_line(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def simulate(*_: object, effects: tuple, **__: object) -> None:
+        effects[0].torque_Nm(1.0, SimpleNamespace())
+
+    monkeypatch.setattr(simgap.command.diagnosis, "diagnose", simulate)
+    before = snapshot(folder)
+    done = run_simgap(folder, "diagnose", "robot.toml", "log.parquet", "--effects", "boom.py")
+    assert done.returncode == 2
+    assert "boom.py:16: ZeroDivisionError" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert snapshot(folder) == before
+
+
+def test_a_simulation_that_becomes_unstable_leaves_no_file_of_mujoco(folder: Path) -> None:
+    before = snapshot(folder)
+    assert "blew up" in run_simgap(folder, "check", "robot.toml", "angles_1000.parquet").stdout
+    assert snapshot(folder) == before

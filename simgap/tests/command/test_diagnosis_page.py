@@ -1,0 +1,168 @@
+"""`simgap diagnose`: its page in a browser, its files, and requests that are wrong."""
+
+import json
+import re
+from dataclasses import replace
+
+import pytest
+
+import simgap.command.diagnosis as execution
+from helpers.arm_folder import write_arm
+from helpers.command import snapshot
+from helpers.verdicts import (
+    ARMATURE,
+    FRICTION,
+    GAIN,
+    LIFT,
+    PAN,
+    REFUSED,
+    REST,
+    Drawn,
+    diagnosis,
+    finding,
+    without_floor,
+)
+from simgap.command.diagnosis import (
+    RobotDiagnosis,
+    diagnose_robot,
+    print_diagnosis,
+    save_diagnosis_files,
+    save_page_of,
+)
+from simgap.command.request import DiagnoseRequest
+from simgap.common.errors import BadRequest, RobotError
+from simgap.report.traces import choose_traces, make_traces
+
+FOUND = diagnosis(
+    findings=(FRICTION, finding(effects=("lift: gain error", "lift: torque constant"))),
+    base=(GAIN, ARMATURE),
+    remaining=(REST,),
+    refused=REFUSED,
+)
+
+
+def made(tmp_path, result=FOUND, traces=True):
+    request = DiagnoseRequest(tmp_path / "robot.toml", (tmp_path / "log.parquet",))
+    shown = make_traces(Drawn(), result) if traces else ()
+    return RobotDiagnosis(request, result, shown, None, {"robot": "0" * 64})
+
+
+def text_of(tmp_path, **changes):
+    save_page_of(made(tmp_path, **changes), tmp_path / "page.html")
+    return (tmp_path / "page.html").read_text()
+
+
+def test_the_page_opens_with_the_four_lines_then_the_origin(tmp_path):
+    text = text_of(tmp_path)
+    verdict = re.search(r'<p class="verdict[^>]*>(.*?)</p>', text, re.S)[1].splitlines()
+    assert [line.partition(":")[0] for line in verdict] == ["Where", "What", "How far", "Next"]
+    assert text.index("Where: lift") < text.index('<dl class="origin">') < text.index("<h2>")
+    assert "simgap diagnose" in text
+
+
+def test_the_page_asks_for_nothing(tmp_path):
+    assert not re.search(r"<img|<link|url\(|\ssrc=|https?://(?!www\.w3\.org/2000/svg)", text_of(tmp_path))
+
+
+def test_each_joint_has_a_figure_with_the_worst_the_middle_and_the_best_motion(tmp_path):
+    chosen = choose_traces(make_traces(Drawn(), FOUND))
+    assert {joint: [one.motion for one in own] for joint, own in chosen.items()} == {
+        ("pan", "simulation"): ["g", "e", "d"],
+        ("lift", "simulation"): ["g", "e", "d"],
+    }
+    text = text_of(tmp_path)
+    assert text.count('<figure class="traces"') == 2
+    motions = json.loads(re.search(r'<script type="application/json">(.*?)</script>', text, re.S)[1])
+    assert len(motions) == 3
+    panels = motions[0]["panels"]
+    assert list(panels[0]["series"]) == ["measured", "nominal", "explained"]
+    assert list(panels[1]["series"]) == ["nominal", "explained"]
+
+
+def test_a_long_trace_is_thinned_and_the_page_stays_small(tmp_path):
+    long = replace(made(tmp_path), traces=make_traces(Drawn(20000), FOUND))
+    save_page_of(long, tmp_path / "page.html")
+    assert (tmp_path / "page.html").stat().st_size < 1_000_000
+
+
+def test_a_name_from_a_log_cannot_break_out_of_the_page(tmp_path):
+    evil = "</script><script>alert(1)</script>"
+    refused = (replace(REFUSED[0], motion=evil),)
+    text = text_of(tmp_path, result=replace(FOUND, errors=(replace(PAN, joint=evil),), refused=refused))
+    assert "<script>alert" not in text
+
+
+def test_a_page_without_held_out_motions_or_floor_says_so(tmp_path):
+    fitted = replace(FOUND, judged_motions=(), errors=(without_floor(LIFT),))
+    text = text_of(tmp_path, result=fitted)
+    assert "the fitted motions: none was held out" in text
+    assert "No repeated motion shows the noise floor" in text
+    assert 'class="floor"' not in text
+
+
+def test_the_screen_has_the_four_lines_then_the_details(tmp_path, capsys):
+    print_diagnosis(made(tmp_path))
+    shown = " ".join(capsys.readouterr().out.split())
+    assert shown.startswith("Where: lift. Something more remains at pan. What: Coulomb friction at lift")
+    assert "Without it, 80 % of the explainable error of its joint comes back." in shown
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("arm")
+    write_arm(place)
+    return place
+
+
+def request(folder, **changes):
+    return DiagnoseRequest(folder / "robot.toml", (folder / "log.parquet",), **changes)
+
+
+def test_a_request_is_diagnosed_and_its_files_are_written_last(folder, monkeypatch):
+    options_seen = {}
+
+    def find(robot, motions, **options):
+        options_seen.update(options, motions=motions)
+        options["progress"](0.5, "half")
+        return diagnosis(effects=(), sizes=(), judged_motions=("motion 3",))
+
+    monkeypatch.setattr(execution, "diagnose", find)
+    reports = []
+    files = {"report": folder / "page.html", "patch": folder / "found"}
+    result = diagnose_robot(
+        request(folder, held_out=("motion 3",), seed=7, **files), lambda *said: reports.append(said)
+    )
+    assert [motion.name for motion in options_seen["motions"]] == ["motion 0", "motion 1", "motion 2"]
+    assert [motion.name for motion in options_seen["held_out"]] == ["motion 3"]
+    assert options_seen["seed"] == 7
+    assert any(one.reason == "contact with a plane" for one in options_seen["audit"].refused)
+    assert reports[-1][2] == "half"
+    assert not any(path.exists() for path in files.values())
+    save_diagnosis_files(result)
+    assert (folder / "found" / "patched.xml").is_file()
+    assert files["report"].read_text().count('<figure class="traces"') == 2
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"held_out": ("nosuch",)}, RobotError, "nosuch"),
+        ({"split": "nosuch"}, RobotError, "nosuch"),
+        ({"patch": "log.parquet"}, BadRequest, "this is a file; give the path of a folder"),
+        ({"report": "page.txt"}, BadRequest, "must end in .html"),
+        ({"effects": ("nosuch.py",)}, RobotError, "no such file"),
+        ({"held_out": tuple(f"motion {k}" for k in range(4))}, RobotError, "nothing is fitted"),
+    ],
+    ids=["held out", "split", "patch", "report", "effects", "too few"],
+)
+def test_a_wrong_request_is_one_sentence_and_writes_nothing(folder, changes, error, words):
+    paths = {
+        key: tuple(folder / one for one in value) if isinstance(value, tuple) else folder / value
+        for key, value in changes.items()
+        if key in ("patch", "report", "effects")
+    }
+    before = snapshot(folder)
+    with pytest.raises(error, match=re.escape(words)) as caught:
+        diagnose_robot(request(folder, **(changes | paths)))
+    assert "\n" not in str(caught.value)
+    assert snapshot(folder) == before

@@ -1,0 +1,98 @@
+"""A diagnosis on the command line that is killed: the same command goes on, and prints the same document."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from helpers.arm_folder import ROBOT
+from helpers.pendulum import at_swing, motion, pendulum, simulated, waves
+from simgap.command.diagnosis import GOES_ON
+from simgap.effects.actuation import GainError
+
+SWING = """
+[joints.swing]
+mode = "position"
+kp_Nm_rad = 4.0
+kd_Nms_rad = 0.1
+command = { column = "command", unit = "rad" }
+position = { column = "position", unit = "rad" }
+"""
+WORDS = ("diagnose", "robot.toml", "log.parquet", "--json")
+WAIT_s = 300.0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a pendulum and four short motions of it."""
+    place = tmp_path_factory.mktemp("pendulum")
+    robot, time_s = pendulum(), 0.02 * np.arange(400)
+    (place / "model.xml").write_text(robot.model_xml)
+    (place / "robot.toml").write_text(ROBOT.replace('tool_site = "tip"\n', "") + SWING)
+    columns: dict[str, list[float | str]] = {"t": [], "motion": [], "command": [], "position": []}
+    for k in range(4):
+        command = waves(time_s, k)
+        position = simulated(robot, motion(time_s, command, command), (at_swing(GainError, robot), [0.2]))
+        for name, values in zip(columns, (time_s, [f"motion {k}"] * 400, command, position), strict=True):
+            columns[name].extend(values)
+    pq.write_table(pa.table(columns), place / "log.parquet")
+    return place
+
+
+def steps(cache: Path) -> list[Path]:
+    return sorted(cache.glob("simgap/steps/*/*.npz"))
+
+
+ENDING = """
+import os, signal, sys
+from simgap.selection.checkpoint import Checkpoint
+from simgap.__main__ import start
+
+number, keep = int(sys.argv.pop(1)), Checkpoint._write
+
+def keep_and_end(*args):
+    keep(*args)
+    os.kill(os.getpid(), number)
+
+Checkpoint._write = keep_and_end
+signal.signal(signal.SIGINT, signal.default_int_handler)  # tests in the background of a shell ignore it
+start()
+"""
+
+
+def run(folder: Path, cache: Path) -> subprocess.CompletedProcess[str]:
+    """Run a diagnosis to its end."""
+    env = os.environ | {"XDG_CACHE_HOME": str(cache)}
+    command = [sys.executable, "-m", "simgap", *WORDS]
+    return subprocess.run(command, cwd=folder, env=env, text=True, capture_output=True, timeout=WAIT_s)
+
+
+def end_at_step(number: signal.Signals, folder: Path, cache: Path) -> tuple[int, str]:
+    """Start a diagnosis that sends itself a signal once it has kept a step; return its status and errors."""
+    env = os.environ | {"XDG_CACHE_HOME": str(cache)}
+    command = [sys.executable, "-c", ENDING, str(int(number)), *WORDS]
+    ended = subprocess.run(command, cwd=folder, env=env, text=True, capture_output=True, timeout=WAIT_s)
+    return ended.returncode, ended.stderr
+
+
+@pytest.mark.slow
+def test_a_killed_command_goes_on_and_prints_the_same_document(folder: Path, tmp_path: Path) -> None:
+    whole = run(folder, tmp_path / "other")
+    assert whole.returncode == 0, whole.stderr
+    assert end_at_step(signal.SIGKILL, folder, tmp_path)[0] == -signal.SIGKILL
+    (first,) = [(path.name, path.stat().st_mtime_ns) for path in steps(tmp_path)]
+    status, errors = end_at_step(signal.SIGINT, folder, tmp_path)
+    assert (status, errors.count(GOES_ON)) == (128 + signal.SIGINT, 1)
+    kept, _ = [(path.name, path.stat().st_mtime_ns) for path in steps(tmp_path)]
+    assert kept == first
+    last = run(folder, tmp_path)
+    assert json.loads(last.stdout) == json.loads(whole.stdout)
+    assert last.stdout == whole.stdout
+    assert steps(tmp_path) == []

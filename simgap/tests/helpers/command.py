@@ -1,0 +1,50 @@
+"""The command line in this process, which takes no second to import, and what it must not say or leave."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import warnings
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from io import BytesIO, TextIOWrapper
+from pathlib import Path
+from unittest.mock import patch
+
+from simgap.__main__ import start
+from simgap.common.interruption import END_SIGNALS
+
+LIBRARY_WORDS = re.compile(
+    r"\[Errno|Input should|Traceback|[ (]b['\"]|codec|ArrowInvalid|object at 0x|pydantic"
+)
+"""Words of Python and its libraries, which tell a user nothing."""
+
+
+def run_simgap(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run `simgap` with these words in a folder, until it exits."""
+    stdout, stderr = (TextIOWrapper(BytesIO(), "utf-8", write_through=True) for _ in range(2))
+    handlers = {number: signal.getsignal(number) for number in END_SIGNALS}
+    status: str | int | None = None
+    with (
+        chdir(folder),
+        patch.object(sys, "argv", ["-", *words]),
+        patch.dict(os.environ),
+        redirect_stdout(stdout),
+        redirect_stderr(stderr),
+        warnings.catch_warnings(),
+    ):
+        try:
+            start()
+        except SystemExit as ended:
+            status = ended.code
+        finally:
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+    printed, errors = (stream.buffer.getvalue().decode() for stream in (stdout, stderr))
+    return subprocess.CompletedProcess(words, status or 0, printed, errors)
+
+
+def snapshot(folder: Path) -> dict[str, tuple[int, int]]:
+    """Return size and time of change of every file."""
+    found = ((path, path.lstat()) for path in sorted(folder.rglob("*")) if "__pycache__" not in path.parts)
+    return {str(path): (about.st_size, about.st_mtime_ns) for path, about in found}

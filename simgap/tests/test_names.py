@@ -1,0 +1,41 @@
+"""The names that `import simgap` gives: each exists, none is loaded before it is used."""
+
+import subprocess
+import sys
+
+import pytest
+
+import simgap
+
+
+def run_python(*words: str) -> str:
+    return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_every_name_exists_and_comes_from_the_module_that_defines_it():
+    for name in simgap.__all__:
+        value = getattr(simgap, name)
+        home = simgap._HOME[name]
+        assert getattr(value, "__module__", home) in (home, "numpy"), name
+    assert set(simgap.__all__) <= set(dir(simgap))
+
+
+def test_an_import_loads_nothing_before_a_name_is_used():
+    ask = "import sys, simgap; print([name for name in ('numpy', 'mujoco', 'scipy') if name in sys.modules])"
+    assert run_python("-c", ask) == "[]"
+
+
+def test_neither_the_arm_of_mars_nor_a_plot_library_is_needed():
+    ask = "import sys, simgap, simgap.command.check; [getattr(simgap, name) for name in simgap.__all__]"
+    unwanted = "print([n for n in ('marsarm', 'fsw', 'sim', 'matplotlib', 'PIL') if n in sys.modules])"
+    assert run_python("-c", f"{ask}; {unwanted}") == "[]"
+
+
+def test_a_name_that_does_not_exist_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'simgap' has no attribute 'Robbot'"):
+        _ = simgap.Robbot
+
+
+def test_the_module_runs_the_command_line():
+    assert "Usage: simgap" in run_python("-m", "simgap", "--help")
+    assert run_python("-m", "simgap", "--version").startswith("simgap ")

@@ -1,0 +1,76 @@
+"""Pages of `simgap` in a browser: they fit every width in both schemes, traces zoom and show values."""
+
+import re
+
+import pytest
+
+from helpers.arm_folder import write_arm
+from helpers.command import run_simgap
+from helpers.verdicts import ARMATURE, FRICTION, GAIN, REFUSED, REST, Drawn, diagnosis, finding
+from simgap.report.page import save_diagnosis_page
+from simgap.report.traces import make_traces
+from validation.browser import LOADED, MISSING, Browser, find_chromium
+
+WIDTHS = (320, 400, 1400)
+FOUND = diagnosis(
+    findings=(FRICTION, finding(effects=("lift: gain error", "lift: torque constant"))),
+    base=(GAIN, ARMATURE),
+    remaining=(REST,),
+    refused=REFUSED,
+)
+pytestmark = pytest.mark.skipif(find_chromium() is None, reason=MISSING)
+
+
+@pytest.fixture
+def page(tmp_path):
+    save_diagnosis_page(FOUND, make_traces(Drawn(), FOUND), tmp_path / "page.html")
+    return (tmp_path / "page.html").as_uri()
+
+
+@pytest.mark.parametrize("name", ["check", "diagnosis"])
+def test_a_page_fits_every_width_in_both_schemes_without_an_error(page, tmp_path, name):
+    if name == "check":
+        write_arm(tmp_path)
+        words = ("check", "robot.toml", "log.parquet", "--report", "page.html")
+        assert run_simgap(tmp_path, *words).returncode == 0
+    with Browser() as browser:
+        for width in WIDTHS:
+            for dark in (False, True):
+                browser.open(page, width, 900, dark, LOADED)
+                assert browser.evaluate("document.documentElement.scrollWidth") == width
+                n_traces = browser.evaluate("document.querySelectorAll('.traces path.trace').length")
+                assert n_traces == {"check": 8, "diagnosis": 10}[name]
+        assert not browser.problems
+        assert len(browser.requests) == 2 * len(WIDTHS)
+
+
+def test_traces_zoom_and_show_values_at_the_pointer(page):
+    with Browser() as browser:
+        browser.open(page, 1400, 900, False, LOADED)
+        browser.evaluate(
+            "window.box = document.querySelector('.traces'); window.svg = box.querySelector('svg')"
+        )
+
+        def pointer(kind, x):
+            browser.evaluate(
+                "(() => { const r = svg.getBoundingClientRect(); svg.setPointerCapture = () => {};"
+                f"svg.dispatchEvent(new PointerEvent('{kind}', {{clientX: r.left + {x}, clientY: r.top + 50,"
+                "pointerType: 'mouse', bubbles: true})); })()"
+            )
+
+        pointer("pointermove", 300)
+        readout = browser.evaluate("box.querySelector('.readout').textContent")
+        assert re.match(r"\d+\.\d{3} s; measured -?\d\.\d+, model as it is -?\d", readout)
+        whole = browser.evaluate("box.figure.span")
+        for kind, x in (("pointerdown", 300), ("pointermove", 500), ("pointerup", 500)):
+            pointer(kind, x)
+        low, high = browser.evaluate("box.figure.span")
+        assert whole[0] < low < high < whole[1]
+        browser.evaluate("box.querySelector('button[data-zoom=\"0\"]').click()")
+        assert browser.evaluate("box.figure.span") == whole
+        browser.evaluate("box.querySelector('button[data-series=nominal]').click()")
+        assert browser.evaluate("box.querySelectorAll('path.trace').length") == 3
+        browser.evaluate("window.list = box.querySelector('select'); list.value = 1")
+        browser.evaluate("list.dispatchEvent(new Event('change'))")
+        assert browser.evaluate("box.figure.motion === box.figure.motions[1]")
+        assert not browser.problems
