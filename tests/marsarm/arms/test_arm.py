@@ -1,4 +1,4 @@
-"""`marsarm arm`: frames are those of the kinematics, the picture names them, and stale files are made anew."""
+"""`marsarm arm`: frames are those of the kinematics, and files that are stale are made anew."""
 
 import json
 from pathlib import Path
