@@ -49,7 +49,7 @@ CONTRAST = """
 
 
 def save_budget(path):
-    save_report_page(budget_page(run_budget(BudgetRequest(case="mars", poses=100))), path)
+    save_report_page(budget_page(run_budget(BudgetRequest(case="accuracy", poses=100))), path)
 
 
 def save_monte_carlo(path):
