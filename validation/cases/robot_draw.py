@@ -233,7 +233,6 @@ def find_size(
     """Search the size of an effect with a strength.
 
     Args:
-        campaign: The motions.
         one: Effect and place.
         sign: Sign of the size.
         shape: Shape of the effect.

@@ -206,7 +206,6 @@ def find_equivalents(campaign: CaseMotions, drawn: DrawnEffect) -> tuple[tuple[s
     """Return the effects of the catalogue with their places that cannot be told from a true one.
 
     Args:
-        campaign: Motions of the case.
         drawn: The effect; one of the catalogue is its own equivalent.
     """
     true = change_of(campaign, make_effect(drawn, campaign.plan.scene))
