@@ -18,8 +18,8 @@ def test_what_is_changed_is_imported_or_refused_and_nothing_else_happens() -> No
     rng = np.random.default_rng(6)
     seeds = import_seeds()
     assert all(import_once(seed) for seed in seeds)
-    outcomes = [import_once(mutate_import(rng, seeds[k % len(seeds)])) for k in range(TRIES)]
-    assert 0 < sum(outcomes) < TRIES
+    outcomes = [import_once(mutate_import(rng, seeds[k % len(seeds)])) for k in range(TRIES // 4)]
+    assert 0 < sum(outcomes) < TRIES // 4
 
 
 @pytest.mark.parametrize(
