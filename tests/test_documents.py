@@ -11,6 +11,7 @@ from typer.main import get_command
 
 from marsarm.cli.app import app as marsarm_app
 from simgap.command.app import app as simgap_app
+from validation.campaigns import TABLE
 
 ROOT = Path(__file__).resolve().parents[1]
 FIRST = ROOT / "README.md"
@@ -108,6 +109,16 @@ def test_every_command_of_a_page_has_a_verb_and_options_that_exist(page: Path) -
     if page.name != "CHANGELOG.md":  # it names what is gone
         unknown = {" ".join(words): find_unknown(words) for words in commands_in(page.read_text())}
         assert {command: words for command, words in unknown.items() if words} == {}
+
+
+def test_every_campaign_and_target_of_a_page_exists() -> None:
+    campaign = re.compile(r"(?:NAME=|[Cc]ampaigns? `|python -m validation )([a-z][a-z0-9-]*)")
+    target = re.compile(r"(?:`|^)make ([a-z-]+)", re.MULTILINE)
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    for page in PAGES:
+        text = page.read_text()
+        assert set(campaign.findall(text)) <= {one.name for one in TABLE}, page
+        assert set(target.findall(text)) <= set(targets), page
 
 
 def test_an_unknown_verb_and_an_unknown_option_are_found() -> None:
