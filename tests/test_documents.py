@@ -20,6 +20,7 @@ PAGES = sorted(
 )
 CODE = re.compile(r"```.*?```", re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
+PARTS: Final = ("fsw", "sim", "marsarm", "simgap", "tests", "validation", "examples")
 PRODUCTS: Final = {"marsarm": get_command(marsarm_app), "simgap": get_command(simgap_app)}
 
 
@@ -79,6 +80,12 @@ def test_every_file_that_a_page_names_exists() -> None:
     there = {page.name: named.findall(page.read_text()) for page in PAGES if page.name != "CHANGELOG.md"}
     gone = {name: [file for file in files if not (ROOT / file).exists()] for name, files in there.items()}
     assert {name: files for name, files in gone.items() if files} == {}
+
+
+def test_every_module_that_a_page_names_without_its_folder_exists() -> None:
+    modules = {path.name for part in PARTS for path in (ROOT / part).rglob("*.py")}
+    named = {name for page in PAGES for name in re.findall(r"`(\w+\.py)`", page.read_text())}
+    assert named <= modules
 
 
 def commands_in(text: str) -> list[list[str]]:
