@@ -8,7 +8,6 @@ import json
 import shlex
 import subprocess
 import sys
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from importlib import import_module
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from simgap.common.origin import git_revision
+from simgap.common.toml import read_toml
 from validation.campaigns import Context, Document
 
 ROOT: Final = Path(__file__).parents[1]
@@ -95,7 +95,7 @@ class RequirementTable:
 
 def load_table(path: Path = SOURCE) -> RequirementTable:
     """Read the file of requirements."""
-    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    content = read_toml(path)
     campaigns = tuple(MeasuringCampaign(name, **fields) for name, fields in content["campaign"].items())
     rows = tuple(
         RequirementRow(**{**fields, "value": tuple(fields["value"]), "tests": tuple(fields["tests"])})

@@ -214,7 +214,7 @@ BOTH = {
     "robot.toml cut.npz": "is no NumPy .npz file",
     "robot.toml one_array.npz": "is no NumPy .npz file",
     "robot.toml empty_arrays.npz": "has no rows; name a log with samples",
-    "pipe.toml log.parquet": "is no regular file",
+    "pipe.toml log.parquet": "is not a regular file",
     "pipe_model.toml log.parquet": "is no regular file",
     "zero_byte.toml log.parquet": "is no name of a file",
     "bytes_model.toml log.parquet": "is not UTF-8 text",

@@ -17,9 +17,9 @@ from simgap.common.files import (
     check_distinct_files,
     check_new_path,
     digest_files,
+    json_sha256,
 )
 from simgap.common.interruption import Interrupted
-from simgap.common.json_digest import json_sha256
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin
 from simgap.common.progress import Progress, no_progress
