@@ -66,11 +66,13 @@ def test_table_and_clamp_of_the_twin_are_named_and_their_samples_are_refused():
     assert found.is_usable("slow 2", LIFT).all()
 
 
+@pytest.mark.slow
 def test_a_twin_without_table_and_clamp_gets_no_remark():
     found = audit(so101(), slow_logs(Truth()))
     assert found.remarks == found.refused == ()
 
 
+@pytest.mark.slow
 def test_base_parameters_of_the_twin_are_found():
     truth = Truth(gain_ratio={LIFT: 0.4, ELBOW: 0.15}, coulomb_Nm={LIFT: 0.39})
     robot = so101()

@@ -17,6 +17,7 @@ import simgap.command.diagnosis
 import simgap.diagnosis
 from helpers.arm_folder import columns_of, write_arm, write_logs
 from helpers.command import LIBRARY_WORDS, run_simgap, snapshot
+from helpers.marks import slow_but
 from helpers.planar_arm import planar_arm, slow_logs
 from simgap.checks.audit import NominalModel
 
@@ -304,7 +305,12 @@ def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("no_simulation")
 @pytest.mark.parametrize(
     ("verb", "words"),
-    [*(("check", one) for one in BOTH), *(("diagnose", one) for one in (*BOTH, *DIAGNOSE))],
+    [
+        *(("check", one) for one in BOTH),
+        *slow_but((("diagnose", one) for one in BOTH), ("diagnose", next(iter(BOTH)))),
+        *slow_but((("diagnose", one) for one in UNITS), *(("diagnose", one) for one in list(UNITS)[::5])),
+        *(("diagnose", one) for one in DIAGNOSE if one not in UNITS),
+    ],
 )
 def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder: Path, verb: str, words: str) -> None:
     before = snapshot(folder)
