@@ -44,7 +44,7 @@ from marsarm.runs.request import RunRequest as RunRequest
 from marsarm.runs.scenario import run_scenario as run_scenario
 from marsarm.telemetry.read import Log as Log
 from marsarm.telemetry.read import read_log as read_log
-from marsarm.telemetry.record_run import record_commands as record_commands
+from marsarm.telemetry.recorder import record_commands as record_commands
 from sim.arms import BuiltArm as BuiltArm
 from sim.arms import arm_named as arm_named
 from sim.effects.effect import EachCycle as EachCycle

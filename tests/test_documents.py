@@ -1,9 +1,16 @@
-"""Documents: their links lead somewhere, and every page can be reached from the README."""
+"""Documents: links, files and commands in them exist, and every page can be reached from the README."""
 
 import re
+import shlex
 from pathlib import Path
+from typing import Final
 
 import pytest
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from marsarm.cli.app import app as marsarm_app
+from simgap.command.app import app as simgap_app
 
 ROOT = Path(__file__).resolve().parents[1]
 FIRST = ROOT / "README.md"
@@ -12,6 +19,7 @@ PAGES = sorted(
 )
 CODE = re.compile(r"```.*?```", re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
+PRODUCTS: Final = {"marsarm": get_command(marsarm_app), "simgap": get_command(simgap_app)}
 
 
 def links_of(page: Path) -> set[str]:
@@ -63,3 +71,45 @@ def test_every_page_and_picture_can_be_reached_from_the_readme() -> None:
             ]
     there = {path for path in (ROOT / "docs").rglob("*") if path.is_file()}
     assert there <= reached
+
+
+def test_every_file_that_a_page_names_exists() -> None:
+    named = re.compile(r"`((?:fsw|sim|marsarm|simgap|tests|models|validation|examples|docs|\.ci)/[\w./-]+)`")
+    there = {page.name: named.findall(page.read_text()) for page in PAGES if page.name != "CHANGELOG.md"}
+    gone = {name: [file for file in files if not (ROOT / file).exists()] for name, files in there.items()}
+    assert {name: files for name, files in gone.items() if files} == {}
+
+
+def commands_in(text: str) -> list[list[str]]:
+    """Return the words of each command of `marsarm` or `simgap`, in blocks and lines of a page."""
+    in_blocks = [line for block in CODE.findall(text) for line in block.splitlines()]
+    in_lines = re.findall(r"`([^`\n]+)`", CODE.sub("", text))
+    return [
+        shlex.split(line.replace("\\|", "|"), comments=True)
+        for line in (*in_blocks, *in_lines)
+        if line.partition(" ")[0] in PRODUCTS
+    ]
+
+
+def find_unknown(words: list[str]) -> list[str]:
+    """Return the words of a command that are a verb or an option which the command line does not know."""
+    command, rest = PRODUCTS[words[0]], words[1:]
+    while isinstance(command, TyperGroup) and rest and not rest[0].startswith("-"):
+        if rest[0] not in command.commands:
+            return [rest[0]]
+        command, rest = command.commands[rest[0]], rest[1:]
+    known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)}
+    used = {word.partition("=")[0] for word in rest if word.startswith("--")}
+    return sorted(used - known - {"--help", "--install-completion"})
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_command_of_a_page_has_a_verb_and_options_that_exist(page: Path) -> None:
+    if page.name != "CHANGELOG.md":  # it names what is gone
+        unknown = {" ".join(words): find_unknown(words) for words in commands_in(page.read_text())}
+        assert {command: words for command, words in unknown.items() if words} == {}
+
+
+def test_an_unknown_verb_and_an_unknown_option_are_found() -> None:
+    text = "`marsarm place --arm x --where y`\n```sh\nmarsarm log info run.mcap --json\nsimgap fly  # no\n```"
+    assert [find_unknown(words) for words in commands_in(text)] == [[], ["fly"], ["--where"]]

@@ -85,8 +85,8 @@ def fuzz_reader(data: bytes) -> bool:
 def log_seeds() -> list[bytes]:
     """Make a complete log, its first half, and a log without a cycle."""
     with TemporaryDirectory() as folder:
-        data = record_log(Path(folder) / "run.mcap", SEED_CYCLES, 0.0).read_bytes()
-        empty = record_log(Path(folder) / "run.mcap", 0, 0.0).read_bytes()
+        data = record_log(Path(folder) / "run.mcap", SEED_CYCLES, 1).read_bytes()
+        empty = record_log(Path(folder) / "run.mcap", 0).read_bytes()
     return [data, data[: len(data) // 2], empty]
 
 

@@ -1,9 +1,9 @@
 """Inputs for the fuzzer: mutated logs, mutated tables and mappings, and the import target."""
 
 import io
-import struct
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any, Final
@@ -11,8 +11,9 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 import zstandard
-from mcap.data_stream import RecordBuilder
-from mcap.records import Metadata
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Chunk, Metadata
 from mcap.writer import MCAP0_MAGIC
 from pyarrow import csv, parquet
 
@@ -20,7 +21,8 @@ from marsarm.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, heade
 from marsarm.telemetry.imports.files import BadImport
 from marsarm.telemetry.imports.job import convert_table
 from marsarm.telemetry.imports.log_file import write_table_log
-from marsarm.telemetry.mcap_reader import CHUNK_HEAD, RECORD_HEAD, ChunkLocation, iter_records, parse_chunk
+from marsarm.telemetry.log_writer import RECORD_HEAD, encode_records
+from marsarm.telemetry.mcap_columns import PARSE_ERRORS, unpack_chunk
 from marsarm.telemetry.read import read_log
 
 Random = np.random.Generator
@@ -98,34 +100,34 @@ def mutate_records(random: Random, data: bytes) -> bytes:
     chunks, metadata = parts(data)
     if not chunks or random.random() < 0.2:
         return mutate_header(random, data, metadata)
-    chunk = chunks[int(random.integers(len(chunks)))]
+    begin, end = chunks[int(random.integers(len(chunks)))]
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(data[begin + RECORD_HEAD.size : end])))
     try:
-        plain = zstandard.ZstdDecompressor().decompress(data[chunk.begin : chunk.end])
-    except zstandard.ZstdError:
+        plain = mutate_bytes(random, unpack_chunk(chunk))
+    except PARSE_ERRORS:
         return mutate_bytes(random, data)
-    return data[: chunk.at] + pack_chunk(mutate_bytes(random, plain), chunk) + data[chunk.end :]
+    packed = replace(
+        chunk,
+        data=zstandard.compress(plain),
+        uncompressed_size=len(plain),
+        uncompressed_crc=zlib.crc32(plain),
+    )
+    return data[:begin] + encode_records(packed) + data[end:]
 
 
-def parts(data: bytes) -> tuple[list[ChunkLocation], dict[str, tuple[int, int]]]:
-    """Find the chunks, and begin and end of the format and header records, as far as they are readable."""
-    chunks, metadata = [], {}
-    for at, opcode, body in iter_records(data, len(MCAP0_MAGIC)):
-        try:
-            if opcode == 6:
-                chunks.append(parse_chunk(data, at, len(body)))
-        except (ValueError, struct.error):
-            continue
+def parts(data: bytes) -> tuple[list[tuple[int, int]], dict[str, tuple[int, int]]]:
+    """Find begin and end of the chunks, and of the format and header records, up to the first broken one."""
+    chunks, metadata, at = [], {}, len(MCAP0_MAGIC)
+    while at + RECORD_HEAD.size <= len(data):
+        opcode, length = RECORD_HEAD.unpack_from(data, at)
+        end = at + RECORD_HEAD.size + length
+        if opcode == Opcode.CHUNK and end <= len(data):
+            chunks.append((at, end))
         for name in (FORMAT_RECORD, HEADER_RECORD):
-            if opcode == 12 and bytes(body[4 : 4 + len(name)]) == name.encode():
-                metadata[name] = (at, at + RECORD_HEAD.size + len(body))
+            if opcode == Opcode.METADATA and data.startswith(name.encode(), at + RECORD_HEAD.size + 4):
+                metadata[name] = (at, end)
+        at = end
     return chunks, metadata
-
-
-def pack_chunk(plain: bytes, like: ChunkLocation) -> bytes:
-    """Pack records into a chunk record, with the times of another chunk."""
-    inner = zstandard.ZstdCompressor().compress(plain)
-    head = CHUNK_HEAD.pack(like.first_ns, like.last_ns, len(plain), zlib.crc32(plain), 4, b"zstd", len(inner))
-    return RECORD_HEAD.pack(6, len(head) + len(inner)) + head + inner
 
 
 def mutate_header(random: Random, data: bytes, metadata: dict[str, tuple[int, int]]) -> bytes:
@@ -138,12 +140,8 @@ def mutate_header(random: Random, data: bytes, metadata: dict[str, tuple[int, in
     name = names[int(random.integers(len(names)))]
     old = text.partition(name)[2][4:]
     header = {name: mutate_bytes(random, old.encode()).decode("latin-1")}
-    builder = RecordBuilder()
-    Metadata(name=FORMAT_RECORD, metadata={"version": FORMAT, "header_crc32": header_crc32(header)}).write(
-        builder
-    )
-    Metadata(name=HEADER_RECORD, metadata=header).write(builder)
-    changed: bytes = builder.end()  # type: ignore[no-untyped-call]
+    about = {"version": FORMAT, "header_crc32": header_crc32(header)}
+    changed = encode_records(Metadata(FORMAT_RECORD, about), Metadata(HEADER_RECORD, header))
     return data[:begin] + changed + data[end:]
 
 

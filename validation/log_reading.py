@@ -11,7 +11,6 @@ from typing import Any, Final
 import numpy as np
 from mcap.reader import make_reader
 
-from marsarm.telemetry.format import CHUNK_S
 from marsarm.telemetry.read import read_log
 from validation.sample_logs import record_log
 
@@ -47,7 +46,7 @@ def seconds(job: Callable[[], Any]) -> float:
 def log_reading(cycles: int = CYCLES) -> dict[str, Any]:
     """Measure processor times for all channels; each ratio is the median of alternating pairs."""
     with TemporaryDirectory() as folder:
-        path = record_log(Path(folder) / "run.mcap", cycles, CHUNK_S)
+        path = record_log(Path(folder) / "run.mcap", cycles)
         jobs: tuple[Callable[[], Any], ...] = (
             lambda: read_log(path),
             lambda: stock(path),

@@ -8,6 +8,7 @@ from typing import Final
 
 from fsw.config import configure
 from fsw.dictionary.commands import CalibrateAll
+from marsarm.telemetry.format import CHUNK_CYCLES
 from marsarm.telemetry.recorder import Recorder
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
@@ -26,10 +27,10 @@ def hardstop_cycles(cycles: int) -> tuple[CycleRecord, ...]:
     return tuple(loop.cycle((CalibrateAll(),) if tick == 0 else ()) for tick in range(cycles))
 
 
-def record_log(path: Path, cycles: int, chunk_s: float) -> Path:
+def record_log(path: Path, cycles: int, chunk_cycles: int = CHUNK_CYCLES) -> Path:
     """Write a complete log of this many cycles."""
     config = configure(arm_named("nominal").params)
-    with Recorder(path, {"seed": "0", "arm": "nominal"}, config, chunk_s=chunk_s) as recorder:
+    with Recorder(path, {"seed": "0", "arm": "nominal"}, config, chunk_cycles) as recorder:
         for tick, record in zip(range(cycles), cycle(hardstop_cycles(min(max(cycles, 1), PERIOD)))):
             recorder.write(replace(record, tick=tick))
     return path

@@ -271,17 +271,8 @@ def compute_budgets(
     """Compute the budgets of several cases.
 
     Args:
-        model: Error sources and cases.
-        names: Names of the cases.
-        config: Configuration with the arm.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
-        tools: Tools of the budget.
         count: Number of poses in all, shared evenly by the tools.
-        seed: Seed of the poses.
-        progress: Callback for progress.
-
-    Returns:
-        The budgets by name of the case.
     """
     found: dict[str, dict[str, ToolBudget]] = {name: {} for name in names}
     for k, tool in enumerate(tools):
@@ -331,11 +322,6 @@ def _squared_lengths(
 
 def errors_by_source(model: ErrorModel, case: BudgetCase, sensitivity: Sensitivity) -> tuple[Array, Flags]:
     """Compute the errors of a case by source.
-
-    Args:
-        model: Error sources and cases.
-        case: Sources with their factors.
-        sensitivity: Sensitivity of the tool at each pose.
 
     Returns:
         Absolute errors [rad, m], shape (sources, 6, 7, n), and flags of sources that are at their limits,

@@ -8,13 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.dictionary.enums import Frame
-from marsarm.accuracy.budget import (
-    ALL,
-    COMPONENTS,
-    Budget,
-    BudgetReport,
-    MagnitudeFit,
-)
+from marsarm.accuracy.budget import ALL, COMPONENTS, Budget, BudgetReport, MagnitudeFit
 from marsarm.accuracy.confidence import describe_sample, is_within
 from marsarm.accuracy.propagation import COVERAGE
 from marsarm.accuracy.sources import sources_sha256

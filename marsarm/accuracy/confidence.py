@@ -40,9 +40,6 @@ def estimate_accuracy(error: Array) -> AccuracyEstimate:
     Args:
         error: Errors in one unit, shape (components, arms, errors).
 
-    Returns:
-        Three-sigma values with upper confidence bounds.
-
     Raises:
         ValueError: There are fewer than two arms, or fewer than two errors for each arm.
     """
@@ -114,11 +111,6 @@ def estimate_coverage(error: Array, bound: Array, wanted: float, arms: int) -> C
     Args:
         error: Measured errors [m or rad], shape (n,).
         bound: Bounds at the same poses, same unit, shape (n,).
-        wanted: Wanted coverage.
-        arms: Number of arms.
-
-    Returns:
-        Coverage and width with their intervals.
     """
     normed = error / bound
     share = float(np.mean(normed <= 1))

@@ -9,13 +9,7 @@ import numpy as np
 from fsw.config import Config
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Flags
-from marsarm.accuracy.budget import (
-    COMPONENTS,
-    Budget,
-    ToolBudget,
-    compute_tool_budget,
-    errors_by_source,
-)
+from marsarm.accuracy.budget import COMPONENTS, Budget, ToolBudget, compute_tool_budget, errors_by_source
 from marsarm.accuracy.confidence import Coverage, Interval, estimate_coverage, quantile_interval
 from marsarm.accuracy.propagation import (
     COVERAGE,
@@ -84,8 +78,6 @@ def backlash_ratio(model: ErrorModel, sensitivity: Sensitivity, side: Array) -> 
     """Compute the tool motion by backlash over the sum of the largest motions by each joint.
 
     Args:
-        model: Error sources.
-        sensitivity: Sensitivity of the tool at each pose.
         side: Positions of the outputs in their backlash, -1 and +1 at the flanks, shape (5, n).
 
     Returns:

@@ -7,12 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.dictionary.enums import Joint
-from marsarm.accuracy.budget import (
-    COMPONENTS,
-    MOMENTS,
-    TABLE_3,
-    TABLE_4,
-)
+from marsarm.accuracy.budget import COMPONENTS, MOMENTS, TABLE_3, TABLE_4
 from marsarm.accuracy.budget_report import RULES, format_value, make_origin, short_name
 from marsarm.accuracy.confidence import describe_sample, is_within, min_sample_size
 from marsarm.accuracy.coverage import CoverageReport

@@ -37,14 +37,7 @@ def workspace_poses(arm: Arm, tool: str, gravity_R_m_s2: Array, count: int, seed
     """Draw poses of a tool over the workspace; the result depends only on the arguments.
 
     Args:
-        arm: Arm that deflects under gravity.
-        tool: Tool to place.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
-        count: Number of poses.
-        seed: Seed of the targets.
-
-    Returns:
-        The poses.
     """
     rng = np.random.default_rng([seed, list(arm.X_FT).index(tool)])
     outputs, targets = np.zeros((5, 0)), np.zeros((3, 0))
@@ -94,12 +87,7 @@ def compute_sensitivity(config: Config, poses: Poses, gravity_R_m_s2: Array) -> 
     """Compute the sensitivity of the tool of the deflected arm.
 
     Args:
-        config: Configuration with the arm.
-        poses: Poses of one tool.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
-
-    Returns:
-        The sensitivity.
     """
     arm = config.arm
     deflected = settle_output(arm, poses.output_rad, gravity_R_m_s2)
@@ -169,9 +157,6 @@ class SquaredLength:
 
         A shifted and scaled chi-square distribution matches the three cumulants.
 
-        Args:
-            coverage: Probability.
-
         Returns:
             Lengths, shape (n,).
         """
@@ -197,9 +182,6 @@ def squared_length(errors: Sequence[tuple[Array, Distribution]], known: Array | 
     Args:
         errors: Independent errors at their magnitudes, shape (m, k, n), with their distributions.
         known: Known error to add, shape (m, n); zero by default.
-
-    Returns:
-        The cumulants.
     """
     m, _, n = errors[0][0].shape
     c = np.zeros((m, n)) if known is None else known
@@ -247,9 +229,6 @@ def bounds(u: Array) -> Bounds:
 
     Args:
         u: Absolute errors [rad, m], shape (6, n).
-
-    Returns:
-        Bounds of each part of the error.
     """
     return Bounds(*(np.linalg.norm(u[part], axis=0) for part in PARTS))
 
@@ -322,11 +301,6 @@ def moments_rule(lengths: Sequence[SquaredLength], worst: Bounds, coverage: floa
 
     Args:
         lengths: Distributions of squared lengths in the order of PARTS.
-        worst: Worst-case bounds.
-        coverage: Probability.
-
-    Returns:
-        The bounds.
     """
     within = [length.quantile(coverage) for length in lengths]
     most = (getattr(worst, field.name) for field in fields(Bounds))

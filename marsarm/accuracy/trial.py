@@ -132,10 +132,6 @@ def measure_placements(move: TrueMove, places: Sequence[PlannedMove]) -> list[Me
 def error_in_tool(commanded: Pose, true: Pose) -> Array:
     """Compute the tool error.
 
-    Args:
-        commanded: Commanded tool pose X_RT.
-        true: True tool pose X_RT.
-
     Returns:
         Screw [rad, m] from commanded to true pose in tool axes without the rotation about x, shape (6,).
     """
@@ -170,7 +166,6 @@ def statics_model(arm: BuiltArm, believed: Config, backlash: BacklashMode) -> Tr
     The gears have the wind-up and the side of the backlash that the move leaves.
 
     Args:
-        arm: Arm as it is built.
         believed: Arm as flight software knows it, see `configure_believed`.
         backlash: Compensation of the backlash.
     """
@@ -257,10 +252,6 @@ def sample_source(
 
 def sample_errors(distribution: Distribution, count: int, rng: np.random.Generator) -> Array:
     """Sample errors of magnitude 1.
-
-    Args:
-        distribution: Distribution of the errors.
-        count: Number of errors.
 
     Returns:
         Errors, shape (count,).

@@ -82,7 +82,6 @@ def params_with_values(params: Params, x: Array) -> Params:
     Factors of backlash change the backlash widths. The measured frame Tool is not part of the arm.
 
     Args:
-        params: Nominal parameters of flight software.
         x: Parameter values, shape (p,), in the units of `arm_parameters`.
 
     Returns:
@@ -171,7 +170,6 @@ def move_zeros_to_hardstops(params: Params, x: Array) -> tuple[Array, Params]:
     angles are valid after each hardstop has been found again.
 
     Args:
-        params: Nominal parameters of flight software.
         x: Parameter values, shape (p,), in the units of `arm_parameters`.
 
     Returns:

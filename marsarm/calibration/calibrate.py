@@ -79,13 +79,8 @@ def calibrate(
     `checks.check_fit` decides whether the result is acceptable.
 
     Args:
-        nominal: Nominal parameters of flight software.
-        campaign: Measured poses.
         with_backlash: True if the model uses the state of the backlash.
         built: Tolerances of manufacture; None for those of the default arm.
-
-    Returns:
-        The calibration.
 
     Raises:
         TooManyOutliers: No arm explains the poses.

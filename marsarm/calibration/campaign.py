@@ -146,9 +146,6 @@ def measure_pose(
     """Measure the arm at rest; the rover sways between measurements.
 
     Args:
-        tracker: Tracker with its noise.
-        plant: Plant that shows the arm.
-        roll_rad: Roll of the rover.
         X_RF: Interface of the turret in the rover frame.
 
     Returns:
@@ -241,8 +238,6 @@ def group_poses(arm: BuiltArm, group: PoseGroup, scene: World, rng: np.random.Ge
     """Draw the collision-free poses of one group.
 
     Args:
-        arm: Arm with its flight parameters.
-        group: Turret, tilt and number of poses.
         scene: World whose terrain the arm must clear.
 
     Returns:
@@ -274,7 +269,6 @@ def order_by_time(config: Config, start_rad: Array, goals: list[Array]) -> list[
     """Order poses so that the next one is always the pose that is reached soonest.
 
     Args:
-        config: Configuration with the joint speeds.
         start_rad: Joint angles at the start, shape (5,).
         goals: Joint angles [rad] of each pose, shape (5,).
 
@@ -293,7 +287,6 @@ def branch_name(config: Config, output_rad: Array) -> str:
     """Return the name of the inverse-kinematics branch of a pose.
 
     Args:
-        config: Configuration with the arm.
         output_rad: Joint angles, shape (5,).
 
     Returns:

@@ -38,7 +38,6 @@ def pose_whitener(measured: MeasuredPoses, output_jacobian: Array, unknown: Flag
     A pose carries no information along the screw of an output whose side is unknown: these rows are 0.
 
     Args:
-        measured: Measured poses and their covariances.
         output_jacobian: Screws of the turret frame in its axes, per radian of each output, shape (6, n, 5).
         unknown: Boolean flags of outputs whose side of the backlash is unknown, shape (5, n).
 
@@ -58,7 +57,6 @@ def whiten_joint_jacobian(measured: MeasuredPoses, output_jacobian: Array) -> tu
     """Compute the whitening matrices for the noise of the tracker and of joints at rest.
 
     Args:
-        measured: Measured poses and their covariances.
         output_jacobian: Screws of the turret frame in its axes, per radian of each output, shape (6, n, 5).
 
     Returns:
@@ -94,7 +92,6 @@ def confirm_sides(
     """Find the uncertain outputs that lie where they are believed to lie in their backlash.
 
     Args:
-        measured: Measured poses and their covariances.
         output_jacobian: Screws of the turret frame in its axes, per radian of each output, shape (6, n, 5).
         error: Screws [rad, m] from the modelled to the measured poses, shape (6, n).
         parameter_jacobian: Screws of the turret frame per unit of each parameter, shape (6, n, p).
@@ -131,9 +128,6 @@ def find_consensus(outputs: OutputErrors) -> Flags:
     """Find the outputs that agree with the model and with most outputs on the same side.
 
     Model uncertainty shifts all of them together, so only independent noise separates them.
-
-    Args:
-        outputs: Angle errors of outputs on one side.
 
     Returns:
         Flags of the outputs that agree, shape (k,).

@@ -60,8 +60,6 @@ def differentiate_deflection(
     Source of the equations: module docstring.
 
     Args:
-        arm: Arm with its masses and stiffnesses.
-        rest: Static equilibria, batch (n,).
         gravity_R_m_s2: Gravity in the rover frame, shape (3, n).
         X_FT: Frame T in the last frame of the arm.
 
@@ -101,7 +99,6 @@ def screw_derivatives(
     """Compute the derivatives of frame T by parameters.
 
     Args:
-        deflection: Derivatives of the equilibria by the coordinates.
         dQ_dx: Derivatives of loads [N m, N] by parameters, without the screws of frames, shape (d, n, p).
         direct: Direct derivatives of joint angles [rad] and strains [rad, m] by parameters, shape (d, n, p).
         screw_dx: Derivatives of the frames' screws [rad, m] by parameters, shape (s, p).
@@ -196,9 +193,6 @@ def _compliance(arm: Arm) -> Array:
 
 def add_batch_axis(X: Pose) -> Pose:
     """Add a batch axis of length one to a pose.
-
-    Args:
-        X: A single pose.
 
     Returns:
         The pose as a batch (1,).

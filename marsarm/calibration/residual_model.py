@@ -91,8 +91,6 @@ def residual_model(
     does not confirm carry no information about their joint.
 
     Args:
-        nominal: Nominal parameters of flight software.
-        campaign: Measured poses.
         preliminary: Fit close to the solution. Without it, all uncertain outputs count as unknown.
         with_backlash: If false, every output counts as resting on the side where it rests most often.
         held_out: Boolean flags of poses whose measurements must not decide any side, shape (n,).
@@ -142,9 +140,6 @@ def _fix_sides(believed: BelievedPoses) -> BelievedPoses:
 def group_by_turret(believed: BelievedPoses) -> list[tuple[float | None, Integers]]:
     """Group poses by the turret that was mounted.
 
-    Args:
-        believed: State of the arm at each pose.
-
     Returns:
         Mass [kg] of each stand-in turret, None for the arm's own turret, with the indices of its poses.
     """
@@ -160,9 +155,7 @@ def predict_poses(nominal: Params, x: Array, believed: BelievedPoses) -> Pose:
     """Compute the poses of the turret frame.
 
     Args:
-        nominal: Nominal parameters of flight software.
         x: Parameter values, shape (p,), in the units of `arm_parameters`.
-        believed: State of the arm at each pose.
 
     Returns:
         X_RT, the turret frame in the rover frame, batch (n,).
@@ -179,7 +172,6 @@ def reorder_poses(parts: Iterable[tuple[Integers, Pose]], count: int) -> Pose:
 
     Args:
         parts: Indices of the poses of each part, and these poses.
-        count: Number of poses in all.
 
     Returns:
         All poses in order, batch (count,).
@@ -240,9 +232,7 @@ def settle_poses(nominal: Params, x: Array, believed: BelievedPoses) -> list[Tur
     """Compute the equilibria of all poses, grouped by turret.
 
     Args:
-        nominal: Nominal parameters of flight software.
         x: Parameter values, shape (p,), in the units of `arm_parameters`.
-        believed: State of the arm at each pose.
 
     Returns:
         One record for each turret.
@@ -260,9 +250,6 @@ def settle_poses(nominal: Params, x: Array, believed: BelievedPoses) -> list[Tur
 
 def joint_jacobian(parts: Sequence[TurretPoses]) -> Array:
     """Compute the Jacobian of the turret frame by the output angles.
-
-    Args:
-        parts: Equilibria of all poses.
 
     Returns:
         Screws of the turret frame in its own axes, per radian of each output, shape (6, n, 5).

@@ -138,9 +138,6 @@ def true_params(arm: BuiltArm) -> Params:
 def hardstop_errors_rad(arm: BuiltArm) -> Array:
     """Compute the errors of the arm's hardstop angles; its encoders read this much too little.
 
-    Args:
-        arm: Arm with its effects.
-
     Returns:
         True less nominal hardstop angles [rad], shape (5,).
     """
@@ -154,10 +151,6 @@ def hardstop_errors_rad(arm: BuiltArm) -> Array:
 def zero_errors_rad(arm: BuiltArm, reference: Reference) -> Array:
     """Compute the errors of the motor angles after an initialisation.
 
-    Args:
-        arm: Arm with its effects.
-        reference: Result of the initialisation.
-
     Returns:
         True less believed motor angles [rad], shape (5,).
     """
@@ -169,8 +162,6 @@ def true_poses(arm: BuiltArm, believed: BelievedPoses, motor_error_rad: Array) -
     """Compute the poses of the true arm, at the believed motor angles and positions in the backlash.
 
     Args:
-        arm: Arm with its effects.
-        believed: Believed state of the arm at each pose.
         motor_error_rad: True less believed motor angles, shape (5,).
 
     Returns:
@@ -207,7 +198,6 @@ def compare_with_truth(arm: BuiltArm, found: Calibration, motor_error_rad: Array
     The frame Tool of the targets is taken as nominal.
 
     Args:
-        arm: Arm with its effects.
         motor_error_rad: True less believed motor angles, shape (5,).
 
     Returns:
@@ -233,10 +223,6 @@ MOST_TRIES: Final = 20
 
 def register_tools(arm: BuiltArm, seed: int) -> dict[str, Pose]:
     """Simulate the measurement of every tool frame by targets on the tool and on the interface.
-
-    Args:
-        arm: Arm with its effects.
-        seed: Seed of the noise.
 
     Returns:
         X_FT, the tool frame in frame Arm6, for every tool.
@@ -283,16 +269,6 @@ def verify_calibration(
 ) -> Verification:
     """Move to fresh targets on Earth, on Mars, and on cold Mars with a shrunken arm.
 
-    Args:
-        arm: Arm with its effects.
-        params: Calibrated parameters.
-        targets: Number of targets in each environment.
-        seed: Seed of the targets.
-        progress: Callback for progress.
-
-    Returns:
-        Tool errors and changes of encoder zeros.
-
     Raises:
         CampaignFailed: A hardstop was not found, or a move failed.
     """
@@ -330,9 +306,6 @@ class VerificationRun:
 
     def tool_errors(self, targets: int) -> Iterator[tuple[str, Array]]:
         """Move to targets and measure the tool errors.
-
-        Args:
-            targets: Number of targets.
 
         Yields:
             The tool and its errors: total, lateral, along the approach [m], and axis [rad]; shape (4,).

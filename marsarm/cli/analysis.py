@@ -76,11 +76,7 @@ def monte_carlo(request: MonteCarloRequest, progress: Progress) -> VerbResult:
     Example: marsarm monte-carlo --case mars --arms 200 --results mars.jsonl --report mars.html
     """
     from marsarm.accuracy.monte_carlo import run_monte_carlo
-    from marsarm.accuracy.monte_carlo_report import (
-        monte_carlo_document,
-        monte_carlo_page,
-        monte_carlo_parts,
-    )
+    from marsarm.accuracy.monte_carlo_report import monte_carlo_document, monte_carlo_page, monte_carlo_parts
     from simgap.common.report import save_report_page
 
     result = run_monte_carlo(request, progress)

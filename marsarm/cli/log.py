@@ -165,8 +165,8 @@ def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) 
     Raises:
         NoSuchChannel: the log has no message between these times.
     """
+    from marsarm.telemetry.errors import trailing_bytes_text
     from marsarm.telemetry.inspection import NoSuchChannel, bound_ns
-    from marsarm.telemetry.lost_messages import trailing_bytes_text
     from marsarm.telemetry.read import read_log
 
     start_ns, stop_ns = bound_ns("from", start_s), bound_ns("to", stop_s)

@@ -120,10 +120,8 @@ def compute_closure(held_out_model: HeldOutModel, before: Array, after: Array, s
     """Compute the closure on held-out motion.
 
     Args:
-        held_out_model: Model of the held-out motion.
         before: Residual without the findings, in the units of the channels, shape (m,).
         after: Residual with the findings, in the units of the channels, shape (m,).
-        seed: Seed of the noise draws.
 
     Returns:
         Closure, with every channel.
@@ -138,10 +136,8 @@ def whitened_closure(held_out_model: HeldOutModel, r: Array, rest: Array, seed: 
     """Compute the closure of whitened residuals, without channels.
 
     Args:
-        held_out_model: Model of the held-out motion.
         r: Whitened residual without the findings, shape (m,).
         rest: Whitened residual with the findings, shape (m,).
-        seed: Seed of the noise draws.
 
     Returns:
         Closure; `channels` is empty.
@@ -219,37 +215,22 @@ def _channel_closures(
     return tuple(result)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HeldOutResiduals:
-    """Residuals of held-out motion without and with the findings, in the channels' units, shape (m,)."""
-
-    held_out_model: HeldOutModel
-    before: Array
-    after: Array
-
-    def closure(self, seed: int) -> Closure:
-        """Compute the closure."""
-        return compute_closure(self.held_out_model, self.before, self.after, seed)
-
-
 def compute_held_out_residuals(
     diagnosis: Diagnosis, held_out_model: HeldOutModel, residual: Array, change: Array
-) -> HeldOutResiduals:
+) -> tuple[Array, Array]:
     """Subtract the nuisances that fit beside the findings, then the change by the findings.
 
     Nuisances that fit alone would imitate a finding, far beyond their priors, and hide the gap.
 
     Args:
-        diagnosis: Diagnosis of the fitted motion.
-        held_out_model: Model of the held-out motion.
         residual: Measured minus simulated with nuisances at 0, in the units of the channels, shape (m,).
         change: Simulated change by the findings, in the units of the channels, shape (m,).
 
     Returns:
-        Residuals before and after.
+        Residuals without and with the findings, in the units of the channels, shape (m,) each.
     """
     before = residual - held_out_model.nuisance @ diagnosis.effect_fit.theta[: diagnosis.equations.q]
-    return HeldOutResiduals(held_out_model, np.asarray(before), np.asarray(before - change))
+    return np.asarray(before), np.asarray(before - change)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,6 @@ from marsarm.diagnosis.normal_equations import (
     NormalEquations,
     fit_linear,
     form_normal_equations,
-    whitened_residual,
 )
 from marsarm.diagnosis.problem import INTERVAL_QUANTILES, EffectValues, FeatureLayout, Residuals
 from marsarm.diagnosis.selection import FeatureEffect, Selection
@@ -137,12 +136,6 @@ class Diagnosis:
 def diagnose(model: DiagnosisModel, residuals: Residuals, selection: Selection, seed: int) -> Diagnosis:
     """Diagnose one case whose effects are selected.
 
-    Args:
-        model: Diagnosis model of the campaign.
-        residuals: Residuals of the case.
-        selection: Selected effects.
-        seed: Seed of all random draws.
-
     Returns:
         Verdict, findings, and what remains unexplained.
     """
@@ -175,9 +168,6 @@ def diagnose(model: DiagnosisModel, residuals: Residuals, selection: Selection, 
 
 def effect_values(diagnosis: Diagnosis) -> EffectValues:
     """Return the values of the findings in the form that a simulator takes.
-
-    Args:
-        diagnosis: Diagnosis with findings.
 
     Returns:
         Values of all p parameters of each effect in their units, shape (p,).
@@ -267,7 +257,6 @@ def map_residual(layout: FeatureLayout, residual: Array, seed: int) -> tuple[Res
     Args:
         layout: Description of the m features.
         residual: Residual in units of the noise floor, shape (m,).
-        seed: Seed of the bootstrap.
 
     Returns:
         Cells, largest ratio first.
@@ -302,14 +291,12 @@ def find_lack_of_fit(
     """Test every group, and all groups together, for structure.
 
     Args:
-        equations: Normal equations of the campaign.
-        fit: Linear fit of the case.
         y: Whitened features, shape (m,).
 
     Returns:
         Results, most significant first; the greater -log10 p of both tests counts.
     """
-    rest = whitened_residual(equations, fit, y)
+    rest = np.asarray(y - equations.A[:, fit.active] @ fit.theta)
     total, freedom, found = 0.0, 0, []
     for group in groups:
         statistic, d = _chi_square(group, fit, rest)

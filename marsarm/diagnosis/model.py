@@ -107,8 +107,7 @@ def build_model(
     """Build the diagnosis model from the sensitivities of a campaign.
 
     Args:
-        sensitivities: Sensitivities of the campaign.
-        families: StrEnum of each of its hypotheses.
+        families: Family of each of its hypotheses.
         locations: Location of each.
     """
     equations = form_normal_equations(sensitivities)

@@ -11,7 +11,7 @@ Gaussian prior of precision P. With G = A'A and c = A'y, the nuisances are elimi
 The amplitudes a solve R a = r. Shapes use m features, q shared nuisances and k columns of h hypotheses.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -140,9 +140,6 @@ class NormalEquations:
 def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
     """Form the normal equations of all hypotheses, with nuisances eliminated.
 
-    Args:
-        sensitivities: Sensitivities of the campaign.
-
     Returns:
         Normal equations with columns in units of their standard error.
     """
@@ -158,10 +155,6 @@ def form_normal_equations(sensitivities: Sensitivities) -> NormalEquations:
 
 def nuisance_columns(sensitivities: Sensitivities, whiten: Whitener) -> tuple[Array, Array, Array]:
     """Whiten the columns of the shared nuisances.
-
-    Args:
-        sensitivities: Sensitivities of the campaign.
-        whiten: Their whitener.
 
     Returns:
         Columns in the units of the nuisances, (m, q), prior precisions, (q,), and these units, (q,): sigma if
@@ -190,11 +183,8 @@ def _scale_columns(raw: NormalEquations) -> NormalEquations:
     scale = np.sqrt(np.where(of > ABSORBED_SHARE * np.diagonal(raw.G)[q:], of, 0.0))
     by = np.where(scale > 0.0, 1.0 / np.where(scale > 0.0, scale, 1.0), 0.0)
     all_by = np.concatenate([np.ones(q), by])
-    return NormalEquations(
-        raw.layout, raw.hypotheses, raw.owner, raw.whiten, raw.A * all_by,
-        raw.G * np.outer(all_by, all_by), raw.prior, raw.nuisance_unit, raw.R * np.outer(by, by),
-        raw.W * by[:, None], raw.C, scale,
-    )  # fmt: skip
+    G, R = raw.G * np.outer(all_by, all_by), raw.R * np.outer(by, by)
+    return replace(raw, A=raw.A * all_by, G=G, R=R, W=raw.W * by[:, None], scale=scale)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,7 +204,6 @@ def fit_linear(equations: NormalEquations, y: Array, columns: Ints) -> LinearFit
     """Fit nuisances and chosen columns by maximum posterior; singular combinations stay at 0.
 
     Args:
-        equations: Normal equations of the campaign.
         y: Whitened features, without a unit, shape (m,).
         columns: Indices of columns of effects.
 
@@ -226,17 +215,3 @@ def fit_linear(equations: NormalEquations, y: Array, columns: Ints) -> LinearFit
     information[: equations.q, : equations.q] += np.diag(equations.prior)
     covariance = np.linalg.pinv(information, rcond=1e-13, hermitian=True)
     return LinearFit(active, covariance @ (equations.A[:, active].T @ y), covariance)
-
-
-def whitened_residual(equations: NormalEquations, fit: LinearFit, y: Array) -> Array:
-    """Compute the residual of a fit.
-
-    Args:
-        equations: Normal equations of the campaign.
-        fit: Linear fit to these features.
-        y: Whitened features, shape (m,).
-
-    Returns:
-        Whitened residual, shape (m,).
-    """
-    return np.asarray(y - equations.A[:, fit.active] @ fit.theta)

@@ -62,10 +62,6 @@ LEAST_DRAWN: Final = 1e-3
 def save_diagnosis_page(result: DiagnosisResult, origin: Origin, path: Path) -> None:
     """Write the page.
 
-    Args:
-        origin: Command and digests.
-        path: The HTML file.
-
     Raises:
         BadOutput: The file cannot be written.
     """

@@ -243,7 +243,6 @@ class Simulator(Protocol):
         """Predict the features with these effects and nuisances.
 
         Args:
-            settings: Values of the effects that are switched on.
             nuisance: Departures from nominal in the units of the nuisances, shape (q,). A random nuisance has
                 the same departure in all blocks here.
 

@@ -66,91 +66,67 @@ def finite_or_none(value: float) -> float | None:
 
 def to_json(result: DiagnosisResult) -> dict[str, Any]:
     """Return the result document; docs/diagnosis.md explains its keys."""
-    diagnosis, model = result.diagnosis, result.model
-    return {
+    diagnosis, tool = result.diagnosis, result.tool
+    document: dict[str, Any] = _without_infinity({
         "verdict": diagnosis.verdict,
         "effects": [_finding_json(result, finding) for finding in diagnosis.findings],
-        "residual_map": [_plain_table(asdict(cell)) for cell in diagnosis.residual_map],
-        "closure": None if result.closure is None else _closure_json(result.closure),
-        "next_motion": [_plain_table(asdict(motion)) for motion in result.next_motion],
+        "residual_map": [asdict(cell) for cell in diagnosis.residual_map],
+        "closure": None if result.closure is None else asdict(result.closure),
+        "next_motion": [asdict(motion) for motion in result.next_motion],
         "unexplained": {
             "has_remainder": diagnosis.has_remainder,
-            "neg_log10_p": finite_or_none(diagnosis.unexplained[0].neg_log10_p),
-            "limit": finite_or_none(model.lack_of_fit_limit),
-            "groups": [
-                {
-                    "channel": one.channel,
-                    "place": one.place,
-                    "regime": one.regime,
-                    "depends_on": one.depends_on,
-                    "neg_log10_p": finite_or_none(one.neg_log10_p),
-                }
-                for one in diagnosis.unexplained[:MAX_LISTED]
-            ],
+            "neg_log10_p": diagnosis.unexplained[0].neg_log10_p,
+            "limit": result.model.lack_of_fit_limit,
+            "groups": [asdict(one) for one in diagnosis.unexplained[:MAX_LISTED]],
         },
-        "tool_mm": None
-        if result.tool is None
-        else {
-            "before": finite_or_none(result.tool.before_mm),
-            "after": finite_or_none(result.tool.after_mm),
-            "noise_floor": finite_or_none(result.tool.noise_floor_mm),
-        },
-        "notes": list(result.notes),
-        "noise_floor": list(result.noise_floor),
-    }
+        "tool_mm": tool and {name.removesuffix("_mm"): mm for name, mm in asdict(tool).items()},
+        "notes": result.notes,
+        "noise_floor": result.noise_floor,
+    })  # fmt: skip
+    return document
 
 
 def _finding_json(result: DiagnosisResult, finding: Finding) -> dict[str, Any]:
     hypothesis, limit = result.hypothesis(finding.hypothesis), result.model.limits[finding.hypothesis]
     numbers = zip(hypothesis.parameters, finding.values, finding.least, finding.most, strict=True)
+
+    def named(index: int) -> dict[str, str]:
+        one = result.hypothesis(index)
+        return {"name": one.effect, "place": one.place}
+
     return {
-        **_effect_and_place(hypothesis),
+        **named(finding.hypothesis),
         "family": str(result.model.families[finding.hypothesis]),
         "level": finding.level,
-        "places": list(finding.places),
+        "places": finding.places,
         "families": list(map(str, finding.families)),
-        "effects": [_effect_and_place(result.hypothesis(one)) for one in finding.effects],
+        "effects": [named(one) for one in finding.effects],
         "parameters": [
             {
                 "name": parameter.name,
                 "unit": parameter.unit,
                 "is_amplitude": parameter.is_amplitude,
-                "value": finite_or_none(value),
-                "least": finite_or_none(least),
-                "most": finite_or_none(most),
-                "seen_from": finite_or_none(limit.limit * abs(parameter.typical)),
-                "named_from": finite_or_none(limit.family_wise_limit * abs(parameter.typical)),
+                "value": value,
+                "least": least,
+                "most": most,
+                "seen_from": limit.limit * abs(parameter.typical),
+                "named_from": limit.family_wise_limit * abs(parameter.typical),
             }
             for parameter, value, least, most in numbers
         ],
-        "share": finite_or_none(finding.share),
-        "alternatives": [
-            {**_effect_and_place(result.hypothesis(one.hypothesis)), "p": finite_or_none(one.p)}
-            for one in finding.alternatives[1:]
-        ],
-        "aliases": [
-            _effect_and_place(result.hypothesis(one))
-            for one in finding.equivalence_class
-            if one != finding.hypothesis
-        ],
+        "share": finding.share,
+        "alternatives": [{**named(one.hypothesis), "p": one.p} for one in finding.alternatives[1:]],
+        "aliases": [named(one) for one in finding.equivalence_class if one != finding.hypothesis],
     }
 
 
-def _closure_json(found: Closure) -> dict[str, Any]:
-    names = ("share", "least", "most", "before", "after")
-    numbers = {name: finite_or_none(getattr(found, name)) for name in names}
-    return {**numbers, "channels": [_plain_table(asdict(channel)) for channel in found.channels]}
-
-
-def _effect_and_place(hypothesis: Hypothesis) -> dict[str, str]:
-    return {"name": hypothesis.effect, "place": hypothesis.place}
-
-
-def _plain_table(table: dict[str, Any]) -> dict[str, Any]:
-    """Convert the numbers of a table to plain ones."""
-    return {
-        key: value if isinstance(value, str | int) else finite_or_none(value) for key, value in table.items()
-    }
+def _without_infinity(value: Any) -> Any:
+    """Convert a document to what JSON can hold, with None for NaN and infinity."""
+    if isinstance(value, dict):
+        return {key: _without_infinity(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_infinity(one) for one in value]
+    return finite_or_none(value) if isinstance(value, float) else value
 
 
 def verdict_lines(result: DiagnosisResult) -> tuple[tuple[str, str], ...]:

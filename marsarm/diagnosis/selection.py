@@ -75,10 +75,7 @@ def select_simulated(
     """Select effects, simulate those beyond the reach of their sensitivities, and select again.
 
     Args:
-        model: Diagnosis model of the campaign.
-        whiten: Its full whitener.
         value: Measured minus nominal features in the units of the channels, (m,).
-        seed: Seed of the engine.
         simulator: Simulator of the case; None to extrapolate.
 
     Returns:
@@ -138,11 +135,9 @@ def select(
     """Select the effects that a case needs.
 
     Args:
-        model: Diagnosis model of the campaign.
         sensitivities: Its sensitivities, also with parabolas through simulated changes.
         whiten: Whitener of the sensitivities by noise and nuisances.
         value: Measured minus nominal features in the units of the channels, (m,).
-        seed: Seed of the engine.
         excluded: Hypotheses that do not compete.
 
     Returns:
@@ -199,7 +194,6 @@ def list_feature_effects(model: DiagnosisModel, excluded: Collection[int] = ()) 
     makes longer cannot stand for one that was built too long.
 
     Args:
-        model: Diagnosis model of the campaign.
         excluded: Indices of hypotheses that do not compete.
 
     Returns:

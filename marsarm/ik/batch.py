@@ -66,9 +66,6 @@ def make_targets(position_m: Array, approach: Array, frame: str, naming: TargetL
         frame: Name of the frame, of FRAMES.
         naming: Names of positions and approaches in messages.
 
-    Returns:
-        The targets.
-
     Raises:
         BadRequest: The frame is unknown, a number is not finite, a point is too far, or a direction is 0.
     """

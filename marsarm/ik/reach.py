@@ -55,11 +55,7 @@ class ReachSamples:
 def sample_workspace(
     model: IkModel, count: int, seed: int, run: Runner, progress: Progress
 ) -> tuple[ReachSamples, Tally]:
-    """Draw random targets of the workspace and solve their inverse kinematics.
-
-    Returns:
-        The targets, and counts over all of them.
-    """
+    """Draw random targets of the workspace and solve their inverse kinematics."""
     p_N_m, angles = random_targets(np.random.default_rng(seed), count, model.workspace)
     targets = IkTargets(p_R_from_N(p_N_m.T).T, approach_from(angles))
     valid, counted = [], Tally()

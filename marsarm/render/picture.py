@@ -63,9 +63,6 @@ def save_picture(
 
     Args:
         data: Its state, current (after mj_forward or mj_step).
-        camera: Name of a camera of the model.
-        path: The PNG file.
-        size: Width and height in pixels.
 
     Raises:
         PictureError: the path cannot be written, there is no such camera, or the size is not positive.
@@ -102,10 +99,8 @@ def save_movie(
 
     Args:
         poses: Positions qpos, each of shape (model.nq,), in metres and radians.
-        camera: Name of a camera of the model.
         path: The file, MP4 or GIF by its suffix.
         size: Width and height in pixels, even for an MP4.
-        frames_per_s: Frame rate.
 
     Raises:
         PictureError: the path cannot be written, PyAV is missing for an MP4, there is no such camera, or the
@@ -143,8 +138,6 @@ def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_
 
     Args:
         frames: Images, each of shape (height, width, 3), 0 to 255.
-        path: The GIF file.
-        frames_per_s: Frame rate.
 
     Raises:
         PictureError: the path cannot be written or there is no frame.
@@ -166,7 +159,6 @@ def write_mp4(frames: Sequence[Image], path: Path, frames_per_s: float = 16.0) -
     Args:
         frames: Images, each of shape (height, width, 3), 0 to 255, of even height and width.
         path: The MP4 file.
-        frames_per_s: Frame rate.
 
     Raises:
         PictureError: there is no frame.

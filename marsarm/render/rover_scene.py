@@ -84,11 +84,7 @@ def save_collision_picture(
     """Save a picture of the arm, deflected by gravity on Mars, with the collision shapes of arm and rover.
 
     Args:
-        params: Flight parameters.
         output_rad: Output angles, shape (5,).
-        path: The PNG file.
-        camera: Name of a camera of the scene.
-        size: Width and height in pixels.
         arm: Drawing of the arm; None for the default one.
 
     Raises:
@@ -126,7 +122,6 @@ def project_outlines(boxes: RoundedBoxes, X_RS: Pose, axes: tuple[int, int]) -> 
     """Yield the outline of each shape, seen along the third axis.
 
     Args:
-        boxes: Shapes.
         X_RS: Their poses in the rover frame, batch (m).
         axes: Axes of the plane, 0 to 2 for x, y, z of the rover frame.
 

@@ -15,9 +15,9 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
 from fsw.estimate.reference import Reference
 from fsw.messages import Sensors
+from marsarm.telemetry.errors import LostMessages, trailing_bytes_text
 from marsarm.telemetry.format import COMMAND_TOPIC, SENSOR_TOPIC, TICK_NS
 from marsarm.telemetry.json_codec import BadJson, command_from_json, record_from_json
-from marsarm.telemetry.lost_messages import LostMessages, trailing_bytes_text
 from marsarm.telemetry.read import Log
 from marsarm.telemetry.schema import PER_JOINT, ArmNames, arm_names, packet_layout
 from sim.params import nominal_params

@@ -154,9 +154,6 @@ def open_log(
 
     Args:
         path: The log; None for a log that records nothing.
-        header: Header of the log, which describes the run.
-        config: Configuration of flight software.
-        world: World of the run, which the log shows.
         arm: Drawing of the arm; None for the default one.
 
     Raises:
@@ -201,11 +198,7 @@ def record_cycles(
     """Run and record cycle by cycle.
 
     Args:
-        log: Log in which each cycle is written.
         when_disk_full: Reaction to a log that can no longer be written: continue, or stop the arm.
-
-    Yields:
-        Each cycle, after it was recorded.
     """
     for record in run:
         log.write(record)
@@ -232,12 +225,9 @@ def save_artifacts(
     """Draw the picture and the movie of a run, and collect its artifacts.
 
     Args:
-        files: Files that the run writes.
         world: World of the run; its scene is drawn with all visual details.
-        drawn: Poses of the run.
         last: Last pose, drawn if no pose was chosen, shape (nq,), in metres and radians.
         log: Log of the run, closed.
-        progress: Receiver of the progress.
         arm: Drawing of the arm; None for the default one.
     """
     problem = next((event.message for _, event in log.events), None)
@@ -297,10 +287,6 @@ def open_view(
     It is stopped if the block fails, or no run begins in it. Else it stays open, to play the runs again.
 
     Args:
-        is_wanted: True for a viewer.
-        title: Title of the run.
-        world: World of the run.
-        arm: Arm of the run.
         effects: Effects beyond those of the arm.
 
     Raises:
@@ -340,15 +326,9 @@ def execute(
     """Carry out a run: record every cycle, then draw the picture and the movie.
 
     Args:
-        loop: Closed loop of the run.
-        header: Header of the log, which describes the run.
-        files: Files that the run writes.
-        world: World of the run.
-        progress: Receiver of the progress.
         progress_at: Function that returns the amount done at a cycle, and the total amount.
         is_for_picture: Function that returns whether the picture may show a cycle; it shows the last one.
         arm: Drawing of the arm, for log, picture and movie.
-        view: Viewer that shows the run; None for none.
 
     Raises:
         BadRequest: the log cannot be opened; nothing moved.

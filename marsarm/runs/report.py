@@ -2,31 +2,33 @@
 
 from collections.abc import Sequence
 from math import degrees, isfinite
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.evrs import Evr, JointCalibrated, Severity
-from marsarm.runs.execution import Execution
-from marsarm.runs.hardstop import HardstopReport, StopPlan
-from marsarm.runs.place import PlaceReport
-from marsarm.runs.request import RunFiles
-from marsarm.runs.scenario import RunReport
 from marsarm.telemetry.events import json_fields
-from sim.initialisation import HardstopResult
-from sim.placement import PlacementError
-from sim.scenario.data import Scenario
 from sim.scenario.effects import effect_text
-from sim.scenario.judge import CheckResult
 from sim.scenario.names import upper_snake
 from simgap.common.report import Emphasis, ReportTable, file_lines
+
+if TYPE_CHECKING:  # a placement loads neither scenarios nor the homing of joints
+    from marsarm.runs.execution import Execution
+    from marsarm.runs.hardstop import HardstopReport, StopPlan
+    from marsarm.runs.place import PlaceReport
+    from marsarm.runs.request import RunFiles
+    from marsarm.runs.scenario import RunReport
+    from sim.initialisation import HardstopResult
+    from sim.placement import PlacementError
+    from sim.scenario.data import Scenario
+    from sim.scenario.judge import CheckResult
 
 DISPLAY_UNITS: Final = {"m": ("mm", 1e3), "rad": ("deg", degrees(1.0))}
 """Unit of reports for each SI unit, and the conversion factor."""
 
 
-def place_document(report: PlaceReport) -> dict[str, Any]:
+def place_document(report: "PlaceReport") -> dict[str, Any]:
     """Collect a placement."""
     request, execution = report.request, report.execution
     result = execution.result
@@ -50,12 +52,12 @@ def place_document(report: PlaceReport) -> dict[str, Any]:
     }
 
 
-def _error_mm(error: PlacementError) -> dict[str, float]:
+def _error_mm(error: "PlacementError") -> dict[str, float]:
     names = ("total", "lateral", "normal", "backlash")
     return {name: 1e3 * float(getattr(error, f"{name}_m")) for name in names}
 
 
-def place_parts(report: PlaceReport) -> list[str | Emphasis | ReportTable]:
+def place_parts(report: "PlaceReport") -> list[str | Emphasis | ReportTable]:
     """Show a placement: errors, warnings, and files."""
     request, result = report.request, report.execution.result
     rows = []
@@ -69,7 +71,7 @@ def place_parts(report: PlaceReport) -> list[str | Emphasis | ReportTable]:
     return [ReportTable(head, rows, title), branch, *_execution_lines(report.execution, request.files)]
 
 
-def _execution_document(execution: Execution[Any], files: RunFiles) -> dict[str, Any]:
+def _execution_document(execution: "Execution[Any]", files: "RunFiles") -> dict[str, Any]:
     """Collect the end of the document of a run: parameters, events and files."""
     artifacts = execution.artifacts
     return {
@@ -82,7 +84,7 @@ def _execution_document(execution: Execution[Any], files: RunFiles) -> dict[str,
     }
 
 
-def _execution_lines(execution: Execution[Any], files: RunFiles) -> list[str | Emphasis]:
+def _execution_lines(execution: "Execution[Any]", files: "RunFiles") -> list[str | Emphasis]:
     """List duration, warnings and files of a run, or the reasons why there are no files."""
     result, artifacts = execution.result, execution.artifacts
     speed = f"{execution.realtime_factor:.0f} times real time"
@@ -113,7 +115,7 @@ def evr_document(time_s: float, evr: Evr) -> dict[str, Any]:
     }
 
 
-def run_document(report: RunReport) -> dict[str, Any]:
+def run_document(report: "RunReport") -> dict[str, Any]:
     """Collect a run."""
     execution, world = report.execution, report.scenario.world
     result = execution.result
@@ -133,7 +135,7 @@ def run_document(report: RunReport) -> dict[str, Any]:
     }
 
 
-def run_parts(report: RunReport) -> list[str | Emphasis | ReportTable]:
+def run_parts(report: "RunReport") -> list[str | Emphasis | ReportTable]:
     """Show a run: each check with its bounds, the warnings, and the files."""
     result, scenario = report.execution.result, report.scenario
     passed = "passed" if report.passed else "NOT passed"
@@ -148,7 +150,7 @@ def run_parts(report: RunReport) -> list[str | Emphasis | ReportTable]:
     return [*parts, *_execution_lines(report.execution, report.request.files)]
 
 
-def scenarios_document(scenarios: Sequence[Scenario]) -> dict[str, Any]:
+def scenarios_document(scenarios: "Sequence[Scenario]") -> dict[str, Any]:
     """Collect the built-in scenarios."""
     return {
         "scenarios": [
@@ -162,19 +164,19 @@ def scenarios_document(scenarios: Sequence[Scenario]) -> dict[str, Any]:
     }
 
 
-def scenarios_parts(scenarios: Sequence[Scenario]) -> list[str]:
+def scenarios_parts(scenarios: "Sequence[Scenario]") -> list[str]:
     """List the built-in scenarios, one in each line."""
     width = max(len(scenario.name) for scenario in scenarios)
     return [f"{scenario.name:<{width}}  {scenario.summary}" for scenario in scenarios]
 
 
-def _check_document(check: CheckResult) -> dict[str, Any]:
+def _check_document(check: "CheckResult") -> dict[str, Any]:
     value, low, high, unit = _in_display_unit(check)
     shown = {"value": value, "unit": unit or None, "low": low, "high": high}
     return {"check": check.check, "name": check.name, **shown, "passed": check.passed}
 
 
-def _check_cells(check: CheckResult) -> tuple[str, ...]:
+def _check_cells(check: "CheckResult") -> tuple[str, ...]:
     value, low, high, unit = _in_display_unit(check)
     verdict = "ok" if check.passed else "NOT"
     if low == high == 1.0:
@@ -184,13 +186,13 @@ def _check_cells(check: CheckResult) -> tuple[str, ...]:
     return check.check, check.name, measured, f"{bound} {unit}".rstrip(), verdict
 
 
-def _in_display_unit(check: CheckResult) -> tuple[float, float, float, str]:
+def _in_display_unit(check: "CheckResult") -> tuple[float, float, float, str]:
     """Convert value, lower and upper bound of a check to the unit of reports."""
     unit, factor = DISPLAY_UNITS.get(check.unit, (check.unit, 1.0))
     return factor * check.value, factor * check.low, factor * check.high, unit
 
 
-def hardstop_document(report: HardstopReport, picture_problem: str | None = None) -> dict[str, Any]:
+def hardstop_document(report: "HardstopReport", picture_problem: str | None = None) -> dict[str, Any]:
     """Collect the runs; `picture_problem` is the reason why there is no picture."""
     request = report.request
     same = ("arm", "scene", "turret", "repeat", "seed")
@@ -208,7 +210,7 @@ def hardstop_document(report: HardstopReport, picture_problem: str | None = None
     }
 
 
-def hardstop_parts(report: HardstopReport, picture_problem: str | None = None) -> list[str | ReportTable]:
+def hardstop_parts(report: "HardstopReport", picture_problem: str | None = None) -> list[str | ReportTable]:
     """Show the hardstop errors, and the events of failed runs."""
     request, is_repeated = report.request, report.request.repeat > 1
     spread = ("3 sigma mrad",) if is_repeated else ()
@@ -241,7 +243,7 @@ def _joint_cells(joint: Joint, row: dict[str, Any], is_repeated: bool) -> tuple[
     )
 
 
-def _shown_events(report: HardstopReport) -> list[str]:
+def _shown_events(report: "HardstopReport") -> list[str]:
     """List the events of the last of several runs; else those of calibration and warnings."""
     is_repeated = report.request.repeat > 1
     return [
@@ -252,7 +254,7 @@ def _shown_events(report: HardstopReport) -> list[str]:
     ]
 
 
-def plan_document(plans: Sequence[StopPlan]) -> dict[str, Any]:
+def plan_document(plans: "Sequence[StopPlan]") -> dict[str, Any]:
     """Collect the plans."""
     return {
         plan.place: {
@@ -276,7 +278,7 @@ def plan_document(plans: Sequence[StopPlan]) -> dict[str, Any]:
     }
 
 
-def plan_parts(plans: Sequence[StopPlan]) -> list[str | ReportTable]:
+def plan_parts(plans: "Sequence[StopPlan]") -> list[str | ReportTable]:
     """Show the pose and the load of each joint at its hardstop."""
     parts: list[str | ReportTable] = []
     head = ("joint", "load N m", "azimuth", "elevation", "elbow", "wrist", "turret deg")
@@ -293,12 +295,12 @@ def plan_parts(plans: Sequence[StopPlan]) -> list[str | ReportTable]:
     return parts
 
 
-def _joints(report: HardstopReport) -> list[Joint]:
+def _joints(report: "HardstopReport") -> list[Joint]:
     name = report.request.joint
     return list(Joint) if name is None else [Joint[name.upper()]]
 
 
-def _joint_document(report: HardstopReport, joint: Joint) -> dict[str, Any]:
+def _joint_document(report: "HardstopReport", joint: Joint) -> dict[str, Any]:
     """Compute means and spreads over the repetitions, from the last hardstop that each run found."""
     stops_by_run = [[stop for stop in run.stops if stop.joint is joint] for run in report.runs]
     stops = [of_run[-1] for of_run in stops_by_run if of_run]
@@ -319,7 +321,7 @@ def _joint_document(report: HardstopReport, joint: Joint) -> dict[str, Any]:
     }
 
 
-def _mean(stops: list[HardstopResult], name: str) -> float:
+def _mean(stops: "list[HardstopResult]", name: str) -> float:
     return float(np.mean([getattr(stop, name) for stop in stops]))
 
 

@@ -1,8 +1,16 @@
-"""Errors of logs that cannot be written or read; each names the file, the problem and the remedy."""
+"""Errors of logs, and the messages that a damaged log has lost, as records, text and metadata."""
 
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Final
 
+from marsarm.telemetry.format import header_crc32
 from simgap.common.errors import UserError
+
+RECOVERED_RECORD: Final = "marsarm.recovered"
+"""Name of the metadata that lists what a recovered log has lost."""
 
 
 class LogError(UserError):
@@ -22,5 +30,84 @@ class LogNotReadable(LogError):
     """Error of a file that is not a marsarm log, or has a format that this version does not know."""
 
 
+class LogDamaged(LogError):
+    """Error of a log whose bytes changed after it was written; `offset` is the byte where this shows."""
+
+    def __init__(self, path: Path, why: str, offset: int) -> None:
+        super().__init__(
+            path,
+            f"{why} (byte {offset}); the file was changed after it was written, and `marsarm log recover` "
+            "copies what is readable and says what is lost",
+        )
+        self.offset = offset
+
+
 class SchemaError(Exception):
     """Error of a packet, command or EVR with a value that the format of a log cannot hold."""
+
+
+@dataclass(frozen=True, slots=True)
+class LostMessages:
+    """Messages that were written and cannot be read any more; None stands for unknown."""
+
+    topic: str | None
+    """Topic of the messages; None for all topics."""
+    count: int | None
+    after_ns: int | None
+    """Log time of the last message before the damage; None if the damage is at the beginning."""
+    before_ns: int | None
+    """Log time of the first message after the damage; None if no message follows."""
+
+    @property
+    def sentence(self) -> str:
+        """Sentence: how many messages of which topic were lost, and when."""
+        count = "an unknown number of" if self.count is None else str(self.count)
+        messages = "message" if self.count == 1 else "messages"
+        return f"{count} {messages} of {self.topic or 'all topics'} lost, {self.when}"
+
+    @property
+    def when(self) -> str:
+        """Span of log time as text."""
+        return span_text(self.after_ns, self.before_ns)
+
+
+def span_text(after_ns: int | None, before_ns: int | None) -> str:
+    """Format a span of log time."""
+    match after_ns, before_ns:
+        case None, None:
+            return "at an unknown time"
+        case None, int():
+            return f"before {before_ns / 1e9:.6f} s"
+        case int(), None:
+            return f"after {after_ns / 1e9:.6f} s"
+        case _:
+            return f"between {(after_ns or 0) / 1e9:.6f} s and {(before_ns or 0) / 1e9:.6f} s"
+
+
+def trailing_bytes_text(size: int) -> str:
+    """Format the note about bytes after the end of the log."""
+    return f"{size} bytes after the end of the log are left out; a file holds one log"
+
+
+def interruption_text(interrupted_by: str) -> str:
+    """Format the note about the log of an interrupted run."""
+    return f"the run was interrupted by {interrupted_by}; the log ends there"
+
+
+def loss_metadata(lost: Sequence[LostMessages]) -> dict[str, str]:
+    """Return the metadata that lists the losses in a recovered log, with a CRC."""
+    record = {"lost": json.dumps([asdict(one) for one in lost])}
+    return record | {"crc32": header_crc32(record)}
+
+
+def losses_in(record: Mapping[str, str]) -> tuple[LostMessages, ...]:
+    """Read the metadata that `loss_metadata` made; an empty record lists no loss.
+
+    Raises:
+        ValueError, TypeError: the record is damaged.
+    """
+    if not record:
+        return ()
+    if record.get("crc32") != header_crc32({"lost": record.get("lost", "")}):
+        raise ValueError("what the log says of a recovery does not match its CRC")
+    return tuple(LostMessages(**one) for one in json.loads(record["lost"]))

@@ -10,8 +10,8 @@ from mcap.records import Metadata
 TICK_NS: Final = 15_625_000
 """Length of a cycle at 64 Hz, exact."""
 
-CHUNK_S: Final = 0.005
-"""Wall time after which a chunk is closed. A killed run loses this time plus the time to write a chunk."""
+CHUNK_CYCLES: Final = 64
+"""Cycles in a chunk: a second of Mars time, which is what a killed run loses at most."""
 
 FORMAT: Final = "2"
 """Version of the format; a reader refuses others."""

@@ -25,7 +25,7 @@ from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
 from sim.scenario.effects import effect_text
 from sim.world import World
-from simgap.common.page import git_revision
+from simgap.common.origin import git_revision
 
 
 @cache

@@ -11,7 +11,7 @@ import numpy as np
 from fsw.dictionary.commands import Command
 from fsw.dictionary.validity import MAX_FLOAT
 from marsarm.telemetry.errors import SchemaError
-from marsarm.telemetry.topics import strip_optional
+from marsarm.telemetry.schema import strip_optional
 
 COMMAND_TYPES: dict[str, type[Command]] = {kind.__name__: kind for kind in get_args(Command)}
 

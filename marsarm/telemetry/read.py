@@ -7,54 +7,46 @@ from stat import S_ISREG
 from typing import Final, Literal
 
 import numpy as np
-from mcap.records import Channel
+from mcap.records import Chunk
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from marsarm.telemetry.chunks import MessageBatch, read_batches
-from marsarm.telemetry.errors import LogNotReadable
-from marsarm.telemetry.events import CommandEntry, EvrEntry
-from marsarm.telemetry.format import (
-    CHANNELS_KEY,
-    COMMAND_TOPIC,
-    END_RECORD,
-    EVR_TOPIC,
-    HEADER_RECORD,
-    TICK_NS,
-    interruption_in,
-)
-from marsarm.telemetry.lost_messages import (
+from marsarm.telemetry.errors import (
     RECOVERED_RECORD,
     LogDamaged,
+    LogNotReadable,
     LostMessages,
     interruption_text,
     losses_in,
 )
-from marsarm.telemetry.mcap_reader import (
-    MAX_UNPACKED_BYTES,
+from marsarm.telemetry.events import CommandEntry, EvrEntry
+from marsarm.telemetry.format import (
+    COMMAND_TOPIC,
+    END_RECORD,
+    EVR_TOPIC,
+    FORMAT_RECORD,
+    HEADER_RECORD,
+    TICK_NS,
+    header_crc32,
+    interruption_in,
+    version_problem,
+)
+from marsarm.telemetry.mcap_columns import (
+    MESSAGE_DTYPE,
     PARSE_ERRORS,
-    ChunkLocation,
     CorruptData,
     McapContent,
+    read_batches,
     read_records,
 )
-from marsarm.telemetry.salvage import has_intact_chunk, salvage
-from marsarm.telemetry.topic_arrays import (
-    KnownTopic,
-    bodies_of,
-    check_complete,
-    check_order,
-    heads_of,
-    known_topics,
-    packets_of,
-    rows_of,
-    select_rows,
-)
+from marsarm.telemetry.topics import TopicSpec, decode_topics
 
 NO_MCAP: Final = (
     "not an MCAP file; `marsarm run --log run.mcap` writes one, `marsarm log import` makes one of a table"
 )
 
+MAX_UNPACKED_BYTES: Final = 1 << 33
+"""Limit of bytes decompressed at once: a day of telemetry. A small file of zeros could claim any size."""
 MAX_LOG_BYTES: Final = 1 << 32
 """Limit of the size of a log: 1,000 times a log of ten minutes."""
 
@@ -122,9 +114,9 @@ class LogSelection:
         """Return whether a topic is selected."""
         return self.topics is None or topic in self.topics
 
-    def overlaps(self, chunk: ChunkLocation) -> bool:
-        """Return whether a chunk may have messages of the selected time."""
-        return chunk.last_ns >= self.start_ns and (self.end_ns is None or chunk.first_ns < self.end_ns)
+    def overlaps(self, first_ns: int, last_ns: int) -> bool:
+        """Return whether messages from `first_ns` to `last_ns` may be of the selected time."""
+        return last_ns >= self.start_ns and (self.end_ns is None or first_ns < self.end_ns)
 
     def is_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.bool_]:
         """Return whether each message is of the selected time.
@@ -155,7 +147,7 @@ def read_log(
 
     Raises:
         LogNotReadable: there is no such file, or it is not a marsarm log.
-        LogDamaged: a CRC, a length or a sequence shows damage; the error lists the losses.
+        LogDamaged: a CRC, a length or a sequence shows damage.
     """
     path = Path(path)
     selection = LogSelection(None if topics is None else frozenset(topics), max(start_ns or 0, 0), end_ns)
@@ -191,69 +183,55 @@ def parse_log(path: Path, data: bytes, selection: LogSelection = WHOLE_LOG) -> L
     if not data.startswith(MCAP0_MAGIC):
         raise LogNotReadable(path, NO_MCAP if data else "an empty file; nothing was written to it")
     try:
-        return _parse_checked(path, data, selection)
+        found = read_records(data)
+        header = checked_header(path, found)
+        try:
+            log = _build_log(path, found, header, selection)
+        except PARSE_ERRORS as error:
+            raise CorruptData(str(error) or type(error).__name__, found.end) from error
+        if not found.crc_holds:
+            raise CorruptData("the data does not match its CRC", found.end)
+        return log
     except CorruptData as error:
-        found = salvage(data)
-        why = "; ".join((error.why, *found.notes))
-        raise LogDamaged(path, why, error.offset, found.lost) from error
+        raise LogDamaged(path, error.why, error.offset) from error
 
 
-def _parse_checked(path: Path, data: bytes, selection: LogSelection) -> Log:
-    found = read_records(path, data)
-    if not found.complete and has_intact_chunk(data, found.data_end):
-        raise CorruptData("a record is broken", found.data_end)
-    chosen = _select_chunks(found, selection)
-    _check_room(path, sum(found.chunks[k].size for k in chosen))
-    batches = read_batches(data, [found.chunks[k] for k in chosen], [found.indexes[k] for k in chosen])
-    if not found.crc_holds:  # checked after the chunks, whose errors name a more exact place
-        raise CorruptData("the data does not match its CRC", found.data_end)
-    try:
-        return _build_log(path, found, batches, selection, not chosen or chosen[0] == 0)
-    except PARSE_ERRORS as error:
-        raise CorruptData(str(error), found.data_end) from error
+def checked_header(path: Path, found: McapContent) -> dict[str, str]:
+    """Return the header of a log of a known format, after a check of its CRC.
+
+    Raises:
+        LogNotReadable: it is no marsarm log, or ends before its header.
+        CorruptData: the header does not match its CRC.
+    """
+    about, header = found.metadata.get(FORMAT_RECORD), found.metadata.get(HEADER_RECORD)
+    if about is None:
+        raise LogNotReadable(path, "an MCAP file, but not a marsarm log, or cut short before its header")
+    if problem := version_problem(found.metadata):
+        raise LogNotReadable(path, problem)
+    if header is None:
+        raise LogNotReadable(path, "cut short before the end of its header; it holds no cycle")
+    if header_crc32(header) != about.get("header_crc32"):
+        raise CorruptData("the header does not match its CRC", len(MCAP0_MAGIC))
+    return header
 
 
-def _check_room(path: Path, size: int) -> None:
+def _build_log(path: Path, found: McapContent, header: dict[str, str], selection: LogSelection) -> Log:
+    """Build the log of the selected topics; a damaged message raises one of PARSE_ERRORS."""
+    # A chunk may be skipped only in a closed log, because only the CRC of all data covers its times.
+    chosen = [
+        (at, chunk)
+        for at, chunk in found.chunks
+        if not found.closed or selection.overlaps(chunk.message_start_time, chunk.message_end_time)
+    ]
+    size = sum(chunk.uncompressed_size for _, chunk in chosen)
     if size > MAX_UNPACKED_BYTES:
         why = f"unpacks to {size / 1e9:.1f} GB, {MAX_UNPACKED_BYTES / 1e9:.1f} GB at most are read at once"
         raise LogNotReadable(path, f"{why}; ask for a part, from one time to another")
-
-
-def _select_chunks(found: McapContent, selection: LogSelection) -> list[int]:
-    """Return the chunks to decompress.
-
-    Chunks can be skipped only if two conditions hold. The log is closed: only its CRC covers the times of a
-    chunk. The header lists the channels: else a skipped chunk might declare them.
-    """
-    can_skip = found.closed and CHANNELS_KEY in found.metadata[HEADER_RECORD]
-    return [k for k, chunk in enumerate(found.chunks) if not can_skip or selection.overlaps(chunk)]
-
-
-def _build_log(
-    path: Path, found: McapContent, batches: Sequence[MessageBatch], selection: LogSelection, from_start: bool
-) -> Log:
-    """Build the log of the selected topics; a damaged message raises one of PARSE_ERRORS."""
-    header = found.metadata[HEADER_RECORD]
-    channels = _find_topics(header, batches)
-    packets, times, bodies = {}, {}, dict[str, list[bytes]]()
-    for number, channel in channels.items():
-        topic, layout = channel.topic, channel.layout
-        if not selection.has_topic(topic):
-            continue
-        rows = rows_of(batches, number)
-        heads = heads_of(batches, rows)
-        check_complete(topic, heads, from_start)
-        check_order(topic, heads["time_ns"], layout is not None)
-        is_selected = selection.is_at(heads["time_ns"])
-        if not is_selected.any():
-            continue
-        if not is_selected.all():
-            rows = select_rows(rows, is_selected)
-        times[topic] = heads["time_ns"][is_selected]
-        if layout is None:
-            bodies[topic] = bodies_of(batches, rows)
-        else:
-            packets[topic] = packets_of(batches, rows, topic, layout)
+    specs = [one for one in decode_topics(header) if one.is_flight]
+    from_start = not chosen or chosen[0] == found.chunks[0]
+    packets, times, bodies = _take_messages(
+        chosen, [one for one in specs if selection.has_topic(one.topic)], selection, from_start
+    )
     return Log(
         path=path,
         header=header,
@@ -262,23 +240,71 @@ def _build_log(
         time_ns=times,
         evrs=tuple(EvrEntry.decode(body) for body in bodies.get(EVR_TOPIC, [])),
         commands=tuple(CommandEntry.decode(body) for body in bodies.get(COMMAND_TOPIC, [])),
-        truth=frozenset(channel.topic for channel in channels.values() if channel.is_truth),
+        truth=frozenset(one.topic for one in specs if one.is_truth),
         lost=losses_in(found.metadata.get(RECOVERED_RECORD, {})),
         interrupted_by=interruption_in(found.metadata.get(END_RECORD, {})),
-        trailing_bytes=found.trailing_bytes if found.closed else 0,
+        trailing_bytes=found.trailing_bytes,
     )
 
 
-def _find_topics(header: Mapping[str, str], batches: Sequence[MessageBatch]) -> dict[int, KnownTopic]:
-    """Return the flight channels by number.
+def _take_messages(
+    chunks: Sequence[tuple[int, Chunk]],
+    specs: Sequence[TopicSpec],
+    selection: LogSelection,
+    from_start: bool,
+) -> tuple[dict[str, NDArray[np.void]], dict[str, NDArray[np.uint64]], dict[str, list[bytes]]]:
+    """Return packets, times, and messages without a layout, by topic."""
+    heads: dict[str, list[NDArray[np.void]]] = {one.topic: [] for one in specs}
+    parts: dict[str, list[NDArray[np.uint8]]] = {one.topic: [] for one in specs}
+    bodies: dict[str, list[bytes]] = {one.topic: [] for one in specs}
+    dtypes = {one.topic: one.layout.dtype for one in specs if one.layout is not None}
+    for batch in read_batches(chunks):
+        is_selected = selection.is_at(batch.heads["time_ns"])
+        for one in specs:
+            is_here = batch.heads["channel"] == one.id
+            heads[one.topic].append(batch.heads[is_here])
+            rows = np.flatnonzero(is_here & is_selected)
+            if one.layout is None:
+                bodies[one.topic] += batch.bodies(rows)
+            else:
+                parts[one.topic].append(batch.same_size(rows, dtypes[one.topic].itemsize))
+    packets, times = {}, {}
+    for one in specs:
+        found = np.concatenate([np.zeros(0, MESSAGE_DTYPE), *heads[one.topic]])
+        _check_messages(one.topic, found, from_start, one.layout is not None)
+        is_selected = selection.is_at(found["time_ns"])
+        if is_selected.any():
+            times[one.topic] = found["time_ns"][is_selected]
+            if one.layout is not None:
+                packets[one.topic] = np.concatenate(parts[one.topic]).view(dtypes[one.topic])[:, 0]
+                packets[one.topic].flags.writeable = False
+    return packets, times, bodies
+
+
+def _check_messages(topic: str, heads: NDArray[np.void], from_start: bool, one_a_cycle: bool) -> None:
+    """Check that sequence numbers are consecutive, from 0 if `from_start`, and that times do not go back.
+
+    Args:
+        heads: Heads of the messages, type MESSAGE_DTYPE, shape (n,).
+        from_start: Whether the first message of the topic is here.
+        one_a_cycle: Whether times rise strictly.
 
     Raises:
-        ValueError: a message has a channel that is declared nowhere.
+        ValueError: a message is missing or out of order.
     """
-    records: dict[int, Channel] = {}
-    for batch in batches:
-        records |= batch.channels
-    used = set().union(*(np.unique(batch.heads["channel"]).tolist() for batch in batches))
-    if CHANNELS_KEY not in header and not used <= set(records):
-        raise ValueError(f"messages of channels {sorted(used - set(records))}, which were never declared")
-    return known_topics(header, records)
+    sequence, time_ns = heads["sequence"].astype(np.int64), heads["time_ns"]
+    first = 0 if from_start or not len(sequence) else int(sequence[0])
+    if not np.array_equal(sequence, np.arange(first, first + len(sequence))):
+        raise ValueError(f"messages of {topic} are missing or out of order")
+    is_wrong = time_ns[1:] <= time_ns[:-1] if one_a_cycle else time_ns[1:] < time_ns[:-1]
+    if is_wrong.any():
+        k = int(np.argmax(is_wrong)) + 1
+        now_s, before_s = time_ns[k] / 1e9, time_ns[k - 1] / 1e9
+        if now_s < before_s:
+            raise ValueError(
+                f"message {k} of {topic}, at {now_s:.6f} s, comes after one of {before_s:.6f} s; "
+                "times must not go back"
+            )
+        raise ValueError(
+            f"messages {k - 1} and {k} of {topic} are both of {now_s:.6f} s; a cycle has one of each"
+        )

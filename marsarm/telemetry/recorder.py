@@ -1,9 +1,8 @@
-"""Recorder of a run into an MCAP log that stays readable if the run is killed, and creation of the file."""
+"""Recorder of a run into an MCAP log that stays readable if the run is killed."""
 
 import os
-import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from fcntl import F_DUPFD_CLOEXEC, fcntl
 from io import FileIO
 from itertools import compress
@@ -16,59 +15,77 @@ from weakref import finalize
 from mcap.records import Metadata
 
 from fsw.config import Config
+from fsw.dictionary.commands import Command
+from fsw.dictionary.validity import Wrong, read_arguments
+from fsw.executive.context import known_names
 from marsarm.telemetry.errors import LogNotWritable
 from marsarm.telemetry.events import command_entry, evr_entry, rosout_message
 from marsarm.telemetry.format import (
     CHANNELS_KEY,
-    CHUNK_S,
+    CHUNK_CYCLES,
     COMMAND_TOPIC,
     EVR_TOPIC,
     FORMAT,
     FORMAT_RECORD,
     HEADER_RECORD,
     TICK_NS,
+    end_metadata,
     header_crc32,
 )
-from marsarm.telemetry.mcap_writer import McapState, McapWriter
-from marsarm.telemetry.pack import Packer, PacketSource, number_messages
+from marsarm.telemetry.header import run_header
+from marsarm.telemetry.json_codec import record_to_json
+from marsarm.telemetry.log_writer import ChunkWriter, Packer, PacketSource, number_messages
 from marsarm.telemetry.robot_description import DrawnScene
-from marsarm.telemetry.ros_messages import SAMPLE_CYCLES, RosEncoder, joint_sample
+from marsarm.telemetry.ros_messages import JOINT_STATES_TOPIC, SAMPLE_CYCLES, RosEncoder
 from marsarm.telemetry.schema import arm_names
-from marsarm.telemetry.topic_specs import ROSOUT_TOPIC, TopicSpec, encode_topics, mcap_records, topic_specs
-from marsarm.telemetry.topics import PACKET_TOPICS
-from marsarm.telemetry.writer_pipe import WriterPipe
+from marsarm.telemetry.topics import (
+    PACKET_TOPICS,
+    ROSOUT_TOPIC,
+    TopicSpec,
+    encode_topics,
+    mcap_records,
+    topic_specs,
+)
+from sim.arms import UnknownArm, arm_named
+from sim.effects.effect import Effect
+from sim.loop import ClosedLoop
 from sim.params import nominal_params
 from sim.record import CycleRecord
+from sim.sequence import SequenceResult, never, run_commands
 from simgap.common.files import atomic_path, lock_file
-from simgap.common.interruption import describe_interruption
+from simgap.common.interruption import defer_interrupts, describe_interruption
 
 NOT_CLOSED: Final = "a recorder that nobody closed"
 """Cause of an interruption if the program ended without an exception that it could report."""
 
 
-@contextmanager
 def create_log(
-    path: Path, header: Mapping[str, str], channels: tuple[TopicSpec, ...]
-) -> Iterator[tuple[FileIO, McapState]]:
-    """Create a log with header and channels, open for a block.
-
-    At the end of the block the new file replaces the file at `path`. After an error the new file is deleted.
+    path: Path, header: Mapping[str, str], channels: tuple[TopicSpec, ...], chunk_cycles: int
+) -> ChunkWriter:
+    """Replace the file at `path` by a log with header and channels, and return its writer.
 
     Raises:
         LogNotWritable: the file cannot be written, or the disk is full; a previous file is unchanged.
     """
     target = _resolve_path(path)
+    header = {**header, CHANNELS_KEY: encode_topics(channels)}
+    about = {"version": FORMAT, "header_crc32": header_crc32(header)}
+    metadata = [Metadata(FORMAT_RECORD, about), Metadata(HEADER_RECORD, header)]
     try:
-        with atomic_path(target) as part, FileIO(part, "xb", opener=_open_above_stdio) as file:
-            lock_file(file.fileno())  # it is new; the lock lasts until the log is complete
-            yield file, _write_header(file, header, channels)
+        with ExitStack() as on_failure:
+            with atomic_path(target) as part:
+                file = on_failure.enter_context(FileIO(part, "xb", opener=_open_above_stdio))
+                lock_file(file.fileno())  # it is new; the lock lasts until the log is complete
+                log = ChunkWriter(file, metadata, *mcap_records(channels), chunk_cycles)
+            on_failure.pop_all()
+            return log
     except OSError as error:
         why = f"cannot be written ({error.strerror}); give a path with room that you may write"
         raise LogNotWritable(path, why) from error
 
 
 def _open_above_stdio(path: str, flags: int) -> int:
-    """Open a file with a descriptor above 2: a new process would take a lower one for its standard stream."""
+    """Open a file with a descriptor above 2, which nobody takes for a standard stream that was closed."""
     descriptor = os.open(path, flags, 0o666)
     try:
         return fcntl(descriptor, F_DUPFD_CLOEXEC, 3)
@@ -98,26 +115,15 @@ def _resolve_path(path: Path) -> Path:
         raise LogNotWritable(path, f"cannot be written ({why}); give a path that you may write") from error
 
 
-def _write_header(file: FileIO, header: Mapping[str, str], channels: tuple[TopicSpec, ...]) -> McapState:
-    log = McapWriter(file)
-    header = {**header, CHANNELS_KEY: encode_topics(channels)}
-    about = {"version": FORMAT, "header_crc32": header_crc32(header)}
-    log.begin([Metadata(FORMAT_RECORD, about), Metadata(HEADER_RECORD, header)], *mcap_records(channels))
-    return log.written
-
-
 class Recorder:
-    """Log being written; a context manager, or call `close`.
-
-    The messages depend only on the records of the cycles. The ends of the chunks depend on the wall clock.
-    """
+    """Log being written; a context manager, or call `close`. The file depends only on the cycles."""
 
     def __init__(
         self,
         path: Path | str,
         header: Mapping[str, str],
         config: Config | None = None,
-        chunk_s: float = CHUNK_S,
+        chunk_cycles: int = CHUNK_CYCLES,
         scene: DrawnScene | None = None,
     ) -> None:
         """Replace the file at `path` by a log with header and channels.
@@ -126,7 +132,7 @@ class Recorder:
             path: File.
             header: Versions, digests, seed and more, as `run_header` returns them.
             config: Configuration of the arm, to record messages for other tools too; None for none.
-            chunk_s: Wall time of a chunk; 0 for one chunk each cycle.
+            chunk_cycles: Cycles in a chunk; a killed run loses less than a chunk.
             scene: Visible shapes of the run, which viewers draw; None for none. It needs `config`.
 
         Raises:
@@ -134,7 +140,7 @@ class Recorder:
         """
         self.path = Path(path)
         channels = topic_specs(arm_names(nominal_params() if config is None else config.params))
-        ids = {one.topic: one.id for one in channels}
+        self._ids = {one.topic: one.id for one in channels}
         self._sources = [
             PacketSource(topic.path, one.id, one.layout)
             for one, (topic, _) in zip(channels, PACKET_TOPICS, strict=False)
@@ -143,29 +149,18 @@ class Recorder:
         self._packets = attrgetter(*[source.path for source in self._sources])
         self._packers: dict[tuple[bool, ...], Packer] = {}
         self._counts = [0] * len(self._sources)
-        self._event_ids = ids[COMMAND_TOPIC], ids[EVR_TOPIC], ids[ROSOUT_TOPIC]
-        self._event_counts = dict.fromkeys(self._event_ids, 0)
-        self._has_ros_messages = config is not None
+        self._other_counts = dict.fromkeys(self._ids.values(), 0)
+        self._encoder = None if config is None else RosEncoder(config, scene)
         self._last_tick = -1
-        encoder = None if config is None else RosEncoder(config, scene)
-        with create_log(self.path, header, channels) as (file, written):
-            try:
-                self._pipe = WriterPipe(file, written, ids, encoder, chunk_s)
-            except OSError as error:
-                why = f"has no process to write it ({error.strerror}); see that {sys.executable} starts"
-                raise LogNotWritable(self.path, why) from error
-            # A recorder without references closes itself, for nobody can say any more that the run is done.
-            self._finalizer = finalize(self, self._pipe.close, NOT_CLOSED)
-
-    @property
-    def writer_process(self) -> int:
-        """Id of the process that writes the log."""
-        return self._pipe.process
+        self._process = os.getpid()
+        self._log = create_log(self.path, header, channels, chunk_cycles)
+        # A recorder without references closes itself, for nobody can say any more that the run is done.
+        self._finalizer = finalize(self, _finish, self._log, self._process, NOT_CLOSED)
 
     @property
     def written_cycles(self) -> int:
-        """Tick after the last cycle in the log; known after `close` or an error, 0 without a cycle."""
-        last_ns = self._pipe.written_ns
+        """Tick after the last cycle in the file; 0 without a cycle."""
+        last_ns = self._log.written_ns
         return 0 if last_ns is None else last_ns // TICK_NS + 1
 
     def write(self, record: CycleRecord) -> None:
@@ -174,20 +169,26 @@ class Recorder:
         Raises:
             SchemaError: a packet differs from its layout, or a value cannot be recorded.
             OSError: the disk is full or gone.
-            ValueError: the log is closed, the tick does not rise, or an earlier write was interrupted.
+            ValueError: the log is closed, or the tick does not rise.
+            RuntimeError: another process opened the log.
         """
+        if os.getpid() != self._process:
+            raise RuntimeError("a log is written by the process that opened it; open another here")
+        if not self._finalizer.alive:
+            raise ValueError("the log is closed; open another to record more")
         if record.tick <= self._last_tick:
             raise ValueError(f"cycle {record.tick} after cycle {self._last_tick}: a log goes forward")
         time_ns = record.tick * TICK_NS
         present = tuple([packet is not None for packet in self._packets(record)])
         packer = self._packers.get(present) or self._packer(present)
         data = packer.pack(record, time_ns, [*compress(self._counts, present)])
-        if record.commands or record.outputs.evrs:
-            data = self._with_events(record, time_ns, data)
-        sampled = self._has_ros_messages and record.tick % SAMPLE_CYCLES == 0
-        self._pipe.put(time_ns, data, joint_sample(record) if sampled else None)
-        self._last_tick = record.tick
-        self._counts = [*map(add, self._counts, present)]
+        before, after = self._other_messages(record, time_ns)
+        with defer_interrupts:
+            if before or after:
+                data = self._number(time_ns, before) + data + self._number(time_ns, after)
+            self._last_tick = record.tick
+            self._counts = [*map(add, self._counts, present)]
+            self._log.add(time_ns, data)
 
     def close(self, interrupted_by: str = "") -> None:
         """Write the waiting cycles and the summary, and close the file; a second call does nothing.
@@ -199,7 +200,8 @@ class Recorder:
             OSError: the disk is full or gone.
         """
         if self._finalizer.detach() is not None:
-            self._pipe.close(interrupted_by)
+            with defer_interrupts:
+                _finish(self._log, self._process, interrupted_by)
 
     def __enter__(self) -> Self:
         return self
@@ -213,19 +215,79 @@ class Recorder:
         """Return the packer of cycles in which these packets are present."""
         return self._packers.setdefault(present, Packer([*compress(self._sources, present)]))
 
-    def _with_events(self, record: CycleRecord, time_ns: int, data: bytes) -> bytes:
-        """Put the commands before the packets, and the EVRs with their ROS messages after them."""
-        command_id, evr_id, rosout_id = self._event_ids
-        before = [(command_id, command_entry(record.tick, one).encode()) for one in record.commands]
+    def _other_messages(
+        self, record: CycleRecord, time_ns: int
+    ) -> tuple[list[tuple[str, bytes]], list[tuple[str, bytes]]]:
+        """Return topic and body of the commands, which come before the packets, and of what follows them."""
+        before = [(COMMAND_TOPIC, command_entry(record.tick, one).encode()) for one in record.commands]
         after = [
             message
             for evr in record.outputs.evrs
             for message in (
-                (evr_id, evr_entry(record.tick, evr).encode()),
-                (rosout_id, rosout_message(time_ns, evr)),
+                (EVR_TOPIC, evr_entry(record.tick, evr).encode()),
+                (ROSOUT_TOPIC, rosout_message(time_ns, evr)),
             )
         ]
-        counts = dict(self._event_counts)
-        first, last = (number_messages(counts, time_ns, messages) for messages in (before, after))
-        self._event_counts = counts
-        return first + data + last
+        if self._encoder is not None and record.tick % SAMPLE_CYCLES == 0:
+            is_first = not self._other_counts[self._ids[JOINT_STATES_TOPIC]]
+            after += self._encoder.static_messages(time_ns) if is_first else ()
+            after += self._encoder.cycle_messages(time_ns, record)
+        return before, after
+
+    def _number(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> bytes:
+        ids = self._ids
+        return number_messages(self._other_counts, time_ns, [(ids[topic], body) for topic, body in messages])
+
+
+def _finish(log: ChunkWriter, process: int, interrupted_by: str) -> None:
+    if os.getpid() == process:
+        log.finish(end_metadata(interrupted_by))
+    else:  # a fork must not complete the log
+        log.close()
+
+
+def record_commands(
+    path: Path | str, loop: ClosedLoop, *commands: Command, stop_when: Callable[[CycleRecord], bool] = never
+) -> SequenceResult:
+    """Run commands as `run_commands` does, and write the log of the run.
+
+    Args:
+        path: Log.
+        loop: Run that has not begun.
+        *commands: Commands; each starts when the last is done.
+        stop_when: Monitor of every cycle; if it returns true, the arm is stopped instead of the remaining
+            commands.
+
+    Raises:
+        LogNotWritable: the file cannot be written.
+        ValueError: the run has begun, or flight software would refuse a command for an argument.
+    """
+    commands = tuple(_read_command(loop, command) for command in commands)
+    setup = loop.setup
+    drawn = _effects_by_name(setup.arm.name)
+    added = [effect for effect in (*setup.arm.effects, *setup.effects) if effect not in drawn]
+    about = {"world": record_to_json(setup.world)}
+    header = run_header(loop, setup.arm.name, setup.seed, about, commands, added)
+    with Recorder(Path(path), header, loop.config) as recorder:
+
+        def observe(record: CycleRecord) -> bool:
+            recorder.write(record)
+            return stop_when(record)
+
+        return run_commands(loop, *commands, stop_when=observe)
+
+
+def _read_command(loop: ClosedLoop, command: Command) -> Command:
+    """Return a command with plain values, which a log can hold."""
+    read = read_arguments(command, known_names(loop.config.params))
+    if isinstance(read, Wrong):
+        raise ValueError(f"{type(command).__name__}: {read.text}")
+    return read
+
+
+def _effects_by_name(name: str) -> tuple[Effect, ...]:
+    """Return the effects that the name of an arm stands for; none for an arm of the program itself."""
+    try:
+        return arm_named(name).effects
+    except UnknownArm:
+        return ()

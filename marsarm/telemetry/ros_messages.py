@@ -6,7 +6,7 @@ They are computed from flight channels. With them, a viewer shows the arm of a l
 import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final, NamedTuple, Self
+from typing import Final
 
 import numpy as np
 
@@ -140,34 +140,9 @@ ROBOT_DESCRIPTION_TOPIC: Final = "/robot_description"
 """Topic where Foxglove, Lichtblick and Rerun look for a URDF."""
 
 POSE_STRUCT: Final = struct.Struct("<7d")
-SAMPLE_STRUCT: Final = struct.Struct(f"<{3 * len(Joint)}d")
 CUBE, SPHERE, CYLINDER = 1, 2, 3
 ARM_COLOUR: Final = (0.80, 0.55, 0.30, 0.9)
 ROVER_COLOUR: Final = (0.75, 0.75, 0.78, 0.35)
-
-
-class JointSample(NamedTuple):
-    """Joint values from which the messages of a cycle are made, in the order of Joint."""
-
-    output_rad: list[float]
-    rate_rad_s: list[float]
-    current_A: list[float]
-
-    def to_bytes(self) -> bytes:
-        """Encode the sample for another process."""
-        return SAMPLE_STRUCT.pack(*self.output_rad, *self.rate_rad_s, *self.current_A)
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> Self:
-        """Decode a sample that `to_bytes` encoded."""
-        numbers, n = list(SAMPLE_STRUCT.unpack(data)), len(Joint)
-        return cls(numbers[:n], numbers[n : 2 * n], numbers[2 * n :])
-
-
-def joint_sample(record: CycleRecord) -> JointSample:
-    """Return the sample of a cycle."""
-    joint, sensors = record.outputs.joint, record.sensors
-    return JointSample(joint.output_rad.tolist(), joint.motor_rate_rad_s.tolist(), sensors.current_A.tolist())
 
 
 class RosEncoder:
@@ -209,17 +184,17 @@ class RosEncoder:
             yield ROBOT_DESCRIPTION_TOPIC, bytes(CdrWriter().text(self._description).data)
         yield MARKERS_TOPIC, self._markers(time_ns)
 
-    def cycle_messages(self, time_ns: int, sample: JointSample) -> Iterator[tuple[str, bytes]]:
+    def cycle_messages(self, time_ns: int, record: CycleRecord) -> Iterator[tuple[str, bytes]]:
         """Yield topic and message of a cycle; transforms only if all angles are finite."""
-        torque_Nm = [k * i for k, i in zip(self._constant_Nm_A, sample.current_A, strict=True)]
+        joint, current_A = record.outputs.joint, record.sensors.current_A.tolist()
+        output_rad, rate_rad_s = joint.output_rad.tolist(), joint.motor_rate_rad_s.tolist()
+        torque_Nm = [k * i for k, i in zip(self._constant_Nm_A, current_A, strict=True)]
         ROS_TIME.pack_into(self._joints, 4, *ros_time(time_ns))
-        for place, values in zip(
-            self._joint_places, (sample.output_rad, sample.rate_rad_s, torque_Nm), strict=True
-        ):
+        for place, values in zip(self._joint_places, (output_rad, rate_rad_s, torque_Nm), strict=True):
             struct.pack_into("<5d", self._joints, place, *values)
         yield JOINT_STATES_TOPIC, bytes(self._joints)
-        if all(map(math.isfinite, sample.output_rad)):
-            poses = [one.at(angle) for one, angle in zip(self._turning, sample.output_rad, strict=True)]
+        if all(map(math.isfinite, output_rad)):
+            poses = [one.at(angle) for one, angle in zip(self._turning, output_rad, strict=True)]
             fill_transforms(self._frames, self._frame_places, time_ns, poses)
             yield TF_TOPIC, bytes(self._frames)
 

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from math import prod
-from typing import Annotated, Any, Final, NamedTuple, Self, get_args, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import Annotated, Any, Final, NamedTuple, Self, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -60,6 +61,15 @@ ROS_NAME: Final = re.compile(r"[a-z](_?[a-z0-9]+)*")
 def strip_annotated(hint: Any) -> Any:
     """Return the type inside an Annotated."""
     return get_args(hint)[0] if get_origin(hint) is Annotated else hint
+
+
+def strip_optional(hint: Any) -> Any:
+    """Return the type X of an annotation `X` or `X | None`."""
+    kind = strip_annotated(hint)
+    if get_origin(kind) not in (Union, UnionType):
+        return kind
+    options = [strip_annotated(one) for one in get_args(kind) if one is not NoneType]
+    return options[0] if len(options) == 1 else kind
 
 
 def align(offset: int, size: int) -> int:

@@ -8,13 +8,13 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from marsarm.telemetry.format import FORMAT
-from marsarm.telemetry.inspection import ChannelSeries, LogInfo, Range, range_of, summarize_log
-from marsarm.telemetry.lost_messages import (
+from marsarm.telemetry.errors import (
     LostMessages,
     span_text,
     trailing_bytes_text,
 )
+from marsarm.telemetry.format import FORMAT
+from marsarm.telemetry.inspection import ChannelSeries, LogInfo, Range, range_of, summarize_log
 from marsarm.telemetry.read import Log
 from marsarm.telemetry.recover import RecoveryReport
 from simgap.common.console import plain_console, pluralize

@@ -1,13 +1,39 @@
-"""Topics of a log, derived from the annotations of CycleRecord, and the names of their channels."""
+"""Topics of a log, derived from the annotations of CycleRecord, and their form in the header and in MCAP."""
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from fnmatch import fnmatchcase
 from operator import attrgetter
-from types import NoneType, UnionType
-from typing import Any, Final, Union, get_args, get_origin, get_type_hints
+from typing import Any, Final, get_origin, get_type_hints
 
-from marsarm.telemetry.schema import strip_annotated
+from mcap.records import Channel, Schema
+
+from marsarm.telemetry.events import CommandEntry, EvrEntry, LogEntry
+from marsarm.telemetry.format import (
+    CHANNELS_KEY,
+    COMMAND_TOPIC,
+    DERIVED_KEY,
+    EVR_TOPIC,
+    LAYOUT_KEY,
+    TRUTH_KEY,
+    TRUTH_TEXT,
+)
+from marsarm.telemetry.ros_messages import (
+    JOINT_STATES_TOPIC,
+    MARKERS_TOPIC,
+    ROBOT_DESCRIPTION_TOPIC,
+    TF_STATIC_TOPIC,
+    TF_TOPIC,
+    ros_schema,
+)
+from marsarm.telemetry.schema import (
+    ArmNames,
+    Layout,
+    packet_layout,
+    ros_definition,
+    strip_optional,
+)
 from sim.record import CycleRecord
 
 
@@ -37,15 +63,6 @@ class Topic:
         return self.packet.__module__.split(".")[0] == "sim"
 
 
-def strip_optional(hint: Any) -> Any:
-    """Return the type X of an annotation `X` or `X | None`."""
-    kind = strip_annotated(hint)
-    if get_origin(kind) not in (Union, UnionType):
-        return kind
-    options = [strip_annotated(one) for one in get_args(kind) if one is not NoneType]
-    return options[0] if len(options) == 1 else kind
-
-
 def topics_in(owner: type, path: str = "") -> Iterator[Topic]:
     """Yield the topics of a packet type: one for its plain fields, and one for each dataclass in it.
 
@@ -63,3 +80,142 @@ def topics_in(owner: type, path: str = "") -> Iterator[Topic]:
 
 # The tick, the only plain field of CycleRecord, has no topic: it is the log time of every message.
 PACKET_TOPICS: Final = tuple((topic, attrgetter(topic.path)) for topic in topics_in(CycleRecord))
+ROSOUT_TOPIC: Final = "/rosout"
+DERIVED_TOPICS: Final = {
+    JOINT_STATES_TOPIC: (
+        "sensor_msgs/msg/JointState",
+        "/joint and /sensors: outputs as believed, torques from currents",
+    ),
+    TF_TOPIC: ("tf2_msgs/msg/TFMessage", "/joint: outputs as believed, links rigid"),
+    TF_STATIC_TOPIC: ("tf2_msgs/msg/TFMessage", "the parameters"),
+    MARKERS_TOPIC: ("visualization_msgs/msg/MarkerArray", "the parameters: shapes of the collision check"),
+    ROSOUT_TOPIC: ("rcl_interfaces/msg/Log", "/evr"),
+    ROBOT_DESCRIPTION_TOPIC: (
+        "std_msgs/msg/String",
+        "the parameters, and the scene of the run as it is drawn",
+    ),
+}
+"""Schema and source of each derived channel."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSpec:
+    """Specification of a channel; the layout is None if its messages have no fixed layout."""
+
+    id: int
+    topic: str
+    schema: str
+    text: bytes
+    metadata: Mapping[str, str]
+    layout: Layout | None = None
+
+    @property
+    def is_flight(self) -> bool:
+        """True if a reader takes it: not of another program, nor computed from other channels."""
+        if self.topic in (EVR_TOPIC, COMMAND_TOPIC):
+            return True
+        return self.layout is not None and DERIVED_KEY not in self.metadata
+
+    @property
+    def is_truth(self) -> bool:
+        """True for the plant's own state."""
+        return TRUTH_KEY in self.metadata
+
+
+def topic_specs(arm: ArmNames) -> tuple[TopicSpec, ...]:
+    """Return all channels of an arm with these tools and switches, flight channels first."""
+    packets = [
+        (topic.name, topic.packet, packet_layout(topic.packet, topic.field_names, arm), topic.is_truth)
+        for topic, _ in PACKET_TOPICS
+    ]
+    lines: list[tuple[str, type[LogEntry]]] = [(EVR_TOPIC, EvrEntry), (COMMAND_TOPIC, CommandEntry)]
+    found: list[TopicSpec] = []
+    for topic, kind, layout, is_truth in packets:
+        metadata = {LAYOUT_KEY: layout.to_json()}
+        if is_truth:
+            metadata[TRUTH_KEY] = TRUTH_TEXT
+        text = ros_definition(kind.__doc__, layout.ros_text)
+        found.append(TopicSpec(len(found) + 1, topic, schema_name(kind.__name__), text, metadata, layout))
+    for topic, entry in lines:
+        text = ros_definition(entry.__doc__, entry.ros_text())
+        found.append(TopicSpec(len(found) + 1, topic, schema_name(entry.__name__), text, {}))
+    for topic, (schema, source) in DERIVED_TOPICS.items():
+        found.append(
+            TopicSpec(len(found) + 1, topic, schema, ros_schema(schema), {DERIVED_KEY: f"from {source}"})
+        )
+    return tuple(found)
+
+
+def encode_topics(channels: tuple[TopicSpec, ...]) -> str:
+    """Encode the channels for the header: a JSON object by topic."""
+    return json.dumps(
+        {
+            one.topic: {
+                "id": one.id,
+                "schema": one.schema,
+                "layout": None if one.layout is None else json.loads(one.layout.to_json()),
+                "truth": TRUTH_KEY in one.metadata,
+                "derived": DERIVED_KEY in one.metadata,
+            }
+            for one in channels
+        }
+    )
+
+
+def decode_topics(header: Mapping[str, str]) -> tuple[TopicSpec, ...]:
+    """Return the channels that a header lists, by rising number; the comments of definitions are lost.
+
+    Raises:
+        KeyError, TypeError, AttributeError, ValueError: the header lists no channels, or is damaged.
+    """
+    listed = json.loads(header[CHANNELS_KEY])
+    return tuple(sorted((_decode_topic(*one) for one in listed.items()), key=lambda one: one.id))
+
+
+def _decode_topic(topic: str, about: Mapping[str, Any]) -> TopicSpec:
+    layout = None if about["layout"] is None else Layout.from_json(json.dumps(about["layout"]))
+    entry: type[LogEntry] | None = {EVR_TOPIC: EvrEntry, COMMAND_TOPIC: CommandEntry}.get(topic)
+    metadata = {} if layout is None else {LAYOUT_KEY: layout.to_json()}
+    if about["truth"]:
+        metadata[TRUTH_KEY] = TRUTH_TEXT
+    if about["derived"]:
+        metadata[DERIVED_KEY] = f"from {DERIVED_TOPICS[topic][1]}"
+        text = ros_schema(about["schema"])
+    else:
+        text = ros_definition(None, layout.ros_text if layout else entry.ros_text() if entry else "")
+    return TopicSpec(int(about["id"]), topic, str(about["schema"]), text, metadata, layout)
+
+
+def spec_of_channel(channel: Channel, schema: Schema) -> TopicSpec:
+    """Return the specification of a channel from its records; errors as in `decode_topics`."""
+    layout = channel.metadata.get(LAYOUT_KEY)
+    return TopicSpec(
+        channel.id,
+        channel.topic,
+        schema.name,
+        schema.data,
+        channel.metadata,
+        None if layout is None else Layout.from_json(layout),
+    )
+
+
+def mcap_records(channels: tuple[TopicSpec, ...]) -> tuple[list[Schema], list[Channel]]:
+    """Return schema and channel records; channels of equal schema share one record."""
+    texts = {one.schema: one.text for one in channels}
+    ids = {name: k + 1 for k, name in enumerate(texts)}
+    schemas = [Schema(id=ids[name], name=name, encoding="ros2msg", data=text) for name, text in texts.items()]
+    return schemas, [
+        Channel(
+            id=one.id,
+            topic=one.topic,
+            message_encoding="cdr",
+            schema_id=ids[one.schema],
+            metadata=dict(one.metadata),
+        )
+        for one in channels
+    ]
+
+
+def schema_name(name: str) -> str:
+    """Return the full name of a marsarm schema."""
+    return f"marsarm/msg/{name}"

@@ -241,7 +241,6 @@ def compute_frames(
     The springs of the true arm are in equilibrium with gravity and with the contact force: the arm is slow.
 
     Args:
-        scene: Scene of the run.
         samples: Samples of the run, from a log or from its cycles.
         believed_arm: Arm by the parameters of flight software.
         true_arm: Arm as it was built.

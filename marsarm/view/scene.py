@@ -124,7 +124,6 @@ def build_scene(world: World, drawing: ArmModel, has_turret: bool = True) -> Sce
     """Build the scene of a world with the drawing of an arm; gravity points down.
 
     Args:
-        world: World of the run.
         has_turret: False for an arm on which a mass stands in for the turret.
     """
     spec = build(world, drawing, for_pictures=True)

@@ -308,7 +308,6 @@ class LiveView:
             title: Title of the run.
             world: World of the run.
             arm: Arm with its flight parameters.
-            effects: Effects of the run.
 
         Raises:
             BadRequest: the viewer cannot be opened.

@@ -97,8 +97,6 @@ def build_surroundings(
     """Build the surroundings of a run.
 
     Args:
-        world: World of the run.
-        params: Parameters of flight software.
         effects: All effects of arm and run; those that a parameter describes change the true arm.
     """
     normal = None if world.surface is None else normalize(world.surface.normal_N)

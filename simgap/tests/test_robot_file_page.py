@@ -1,6 +1,5 @@
 """The page of the robot file: a row for each key, as the code describes it."""
 
-
 import pytest
 
 from helpers.real_robots import repository_file

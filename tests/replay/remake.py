@@ -21,7 +21,7 @@ from marsarm.telemetry.recorder import Recorder
 from tests.replay.runs import RUNS, ReferenceRun
 
 FOLDER = Path(__file__).parent
-ONE_CHUNK_S = 1e9
+ONE_CHUNK = 1 << 30
 STARTS_WITH = ("params", "boot", "commands", "mjcf_sha256", "cpu")
 
 
@@ -35,7 +35,7 @@ def make(run: ReferenceRun, folder: Path) -> Path:
     header = run_header(
         loop, run.arm, run.seed, {"reference": run.name}, [command for command, _ in run.asks]
     )
-    with Recorder(path, header, chunk_s=ONE_CHUNK_S) as recorder:
+    with Recorder(path, header, chunk_cycles=ONE_CHUNK) as recorder:
         for record in run.cycles(loop):
             recorder.write(record)
     return path

@@ -8,7 +8,7 @@ import json
 import sys
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 
-from simgap.common.page import git_revision
+from simgap.common.origin import git_revision
 from validation.requirements.table import MEASURED, PAGE, find_problems, load_table, make_page, measure
 
 

@@ -59,7 +59,6 @@ _TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-t
 """Effects of rotation and shift, of frames and of tools."""
 
 
-
 class ArmFamily(StrEnum):
     """Family that this arm has besides those of any robot."""
 
@@ -203,20 +202,12 @@ def _displaced_frame(frame: Frame, tool: str | None, axis: int, value: float) ->
 
 
 def list_families(hypotheses: Sequence[Hypothesis]) -> tuple[StrEnum, ...]:
-    """List the families of hypotheses.
-
-    Args:
-        hypotheses: Hypotheses of the catalogue.
-    """
+    """List the families of hypotheses."""
     return tuple(family_of(catalogue()[one.effect]) for one in hypotheses)
 
 
 def list_locations(hypotheses: Sequence[Hypothesis]) -> tuple[str, ...]:
-    """List the locations of hypotheses: joints, links, tools, or what `LOCATIONS` names.
-
-    Args:
-        hypotheses: Hypotheses of the catalogue.
-    """
+    """List the locations of hypotheses: joints, links, tools, or what `LOCATIONS` names."""
     return tuple(locate(one.effect, one.place) for one in hypotheses)
 
 

@@ -66,7 +66,6 @@ def load_checked_recordings(paths: Sequence[Path], base: Params | None = None) -
     """Load recordings, and check that they can be compared with a simulator of these parameters.
 
     Args:
-        paths: Logs.
         base: Flight parameters of the simulator; None for those of the first log.
 
     Raises:

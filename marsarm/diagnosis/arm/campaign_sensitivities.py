@@ -111,10 +111,6 @@ def compute_sensitivities(
     """Compute the sensitivities of a campaign, or load them from the cache.
 
     Args:
-        logs: Logs of the campaign.
-        kept_in: Cache folder.
-        run: Runner of parallel jobs.
-        progress: Called with done, total and step.
         kinds: Names of the effects of the catalogue; None for all.
         steps_of: Logs with cached sensitivities, whose steps are taken; none to adapt the steps.
 
@@ -161,10 +157,6 @@ def _difference_all(
     """Simulate every column to both sides, with given steps or with adapted ones.
 
     Args:
-        paths: Logs of the campaign.
-        names: Names of the effects.
-        run: Runner of parallel jobs.
-        progress: Called with done, total and step.
         given: Step of each column of a hypothesis in typical sizes, shape (k,); None to adapt the steps.
     """
     simulator = _simulator(paths, names)

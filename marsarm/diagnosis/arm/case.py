@@ -22,7 +22,13 @@ from marsarm.diagnosis.arm.case_simulator import CaseSimulator, build_case_simul
 from marsarm.diagnosis.arm.feature_set import build_feature_set, estimate_floor, measure_features
 from marsarm.diagnosis.arm.logs import BIN_TICKS, NotForDiagnosis, Recording
 from marsarm.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_simulator
-from marsarm.diagnosis.closure import Closure, build_held_out_model, compute_held_out_residuals, rank_repeats
+from marsarm.diagnosis.closure import (
+    Closure,
+    build_held_out_model,
+    compute_closure,
+    compute_held_out_residuals,
+    rank_repeats,
+)
 from marsarm.diagnosis.diagnose import Diagnosis, diagnose, effect_values
 from marsarm.diagnosis.model import DiagnosisModel, build_model
 from marsarm.diagnosis.problem import Ints, Residuals
@@ -69,9 +75,6 @@ def load_campaign_model(
     Args:
         logs: Logs of the fitted motions.
         held_out: Logs of the held-out motions.
-        kept_in: Cache folder.
-        run: Runner of parallel jobs.
-        progress: Called with done, total and step.
         kinds: Names of the effects of the catalogue; None for all.
 
     Raises:
@@ -162,9 +165,6 @@ def diagnose_case(
     Args:
         recordings: Recordings that are fitted.
         held_out: Recordings that the findings are tested on.
-        campaign: Campaign that the recordings repeat.
-        seed: Seed of all random draws.
-        patch: Effects that are switched on in the simulator.
 
     Raises:
         TooLittleMotion: Most motions of the campaign are missing.
@@ -309,11 +309,10 @@ def _try_held_out(
         campaign.held_out.select(case.rows),
         diagnosis.effect_fit.covariance[:q, :q],
     )
-    residuals = compute_held_out_residuals(diagnosis, held_out_model, fitted.held_out_residual, change)
+    sides = compute_held_out_residuals(diagnosis, held_out_model, fitted.held_out_residual, change)
     keys = [campaign.held_out_keys[row] for row in case.rows]
-    return residuals.closure(seed), compute_tool_error(
-        keys, residuals.before, residuals.after, held_out_model.sigma
-    )
+    tool_error = compute_tool_error(keys, *sides, held_out_model.sigma)
+    return compute_closure(held_out_model, *sides, seed), tool_error
 
 
 def _check_motion(case: CaseSimulator, campaign: CampaignModel) -> None:

@@ -79,7 +79,6 @@ class CaseSimulator:
         """Predict the features with these effects and nuisances.
 
         Args:
-            settings: Values of the effects that are switched on.
             nuisance: Departures from nominal in the units of the nuisances, shape (q,).
 
         Returns:
@@ -158,7 +157,6 @@ def simulate_change(
 
     Args:
         arm: Simulator of the arm, with n features.
-        effects: Effects that are switched on.
         nominal: Prediction without effects in the units of the channels, shape (n,).
         only: Predicate of the motions to simulate.
 
@@ -248,10 +246,7 @@ def fit_nuisances(
     would lose against nuisances beyond any real arm.
 
     Args:
-        model: Diagnosis model of the campaign.
         first: Simulator at nominal nuisances.
-        patch: Effects that are switched on in the simulator.
-        seed: Seed of the selection.
 
     Returns:
         Best fit, and the effects that are selected there.

@@ -87,8 +87,6 @@ def run_demo(request: DemoRequest, progress: Progress, publish: Callable[[str], 
     """Draw an effect, record an arm with it, diagnose the logs, and compare.
 
     Args:
-        request: Seed and workers.
-        progress: Called with done, total and step.
         publish: Called with the digest of the truth before the logs are diagnosed.
 
     Raises:
@@ -151,9 +149,6 @@ def _record_drawn(folder: Path, model: DiagnosisModel, seed: int, progress: Prog
 def draw_truth(model: DiagnosisModel, rng: np.random.Generator) -> tuple[DemoTruth, tuple[Effect, ...]]:
     """Draw what is on in the arm.
 
-    Args:
-        model: Diagnosis model of the campaign.
-
     Returns:
         The truth, and all effects of the arm.
     """
@@ -182,12 +177,7 @@ def _diagnose(folder: Path, campaign: CampaignModel, truth: DemoTruth, seed: int
 
 
 def judge(truth: DemoTruth, result: DiagnosisResult) -> tuple[bool, str]:
-    """Say whether a diagnosis is right, level by level, and why.
-
-    Args:
-        truth: What was drawn.
-        result: What was found.
-    """
+    """Say whether a diagnosis is right, level by level, and why."""
     findings = result.diagnosis.findings
     if truth.kind == "none":
         is_right = result.diagnosis.verdict == "none"
@@ -222,7 +212,6 @@ def holds(model: DiagnosisModel, finding: Finding, true: int) -> bool:
     """Check that the set of a finding, at its level, holds a hypothesis.
 
     Args:
-        model: Diagnosis model of the campaign.
         true: Index of the hypothesis.
     """
     alike = model.equivalence_class(true)

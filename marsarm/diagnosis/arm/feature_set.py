@@ -114,9 +114,6 @@ def _more_friction(torque_Nm: Array) -> tuple[Effect, ...]:
 def measure_features(feature_set: FeatureSet) -> Array:
     """Compute the measured features.
 
-    Args:
-        feature_set: Features of all recordings.
-
     Returns:
         Features in the units of their channels, shape (m,).
     """
@@ -145,12 +142,6 @@ def simulate_features(
     wanted: Callable[[MotionFeatures], bool] = every_motion,
 ) -> Array:
     """Compute the features that the simulator predicts.
-
-    Args:
-        feature_set: Features of all recordings.
-        effects: Effects that are switched on.
-        options: Simulation options of the motions.
-        wanted: Predicate of the motions to simulate.
 
     Returns:
         Features in the units of their channels, shape (m,); NaN for motions that are not wanted.

@@ -190,7 +190,6 @@ def simulate_side(
     """Simulate one side of columns that are simulated at once. Repeats of a motion are not simulated.
 
     Args:
-        columns: Columns of one group.
         nominal: Prediction without effects in the units of the channels, shape (m,).
         number: 0 for the first side, 1 for the second.
         shares: Step of each column as a share of its typical size.

@@ -59,12 +59,7 @@ def record_campaign(
     """Record a log of each session, without the state of the plant.
 
     Args:
-        folder: Folder of the logs.
-        sessions: Sessions of the campaign.
-        arm: Simulated arm.
         reference: Joint zeros that flight software starts with.
-        seed: Seed of the sensor noise.
-        progress: Called with done, total and session.
         effects: Effects that begin with the run.
 
     Raises:

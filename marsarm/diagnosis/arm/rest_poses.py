@@ -250,8 +250,6 @@ def simulate_open_loop(
     """Simulate an arm with these effects under the recorded drive.
 
     Args:
-        recording: Recorded session.
-        effects: Effects that are switched on.
         pose_ticks: Numbers of cycles after which the turret pose is taken.
         ticks: Number of ticks from the start that are simulated; None for all.
 

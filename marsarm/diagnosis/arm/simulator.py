@@ -88,7 +88,6 @@ class ArmSimulator:
         """Predict the features with the patch, these effects and nuisances.
 
         Args:
-            settings: Values of the effects that are switched on.
             nuisance: Departures from nominal in the units of the nuisances, shape (q,).
 
         Returns:
@@ -103,7 +102,6 @@ class ArmSimulator:
         """Create the effects beside the patch: of hypotheses, and of nuisances that are not 0.
 
         Args:
-            settings: Values of the effects that are switched on.
             nuisance: Departures from nominal in the units of the nuisances, shape (q,).
 
         Returns:
@@ -120,7 +118,6 @@ class ArmSimulator:
 
         Args:
             effects: Effects that are switched on beside the patch.
-            wanted: Predicate of the motions to simulate.
 
         Returns:
             Features in the units of their channels, shape (m,); NaN for motions that are not wanted.
@@ -141,10 +138,8 @@ def build_simulator(
     """Build the simulator of a campaign.
 
     Args:
-        feature_set: Features of all recordings.
         sigma: Noise floor in the units of the channels, shape (m,).
         kinds: Classes of the candidate effects by name; None for the catalogue.
-        options: Simulation options of the motions.
         patch: Effects that are always on.
 
     Returns:
@@ -212,7 +207,6 @@ def make_effect(made: catalogue.EffectHypothesis, hypothesis: Hypothesis, values
     """Create the effect of a hypothesis.
 
     Args:
-        made: Entry of the catalogue.
         hypothesis: Hypothesis with p parameters.
         values: Values of the parameters in the units of the diagnosis, shape (p,).
 
@@ -241,7 +235,6 @@ def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
     """Describe the features; every place has its own channels.
 
     Args:
-        feature_set: Features of all recordings.
         sigma: Noise floor in the units of the channels, shape (m,).
 
     Returns:

@@ -23,7 +23,7 @@ from marsarm.telemetry.format import (
     header_crc32,
 )
 from marsarm.telemetry.schema import Layout, ros_definition
-from marsarm.telemetry.topic_specs import TopicSpec, encode_topics, schema_name
+from marsarm.telemetry.topics import TopicSpec, encode_topics, schema_name
 
 CHUNK_BYTES: Final = 1 << 18
 

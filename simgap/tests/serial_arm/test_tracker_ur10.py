@@ -1,6 +1,5 @@
 """Diagnosis of a measured UR10: the same effects at the same joints in two series, and no temperature."""
 
-
 import pytest
 
 from helpers.real_robots import repository_file

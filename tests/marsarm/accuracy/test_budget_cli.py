@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +9,8 @@ import pytest
 from marsarm.accuracy.budget import TABLE_3, TABLE_4, BudgetReport, run_budget
 from marsarm.accuracy.budget_report import budget_document, budget_page, budget_requirements
 from marsarm.accuracy.request import BudgetRequest
-from simgap.common.errors import BadRequest
 from simgap.common.report import save_report_page, to_json
-from tests.marsarm.command import marsarm, marsarm_process
+from tests.marsarm.command import marsarm
 
 
 def quiet(*_) -> None:
@@ -67,28 +65,12 @@ def test_the_document_holds_shares_that_add_up_to_the_mean_total(report):
 
 def test_the_page_is_one_file_with_its_pictures_in_it(report, tmp_path):
     page = tmp_path / "budget.html"
+    report = replace(report, budgets={"mars": report.budgets["mars"]})
     save_report_page(budget_page(report), page)
     text = page.read_text()
-    assert text.count("<svg ") == 2 * len(report.budgets)
+    assert text.count("<svg ") == 2
     met = sum(value <= row.required for row, value in report.rows)
     assert f"Fail: {len(report.rows) - met} of {len(report.rows)} requirements are not met." in text
-
-
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({"case": "venus"}, "case: 'venus' is not known; there are accuracy, repeatability, mars"),
-        ({"tool": "spoon"}, "tool: 'spoon' is not known; there are drill"),
-        ({"poses": 3}, "poses: 3 is not within 100 .. 200000"),
-        ({"seed": -1}, "seed: -1 is below 0"),
-        ({"gravity": "moon"}, "gravity: 'moon' is not known"),
-        ({"report": Path("page.txt")}, "its name must end in .html"),
-        ({"params": Path("none.toml")}, "none.toml: cannot be read"),
-    ],
-)
-def test_bad_input_is_named(wrong, words):
-    with pytest.raises(BadRequest, match=words.replace("(", r"\(")):
-        run_budget(BudgetRequest(**wrong), quiet)
 
 
 def test_few_poses_show_nothing(tmp_path):
@@ -99,13 +81,17 @@ def test_few_poses_show_nothing(tmp_path):
     assert "1000 of 1365 poses" in page.read_text()
 
 
+@pytest.fixture(scope="module")
+def mars() -> BudgetReport:
+    return run_budget(BudgetRequest(case="mars", tool="apxs", poses=2000), quiet)
+
+
 @pytest.mark.parametrize(
     ("times", "passed"), [(1.5, True), (1.001, None), (0.999, None), (0.5, False)], ids=str
 )
-def test_a_bound_within_the_interval_of_the_estimate_is_not_shown(times, passed):
-    report = run_budget(BudgetRequest(case="mars", tool="apxs", poses=2000), quiet)
-    rows = tuple((replace(row, required=times * value), value) for row, value in report.rows)
-    assert [row.passed for row in budget_requirements(replace(report, rows=rows))] == [passed] * 3
+def test_a_bound_within_the_interval_of_the_estimate_is_not_shown(mars, times, passed):
+    rows = tuple((replace(row, required=times * value), value) for row, value in mars.rows)
+    assert [row.passed for row in budget_requirements(replace(mars, rows=rows))] == [passed] * 3
 
 
 def test_the_command_prints_one_document_and_writes_a_page_and_a_picture(tmp_path):
@@ -114,10 +100,3 @@ def test_the_command_prints_one_document_and_writes_a_page_and_a_picture(tmp_pat
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["cases"]["accuracy"]["tools"] == ["apxs"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["page.html", "rows.png"]
-
-
-def test_the_command_refuses_and_writes_nothing(tmp_path):
-    done = marsarm_process(tmp_path, "budget", "--case", "x", "--report", "page.html", "--json")
-    assert done.returncode == 2
-    assert "case: 'x'" in json.loads(done.stdout)["error"]
-    assert not list(tmp_path.iterdir())

@@ -36,6 +36,6 @@ def test_as_built_arms_are_10_to_20_mm_off():
 
 
 def test_the_closed_loop_is_as_far_off_as_statics_say():
-    for seed in range(3):
+    for seed in range(2):
         pair = [errors_m(f"as-built:{seed}", how, seed, 1) for how in ("statics", "closed loop")]
         assert abs(pair[0] - pair[1]) < 0.5e-3

@@ -29,6 +29,7 @@ from sim.initialisation import true_reference
 from sim.loop import hardware_rng
 from sim.record import frame_body
 from sim.world import World
+from tests.marks import slow_but
 
 MODEL = load_error_model()
 NOMINAL = arm_named("nominal")
@@ -40,6 +41,9 @@ LARGER = {"slop": 20.0, "wobble": 10.0, "encoder": 10.0, "distortion_gradient": 
 CLOSE_M, CLOSE_RAD, CLOSE_SHARE = 3e-5, 4e-5, 0.02
 LOAD_MOVES_SHARE = 0.08
 """Tolerance for the change of the load on a softer arm, which the paper's equation 9 neglects."""
+MOVING = sorted(set(MODEL.source) - {"backlash", "deflection"})
+QUICK = ("assembly", "slop", "encoder", "windup", "zero_offset", "rover_stiffness", "distortion_bulk")
+"""Sources of `make test`: one of each kind of effect in the plant."""
 
 
 def effects(name: str) -> list[Effect]:
@@ -101,7 +105,7 @@ def check(u: Array, expected: Array, share: float = CLOSE_SHARE) -> None:
     assert np.linalg.norm(turn) < CLOSE_RAD + share * np.linalg.norm(expected[1:3])
 
 
-@pytest.mark.parametrize("name", sorted(set(MODEL.source) - {"backlash", "deflection"}))
+@pytest.mark.parametrize("name", slow_but(MOVING, *QUICK))
 def test_a_source_moves_the_tool_by_what_its_sensitivity_says(name, nominal):
     found = effects(name)
     X_RT, gap = where(*found)
@@ -130,8 +134,9 @@ def test_a_gap_that_nothing_allows_for_moves_the_tool_by_the_side_that_every_out
     check(error_in_tool(nominal[0], X_RT), expected)
 
 
-@pytest.mark.parametrize("case", ["accuracy", "mars"])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(
+    ("case", "seed"), slow_but([("accuracy", 1), ("mars", 1), ("accuracy", 2), ("mars", 2)], ("mars", 1))
+)
 def test_statics_end_where_the_closed_loop_does(case, seed):
     found = sample_effects(MODEL, MODEL.case[case], TOOL, np.random.default_rng(seed))
     arm = BuiltArm("drawn", found, NOMINAL.params)

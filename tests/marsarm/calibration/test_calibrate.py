@@ -16,6 +16,7 @@ from marsarm.calibration.residual_model import residual_model
 from marsarm.calibration.verify import compare_with_truth, hardstop_errors_rad
 from sim.arms import arm_named
 from simgap.serial_arm.fit import fit
+from tests.marks import slow_but
 from tests.marsarm.calibration.lab import NOMINAL, calibration, campaign
 
 SEEDS = (1, 2)
@@ -50,6 +51,7 @@ def test_the_frames_have_rank_26_of_42_and_what_is_one_is_named_as_one():
     assert sum(len(names) - identified for names, identified in groups.items()) == 42 - 26
 
 
+@pytest.mark.slow
 def test_the_optimum_is_that_of_least_squares_with_numeric_derivatives():
     poses = campaign().at(np.arange(0, 160, 4))
     model, parameters = residual_model(NOMINAL, poses), arm_parameters()
@@ -66,7 +68,7 @@ def test_the_optimum_is_that_of_least_squares_with_numeric_derivatives():
     assert 2 * other.cost == pytest.approx(np.sum(found.at.residual**2) + np.sum((found.values / prior) ** 2))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", slow_but(SEEDS, 1))
 def test_the_true_arm_lies_where_the_covariance_says(seed):
     """Nine of ten 90 % intervals contain the truth, for the combinations that the data determine."""
     arm = arm_named(f"as-built:{seed}")

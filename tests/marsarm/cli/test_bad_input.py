@@ -3,6 +3,7 @@
 The table holds wrong files of each kind, numbers, and options that contradict each other.
 """
 
+import json
 import os
 import re
 import shlex
@@ -37,7 +38,37 @@ class Boom(Effect):
     def on_hardware(self, hardware):
         return hardware / 0
 """
+SHORT_RUN = """\
+title = "A short move"
+summary = "Turn the turret a little."
+start = "ready"
+
+[[command]]
+type = "MOVE_JOINT"
+joint = "turret"
+angle_deg = 95
+
+[[check]]
+type = "done"
+"""
+FAR_PLACE = """\
+type = "PLACE_TOOL"
+tool = "apxs"
+position_m = [3.4, 0.0, -0.2]
+approach = [0.0, 0.0, 1.0]
+"""
 TEXTS = {
+    "short_run.toml": SHORT_RUN,
+    "beyond_run.toml": SHORT_RUN.replace("= 95", "= 390"),
+    "wrong_run.toml": SHORT_RUN.replace("angle_deg", "angle").replace('"turret"', '"tower"'),
+    "far_run.toml": SHORT_RUN.replace("[[check]]", f"[[command]]\n{FAR_PLACE}\n[[check]]"),
+    "tilted_run.toml": SHORT_RUN.replace(
+        "[[command]]", '[[command]]\ntype = "SET_TILT"\nroll_deg = 10\npitch_deg = 0\n\n[[command]]'
+    ),
+    "good.toml": "[joints.elbow]\nspeed_rad_s = 0.01\n",
+    "fast.toml": "[joints.elbow]\nspeed_rad_s = 5.0\n",
+    "through.toml": "[poses]\nunstow_via_rad = [[-3.0, 0.0, 0.0, 0.0, 0.0]]\n",
+    "arm7.toml": 'arm_name = "as-built:7"\n',
     "empty.toml": "",
     "half.toml": "[motion\n",
     "word.toml": "[motion]\ntakeup_rad = 'much'\n",
@@ -83,6 +114,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / f"folder.{suffix}").mkdir()
         (folder / f"loop.{suffix}").symlink_to(f"loop.{suffix}")
     (folder / "dangling.png").symlink_to("nowhere/there.png")
+    (folder / "link.mcap").symlink_to("good.toml")
     with Recorder(folder / "run.mcap", {"seed": "1", "arm": "nominal"}) as recorder:
         for tick in range(8):
             recorder.write(cycle_at(tick))
@@ -130,7 +162,30 @@ CASES = {
     "log info run.mcap --from 3 --to 2": "from: 3.0 s is not before --to 2.0 s",
     "log info run.mcap --from nan": "is no log time",
     "log info run.mcap --from 100": "has nothing in the time",
+    "place --target 9 9 9": "out of reach",
+    "place --target 1.3 -1 -0.1 --normal 0 1 0": "joint elevation: about 12",
+    "place --target 0 0 -0.8": "inside the rover",
+    "place --normal 1e200 0 1e200": "cannot be reached",
+    "place --normal 0 2e-9 0": "normal: 0 2e-09 0 has no direction",
+    "place --tilt-roll 30.0001": "by 30.0001 deg",
+    "place --tilt-roll 25 --tilt-pitch 25": "34.8 deg",
+    "hardstop --temperature nan": "temperature: nan degC",
+    "hardstop --joint elbow --start 0 0 170 0 0": "joint elbow: 170 deg is outside",
+    "hardstop --joint elbow --start 0 0 nan 0 0": "joint elbow: nan deg is outside",
+    "ik --position 1 2 3 --approach 0 1e-9 0": "approach: 0 1e-09 0 has no direction",
+    "ik --position 1e300 1e300 0 --approach 0 0 1": "1e+300 1e+300 0 m is farther than 20 m",
+    "ik --position 2 0 0 --approach 0 0 1 --warming 1e300": "warming: 1e+300 K is not within 200 K",
     # contradictions
+    "ik": "position and approach: give both",
+    "ik --out b.npz --position 2 0 0 --approach 0 0 1": "batch and out: give both",
+    "ik --batch cut.npz --out b.npz --position 2 0 0 --approach 0 0 1": "give one or the other",
+    "hardstop --start 0 0 0 0 0": "start: is for one joint, once",
+    "place --params good.toml --log ./good.toml": "the file of params",
+    "place --params link.mcap --log good.toml": "the file of params",
+    "place --picture a.png --movie folder.mcap/../a.png": "the file of picture",
+    "run short_run.toml --log short_run.toml": "the file of scenario",
+    "reach --picture ./good.toml --params good.toml": "the file of params",
+    "monte-carlo --results a.jsonl --report a.jsonl": "this is the file of",
     "hardstop --all --joint elbow": "give one of the two",
     "hardstop --plan --picture elbow.png": "leave out --picture, or --plan",
     "calibrate": "give --arm ARM",
@@ -147,7 +202,16 @@ CASES = {
     "run nosuch.toml": "nosuch.toml: cannot be read",
     "hardstop --joint knee": "there are azimuth",
     "place --tool hammer": "cannot be placed",
+    "place --tool portion": "contact switches",
+    "hardstop --scene moon": "scene: 'moon' is not known",
+    "ik --position 2 0 0 --approach 0 0 1 --frame world": "frame: 'world' is not known",
+    "reach --compensate relative": "compensate: 'relative' is not known",
     "budget --case best": "is not known",
+    "budget --tool spoon": "tool: 'spoon' is not known; there are drill",
+    "budget --gravity moon": "gravity: 'moon' is not known",
+    "monte-carlo --case venus": "case: 'venus' is not known; there are accuracy",
+    "monte-carlo --built borrowed": "built: 'borrowed' is not known; there are sampled, calibrated, as-built",
+    "calibrate --arm as-new:1": "not known",
     "place --effect flex-cabel": "did you mean flex-cable?",
     # parameters
     "place --params nosuch.toml": "nosuch.toml: cannot be read (No such file or directory)",
@@ -172,7 +236,17 @@ CASES = {
     "log info run.mcap --from 100 --to 200": "has nothing in the time from 100.0 s to 200.0 s",
     "gap record --out new --arm m2020": "the diagnosis knows the drawing msl only",
     "diagnose run.mcap --params list.toml": "motion: must be a table",
+    "place --params fast.toml": "joints.elbow.speed_rad_s",
+    "place --params through.toml": "from the stowed to the ready pose",
+    "run short_run.toml --params arm7.toml": "of the arm as-built:7, not of nominal",
     # scenarios and effects
+    "run": "give a name or a file; `marsarm run --list`",
+    "run wrong_run.toml": "wrong_run.toml:7: joint: 'tower' is not known; there are azimuth",
+    "run wrong_run.toml --json": "wrong_run.toml:8: angle: has no unit; write angle_rad or angle_deg",
+    "run beyond_run.toml": "beyond_run.toml: command 1, MOVE_JOINT: joint turret: 390.0 deg",
+    "run far_run.toml": "far_run.toml: command 2, PLACE_TOOL: apxs: the target: ",
+    "run tilted_run.toml": "command 1, SET_TILT: the IMU reads gravity 0.1745 rad from there, at most",
+    "run short_run.toml --when-disk-full cry": "'cry' is not known; there are",
     "run empty.toml": "command: is missing",
     "run half.toml": "is not TOML",
     "run utf16.toml": "is not text in UTF-8; save it as UTF-8",
@@ -223,6 +297,8 @@ CASES = {
     "log import few.csv empty.toml out.mcap": "channel: is missing",
     "log import nosuch.csv empty.toml out.mcap": "No such file or directory",
     # outputs
+    f"place --picture {300 * 'p'}.png": "too long",
+    "monte-carlo --results results.csv": "its name must end in .jsonl",
     "place --log nosuch/run.mcap": "there is no folder nosuch",
     "place --log folder.mcap": "this is a folder",
     "place --log pipe.mcap": "is not a regular file",
@@ -247,6 +323,7 @@ def test_wrong_input_gets_one_sentence_and_leaves_nothing(folder: Path, command:
     done = marsarm(folder, *shlex.split(command))
     assert CASES[command] in done.stderr
     assert done.returncode == 2
+    assert not done.stdout if "--json" not in command else json.loads(done.stdout)["error"]
     first, *more = done.stderr.splitlines()
     assert not more or SEVERAL.fullmatch(first) or first.endswith(":"), done.stderr
     assert not LIBRARY_WORDS.search(done.stderr)

@@ -4,7 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from marsarm.diagnosis.closure import build_held_out_model, compute_held_out_residuals, rank_motions
+from marsarm.diagnosis.closure import (
+    build_held_out_model,
+    compute_closure,
+    compute_held_out_residuals,
+    rank_motions,
+)
 from marsarm.diagnosis.diagnose import Diagnosis, effect_values
 from marsarm.diagnosis.normal_equations import form_normal_equations
 from marsarm.diagnosis.problem import Residuals
@@ -23,7 +28,7 @@ def result_of(made, campaign, seed, t=None, extra=None):
     apart = replace(made.layout, blocks=tuple(f"other {name}" for name in made.layout.blocks))
     held = build_held_out_model(campaign.equations, replace(found(made), layout=apart), campaign.equations.C)
     change = held.sensitivities.change(effect_values(said))
-    closing = compute_held_out_residuals(said, held, measured[1], change).closure(seed=1)
+    closing = compute_closure(held, *compute_held_out_residuals(said, held, measured[1], change), seed=1)
     return DiagnosisResult(
         campaign, said, closing, ToolError(0.61, 0.12, 0.02), _motions(made, campaign, said), NOTES, FLOOR
     )

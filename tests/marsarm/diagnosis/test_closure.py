@@ -7,8 +7,8 @@ import pytest
 
 from marsarm.diagnosis.closure import (
     build_held_out_model,
+    compute_closure,
     compute_held_out_residuals,
-    rank_motions,
     whitened_closure,
 )
 from marsarm.diagnosis.diagnose import effect_values
@@ -31,14 +31,19 @@ def held_out(made, campaign):
     return build_held_out_model(campaign.equations, elsewhere(made), campaign.equations.C)
 
 
+def close(diagnosis, held_out, measured, change):
+    """Return the closure of one case on held-out motion."""
+    return compute_closure(
+        held_out, *compute_held_out_residuals(diagnosis, held_out, measured, change), seed=1
+    )
+
+
 def test_closure_agrees_with_the_truth(made, campaign, held_out, rng):
     """Without noise, the closure is 1 - |true - predicted|^2 / |true|^2."""
     t = np.where(made.owner == 4, 1.5, 0.0)
     diagnosis = select_and_diagnose(campaign, Residuals(made.layout, made.measured(rng, t, robot=1)), seed=1)
     change = held_out.sensitivities.change(effect_values(diagnosis))
-    again = compute_held_out_residuals(diagnosis, held_out, made.measured(rng, t, robot=1), change).closure(
-        seed=1
-    )
+    again = close(diagnosis, held_out, made.measured(rng, t, robot=1), change)
     assert diagnosis.verdict == "found"
     assert again.least <= 1.0 <= again.most + 0.05
     assert again.share == pytest.approx(1.0, abs=0.1)
@@ -56,9 +61,7 @@ def test_a_gap_that_a_nuisance_could_imitate_is_not_hidden_by_it(rng):
     assert [one.hypothesis for one in diagnosis.findings] == [7]
     again = build_held_out_model(campaign.equations, elsewhere(made), campaign.equations.C)
     change = again.sensitivities.change(effect_values(diagnosis))
-    held = compute_held_out_residuals(diagnosis, again, made.measured(rng, t, robot=1), change).closure(
-        seed=1
-    )
+    held = close(diagnosis, again, made.measured(rng, t, robot=1), change)
     assert held.share == pytest.approx(1.0, abs=0.1)
     assert held.before > 3.0 * held.after
 
@@ -135,22 +138,3 @@ def test_motion_that_was_used_for_fitting_is_refused(made, campaign):
 def test_held_out_motion_of_another_catalogue_is_refused(made, campaign):
     with pytest.raises(ValueError, match="the hypotheses of the campaign"):
         build_held_out_model(campaign.equations, elsewhere(made).only(["effect 1"]), campaign.equations.C)
-
-
-def test_the_next_motion_is_the_one_that_separates(made, campaign, rng):
-    """One candidate repeats the campaign, the other distinguishes two aliased effects."""
-    pair = next(
-        (g, h) for g in range(40) for h in range(g + 1, 40)
-        if campaign.label[g] == campaign.label[h] and np.bincount(made.owner)[g] == 1
-    )  # fmt: skip
-    kept = found(made)
-    other = kept.effect.copy()
-    other[:, made.owner == pair[0]] *= rng.normal(size=(made.layout.size, 1))
-    candidates = {
-        "the same": campaign.equations,
-        "another": form_normal_equations(replace(kept, effect=other)),
-    }
-    motions = rank_motions(campaign.equations, {h: np.array([2.0]) for h in pair}, candidates)
-    assert [motion.name for motion in motions] == ["another", "the same"]
-    assert motions[0].separation > 3.0 * motions[0].separation_now
-    assert motions[1].separation >= motions[1].separation_now

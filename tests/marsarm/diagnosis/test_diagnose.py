@@ -1,4 +1,4 @@
-"""Verdicts on synthetic cases at the required rates: none, found at a level, or unknown."""
+"""Verdicts on synthetic cases at the required rates, and the map of the residual."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import binom
 
 from marsarm.common.rates import estimate_rate
-from marsarm.diagnosis.diagnose import MAX_MEMBERS
+from marsarm.diagnosis.diagnose import MAX_MEMBERS, map_residual
 from marsarm.diagnosis.normal_equations import build_full_whitener
 from marsarm.diagnosis.problem import Residuals
 from marsarm.diagnosis.selection import select
@@ -22,6 +22,7 @@ def _diagnose(made, campaign, rng, t=None, extra=None):
     return select_and_diagnose(campaign, Residuals(made.layout, made.measured(rng, t, extra)), seed=1)
 
 
+@pytest.mark.slow
 def test_no_effect_is_not_called_one(made, campaign, rng):
     """At most as many alarms as 97.5 % of samples of a rate of 5 %."""
     cases = 100
@@ -39,6 +40,8 @@ def test_from_the_limit_of_the_selection_on_nine_of_ten_are_reported_and_sets_ho
         t = np.where(made.owner == one, campaign.limits[one].family_wise_limit, 0.0)
         findings = _diagnose(made, campaign, rng, t).findings
         reported += bool(findings)
+        sets = [of for one in findings for of in (one.places, one.families, one.effects)]
+        assert all(len(members) <= MAX_MEMBERS for members in sets)
         for finding in findings[:1]:
             is_named = campaign.label[one] in campaign.label[list(finding.effects)]
             is_located = made.hypotheses[one].place in finding.places
@@ -53,6 +56,7 @@ def test_from_the_limit_of_the_selection_on_nine_of_ten_are_reported_and_sets_ho
     assert share.least <= 0.9 <= share.most
 
 
+@pytest.mark.slow
 def test_a_pair_is_found_with_its_shares(made, campaign, rng):
     hits, cases = 0, 12
     for _ in range(cases):
@@ -85,15 +89,6 @@ def test_what_remains_beside_effects_at_several_places_may_be_at_another(made, c
     assert diagnosis.has_remainder
     assert len({made.hypotheses[one.hypothesis].place for one in diagnosis.findings}) > 1
     assert all(one.level == "unlocated" and not one.places for one in diagnosis.findings)
-
-
-def test_no_set_has_more_than_three_members(made, campaign, rng):
-    for _ in range(10):
-        one = int(rng.integers(len(made.hypotheses)))
-        t = _sized(made, campaign, one, 1.5)
-        for finding in _diagnose(made, campaign, rng, t).findings:
-            sets = (finding.places, finding.families, finding.effects)
-            assert all(len(members) <= MAX_MEMBERS for members in sets)
 
 
 @pytest.mark.slow
@@ -153,3 +148,27 @@ def test_a_nonlinear_effect_is_fitted(rng, times):
     assert stepped.findings[0].hypothesis == curved.findings[0].hypothesis == 4
     assert stepped.findings[0].values[0] == pytest.approx(truth, rel=0.1)
     assert (curved.findings[0].values[0] == pytest.approx(truth, rel=0.1)) == (times == 1.0)
+
+
+def test_a_channel_that_several_places_have_is_mapped_place_by_place(made, rng):
+    """All places share one kind of channel; the residual is at one place."""
+    kinds = ("a", "b", "c")
+    layout = replace(made.layout, channel=made.layout.channel % 3, channels=kinds, units=("u",) * 3)
+    here = (layout.place == 2) & (layout.channel == 1)
+    cells = map_residual(layout, rng.standard_normal(layout.size) * np.where(here, 5.0, 1.0), seed=1)
+    assert {(cell.channel, cell.place) for cell in cells[:3]} == {("b", "place 2")}
+    assert all(cell.ratio == pytest.approx(5.0, rel=0.4) for cell in cells[:3])
+    assert all(cell.ratio < 2.0 for cell in cells[3:])
+    assert sum(cell.features for cell in cells) == layout.size
+
+
+def test_one_motion_tells_no_interval(made, rng):
+    alone = replace(made.layout, place=np.where(made.layout.block == 3, 4, made.layout.place % 4))
+    cells = map_residual(alone, rng.standard_normal(alone.size), seed=1)
+    assert all(np.isnan(cell.least) and np.isnan(cell.most) for cell in cells if cell.place == "place 4")
+    assert all(cell.least <= cell.most for cell in cells if cell.place != "place 4")
+
+
+def test_an_interval_holds_what_it_is_of(made, rng):
+    for cell in map_residual(made.layout, rng.standard_normal(made.layout.size), seed=1):
+        assert cell.least <= cell.ratio <= cell.most

@@ -7,11 +7,7 @@ import pytest
 
 from marsarm.diagnosis.normal_equations import build_full_whitener
 from marsarm.diagnosis.problem import EffectValues
-from marsarm.diagnosis.selection import (
-    FeatureResiduals,
-    list_feature_effects,
-    select_simulated,
-)
+from marsarm.diagnosis.selection import FeatureResiduals, list_feature_effects, select_simulated
 from tests.marsarm.diagnosis.worlds import found, modelled, world
 
 WORLD = world(bent=0.3)

@@ -6,21 +6,15 @@ import numpy as np
 import pytest
 
 from marsarm.diagnosis.problem import Hypothesis, Nuisance, Parameter, Residuals
-from marsarm.diagnosis.sensitivity import load_sensitivities, save_sensitivities
+from marsarm.diagnosis.sensitivity import fit_parabola, load_sensitivities, save_sensitivities
 from tests.marsarm.diagnosis.worlds import found
 
 
-def test_sensitivities_are_those_of_the_simulator(made):
-    kept = found(made)
-    assert np.allclose(kept.effect, made.effect, rtol=1e-9, atol=1e-12)
-    assert np.allclose(kept.nuisance, made.nuisance, rtol=1e-9, atol=1e-12)
-
-
-def test_a_size_with_one_side_is_differentiated_on_that_side(made):
-    one = made.hypotheses[0]
-    half = replace(one, parameters=tuple(replace(p, least=0.0) for p in one.parameters))
-    bent = replace(made, hypotheses=(half, *made.hypotheses[1:]), bent=0.5)
-    assert np.allclose(found(bent).effect[:, 0], 1.5 * made.effect[:, 0])
+def test_a_parabola_goes_through_both_steps_and_one_step_makes_a_line(rng):
+    slope, curve = rng.normal(size=(2, 5))
+    ends = [(slope * x + curve * x**2, x) for x in (0.5, -0.8)]
+    np.testing.assert_allclose(fit_parabola(ends), (slope, curve))
+    np.testing.assert_allclose(fit_parabola(ends[:1]), (slope + 0.5 * curve, np.zeros(5)))
 
 
 def test_what_is_kept_comes_back(made, tmp_path):
@@ -38,28 +32,31 @@ def _plain(value):
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
+def _cut(whole, share):
+    return whole[: int(share * len(whole))]
+
+
+def _changed(whole, byte):
+    """Change a byte of the archive's directory: it then says locked, or packed otherwise."""
+    at, value = byte
+    at += whole.index(b"PK\x01\x02")
+    return whole[:at] + bytes([value]) + whole[at + 1 :]
+
+
+@pytest.mark.parametrize(
+    ("damage", "by"), [*((_cut, by) for by in (0, 1e-3, 0.5, 0.99)), (_changed, (8, 1)), (_changed, (10, 99))]
+)
+def test_a_file_that_was_damaged_is_refused(made, tmp_path, damage, by):
+    path = tmp_path / "s.npz"
+    save_sensitivities(path, found(made))
+    path.write_bytes(damage(path.read_bytes(), by))
+    with pytest.raises(ValueError, match=r"s\.npz: no sensitivities"):
+        load_sensitivities(path)
+
+
 def test_a_file_of_something_else_is_refused(tmp_path):
     np.savez(tmp_path / "s.npz", a=np.zeros(3))
     with pytest.raises(ValueError, match="no sensitivities"):
-        load_sensitivities(tmp_path / "s.npz")
-
-
-@pytest.mark.parametrize("share", [0.0, 0.001, 0.5, 0.99])
-def test_a_file_that_was_cut_is_refused(made, tmp_path, share):
-    save_sensitivities(tmp_path / "s.npz", found(made))
-    whole = (tmp_path / "s.npz").read_bytes()
-    (tmp_path / "s.npz").write_bytes(whole[: int(share * len(whole))])
-    with pytest.raises(ValueError, match=r"s\.npz: no sensitivities"):
-        load_sensitivities(tmp_path / "s.npz")
-
-
-@pytest.mark.parametrize(("at", "value"), [(8, 1), (10, 99)])
-def test_a_file_whose_directory_says_it_is_locked_or_packed_otherwise_is_refused(made, tmp_path, at, value):
-    save_sensitivities(tmp_path / "s.npz", found(made))
-    damaged = bytearray((tmp_path / "s.npz").read_bytes())
-    damaged[damaged.index(b"PK\x01\x02") + at] = value
-    (tmp_path / "s.npz").write_bytes(damaged)
-    with pytest.raises(ValueError, match=r"s\.npz: no sensitivities"):
         load_sensitivities(tmp_path / "s.npz")
 
 

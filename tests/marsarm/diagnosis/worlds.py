@@ -9,7 +9,7 @@ from marsarm.diagnosis.model import DiagnosisModel, build_model
 from marsarm.diagnosis.normal_equations import build_full_whitener
 from marsarm.diagnosis.problem import FeatureLayout, Hypothesis, Nuisance, Parameter
 from marsarm.diagnosis.selection import select_simulated
-from marsarm.diagnosis.sensitivity import Sensitivities, fit_parabola
+from marsarm.diagnosis.sensitivity import Sensitivities
 from simgap.effects.effect import Family
 
 CONDITIONS = ("temperature", "load", "direction", "speed", "sine", "cosine")
@@ -31,8 +31,7 @@ class World:
     def predict(self, settings, nuisance):
         t = np.zeros(self.owner.size)
         for hypothesis, values in settings.items():
-            at = self.owner == self.hypotheses.index(hypothesis)
-            t[at] = [(v - p.absent) / p.typical for v, p in zip(values, hypothesis.parameters, strict=True)]
+            t[self.owner == self.hypotheses.index(hypothesis)] = hypothesis.departures(values)
         return self.effect @ (t + self.bent * t**2) + self.nuisance @ nuisance
 
     def measured(self, rng, t=None, extra=None, robot=None):
@@ -99,16 +98,10 @@ def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4,
 
 
 def found(made):
-    """Return sensitivities by differences about nominal: parabolas for amplitudes, lines for nuisances."""
-    zero, m = np.zeros(len(made.nuisances)), made.layout.size
-    nominal = made.predict({}, zero)
-    sized = [(h, at) for h in made.hypotheses for at, p in enumerate(h.parameters) if p.is_amplitude]
-    bent = [_parabola(made, hypothesis, at, nominal) for hypothesis, at in sized]
-    slope, bend = (np.array([one[k] for one in bent]).reshape(-1, m).T for k in (0, 1))
-    straight = [_centred(made, by) for by in np.diag([nuisance.sigma for nuisance in made.nuisances])]
+    """Return the sensitivities of a robot, whose parabolas are known."""
     return Sensitivities(
-        made.layout, made.hypotheses, made.nuisances, slope, bend, np.ones(len(sized)),
-        np.array([made.hypotheses.index(h) for h, _ in sized], np.intp), np.array(straight).reshape(-1, m).T,
+        made.layout, made.hypotheses, made.nuisances, made.effect, made.bent * made.effect,
+        np.ones(made.owner.size), made.owner, made.nuisance,
     )  # fmt: skip
 
 
@@ -122,23 +115,6 @@ def select_and_diagnose(model, residuals, seed, simulator=None):
     """Select effects and diagnose; without a simulator, large effects are extrapolated."""
     whiten = build_full_whitener(model.sensitivities)
     return diagnose(model, residuals, select_simulated(model, whiten, residuals.value, seed, simulator), seed)
-
-
-def _centred(made, by):
-    return (made.predict({}, by) - made.predict({}, -by)) / (2.0 * by.sum())
-
-
-def _parabola(made, hypothesis, at, nominal):
-    """Return first and second-order change (m,) of the features per typical size of one parameter."""
-    zero, parameter = np.zeros(len(made.nuisances)), hypothesis.parameters[at]
-    ends = []
-    for sign in (1.0, -1.0):
-        there = hypothesis.absent
-        there[at] = np.clip(there[at] + sign * parameter.typical, parameter.least, parameter.most)
-        size = (there[at] - hypothesis.absent[at]) / parameter.typical
-        if size:
-            ends.append((made.predict({hypothesis: there}, zero) - nominal, float(size)))
-    return fit_parabola(ends)
 
 
 def _basis(c, channel):

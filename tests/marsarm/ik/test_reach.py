@@ -12,9 +12,8 @@ from marsarm.ik.reach import reach, reach_document, sample_workspace
 from marsarm.ik.request import ModelRequest, ReachRequest
 from marsarm.ik.solve import build_ik_model
 from sim.frames import approach_from, random_surface, random_targets
-from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
-from tests.marsarm.command import marsarm, marsarm_process
+from tests.marsarm.command import marsarm
 
 
 def quiet(*_) -> None:
@@ -72,8 +71,9 @@ def test_a_placement_campaign_draws_from_the_same_workspace():
     assert normal == tuple(-approach_from(angles)[:, 0])
 
 
-def test_the_picture_is_drawn_and_named(tmp_path):
-    done = marsarm_process(tmp_path, "reach", "--samples", "500", "--tool", "drill", MPLBACKEND="nonsense")
+def test_the_picture_is_drawn_and_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "nonsense")
+    done = marsarm(tmp_path, "reach", "--samples", "500", "--tool", "drill")
     assert done.returncode == 0, done.stderr
     for word in ("500 random targets", "at most four", "shoulder-in elbow-up wrist-down", "reach.png"):
         assert word in done.stdout
@@ -82,10 +82,9 @@ def test_the_picture_is_drawn_and_named(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["reach.png"]
 
 
-@pytest.mark.parametrize("samples", [1, 50])
-def test_a_map_of_few_targets_is_drawn_too(tmp_path, samples):
+def test_a_map_of_one_target_is_drawn_too(tmp_path):
     path = tmp_path / "few.png"
-    report = reach(ReachRequest(ModelRequest(tool="portion"), samples, picture=path), quiet)
+    report = reach(ReachRequest(ModelRequest(tool="portion"), 1, picture=path), quiet)
     assert report.picture_problem is None
     assert path.stat().st_size > 10_000
 
@@ -105,32 +104,3 @@ def test_with_json_there_is_one_document(tmp_path):
     assert json.loads(done.stdout)["gravity"] == "earth"
     assert json.loads(done.stdout)["picture"] is None
     assert list(tmp_path.iterdir()) == []
-
-
-BAD = {
-    "no samples": (("--samples", "0"), "samples: 0 is not within 1 .. 1000000"),
-    "too many samples": (("--samples", "1" + 30 * "0"), "is not within 1 .. 1000000"),
-    "negative seed": (("--seed", "-1"), "seed: -1 is below 0"),
-    "no such tool": (("--tool", "spoon"), "tool: 'spoon' is not known"),
-    "no such compensation": (("--compensate", "relative"), "compensate: 'relative' is not known"),
-    "too much tilt": (("--tilt-pitch", "-31"), "up to 30 deg"),
-    "picture of another kind": (("--picture", "p.jpg"), "its name must end in .png"),
-    "picture in no folder": (("--picture", "nowhere/p.png"), "there is no folder nowhere"),
-    "picture over params": (("--picture", "./good.png", "--params", "good.png"), "the file of params"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_a_sentence_and_status_2_and_writes_nothing(tmp_path, case):
-    (tmp_path / "good.png").write_text("[joints.elbow]\nspeed_rad_s = 0.01\n")
-    words, said = BAD[case]
-    done = marsarm(tmp_path, "reach", *words)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert said in " ".join(done.stderr.split())
-    assert "Traceback" not in done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["good.png"]
-
-
-def test_a_request_is_checked_before_anything_is_sampled():
-    with pytest.raises(BadRequest, match="seed"):
-        reach(ReachRequest(seed=-1, samples=1), quiet)

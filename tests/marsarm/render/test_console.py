@@ -2,13 +2,7 @@
 
 import numpy as np
 
-from simgap.common.console import (
-    SPARKLINE_WIDTH,
-    ZERO_MARK,
-    magnitude_sparkline,
-    pluralize,
-    value_sparklines,
-)
+from simgap.common.console import SPARKLINE_WIDTH, ZERO_MARK, magnitude_sparkline, pluralize, value_sparklines
 
 
 def test_one_is_one_and_all_else_is_many() -> None:

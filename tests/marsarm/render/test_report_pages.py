@@ -49,7 +49,7 @@ CONTRAST = """
 
 
 def save_budget(path):
-    save_report_page(budget_page(run_budget(BudgetRequest(poses=100), quiet)), path)
+    save_report_page(budget_page(run_budget(BudgetRequest(case="mars", poses=100), quiet)), path)
 
 
 def save_monte_carlo(path):

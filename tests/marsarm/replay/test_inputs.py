@@ -8,9 +8,9 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from marsarm.replay.inputs import NotReplayable, inputs_from_log
+from marsarm.telemetry.errors import LostMessages
 from marsarm.telemetry.events import CommandEntry
 from marsarm.telemetry.format import TICK_NS
-from marsarm.telemetry.lost_messages import LostMessages
 from marsarm.telemetry.read import Log, read_log
 from tests.replay.remake import FOLDER
 

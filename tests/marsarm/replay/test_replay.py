@@ -192,7 +192,7 @@ def test_a_scenario_of_the_project_replays_bit_for_bit(tmp_path):
 def test_a_log_cut_short_replays_as_far_as_it_goes(tmp_path):
     (no_number,) = (one for one in RUNS if one.name == "no-number")
     loop, log = no_number.loop(), tmp_path / "run.mcap"
-    with Recorder(log, run_header(loop, "nominal", 0, {}, ()), chunk_s=0.0) as recorder:
+    with Recorder(log, run_header(loop, "nominal", 0, {}, ()), chunk_cycles=1) as recorder:
         for record in no_number.cycles(loop):
             recorder.write(record)
     written = log.read_bytes()

@@ -73,35 +73,6 @@ def test_all_joints_one_after_the_other_as_flight_software_does_it(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--joint", "knee"], "joint: 'knee' is not known; there are azimuth, elevation"),
-        (["--joint", "elbow", "--all"], "--joint elbow asks for one joint, --all for all"),
-        (["--repeat", "0"], "repeat: 0 is not within 1 .. 1000"),
-        (["--temperature", "300"], "temperature: 300.0 degC is not within -130 .. 50 degC"),
-        (["--temperature", "nan"], "temperature: nan degC"),
-        (["--scene", "moon"], "scene: 'moon' is not known"),
-        (["--arm", "bent"], "arm 'bent' is not known"),
-        (["--seed", "-1"], "seed: -1 is below 0"),
-        (["--tilt-roll", "40"], "tilt"),
-        (["--picture", "x.jpg"], "its name must end in .png"),
-        (["--start", "0", "0", "0", "0", "0"], "start: is for one joint, once"),
-        (
-            ["--joint", "elbow", "--start", "0", "0", "170", "0", "0"],
-            "joint elbow: 170 deg is outside",
-        ),
-        (["--joint", "elbow", "--start", "0", "0", "nan", "0", "0"], "joint elbow: nan deg is outside"),
-        (["--params", "none.toml"], "cannot be read"),
-    ],
-)
-def test_bad_input_is_said_and_nothing_is_written(tmp_path, words, sentence):
-    done = marsarm(tmp_path, "hardstop", *words, "--json")
-    assert done.returncode == 2
-    assert sentence in json.loads(done.stdout)["error"]
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
     ("text", "sentence"),
     [
         ("[joints.elbow]\nhardstop_rad = -2.8\n", "joints.elbow.hardstop_rad: -2.8 is not between"),

@@ -17,13 +17,13 @@ from tests.sim import lab
 
 GRAVITY_T = (-0.02, 0.0, -1.0)
 """Gravity in the axes of the portioner in the ready pose, almost."""
-FIRST, LAST = 2 * FRAME_CYCLES, 10 * FRAME_CYCLES
+FIRST, LAST = FRAME_CYCLES, 4 * FRAME_CYCLES
 """Cycles in the first command and in the second."""
 EMPTY_OBJECT_BYTES = 16
 
 
 def test_a_run_that_shakes_and_moves_keeps_no_object_of_each_cycle():
-    commands = (Process("portion", GRAVITY_T, 12.0), MoveJoint(Joint.TURRET, 1.2))
+    commands = (Process("portion", GRAVITY_T, 6.0), MoveJoint(Joint.TURRET, 1.4))
     checks = (Done(), GravityHeld(1, "portion", GRAVITY_T))
     scenario = Scenario("test", "T", "S.", World(), commands, checks, "ready")
     arm = arm_named("nominal")

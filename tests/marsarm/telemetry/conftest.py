@@ -15,8 +15,7 @@ import pytest
 from fsw.dictionary.commands import GuardedMove, Stop
 from fsw.dictionary.evrs import Booted, ContactMade
 from marsarm.telemetry.recorder import Recorder
-from marsarm.telemetry.schema import arm_names, array_shape, is_tool_index
-from marsarm.telemetry.topics import strip_optional
+from marsarm.telemetry.schema import arm_names, array_shape, is_tool_index, strip_optional
 from sim.params import nominal_params
 from sim.record import CycleRecord
 
@@ -75,7 +74,7 @@ def make() -> Any:
 
 
 if __name__ == "__main__":
-    with Recorder(sys.argv[1], {"seed": "1"}, chunk_s=float(sys.argv[2])) as recorder:
+    with Recorder(sys.argv[1], {"seed": "1"}, chunk_cycles=int(sys.argv[2])) as recorder:
         for tick in count():
             recorder.write(cycle_at(tick))
             print(tick, flush=True)

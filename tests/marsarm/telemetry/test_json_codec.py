@@ -17,7 +17,7 @@ from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference, no_reference
 from marsarm.telemetry.events import CommandEntry, command_entry
 from marsarm.telemetry.json_codec import BadJson, command_from_json, record_from_json, record_to_json
-from marsarm.telemetry.topics import strip_optional
+from marsarm.telemetry.schema import strip_optional
 from sim.arms import arm_named
 
 

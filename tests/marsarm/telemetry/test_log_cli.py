@@ -1,12 +1,11 @@
 """`marsarm log ...` as a user meets it."""
 
 import json
-from pathlib import Path
 
 import pytest
 
 from marsarm.telemetry.format import FORMAT
-from marsarm.telemetry.mcap_reader import read_records
+from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder
 from tests.marsarm.command import marsarm, marsarm_process
@@ -18,17 +17,17 @@ CYCLES = 130
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    return record_log(tmp_path_factory.mktemp("log") / "run.mcap", CYCLES, 0.0).read_bytes()
+    return record_log(tmp_path_factory.mktemp("log") / "run.mcap", CYCLES, 1).read_bytes()
 
 
 @pytest.fixture
 def folder(tmp_path, written):
     (tmp_path / "run.mcap").write_bytes(written)
-    chunk = read_records(Path("run.mcap"), written).chunks[60]
+    begin, _ = read_records(written).chunks[60]
     broken = bytearray(written)
-    broken[chunk.begin + 30] ^= 8
+    broken[begin + 80] ^= 8
     (tmp_path / "broken.mcap").write_bytes(broken)
-    (tmp_path / "cut.mcap").write_bytes(written[: chunk.begin])
+    (tmp_path / "cut.mcap").write_bytes(written[: begin + 50])
     (tmp_path / "empty.mcap").write_bytes(b"")
     (tmp_path / "foreign.mcap").write_text("tick,angle_rad\n0,0.5\n")
     version = b"version\x01\0\0\0" + FORMAT.encode()
@@ -133,7 +132,6 @@ BAD = {
     "empty": (("info", "empty.mcap"), "an empty file; nothing was written to it"),
     "foreign": (("info", "foreign.mcap"), "not an MCAP file"),
     "flipped": (("info", "broken.mcap"), "a chunk does not match its CRC"),
-    "flipped, its span": (("export", "broken.mcap", "out"), "lost, between 0."),
     "later": (("info", "later.mcap"), "log format 9"),
     "later, recovered": (("recover", "later.mcap", "g.mcap"), "log format 9"),
     "of 0.2": (

@@ -1,23 +1,37 @@
-"""Paths where a log can be written, and logging of every EVR and command."""
+"""Recording: paths where a log can be written, what interrupts it, and logging of every EVR and command."""
 
+import gc
+import json
 import os
 import subprocess
 import sys
-from dataclasses import fields
+import warnings
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from io import FileIO
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import IndexType, Writer
 
-from fsw.dictionary.commands import Command
+from fsw.dictionary.commands import Command, MoveJoint
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
+from marsarm.replay.replay import ReplayRequest, replay
 from marsarm.telemetry.errors import LogNotWritable, SchemaError
 from marsarm.telemetry.events import command_entry, evr_entry
 from marsarm.telemetry.json_codec import record_to_json
 from marsarm.telemetry.read import read_log
-from marsarm.telemetry.recorder import Recorder
+from marsarm.telemetry.recorder import Recorder, record_commands
+from sim.arms import BuiltArm, arm_named
+from sim.initialisation import start_loop
+from validation import killed
+from validation.killed import Kill
 
 ROOT = Path(__file__).parents[3]
 
@@ -140,3 +154,252 @@ def test_every_command_goes_into_a_log(kind: Any) -> None:
 def test_a_field_without_a_json_type_is_refused() -> None:
     with pytest.raises(SchemaError, match="object in a command or EVR"):
         record_to_json(object())
+
+
+def python(program: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run a program on this tree; all warnings are errors except that of a fork with threads."""
+    fork = "ignore:This process:DeprecationWarning"
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-W", fork, "-c", program, *words],
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False, timeout=300,
+    )  # fmt: skip
+
+
+BEGIN = """\
+import os, signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it for background processes
+from marsarm.telemetry.recorder import Recorder
+from tests.marsarm.telemetry.conftest import cycle_at
+recorder = Recorder(sys.argv[1], {})
+for tick in range(40):
+    recorder.write(cycle_at(tick))
+"""
+
+
+def test_a_recorder_that_nobody_closes_is_closed_at_the_end_of_the_program(tmp_path: Path) -> None:
+    done = python(BEGIN, str(tmp_path / "run.mcap"))
+    assert (done.returncode, done.stderr) == (0, "")
+    log = read_log(tmp_path / "run.mcap")
+    assert (len(log["/joint"]), log.truncated) == (40, False)
+
+
+def test_a_recorder_that_is_let_go_closes_itself(make: Any, tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", {})
+    recorder.write(make.cycle_at(0))
+    del recorder
+    gc.collect()
+    assert not read_log(tmp_path / "run.mcap").truncated
+
+
+def test_a_cycle_after_the_end_of_the_log_is_refused(make: Any, tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", {})
+    recorder.write(make.cycle_at(0))
+    recorder.close()
+    with pytest.raises(ValueError, match="the log is closed"):
+        recorder.write(make.cycle_at(1))
+    assert len(read_log(tmp_path / "run.mcap")["/joint"]) == 1
+
+
+@pytest.mark.parametrize("tick", [2, 3])
+def test_a_log_goes_forward(make: Any, tmp_path: Path, tick: int) -> None:
+    with Recorder(tmp_path / "run.mcap", {}) as recorder:
+        recorder.write(make.cycle_at(3))
+        with pytest.raises(ValueError, match=f"cycle {tick} after cycle 3"):
+            recorder.write(make.cycle_at(tick))
+        recorder.write(make.cycle_at(5))
+    assert read_log(tmp_path / "run.mcap").ticks("/joint").tolist() == [3, 5]
+
+
+@pytest.mark.parametrize("ending", ["sys.exit()", "recorder.close(); os._exit(0)"])
+def test_a_forked_process_leaves_the_log_alone(tmp_path: Path, ending: str) -> None:
+    program = f"""{BEGIN}
+child = os.fork()
+if child == 0:
+    try:
+        recorder.write(cycle_at(40))
+    except RuntimeError as error:
+        print(error, flush=True)
+    {ending}
+os.waitpid(child, 0)
+recorder.write(cycle_at(40))
+recorder.close()
+"""
+    done = python(program, str(tmp_path / "run.mcap"))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "written by the process that opened it" in done.stdout
+    log = read_log(tmp_path / "run.mcap")
+    assert (len(log["/joint"]), log.truncated) == (41, False)
+
+
+SMALL_DISK = """\
+import resource, sys
+from marsarm.telemetry.recorder import Recorder
+from tests.marsarm.telemetry.conftest import cycle_at
+resource.setrlimit(resource.RLIMIT_FSIZE, 2 * (int(sys.argv[2]),))
+recorder = Recorder(sys.argv[1], {"seed": "1", "arm": "nominal"})
+try:
+    for tick in range(int(sys.argv[3])):
+        recorder.write(cycle_at(tick))
+except OSError as error:
+    print("cycle:", error.strerror)
+try:
+    recorder.close()
+except OSError as error:
+    print("end:", error.strerror)
+recorder.close()
+print(recorder.written_cycles)
+"""
+"""Arguments: path, bytes that fit on the disk, cycles to record."""
+
+
+def test_a_full_disk_is_reported_by_a_later_cycle_and_by_close(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    done = python(SMALL_DISK, str(path), "300000", "100000")
+    assert (done.returncode, done.stderr) == (0, "")
+    *errors, written = done.stdout.splitlines()
+    assert errors == ["cycle: File too large", "end: File too large"]
+    log = read_log(path)
+    assert log.truncated
+    assert len(log["/joint"]) == int(written) > 0
+
+
+def test_a_disk_that_is_full_at_the_end_is_reported_by_close(make: Any, tmp_path: Path) -> None:
+    whole = make.record(tmp_path / "whole.mcap", [make.cycle_at(0)]).stat().st_size
+    done = python(SMALL_DISK, str(tmp_path / "run.mcap"), str(whole - 10), "1")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines() == ["end: File too large", "1"]
+    log = read_log(tmp_path / "run.mcap")
+    assert (len(log["/joint"]), log.truncated) == (1, True)
+
+
+def test_a_killed_run_loses_less_than_a_chunk(tmp_path: Path) -> None:
+    done = python(BEGIN.replace("40", "150") + "os.kill(os.getpid(), 9)\n", str(tmp_path / "run.mcap"))
+    assert done.stderr == ""
+    log = read_log(tmp_path / "run.mcap")
+    assert (len(log["/joint"]), log.truncated) == (128, True)
+
+
+def test_an_interrupt_within_a_write_leaves_a_log_that_ends_there(
+    make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class HalfFile(FileIO):
+        def write(self, data: Any) -> int:
+            if len(data) < 2000:
+                return super().write(data)
+            super().write(data[:1000])
+            raise KeyboardInterrupt
+
+    recorder = Recorder(tmp_path / "run.mcap", {}, chunk_cycles=1)
+    recorder.write(make.cycle_at(0))
+    file = recorder._log._file
+    monkeypatch.setattr(recorder._log, "_file", HalfFile(os.dup(file.fileno()), "wb"))
+    with pytest.raises(KeyboardInterrupt):
+        recorder.write(replace(make.cycle_at(1), commands=make.cycle_at(1).commands * 100))
+    with pytest.raises(OSError, match="an earlier part of it could not be written"):
+        recorder.write(make.cycle_at(2))
+    recorder.close()
+    file.close()
+    log = read_log(tmp_path / "run.mcap")
+    assert (len(log["/joint"]), log.truncated) == (1, True)
+
+
+@pytest.mark.parametrize("closed", [(1,), (0, 1, 2)], ids=str)
+def test_a_run_whose_standard_streams_are_closed_has_its_log(tmp_path: Path, closed: Sequence[int]) -> None:
+    """The first file that such a run opens has the number of a standard stream."""
+    closing = "".join(f"os.close({one})\n" for one in closed)
+    imports, rest = BEGIN.split("recorder =")
+    python(f"{imports}{closing}recorder ={rest}recorder.close()\nos._exit(0)\n", str(tmp_path / "run.mcap"))
+    log = read_log(tmp_path / "run.mcap")
+    assert (len(log["/joint"]), log.truncated) == (40, False)
+
+
+def test_the_container_is_that_of_the_stock_writer(make: Any, tmp_path: Path) -> None:
+    path = make.record(tmp_path / "run.mcap", map(make.cycle_at, range(30)), chunk_cycles=1)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary, messages = reader.get_summary(), list(reader.iter_messages(log_time_order=False))
+    assert summary is not None
+    stock = tmp_path / "stock.mcap"
+    writer = Writer(str(stock), enable_data_crcs=True, index_types=IndexType.ALL)
+    writer.start()
+    for schema in summary.schemas.values():
+        writer.register_schema(schema.name, schema.encoding, schema.data)
+    for channel in summary.channels.values():
+        writer.register_channel(channel.topic, channel.message_encoding, channel.schema_id, channel.metadata)
+    for _, _, message in messages:
+        writer.add_message(
+            message.channel_id, message.log_time, message.data, message.publish_time, message.sequence
+        )
+    writer.finish()
+    with stock.open("rb") as file:
+        expected = make_reader(file).get_summary()
+    assert expected is not None
+    assert summary.schemas == expected.schemas
+    assert summary.channels == expected.channels
+    ours, theirs = summary.statistics, expected.statistics
+    assert ours is not None
+    assert theirs is not None
+    for name in ("message_count", "channel_message_counts", "message_start_time", "message_end_time",
+                 "schema_count", "channel_count"):  # fmt: skip
+        assert getattr(ours, name) == getattr(theirs, name), name
+    assert (ours.chunk_count, ours.metadata_count, len(summary.metadata_indexes)) == (31, 2, 2)
+
+
+@pytest.mark.slow
+def test_killed_process_groups_leave_nothing_wrong() -> None:
+    done = python(
+        "import json; from validation.killed import measure_losses; print(json.dumps(measure_losses(5, 3)))"
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert (found["kills"], found["outcomes"]["cut short"], found["wrong"]) == (5, 5, [])
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "status"),
+    [
+        ([Kill("cut short", 1.1), Kill("closed"), Kill("cut short", 0.1)], 0),
+        ([Kill("cut short", 1.3), Kill("cut short", 0.1)], 1),
+        ([Kill("wrong: not what the run was"), Kill("cut short", 0.1)], 1),
+        ([Kill("closed"), Kill("cut short", 0.1)], 1),
+    ],
+    ids=["all is well", "too much is lost", "a log is wrong", "too few logs were open"],
+)
+def test_a_campaign_of_kills_ends_with_its_verdict(
+    outcomes: list[Kill], status: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(killed, "kill_runs", lambda number, seed: outcomes)
+    monkeypatch.setattr(sys, "argv", ["killed", "--kills", "2"])
+    with pytest.raises(SystemExit) as ended, warnings.catch_warnings():
+        killed.main()
+    assert ended.value.code == status
+
+
+PARAMS = arm_named("nominal").params
+READY_RAD = PARAMS.poses.ready_rad
+TURN = MoveJoint(Joint.WRIST, READY_RAD[Joint.WRIST] + 0.02)
+
+
+def test_the_log_holds_every_cycle_and_replays_bit_for_bit(tmp_path):
+    loop = start_loop("as-built:7", effects=["coulomb-friction:elbow:torque_Nm=25"], start_rad=READY_RAD)
+    result = record_commands(tmp_path / "run.mcap", loop, TURN)
+    log = read_log(tmp_path / "run.mcap")
+    motor_rad = result.series("outputs.joint.motor_rad")[1]
+    np.testing.assert_array_equal(log["/joint"]["motor_rad"], motor_rad)
+    assert log.header["arm"] == "as-built:7"
+    assert json.loads(log.header["effects"]) == ["coulomb-friction:elbow:torque_Nm=25.0"]
+    assert replay(ReplayRequest(tmp_path / "run.mcap")).differences.identical
+
+
+def test_an_arm_of_the_program_itself_is_recorded_with_all_its_effects(tmp_path):
+    arm = BuiltArm("mine", arm_named("as-built:7").effects[:2], PARAMS)
+    record_commands(tmp_path / "run.mcap", start_loop(arm, start_rad=READY_RAD), TURN)
+    assert len(json.loads(read_log(tmp_path / "run.mcap").header["effects"])) == 2
+
+
+def test_a_run_that_has_begun_is_not_recorded(tmp_path):
+    loop = start_loop(start_rad=READY_RAD)
+    loop.cycle()
+    with pytest.raises(ValueError, match="tick 1"):
+        record_commands(tmp_path / "run.mcap", loop, TURN)
+    assert not (tmp_path / "run.mcap").exists()

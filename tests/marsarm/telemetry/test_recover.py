@@ -1,20 +1,17 @@
 """Recovery saves undamaged messages bit for bit, and reports the others."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from mcap.data_stream import RecordBuilder
-from mcap.records import Metadata
 
-from marsarm.telemetry.errors import LogNotReadable
-from marsarm.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, TICK_NS, header_crc32
-from marsarm.telemetry.lost_messages import LogDamaged, LostMessages
+from marsarm.telemetry.errors import LogDamaged, LogNotReadable, LostMessages
+from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recover import RecoveryReport, recover
 from simgap.common.errors import BadRequest
 from validation.damage import CUT_EVERY, flip_bits, is_part, original, truncate_file
-from validation.fuzz_inputs import parts
 
 N_CYCLES = 12
 PACKETS = ["/sensors", "/drive", "/joint", "/tool", "/truth"]
@@ -25,13 +22,13 @@ def other(make: Any, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Return the log of another run, longer than the first."""
     folder = tmp_path_factory.mktemp("other")
     cycles = map(make.cycle_at, range(2 * N_CYCLES))
-    return bytes(make.record(folder / "run.mcap", cycles, chunk_s=0.0).read_bytes())
+    return bytes(make.record(folder / "run.mcap", cycles, chunk_cycles=1).read_bytes())
 
 
 @pytest.fixture(scope="module")
 def data(make: Any, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     folder = tmp_path_factory.mktemp("log")
-    path = make.record(folder / "run.mcap", map(make.cycle_at, range(N_CYCLES)), chunk_s=0.0)
+    path = make.record(folder / "run.mcap", map(make.cycle_at, range(N_CYCLES)), chunk_cycles=1)
     return path.read_bytes()
 
 
@@ -59,22 +56,26 @@ def test_the_losses_of_a_broken_chunk_are_reported_by_topic_and_time(tmp_path: P
     lost = {one.topic: one for one in recovered.lost}
     assert {topic: lost[topic] for topic in PACKETS} == due
     assert (lost["/evr"].count, lost["/command"].count) == (2, 2)
+    with pytest.raises(LogDamaged):
+        read_log(tmp_path / "bad.mcap")
     log = read_log(tmp_path / "good.mcap")
     assert log.lost == recovered.lost
     assert log.ticks("/joint").tolist() == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11]
     assert not log.truncated
 
 
-def test_the_strict_reader_reports_the_same_span(tmp_path: Path, data: bytes) -> None:
-    (tmp_path / "bad.mcap").write_bytes(broken(data, chunk_of(data, 5) + 200))
-    with pytest.raises(LogDamaged, match=r"lost, between 0\.062500 s and 0\.093750 s \(byte"):
-        read_log(tmp_path / "bad.mcap")
-
-
-def test_the_counts_of_a_closed_log_show_losses_at_its_end(tmp_path: Path, data: bytes) -> None:
+def test_losses_at_the_end_are_of_an_unknown_number(tmp_path: Path, data: bytes) -> None:
     recovered = saved(tmp_path, broken(data, chunk_of(data, N_CYCLES - 1) + 200))
-    assert LostMessages("/joint", 1, (N_CYCLES - 2) * TICK_NS, None) in recovered.lost
-    assert all(one.count is not None for one in recovered.lost)
+    assert recovered.lost == (LostMessages(None, None, (N_CYCLES - 2) * TICK_NS, None),)
+
+
+def test_a_rare_topic_may_have_lost_any_number_of_messages_at_a_break(make: Any, tmp_path: Path) -> None:
+    cycles = [
+        make.cycle_at(tick) if tick < 3 else replace(make.cycle_at(tick), commands=()) for tick in range(8)
+    ]
+    data = make.record(tmp_path / "run.mcap", cycles, chunk_cycles=1).read_bytes()
+    recovered = saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
+    assert LostMessages("/command", None, 4 * TICK_NS, 6 * TICK_NS) in recovered.lost
 
 
 def test_losses_at_the_beginning_are_reported(tmp_path: Path, data: bytes) -> None:
@@ -115,20 +116,10 @@ def test_bytes_after_a_log_are_reported_and_cost_no_message(
         assert (log.truncated, log.trailing_bytes, len(log["/joint"])) == (False, len(rest), N_CYCLES)
 
 
-def test_chunks_out_of_order_are_put_in_order(tmp_path: Path, data: bytes) -> None:
-    a, b, c = (chunk_of(data, tick) for tick in (4, 5, 6))
-    shuffled = data[:a] + data[b:c] + data[a:b] + data[c:]
-    recovered = saved(tmp_path, shuffled)
-    assert (recovered.lost, recovered.notes) == ((), ("its chunks are out of order",))
-    assert read_log(tmp_path / "good.mcap").ticks("/joint").tolist() == list(range(N_CYCLES))
-    with pytest.raises(LogDamaged, match="its chunks are out of order, no message was lost"):
-        read_log(tmp_path / "bad.mcap")
-
-
 def test_a_chunk_that_is_there_twice_is_saved_once(tmp_path: Path, data: bytes) -> None:
     a, b = (chunk_of(data, tick) for tick in (4, 5))
     recovered = saved(tmp_path, data[:b] + data[a:b] + data[b:])
-    assert recovered.notes == ("1 chunk is in it twice",)
+    assert "duplicate messages left out" in recovered.notes[0]
     assert read_log(tmp_path / "good.mcap").ticks("/joint").tolist() == list(range(N_CYCLES))
 
 
@@ -137,41 +128,15 @@ def test_a_lost_header_is_reported_and_the_values_are_saved(tmp_path: Path, data
     recovered = saved(tmp_path, broken(data, at))
     assert recovered.header_lost
     log = read_log(tmp_path / "good.mcap")
-    assert (len(log["/joint"]), dict(log.header)) == (N_CYCLES, {})
+    assert (len(log["/joint"]), list(log.header)) == (N_CYCLES, ["channels"])
 
 
-@pytest.mark.parametrize(("old", "new"), [("schema", "scheme"), ("layout", "layer_"), ("truth", "trust")])
-def test_a_header_that_does_not_describe_its_topics_is_left_out(
-    tmp_path: Path, data: bytes, old: str, new: str
-) -> None:
-    intact = original(data).log.header
-    header = {name: value.replace(f'"{old}"', f'"{new}"') for name, value in intact.items()}
-    records = RecordBuilder()
-    about = {"version": FORMAT, "header_crc32": header_crc32(header)}
-    Metadata(name=FORMAT_RECORD, metadata=about).write(records)
-    Metadata(name=HEADER_RECORD, metadata=header).write(records)
-    found = parts(data)[1]
-    changed = data[: found[FORMAT_RECORD][0]] + records.end() + data[found[HEADER_RECORD][1] :]
-    place = chunk_of(data, 5) + 200 + len(changed) - len(data)
-    recovered = saved(tmp_path, broken(changed, place))
-    assert recovered.header_lost
-    assert "its header does not describe its topics and was left out" in recovered.notes
-    assert len(read_log(tmp_path / "good.mcap")["/joint"]) == N_CYCLES - 1
-
-
-def test_a_recovered_log_that_is_damaged_keeps_earlier_losses(tmp_path: Path, data: bytes) -> None:
+def test_recovering_twice_gives_the_same_values_and_losses(tmp_path: Path, data: bytes) -> None:
     first = saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
-    again = (tmp_path / "good.mcap").read_bytes()
-    second = saved(tmp_path, broken(again, chunk_of(again, 9) + 200))
-    assert second.lost[: len(first.lost)] == first.lost
-    assert len(second.lost) == 2 * len(first.lost)
-
-
-def test_recovering_twice_gives_the_same_values(tmp_path: Path, data: bytes) -> None:
-    saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
     once = read_log(tmp_path / "good.mcap")
-    saved(tmp_path, (tmp_path / "good.mcap").read_bytes())
+    second = saved(tmp_path, (tmp_path / "good.mcap").read_bytes())
     twice = read_log(tmp_path / "good.mcap")
+    assert second.lost == first.lost
     assert all(packets.tobytes() == twice[topic].tobytes() for topic, packets in once.packets.items())
 
 

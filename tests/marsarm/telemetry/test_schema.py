@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fsw.dictionary.types import Limits
 from marsarm.telemetry import schema
 from marsarm.telemetry.errors import SchemaError
-from marsarm.telemetry.pack import MESSAGE_HEADER, Packer, PacketSource
+from marsarm.telemetry.log_writer import MESSAGE_HEADER, Packer, PacketSource
 from marsarm.telemetry.schema import ArmNames, Layout, packet_layout
 
 

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import pytest
 from mcap.reader import NonSeekingReader, make_reader
 
-from marsarm.telemetry.mcap_reader import read_records
+from marsarm.telemetry.mcap_columns import read_records
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recover import recover
 from tests.marsarm.command import marsarm
@@ -59,8 +59,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ran = marsarm(made, "run", "short.toml", "--log", "run.mcap", "--json")
     assert ran.returncode == 0, ran.stderr
     data = bytearray((made / "run.mcap").read_bytes())
-    chunks = read_records(made / "run.mcap", bytes(data)).chunks
-    data[chunks[len(chunks) // 2].begin + 30] ^= 1
+    chunks = read_records(bytes(data)).chunks
+    data[chunks[len(chunks) // 2][0] + 80] ^= 1
     (made / "broken.mcap").write_bytes(data)
     recover(made / "broken.mcap", made / "recovered.mcap", lambda *_: None)
     return made

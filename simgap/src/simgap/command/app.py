@@ -14,7 +14,7 @@ def check(request: CheckRequest, progress: Progress) -> VerbResult:
     """Check a robot file and its logs before a diagnosis, and simulate the model as it is.
 
     It lists rates, missing and stale rows, units that look wrong, saturation, commands that are cut off and
-    contact with a plane, and says which rows a diagnosis will leave out. docs/robot.md describes the files.
+    contact with a plane, and says which rows a diagnosis will leave out. docs/simgap.md describes the files.
 
     Example: simgap check robot.toml logs.parquet --report check.html
     """
@@ -31,7 +31,7 @@ def check(request: CheckRequest, progress: Progress) -> VerbResult:
 def diagnose(request: DiagnoseRequest, progress: Progress) -> VerbResult:
     """Find why a robot and its model differ: where, which effect, how far, and what to record next.
 
-    Motions that are held out take no part in the fit, and judge it. docs/robot.md describes the files, and
+    Motions that are held out take no part in the fit, and judge it. docs/simgap.md describes the files, and
     how to read the verdict. The patch holds the changed model, and a file for simgap.patch.runtime.
 
     Example: simgap diagnose robot.toml logs.parquet --report found.html --patch found

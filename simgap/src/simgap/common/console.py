@@ -1,5 +1,6 @@
 """Text for the terminal: consoles, styled cells, plurals and sparklines."""
 
+import re
 from typing import Final
 
 import numpy as np
@@ -7,6 +8,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.text import Text
 
+NUMBER: Final = re.compile(r"[-+±]? ?\d.{0,23}|never|-")
+"""Cell that is a number with its unit or an interval; a column of these is aligned right and not wrapped."""
 BLOCKS: Final = "▁▂▃▄▅▆▇█"
 ZERO_MARK: Final = "·"
 NAN_MARK: Final = "?"

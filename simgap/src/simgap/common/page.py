@@ -5,59 +5,15 @@ gives the same bytes, except for the date.
 """
 
 import html
-import os
-import re
-import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from functools import cache
 from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final
 
-from simgap.common.errors import BadRequest
+from simgap.common.console import NUMBER
 from simgap.common.files import atomic_write
-
-DATE_VARIABLE: Final = "SOURCE_DATE_EPOCH"
-"""Environment variable with a date in seconds since 1970, which other software honours too."""
-
-
-def current_date() -> datetime:
-    """Return the date of the environment variable, or else the present.
-
-    Raises:
-        BadRequest: the variable is no date.
-    """
-    text = os.environ.get(DATE_VARIABLE)
-    try:
-        return datetime.now(UTC) if text is None else datetime.fromtimestamp(int(text), UTC)
-    except (ValueError, OverflowError, OSError):
-        raise BadRequest(
-            f"{DATE_VARIABLE}: {text!r} is not a date; give whole seconds since 1970, or unset it"
-        ) from None
-
-
-REPOSITORY: Final = Path(__file__).resolve().parents[4]
-GIT_TIMEOUT_S: Final = 5.0
-
-
-@cache
-def git_revision() -> str:
-    """Return the commit of this tree, with "-dirty" if files are changed; "unknown" outside of git."""
-    if not (REPOSITORY / ".git").exists():
-        return "unknown"
-    command = ["git", "-C", str(REPOSITORY), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_TIMEOUT_S, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return "unknown"
-    return done.stdout.strip()
-
-
-NUMBER: Final = re.compile(r"[-+±]? ?\d.{0,23}|never|-")
-"""Cell that is a number with its unit or an interval; a column of these is aligned right and not wrapped."""
+from simgap.common.origin import current_date, git_revision
 
 
 @dataclass(frozen=True, slots=True)

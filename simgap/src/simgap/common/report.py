@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
+from rich.console import Console
+from rich.table import Table
 
-from simgap.common.page import NUMBER, Origin, Requirement, figures, heading, paragraph, save_page, table
+from simgap.common.console import NUMBER, WARNING_STYLE, plain_console
+from simgap.common.page import Origin, Requirement, figures, heading, paragraph, save_page, table
 
 WHOLE_WIDTH: Final = 240
 """Columns of a table whose lines are not wrapped, on a narrow terminal and in a pipe."""
@@ -86,10 +89,6 @@ def to_json(value: Any) -> Any:
 
 def print_parts(parts: Sequence[str | Emphasis | ReportTable]) -> None:
     """Print sentences and tables of a report on the console."""
-    from rich.console import Console
-
-    from simgap.common.console import WARNING_STYLE, plain_console
-
     console = plain_console()
     for part in parts:
         if isinstance(part, str):
@@ -103,10 +102,8 @@ def print_parts(parts: Sequence[str | Emphasis | ReportTable]) -> None:
             console.print(_console_table(part, part.title))
 
 
-def _console_table(part: ReportTable, title: str) -> Any:
+def _console_table(part: ReportTable, title: str) -> Table:
     """Make a table for the console; columns of numbers are aligned right."""
-    from rich.table import Table
-
     made = Table(title=title or None, title_justify="left", show_header=bool(part.head))
     for k in range(max(map(len, (part.head, *part.rows)))):
         cells = [row[k] for row in part.rows if k < len(row) and row[k]]

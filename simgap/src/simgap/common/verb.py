@@ -26,7 +26,7 @@ from typer.core import TyperCommand
 from simgap.common.app import EXIT_BAD_INPUT, release_stdout
 from simgap.common.errors import RobotError, UserError, describe_problems
 from simgap.common.options import CLUSTER_HERE, Field, Option, option_fields
-from simgap.common.page import current_date
+from simgap.common.origin import current_date
 from simgap.common.progress import show_progress
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from marsarm.common.pool import local_runner
 from marsarm.diagnosis.arm.campaign_sensitivities import compute_sensitivities
 from marsarm.diagnosis.arm.case_simulator import build_case_simulator, feature_keys, resimulate
 from marsarm.diagnosis.arm.feature_set import (
+    FeatureSet,
     build_feature_set,
     changes_readings_only,
     estimate_floor,
@@ -25,6 +26,7 @@ from marsarm.diagnosis.arm.features import (
     IMU,
     ROTATION,
     TRANSLATION,
+    MotionFeatures,
     evaluate_features,
 )
 from marsarm.diagnosis.arm.finite_differences import (
@@ -36,7 +38,13 @@ from marsarm.diagnosis.arm.finite_differences import (
 )
 from marsarm.diagnosis.arm.logs import Recording
 from marsarm.diagnosis.arm.rest_poses import simulate_open_loop, stack_readings
-from marsarm.diagnosis.arm.simulator import SHORT_SETTLING, AffectedMotions, build_simulator, make_effect
+from marsarm.diagnosis.arm.simulator import (
+    SHORT_SETTLING,
+    AffectedMotions,
+    ArmSimulator,
+    build_simulator,
+    make_effect,
+)
 from marsarm.diagnosis.sensitivity import Sensitivities
 from marsarm.telemetry.read import read_log
 from sim.effects.catalogue import catalogue
@@ -52,6 +60,38 @@ from validation.blind.out_of_catalogue import list_uncatalogued
 BASE = nominal_params()
 
 
+@pytest.fixture(scope="module")
+def campaign(recordings: list[Recording]) -> FeatureSet:
+    """Return the features of all recordings."""
+    return build_feature_set(recordings)
+
+
+@pytest.fixture(scope="module")
+def touch(campaign: FeatureSet) -> MotionFeatures:
+    """Return the only motion: a placement up to its touch."""
+    (motion,) = campaign.motions
+    return motion
+
+
+@pytest.fixture(scope="module")
+def poses(recordings: list[Recording]) -> FeatureSet:
+    """Return the features of the recordings with tracker poses."""
+    return build_feature_set([one for one in recordings if one.tracker_poses.tick.size])
+
+
+@pytest.fixture(scope="module")
+def motions(recordings: list[Recording]) -> FeatureSet:
+    """Return the features of the recordings without tracker poses."""
+    return build_feature_set([one for one in recordings if not one.tracker_poses.tick.size])
+
+
+def simulator_of(features: FeatureSet, *names: str) -> ArmSimulator:
+    """Build the simulator with some effects of the catalogue."""
+    return build_simulator(
+        features, estimate_floor(features).sigma, {name: catalogue()[name] for name in names}
+    )
+
+
 def test_no_log_says_what_the_plant_was(logs: list[Path]) -> None:
     for path in logs:
         log = read_log(path)
@@ -59,8 +99,7 @@ def test_no_log_says_what_the_plant_was(logs: list[Path]) -> None:
         assert not {"arm", "seed", "effects", "mjcf_sha256", "request"} & log.header.keys()
 
 
-def test_a_nominal_arm_leaves_its_sensors_noise(recordings: list[Recording]) -> None:
-    campaign = build_feature_set(recordings)
+def test_a_nominal_arm_leaves_its_sensors_noise(campaign: FeatureSet) -> None:
     rest = measure_features(campaign) - simulate_features(campaign, (), SHORT_SETTLING)
     whitened = rest / estimate_floor(campaign).sigma
     channels = np.array([feature.channel for feature in campaign.list_features()])
@@ -69,8 +108,7 @@ def test_a_nominal_arm_leaves_its_sensors_noise(recordings: list[Recording]) -> 
         assert np.sqrt(np.mean(mine**2)) < 1.5, CHANNELS[channel]
 
 
-def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(recordings: list[Recording]) -> None:
-    campaign = build_feature_set(recordings)
+def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(campaign: FeatureSet) -> None:
     assert {f.block for f in campaign.list_features()} == {"poses-level-1", "place-apxs"}
     notes = estimate_floor(campaign).notes
     assert any("pairs of repeats" in note for note in notes)
@@ -83,15 +121,14 @@ def test_a_feature_that_only_a_repeat_has_is_not_compared(recordings: list[Recor
     first, again = campaign.motions
     odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
     campaign = replace(campaign, motions=(first, odd))
-    arm = build_simulator(campaign, estimate_floor(campaign).sigma, {}, SHORT_SETTLING)
+    arm = simulator_of(campaign)
     found = build_case_simulator(arm, arm.layout, feature_keys(campaign))
     assert found.rows.size == arm.layout.size - 1
 
 
-def test_motions_that_are_not_resimulated_are_extrapolated(recordings: list[Recording]) -> None:
+def test_motions_that_are_not_resimulated_are_extrapolated(campaign: FeatureSet) -> None:
     """Rests are always computed; motions if they are wanted."""
-    campaign = build_feature_set(recordings)
-    arm = build_simulator(campaign, estimate_floor(campaign).sigma, {}, SHORT_SETTLING)
+    arm = simulator_of(campaign)
     patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(arm.layout.size, 1e-3)
     before, after = (
         build_case_simulator(one, arm.layout, feature_keys(campaign)) for one in (arm, arm.with_patch(patch))
@@ -105,28 +142,23 @@ def test_motions_that_are_not_resimulated_are_extrapolated(recordings: list[Reco
     assert not np.allclose(after.nominal[rests], before.nominal[rests], atol=1e-6)
 
 
-def test_a_longer_link_moves_the_turret_by_as_much(recordings: list[Recording]) -> None:
-    poses = [one for one in recordings if one.tracker_poses.tick.size]
-    campaign = build_feature_set(poses)
-    moved = simulate_features(campaign, (LinkLength(Frame.ARM3, "x", 1e-3),), SHORT_SETTLING)
-    moved -= simulate_features(campaign, (), SHORT_SETTLING)
-    channels = np.array([feature.channel for feature in campaign.list_features()])
-    shift = moved[channels == TRANSLATION].reshape(len(poses), 3, -1)
+def test_a_longer_link_moves_the_turret_by_as_much(poses: FeatureSet) -> None:
+    moved = simulate_features(poses, (LinkLength(Frame.ARM3, "x", 1e-3),), SHORT_SETTLING)
+    moved -= simulate_features(poses, (), SHORT_SETTLING)
+    channels = np.array([feature.channel for feature in poses.list_features()])
+    shift = moved[channels == TRANSLATION].reshape(len(poses.rests), 3, -1)
     np.testing.assert_allclose(np.linalg.norm(shift, axis=1), 1e-3, rtol=0.02)
     assert np.abs(moved[channels == ROTATION]).max() < 1e-5
 
 
-def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording]) -> None:
-    campaign = build_feature_set(recordings)
-    (touch,) = campaign.motions
+def test_effects_are_stepped_only_where_they_can_show(touch: MotionFeatures) -> None:
     assert AffectedMotions((GearStiffness(Joint.ELBOW, 1.1),))(touch)
     assert AffectedMotions((TurretMass(1.0),))(touch)
     assert not AffectedMotions((LinkLength(Frame.ARM3, "x", 1e-3),))(touch)
     assert not AffectedMotions((ToolOffset("drill", "x", 1e-3),))(touch)
 
 
-def test_no_tick_after_the_last_bin_influences_a_feature(recordings: list[Recording]) -> None:
-    (touch,) = build_feature_set(recordings).motions
+def test_no_tick_after_the_last_bin_influences_a_feature(touch: MotionFeatures) -> None:
     whole = stack_readings(simulate_open_loop(touch.recording, (), SHORT_SETTLING).readings)
     part = simulate_motion(touch, (), SHORT_SETTLING)
     assert len(part["cycle"]) == touch.compared_ticks < touch.recording.ticks / 2
@@ -135,54 +167,43 @@ def test_no_tick_after_the_last_bin_influences_a_feature(recordings: list[Record
     )
 
 
-def remembering() -> list[Effect]:
+def remembering() -> Effect:
     """Return the out-of-catalogue effect of a sensor with memory."""
-    found = {name: one for (name, place), one in list_uncatalogued().items() if place == "elbow"}
-    values = {"remanent-core": [0.1, 0.2]}
-    return [
-        make_effect(found[name].catalogue_entry, found[name].hypothesis, np.array(of))
-        for name, of in values.items()
-    ]
+    found = list_uncatalogued()["remanent-core", "elbow"]
+    return make_effect(found.catalogue_entry, found.hypothesis, np.array([0.1, 0.2]))
 
 
-def test_what_only_reads_is_read_as_avionics_do_without_another_step(recordings: list[Recording]) -> None:
+def test_what_only_reads_is_read_as_avionics_do_without_another_step(touch: MotionFeatures) -> None:
     readers = (
         ResolverBias(Joint.ELBOW, 1e-3),
         ResolverEccentricity(Joint.WRIST, 1e-3, -2e-3),
         CurrentGain(Joint.ELBOW, 1.1),
-        *remembering(),
+        remembering(),
     )
     assert all(changes_readings_only(effect) for effect in readers)
     assert not changes_readings_only(EncoderZero(Joint.ELBOW, 1e-3))
     assert not changes_readings_only(GearStiffness(Joint.ELBOW, 1.1))
-    (motion,) = build_feature_set(recordings).motions
-    ticks = motion.compared_ticks
+    ticks = touch.compared_ticks
     anew, again = (
-        stack_readings(simulate_open_loop(motion.recording, readers, SHORT_SETTLING, ticks=ticks).readings),
-        simulate_motion(motion, readers, SHORT_SETTLING),
+        stack_readings(simulate_open_loop(touch.recording, readers, SHORT_SETTLING, ticks=ticks).readings),
+        simulate_motion(touch, readers, SHORT_SETTLING),
     )
-    plain = simulate_motion(motion, (), SHORT_SETTLING)
+    plain = simulate_motion(touch, (), SHORT_SETTLING)
     for name, values in anew.items():
         np.testing.assert_allclose(again[name], values, rtol=1e-12, atol=1e-12)
         assert np.array_equal(values, plain[name]) == (name not in ("resolver_rad", "current_A"))
 
 
-def test_nothing_is_compared_near_a_touch(recordings: list[Recording]) -> None:
+def test_nothing_is_compared_near_a_touch(touch: MotionFeatures) -> None:
     """Under the recorded drive another arm would push where the real one did not."""
-    (placed,) = [one for one in recordings if one.world.surface is not None]
-    closed = np.flatnonzero(placed.sensors["switch_closed"].any(axis=1))[0]
-    here = build_feature_set([placed]).motions[0]
-    bins = sum(end <= closed for segment in here.segments for _, end in segment.bins())
-    assert 0 < sum(feature.channel == CURRENT for feature in here.features) < bins
+    closed = np.flatnonzero(touch.recording.sensors["switch_closed"].any(axis=1))[0]
+    bins = sum(end <= closed for segment in touch.segments for _, end in segment.bins())
+    assert 0 < sum(feature.channel == CURRENT for feature in touch.features) < bins
 
 
-@pytest.mark.parametrize("kind", ["link-angle"])
-def test_a_sensitivity_is_the_difference_of_predictions(recordings: list[Recording], kind: str) -> None:
-    poses = [one for one in recordings if one.tracker_poses.tick.size]
-    campaign = build_feature_set(poses)
-    sigma = estimate_floor(campaign).sigma
-    simulator = build_simulator(campaign, sigma, {kind: catalogue()[kind]})
-    nominal = simulator.predict_effects(())
+def test_a_sensitivity_is_the_difference_of_predictions(poses: FeatureSet) -> None:
+    simulator = simulator_of(poses, "link-angle")
+    nominal, sigma = simulator.predict_effects(()), simulator.layout.sigma
     zero = np.zeros(len(simulator.nuisances))
     for column in list_columns(simulator)[:3]:
         assert column.hypothesis is not None
@@ -196,9 +217,8 @@ def test_a_sensitivity_is_the_difference_of_predictions(recordings: list[Recordi
 
 
 @pytest.mark.parametrize("kind", slow_but(["viscous-friction", "output-friction"], "output-friction"))
-def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Recording], kind: str) -> None:
-    campaign = build_feature_set([one for one in recordings if not one.tracker_poses.tick.size])
-    simulator = build_simulator(campaign, estimate_floor(campaign).sigma, {kind: catalogue()[kind]})
+def test_joints_simulated_at_once_show_what_each_shows_alone(motions: FeatureSet, kind: str) -> None:
+    simulator = simulator_of(motions, kind)
     nominal, columns = simulator.predict_effects(()), list_columns(simulator)
     wanted = [k for k, column in enumerate(columns) if column.hypothesis is not None]
     ((*at_once,),) = group_columns(simulator, columns, wanted)
@@ -218,11 +238,9 @@ def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Re
         assert begin < 0.05 * np.linalg.norm(whole)
 
 
-def test_effects_at_one_joint_are_not_simulated_at_once(recordings: list[Recording]) -> None:
+def test_effects_at_one_joint_are_not_simulated_at_once(campaign: FeatureSet) -> None:
     """Asymmetric friction has two directions at each joint; together they would be plain friction."""
-    campaign = build_feature_set(recordings)
-    kind = "asymmetric-friction"
-    simulator = build_simulator(campaign, estimate_floor(campaign).sigma, {kind: catalogue()[kind]})
+    simulator = simulator_of(campaign, "asymmetric-friction")
     columns = list_columns(simulator)
     wanted = [k for k, column in enumerate(columns) if column.hypothesis is not None]
     for group in group_columns(simulator, columns, wanted):
@@ -231,17 +249,10 @@ def test_effects_at_one_joint_are_not_simulated_at_once(recordings: list[Recordi
 
 
 @pytest.mark.slow
-def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: list[Recording]) -> None:
+def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(motions: FeatureSet) -> None:
     """The large step of the equal hypothesis is not used; all joints are simulated at once."""
-    campaign = build_feature_set([one for one in recordings if not one.tracker_poses.tick.size])
-    simulator = build_simulator(
-        campaign, estimate_floor(campaign).sigma, {"gear-friction": catalogue()["gear-friction"]}
-    )
-    nominal, columns, sigma = (
-        simulator.predict_effects(()),
-        list_columns(simulator),
-        simulator.layout.sigma,
-    )
+    simulator = simulator_of(motions, "gear-friction")
+    nominal, columns, sigma = simulator.predict_effects(()), list_columns(simulator), simulator.layout.sigma
     begin, names = len(columns) - len(simulator.nuisances), [one.name for one in simulator.nuisances]
     own = [begin + names.index(f"friction {joint.name.lower()}") for joint in Joint]
     session = [begin + names.index(f"friction {joint.name.lower()} of a session") for joint in Joint]

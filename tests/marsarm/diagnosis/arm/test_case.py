@@ -1,6 +1,5 @@
 """Small diagnosis of an arm: which of two effects, how large, and what is refused."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +13,13 @@ from marsarm.diagnosis.arm.case import (
     CampaignModel,
     TooLittleMotion,
     diagnose_case,
+    diagnose_fitted_case,
     fit_case,
     load_campaign_model,
 )
 from marsarm.diagnosis.arm.case_simulator import CaseSimulator, resimulate
 from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, diagnose_logs
-from marsarm.diagnosis.arm.logs import NotForDiagnosis, load_recording
+from marsarm.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
 from marsarm.diagnosis.arm.record import record_campaign
 from marsarm.diagnosis.result import DiagnosisResult
 from marsarm.diagnosis.sensitivity import Sensitivities
@@ -37,6 +37,7 @@ FITTED = ("poses-level-1", "poses-level-1-again", "poses-level-2", "poses-rolled
 APART = ("poses-level-3", "poses-rolled-2")
 KINDS = ("resolver-bias", "link-warming", "link-length")
 """A warm link is as one that is too long, but cannot be as long."""
+LONG_LINK = LinkLength(Frame.ARM3, "x", 5e-3)
 Logs = tuple[list[Path], list[Path]]
 
 CALIBRATED_FRAME_SIGMA_M = default_arm().description.tolerances.calibrated.frame_m
@@ -65,38 +66,59 @@ def against(nominal: Logs, tmp_path_factory: pytest.TempPathFactory) -> Campaign
     return load_campaign_model(*nominal, tmp_path_factory.mktemp("kept"), local_runner(1), silent, KINDS)
 
 
-@pytest.fixture
-def case(against: CampaignModel, tmp_path: Path) -> Callable[..., DiagnosisResult]:
-    """Return a function that diagnoses an arm with effects, against a simulator with a patch."""
-
-    def of(*effects: Effect, patch: tuple[Effect, ...] = ()) -> DiagnosisResult:
-        fitted, apart = ([load_recording(p) for p in paths] for paths in recorded(tmp_path, effects, 9))
-        return diagnose_case(fitted, apart, against, 0, patch)
-
-    return of
+def loaded(folder: Path, *effects: Effect) -> tuple[list[Recording], list[Recording]]:
+    fitted, apart = ([load_recording(p) for p in paths] for paths in recorded(folder, effects, 9))
+    return fitted, apart
 
 
-@pytest.mark.parametrize("effect", [ResolverBias(Joint.ELBOW, 5e-3), LinkLength(Frame.ARM3, "x", 5e-3)])
-def test_the_effect_is_named_with_its_size_and_closes_the_gap(
-    case: Callable[..., DiagnosisResult], effect: ResolverBias | LinkLength
-) -> None:
-    said = case(effect)
+@pytest.fixture(scope="module")
+def long_link(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Recording], list[Recording]]:
+    """Record an arm with a link that is 5 mm too long."""
+    return loaded(tmp_path_factory.mktemp("long"), LONG_LINK)
+
+
+def is_named(said: DiagnosisResult, name: str, size: float) -> bool:
+    """Check that the effect is found with its size, and closes the gap."""
     (finding,) = said.diagnosis.findings
     hypothesis = said.model.sensitivities.hypotheses[finding.hypothesis]
-    size = effect.bias_rad if isinstance(effect, ResolverBias) else effect.length_m
-    assert finding.level == "size"
-    assert hypothesis.name.startswith("resolver-bias" if isinstance(effect, ResolverBias) else "link-length")
-    assert finding.values[0] == pytest.approx(size, rel=0.1)
     assert said.closure is not None
     assert said.closure.share > 0.95
+    assert finding.values[0] == pytest.approx(size, rel=0.1)
+    return finding.level == "size" and hypothesis.name.startswith(name)
 
 
-def test_a_link_that_is_3_mm_too_long_moves_the_tool_by_3_mm(case: Callable[..., DiagnosisResult]) -> None:
-    """Fitted alone, nuisances would move it back."""
-    said = case(LinkLength(Frame.ARM3, "x", 3e-3))
+def test_a_bias_is_named_with_its_size_and_closes_the_gap(against: CampaignModel, tmp_path: Path) -> None:
+    said = diagnose_case(*loaded(tmp_path, ResolverBias(Joint.ELBOW, 5e-3)), against, 0)
+    assert is_named(said, "resolver-bias", 5e-3)
+
+
+def test_a_long_link_is_named_and_no_nuisance_takes_its_place(
+    against: CampaignModel, long_link: tuple[list[Recording], list[Recording]]
+) -> None:
+    """Fitted alone, nuisances would move the tool back by the 5 mm.
+
+    They are resimulated: with the effect in them, the response would be that of twice the effect.
+    """
+    here = fit_case(*long_link, against, 0)
+    said = diagnose_fitted_case(here, against, 0)
+    assert is_named(said, "link-length", 5e-3)
     assert said.tool is not None
-    assert said.tool.before_mm == pytest.approx(3.0, abs=0.5)
+    assert said.tool.before_mm == pytest.approx(5.0, abs=0.5)
     assert said.tool.after_mm < 2.0 * said.tool.noise_floor_mm
+    shifts = [
+        e.screw[3:] for e in here.simulator.arm.patch if isinstance(e, FrameError) and e.frame is Frame.ARM3
+    ]
+    assert shifts
+    assert np.abs(shifts).max() < 4.0 * CALIBRATED_FRAME_SIGMA_M
+
+
+def test_with_the_patch_on_nothing_is_left(
+    against: CampaignModel, long_link: tuple[list[Recording], list[Recording]]
+) -> None:
+    said = diagnose_case(*long_link, against, 0, (LONG_LINK,))
+    assert said.diagnosis.verdict == "none"
+    assert said.tool is not None
+    assert said.tool.before_mm < 2.0 * said.tool.noise_floor_mm
 
 
 def test_held_out_motions_have_the_steps_of_the_fitted_ones(against: CampaignModel) -> None:
@@ -106,25 +128,11 @@ def test_held_out_motions_have_the_steps_of_the_fitted_ones(against: CampaignMod
     np.testing.assert_array_equal(against.held_out.reach, fitted)
 
 
-def test_nuisances_do_not_take_the_place_of_an_effect_that_they_are_like(
-    against: CampaignModel, tmp_path: Path
-) -> None:
-    """They are resimulated: with the effect in them, the response would be that of twice the effect."""
-    logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 5e-3),), 9)
-    fitted, apart = ([load_recording(path) for path in paths] for paths in logs)
-    here = fit_case(fitted, apart, against, 0)
-    shifts = [
-        e.screw[3:] for e in here.simulator.arm.patch if isinstance(e, FrameError) and e.frame is Frame.ARM3
-    ]
-    assert shifts
-    assert np.abs(shifts).max() < 4.0 * CALIBRATED_FRAME_SIGMA_M
-
-
 def test_only_nuisances_that_an_arm_may_have_are_simulated(
     against: CampaignModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Fitted alone they imitate a similar effect, however large: no arm has springs so soft."""
-    logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 0.05),), 9)
+    fitted, _ = loaded(tmp_path, LinkLength(Frame.ARM3, "x", 0.05))
     shifts: list[np.ndarray] = []
 
     def noted(case: CaseSimulator, near: tuple[Effect, ...], *rest: Any) -> CaseSimulator:
@@ -132,16 +140,8 @@ def test_only_nuisances_that_an_arm_may_have_are_simulated(
         return resimulate(case, near, *rest)
 
     monkeypatch.setattr(case_simulator, "resimulate", noted)
-    fit_case([load_recording(path) for path in logs[0]], [], against, 0)
+    fit_case(fitted, [], against, 0)
     assert 9.0 * CALIBRATED_FRAME_SIGMA_M < np.abs(shifts).max() < 10.1 * CALIBRATED_FRAME_SIGMA_M
-
-
-def test_with_the_patch_on_nothing_is_left(case: Callable[..., DiagnosisResult]) -> None:
-    effect = LinkLength(Frame.ARM3, "x", 3e-3)
-    said = case(effect, patch=(effect,))
-    assert said.diagnosis.verdict == "none"
-    assert said.tool is not None
-    assert said.tool.before_mm < 2.0 * said.tool.noise_floor_mm
 
 
 def test_most_of_a_campaign_must_be_there(nominal: Logs, against: CampaignModel) -> None:

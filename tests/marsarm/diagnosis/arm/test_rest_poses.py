@@ -7,12 +7,7 @@ from fsw.config import configure
 from fsw.dictionary.enums import Frame, Joint
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Pose
-from marsarm.diagnosis.arm.feature_set import (
-    FeatureSet,
-    build_feature_set,
-    rests_moved_by,
-    simulate_features,
-)
+from marsarm.diagnosis.arm.feature_set import FeatureSet, build_feature_set, rests_moved_by, simulate_features
 from marsarm.diagnosis.arm.features import RESOLVER
 from marsarm.diagnosis.arm.logs import Recording
 from marsarm.diagnosis.arm.rest_poses import creep_shares, simulate_open_loop

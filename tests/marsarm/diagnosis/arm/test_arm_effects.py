@@ -1,5 +1,7 @@
-"""Effects that make the drawing the arm of flight parameters, against arms whose effects are known."""
+"""Families of effects, and effects that make the drawing the arm of flight parameters."""
 
+import json
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,17 +10,19 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import transform6_to_pose
-from marsarm.diagnosis.arm.arm_effects import effects_of_params
+from marsarm.diagnosis.arm.arm_effects import FAMILIES, effects_of_params, family_of
 from marsarm.diagnosis.arm.audit import load_checked_recordings
 from marsarm.diagnosis.arm.diagnose_logs import flight_params, prepare_diagnosis
 from marsarm.diagnosis.arm.logs import NotForDiagnosis
-from marsarm.diagnosis.arm.record import PARAMS_FILE, record_logs
-from marsarm.diagnosis.arm.request import DiagnoseRequest, RecordRequest
+from marsarm.diagnosis.arm.record import PARAMS_FILE
+from marsarm.diagnosis.arm.request import DiagnoseRequest
+from marsarm.diagnosis.arm.simulator import list_candidates
 from sim.arms import arm_named
 from sim.effects.effect import params_with_effects
 from sim.effects.sensors import EncoderScale
 from sim.params import nominal_params, params_over_nominal
 from sim.params_table import params_table
+from tests.marsarm.command import marsarm
 
 
 def numbers(table: object) -> list[float]:
@@ -59,10 +63,13 @@ def test_a_known_scale_of_an_encoder_is_one_effect() -> None:
     assert found.error == pytest.approx(1e-3)
 
 
-def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(tmp_path: Path) -> None:
-    """A mismatch is one sentence, however many logs there are."""
-    request = RecordRequest(out=tmp_path / "logs", arm="calibrated:7", sessions="poses-level-1*")
-    logs = record_logs(request)
+def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(
+    tmp_path: Path,
+) -> None:
+    words = ("--out", "logs", "--arm", "calibrated:7", "--sessions", "poses-level-[15]", "--json")
+    named = json.loads(marsarm(tmp_path, "gap", "record", *words).stdout)["logs"]
+    assert named == ["logs/poses-level-1.mcap", "logs/held-out/poses-level-5.mcap"]
+    logs = [tmp_path / path for path in named]
     known = arm_named("calibrated:7").params
     assert params_over_nominal(tmp_path / "logs" / PARAMS_FILE) == known
     job = prepare_diagnosis(DiagnoseRequest(logs=(tmp_path / "logs",)))
@@ -70,7 +77,12 @@ def test_logs_of_a_calibrated_arm_are_diagnosed_with_the_parameters_beside_them(
     assert load_checked_recordings(logs, job.base)[0].params == known
     (tmp_path / "logs" / PARAMS_FILE).unlink()
     assert flight_params(prepare_diagnosis(DiagnoseRequest(logs=(tmp_path / "logs",)))) == known
-    with pytest.raises(NotForDiagnosis) as found:
+    with pytest.raises(NotForDiagnosis, match="2 of 2 logs were made with other flight parameters"):
         load_checked_recordings(logs, nominal_params())
-    assert len(str(found.value).splitlines()) == 1
-    assert str(found.value).startswith("2 of 2 logs were made with other flight parameters")
+
+
+def test_every_candidate_has_one_family() -> None:
+    count = Counter(kind for kinds in FAMILIES.values() for kind in kinds)
+    assert set(count.values()) == {1}
+    assert {one.kind for one in list_candidates(None)} == set(count)
+    assert {family_of(one.kind) for one in list_candidates(None)} == set(FAMILIES)

@@ -1,0 +1,282 @@
+"""Reading of logs: parts by topic and time, and damage: truncated files, flipped bits, foreign files."""
+
+import json
+import os
+import struct
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+
+from marsarm.telemetry import mcap_columns
+from marsarm.telemetry.errors import LogDamaged, LogError, LogNotReadable
+from marsarm.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, TICK_NS, header_crc32
+from marsarm.telemetry.mcap_columns import read_records
+from marsarm.telemetry.read import Log, read_log
+from marsarm.telemetry.schema import Layout
+
+N_CYCLES = 30
+LAYOUT = [["angle_rad", "<f8", None]]
+
+
+@pytest.fixture(scope="module")
+def path(make: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("part")
+    return make.record(folder / "run.mcap", map(make.cycle_at, range(N_CYCLES)), chunk_cycles=1)
+
+
+def test_only_the_topics_asked_for_are_there(path: Path) -> None:
+    log = read_log(path, topics=["/joint", "/evr"])
+    assert (set(log.packets), set(log.time_ns)) == ({"/joint"}, {"/joint", "/evr"})
+    assert (len(log.evrs), len(log.commands)) == (2 * N_CYCLES, 0)
+
+
+@pytest.mark.parametrize(
+    ("start", "end"), [(0, N_CYCLES), (7, 19), (7, None), (None, 19), (12, 13), (N_CYCLES, None), (5, 5)]
+)
+@pytest.mark.parametrize("kept", [1.0, 0.99], ids=["closed", "cut short"])
+def test_only_the_time_asked_for_is_there(
+    path: Path, tmp_path: Path, start: int | None, end: int | None, kept: float
+) -> None:
+    data = path.read_bytes()
+    part = tmp_path / "part.mcap"
+    part.write_bytes(data[: int(kept * len(data))])
+    whole = read_log(part)
+    log = read_log(
+        part,
+        start_ns=None if start is None else start * TICK_NS,
+        end_ns=None if end is None else end * TICK_NS,
+    )
+    for topic, packets in whole.packets.items():
+        due = packets[start or 0 : end]
+        assert log.packets.get(topic, packets[:0]).tobytes() == due.tobytes()
+    assert [evr.tick for evr in log.evrs] == [
+        e.tick for e in whole.evrs if (start or 0) <= e.tick < (end or 99)
+    ]
+
+
+def test_a_part_of_a_closed_log_unpacks_no_other_chunks(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    unpacked, real = [], mcap_columns.unpack_chunk
+    monkeypatch.setattr(mcap_columns, "unpack_chunk", lambda chunk: unpacked.append(chunk) or real(chunk))
+    read_log(path, start_ns=4 * TICK_NS, end_ns=6 * TICK_NS)
+    assert 1 <= len(unpacked) <= 3
+
+
+def test_what_unpacks_to_more_than_is_read_at_once_is_read_in_parts(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("marsarm.telemetry.read.MAX_UNPACKED_BYTES", 50_000)
+    with pytest.raises(LogNotReadable, match="ask for a part, from one time to another"):
+        read_log(path)
+    assert len(read_log(path, start_ns=2 * TICK_NS, end_ns=5 * TICK_NS)["/joint"]) == 3
+
+
+def written(path: Path, messages: Iterable[tuple[str, int, int, float]], header: dict[str, str]) -> Path:
+    """Write a log with the stock writer from topic, sequence, log time and value of each message."""
+    with path.open("wb") as file:
+        writer = Writer(file, enable_data_crcs=True)
+        writer.start()
+        writer.add_metadata(FORMAT_RECORD, {"version": FORMAT, "header_crc32": header_crc32(header)})
+        writer.add_metadata(HEADER_RECORD, header)
+        ids: dict[str, int] = {}
+        for topic, sequence, time_ns, value in messages:
+            metadata = {"layout": json.dumps(LAYOUT)} if topic.startswith("/a") else {}
+            ids.setdefault(
+                topic, writer.register_channel(topic, "cdr", 0, metadata) if topic not in ids else 0
+            )
+            body = b"\x00\x01\x00\x00" + struct.pack("<d", value)
+            writer.add_message(ids[topic], time_ns, body, time_ns, sequence)
+        writer.finish()
+    return path
+
+
+def test_the_length_of_the_layout_is_that_of_the_messages() -> None:
+    assert Layout.from_json(json.dumps(LAYOUT)).dtype.itemsize == 12
+
+
+def test_the_header_says_what_the_messages_are_and_others_are_passed_over(tmp_path: Path) -> None:
+    topics = {"/b": {"id": 1, "schema": "s", "layout": LAYOUT, "truth": True, "derived": False}}
+    log = read_log(
+        written(
+            tmp_path / "b.mcap", [("/b", 0, 5, 0.5), ("/others", 9, 3, 0.0)], {"channels": json.dumps(topics)}
+        )
+    )
+    assert set(log.time_ns) == {"/b"}
+    assert log["/b"]["angle_rad"].tolist() == [0.5]
+    assert log.truth == {"/b"}
+
+
+@pytest.mark.parametrize(
+    ("times_ns", "why"),
+    [
+        ((0, 2 * 10**9, 10**9), r"message 2 of /a, at 1.000000 s, comes after one of 2.000000 s"),
+        ((0, 10**9, 10**9), r"messages 1 and 2 of /a are both of 1.000000 s"),
+    ],
+    ids=["shuffled", "duplicate"],
+)
+def test_times_that_do_not_go_forward_are_refused(
+    tmp_path: Path, times_ns: tuple[int, ...], why: str
+) -> None:
+    messages = [("/a", k, time_ns, 0.5) for k, time_ns in enumerate(times_ns)]
+    topics = {"/a": {"id": 1, "schema": "s", "layout": LAYOUT, "truth": False, "derived": False}}
+    with pytest.raises(LogDamaged, match=why):
+        read_log(written(tmp_path / "times.mcap", messages, {"channels": json.dumps(topics)}))
+
+
+def test_a_header_that_announces_nonsense_is_refused(tmp_path: Path) -> None:
+    for nonsense in ("[1]", "{", '{"/a": 1}', '{"/a": {"id": 1, "layout": [["x", "O", null]]}}'):
+        with pytest.raises(LogDamaged):
+            read_log(written(tmp_path / "n.mcap", [("/a", 0, 5, 0.5)], {"channels": nonsense}))
+
+
+def test_packets_cannot_be_changed(path: Path) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        read_log(path)["/joint"]["tick"][0] = 1
+
+
+def test_a_log_whose_last_chunk_is_whole_but_whose_length_is_not_is_not_taken_for_cut(
+    path: Path, tmp_path: Path
+) -> None:
+    data = path.read_bytes()
+    begins = [at for at, _ in read_records(data).chunks]
+    cut = bytearray(data[: begins[-1] - 1])
+    cut[begins[-2] + 6] ^= 0x10  # of the length of the last chunk
+    (tmp_path / "cut.mcap").write_bytes(cut)
+    with pytest.raises(LogDamaged, match="a record is broken"):
+        read_log(tmp_path / "cut.mcap")
+
+
+def test_ticks_and_values_are_those_of_the_cycles(make: Any, path: Path) -> None:
+    log = read_log(path, topics=["/joint"], start_ns=3 * TICK_NS)
+    assert log.ticks("/joint")[0] == 3
+    motor_rad = replace(make.cycle_at(3)).outputs.joint.motor_rad
+    assert np.array_equal(log["/joint"]["motor_rad"][0], motor_rad, equal_nan=True)
+
+
+@pytest.fixture(scope="module")
+def log_bytes(make: Any, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    return make.record(path, map(make.cycle_at, range(12)), chunk_cycles=1).read_bytes()
+
+
+def read_back(path: Path, data: bytes) -> Log:
+    path.write_bytes(data)
+    return read_log(path)
+
+
+def is_start_of(log: Log, whole: Log) -> bool:
+    """Return whether a log holds only written messages, in order, with at most its end missing."""
+    same_packets = all(p.tobytes() == whole[t][: len(p)].tobytes() for t, p in log.packets.items())
+    same_times = all(np.array_equal(ns, whole.time_ns[t][: len(ns)]) for t, ns in log.time_ns.items())
+    same_events = (
+        log.evrs == whole.evrs[: len(log.evrs)] and log.commands == whole.commands[: len(log.commands)]
+    )
+    return same_packets and same_times and same_events and log.header == whole.header
+
+
+@pytest.mark.slow
+def test_a_log_cut_anywhere_gives_its_start_and_says_so(tmp_path: Path, log_bytes: bytes) -> None:
+    whole = read_back(tmp_path / "whole.mcap", log_bytes)
+    headless = 0
+    for size in range(0, len(log_bytes), 13):
+        try:
+            log = read_back(tmp_path / "cut.mcap", log_bytes[:size])
+        except LogNotReadable:
+            headless = size
+        else:
+            assert log.truncated
+            assert is_start_of(log, whole)
+    assert headless < 4096
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kept", [1.0, 0.6], ids=["closed", "cut short"])
+def test_no_flipped_bit_gives_a_wrong_value(tmp_path: Path, log_bytes: bytes, kept: float) -> None:
+    whole = read_back(tmp_path / "whole.mcap", log_bytes)
+    data = log_bytes[: int(kept * len(log_bytes))]
+    random = np.random.default_rng(6)
+    detected = 0
+    for at, bit in zip(random.integers(len(data), size=1000), random.integers(8, size=1000), strict=True):
+        flipped = bytearray(data)
+        flipped[at] ^= 1 << int(bit)
+        try:
+            assert is_start_of(read_back(tmp_path / "flipped.mcap", bytes(flipped)), whole), (
+                f"bit {bit} of byte {at}"
+            )
+        except LogError:
+            detected += 1
+    assert detected > 500
+
+
+def test_a_flipped_bit_in_a_chunk_is_reported_with_its_place(tmp_path: Path, log_bytes: bytes) -> None:
+    flipped = bytearray(log_bytes)
+    at = len(log_bytes) // 3
+    flipped[at] ^= 1
+    with pytest.raises(
+        LogDamaged,
+        match=r"\(byte \d+\); the file was changed after it was written, and `marsarm log recover`",
+    ) as caught:
+        read_back(tmp_path / "flipped.mcap", bytes(flipped))
+    assert 0 < caught.value.offset <= at
+
+
+def test_a_chunk_taken_out_is_missed(tmp_path: Path, log_bytes: bytes) -> None:
+    chunks = [at for at, _ in read_records(log_bytes).chunks]
+    without_second = log_bytes[: chunks[1]] + log_bytes[chunks[2] : chunks[4]]
+    with pytest.raises(LogDamaged, match="missing or out of order"):
+        read_back(tmp_path / "short.mcap", without_second)
+
+
+def test_an_empty_file_is_not_a_log(tmp_path: Path) -> None:
+    with pytest.raises(LogNotReadable, match="empty file"):
+        read_back(tmp_path / "empty.mcap", b"")
+
+
+def test_a_foreign_file_is_not_a_log(tmp_path: Path) -> None:
+    with pytest.raises(LogNotReadable, match="not an MCAP file"):
+        read_back(tmp_path / "notes.txt", b"tick,angle_rad\n0,0.5\n")
+
+
+def test_a_foreign_mcap_is_not_our_log(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.mcap"
+    writer = Writer(str(path))
+    writer.start()
+    writer.add_message(writer.register_channel("/a", "json", 0), 0, b"{}", 0)
+    writer.finish()
+    with pytest.raises(LogNotReadable, match="not a marsarm log"):
+        read_log(path)
+
+
+def test_a_log_of_a_later_format_is_refused_by_number(tmp_path: Path) -> None:
+    path = tmp_path / "later.mcap"
+    writer = Writer(str(path))
+    writer.start()
+    writer.add_metadata("marsarm.format", {"version": "3"})
+    writer.finish()
+    with pytest.raises(LogNotReadable, match="log format 3; this marsarm reads format 2"):
+        read_log(path)
+
+
+@pytest.mark.parametrize("name", ["pipe", ".", "/dev/zero"])
+def test_only_a_regular_file_is_read(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(LogNotReadable, match="is not a regular file"):
+        read_log(tmp_path / name)
+
+
+def test_a_file_larger_than_any_log_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "sparse.mcap"
+    path.touch()
+    os.truncate(path, 30 << 30)
+    with pytest.raises(LogNotReadable, match="has 32212254720 bytes; a log has at most 4294967296"):
+        read_log(path)
+
+
+@pytest.mark.parametrize("name", ["missing.mcap", "nul\0.mcap"])
+def test_a_file_that_cannot_be_read_is_reported(tmp_path: Path, name: str) -> None:
+    with pytest.raises(LogNotReadable, match="cannot be read"):
+        read_log(f"{tmp_path}/{name}")
