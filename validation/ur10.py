@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fsw.kinematics.transforms import Array, Integers
-from simgap.command.tracker import calibration_json
+from simgap.command.diagnosis import calibration_json
 from simgap.serial_arm.calibrate import periodic_error_rad
 from simgap.serial_arm.files import read_arm, read_series
 from simgap.serial_arm.tracker import TrackerFit, fit_tracker
