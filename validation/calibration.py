@@ -1,11 +1,12 @@
-"""Campaign of calibrations of as-built arms: accuracy, coverage of confidence intervals, and speed.
+"""Campaigns of calibrations: as-built arms, and a real one.
 
-Each arm is measured at equilibria of the equations or, with --closed-loop, by flight software in the plant.
-The truth is the noise-free equilibrium of the sampled arm.
+As-built arms: accuracy, coverage of confidence intervals, and speed. Each arm is measured at equilibria of
+the equations or by flight software in the plant. The truth is the noise-free equilibrium of the sampled arm.
+
+The real arm is a UR10: measured poses of two series, with held-out parts and across series.
 """
 
-import json
-import sys
+import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, Integers
 from marsarm.calibration.arm_parameters import arm_parameters
 from marsarm.calibration.calibrate import (
     Calibration,
@@ -34,14 +35,18 @@ from marsarm.calibration.verify import (
     simulate_campaign,
     zero_errors_rad,
 )
-from marsarm.common.pool import Runner
 from marsarm.common.rates import clopper_pearson
 from sim.arms import arm_named
 from sim.params import nominal_params
+from simgap.command.diagnosis import calibration_json
+from simgap.common.errors import BadRequest
+from simgap.common.progress import no_progress
+from simgap.serial_arm.calibrate import periodic_error_rad
+from simgap.serial_arm.files import read_arm, read_series
 from simgap.serial_arm.fit import fit
-from validation.options import campaign_parser, campaign_runner
+from simgap.serial_arm.tracker import TrackerFit, fit_tracker
+from validation.campaigns import Context, Document
 
-EXAMPLE: Final = "example: python -m validation.calibration --arms 20 --closed-loop > calibration.json"
 INTERVAL: Final = 1.645
 """Half width of a 90 % interval, in standard deviations."""
 NUMERIC: Final[dict[str, Any]] = {
@@ -73,8 +78,8 @@ def measure(trial: CalibrationTrial) -> tuple[Campaign, Array]:
     arm, plan = arm_named(f"as-built:{trial.seed}"), CampaignPlan(seed=trial.seed)
     if not trial.closed_loop:
         return simulate_campaign(arm, plan), hardstop_errors_rad(arm)
-    reference = earth_reference(arm, _quiet)
-    return run_campaign(arm, reference, plan, _quiet), zero_errors_rad(arm, reference)
+    reference = earth_reference(arm, no_progress)
+    return run_campaign(arm, reference, plan, no_progress), zero_errors_rad(arm, reference)
 
 
 def run(trial: CalibrationTrial) -> dict[str, Any]:
@@ -117,7 +122,7 @@ def run(trial: CalibrationTrial) -> dict[str, Any]:
     }
 
 
-def speed(campaign: Campaign) -> dict[str, Any]:
+def measure_speed(campaign: Campaign) -> dict[str, Any]:
     """Time the calibration, its fit, and scipy's least squares with numeric derivatives on its residual."""
     nominal, parameters = nominal_params(), arm_parameters()
     model = residual_model(nominal, campaign)
@@ -155,23 +160,23 @@ def _best_time(work: Any) -> tuple[float, Any]:
     return min(spent), result
 
 
-def campaign(
-    arms: int,
-    seed: int,
-    runner: Runner,
-    closed_loop: bool,
-    files: Path | None = None,
-    with_speed: bool = True,
-) -> dict[str, Any]:
-    """Calibrate all arms, and check the results; checks of speed require an otherwise idle machine."""
-    files = files and files.absolute()  # a worker may be in another folder
-    trials = [CalibrationTrial(seed + k, closed_loop, files) for k in range(arms)]
-    results = []
-    for result in runner(run, trials):
-        results.append(result)
-        print(f"marsarm: {len(results)} of {arms} arms", file=sys.stderr)
-    results.sort(key=lambda result: int(result["seed"]))
-    fast = speed(measure(CalibrationTrial(seed, False))[0]) if with_speed else None
+def campaign(context: Context, arms: int = 20, closed_loop: bool = False, speed: bool = True) -> Document:
+    """Calibrate all arms, and check the results.
+
+    Args:
+        context: Its folder takes the parameter files of the arms, SEED.toml each.
+        arms: Number of as-built arms.
+        closed_loop: Measure in the closed loop: three minutes an arm, not ten seconds.
+        speed: Check the speed too, on a machine that is idle.
+    """
+    if arms < 1:
+        raise BadRequest("set: arms are 1 or more")
+    files = context.out and context.out.absolute()  # a worker may be in another folder
+    if files is not None:
+        files.mkdir(exist_ok=True)
+    trials = [CalibrationTrial(context.seed + k, closed_loop, files) for k in range(arms)]
+    results = context.each(run, ((trial,) for trial in trials), "arms")
+    fast = measure_speed(measure(CalibrationTrial(context.seed, False))[0]) if speed else None
     inside, of = np.sum([result["intervals_hold"] for result in results], axis=0)
     low, high = clopper_pearson(int(inside), int(of))
     checks = {
@@ -192,7 +197,7 @@ def campaign(
         }
     return {
         "arms": arms,
-        "seed": seed,
+        "seed": context.seed,
         "closed_loop": closed_loop,
         "intervals": {"inside": int(inside), "of": int(of), "share": inside / of, "interval_95": [low, high]},
         "speed": fast,
@@ -208,39 +213,88 @@ def _save(found: Calibration, trial: CalibrationTrial) -> None:
     save_parameter_file(found, calibrated_params(found, tools), trial.files / f"{trial.seed}.toml")
 
 
-def _quiet(*_: Any) -> None:
-    """Ignore progress."""
+FILES = Path(__file__).parents[1] / "models" / "robots" / "ur10"
+TABLES = {"a": "series_a_grid.csv", "c": "series_c_random_poses.csv"}
+BOUNDS_MM = {"a": 0.50, "c": 0.52, "a_to_c": 0.60}
+"""Bounds of the root mean square position error of held-out poses."""
+JOINTS = 6
+LEAST_VISITS = 3
+"""Least number of poses of each series in a degree that is compared."""
+LEAST_DEGREES = 8
+"""Least number of degrees for a comparison."""
+KEYS = ("models", "contributions_m", "joints", "temperature")
 
 
-def main() -> int:
-    """Print the result as JSON; return 1 if a check fails."""
-    parser = campaign_parser("calibration", __doc__, EXAMPLE)
-    parser.add_argument("--arms", type=int, default=20, help="as-built arms (default 20)")
-    parser.add_argument(
-        "--closed-loop",
-        action="store_true",
-        help="use the closed loop: three minutes an arm, not ten seconds",
-    )
-    parser.add_argument("--files", type=Path, help="folder for the arms' parameter files, SEED.toml each")
-    parser.add_argument(
-        "--without-speed", action="store_true", help="do not check the speed, on a machine that is not idle"
-    )
-    options = parser.parse_args()
-    if options.arms < 1 or options.seed < 0:
-        parser.error("arms are 1 or more, the seed is not negative")
-    if options.files is not None:
-        options.files.mkdir(exist_ok=True)
-    result = campaign(
-        options.arms,
-        options.seed,
-        campaign_runner(options),
-        options.closed_loop,
-        options.files,
-        not options.without_speed,
-    )
-    print(json.dumps(result, indent=2))
-    return 0 if result["in_bounds"] else 1
+def ur10(context: Context, data: Path | None = None) -> Document:
+    """Calibrate both series, validate one on the other, and compare the errors with their bounds.
+
+    Args:
+        context: Told of the progress.
+        data: Folder with the data; that which MARSARM_DATA names if there is none.
+    """
+    folder = (data or Path(os.environ.get("MARSARM_DATA", ""))) / "ur10-tracker"
+    if not folder.is_dir():
+        raise BadRequest("set data: there is no folder ur10-tracker; name its folder here or by MARSARM_DATA")
+    arm = read_arm(FILES / "arm.toml")
+    series = {
+        name: read_series(arm, folder / table, FILES / f"series_{name}.toml")
+        for name, table in TABLES.items()
+    }
+    fits = {name: fit_tracker(arm, one, progress=context.progress) for name, one in series.items()}
+    fits["a_to_c"] = fit_tracker(fits["a"].found.arm, series["c"], terms=(), progress=context.progress)
+    documents = {name: calibration_json(one) for name, one in fits.items()}
+    checks = {name: _check_error(fits[name], bound) for name, bound in BOUNDS_MM.items()}
+    temperature = {name: documents[name]["temperature"]["explains"] for name in TABLES}
+    return {
+        "in_bounds": all(one["passed"] for one in checks.values())
+        and set(temperature.values()) == {"nothing"},
+        "held_out_position_rms": checks,
+        "temperature_explains": temperature,
+        "periodic_comparison": [_compare_periodic(fits["a"], fits["c"], k) for k in range(JOINTS)],
+        **{name: {key: one[key] for key in KEYS} for name, one in documents.items()},
+    }
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def _check_error(fitted: TrackerFit, bound_mm: float) -> dict[str, Any]:
+    fresh = fitted.models[-1].fresh
+    rms_mm = fresh.rms_m * 1e3
+    return {
+        "rms_mm": rms_mm,
+        "bound_mm": bound_mm,
+        "poses": fresh.position_m.size,
+        "passed": rms_mm <= bound_mm,
+    }
+
+
+def _compare_periodic(one: TrackerFit, other: TrackerFit, joint: int) -> dict[str, Any]:
+    """Compare the periodic errors of a joint from two series, at degrees that both visit, without slopes."""
+    at_rad = np.radians(np.arange(-179.5, 180.0))
+    visits = [_visits(fitted, joint) for fitted in (one, other)]
+    at_rad = at_rad[np.all(np.array(visits) >= LEAST_VISITS, axis=0)]
+    name = one.found.model.arm.links[joint].name
+    if at_rad.size < LEAST_DEGREES:
+        return {"name": name, "degrees": at_rad.size}
+    line = np.stack([np.ones(at_rad.size), at_rad], axis=1)
+    curves = np.array([_periodic_rad(fitted, joint, at_rad) for fitted in (one, other)]).T
+    curves -= line @ np.linalg.lstsq(line, curves, rcond=None)[0]
+    return {
+        "name": name,
+        "degrees": at_rad.size,
+        "rms_rad": np.std(curves, axis=0).tolist(),
+        "rms_of_difference_rad": float(np.std(curves[:, 0] - curves[:, 1])),
+        "correlation": float(np.corrcoef(curves.T)[0, 1]),
+    }
+
+
+def _visits(fitted: TrackerFit, joint: int) -> Integers:
+    """Count the fitted poses in each degree of a joint, shape (360,)."""
+    degrees = np.degrees(fitted.found.model.series.joint_rad[joint])
+    return np.bincount(np.floor(np.mod(degrees + 180, 360)).astype(int), minlength=360)
+
+
+def _periodic_rad(fitted: TrackerFit, joint: int, at_rad: Array) -> Array:
+    """Compute the periodic error of a joint at angles of shape (n,)."""
+    arm = fitted.found.arm
+    phase = at_rad[:, None] * np.arange(1, arm.orders + 1)
+    amplitudes = arm.links[joint].periodic_rad(arm.orders)
+    return periodic_error_rad(np.concatenate([np.cos(phase), np.sin(phase)], axis=1), amplitudes)

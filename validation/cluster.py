@@ -3,19 +3,17 @@
 The same arms run in one process, on the cluster, and on the cluster while a node is killed half way.
 The overhead is the median ratio of times on the cluster and in as many local processes, measured alternately;
 that of processor time counts Ray's own processes, and suits a machine that is not idle.
-Exit status 1 if a result is out of its bounds, 2 if Ray is not installed.
 """
 
 import json
 import os
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Any, Final
+from typing import Final
 
 from fsw.config import digest
 from fsw.dictionary.params import Params
@@ -24,9 +22,8 @@ from marsarm.accuracy.request import MoveModel
 from marsarm.common.pool import Runner, cluster_runner, local_runner
 from sim.params import nominal_params
 from simgap.common.errors import BadRequest
-from validation.options import campaign_parser
+from validation.campaigns import Context, Document
 
-EXAMPLE: Final = "example: python -m validation.cluster --arms 200 --pairs 5 > cluster.json"
 LOOPBACK: Final = "127.0.0.1"
 STORE_BYTES: Final = 80 * 2**20
 MOST_OVERHEAD: Final = 0.05
@@ -94,7 +91,7 @@ def measure_arms(run: Runner, jobs: Sequence[ArmJob], after: Callable[[int], Non
     return json.dumps(sorted(records, key=lambda record: int(record["arm"])))
 
 
-def compare(jobs: Sequence[ArmJob], pairs: int) -> dict[str, Any]:
+def compare(jobs: Sequence[ArmJob], pairs: int) -> Document:
     """Compare one process, as many local processes as nodes, and the cluster."""
     one_process = measure_arms(local_runner(1), jobs)
     local = local_runner(NODES)
@@ -146,7 +143,7 @@ def _cpu_s() -> float:
     return sum(ticks[process] for process in ticks if is_ours(process)) / os.sysconf("SC_CLK_TCK")
 
 
-def measure_cost(count: int, seed: int) -> dict[str, Any]:
+def measure_cost(count: int, seed: int) -> Document:
     """Measure the processor time of an arm in this process, and extrapolate it."""
     found = {}
     for model in ("statics", "closed-loop"):
@@ -161,23 +158,16 @@ def measure_cost(count: int, seed: int) -> dict[str, Any]:
     return found
 
 
-def main() -> int:
-    """Print the result as JSON; return 1 if it is out of bounds, 2 without Ray."""
-    parser = campaign_parser("cluster", __doc__, EXAMPLE, with_pool=False)
-    parser.add_argument("--arms", type=int, default=200, help="arms of each run (default %(default)s)")
-    parser.add_argument("--pairs", type=int, default=25, help="pairs of times (default %(default)s)")
-    parser.add_argument("--cost", type=int, default=20, help="arms of each kind, to measure the cost")
-    options = parser.parse_args()
-    if min(options.arms, options.pairs, options.cost) < 1 or options.seed < 0:
-        parser.error("arms, pairs and cost are 1 or more, the seed is not negative")
-    try:
-        found = compare(list_arms(options.arms, options.seed), options.pairs)
-    except BadRequest as error:
-        print(error, file=sys.stderr)
-        return 2
-    print(json.dumps({**found, "cost": measure_cost(options.cost, options.seed)}, indent=2))
-    return 0 if found["in_bounds"] else 1
+def campaign(context: Context, arms: int = 200, pairs: int = 25, cost: int = 20) -> Document:
+    """Compare two nodes with one process.
 
-
-if __name__ == "__main__":
-    sys.exit(main())
+    Args:
+        context: Gives the seed.
+        arms: Arms of each run.
+        pairs: Pairs of times.
+        cost: Arms of each kind, to measure the cost.
+    """
+    if min(arms, pairs, cost) < 1:
+        raise BadRequest("set: arms, pairs and cost are 1 or more")
+    found = compare(list_arms(arms, context.seed), pairs)
+    return {**found, "cost": measure_cost(cost, context.seed)}

@@ -1,32 +1,37 @@
 """Campaign of commands: random ones of right and wrong types in the closed loop, from huge to tiny numbers.
 
 Flight software must not end with an exception or a warning. A cycle whose commands are all refused must drive
-the actuators, to the last bit, as one without commands.
+the actuators, to the last bit, as one without commands. Values are drawn from the annotations of a command,
+so that a new command or field needs nothing here.
 """
 
-import json
-import sys
 import warnings
 from collections import Counter
-from dataclasses import dataclass, fields, replace
-from typing import Any, Final
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, is_dataclass, replace
+from decimal import Decimal
+from enum import IntEnum
+from types import NoneType, UnionType
+from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
 from fsw.config import Config
 from fsw.cycle import step
+from fsw.dictionary.commands import ClearFault, Command, MoveJoints, SetParam, Stop, Stow
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAccepted, CommandRefused
-from fsw.dictionary.params import TeachPoint
+from fsw.dictionary.params import Params, TeachPoint
+from fsw.dictionary.types import DirectionMark, Limits, NameMark
+from fsw.executive.context import known_names
 from fsw.messages import ActuatorCommand, Sensors
-from fsw.state import State
-from marsarm.common.pool import Runner
+from fsw.state import Hold, State
 from sim.arms import arm_named
 from sim.initialisation import start_loop
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
-from validation.command_draws import draw_command
-from validation.options import campaign_parser, campaign_runner
+from simgap.common.errors import BadRequest
+from validation.campaigns import Context, Document
 
 RUN_CYCLES: Final = 500
 """Cycles from a start of the arm; after more, most arms have a standing fault or unfit parameters."""
@@ -50,9 +55,8 @@ class RunResult:
     bugs: tuple[str, ...]
 
 
-def fuzz_run(job: tuple[int, int, int]) -> RunResult:
-    """Run an arm under random commands; a job is a seed, the number of the run, and its cycles."""
-    seed, number, cycles = job
+def fuzz_run(seed: int, number: int, cycles: int) -> RunResult:
+    """Run an arm under random commands."""
     random = np.random.default_rng([seed, number])
     loop = start(number)
     commands_sent, accepted, refused = 0, Counter[str](), Counter[str]()
@@ -108,17 +112,19 @@ def _find_change(config: Config, before: State, sensors: Sensors, record: CycleR
     return [f"refused commands changed the cycle: {record.commands!r:.2000}"]
 
 
-def campaign(cycles: int, seed: int, runner: Runner) -> dict[str, Any]:
+def campaign(context: Context, cycles: int = 250_000) -> Document:
     """Run all cycles; the same arguments give the same result."""
+    if cycles < 1:
+        raise BadRequest("set: cycles are 1 or more")
     runs = -(-cycles // RUN_CYCLES)
-    jobs = [(seed, k, min(RUN_CYCLES, cycles - k * RUN_CYCLES)) for k in range(runs)]
-    results = list(runner(fuzz_run, jobs))
+    jobs = [(context.seed, k, min(RUN_CYCLES, cycles - k * RUN_CYCLES)) for k in range(runs)]
+    results = context.each(fuzz_run, jobs, "runs")
     accepted = sum((Counter(one.accepted) for one in results), Counter[str]())
     refused = sum((Counter(one.refused) for one in results), Counter[str]())
     bugs = [bug for one in results for bug in one.bugs]
     return {
         "cycles": sum(one.cycles for one in results),
-        "seed": seed,
+        "seed": context.seed,
         "in_bounds": not bugs,
         "commands": sum(one.commands for one in results),
         "accepted": dict(accepted.most_common()),
@@ -127,19 +133,130 @@ def campaign(cycles: int, seed: int, runner: Runner) -> dict[str, Any]:
     }
 
 
-def main() -> int:
-    """Print the result as JSON; return 1 if a bug was found."""
-    parser = campaign_parser("commands", __doc__, "example: python -m validation.commands --cycles 250000")
-    parser.add_argument(
-        "--cycles", type=int, default=250_000, help="cycles of all runs (default %(default)s)"
+Random = np.random.Generator
+COMMAND_TYPES: Final = get_args(Command)
+BAD_SHARE: Final = 0.15
+"""Share of values that are drawn from all types; most commands of several fields then have one or none."""
+NOTHING_SHARE: Final = 0.03
+"""Share of objects that are no command."""
+END_SHARE: Final = 0.1
+"""Share of commands that end a move or clear a fault, so that many commands find the arm at rest."""
+RARE: Final = (SetParam, Stow)
+"""Commands that leave an arm that always faults, or one that only unstows."""
+RARE_SHARE: Final = 0.1
+"""Share of the rare commands that are sent."""
+WORKSPACE_M: Final = (2.0, 0.0, 0.8)
+"""Centre of the positions of most targets, in the rover frame."""
+FORWARD_DOWN: Final = (1.0, 0.0, 1.5)
+"""Middle of the directions, which is forward and down in the rover frame."""
+BAD_NUMBERS: Final = (
+    float("nan"), float("inf"), -float("inf"), 1e308, -1e308, 3e306, 1e306, 1e150, 1e20, 1e9, -1e9, 7.01,
+    -0.0, 5e-324, -5e-324, 2.3e-308, 1e-200, 10**400, -(10**400), 10**18, 0, 1, -1, True, False,
+    np.float32(3e38), np.float16(6e4), np.int64(-(2**63)), np.uint64(2**64 - 1), np.longdouble("1e4000"),
+    np.bool_(True), np.float64(0.1),
+)  # fmt: skip
+BAD_TEXTS: Final = ("", "drill", "DRILL", "Elbow", "\ud800", "a\nb", "\0", "x" * 101, "é" * 50, "{e}", "%s")
+BAD_OTHERS: Final[tuple[Any, ...]] = (
+    None, b"drill", 1j, Decimal("1e999"), object(), dict, len, {"a": 1}, {1.0}, range(3), (), [],
+    ((1.0,),) * 3, (1.0, 2.0), [1.0, 2.0, 3.0], (1.0,) * 6, (1e306,) * 5, ("1", "2", "3"),
+    [None] * 5, (True, False, True),
+    np.zeros(3), np.full(5, np.nan), np.zeros((3, 1)), np.array(1.0), np.array(["a", "b", "c"]),
+    np.array([1, 2, None]), np.zeros(10_000), (0.0, 0.0, 0.0), (1e-300, 0.0, 0.0), (1e200, 1e200, -1e200),
+)  # fmt: skip
+BAD_VALUES: Final = (*BAD_NUMBERS, *BAD_TEXTS, *BAD_OTHERS)
+NO_COMMANDS: Final[tuple[Any, ...]] = (
+    None,
+    3,
+    "Stop",
+    Stop,
+    {},
+    (Stop(),),
+    Hold(1.0, vibrate=True),
+    np.zeros(5),
+)
+
+
+def draw_command(random: Random, params: Params) -> Any:
+    """Draw a command, or now and then an object that is none."""
+    share = random.random()
+    if share < NOTHING_SHARE:
+        return _choose(random, NO_COMMANDS)
+    if share < NOTHING_SHARE + END_SHARE:
+        return _choose(random, (Stop(), ClearFault()))
+    kind = _choose(random, COMMAND_TYPES)
+    if kind in RARE and random.random() > RARE_SHARE:
+        kind = MoveJoints
+    hints = get_type_hints(kind, include_extras=True)
+    return kind(
+        **{field.name: _draw_value(random, params, field.name, hints[field.name]) for field in fields(kind)}
     )
-    options = parser.parse_args()
-    if options.cycles < 1 or options.seed < 0:
-        parser.error("cycles are 1 or more, the seed is not negative")
-    found = campaign(options.cycles, options.seed, campaign_runner(options))
-    print(json.dumps(found, indent=2))
-    return 0 if found["in_bounds"] else 1
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def _draw_value(random: Random, params: Params, name: str, hint: Any) -> Any:
+    if random.random() < BAD_SHARE:
+        return _choose(random, BAD_VALUES)
+    if get_origin(hint) in (Union, UnionType):
+        option = _choose(random, get_args(hint))
+        return None if option is NoneType else _draw_value(random, params, name, option)
+    marks = getattr(hint, "__metadata__", ())
+    bare = hint.__origin__ if marks else hint
+    for mark in marks:
+        if isinstance(mark, NameMark):
+            known = _choose(random, known_names(params)[mark])
+            return known.lower() if random.random() < 0.5 else known
+    if get_origin(bare) is Literal:
+        return _choose(random, get_args(bare))
+    if get_origin(bare) is tuple:
+        return _draw_vector(random, len(get_args(bare)), marks)
+    if bare is bool:
+        return bool(random.integers(2))
+    if bare is str:
+        return _choose(random, tuple(_names(params, "")))
+    if isinstance(bare, type) and issubclass(bare, IntEnum):
+        return _choose(random, tuple(bare))
+    return _draw_number(random, marks)
+
+
+def _draw_number(random: Random, marks: tuple[Any, ...]) -> Any:
+    """Draw a number within the limits, at one of them or next to one, of any type."""
+    limits = next(mark for mark in marks if isinstance(mark, Limits))
+    low, high = max(limits.low, -3.0), min(limits.high, 100.0)
+    number = _choose(
+        random,
+        (
+            float(random.uniform(low, high)),
+            float(low + (high - low) * 0.1 * random.random()),
+            limits.low,
+            limits.high,
+            float(np.nextafter(limits.high, np.inf)),
+        ),
+    )
+    kind: Callable[[float], Any] = _choose(random, (float, float, float, np.float64, np.float32))
+    return kind(number)
+
+
+def _draw_vector(random: Random, count: int, marks: tuple[Any, ...]) -> Any:
+    """Draw a direction, a position in the workspace, or joint angles; as any sequence."""
+    if any(isinstance(mark, DirectionMark) for mark in marks):
+        numbers = (random.normal(size=count) + FORWARD_DOWN) * 10.0 ** random.integers(-9, 9)
+    elif count == 3:
+        numbers = np.array(WORKSPACE_M) + random.normal(size=3) * random.choice([0.3, 10.0])
+    else:
+        numbers = random.normal(size=count) * random.choice([0.05, 1.0, 4.0])
+    kind: Callable[[Any], Any] = _choose(random, (tuple, tuple, list, np.array))
+    return kind(numbers)
+
+
+def _names(params: Any, place: str) -> Iterator[str]:
+    """Yield the names of all parameters and of the points that are taught."""
+    for field in fields(params):
+        value = getattr(params, field.name)
+        yield f"{place}{field.name}"
+        if is_dataclass(value):
+            yield from _names(value, f"{place}{field.name}.")
+    if not place:
+        yield from (point.name for point in params.teach)
+
+
+def _choose(random: Random, values: tuple[Any, ...]) -> Any:
+    return values[int(random.integers(len(values)))]

@@ -4,9 +4,6 @@ Each damage must be harmless, with every value as it was written, or be detected
 message of the undamaged chunks, must not change a value, and must report when what it lost was recorded.
 """
 
-import argparse
-import json
-import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -22,10 +19,10 @@ from marsarm.telemetry.errors import LogDamaged, LogError, LogNotReadable, LostM
 from marsarm.telemetry.mcap_columns import read_records, unpack_chunk
 from marsarm.telemetry.read import Log, parse_log
 from marsarm.telemetry.recover import recover
-from validation.sample_logs import record_log
+from validation.campaigns import Context, Document
+from validation.speed import record_log
 
 CUT_EVERY: Final = 4096
-CYCLES: Final = 320
 HERE: Final = Path("damaged.mcap")
 
 
@@ -177,7 +174,7 @@ def flips(made: Original, tries: int, seed: int) -> Iterator[tuple[int, int]]:
 def flip_bits(made: Original, tries: int, seed: int, folder: Path) -> dict[str, Any]:
     """Flip single bits, one at a time, and count the judgements."""
     reads, saves, wrong = Counter[str](), Counter[str](), []
-    for k, (at, bit) in enumerate(flips(made, tries, seed)):
+    for at, bit in flips(made, tries, seed):
         damaged = bytearray(made.data)
         damaged[at] ^= 1 << int(bit)
         is_hit = [one.at <= at < one.end for one in made.chunks]
@@ -186,8 +183,6 @@ def flip_bits(made: Original, tries: int, seed: int, folder: Path) -> dict[str, 
         saves[save] += 1
         if "WRONG" in read + save:
             wrong.append({"byte": int(at), "bit": int(bit), "read": read, "saved": save})
-        if k % 100 == 99:
-            print(f"{k + 1} of {tries} bits", file=sys.stderr)
     return {"read": dict(reads), "recovered": dict(saves), "wrong": wrong}
 
 
@@ -207,7 +202,7 @@ def truncate_file(made: Original, every: int, folder: Path) -> dict[str, Any]:
     return {"read": dict(reads), "recovered": dict(saves), "wrong": wrong}
 
 
-def campaign(cycles: int, tries: int, seed: int, chunk_cycles: int = 1) -> dict[str, Any]:
+def campaign(context: Context, cycles: int = 320, tries: int = 1000, chunk_cycles: int = 1) -> Document:
     """Damage a complete log and a truncated one in every way."""
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -215,28 +210,10 @@ def campaign(cycles: int, tries: int, seed: int, chunk_cycles: int = 1) -> dict[
         whole = original(data)
         last = whole.chunks[len(whole.chunks) * 3 // 5]
         cut = original(data[: (last.at + last.end) // 2])
-        return {
-            "cycles": cycles,
-            "bytes": len(data),
-            "chunks": len(whole.chunks),
-            "bits_closed": flip_bits(whole, tries, seed, folder),
-            "bits_cut_short": flip_bits(cut, tries, seed + 1, folder),
+        parts = {
+            "bits_closed": flip_bits(whole, tries, context.seed, folder),
+            "bits_cut_short": flip_bits(cut, tries, context.seed + 1, folder),
             "truncated": truncate_file(whole, CUT_EVERY, folder),
         }
-
-
-def main() -> None:
-    """Print the result as JSON; exit with 1 if a reaction is wrong."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cycles", type=int, default=CYCLES)
-    parser.add_argument("--tries", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=6)
-    options = parser.parse_args()
-    found = campaign(options.cycles, options.tries, options.seed)
-    print(json.dumps(found, indent=2))
-    wrong = [one for part in found.values() if isinstance(part, dict) for one in part["wrong"]]
-    sys.exit(1 if wrong else 0)
-
-
-if __name__ == "__main__":
-    main()
+    sizes = {"cycles": cycles, "bytes": len(data), "chunks": len(whole.chunks)}
+    return {**sizes, **parts, "in_bounds": not any(part["wrong"] for part in parts.values())}

@@ -4,8 +4,6 @@ A run of each scenario is forked at random times, and a fault is injected into e
 until it is braked, until its scenario ends, or for 45 s and until it rests. Then a move is commanded.
 """
 
-import json
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -19,7 +17,6 @@ from fsw.dictionary.evrs import CommandRefused, FaultResponse
 from fsw.dictionary.faults import Fault as FaultEvr
 from fsw.motion.move import Phase
 from fsw.protect.responses import Response
-from marsarm.common.pool import Runner, in_order
 from sim.arms import arm_named
 from sim.clearance import hull_force_N, tool_forces
 from sim.effects.environment import PowerLoss
@@ -37,11 +34,14 @@ from sim.effects.faults import (
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
-from sim.scenario.file import built_in_scenarios, load_scenario
+from sim.scenario.file import load_scenario
 from sim.scenario.run import scenario_setup
 from sim.sequence import run_sequence
-from validation.options import campaign_parser, campaign_runner
+from validation.campaigns import Context, Document
+from validation.scenarios import choose
 
+CHUNK = 100
+"""Faults that one process injects."""
 FORK_S = 45.0
 """Longest time that a fork runs after its fault."""
 WIND_UP_RAD = 0.005
@@ -130,7 +130,7 @@ def _sensor_fault(rng: np.random.Generator, at_s: float) -> SensorFault:
     return SensorFault(at_s, sensor, kind, int(rng.integers(SENSORS[sensor])), sizes.get(kind, 0.0))  # type: ignore[arg-type]
 
 
-def campaign(name: str, seed: int, count: int) -> list[FaultOutcome]:
+def inject_some(name: str, seed: int, count: int) -> list[FaultOutcome]:
     """Inject this many faults, each into a fork of one run of a scenario."""
     scenario = load_scenario(name).tilted(*(float(v) for v in np.radians(TILT_DEG)))
     arm = arm_named("nominal")
@@ -285,7 +285,7 @@ def _fault_name(fault: InjectedFault) -> str:
     return type(fault).__name__
 
 
-def summary(cases: list[FaultOutcome]) -> dict[str, object]:
+def summary(cases: list[FaultOutcome]) -> Document:
     """Summarize outcomes by fault and scenario, with the largest forces and angles."""
     table: dict[str, dict[str, dict[str, int]]] = {}
     for case in cases:
@@ -314,35 +314,13 @@ def summary(cases: list[FaultOutcome]) -> dict[str, object]:
     }
 
 
-def document(count: int, seed: int, run: Runner, only: str | None = None) -> dict[str, object]:
+def campaign(context: Context, count: int = 1000, only: str = "") -> Document:
     """Inject this many faults into all scenarios, or into only one."""
-    names = [only] if only else list(built_in_scenarios())
-    counts = Counter(str(name) for name in np.random.default_rng([seed, 60]).choice(names, count))
+    names = choose(only)
+    counts = Counter(str(name) for name in np.random.default_rng([context.seed, 60]).choice(names, count))
     chunks = [
-        (name, 100 * seed + k, size) for name in names for k, size in enumerate(_chunk_sizes(counts[name]))
+        (name, 100 * context.seed + k, min(CHUNK, counts[name] - CHUNK * k))
+        for name in names
+        for k in range(-(-counts[name] // CHUNK))
     ]
-    cases: list[FaultOutcome] = []
-    for found in in_order(run, campaign, chunks):
-        cases += found
-        print(f"\rfaults: {len(cases)} of {count}", end="", file=sys.stderr)
-    print(file=sys.stderr)
-    return summary(cases)
-
-
-def _chunk_sizes(count: int, most: int = 100) -> list[int]:
-    return [most] * (count // most) + ([count % most] if count % most else [])
-
-
-def main() -> int:
-    """Print the result as JSON; return 1 if a final state is wrong, or a force or angle too large."""
-    parser = campaign_parser("faults", __doc__, "example: python -m validation.faults --count 60")
-    parser.add_argument("--count", type=int, default=1000, help="faults in all (default %(default)s)")
-    parser.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
-    options = parser.parse_args()
-    found = document(options.count, options.seed, campaign_runner(options), options.only)
-    print(json.dumps(found, indent=2))
-    return 0 if found["in_bounds"] else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return summary([case for found in context.each(inject_some, chunks, "chunks") for case in found])

@@ -3,12 +3,9 @@
 With atheris installed, coverage guides the mutations; without it a seeded mutator makes them at random.
 """
 
-import argparse
 import faulthandler
 import hashlib
 import importlib.util
-import json
-import os
 import resource
 import signal
 import subprocess
@@ -28,6 +25,8 @@ from marsarm.telemetry.errors import LogError
 from marsarm.telemetry.inspection import range_of, select_channels, summarize_log
 from marsarm.telemetry.read import parse_log
 from marsarm.telemetry.recover import recover
+from simgap.common.errors import BadRequest
+from validation.campaigns import Context, Document
 from validation.fuzz_inputs import (
     Random,
     import_once,
@@ -36,7 +35,7 @@ from validation.fuzz_inputs import (
     mutate_import,
     mutate_records,
 )
-from validation.sample_logs import record_log
+from validation.speed import record_log
 
 MEMORY_BYTES: Final = 4 << 30
 """Limit of the address space, with libraries and their threads."""
@@ -119,7 +118,7 @@ def time_limit(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def fuzz(target: FuzzTarget, seed: int, seconds: float, most: int | None = None) -> dict[str, Any]:
+def fuzz(target: FuzzTarget, seed: int, seconds: float, most: int | None = None) -> Document:
     """Mutate inputs at random until the time is over, `most` are tried, or a bug is found.
 
     Accepted inputs are mutated again. Time and memory are measured outside the target.
@@ -174,21 +173,12 @@ def write_input(target: FuzzTarget, data: bytes) -> Path:
     return path
 
 
-def fuzz_with_atheris(target: FuzzTarget, seed: int, seconds: float) -> dict[str, Any]:
+def fuzz_with_atheris(target: FuzzTarget, seed: int, seconds: float) -> Document:
     """Fuzz with atheris in a separate process, because atheris ends its process."""
     with TemporaryDirectory() as folder:
         for k, data in enumerate(target.seeds()):
             (Path(folder) / str(k)).write_bytes(data)
-        command = [
-            sys.executable,
-            "-m",
-            "validation.fuzz",
-            "--inside",
-            target.name,
-            "--seed",
-            str(seed),
-            folder,
-        ]
+        command = [sys.executable, "-m", "validation.fuzz", target.name, str(seed), folder]
         limits = [
             f"-max_total_time={max(1, round(seconds))}",
             f"-seed={seed + 1}",  # 0 means a random seed
@@ -224,37 +214,29 @@ def run_atheris(target: FuzzTarget, seed: int, arguments: list[str]) -> None:
     atheris.Fuzz()
 
 
-def main() -> None:
-    """Fuzz all targets, or one, and print the results as JSON; exit with 1 if a bug was found."""
-    names = [target.name for target in TARGETS]
-    parser = argparse.ArgumentParser(prog="python -m validation.fuzz", description=__doc__)
-    parser.add_argument(
-        "--seconds", type=float, default=60.0, help="time for all targets together (default 60)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the mutations (default 0)")
-    parser.add_argument("--target", choices=names, help="fuzz only this target")
-    parser.add_argument("--blind", action="store_true", help="do not use atheris, even if it is installed")
-    parser.add_argument("--inside", choices=names, help=argparse.SUPPRESS)
-    options, rest = parser.parse_known_args()
-    if options.inside:
-        run_atheris(next(one for one in TARGETS if one.name == options.inside), options.seed, rest)
-        return
-    if rest:
-        parser.error(f"unknown: {' '.join(rest)}")
+def campaign(
+    context: Context, seconds: float = 60.0, target: str = "", blind: bool = False
+) -> Document:
+    """Fuzz all targets, or one; in bounds if no bug was found.
+
+    Args:
+        context: Gives the seed of the mutations.
+        seconds: Time for all targets together.
+        target: Name of a target; empty for all.
+        blind: Do not use atheris, even if it is installed.
+    """
+    chosen = [one for one in TARGETS if target in ("", one.name)]
+    if not chosen:
+        raise BadRequest(f"set target: there are {', '.join(one.name for one in TARGETS)}")
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    chosen = [one for one in TARGETS if options.target in (None, one.name)]
-    has_atheris = importlib.util.find_spec("atheris") is not None and not options.blind
+    has_atheris = importlib.util.find_spec("atheris") is not None and not blind
     if not has_atheris:
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
-    found = {
-        one.name: (fuzz_with_atheris if has_atheris else fuzz)(
-            one, options.seed, options.seconds / len(chosen)
-        )
-        for one in chosen
-    }
-    print(json.dumps({"atheris": has_atheris, "targets": found}, indent=2))
-    sys.exit(os.EX_OK if all(one["failed"] is None for one in found.values()) else 1)
+    tried = fuzz_with_atheris if has_atheris else fuzz
+    found = {one.name: tried(one, context.seed, seconds / len(chosen)) for one in chosen}
+    is_good = all(one["failed"] is None for one in found.values())
+    return {"atheris": has_atheris, "targets": found, "in_bounds": is_good}
 
 
-if __name__ == "__main__":
-    main()
+if __name__ == "__main__":  # in the process that atheris ends
+    run_atheris(next(one for one in TARGETS if one.name == sys.argv[1]), int(sys.argv[2]), sys.argv[3:])

@@ -4,17 +4,12 @@ Each run is a fork of this process, in its own process group. It counts in share
 has recorded. The loss is the Mars time of those that the log lacks. The same run without a kill gives the
 duration, and the expected contents of a log. Only kills of open logs count. Each log is read by the reader of
 the library too, recovered, and replayed.
-
-Example: python -m validation.killed --kills 200
 """
 
-import argparse
-import json
 import mmap
 import os
 import signal
 import struct
-import sys
 import time
 import warnings
 from collections.abc import Iterator, Mapping
@@ -39,7 +34,8 @@ from marsarm.telemetry.recover import recover
 from sim.loop import ClosedLoop
 from sim.placement import PlacementRun
 from simgap.common.errors import BadOutput
-from validation.closed_loop import TARGET, placement_loop
+from validation.campaigns import Context, Document
+from validation.speed import TARGET, placement_loop
 
 CYCLES = 4000
 BOUND_S = 1.2
@@ -176,43 +172,26 @@ def kill_runs(number: int, seed: int) -> Iterator[Kill]:
             kill = judge_kill(path, int(recorded[0]), whole)
             yield kill
             counted += kill.outcome not in ("closed", "not begun")
-            print(f"{counted} of {number} kills", file=sys.stderr)
             if counted == number:
                 return
 
 
-def measure_losses(number: int, seed: int) -> dict[str, Any]:
-    """Count outcomes and errors, and summarize the losses of truncated logs."""
-    kills = list(kill_runs(number, seed))
-    outcomes = [kill.outcome for kill in kills]
-    lost_s = [kill.lost_s for kill in kills if kill.outcome == "cut short"]
+def campaign(context: Context, kills: int = 200) -> Document:
+    """Kill runs until so many logs were open; in bounds if none is wrong or lost too much."""
+    with warnings.catch_warnings():  # Python warns of a fork with idle library threads
+        warnings.simplefilter("ignore", DeprecationWarning)
+        found = list(kill_runs(kills, context.seed))
+    outcomes = [kill.outcome for kill in found]
+    lost_s = [kill.lost_s for kill in found if kill.outcome == "cut short"]
     wrong = [outcome for outcome in outcomes if outcome.startswith("wrong")]
     counts = {name: outcomes.count(name) for name in ("cut short", "closed", "not begun")}
     return {
-        "runs": len(kills),
+        "runs": len(found),
         "kills": len(lost_s) + len(wrong),
         "outcomes": {**counts, "wrong": len(wrong)},
         "wrong": wrong,
         "lost_s": {"median": median(lost_s), "max": max(lost_s)} if lost_s else None,
         "beyond_bound": sum(one > BOUND_S for one in lost_s),
         "bound_s": BOUND_S,
+        "in_bounds": not wrong and max(lost_s, default=0.0) <= BOUND_S and len(lost_s) == kills,
     }
-
-
-def main() -> None:
-    """Print the result as JSON; exit with 1 if a log is wrong or lost too much, or too few were open."""
-    parser = argparse.ArgumentParser(prog="python -m validation.killed", description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument(
-        "--kills", type=int, default=200, help="number of kills with an open log (default 200)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the times (default 0)")
-    options = parser.parse_args()
-    warnings.simplefilter("ignore", DeprecationWarning)  # Python warns of a fork with idle library threads
-    found = measure_losses(options.kills, options.seed)
-    print(json.dumps(found, indent=2))
-    sys.exit(1 if found["wrong"] or found["beyond_bound"] or found["kills"] < options.kills else 0)
-
-
-if __name__ == "__main__":
-    main()

@@ -3,8 +3,6 @@
 Solutions of a target must meet it. A joint vector must be among the solutions of its own target.
 """
 
-import json
-import sys
 import time
 import traceback
 import warnings
@@ -18,8 +16,9 @@ from numpy.typing import NDArray
 from fsw.kinematics.arm import limit_excess
 from fsw.kinematics.ik import BranchVerdict, IkResult, inverse_kinematics
 from fsw.kinematics.transforms import Array
-from marsarm.common.pool import Runner, in_order, run_here
-from validation.kinematics_samples import Aim, Kinds, near_name, targets, vectors
+from simgap.common.errors import BadRequest
+from validation.campaigns import Context, Document
+from validation.kinematics_samples import Aim, Kinds, draw_targets, draw_vectors, near_name
 from validation.kinematics_trials import (
     CASES,
     SAME_RAD,
@@ -32,7 +31,6 @@ from validation.kinematics_trials import (
     smallest_singular_value,
     trials,
 )
-from validation.options import campaign_parser, campaign_runner
 
 CHUNK: Final = 10_000
 """Number of targets, and of vectors, in a chunk."""
@@ -40,9 +38,6 @@ EXAMPLES: Final = 3
 """Examples that are kept of each failure near each kind of double root."""
 INSIDE_RAD: Final = 1e-6
 """A vector this far inside its limits must be called valid."""
-PROGRESS_S: Final = 10.0
-"""Time between two lines of progress."""
-EXAMPLE = "example: python -m validation.kinematics --targets 200000 --vectors 200000 > campaign.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +165,7 @@ def _solve(trial: Trial, p_m: Array, approach: Array) -> IkResult:
 
 
 def _try_targets(tally: Tally, trial: Trial, chunk: Chunk, rng: np.random.Generator, n: int) -> None:
-    p_m, approach, aim = targets(trial, rng, n)
+    p_m, approach, aim = draw_targets(trial, rng, n)
     answers = _solve(trial, p_m, approach)
     tally.targets += n
     _check_roots(tally, trial, chunk, answers, p_m, approach, [Aim(int(k)).name for k in aim])
@@ -182,7 +177,7 @@ def _try_targets(tally: Tally, trial: Trial, chunk: Chunk, rng: np.random.Genera
 
 
 def _try_vectors(tally: Tally, trial: Trial, chunk: Chunk, rng: np.random.Generator, n: int) -> None:
-    q, near = vectors(trial, rng, n)
+    q, near = draw_vectors(trial, rng, n)
     X_RT = trial.tool_pose(q)
     answers = _solve(trial, X_RT.p, X_RT.R[:, 0])
     names = [near_name(k) for k in near]
@@ -261,57 +256,27 @@ def _sort_lost(
         tally.note(trial, "missed" if clear else "unanswered", name, **more)
 
 
-def run_kinematics_campaign(
-    n_targets: int, n_vectors: int, seed: int = 0, run: Runner = run_here
-) -> dict[str, Any]:
-    """Run the campaign and sum up by case; the same seed and numbers give the same result."""
+def campaign(context: Context, targets: int = 10_000_000, vectors: int = 10_000_000) -> Document:
+    """Try all targets and vectors and sum up by case; the same seed and numbers give the same result."""
+    if min(targets, vectors) < 1:
+        raise BadRequest("set: targets and vectors are 1 or more")
     began = time.monotonic()
     tallies = {case.name: Tally() for case in CASES}
-    chunks = plan_chunks(n_targets, n_vectors, seed)
-    printed = began
-    found = in_order(run, run_chunk, ((chunk,) for chunk in chunks))
-    for done, (chunk, tally) in enumerate(zip(chunks, found, strict=True), 1):
+    chunks = plan_chunks(targets, vectors, context.seed)
+    found = context.each(run_chunk, ((chunk,) for chunk in chunks), "chunks")
+    for chunk, tally in zip(chunks, found, strict=True):
         tallies[chunk.case.name].add(tally)
-        now = time.monotonic()
-        if now - printed > PROGRESS_S or done == len(chunks):
-            printed = now
-            _print_progress(done, len(chunks), now - began, tallies)
+    failures, workspace = (sum(getattr(t, n) for t in tallies.values()) for n in ("failures", "workspace"))
+    at_most_four = sum(t.workspace_at_most_four for t in tallies.values())
     return {
-        "seed": seed,
+        "seed": context.seed,
         "targets": sum(t.targets for t in tallies.values()),
         "vectors": sum(t.vectors for t in tallies.values()),
-        "failures": sum(t.failures for t in tallies.values()),
-        "workspace_share_with_at_most_four_valid": _share(tallies),
+        "failures": failures,
+        "in_bounds": not failures,
+        "workspace_share_with_at_most_four_valid": at_most_four / max(workspace, 1),
         "seconds": time.monotonic() - began,
         "cases": {
             case.name: {"tolerance": case.tolerance_m, **tallies[case.name].as_json()} for case in CASES
         },
     }
-
-
-def _share(tallies: dict[str, Tally]) -> float:
-    workspace = sum(t.workspace for t in tallies.values())
-    return sum(t.workspace_at_most_four for t in tallies.values()) / max(workspace, 1)
-
-
-def _print_progress(done: int, total: int, spent_s: float, tallies: dict[str, Tally]) -> None:
-    failures = sum(t.failures for t in tallies.values())
-    left_s = spent_s / done * (total - done)
-    print(f"marsarm: {done} of {total} chunks, {failures} failures, {left_s:.0f} s to go", file=sys.stderr)
-
-
-def main() -> int:
-    """Print the result as JSON; return 1 if there is a failure."""
-    parser = campaign_parser("kinematics", __doc__, EXAMPLE)
-    parser.add_argument("--targets", type=int, default=200_000, help="random targets (default 200000)")
-    parser.add_argument("--vectors", type=int, default=200_000, help="random joint vectors (default 200000)")
-    options = parser.parse_args()
-    if min(options.targets, options.vectors) < 1 or options.seed < 0:
-        parser.error("targets and vectors are 1 or more, the seed is not negative")
-    result = run_kinematics_campaign(options.targets, options.vectors, options.seed, campaign_runner(options))
-    print(json.dumps(result, indent=2))
-    return 1 if result["failures"] else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

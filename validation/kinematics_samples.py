@@ -72,7 +72,7 @@ def log_distances(rng: np.random.Generator, n: int) -> Array:
     return sizes * signs
 
 
-def vectors(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Kinds]:
+def draw_vectors(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Kinds]:
     """Draw joint vectors inside the soft limits, most of them near double roots or limits.
 
     Args:
@@ -166,7 +166,7 @@ def _put_near_limits(q: Array, flagged: Kinds, low: Array, high: Array, rng: np.
     q[joint, flagged] = np.where(upper, high[joint, 0] - inward, low[joint, 0] + inward)
 
 
-def targets(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Array, Kinds]:
+def draw_targets(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Array, Kinds]:
     """Draw targets in the workspace, near its faces, near double roots, and anywhere in reach.
 
     Args:
@@ -223,7 +223,7 @@ def _workspace(rng: np.random.Generator, n: int, edge: NDArray[np.bool_]) -> tup
 
 def _around_double_roots(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Array]:
     """Draw targets at small distances from those of vectors near double roots, in position and approach."""
-    q, _ = vectors(trial, rng, n)
+    q, _ = draw_vectors(trial, rng, n)
     X_RT = trial.tool_pose(q)
     p_m = X_RT.p + log_distances(rng, n) * _directions(rng, n)
     approach = X_RT.R[:, 0] + log_distances(rng, n) * cross(X_RT.R[:, 0], _directions(rng, n))

@@ -2,16 +2,12 @@
 
 Sampled arms have every source of a case at its magnitude, and one place each, so that intervals are exact.
 Many are computed by statics, some of the same in the closed loop. Calibrated arms find their hardstops and
-move to twenty places each, cold, with the sources that the budget adds for Mars. The exit status is 1 if a
-result is out of its bounds.
+move to twenty places each, cold, with the sources that the budget adds for Mars.
 """
 
-import json
-import sys
 from dataclasses import asdict, replace
 from math import radians
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -20,10 +16,8 @@ from marsarm.accuracy.monte_carlo import MonteCarloReport, run_monte_carlo
 from marsarm.accuracy.monte_carlo_report import monte_carlo_document
 from marsarm.accuracy.propagation import COVERAGE
 from marsarm.accuracy.request import MonteCarloRequest
-from simgap.common.report import to_json
-from validation.options import campaign_parser
+from validation.campaigns import Context, Document
 
-EXAMPLE = "example: python -m validation.monte_carlo --statics 2000 --closed-loop 100 --calibrated 5"
 MOST_WIDE: Final = 1.3
 """Largest ratio of the bound of the budget to the observed bound of 99.73 % of the errors."""
 FEWEST_FOR_WIDTH: Final = 1 / (1 - COVERAGE)
@@ -38,11 +32,11 @@ MOST_OTHER_SIDES: Final = 0.1
 """Share of arms with an output on another side of its backlash: loads are near its friction that often."""
 
 
-def against_budget(case: str, options: Any) -> dict[str, Any]:
+def against_budget(context: Context, case: str, statics: int, closed_loop: int) -> Document:
     """Run sampled arms of a case, by statics and in the closed loop."""
-    base = MonteCarloRequest(case=case, seed=options.seed, workers=options.workers, cluster=options.cluster)
-    many = _run(replace(base, move_model="statics", arms=options.statics), options.results)
-    some = _run(replace(base, move_model="closed-loop", arms=options.closed_loop), options.results)
+    base = MonteCarloRequest(case=case, seed=context.seed)
+    many = _run(context, replace(base, move_model="statics", arms=statics))
+    some = _run(context, replace(base, move_model="closed-loop", arms=closed_loop))
     pairs = [(a[0], b[0]) for a, b in zip(many.trials, some.trials, strict=False)]
     # near the friction limit, statics cannot tell the side of a backlash
     same_side = [np.abs(a.backlash_position - b.backlash_position).max() < 0.5 for a, b in pairs]
@@ -64,18 +58,12 @@ def against_budget(case: str, options: Any) -> dict[str, Any]:
     }
 
 
-def calibrated(options: Any) -> dict[str, Any]:
+def run_calibrated(context: Context, arms: int) -> Document:
     """Run calibrated arms on Mars."""
     request = MonteCarloRequest(
-        case="mars",
-        built="calibrated",
-        arms=options.calibrated,
-        places=PLACES,
-        seed=options.seed,
-        workers=options.workers,
-        cluster=options.cluster,
+        case="mars", built="calibrated", arms=arms, places=PLACES, seed=context.seed
     )
-    report = _run(request, options.results)
+    report = _run(context, request)
     if report.three_sigma is None:
         return {"failed": dict(report.failed), "in_bounds": False}
     shares = [report.three_sigma[name].accuracy.upper / most for name, most in ACCURACY.items()]
@@ -100,45 +88,19 @@ def _rule_holds(report: MonteCarloReport) -> bool:
     )
 
 
-def _run(request: MonteCarloRequest, folder: Path | None) -> MonteCarloReport:
-    name = f"{request.case}-{request.built}-{request.move_model}.jsonl"
-
-    def progress(done: float, total: float, what: str) -> None:
-        print(f"\r{name[:-6]}: {done:g} of {total:g} {what} ", end="", file=sys.stderr)
-
-    found = run_monte_carlo(replace(request, results=folder and folder / name), progress)
-    print(file=sys.stderr)
-    return found
+def _run(context: Context, request: MonteCarloRequest) -> MonteCarloReport:
+    name = f"{request.case}-{request.built}-{request.move_model}"
+    results = context.out and context.out / f"{name}.jsonl"
+    request = replace(request, results=results, workers=context.workers, cluster=context.cluster)
+    return run_monte_carlo(request, lambda *done: context.progress(done[0], done[1], f"{name}, {done[2]}"))
 
 
-def document(options: Any) -> dict[str, Any]:
+def campaign(
+    context: Context, statics: int = 10_000, closed_loop: int = 1000, calibrated: int = 50
+) -> Document:
     """Run the whole campaign."""
-    found = {case: against_budget(case, options) for case in ("accuracy", "mars")}
-    return {**found, "calibrated": calibrated(options)} if options.calibrated else found
-
-
-def _out_of_bounds(found: Any, name: str = "") -> list[str]:
-    """List the parts of a document that are out of their bounds."""
-    if not isinstance(found, dict):
-        return []
-    below = [part for key, value in found.items() for part in _out_of_bounds(value, f"{name} {key}".strip())]
-    return below if found.get("in_bounds", True) else [name, *below]
-
-
-def main() -> None:
-    """Print the result as JSON; exit with 1 if a part is out of its bounds."""
-    parser = campaign_parser("monte_carlo", __doc__, EXAMPLE)
-    for name, count in (("--statics", 10_000), ("--closed-loop", 1000), ("--calibrated", 50)):
-        parser.add_argument(name, type=int, default=count, help="arms (default %(default)s)")
-    parser.add_argument(
-        "--results", type=Path, help="folder of results, from which an interrupted run continues"
-    )
-    found = document(parser.parse_args())
-    print(json.dumps(to_json(found), indent=2))
-    out = _out_of_bounds(found)
-    if out:
-        sys.exit(f"out of bounds: {', '.join(out)}")
-
-
-if __name__ == "__main__":
-    main()
+    found = {case: against_budget(context, case, statics, closed_loop) for case in ("accuracy", "mars")}
+    if calibrated:
+        found["calibrated"] = run_calibrated(context, calibrated)
+    parts = [part for case in found.values() for part in (case, *case.values()) if isinstance(part, dict)]
+    return {**found, "in_bounds": all(part.get("in_bounds", True) for part in parts)}

@@ -5,9 +5,6 @@ roots. EAIK needs full poses. It is called once for each distinct pose of our ro
 compared with ours. Its chain is from azimuth joint to turret interface, so the tool is removed first.
 """
 
-import argparse
-import json
-import sys
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
@@ -17,6 +14,8 @@ from fsw.kinematics.chain import forward
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array, wrap_angle
 from sim.params import nominal_params
+from simgap.common.errors import BadRequest
+from validation.campaigns import Context, Document
 from validation.kinematics_samples import workspace_targets
 from validation.kinematics_trials import Trial, arm_of, claimed_roots, smallest_singular_value
 
@@ -178,35 +177,26 @@ def random_targets(tool: str, kind: str, rng: np.random.Generator, n: int) -> tu
     return X_RT.p, X_RT.R[:, 0]
 
 
-def main() -> int:
-    """Print the comparison as JSON; return 1 if roots differ, 2 without the oracle."""
-    parser = argparse.ArgumentParser(
-        prog="python -m validation.oracle",
-        description=__doc__,
-        epilog="example: python -m validation.oracle --targets 100000",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--targets", type=int, default=100_000, help="number of targets (default 100000)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the targets (default 0)")
-    options = parser.parse_args()
+def campaign(context: Context, targets: int = 100_000) -> Document:
+    """Compare the roots of this many targets; in bounds if none differs."""
     try:
         eaik = Eaik()
     except ImportError as missing:
-        print(f"marsarm: the oracle is not installed ({missing}); `make oracle` installs it", file=sys.stderr)
-        return 2
+        raise BadRequest(
+            f"the oracle is not installed ({missing}); pip install --no-deps 'eaik>=1.2'"
+        ) from missing
     tools = nominal_params().tool_names
-    each = -(-options.targets // (len(tools) * len(KINDS)))
-    results, differ = {}, False
+    each = -(-targets // (len(tools) * len(KINDS)))
+    results: dict[str, Comparison] = {}
     for kind in KINDS:
         for tool in tools:
-            print(f"marsarm: {each} targets from {kind}, {tool}", file=sys.stderr)
-            rng = np.random.default_rng([options.seed, tools.index(tool), KINDS.index(kind)])
-            comparison = compare(eaik, tool, *random_targets(tool, kind, rng, each))
-            differ |= bool(comparison.only_ours or comparison.only_theirs)
-            results[f"{kind} {tool}"] = asdict(comparison)
-    print(json.dumps({"family": eaik.family, "seed": options.seed, "results": results}, indent=2))
-    return int(differ)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+            context.progress(len(results), len(tools) * len(KINDS), f"{kind}, {tool}")
+            rng = np.random.default_rng([context.seed, tools.index(tool), KINDS.index(kind)])
+            results[f"{kind} {tool}"] = compare(eaik, tool, *random_targets(tool, kind, rng, each))
+    same = all(not (one.only_ours or one.only_theirs) for one in results.values())
+    return {
+        "family": eaik.family,
+        "seed": context.seed,
+        "in_bounds": same,
+        "results": {name: asdict(one) for name, one in results.items()},
+    }

@@ -1,14 +1,13 @@
 """Make the blueprint for Rerun, `docs/marsarm.rbl`: the arm, its events, angles, rates and torques.
-
-Example: python -m validation.rerun_blueprint
 """
 
-import sys
 from pathlib import Path
 from typing import Final
 
 import rerun as rr
 import rerun.blueprint as rrb
+
+from validation.campaigns import Context, Document
 
 PATH: Final = Path(__file__).parents[1] / "docs" / "marsarm.rbl"
 APPLICATION: Final = "marsarm"
@@ -53,11 +52,8 @@ def blueprint() -> rrb.Blueprint:
     )
 
 
-def main() -> None:
+def campaign(context: Context) -> Document:
     """Write the blueprint."""
-    blueprint().save(APPLICATION, PATH)
-    print(PATH, file=sys.stderr)
-
-
-if __name__ == "__main__":
-    main()
+    path = context.out or PATH
+    blueprint().save(APPLICATION, path)
+    return {"blueprint": str(path)}

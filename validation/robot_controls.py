@@ -7,12 +7,10 @@
 3. The XL330 with 20 ms added to the times of its positions: a delay is named, 20 +- 4 ms longer than the same
    model finds in the logs as they are. No other family is new.
 
-Real logs are read where MARSARM_DATA points. With --results, an interrupted campaign goes on.
+Real logs are read where MARSARM_DATA points.
 """
 
-import json
 import os
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
@@ -22,8 +20,7 @@ from typing import Final
 import numpy as np
 
 from simgap.arrays import Array
-from simgap.common.errors import RobotError, UserError
-from simgap.common.progress import show_progress
+from simgap.common.errors import RobotError
 from simgap.diagnosis import diagnose
 from simgap.loading import load
 from simgap.logs import Logs, Motion, Signal
@@ -34,11 +31,9 @@ from simgap.robot import Robot
 from simgap.selection.checkpoint import Meter
 from simgap.selection.context import start_context
 from simgap.selection.joint_fits import fit_base
-from validation.options import campaign_parser
-from validation.resumable import Result, keep_results
-from validation.robot_cases.draw import draw_case
+from validation.campaigns import Context, Document, keep_results
+from validation.cases.robot_draw import draw_case
 
-EXAMPLE: Final = "example: python -m validation.robot_controls --twins 20"
 NONE_SHARE: Final = 17.0 / 20.0
 ADDED_S: Final = 0.020
 ADDED_TOLERANCE_S: Final = 0.004
@@ -61,7 +56,7 @@ def shuffle_commands(motions: Sequence[Motion], seed: int) -> tuple[Motion, ...]
     return tuple(found)
 
 
-def shuffle_control(robot: Robot, motions: Sequence[Motion], seed: int) -> Result:
+def shuffle_control(robot: Robot, motions: Sequence[Motion], seed: int) -> Document:
     """Check that shuffled commands are refused: by an error, or by a diagnosis without a fitted motion."""
     try:
         found = diagnose(robot, shuffle_commands(motions, seed), seed=seed)
@@ -151,20 +146,20 @@ class Twins:
         model = SimulationResiduals(self._robot, self._second, spacing_s=0.0)
         return model, diagnose(self._robot, self._first, seed=self._seed)
 
-    def diagnose(self, number: int) -> Result:
+    def diagnose(self, number: int) -> Document:
         """Diagnose a twin; return the effects that were named."""
         twin = make_twin(self._second, *self._fitted, number)
         found = diagnose(self._robot, twin, seed=self._seed)
         return {"named": [one.effect for one in found.findings]}
 
 
-def twin_control(named: Sequence[Sequence[str]]) -> Result:
+def twin_control(named: Sequence[Sequence[str]]) -> Document:
     """Count how many twins end as none."""
     none = sum(not one for one in named)
     return {"none": none, "of": len(named), "named": named, "in_bounds": none >= NONE_SHARE * len(named)}
 
 
-def delay_control(robot: Robot, logs: Logs, seed: int) -> Result:
+def delay_control(robot: Robot, logs: Logs, seed: int) -> Document:
     """Compare the delays of logs with those of logs whose positions are later."""
     later = delay_positions(logs.motions, ADDED_S)
     before, after = diagnose(robot, logs.motions, seed=seed), diagnose(robot, later, seed=seed)
@@ -192,10 +187,10 @@ def load_real(name: str, file: str) -> tuple[Robot, Logs] | None:
     return robot, load(robot, path)
 
 
-def list_controls(seed: int, twins: int) -> dict[str, Callable[[], Result]]:
+def list_controls(seed: int, twins: int) -> dict[str, Callable[[], Document]]:
     """List the controls by name, with the work of each; those of the XL330 only where its logs are."""
     robot, logs, _ = draw_case(seed, "single", "two_joint")
-    controls: dict[str, Callable[[], Result]] = {
+    controls: dict[str, Callable[[], Document]] = {
         "shuffled": partial(shuffle_control, robot, logs.motions, seed)
     }
     xl330 = load_real("xl330", "xl330.parquet")
@@ -207,30 +202,21 @@ def list_controls(seed: int, twins: int) -> dict[str, Callable[[], Result]]:
     return controls
 
 
-def main() -> int:
-    """Print the controls as JSON; exit status 1 if one is out of its bounds."""
-    parser = campaign_parser("robot_controls", __doc__, EXAMPLE, with_pool=False)
-    parser.add_argument("--twins", type=int, default=20, help="twins (default 20)")
-    parser.add_argument("--only", default="", help="beginning of the names of the controls to carry out")
-    parser.add_argument("--results", type=Path, help="file of results, from which the campaign goes on")
-    options = parser.parse_args()
-    every = list_controls(options.seed, options.twins)
-    controls = {name: work for name, work in every.items() if name.startswith(options.only)}
-    document: dict[str, Result] = {}
-    try:
-        with keep_results(options.results, options.seed) as once, show_progress() as progress:
-            for done, (name, work) in enumerate(controls.items()):
-                progress(done, len(controls), name)
-                document[name] = once(name, work)
-    except UserError as error:
-        print(error, file=sys.stderr)
-        return 2
+def campaign(context: Context, twins: int = 20, only: str = "") -> Document:
+    """Carry out the controls whose names begin so.
+
+    Args:
+        context: Its file keeps results, from which an interrupted campaign goes on.
+        twins: Number of twins.
+        only: Beginning of the names.
+    """
+    controls = {n: w for n, w in list_controls(context.seed, twins).items() if n.startswith(only)}
+    document: Document = {}
+    with keep_results(context.out, context.seed) as once:
+        for done, (name, work) in enumerate(controls.items()):
+            context.progress(done, len(controls), name)
+            document[name] = once(name, work)
     named = [document.pop(name)["named"] for name in controls if name.startswith(TWIN)]
     if named:
         document["twins, XL330"] = twin_control(named)
-    print(json.dumps(document, indent=2))
-    return 0 if all(one["in_bounds"] for one in document.values()) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return {**document, "in_bounds": all(one["in_bounds"] for one in document.values())}

@@ -1,27 +1,35 @@
-"""Campaign of the scenarios: each on the nominal arm, on calibrated and on as-built arms, on a tilted rover.
+"""Campaigns of the scenarios: each is done on many arms, and the log of each replays with equal outputs.
 
 The tilt is the largest that the requirement allows, in a random direction: 30 deg to place an instrument,
-20 deg to take and move samples. Every arm is taught its places.
+20 deg to take and move samples. Every arm is taught its places. The rate of a replay is relative to real
+time, and to the run that it replays.
 """
 
-import json
-import sys
+import time
 from dataclasses import asdict, dataclass
+from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.faults import Fault
 from fsw.estimate.reference import Reference
-from marsarm.common.pool import Runner, in_order
+from marsarm.replay.replay import ReplayRequest, replay
+from marsarm.replay.tables import verdict_line
+from marsarm.runs.request import RunFiles, RunRequest
+from marsarm.runs.scenario import run_scenario
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop
-from sim.scenario.data import Scenario
 from sim.scenario.file import built_in_scenarios, load_scenario
 from sim.scenario.run import ScenarioRun, scenario_setup
 from sim.scenario.teaching import teach
 from sim.sequence import Outcome
-from validation.options import campaign_parser, campaign_runner
+from simgap.common.errors import BadRequest
+from simgap.common.progress import no_progress
+from validation.campaigns import Context, Document
 
 TILT_DEG = {"contact-science": 30.0, "tool-change": 30.0}
 """Tilt in scenarios that place an instrument."""
@@ -58,12 +66,7 @@ def run_scenario_on(name: str, scenario_name: str, reference: Reference) -> Scen
     roll = float(np.arcsin(np.sin(tilt) * np.sin(heading)))
     pitch = float(np.arctan(np.tan(tilt) * np.cos(heading)))
     scenario = load_scenario(scenario_name).tilted(roll, pitch)
-    return _run(scenario, name, seed, reference)
-
-
-def _run(scenario: Scenario, name: str, seed: int, reference: Reference) -> ScenarioOutcome:
-    arm = arm_named(name)
-    arm = teach(arm, reference, scenario.taught, scenario.world)
+    arm = teach(arm_named(name), reference, scenario.taught, scenario.world)
     loop = ClosedLoop(scenario_setup(scenario, arm, reference, seed))
     run = ScenarioRun(loop, scenario)
     for _ in run:
@@ -92,7 +95,7 @@ def in_bounds(case: ScenarioOutcome) -> bool:
     return case.outcome == Outcome.DONE if case.arm.startswith("as-built") else case.passed
 
 
-def summary(ran: list[ScenarioOutcome]) -> dict[str, object]:
+def summary(ran: list[ScenarioOutcome]) -> Document:
     """Summarize outcomes by kind of arm and scenario: counts, ranges of measured values, and failures."""
     table: dict[str, dict[str, object]] = {}
     for kind in sorted({r.arm.partition(":")[0] for r in ran}):
@@ -112,43 +115,82 @@ def summary(ran: list[ScenarioOutcome]) -> dict[str, object]:
     return {"table": table, "failed": failed, "in_bounds": all(map(in_bounds, ran))}
 
 
-def document(
-    calibrated: int, as_built: int, seed: int, run: Runner, only: str | None = None
-) -> dict[str, object]:
+def campaign(context: Context, calibrated: int = 20, as_built: int = 20, only: str = "") -> Document:
     """Run every scenario, or only one, on the nominal arm and on this many others."""
-    names = (only,) if only else tuple(built_in_scenarios())
     arms = ["nominal"]
-    arms += [f"calibrated:{seed + k}" for k in range(1, calibrated + 1)]
-    arms += [f"as-built:{seed + k}" for k in range(1, as_built + 1)]
-    ran: list[ScenarioOutcome] = []
-    for k, found in enumerate(in_order(run, run_on_arm, ((arm, names) for arm in arms)), start=1):
-        ran += found
-        failed = [
-            f"{case.scenario}: {', '.join(case.failed) or case.outcome}" for case in found if not case.passed
-        ]
-        print(
-            f"{k} of {len(arms)}, {arms[k - 1]}: {'; '.join(failed) or 'passed'}",
-            file=sys.stderr,
-            flush=True,
+    arms += [f"calibrated:{context.seed + k}" for k in range(1, calibrated + 1)]
+    arms += [f"as-built:{context.seed + k}" for k in range(1, as_built + 1)]
+    ran = context.each(run_on_arm, ((arm, choose(only)) for arm in arms), "arms")
+    return summary([case for found in ran for case in found])
+
+
+def choose(only: str) -> tuple[str, ...]:
+    """Return the names of all scenarios, or one; BadRequest if it is none."""
+    if only and only not in built_in_scenarios():
+        raise BadRequest(f"set only: there are {', '.join(built_in_scenarios())}")
+    return (only,) if only else tuple(built_in_scenarios())
+
+
+REPLAY_TILT_DEG = (6.0, -4.0)
+"""Roll and pitch of the rover, with arms other than the nominal one."""
+NOT_REPLAYED = "not replayed"
+"""Outcome of a run that was refused, or whose log was refused; it counts as not identical."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayOutcome:
+    """Scenario on an arm and its replay."""
+
+    scenario: str
+    arm: str
+    outcome: str
+    verdict: str
+    identical: bool
+    ticks: int
+    log_bytes: int
+    times_real_time: float
+    times_the_run: float
+
+
+def replay_one(scenario: str, arm: str) -> ReplayOutcome:
+    """Run a scenario on an arm, record it, and replay its log."""
+    with TemporaryDirectory() as folder:
+        log = Path(folder) / "run.mcap"
+        seed = int(arm.partition(":")[2] or 0)
+        tilt_deg = None if arm == "nominal" else REPLAY_TILT_DEG
+        try:
+            ran = run_scenario(RunRequest(scenario, arm, tilt_deg, seed, files=RunFiles(log)), no_progress)
+            began = time.perf_counter()
+            found = replay(ReplayRequest(log), no_progress).differences
+        except BadRequest as error:
+            return ReplayOutcome(scenario, arm, NOT_REPLAYED, str(error), False, 0, 0, 0.0, 0.0)
+        rate = found.ticks[0] / CYCLE_HZ / (time.perf_counter() - began)
+        return ReplayOutcome(
+            scenario=scenario,
+            arm=arm,
+            outcome=str(ran.execution.result.outcome),
+            verdict=verdict_line(found),
+            identical=found.identical and found.tolerance == 0.0,
+            ticks=found.ticks[0],
+            log_bytes=log.stat().st_size,
+            times_real_time=rate,
+            times_the_run=rate / ran.execution.realtime_factor,
         )
-    return summary(ran)
 
 
-def main() -> int:
-    """Print the result as JSON; return 1 if a scenario is out of its bounds."""
-    parser = campaign_parser(
-        "scenarios", __doc__, "example: python -m validation.scenarios --calibrated 2 --as-built 0"
-    )
-    parser.add_argument("--calibrated", type=int, default=20, help="calibrated arms (default %(default)s)")
-    parser.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
-    parser.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
-    options = parser.parse_args()
-    found = document(
-        options.calibrated, options.as_built, options.seed, campaign_runner(options), options.only
-    )
-    print(json.dumps(found, indent=2))
-    return 0 if found["in_bounds"] else 1
+def replays(context: Context, arms: int = 3, only: str = "") -> Document:
+    """Record and replay scenarios on the nominal arm and on this many of each other kind."""
+    others = [f"{k}:{context.seed + n}" for n in range(1, arms + 1) for k in ("calibrated", "as-built")]
+    return summarize(context.each(replay_one, product(choose(only), ["nominal", *others]), "replays"))
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def summarize(ran: list[ReplayOutcome]) -> Document:
+    """Count the requested runs, and those that replay identically."""
+    return {
+        "requested": len(ran),
+        "replayed": sum(r.outcome != NOT_REPLAYED for r in ran),
+        "identical": sum(r.identical for r in ran),
+        "ticks": sum(r.ticks for r in ran),
+        "runs": [asdict(r) for r in ran],
+        "in_bounds": all(r.identical for r in ran),
+    }

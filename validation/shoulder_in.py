@@ -6,12 +6,9 @@ position of the drill is predicted from the encoders after the hardstop initiali
 the backlash side at the hardstop for every joint, the other uses the estimate of flight software.
 """
 
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -22,16 +19,15 @@ from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.statics import settle, settle_output
 from marsarm.calibration.campaign import PAPER_GROUPS, SHOULDER_IN_SHARE
-from marsarm.common.pool import Runner, in_order
 from marsarm.render.svg import save_figure
 from sim.arms import BuiltArm, arm_named
 from sim.effects.structure import StandInTurret
 from sim.initialisation import initial_reference
 from sim.pose_sequence import RestState, pose_in_workspace, visit_poses
 from sim.world import World
-from validation.options import campaign_parser, campaign_runner
+from simgap.common.errors import BadOutput, BadRequest
+from validation.campaigns import Context, Document
 
-EXAMPLE = "example: python -m validation.shoulder_in --picture docs/shoulder-in.png"
 POSES: Final = PAPER_GROUPS[0].count
 """Number of poses in each group."""
 MOST_LEFT: Final = 0.1
@@ -86,13 +82,18 @@ def _load(index: int) -> tuple[float, float]:
     return group.turret_kg, group.roll_rad
 
 
-def predictions(
-    seed: int, run: Runner, poses: int = POSES, groups: int = len(PAPER_GROUPS)
-) -> list[list[Prediction]]:
-    """Predict the first groups, or all."""
-    reference = initial_reference(arm_named("nominal"), seed)
-    one_group = partial(group, seed=seed, poses=poses, reference=reference)
-    return list(in_order(run, one_group, ((number,) for number in range(groups))))
+def campaign(context: Context, poses: int = POSES, groups: int = len(PAPER_GROUPS)) -> Document:
+    """Predict the first groups, or all, and draw the picture where one is wanted."""
+    if not 1 <= groups <= len(PAPER_GROUPS) or poses < 2:
+        raise BadRequest(f"set: groups are 1 .. {len(PAPER_GROUPS)}, poses 2 or more")
+    reference = initial_reference(arm_named("nominal"), context.seed)
+    one_group = partial(group, seed=context.seed, poses=poses, reference=reference)
+    found = context.each(one_group, ((number,) for number in range(groups)), "groups")
+    if context.out is not None:
+        problem = save_figure(context.out, (11, 4.2), 110, partial(draw, found))
+        if problem is not None:
+            raise BadOutput(problem)
+    return summary(found)
 
 
 def _predict(config: Config, s: RestState, shoulder_in: bool) -> Prediction:
@@ -105,8 +106,8 @@ def _predict(config: Config, s: RestState, shoulder_in: bool) -> Prediction:
     return Prediction(shoulder_in, error_mm[0], error_mm[1], int(np.count_nonzero(s.true_side < 0)))
 
 
-def document(groups: Sequence[Sequence[Prediction]]) -> dict[str, Any]:
-    """Return the mean errors as a JSON document."""
+def summary(groups: Sequence[Sequence[Prediction]]) -> Document:
+    """Return the mean errors."""
     every = [p for poses in groups for p in poses]
     found = {
         name: {
@@ -124,62 +125,20 @@ def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values))
 
 
-def draw(groups: Sequence[Sequence[Prediction]], path: Path) -> None:
+def draw(groups: Sequence[Sequence[Prediction]], figure: Any) -> None:
     """Draw both prediction errors over the poses, as in the figure of the paper."""
-
-    def draw_figure(figure: Any) -> None:
-        axes = figure.subplots()
-        every = [p for poses in groups for p in poses]
-        number = np.arange(1, len(every) + 1)
-        for k, poses in enumerate(groups):
-            inside = sum(p.shoulder_in for p in poses)
-            last = (k + 1) * len(poses) + 0.5
-            axes.axvspan(last - inside, last, color="0.92", label="shoulder-in" if k == 0 else None)
-            mass_kg, roll_rad = _load(k)
-            axes.text(
-                k * len(poses) + 1,
-                0.97,
-                f"{mass_kg:g} kg, roll {np.degrees(roll_rad):.0f} deg",
-                va="top",
-                fontsize=8,
-                transform=axes.get_xaxis_transform(),
-            )
-        for name, colour, label in SERIES:
-            error_mm = [getattr(p, name) for p in every]
-            axes.plot(number, error_mm, ".-", color=colour, linewidth=0.6, label=label)
-        axes.set(
-            xlabel="pose",
-            ylabel="position error of the drill [mm]",
-            xlim=(0, len(every) + 1),
-            ylim=(0, None),
-        )
-        figure.legend(loc="outside lower center", ncols=3, fontsize=9)
-
-    problem = save_figure(path, (11, 4.2), 110, draw_figure)
-    if problem is not None:
-        print(f"marsarm: {problem}", file=sys.stderr)
-
-
-def main() -> int:
-    """Print the means as JSON, and draw the picture; return 1 if the estimate helps too little."""
-    parser = campaign_parser("shoulder_in", __doc__, EXAMPLE)
-    parser.add_argument("--picture", type=Path, help="file for the picture, .png")
-    parser.add_argument("--poses", type=int, default=POSES, help="poses in each group (default %(default)s)")
-    parser.add_argument(
-        "--groups", type=int, default=len(PAPER_GROUPS), help="number of groups (default %(default)s)"
-    )
-    options = parser.parse_args()
-    if not 1 <= options.groups <= len(PAPER_GROUPS):
-        parser.error(f"groups: {options.groups} is not within 1 .. {len(PAPER_GROUPS)}")
-    if options.poses < 2 or options.seed < 0:
-        parser.error("poses are 2 or more, the seed is not negative")
-    groups = predictions(options.seed, campaign_runner(options), options.poses, options.groups)
-    if options.picture is not None:
-        draw(groups, options.picture)
-    found = document(groups)
-    print(json.dumps(found, indent=2))
-    return 0 if found["in_bounds"] else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    axes = figure.subplots()
+    every = [p for poses in groups for p in poses]
+    number = np.arange(1, len(every) + 1)
+    for k, poses in enumerate(groups):
+        inside = sum(p.shoulder_in for p in poses)
+        last = (k + 1) * len(poses) + 0.5
+        axes.axvspan(last - inside, last, color="0.92", label="shoulder-in" if k == 0 else None)
+        mass_kg, roll_rad = _load(k)
+        text, top = f"{mass_kg:g} kg, roll {np.degrees(roll_rad):.0f} deg", axes.get_xaxis_transform()
+        axes.text(k * len(poses) + 1, 0.97, text, va="top", fontsize=8, transform=top)
+    for name, colour, label in SERIES:
+        axes.plot(number, [getattr(p, name) for p in every], ".-", color=colour, linewidth=0.6, label=label)
+    axes.set(xlabel="pose", ylabel="position error of the drill [mm]")
+    axes.set(xlim=(0, len(every) + 1), ylim=(0, None))
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9)

@@ -1,42 +1,47 @@
 """Campaign of tool changes: distance of the second tool from the spot of the first, against absolute moves.
 
-Calibrated arms are 50 K warmer or colder than their sensor tells, and all their springs are a fifth
-softer or stiffer. The APXS is placed, and the tool changed to MAHLI. On the same arm and target, MAHLI is
-also placed by coordinates alone. As-built arms are flown with the nominal parameters.
+Calibrated arms are 50 K warmer or colder than their sensor tells, and all their springs are a fifth softer or
+stiffer. The APXS is placed, and the tool changed to MAHLI. On the same arm and target, MAHLI is also placed
+by coordinates alone. As-built arms are flown with the nominal parameters.
 
 Every target counts at which flight software accepts to place the APXS. A refused change is compared with an
-independent search for a clear way (validation/clear_way.py).
+independent search for a clear way by other code than that of flight software, in MuJoCo's geometry: the rock
+is an infinite plane at the true face. The arm retracts straight, turns with even joint rates to the standoff
+of the second tool, and goes straight on to the face.
 """
 
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Literal
+from typing import Any, Final, Literal
 
+import mujoco
 import numpy as np
 
+from fsw.config import Config
 from fsw.dictionary.commands import AUTO, Command, Retract, ToolChange
 from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
 from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
+from fsw.kinematics.closed_form import BRANCHES
+from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from fsw.motion.plan import Compensation
 from fsw.motion.plan_tool import start_line
-from marsarm.common.pool import Runner, in_order
 from sim.arms import SPRING_FRAMES, BuiltArm, arm_named
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError, Warming
 from sim.effects.joints import GearStiffness
 from sim.effects.structure import LinkStiffness
+from sim.frames import FLIP
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import place_command, random_placement
+from sim.plant import Plant
 from sim.sequence import run_sequence
-from sim.world import World
-from validation.clear_way import find_clear_way, reaches
-from validation.options import campaign_parser, campaign_runner
+from sim.world import World, build, lower_ground
+from validation.campaigns import Context, Document
 
 WARMING_K = 50.0
 STIFFNESS = 1.2
@@ -172,7 +177,7 @@ def _lateral_mm(difference_m: Array, axis: Array) -> float:
     return 1e3 * float(np.linalg.norm(difference_m - (difference_m @ axis) * axis))
 
 
-def summary(tried: list[ToolChangeErrors | NotChanged]) -> dict[str, object]:
+def summary(tried: list[ToolChangeErrors | NotChanged]) -> Document:
     """Count the outcomes; three times the root mean square of each lateral distance, and the largest."""
     changes = [one for one in tried if isinstance(one, ToolChangeErrors)]
     others = [one for one in tried if isinstance(one, NotChanged)]
@@ -198,16 +203,12 @@ def summary(tried: list[ToolChangeErrors | NotChanged]) -> dict[str, object]:
     return {**counts, **named}
 
 
-def document(calibrated: int, as_built: int, seed: int, run: Runner, poses: int = POSES) -> dict[str, object]:
+def campaign(context: Context, calibrated: int = 50, as_built: int = 20, poses: int = POSES) -> Document:
     """Measure tool changes of this many arms."""
     tried: dict[str, list[ToolChangeErrors | NotChanged]] = {}
     for kind, count in (("calibrated", calibrated), ("as-built", as_built)):
-        tried[kind] = []
-        arms = in_order(run, one_arm, ((kind, seed + k, poses) for k in range(count)))
-        for k, one in enumerate(arms, start=1):
-            tried[kind].extend(one)
-            print(f"\rtool changes, {kind}: {k} of {count} arms", end="", file=sys.stderr)
-        print(file=sys.stderr)
+        arms = context.each(one_arm, ((kind, context.seed + k, poses) for k in range(count)), f"{kind} arms")
+        tried[kind] = [change for arm in arms for change in arm]
     measured = {kind: summary(found) for kind, found in tried.items() if found}
     return {**measured, "in_bounds": _is_in_bounds(tried["calibrated"])}
 
@@ -224,21 +225,137 @@ def _is_in_bounds(tried: list[ToolChangeErrors | NotChanged]) -> bool:
     return near and few_fail and few_refused and all(one.clear_way is None for one in refused)
 
 
-def main() -> int:
-    """Print the result as JSON; return 1 if a calibrated arm is too far from the spot, or fails."""
-    parser = campaign_parser("tool_change", __doc__, "example: python -m validation.tool_change --as-built 0")
-    parser.add_argument("--calibrated", type=int, default=50, help="calibrated arms (default %(default)s)")
-    parser.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
-    parser.add_argument(
-        "--poses", type=int, default=POSES, help="tool changes of each arm (default %(default)s)"
-    )
-    options = parser.parse_args()
-    found = document(
-        options.calibrated, options.as_built, options.seed, campaign_runner(options), options.poses
-    )
-    print(json.dumps(found, indent=2))
-    return 0 if found["in_bounds"] else 1
+RETRACTIONS_M: Final = np.arange(0.10, 0.501, 0.05)
+SPACING_RAD: Final = 0.02
+LINE_POSES: Final = 6
+UNCHECKED: Final = {"link2", "link3"}
+"""Bodies that may be below the plane: rock is not endless."""
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def reaches(config: Config, tool: str, p_R_m: Array, approach_R: Array, gravity: Array) -> bool:
+    """Return whether any branch reaches the face with a tool, and 0.1 m in front of it."""
+    return bool(_valid_poses(config, tool, p_R_m, approach_R, gravity, 0.1))
+
+
+def find_clear_way(
+    arm: BuiltArm,
+    world: World,
+    config: Config,
+    tools: tuple[str, str],
+    start_rad: Array,
+    p_R_m: Array,
+    approach_R: Array,
+) -> str | None:
+    """Find a branch and a retraction that are clear by flight software's padding.
+
+    Args:
+        arm: Arm with its flight parameters.
+        world: World with the face.
+        config: Configuration of flight software.
+        tools: Touching tool, and the tool that is to touch next.
+        start_rad: Outputs in contact, (5,).
+        p_R_m: Point of contact in RMECH, (3,).
+        approach_R: Unit approach, (3,).
+
+    Returns:
+        The branch and the retraction in words, or None.
+    """
+    plant, gravity = _plant_with_plane(arm, world, config.params.collision.padding_m), world.gravity_N_m_s2
+    first, second = tools
+    for retraction_m in RETRACTIONS_M:
+        back = _follow(config, first, p_R_m, approach_R, gravity, retraction_m, start_rad)
+        if back is None or not _is_clear(plant, config, gravity, back, first):
+            continue
+        for branch, pose in _valid_poses(config, second, p_R_m, approach_R, gravity, retraction_m):
+            turn = _between(back[:, -1], pose)
+            onward = _follow(config, second, p_R_m, approach_R, gravity, retraction_m, pose, onward=True)
+            if onward is None or not _is_clear(plant, config, gravity, turn, None):
+                continue
+            if _is_clear(plant, config, gravity, onward, second):
+                return f"{branch} after {1e3 * retraction_m:.0f} mm"
+    return None
+
+
+def _plant_with_plane(arm: BuiltArm, world: World, padding_m: float) -> Plant:
+    """Build a plant whose rock is an infinite plane, and whose contacts begin at the padding."""
+    face = world.surface
+    assert face is not None
+    spec = build(replace(world, surface=None), arm.model)
+    lower_ground(spec, -world.ground_N_m)
+    z, quat = FLIP * np.array(face.normal_N), np.zeros(4)
+    mujoco.mju_quatZ2Vec(quat, z / np.linalg.norm(z))
+    spec.worldbody.add_geom(
+        name="rock_face",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=(0, 0, 1),
+        pos=FLIP * np.array(face.p_N_m),
+        quat=quat,
+        contype=2,
+        conaffinity=1,
+    )
+    for geom in spec.geoms:
+        geom.margin = 0.5 * padding_m
+    return Plant(spec.compile())
+
+
+def _valid_poses(
+    config: Config, tool: str, p_R_m: Array, approach_R: Array, gravity: Array, distance_m: float
+) -> list[tuple[str, Array]]:
+    """Return branches and outputs at a distance from the face from which the face is reached too."""
+    distances = np.array([distance_m, 0.0])
+    p = p_R_m[:, None] - approach_R[:, None] * distances
+    found = inverse_kinematics(config.arm, tool, p, np.tile(approach_R[:, None], 2), gravity)
+    valid = np.all(found.verdict == BranchVerdict.VALID, axis=-1)
+    return [(BRANCHES[k % len(BRANCHES)], found.output_rad[:, k, 0]) for k in np.flatnonzero(valid)]
+
+
+def _follow(
+    config: Config,
+    tool: str,
+    p_R_m: Array,
+    approach_R: Array,
+    gravity: Array,
+    distance_m: float,
+    near_rad: Array,
+    onward: bool = False,
+) -> Array | None:
+    """Return outputs (5, n) on the line away from the face, or onward to it, from a pose; None if it ends."""
+    distances = np.linspace(0.0, distance_m, LINE_POSES)
+    poses = [near_rad]
+    for away in distances[::-1] if onward else distances:
+        found = inverse_kinematics(config.arm, tool, p_R_m - away * approach_R, approach_R, gravity)
+        valid = found.verdict == BranchVerdict.VALID
+        if not valid.any():
+            return None
+        far = np.abs(found.output_rad - poses[-1][:, None]).max(axis=0)
+        nearest = int(np.where(valid, far, np.inf).argmin())
+        if far[nearest] > 0.6:
+            return None
+        poses.append(found.output_rad[:, nearest])
+    return np.array(poses[1:]).T
+
+
+def _between(start: Array, end: Array) -> Array:
+    count = int(np.abs(end - start).max() / SPACING_RAD) + 2
+    return start[:, None] + np.linspace(0.0, 1.0, count) * (end - start)[:, None]
+
+
+def _is_clear(plant: Plant, config: Config, gravity: Array, outputs: Array, touching: str | None) -> bool:
+    """Return whether no geoms but those of the touching tool are closer than the padding at these poses."""
+    at_rest = settle_output(config.arm, outputs, gravity)
+    for output, strain in zip(outputs.T, np.moveaxis(at_rest.strain, -1, 0), strict=True):
+        plant.show(output, strain)
+        mujoco.mj_collision(plant.model, plant.data)
+        if any(_matters(plant, contact, touching) for contact in plant.data.contact):
+            return False
+    return True
+
+
+def _matters(plant: Plant, contact: Any, touching: str | None) -> bool:
+    """Return whether a close pair of geoms counts; upper arm and forearm may be near the endless plane."""
+    model = plant.model
+    bodies = {model.body(model.geom_bodyid[geom]).name for geom in contact.geom}
+    if touching is not None and touching.lower() in bodies:
+        return False
+    with_face = "rock_face" in {model.geom(geom).name for geom in contact.geom}
+    return not (with_face and bodies & UNCHECKED)

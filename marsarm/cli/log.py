@@ -148,7 +148,7 @@ def import_log(
 ) -> VerbResult:
     """Convert telemetry of another system, a table with named columns, into a log.
 
-    docs/import.md describes the mapping. Missing values are not invented: the log has no unmapped channel.
+    docs/logs.md describes the mapping. Missing values are not invented: the log has no unmapped channel.
     A packet that lacks a field is written under /imported/ with the fields that it has.
 
     Example: marsarm log import arm.csv arm.toml arm.mcap

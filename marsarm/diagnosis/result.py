@@ -13,6 +13,7 @@ from marsarm.diagnosis.diagnose import MAX_MEMBERS, Diagnosis, Finding, LackOfFi
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.problem import LOG_UNIT, Hypothesis
 from simgap import Trace
+from simgap.common import report
 from simgap.common.console import plain_console, pluralize
 
 MAX_LISTED: Final = 10
@@ -67,17 +68,17 @@ def finite_or_none(value: float) -> float | None:
 def to_json(result: DiagnosisResult) -> dict[str, Any]:
     """Return the result document; docs/diagnosis.md explains its keys."""
     diagnosis, tool = result.diagnosis, result.tool
-    document: dict[str, Any] = _without_infinity({
+    document: dict[str, Any] = report.to_json({
         "verdict": diagnosis.verdict,
         "effects": [_finding_json(result, finding) for finding in diagnosis.findings],
-        "residual_map": [asdict(cell) for cell in diagnosis.residual_map],
-        "closure": None if result.closure is None else asdict(result.closure),
-        "next_motion": [asdict(motion) for motion in result.next_motion],
+        "residual_map": diagnosis.residual_map,
+        "closure": result.closure,
+        "next_motion": result.next_motion,
         "unexplained": {
             "has_remainder": diagnosis.has_remainder,
             "neg_log10_p": diagnosis.unexplained[0].neg_log10_p,
             "limit": result.model.lack_of_fit_limit,
-            "groups": [asdict(one) for one in diagnosis.unexplained[:MAX_LISTED]],
+            "groups": diagnosis.unexplained[:MAX_LISTED],
         },
         "tool_mm": tool and {name.removesuffix("_mm"): mm for name, mm in asdict(tool).items()},
         "notes": result.notes,
@@ -96,10 +97,10 @@ def _finding_json(result: DiagnosisResult, finding: Finding) -> dict[str, Any]:
 
     return {
         **named(finding.hypothesis),
-        "family": str(result.model.families[finding.hypothesis]),
+        "family": result.model.families[finding.hypothesis],
         "level": finding.level,
         "places": finding.places,
-        "families": list(map(str, finding.families)),
+        "families": finding.families,
         "effects": [named(one) for one in finding.effects],
         "parameters": [
             {
@@ -118,15 +119,6 @@ def _finding_json(result: DiagnosisResult, finding: Finding) -> dict[str, Any]:
         "alternatives": [{**named(one.hypothesis), "p": one.p} for one in finding.alternatives[1:]],
         "aliases": [named(one) for one in finding.equivalence_class if one != finding.hypothesis],
     }
-
-
-def _without_infinity(value: Any) -> Any:
-    """Convert a document to what JSON can hold, with None for NaN and infinity."""
-    if isinstance(value, dict):
-        return {key: _without_infinity(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_without_infinity(one) for one in value]
-    return finite_or_none(value) if isinstance(value, float) else value
 
 
 def verdict_lines(result: DiagnosisResult) -> tuple[tuple[str, str], ...]:

@@ -48,8 +48,6 @@ class Selection:
     chosen: tuple[int, ...]
     departures: tuple[Array, ...]
     """Amplitudes of each in typical sizes, (n,)."""
-    deviance: float
-    """Deviance with these effects, nuisances free."""
     null_deviance: float
     """Deviance without effect, nuisances free."""
     n_distinct: float
@@ -148,11 +146,10 @@ def select(
     found = select_effects(residuals, (), effects, seed=seed, n_kinds=KINDS_OF_TEST)
     chosen = [one for one in found.chosen.effects if isinstance(one, FeatureEffect)]
     union, sizes = found.context.union, found.chosen.sizes
-    before, after = (np.concatenate([fit.residuals for fit in of.fits]) for of in (found.base, found.chosen))
+    before = np.concatenate([fit.residuals for fit in found.base.fits])
     return Selection(
         tuple(one.index for one in chosen),
         tuple(sizes[union.columns([one])] for one in chosen),
-        float(after @ after),
         float(before @ before),
         found.context.n_distinct,
         sensitivities,

@@ -1,52 +1,122 @@
-"""Tests of the brief campaigns: each campaign has one, and failed and skipped campaigns are distinguished."""
+"""Tests of the command of all campaigns, and of their brief form."""
 
-import re
-import sys
+import json
 from pathlib import Path
 
 import pytest
 
-from validation.brief import BRIEFS, Brief, main, run
+from simgap.common.errors import BadRequest
+from validation import campaigns
+from validation.__main__ import main
+from validation.campaigns import TABLE, Campaign, Context, find_campaign, keep_results, read_sizes
+from validation.programs import BriefResult
 
-ROOT = Path(__file__).parents[2]
-WHOLE = {
-    "jobs": ("scenarios", "tool_change", "contact", "faults"),
-    "blind": ("blind.brief",),
-    "robot_cases": ("robot_cases.brief",),
-    "joints": ("hardstops", "backlash", "shoulder_in"),
+WITHOUT_A_BRIEF_FORM = {
+    *("benchmarks", "brief", "cluster", "examples", "mutants", "robot-baselines", "robot-engine", "so101"),
+    *("rerun-blueprint", "view"),
 }
-OTHERWISE = {"brief", "fuzz", "benchmarks", "cluster", "requirements", "robot_engine", "view"}
-"""The list of brief campaigns itself, the fuzzer, which takes a minute, benchmarks of speed, the cluster,
-which needs Ray, requirements, which are measured by other campaigns, and the view, which needs Chromium."""
+"""Measurements of speed, lists of other campaigns, and what needs optional programs."""
+OPTIONAL = {"rerun-blueprint"}
+"""Campaigns that import an optional package."""
 
 
-def test_every_campaign_that_make_runs_has_a_brief_version() -> None:
-    makefile = (ROOT / "Makefile").read_text()
-    made = set(re.findall(r"-m validation\.(\w+)", makefile))
-    wanted = {part for name in made - OTHERWISE for part in WHOLE.get(name, (name,))}
-    assert {brief.name for brief in BRIEFS} >= wanted
+def test_every_campaign_has_a_brief_form_or_a_reason() -> None:
+    assert {one.name for one in TABLE if one.brief is None} == WITHOUT_A_BRIEF_FORM
 
 
-def test_a_campaign_that_does_not_know_its_arguments_has_failed() -> None:
-    ended = run(Brief("kinematics", "--targets none"))
-    assert (ended.failed, ended.skipped) == (True, False)
-    assert "invalid int value" in ended.stderr
-    assert ended.line().startswith("kinematics   FAILED")
+@pytest.mark.parametrize("one", [one for one in TABLE if one.name not in OPTIONAL], ids=lambda one: one.name)
+def test_a_campaign_knows_its_sizes(one: Campaign) -> None:
+    sizes = {name: str(value) for name, value in (one.brief or {}).items()}
+    work = one.load()
+    if one.name not in ("robot-baselines", "so101"):  # they have to be told their files
+        assert read_sizes(work, (f"{name}={value}" for name, value in sizes.items())).keys() == sizes.keys()
 
 
-def test_a_campaign_that_lacks_what_it_needs_is_skipped_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("MARSARM_DATA", raising=False)
-    (ur10,) = (brief for brief in BRIEFS if brief.name == "ur10")
-    ended = run(ur10)
-    assert (ended.failed, ended.skipped) == (False, True)
-    assert ended.line().endswith("needs MARSARM_DATA, a folder with the measured poses")
+def test_campaigns_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == len(TABLE)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("arguments", "status"), [("--targets 19 --vectors 19", 0), ("--targets 0", 1)])
-def test_the_exit_status_tells_whether_all_are_in_bounds(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: str, status: int
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["dance"], "dance: is no campaign; `python -m validation` lists them"),
+        (["kinematics", "--set", "speed=3"], "set speed: is not known; there are targets, vectors"),
+        (["kinematics", "--set", "targets=none"], "set targets: 'none' is not int"),
+        (["kinematics", "--set", "targets=-1"], "set targets: -1 is below 0"),
+        (["calibration", "--set", "speed=2"], "set speed: '2' is not bool"),
+        (["robot-baselines"], "set robot: is missing"),
+        (["hardstops", "--set", "joint=KNEE"], "the joint is a name like ELBOW"),
+        (["ur10", "--set", "data=nowhere"], "there is no folder ur10-tracker"),
+    ],
+)
+def test_what_cannot_be_run_is_said(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("in_bounds", "status"), [(True, 0), (False, 1)])
+def test_the_exit_status_tells_whether_a_campaign_is_in_bounds(
+    in_bounds: bool,
+    status: int,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["brief"])
-    assert main([Brief("kinematics", f"{arguments} --workers 1")]) == status
-    assert len(capsys.readouterr().out.splitlines()) == 1
+    document = {"rate": 0.123456, "rows": [1, 2], "part": {"n": 3}, "in_bounds": in_bounds}
+    monkeypatch.setattr(Campaign, "load", lambda _: lambda context: document)
+    assert main(["kinematics", "--json", "--out", str(tmp_path / "found.json")]) == status
+    printed, written = capsys.readouterr().out, (tmp_path / "found.json").read_text()
+    assert json.loads(printed) == json.loads(written) == document
+    assert main(["kinematics"]) == status
+    assert capsys.readouterr().out.splitlines() == ["rate: 0.1235", "part / n: 3", f"in_bounds: {in_bounds}"]
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "verdict"),
+    [("faults", 0, "in bounds"), ("faults", 2, "FAILED"), ("ur10", 2, "skipped"), ("ur10", 1, "FAILED")],
+)
+def test_a_campaign_that_lacks_what_it_needs_is_skipped_and_others_fail(
+    name: str, status: int, verdict: str
+) -> None:
+    ended = BriefResult(find_campaign(name), status, 3.0, "")
+    assert ended.line().startswith(f"{name:<14} {verdict}")
+    assert ("MARSARM_DATA" in ended.line()) == ended.skipped == (verdict == "skipped")
+    assert ended.failed == (verdict == "FAILED")
+
+
+def test_a_campaign_goes_on_after_its_last_result(tmp_path: Path) -> None:
+    done: list[str] = []
+
+    def work(name: str) -> dict[str, str]:
+        done.append(name)
+        return {"found": name}
+
+    for names in (["one", "two"], ["one", "two", "three"]):
+        with keep_results(tmp_path / "results.jsonl", 1) as once:
+            found = [once(name, lambda name=name: work(name)) for name in names]
+    assert found == [{"found": "one"}, {"found": "two"}, {"found": "three"}]
+    assert done == ["one", "two", "three"]
+
+
+def test_results_of_other_code_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with keep_results(tmp_path / "results.jsonl", 1) as once:
+        once("one", dict)
+    monkeypatch.setattr(campaigns, "digest_code", lambda: "another")
+    with (
+        pytest.raises(BadRequest, match="code of the diagnosis"),
+        keep_results(tmp_path / "results.jsonl", 1),
+    ):
+        pass
+
+
+def test_without_a_file_nothing_is_kept() -> None:
+    with keep_results(None, 1) as once:
+        assert once("one", lambda: {"n": 1}) == {"n": 1}
+
+
+def test_jobs_come_back_in_their_order_and_progress_is_told() -> None:
+    told: list[tuple[float, float, str]] = []
+    backwards = Context(run=lambda work, jobs: map(work, reversed(jobs)), progress=lambda *x: told.append(x))
+    assert backwards.each(pow, ((2, 3), (3, 2)), "powers") == [8, 9]
+    assert told == [(1, 2, "powers"), (2, 2, "powers")]

@@ -1,14 +1,14 @@
-"""Random commands in the closed loop; `python -m validation.commands` sends many more."""
+"""Random commands in the closed loop; `python -m validation commands` sends many more."""
 
 import pytest
 
-from marsarm.common.pool import run_here
+from validation.campaigns import Context
 from validation.commands import campaign
 
 
 @pytest.mark.parametrize("seed", [101, 102])
 def test_no_random_command_ends_flight_software_or_moves_anything_when_it_is_refused(seed):
-    found = campaign(1500, seed, run_here)
+    found = campaign(Context(seed), 1500)
     assert found["bugs"] == []
     assert found["cycles"] == 1500
     assert found["accepted"]

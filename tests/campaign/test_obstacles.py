@@ -2,7 +2,7 @@
 
 import pytest
 
-from validation.obstacles import STRAIGHT_N, draw, meet
+from validation.contacts import STRAIGHT_N, draw, meet
 
 STRAIGHT = (10, 31, 34)
 TURNS = (1, 8, 24)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from tests.marks import slow_but
-from validation.requirements.table import (
+from validation.requirements import (
     MEASURED,
     PAGE,
     RequirementRow,

@@ -11,19 +11,33 @@ import pyarrow.parquet as pq
 import pytest
 
 from marsarm.common.pool import run_here
+from marsarm.common.rates import check_rate
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from simgap.loading import load
 from simgap.logs import JointLog, Logs, Motion, Signal
-from validation.robot_cases import solve
-from validation.robot_cases.arms import load_robot
-from validation.robot_cases.draw import DrawnEffect, Truth, draw_case
-from validation.robot_cases.make import INDEX_FILE, log_path
-from validation.robot_cases.motions import HELD_OUT, PLAN, sample_times
-from validation.robot_cases.score import check_rate, score_cases
-from validation.robot_cases.seal import SealedCase, SealedTruth, load_truth, plan_cases, seal
-from validation.robot_cases.write import write_logs, write_robot
+from validation.cases import robot as robot_cases
+from validation.cases.robot import (
+    INDEX_FILE,
+    RobotCases,
+    plan_robot_cases,
+    write_logs,
+    write_robot,
+)
+from validation.cases.robot_draw import DrawnEffect, Truth, draw_case
+from validation.cases.robot_score import SealedCase, score_cases
+from validation.cases.robot_setup import HELD_OUT, PLAN, load_robot, sample_times
+from validation.cases.sealed import (
+    SealedTruth,
+    case_path,
+    load_truth,
+    result_path,
+    seal,
+    solve_cases,
+    write_json,
+)
 
+MAKER = RobotCases(("pendulum",))
 DELAY = DrawnEffect("command delay", "swing", "sensing and timing", 0.004, 0.5, 2.0, ("sensing and timing",))
 CREEP = DrawnEffect("creeping link", "swing", "transmission", 0.01, 0.5, 2.0, ("geometry", "transmission"))
 
@@ -55,15 +69,15 @@ FRICTION = finding("Stribeck friction", "friction")
 
 def test_a_truth_that_was_changed_is_refused(tmp_path: Path) -> None:
     digest = seal(tmp_path, SealedTruth("salt", (case("single", DELAY),)))
-    assert load_truth(tmp_path).digest() == digest
+    assert load_truth(tmp_path, MAKER).digest() == digest
     path = tmp_path / "sealed" / "truth.json"
     path.write_text(path.read_text().replace("0.004", "0.005"))
     with pytest.raises(BadRequest, match="not what was sealed"):
-        load_truth(tmp_path)
+        load_truth(tmp_path, MAKER)
 
 
 def test_a_hundred_and_twenty_cases_have_their_kinds_and_models_in_equal_parts() -> None:
-    plans = plan_cases(120, 7, ("pendulum", "two_joint", "four_joint"))
+    plans = plan_robot_cases(120, 7, ("pendulum", "two_joint", "four_joint"))
     assert Counter(one.kind for one in plans) == {"none": 36, "single": 36, "pair": 24, "outside": 24}
     assert set(Counter((one.kind, one.model) for one in plans).values()) == {12, 8}
     assert min(one.seed for one in plans) >= 1000
@@ -75,15 +89,17 @@ def test_solving_reads_nothing_of_the_truth_and_goes_on_where_it_was_stopped(
     (tmp_path / "cases").mkdir()
     (tmp_path / INDEX_FILE).write_text(json.dumps({"case-000": "pendulum", "case-001": "pendulum"}))
     for name in ("case-000", "case-001"):
-        log_path(tmp_path, name).touch()
-    solve.write_json(solve.solved_path(tmp_path, "case-000"), result())
+        case_path(tmp_path, MAKER, name).touch()
+    (tmp_path / "digest.txt").write_text("00")
+    write_json(result_path(tmp_path, "case-000"), result())
 
     class Nothing:
         findings = remaining = errors = refused = ()
 
     seen: list[Path] = []
-    monkeypatch.setattr(solve, "diagnose_files", lambda robot, log: seen.extend((robot, log)) or Nothing())
-    assert solve.solve_cases(tmp_path, run_here, no_progress) == (1, 2)
+    diagnosed = lambda *paths: seen.extend(paths) or Nothing()  # noqa: E731
+    monkeypatch.setattr(robot_cases, "diagnose_files", diagnosed)
+    assert solve_cases(tmp_path, MAKER, run_here, no_progress) == (1, 2)
     assert [path.relative_to(tmp_path).as_posix() for path in seen] == [
         "robots/pendulum/robot.toml",
         "cases/case-001.parquet",
@@ -96,17 +112,17 @@ def test_a_right_answer_meets_all_bars() -> None:
         (case("single", DELAY), result(TRUE_DELAY)),
         (case("outside", CREEP), result()),
     ]
-    found = score_cases(solved)
+    found = score_cases(solved).document
     assert all(bar["met"] for bar in found["bars"].values())
     assert found["bars"]["right effect"]["hits"] == 1
     assert found["mean set size"] == 2
 
 
 def test_a_wrong_name_of_an_outside_effect_counts_at_each_level_that_it_gives() -> None:
-    bars = score_cases([(case("outside", CREEP), result(FRICTION))])["bars"]
+    bars = score_cases([(case("outside", CREEP), result(FRICTION))]).document["bars"]
     assert [bars[f"outside, wrong {level}"]["hits"] for level in ("place", "family", "effect")] == [0, 1, 1]
     only_place = {**FRICTION, "families": [], "effects": []}
-    bars = score_cases([(case("outside", CREEP), result(only_place))])["bars"]
+    bars = score_cases([(case("outside", CREEP), result(only_place))]).document["bars"]
     assert [bars[f"outside, wrong {level}"]["hits"] for level in ("place", "family", "effect")] == [0, 0, 0]
 
 
@@ -115,7 +131,7 @@ def test_effects_below_the_limit_are_not_counted_as_missed() -> None:
     sealed = SealedCase(
         "case-000", Truth("pendulum", "single", 1000, (small,), {}), ((("command delay", "swing"),),)
     )
-    assert score_cases([(sealed, result())])["bars"]["reported"]["of"] == 0
+    assert score_cases([(sealed, result())]).document["bars"]["reported"]["of"] == 0
 
 
 @pytest.mark.parametrize(("of", "rate", "most"), [(36, 0.05, 4), (24, 0.05, 3), (24, 0.10, 5), (24, 0.15, 7)])

@@ -4,19 +4,21 @@ import numpy as np
 import pytest
 
 from simgap.arrays import Array
-from validation.robot_cases import inside, inside_friction, inside_structure
-from validation.robot_cases.arms import load_robot
-from validation.robot_cases.draw import measure
-from validation.robot_cases.limits import (
+from validation.cases import robot_inside as inside
+from validation.cases import robot_structure as structure
+from validation.cases.robot_draw import measure
+from validation.cases.robot_setup import (
     NOISE_RAD,
+    PERIOD_S,
     QUANTUM_RAD,
+    draw_plan,
     limit_noncentrality,
+    load_robot,
     noise_with_quantisation,
     whiten,
 )
-from validation.robot_cases.motions import PERIOD_S, draw_plan
-from validation.robot_cases.table import ENTRIES, OUTSIDE, list_hypotheses
-from validation.robot_cases.truth import Nuisances, Plant, Scene, no_nuisances
+from validation.cases.robot_table import ENTRIES, OUTSIDE, list_hypotheses
+from validation.cases.robot_truth import Nuisances, Plant, Scene, no_nuisances
 
 PENDULUM = load_robot("pendulum")
 PLAN = draw_plan(PENDULUM, np.random.default_rng(5))
@@ -27,7 +29,7 @@ WEIGHT_NM = 9.81 * (0.5 * 0.12 + 0.05 * 0.07)
 def free_pendulum(friction_Nm: float) -> Plant:
     off = np.zeros(1)
     nuisances = Nuisances(off, off, np.ones(1), off)
-    effects = [inside_friction.Coulomb(PLAN.scene, "swing", friction_Nm)] if friction_Nm else []
+    effects = [inside.Coulomb(PLAN.scene, "swing", friction_Nm)] if friction_Nm else []
     return Plant(PENDULUM, nuisances, effects)
 
 
@@ -73,7 +75,7 @@ def test_a_position_is_not_shown_past_a_clamped_command() -> None:
 
 
 def test_compliance_moves_the_motor_and_not_the_joint_at_rest() -> None:
-    plant = Plant(PENDULUM, no_nuisances(PENDULUM), [inside_structure.Compliance(PLAN.scene, "swing", 0.02)])
+    plant = Plant(PENDULUM, no_nuisances(PENDULUM), [structure.Compliance(PLAN.scene, "swing", 0.02)])
     without = Plant(PENDULUM, no_nuisances(PENDULUM), [])
     both = [one.simulate(held(0.8, 50), PERIOD_S, 1)[0, -1] for one in (plant, without)]
     # the encoder is at the joint: dry friction may hold the two at different angles, 0.06 N m of 12 N m/rad

@@ -10,7 +10,7 @@ from helpers.real_robots import robot_path
 from simgap.common.errors import RobotError
 from simgap.loading import load, read_split
 from simgap.robot import Robot
-from validation.so101_logs import convert
+from validation.so101 import convert
 
 JOINTS = tuple(one.name for one in Robot.from_toml(robot_path("so101")).joints)
 MOTIONS = [

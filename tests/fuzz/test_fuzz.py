@@ -1,4 +1,4 @@
-"""Tests of the log reader and the importer with a few corrupt files; `make fuzz` tries many more."""
+"""Tests of the log reader and the importer with a few corrupt files; the campaign fuzz tries many more."""
 
 import time
 from pathlib import Path

@@ -8,7 +8,7 @@ from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, placement_commands
 from sim.world import Surface, World
-from validation.contact import ContactRest, rest_after
+from validation.contacts import ContactRest, rest_after
 
 POINT_N_M, NORMAL_N = (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85)
 

@@ -13,7 +13,7 @@ from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_ki
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 from tests.tools import tool_index
-from validation.kinematics_samples import Near, vectors
+from validation.kinematics_samples import Near, draw_vectors
 from validation.kinematics_trials import (
     DEFLECTED_M,
     RIGID_M,
@@ -70,7 +70,7 @@ def random_poses(name: str, gravity: str, tool: str, n: int) -> SolvedTargets:
 def near_double_roots(name: str, gravity: str, tool: str, n: int) -> SolvedTargets:
     """Solve targets of joint vectors that are a microradian to a third of a radian from a double root."""
     trial, rng = trial_of(name, gravity, tool), np.random.default_rng([2264, tool_index(tool)])
-    q, near = vectors(trial, rng, 9 * n)
+    q, near = draw_vectors(trial, rng, 9 * n)
     return solve_poses(trial, q[:, np.flatnonzero(near & DOUBLE_ROOT)[:n]])
 
 

@@ -13,7 +13,7 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import to_shoulder_frame
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import config_of, in_limits
-from validation.kinematics_samples import vectors
+from validation.kinematics_samples import draw_vectors
 from validation.kinematics_trials import Trial, skew_tool
 
 N = 1000
@@ -37,7 +37,7 @@ def feet(arm, q):
 
 def hard(arm):
     """Draw joint vectors near and far from double roots."""
-    return vectors(Trial("", arm, "drill", None), np.random.default_rng(2), N)[0]
+    return draw_vectors(Trial("", arm, "drill", None), np.random.default_rng(2), N)[0]
 
 
 def lateral_condition(s, foot, a, q1, sine):

@@ -1,6 +1,6 @@
 """A small edition of the kinematics campaign: 100,000 targets, half of them made from joint vectors.
 
-`make campaign` runs twenty million. What fails here has examples, enough to run each again.
+`make campaign NAME=kinematics` runs twenty million. What fails here has examples, enough to run each again.
 """
 
 import json
@@ -11,8 +11,9 @@ import pytest
 
 from fsw.kinematics.arm import limit_excess
 from tests.tools import TOOLS
-from validation.kinematics import Chunk, Tally, plan_chunks, run_chunk, run_kinematics_campaign
-from validation.kinematics_samples import FARTHEST, NEAREST, Near, log_distances, vectors
+from validation.campaigns import Context
+from validation.kinematics import Chunk, Tally, campaign, plan_chunks, run_chunk
+from validation.kinematics_samples import FARTHEST, NEAREST, Near, draw_vectors, log_distances
 from validation.kinematics_trials import CASES, Trial, arm_of, smallest_singular_value, task_jacobian, trials
 
 EACH = 50_000
@@ -95,7 +96,7 @@ def test_the_small_campaign_is_of_200_000_targets():
 def test_vectors_of_the_campaign_are_inside_their_limits_and_many_are_near_double_roots(case):
     rng = np.random.default_rng(1)
     for trial in trials(case, rng):
-        q, near = vectors(trial, rng, 2000)
+        q, near = draw_vectors(trial, rng, 2000)
         assert (limit_excess(trial.arm, q) <= 0).all()
         for flag in (Near.ELBOW, Near.WRIST, Near.SHOULDER):
             there = (near & flag) > 0
@@ -106,7 +107,7 @@ def test_vectors_of_the_campaign_are_inside_their_limits_and_many_are_near_doubl
 @by_case
 def test_some_vectors_are_measured_from_the_double_roots_of_the_arm_as_it_is(case):
     trial = next(trials(case, np.random.default_rng(2)))
-    q, near = vectors(trial, np.random.default_rng(3), 3000)
+    q, near = draw_vectors(trial, np.random.default_rng(3), 3000)
     assert (smallest_singular_value(trial, q[:, near > 0]) < 1e-4).sum() > 10
 
 
@@ -137,7 +138,7 @@ def test_a_chunk_comes_again_with_its_seed():
 
 @pytest.mark.slow
 def test_the_result_of_a_campaign_is_json_by_case_and_adds_up():
-    result = json.loads(json.dumps(run_kinematics_campaign(100, 100, seed=3)))
+    result = json.loads(json.dumps(campaign(Context(3), 100, 100)))
     assert list(result["cases"]) == [case.name for case in CASES]
     for name in ("targets", "vectors", "failures"):
         assert result[name] == sum(tally[name] for tally in result["cases"].values())

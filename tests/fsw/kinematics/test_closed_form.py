@@ -13,7 +13,7 @@ from fsw.kinematics.statics import task_error, task_jacobian
 from fsw.kinematics.transforms import Pose, rotation_y, wrap_angle
 from tests.fsw.rig import config_of, in_limits
 from tests.tools import TOOLS, tool_index
-from validation.kinematics_samples import vectors
+from validation.kinematics_samples import draw_vectors
 from validation.kinematics_trials import Trial, skew_tool
 
 N = 2000
@@ -127,7 +127,7 @@ def test_no_root_of_an_offset_tool_is_lost_near_the_azimuth_axis(offset_m):
 def test_no_root_of_a_skew_tool_is_lost_next_to_double_roots(seed):
     """The targets have straight elbows, approaches along the pitch axes, or wrists on the azimuth axis."""
     trial = Trial(f"skew:{seed}", skew_tool(seed), TOOL, None)
-    q, near = vectors(trial, np.random.default_rng(seed), 5 * N)
+    q, near = draw_vectors(trial, np.random.default_rng(seed), 5 * N)
     q = q[:, near > 0]
     p, a, clear = targets_of(trial.arm, q)
     roots = closed_form(trial.arm, TOOL, p, a)

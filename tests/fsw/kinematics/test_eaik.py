@@ -1,12 +1,12 @@
 """The rigid arm of the drawing against EAIK, which finds the same roots by another method.
 
-`make oracle` installs it where that is possible; without it these tests are skipped.
+`pip install --no-deps 'eaik>=1.2'` installs it; without it these tests are skipped.
 """
 
 import numpy as np
 import pytest
 
-pytest.importorskip("eaik.pybindings.EAIK", reason="EAIK is not installed; `make oracle` installs it")
+pytest.importorskip("eaik.pybindings.EAIK", reason="EAIK is not installed; pip install --no-deps 'eaik>=1.2'")
 
 from tests.tools import TOOLS, tool_index
 from validation.kinematics_trials import Trial, arm_of

@@ -8,7 +8,7 @@ import pytest
 
 from fsw.kinematics.arm import build_arm
 from marsarm.calibration import execution
-from marsarm.calibration.calibrate import calibrated_params, parameter_text
+from marsarm.calibration.calibrate import calibrated_params, data_sha256, parameter_text
 from marsarm.calibration.campaign_data import save_campaign
 from marsarm.calibration.execution import run_calibration
 from marsarm.calibration.report import calibration_document, calibration_page
@@ -31,7 +31,7 @@ def table(tmp_path_factory):
 def test_the_command_writes_parameters_that_flight_software_loads(table, tmp_path, monkeypatch):
     def fitted(_, given, **__):
         """Return the fit of the same poses that other tests use."""
-        np.testing.assert_array_equal(given.measured.covariance, campaign().measured.covariance)
+        assert data_sha256(given) == data_sha256(campaign())
         return calibration()
 
     monkeypatch.setattr(execution, "calibrate", fitted)
@@ -91,11 +91,3 @@ def test_data_of_an_arm_that_is_not_known_are_refused(tmp_path):
     save_campaign(replace(campaign(), arm_name="flight-unit"), tmp_path / "poses.csv")
     with pytest.raises(BadRequest, match="column arm: arm 'flight-unit' is not known"):
         run_calibration(CalibrateRequest(data=tmp_path / "poses.csv"), quiet)
-
-
-def test_a_wrong_table_ends_with_2_and_writes_nothing(tmp_path):
-    few = campaign().at(campaign().group == 0)
-    save_campaign(replace(few.at(few.group * 0 == 1), arm_name="x"), tmp_path / "none.csv")
-    out = marsarm(tmp_path, "calibrate", "--data", "none.csv", "--out", "arm.toml")
-    assert out.returncode == 2
-    assert not (tmp_path / "arm.toml").exists()

@@ -1,6 +1,5 @@
 """Campaign tables: content is read back, and errors are named with a remedy."""
 
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -48,21 +47,6 @@ def test_a_column_of_texts_and_one_with_gaps_are_named(tmp_path):
 
     with pytest.raises(BadData, match=r"p_x_m: holds string.*\n.*p_y_m: no number in 1 rows, the first is 0"):
         read_campaign(table(tmp_path, damaged))
-
-
-def test_a_file_that_is_no_table_is_refused(tmp_path):
-    path = tmp_path / "poses.parquet"
-    path.write_text("poses")
-    with pytest.raises(BadData, match="cannot be read as a table"):
-        read_campaign(path)
-
-
-def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path):
-    pipe = tmp_path / "poses.csv"
-    os.mkfifo(pipe)
-    for path, words in ((pipe, "is not a regular file"), (tmp_path / "none.csv", "cannot be read")):
-        with pytest.raises(BadData, match=words):
-            read_campaign(path)
 
 
 def with_poses(X: Pose):

@@ -297,6 +297,12 @@ CASES = {
     "log import few.csv empty.toml out.mcap": "channel: is missing",
     "log import nosuch.csv empty.toml out.mcap": "No such file or directory",
     # outputs
+    "view none.mcap": "none.mcap",
+    "view run.mcap --html run.htm": "must end in .html",
+    "view run.mcap --html nowhere/run.html": "there is no folder",
+    "view run.mcap --port 80": "port: 80 is not within 1024 .. 65535",
+    "ik --batch few.csv --out b.npz": "its name must end in .npz or .parquet",
+    "ik --batch nosuch.npz --out b.npz": "cannot be read (No such file or directory)",
     f"place --picture {300 * 'p'}.png": "too long",
     "monte-carlo --results results.csv": "its name must end in .jsonl",
     "place --log nosuch/run.mcap": "there is no folder nosuch",

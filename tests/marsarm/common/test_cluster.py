@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsw.dictionary.enums import Joint
 from marsarm.accuracy.monte_carlo import run_monte_carlo
 from marsarm.accuracy.request import MonteCarloRequest
 from marsarm.common import cluster
@@ -24,8 +23,9 @@ from marsarm.ik.request import IkRequest
 from marsarm.ik.solve import solve
 from simgap.common.errors import BadRequest
 from tests.marsarm.command import marsarm
+from validation.campaigns import Context
 from validation.cluster import LoopbackCluster, list_arms, measure_arms, start_two_nodes
-from validation.hardstops import campaign as find_hardstops
+from validation.joints import hardstops
 
 pytestmark = [
     pytest.mark.slow,
@@ -200,7 +200,7 @@ def test_a_batch_of_inverse_kinematics_is_that_of_one_process(nodes, tmp_path):
 
 
 def test_a_campaign_is_that_of_one_process(run):
-    there, here = (json.dumps(find_hardstops(1, 2, 3, one, (Joint.ELBOW,))) for one in (run, run_here))
+    there, here = (json.dumps(hardstops(Context(3, one), 1, 2, "ELBOW")) for one in (run, run_here))
     assert there == here
 
 

@@ -1,17 +1,15 @@
-"""Errors of `gap record` and of `python -m validation.blind`."""
+"""Errors of `gap record` and of the campaign of blind cases."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.marsarm.command import Ran, call, marsarm
-from validation.blind.__main__ import app as blind_app
-
-
-def blind(folder: Path, *words: str) -> Ran:
-    """Run `python -m validation.blind` in a folder, in this process."""
-    return call(blind_app, folder, *words, "--json")
+from simgap.common.errors import BadRequest
+from tests.marsarm.command import marsarm
+from validation.campaigns import Context
+from validation.cases.arm import campaign
 
 
 @pytest.mark.parametrize(
@@ -26,18 +24,6 @@ def blind(folder: Path, *words: str) -> Ran:
             ("record", "--out", "logs", "--sessions", "poses-levl-*"),
             "sessions: nothing is called 'poses-levl-*'",
         ),
-        (("make", "--cases", "0", "--out", "b"), "cases: 0 is not within 1 .. 1000"),
-        (("make", "--cases", "-3", "--out", "b"), "cases: -3 is not within"),
-        (("make", "--seed", "-1", "--out", "b"), "seed: -1 is below 0"),
-        (("make", "--jobs", "0", "--out", "b"), "jobs: 0 is not 1 or more"),
-        (("make", "--out", "no/b"), "there is no folder no"),
-        (("make", "--out", "b" * 300), "cannot be written (File name too long)"),
-        (("make", "--out", "nothing"), "a link to nowhere/x, which is not there"),
-        (("make", "--out", "other"), "holds something else"),
-        (("make", "--out", "other/file"), "this is a file"),
-        (("solve", "other"), "no folder of blind cases"),
-        (("score", "other"), "no folder of blind cases"),
-        (("score", "other", "--out", "score.txt"), "its name must end in .md or .json"),
     ],
 )
 def test_what_cannot_be_done_is_said_and_nothing_is_written(
@@ -46,8 +32,33 @@ def test_what_cannot_be_done_is_said_and_nothing_is_written(
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").write_text("")
     (tmp_path / "nothing").symlink_to("nowhere/x")
-    done = marsarm(tmp_path, "gap", *words, "--json") if words[0] == "record" else blind(tmp_path, *words)
+    done = marsarm(tmp_path, "gap", *words, "--json")
     assert done.returncode == 2
     assert said in done.stderr
     assert said in json.loads(done.stdout)["error"]
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "nothing", "other"]
+
+
+@pytest.mark.parametrize(
+    ("out", "sizes", "said"),
+    [
+        ("b", {"cases": 0}, "cases: 0 is not within 1 .. 1000"),
+        ("b", {"step": "dance"}, "step: dance is none of all, make, solve, score"),
+        ("no/b", {}, "there is no folder .*no"),
+        ("b" * 300, {}, "cannot be written .File name too long"),
+        ("nothing", {}, "a link to nowhere/x, which is not there"),
+        ("other", {}, "holds something else"),
+        ("other/file", {}, "this is a file"),
+        ("other", {"step": "solve"}, "no folder of cases"),
+        ("other", {"step": "score"}, "no folder of cases"),
+    ],
+)
+def test_cases_that_cannot_be_made_are_refused_and_nothing_is_written(
+    tmp_path: Path, out: str, sizes: dict[str, Any], said: str
+) -> None:
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "file").write_text("")
+    (tmp_path / "nothing").symlink_to("nowhere/x")
+    with pytest.raises(BadRequest, match=said):
+        campaign(Context(out=tmp_path / out), **sizes)
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "nothing", "other"]

@@ -109,16 +109,10 @@ def other_names(path) -> None:
 
 FOREIGN = {
     "text": ("in.npz", lambda path: path.write_text("hello"), "is not a NumPy .npz file"),
-    "nothing": ("in.npz", lambda path: path.touch(), "is not a NumPy .npz file"),
     "one array": ("in.npz", one_array, "is not a NumPy .npz file"),
     "another zip": ("in.npz", no_numpy, "position_m is not an array"),
     "more than there is memory": ("in.npz", enormous, "is too large for the memory"),
     "other names": ("in.npz", other_names, "there is no array position_m; it must hold"),
-    "a folder": ("in.npz", lambda path: path.mkdir(), "is not a regular file"),
-    "a pipe": ("in.npz", os.mkfifo, "is not a regular file"),
-    "not there": ("in.npz", lambda path: None, "cannot be read (No such file or directory)"),
-    "text for Parquet": ("in.parquet", lambda path: path.write_text("hello" * 9), "as a Parquet file"),
-    "no Parquet": ("in.parquet", lambda path: path.touch(), "as a Parquet file"),
     "another kind": ("in.csv", lambda path: path.touch(), "its name must end in .npz or .parquet"),
 }
 
@@ -146,31 +140,11 @@ def test_a_file_that_is_torn_or_overwritten_anywhere_is_refused_or_read_but_neve
             assert len(read_targets(path, "rnav")) == len(P_M)
 
 
-OUTPUTS = {
-    "the input": ("in.npz", "this is the file of batch too"),
-    "the input by a link": ("link.npz", "this is the file of batch too"),
-    "in no folder": ("no/out.npz", "there is no folder"),
-    "a folder": ("folder.npz", "this is a folder"),
-    "a pipe": ("pipe.npz", "not a regular file"),
-    "a link to nothing": ("dangling.npz", "which is not there"),
-    "of another kind": ("out.csv", "its name must end in .npz or .parquet"),
-    "with a long name": ("o" * 300 + ".npz", "too long"),
-}
-
-
-@pytest.mark.parametrize("case", OUTPUTS)
-def test_an_output_that_cannot_be_is_refused_before_any_work(tmp_path, case):
+def test_the_input_by_a_link_is_no_output(tmp_path):
     save(tmp_path / "in.npz")
     (tmp_path / "link.npz").symlink_to("in.npz")
-    (tmp_path / "dangling.npz").symlink_to("nothing")
-    (tmp_path / "folder.npz").mkdir()
-    os.mkfifo(tmp_path / "pipe.npz")
-    before = sorted(tmp_path.iterdir())
-    name, said = OUTPUTS[case]
-    with pytest.raises(BadRequest) as refused:
-        solved(tmp_path / "in.npz", tmp_path / name)
-    assert said in str(refused.value)
-    assert sorted(tmp_path.iterdir()) == before
+    with pytest.raises(BadRequest, match="this is the file of batch too"):
+        solved(tmp_path / "in.npz", tmp_path / "link.npz")
     assert len(read_targets(tmp_path / "in.npz", "rnav")) == len(P_M)
 
 
@@ -189,7 +163,7 @@ def test_a_disk_that_fills_up_leaves_what_was_there_before(tmp_path, name, monke
 
 
 def test_a_kill_leaves_nothing_behind(tmp_path):
-    count = 200_000
+    count = 50_000
     save(tmp_path / "in.npz", np.tile(P_M[0], (count, 1)), np.tile(A[0], (count, 1)))
     command = "from marsarm.__main__ import start; start()"
     run = subprocess.Popen(

@@ -14,7 +14,7 @@ from sim.arms import arm_named
 from sim.frames import p_R_from_N
 from sim.world import World
 from simgap.common.report import to_json
-from tests.marsarm.command import marsarm, marsarm_process
+from tests.marsarm.command import marsarm
 from tests.tools import TOOLS
 
 POSITION = (2.1, 0.1, -0.3)
@@ -107,9 +107,10 @@ def test_a_target_out_of_reach_is_an_answer_and_no_error(tmp_path):
     assert all(branch["output_deg"] is None for branch in document["branches"])
 
 
-def test_people_see_every_branch_whole_on_however_narrow_a_terminal(tmp_path):
+def test_people_see_every_branch_whole_on_however_narrow_a_terminal(tmp_path, monkeypatch):
     words = ("ik", "--position", "2.1", "0.1", "-0.3", "--approach", "0.5", "0.1", "0.8", "--tilt-roll", "5")
-    done = marsarm_process(tmp_path, *words, COLUMNS="40")
+    monkeypatch.setenv("COLUMNS", "40")
+    done = marsarm(tmp_path, *words)
     assert done.returncode == 0, done.stderr
     assert "roll 5 pitch 0 deg: " in done.stdout
     for branch in answer(tilt_roll_deg=5.0)["branches"]:

@@ -168,19 +168,12 @@ def test_movie_has_a_frame_for_each_pose(model, tmp_path, monkeypatch, wanted):
 @pytest.mark.parametrize(
     ("path", "complaint"),
     [
-        ("nowhere/scene.png", "there is no folder"),
-        ("folder.png", "this is a folder"),
         ("file.txt/scene.png", "there is no folder"),
-        ("scene.jpg", r"must end in \.png"),
         ("scene", r"must end in \.png"),
-        ("s" * 300 + ".png", "too long"),
-        ("dangling.png", "a link to nothing, which is not there"),
     ],
 )
 def test_bad_path_is_refused_before_any_work(model, data, tmp_path, monkeypatch, path, complaint):
-    (tmp_path / "folder.png").mkdir()
     (tmp_path / "file.txt").touch()
-    (tmp_path / "dangling.png").symlink_to("nothing")
     monkeypatch.setattr(gl, "unavailable_reason", lambda: pytest.fail("work was done"))
     before = sorted(tmp_path.rglob("*"))
 
@@ -212,16 +205,8 @@ def test_a_movie_is_called_a_movie(model, tmp_path):
         save_movie(model, [], "front", tmp_path / "lift.avi")
 
 
-def test_a_link_to_a_file_may_be_written(model, data, tmp_path):
-    (tmp_path / "there.png").touch()
-    (tmp_path / "link.png").symlink_to("there.png")
-    save_picture(model, data, "front", tmp_path / "link.png", (32, 24))
-    assert pixels(tmp_path / "there.png").shape == (24, 32, 3)
-
-
 @pytest.mark.usefixtures("without_gl")
-@pytest.mark.parametrize("name", ["scene.png", "lift.gif", "lift.mp4"])
-@pytest.mark.parametrize("is_new", [True, False])
+@pytest.mark.parametrize(("name", "is_new"), [("scene.png", True), ("lift.gif", False), ("lift.mp4", False)])
 def test_a_picture_or_movie_is_written_whole_or_not_at_all(model, data, tmp_path, name, is_new):
     if name.endswith(".mp4"):
         pytest.importorskip("av", reason="PyAV is not installed; pip install 'marsarm[movie]'")

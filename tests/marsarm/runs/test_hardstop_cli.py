@@ -11,7 +11,7 @@ from marsarm.runs.report import hardstop_document, plan_document
 from marsarm.runs.request import HardstopRequest
 from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
-from tests.marsarm.command import marsarm, marsarm_process
+from tests.marsarm.command import marsarm
 
 
 def quiet(*_) -> None:
@@ -20,7 +20,7 @@ def quiet(*_) -> None:
 
 def test_one_joint_is_found_and_drawn(tmp_path):
     picture = tmp_path / "turret.png"
-    done = marsarm_process(tmp_path, "hardstop", "--joint", "turret", "--picture", str(picture), "--json")
+    done = marsarm(tmp_path, "hardstop", "--joint", "turret", "--picture", str(picture), "--json")
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     assert document["outcome"] == "done"

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from marsarm.telemetry.read import read_log
+from tests.marks import slow_but
 from tests.marsarm.command import largest_file, marsarm, marsarm_process
 
 
@@ -89,7 +90,7 @@ def test_a_full_disk_stops_the_arm_if_so_asked_and_is_told(tmp_path):
     assert f"not recorded from {seconds:.2f} s on (File too large)" in report["log_problem"]
 
 
-@pytest.mark.parametrize("value", ["nonsense", "egl", "off", " OFF "])
+@pytest.mark.parametrize("value", slow_but(["nonsense", "egl", "off", " OFF "], "nonsense"))
 def test_no_setting_of_opengl_stops_the_import(tmp_path, value):
     done = marsarm_process(tmp_path, "place", "--tool", "spoon", MUJOCO_GL=value)
     assert (done.returncode, done.stderr.split(":")[0]) == (2, "tool")

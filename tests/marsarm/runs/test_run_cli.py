@@ -6,7 +6,7 @@ import pytest
 
 from marsarm.telemetry.read import read_log
 from sim.scenario.file import built_in_scenarios
-from tests.marsarm.command import largest_file, marsarm, marsarm_process
+from tests.marsarm.command import largest_file, marsarm
 
 SHORT = """\
 title = "A short move"
@@ -33,6 +33,7 @@ def folder(tmp_path):
     return tmp_path
 
 
+@pytest.mark.usefixtures("is_initialised")
 def test_a_run_that_passes_says_what_was_measured_and_keeps_what_was_asked_for(folder):
     words = ("--arm", "calibrated:1", "--tilt", "3", "-4", "--log", "run.mcap", "--movie", "run.gif")
     done = marsarm(folder, "run", "short.toml", "--json", "--picture", "run.png", *words)
@@ -101,7 +102,7 @@ def test_a_full_disk_ends_the_run_or_does_not_as_asked_and_an_event_tells(
 
 
 def test_the_scenarios_are_listed_with_a_line_each(tmp_path):
-    done = marsarm_process(tmp_path, "run", "--list")
+    done = marsarm(tmp_path, "run", "--list")
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert [line.split()[0] for line in lines] == list(built_in_scenarios())

@@ -10,7 +10,7 @@ from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder
 from tests.marsarm.command import marsarm, marsarm_process
 from tests.marsarm.telemetry.conftest import cycle_at
-from validation.sample_logs import record_log
+from validation.speed import record_log
 
 CYCLES = 130
 

@@ -6,7 +6,7 @@ import pytest
 from marsarm.telemetry import figure as log_figure
 from marsarm.telemetry.inspection import select_channels
 from marsarm.telemetry.read import read_log
-from validation.sample_logs import record_log
+from validation.speed import record_log
 
 matplotlib.use("agg")
 

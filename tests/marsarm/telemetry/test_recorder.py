@@ -5,7 +5,6 @@ import json
 import os
 import subprocess
 import sys
-import warnings
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from io import FileIO
@@ -31,6 +30,7 @@ from marsarm.telemetry.recorder import Recorder, record_commands
 from sim.arms import BuiltArm, arm_named
 from sim.initialisation import start_loop
 from validation import killed
+from validation.campaigns import Context
 from validation.killed import Kill
 
 ROOT = Path(__file__).parents[3]
@@ -348,7 +348,8 @@ def test_the_container_is_that_of_the_stock_writer(make: Any, tmp_path: Path) ->
 @pytest.mark.slow
 def test_killed_process_groups_leave_nothing_wrong() -> None:
     done = python(
-        "import json; from validation.killed import measure_losses; print(json.dumps(measure_losses(5, 3)))"
+        "import json; from validation.campaigns import Context; from validation.killed import campaign;"
+        "print(json.dumps(campaign(Context(3), 5)))"
     )
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
@@ -356,23 +357,20 @@ def test_killed_process_groups_leave_nothing_wrong() -> None:
 
 
 @pytest.mark.parametrize(
-    ("outcomes", "status"),
+    ("outcomes", "in_bounds"),
     [
-        ([Kill("cut short", 1.1), Kill("closed"), Kill("cut short", 0.1)], 0),
-        ([Kill("cut short", 1.3), Kill("cut short", 0.1)], 1),
-        ([Kill("wrong: not what the run was"), Kill("cut short", 0.1)], 1),
-        ([Kill("closed"), Kill("cut short", 0.1)], 1),
+        ([Kill("cut short", 1.1), Kill("closed"), Kill("cut short", 0.1)], True),
+        ([Kill("cut short", 1.3), Kill("cut short", 0.1)], False),
+        ([Kill("wrong: not what the run was"), Kill("cut short", 0.1)], False),
+        ([Kill("closed"), Kill("cut short", 0.1)], False),
     ],
     ids=["all is well", "too much is lost", "a log is wrong", "too few logs were open"],
 )
 def test_a_campaign_of_kills_ends_with_its_verdict(
-    outcomes: list[Kill], status: int, monkeypatch: pytest.MonkeyPatch
+    outcomes: list[Kill], in_bounds: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(killed, "kill_runs", lambda number, seed: outcomes)
-    monkeypatch.setattr(sys, "argv", ["killed", "--kills", "2"])
-    with pytest.raises(SystemExit) as ended, warnings.catch_warnings():
-        killed.main()
-    assert ended.value.code == status
+    assert killed.campaign(Context(), 2)["in_bounds"] is in_bounds
 
 
 PARAMS = arm_named("nominal").params

@@ -1,6 +1,6 @@
 """Other tools open the logs: readers of MCAP and of ROS 2 messages, pymcap-cli and Rerun.
 
-`make viewers` installs all but the first where possible; without them their tests are skipped.
+`pip install '.[viewers]'` installs all but the first; without them their tests are skipped.
 """
 
 import subprocess
@@ -38,13 +38,13 @@ type = "done"
 KINDS = ["run", "recovered"]
 
 needs_pymcap = pytest.mark.skipif(
-    find_spec("pymcap_cli") is None, reason="pymcap-cli is not installed; `make viewers` installs it"
+    find_spec("pymcap_cli") is None, reason="pymcap-cli is not installed; pip install '.[viewers]'"
 )
 needs_rerun = pytest.mark.skipif(
-    find_spec("rerun") is None, reason="rerun-sdk is not installed; `make viewers` installs it"
+    find_spec("rerun") is None, reason="rerun-sdk is not installed; pip install '.[viewers]'"
 )
 needs_ros2 = pytest.mark.skipif(
-    find_spec("mcap_ros2") is None, reason="mcap-ros2-support is not installed; `make viewers` installs it"
+    find_spec("mcap_ros2") is None, reason="mcap-ros2-support is not installed; pip install '.[viewers]'"
 )
 RIGID_PARTS = {"rover", "rock", "ground", "arm1", "arm6", *(f"link{k}" for k in range(1, 6))}
 PARTS = RIGID_PARTS | set(TOOLS)

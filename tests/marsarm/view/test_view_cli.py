@@ -41,23 +41,6 @@ def test_a_page_is_written_and_reported(log, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (("none.mcap",), "none.mcap"),
-        (("{log}", "--html", "run.htm"), "must end in .html"),
-        (("{log}", "--html", "nowhere/run.html"), "there is no folder"),
-        (("{log}", "--port", "80"), "port: 80 is not within 1024 .. 65535"),
-    ],
-)
-def test_bad_input_is_refused_in_one_sentence(log, tmp_path, words, complaint):
-    ran = marsarm(tmp_path, "view", *(word.format(log=log) for word in words))
-    assert ran.returncode == 2
-    assert complaint in ran.stderr
-    assert len(ran.stderr.strip().splitlines()) == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
     "words", [("place", "--view", "--no-picture"), ("hardstop", "--joint", "wrist", "--view")]
 )
 def test_without_viser_nothing_moves_and_the_sentence_names_the_package(tmp_path, monkeypatch, words):

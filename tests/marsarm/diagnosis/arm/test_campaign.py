@@ -55,7 +55,7 @@ from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
 from sim.effects.structure import TurretMass
 from sim.params import nominal_params
 from tests.marks import slow_but
-from validation.blind.out_of_catalogue import list_uncatalogued
+from validation.cases.arm_truth import list_uncatalogued
 
 BASE = nominal_params()
 

@@ -6,32 +6,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from marsarm.diagnosis.blind_case import SealedTruth, TrueCase, TrueEffect, plan_cases, seal
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.problem import Residuals
 from marsarm.diagnosis.result import DiagnosisResult, to_json
 from marsarm.diagnosis.sampling import DetectableEffect
 from tests.marsarm.diagnosis.worlds import World, found, select_and_diagnose
-from validation.blind.case_features import (
+from validation.cases.arm import CAMPAIGN_FOLDER, ArmCases
+from validation.cases.arm_features import (
+    CLASSES_FILE,
     CampaignSensitivities,
     CaseFeatures,
     CaseResiduals,
+    classes_json,
     read_case_features,
 )
-from validation.blind.classes import CLASSES_FILE, classes_json
-from validation.blind.folder import CAMPAIGN_FOLDER, CASES_FOLDER, case_name, write_json
-from validation.blind.solve import Solver
+from validation.cases.arm_truth import SealedEffect, TrueCase, plan_cases
+from validation.cases.sealed import CASES_FOLDER, SealedTruth, case_name, seal, write_json
 
 CASES_MADE = 10
 
 
 @dataclass(frozen=True)
 class Folder:
-    """Blind cases and their solver."""
+    """Blind cases and their maker."""
 
     path: Path
-    solver: Solver
-    truth: SealedTruth
+    maker: ArmCases
+    truth: SealedTruth[TrueCase]
 
 
 @pytest.fixture
@@ -57,7 +58,7 @@ def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
         for one in case.effects:
             hypothesis = one.source.hypothesis
             values = {p.name: float(v) for p, v in zip(hypothesis.parameters, one.values, strict=True)}
-            effects.append(TrueEffect(hypothesis.effect, hypothesis.place, values, one.times_limit, ""))
+            effects.append(SealedEffect(hypothesis.effect, hypothesis.place, values, one.times_limit, ""))
             if case.kind != "out-of-catalogue":
                 t[made.owner == made.hypotheses.index(hypothesis)] = [
                     v / p.typical for v, p in zip(one.values, hypothesis.parameters, strict=True)
@@ -70,10 +71,24 @@ def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
     seal(tmp_path, truth)
     write_json(tmp_path / CAMPAIGN_FOLDER / CLASSES_FILE, classes_json(campaign))
 
-    def diagnosed(case: Path, _: Path, without: str) -> tuple[dict[str, object], CaseFeatures]:
-        features = read_case_features(case / "log")
-        model = replace(campaign, left_out_effect=without)
-        said = select_and_diagnose(model, Residuals(made.layout, features.fitted.value), 1)
-        return to_json(DiagnosisResult(model, said, None, None, (), (), ())), features
+    class WorldCases(ArmCases):
+        """Cases of the synthetic robot."""
 
-    return Folder(tmp_path, Solver(lambda *_: None, lambda _: kept, diagnosed), truth)
+        def prepare(self, *_: object) -> None:
+            pass
+
+        def load(self, *_: object) -> None:
+            pass
+
+        def sensitivities(self, folder: Path) -> CampaignSensitivities:
+            return kept
+
+        def diagnose(
+            self, folder: Path, case: Path, without: str = ""
+        ) -> tuple[dict[str, object], CaseFeatures]:
+            features = read_case_features(case / "log")
+            model = replace(campaign, left_out_effect=without)
+            said = select_and_diagnose(model, Residuals(made.layout, features.fitted.value), 1)
+            return to_json(DiagnosisResult(model, said, None, None, (), (), ())), features
+
+    return Folder(tmp_path, WorldCases(), truth)

@@ -6,20 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from marsarm.diagnosis.blind_case import (
-    DIGEST,
-    TRUTH,
-    SealedTruth,
-    TrueCase,
-    TrueEffect,
-    load_existing_truth,
-    load_truth,
-    plan_cases,
-    seal,
-)
 from marsarm.diagnosis.problem import Hypothesis, Parameter
 from marsarm.diagnosis.sampling import BOUND_SHARE, LIMIT_MULTIPLES, DetectableEffect, can_sample
 from simgap.common.errors import BadRequest
+from validation.cases.arm import ArmCases
+from validation.cases.arm_truth import SealedEffect, TrueCase, plan_cases
+from validation.cases.sealed import (
+    DIGEST,
+    SEALED_FOLDER,
+    TRUTH,
+    SealedTruth,
+    load_existing_truth,
+    load_truth,
+    seal,
+)
+
+MAKER = ArmCases()
 
 
 def seen(
@@ -109,7 +111,7 @@ def test_the_same_seed_plans_the_same() -> None:
     assert planned(3) != planned(4)
 
 
-EFFECT = TrueEffect("e", "p", {"size": 1.25}, 2.0, "e:p:size=1.25")
+EFFECT = SealedEffect("e", "p", {"size": 1.25}, 2.0, "e:p:size=1.25")
 SEALED = SealedTruth(
     "00ff", (TrueCase("case-000", "single", (EFFECT,), ("b:p",), 5), TrueCase("case-001", "none", (), (), 6))
 )
@@ -118,25 +120,32 @@ SEALED = SealedTruth(
 def test_what_was_sealed_comes_back(tmp_path: Path) -> None:
     digest = seal(tmp_path, SEALED)
     assert (tmp_path / DIGEST).read_text().strip() == digest
-    assert load_truth(tmp_path) == SEALED
+    assert load_truth(tmp_path, MAKER) == SEALED
 
 
 def test_a_truth_that_was_changed_is_refused(tmp_path: Path) -> None:
     seal(tmp_path, SEALED)
-    text = (tmp_path / TRUTH).read_text()
-    (tmp_path / TRUTH).write_text(text.replace("1.25", "1.26"))
+    path = tmp_path / SEALED_FOLDER / TRUTH
+    path.write_text(path.read_text().replace("1.25", "1.26"))
     with pytest.raises(BadRequest, match="is not what was sealed"):
-        load_truth(tmp_path)
+        load_truth(tmp_path, MAKER)
+
+
+def test_a_folder_of_an_earlier_version_can_be_scored(tmp_path: Path) -> None:
+    seal(tmp_path, SEALED)
+    (tmp_path / SEALED_FOLDER / TRUTH).rename(tmp_path / TRUTH)
+    assert load_truth(tmp_path, MAKER) == SEALED
+    assert SEALED.digest() == "3ffc020780e17eca760d5a8a2f31ef1862882339dc1ea0def711e7d99bef97dd"
 
 
 def test_cases_of_another_seed_or_number_are_not_gone_on_with(tmp_path: Path) -> None:
-    assert load_existing_truth(tmp_path, "00ff", 2) is None
+    assert load_existing_truth(tmp_path, MAKER, "00ff", 2) is None
     seal(tmp_path, SEALED)
-    assert load_existing_truth(tmp_path, "00ff", 2) == SEALED
+    assert load_existing_truth(tmp_path, MAKER, "00ff", 2) == SEALED
     with pytest.raises(BadRequest, match="holds 2 cases; give"):
-        load_existing_truth(tmp_path, "00ff", 3)
+        load_existing_truth(tmp_path, MAKER, "00ff", 3)
     with pytest.raises(BadRequest, match="holds 2 cases of another seed"):
-        load_existing_truth(tmp_path, "00fe", 2)
+        load_existing_truth(tmp_path, MAKER, "00fe", 2)
 
 
 def test_a_truth_that_is_thought_of_cannot_be_tried_without_the_salt() -> None:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from marsarm.diagnosis.blind_case import CaseKind, TrueCase, TrueEffect
-from validation.blind.classes import EquivalenceClasses, PublishedHypothesis, locate_outside
-from validation.blind.out_of_catalogue import list_uncatalogued
-from validation.blind.score import median_with_interval, score
+from marsarm.common.rates import median_with_interval
+from validation.cases.arm_features import EquivalenceClasses, PublishedHypothesis
+from validation.cases.arm_score import score
+from validation.cases.arm_truth import CaseKind, SealedEffect, TrueCase, list_uncatalogued, locate_outside
 
 CLASSES = EquivalenceClasses({
     ("rub", "knee"): PublishedHypothesis(0, 1.5, "friction", "knee"),
@@ -20,7 +20,7 @@ CLASSES = EquivalenceClasses({
 
 
 def true(kind: CaseKind, *effects: tuple[str, str], times: float = 2.0) -> TrueCase:
-    made = tuple(TrueEffect(name, place, {"size": 1.0}, times, "") for name, place in effects)
+    made = tuple(SealedEffect(name, place, {"size": 1.0}, times, "") for name, place in effects)
     return TrueCase("case-000", kind, made, (), 1)
 
 

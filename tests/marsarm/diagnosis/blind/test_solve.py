@@ -9,14 +9,27 @@ from typing import Any
 import pytest
 
 from marsarm.common.pool import local_runner
-from marsarm.diagnosis.blind_case import TRUTH, TrueCase, load_truth, seal
 from simgap.common.errors import BadRequest
-from validation.blind.case_features import read_case_features, read_case_parts
-from validation.blind.classes import CLASSES_FILE, load_classes
-from validation.blind.folder import SOLVED_FOLDER, load_results, result_path, write_json
-from validation.blind.score_folder import score_folder
-from validation.blind.solve import NoDiagnosis, features_path, solve_cases
-from validation.blind.table import score_json, score_markdown
+from validation.cases.arm import ArmCases, NoDiagnosis, features_path
+from validation.cases.arm_features import (
+    CLASSES_FILE,
+    load_classes,
+    read_case_features,
+    read_case_parts,
+)
+from validation.cases.arm_truth import TrueCase
+from validation.cases.sealed import (
+    SEALED_FOLDER,
+    SOLVED_FOLDER,
+    TRUTH,
+    load_results,
+    load_truth,
+    result_path,
+    score_cases,
+    seal,
+    solve_cases,
+    write_json,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -38,7 +51,7 @@ def said(folder: Path) -> dict[str, Any]:
 def solved(folder, results: dict[str, bytes]):
     """Return a folder whose cases are solved; all folders are alike, so they are solved once."""
     if not results:
-        solve_cases(folder.path, folder.solver, RUN, quiet)
+        solve_cases(folder.path, folder.maker, RUN, quiet)
         results |= {path.name: path.read_bytes() for path in (folder.path / SOLVED_FOLDER).iterdir()}
     (folder.path / SOLVED_FOLDER).mkdir(exist_ok=True)
     for name, content in results.items():
@@ -55,65 +68,68 @@ def results() -> dict[str, bytes]:
 @pytest.mark.slow
 def test_the_truth_is_not_needed_to_solve_and_changes_nothing(solved) -> None:
     with_it = said(solved.path)
-    (solved.path / TRUTH).unlink()
+    (solved.path / SEALED_FOLDER / TRUTH).unlink()
     for path in (solved.path / SOLVED_FOLDER).iterdir():
         path.unlink()
-    assert solve_cases(solved.path, solved.solver, RUN, quiet) == (10, 10)
+    assert solve_cases(solved.path, solved.maker, RUN, quiet) == (10, 10)
     assert said(solved.path) == with_it
 
 
 def test_what_is_solved_stays_and_the_rest_is_solved(solved) -> None:
     whole = said(solved.path)
-    last = solved.path / "cases" / "case-009"
-    result_path(last).unlink()
-    assert solve_cases(solved.path, solved.solver, RUN, quiet) == (1, 10)
+    result_path(solved.path, "case-009").unlink()
+    assert solve_cases(solved.path, solved.maker, RUN, quiet) == (1, 10)
     assert said(solved.path) == whole
-    assert solve_cases(solved.path, solved.solver, RUN, quiet) == (0, 10)
+    assert solve_cases(solved.path, solved.maker, RUN, quiet) == (0, 10)
 
 
-def test_the_campaign_is_known_once_and_before_any_case(solved) -> None:
-    result_path(solved.path / "cases" / "case-009").unlink()
+def test_the_campaign_is_known_once_and_before_any_case(solved, monkeypatch: pytest.MonkeyPatch) -> None:
+    result_path(solved.path, "case-009").unlink()
     prepared: list[Path] = []
-    solver = replace(solved.solver, prepare_campaign=lambda campaign, *_: prepared.append(campaign))
-    assert solve_cases(solved.path, solver, RUN, quiet) == (1, 10)
-    assert solve_cases(solved.path, solver, RUN, quiet) == (0, 10)
-    assert prepared == [solved.path / "campaign"]
+    monkeypatch.setattr(type(solved.maker), "prepare", lambda _, folder, *more: prepared.append(folder))
+    assert solve_cases(solved.path, solved.maker, RUN, quiet) == (1, 10)
+    assert solve_cases(solved.path, solved.maker, RUN, quiet) == (0, 10)
+    assert prepared == [solved.path]
 
 
-def mute(case: Path, campaign: Path, without: str) -> Any:
-    raise NoDiagnosis(f"{case.name} has no logs of {campaign.name}")
+def mute(_: ArmCases, folder: Path, case: Path, without: str = "") -> Any:
+    raise NoDiagnosis(f"{case.name} has no logs of {folder.name}")
 
 
-def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(folder) -> None:
+def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(
+    folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for path in (folder.path / SOLVED_FOLDER).glob("*"):
         path.unlink()
-    assert solve_cases(folder.path, replace(folder.solver, diagnose=mute), RUN, quiet) == (10, 10)
-    result = load_results(folder.path)["case-003"]
-    assert (result["verdict"], result["refused"]) == ("unknown", "case-003 has no logs of campaign")
-    found = score_folder(folder.path, folder.solver.load_sensitivities, partial=False)
-    assert found.false_alarm.share == 1.0
-    assert found.found.reported.hits == 0
+    monkeypatch.setattr(type(folder.maker), "diagnose", mute)
+    assert solve_cases(folder.path, folder.maker, RUN, quiet) == (10, 10)
+    result = load_results(folder.path, folder.maker)["case-003"]
+    assert (result["verdict"], result["refused"][:19]) == ("unknown", "case-003 has no log")
+    found = score_cases(folder.path, folder.maker, False, quiet).document
+    assert found["false_alarm"]["share"] == 1.0
+    assert found["found"]["reported"]["hits"] == 0
     for path in (folder.path / SOLVED_FOLDER).glob("*"):
         path.unlink()
 
 
 def test_solved_cases_are_scored(solved) -> None:
-    found = score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
-    assert (found.cases, found.false_alarm.of, found.outside.wrong_place.of) == (10, 2, 4)
-    assert (found.related.wrong_place.of, found.unrelated.wrong_place.of) == (0, 4)
+    score = score_cases(solved.path, solved.maker, False, quiet)
+    found = score.document
+    assert (found["cases"], found["false_alarm"]["of"], found["outside"]["wrong_place"]["of"]) == (10, 2, 4)
+    assert (found["related"]["wrong_place"]["of"], found["unrelated"]["wrong_place"]["of"]) == (0, 4)
     true = [one for case in solved.truth.cases if case.kind in ("single", "pair") for one in case.effects]
-    assert found.found.reported.of <= sum(one.times_limit >= 1.0 for one in true)
-    assert sum(one.found.reported.of for one in found.bins) == len(true)
-    assert json.loads(json.dumps(score_json(found), allow_nan=False))["cases"] == 10
-    assert "| reported | 85 % |" in score_markdown(found)
+    assert found["found"]["reported"]["of"] <= sum(one.times_limit >= 1.0 for one in true)
+    assert sum(one["found"]["reported"]["of"] for one in found["bins"]) == len(true)
+    assert json.loads(json.dumps(found, allow_nan=False))["digest"] == solved.truth.digest()
+    assert "| reported, from the limit of the selection on | 85 % |" in score.markdown()
 
 
 def test_cases_that_are_not_solved_are_counted(solved) -> None:
     for number in (2, 5, 7):
-        result_path(solved.path / "cases" / f"case-00{number}").unlink()
+        result_path(solved.path, f"case-00{number}").unlink()
     with pytest.raises(BadRequest, match="3 of 10 cases are not solved, case-002 first"):
-        score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
-    assert score_folder(solved.path, solved.solver.load_sensitivities, partial=True).cases == 7
+        score_cases(solved.path, solved.maker, False, quiet)
+    assert score_cases(solved.path, solved.maker, True, quiet).document["cases"] == 7
 
 
 GOOD = {
@@ -152,22 +168,22 @@ SIZE = {"name": "length_m", "is_amplitude": True, "least": None, "most": 0.002}
 )
 def test_what_is_no_solved_case_is_refused(tmp_path: Path, text: str, why: str) -> None:
     write_json(tmp_path / SOLVED_FOLDER / "case-000.json", GOOD)
-    assert load_results(tmp_path) == {"case-000": GOOD}
+    assert load_results(tmp_path, ArmCases()) == {"case-000": GOOD}
     (tmp_path / SOLVED_FOLDER / "case-004.json").write_text(text)
     with pytest.raises(BadRequest, match=rf"case-004\.json: is no solved case \(.*{why}"):
-        load_results(tmp_path)
+        load_results(tmp_path, ArmCases())
 
 
 def test_a_size_that_an_effect_has_not_is_refused(solved) -> None:
     case = next(case for case in solved.truth.cases if case.kind == "single")
-    path = result_path(solved.path / "cases" / case.name)
+    path = result_path(solved.path, case.name)
     before = path.read_bytes()
     (one,) = case.effects
     size = {"name": "size_of_another", "is_amplitude": True, "least": 0.0, "most": 1.0}
     finding = GOOD["effects"][0] | {"name": one.name, "place": one.place, "parameters": [size]}
     path.write_text(json.dumps(json.loads(before) | {"verdict": "found", "effects": [finding]}))
     with pytest.raises(BadRequest, match=f"{case.name}: {one.name} has no size_of_another"):
-        score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
+        score_cases(solved.path, solved.maker, False, quiet)
     path.write_bytes(before)
 
 
@@ -207,8 +223,8 @@ def test_features_that_are_missing_are_refused(tmp_path: Path) -> None:
 
 def test_a_row_that_the_campaign_has_not_is_refused(solved) -> None:
     case = next(case for case in solved.truth.cases if case.kind == "single")
-    path = features_path(solved.path / "cases" / case.name)
-    sensitivities = solved.solver.load_sensitivities(solved.path)
+    path = features_path(solved.path, case.name)
+    sensitivities = solved.maker.sensitivities(solved.path)
     document = json.loads(path.read_bytes())
     document["held"]["rows"][-1] = sensitivities.held.layout.size
     path.write_text(json.dumps(document))
@@ -224,7 +240,7 @@ def test_an_effect_of_another_version_is_refused(solved) -> None:
     cases[at] = replace(cases[at], effects=(replace(cases[at].effects[0], name="old-wobble"),))
     seal(solved.path, replace(solved.truth, cases=tuple(cases)))
     with pytest.raises(BadRequest, match=f"{cases[at].name}: old-wobble is none of today's effects"):
-        score_folder(solved.path, solved.solver.load_sensitivities, partial=False)
+        score_cases(solved.path, solved.maker, False, quiet)
 
 
 def contradict(case: TrueCase) -> Iterator[TrueCase]:
@@ -244,7 +260,7 @@ def test_a_truth_that_contradicts_itself_is_refused(folder) -> None:
     for wrong in ((), (*cases, single), *((one,) for one in contradict(single))):
         seal(folder.path, replace(folder.truth, cases=wrong))
         with pytest.raises(BadRequest, match=r"truth\.json: was sealed, but is no truth \("):
-            load_truth(folder.path)
+            load_truth(folder.path, folder.maker)
 
 
 @pytest.mark.parametrize("text", ["{}", "[]", '[{"name": 1}]', "[" * 200_000])
@@ -255,12 +271,12 @@ def test_classes_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_a_changed_truth_is_not_scored_against(solved) -> None:
-    text = (solved.path / TRUTH).read_text()
-    (solved.path / TRUTH).write_text(text.replace('"none"', '"single"', 1))
+    text = (solved.path / SEALED_FOLDER / TRUTH).read_text()
+    (solved.path / SEALED_FOLDER / TRUTH).write_text(text.replace('"none"', '"single"', 1))
     with pytest.raises(BadRequest, match="is not what was sealed"):
-        score_folder(solved.path, solved.solver.load_sensitivities, partial=True)
+        score_cases(solved.path, solved.maker, True, quiet)
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path, folder) -> None:
-    with pytest.raises(BadRequest, match="no folder of blind cases"):
-        solve_cases(tmp_path / "none", folder.solver, RUN, quiet)
+    with pytest.raises(BadRequest, match="no folder of cases"):
+        solve_cases(tmp_path / "none", folder.maker, RUN, quiet)

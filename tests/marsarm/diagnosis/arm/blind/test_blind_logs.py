@@ -9,11 +9,10 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from marsarm.diagnosis.arm import blind_case
-from marsarm.diagnosis.arm.blind_case import ALLOWED_KEYS, TruthLeaked, check_leakage, sample_background
+from marsarm.diagnosis.arm.blind_case import sample_background
 from marsarm.diagnosis.arm.logs import load_recording
 from marsarm.diagnosis.arm.record import session_json
 from marsarm.diagnosis.arm.simulator import list_candidates, to_hypothesis
-from marsarm.diagnosis.blind_case import SealedTruth, TrueCase
 from marsarm.diagnosis.sampling import DetectableEffect
 from marsarm.telemetry.header import SESSION, flight_header, run_header
 from marsarm.telemetry.read import read_log
@@ -27,13 +26,22 @@ from sim.effects.gears import CoulombFriction
 from sim.effects.joints import GearFriction
 from sim.initialisation import true_reference
 from sim.scenario.effects import effect_text
-from validation.blind import make
-from validation.blind.folder import CASES_FOLDER
-from validation.blind.out_of_catalogue import list_uncatalogued
+from validation.cases import arm
+from validation.cases.arm import ArmCases, choose_sessions, draw_truth
+from validation.cases.arm_truth import (
+    ALLOWED_KEYS,
+    TrueCase,
+    TruthLeaked,
+    check_leakage,
+    list_uncatalogued,
+    resolve_effect,
+)
+from validation.cases.sealed import CASES_FOLDER, record_case
 
 pytestmark = pytest.mark.slow
 
-SESSIONS = tuple(one for one in make.all_sessions() if one.name == "cold")
+MAKER = ArmCases(("cold",))
+SESSIONS = choose_sessions(MAKER.sessions)
 
 
 def cases(kinds: tuple[str, ...] = ("single", "out-of-catalogue")) -> dict[str, TrueCase]:
@@ -45,8 +53,8 @@ def cases(kinds: tuple[str, ...] = ("single", "out-of-catalogue")) -> dict[str, 
     ]
     unknown = [one for (name, _), one in list_uncatalogued().items() if name == "drifting-current"]
     outside = [DetectableEffect(one.hypothesis, 0.4, None) for one in unknown]
-    truth = make.draw_truth(10, 1, catalogue, outside)
-    return {kind: next(case for case in truth.cases if case.kind == kind) for kind in kinds}
+    truth = draw_truth(10, 1, catalogue, outside)
+    return {kind: next(case for case in truth if case.kind == kind) for kind in kinds}
 
 
 Recorded = tuple[Path, TrueCase]
@@ -55,7 +63,7 @@ Recorded = tuple[Path, TrueCase]
 @pytest.fixture(scope="module", params=["single", "out-of-catalogue"])
 def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     folder, case = tmp_path_factory.mktemp("case"), cases()[request.param]
-    make.record_case(folder, case, SESSIONS)
+    MAKER.record(folder, case)
     return folder / "cold.mcap", case
 
 
@@ -81,7 +89,7 @@ def test_a_blind_log_gives_nothing_away_and_can_be_compared(recorded: Recorded) 
 @pytest.mark.slow
 def test_a_case_that_is_made_again_is_the_same(recorded: Recorded, tmp_path: Path) -> None:
     path, case = recorded
-    make.record_case(tmp_path, case, SESSIONS)
+    MAKER.record(tmp_path, case)
     one, again = read_log(path), read_log(tmp_path / path.name)
     assert one.header == again.header
     assert one.packets.keys() == again.packets.keys()
@@ -124,40 +132,38 @@ def test_the_plants_own_state_is_refused(tmp_path: Path) -> None:
 def test_a_case_with_a_revealing_log_is_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A perfect homing would measure the friction that is the case's effect."""
     monkeypatch.setattr(blind_case, "blind_reference", true_reference)
-    monkeypatch.setattr(make, "all_sessions", lambda: SESSIONS)
     case = replace(cases()["single"], background=(effect_text(CoulombFriction(Joint.ELEVATION, 12.0)),))
     with pytest.raises(TruthLeaked, match=r"flight software begins with friction_Nm"):
-        make._record_job(make._Job(tmp_path, case))
+        record_case((tmp_path / CASES_FOLDER / case.name, MAKER, case))
     assert list((tmp_path / "cases").iterdir()) == []
 
 
 @pytest.mark.slow
 def test_a_case_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(make, "all_sessions", lambda: SESSIONS)
     case = cases()["single"]
 
     def stopped(*_: object) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as broken:
-        broken.setattr(make, "check_leakage", stopped)
+        broken.setattr(arm, "check_leakage", stopped)
         with pytest.raises(KeyboardInterrupt):
-            make._record_job(make._Job(tmp_path, case))
+            record_case((tmp_path / CASES_FOLDER / case.name, MAKER, case))
     assert list((tmp_path / "cases").iterdir()) == []
-    assert make._record_job(make._Job(tmp_path, case)) == case.name
+    assert record_case((tmp_path / CASES_FOLDER / case.name, MAKER, case)) == case.name
     assert [path.name for path in (tmp_path / "cases" / case.name).iterdir()] == ["cold.mcap"]
 
 
 def test_an_effect_from_outside_is_written_by_its_file_and_switched_on() -> None:
     (effect,) = cases()["out-of-catalogue"].effects
-    assert effect.spec.startswith("related/sensors.py:DriftingCurrent:")
-    made = make.true_effects(cases()["out-of-catalogue"])[-1]
+    assert effect.spec.startswith("related.py:DriftingCurrent:")
+    made = resolve_effect(effect.spec)
     assert {"drift_A_s": getattr(made, "drift_A_s", None)} == effect.values
+    assert resolve_effect(effect.spec.replace("related.py", "related/sensors.py")) == made
 
 
 def test_a_session_that_does_not_complete_is_left_out(tmp_path: Path) -> None:
     weak = ("servo-gain:elbow:factor=0.1", "coulomb-friction:elbow:torque_Nm=400")
     case = TrueCase("case-000", "none", (), weak, 5)
-    make.record_case(tmp_path / CASES_FOLDER / case.name, case, SESSIONS)
+    MAKER.record(tmp_path, case)
     assert list(tmp_path.rglob("*.mcap")) == []
-    assert list(make.left_out(tmp_path, SealedTruth("00ff", (case,)), SESSIONS)) == ["case-000/cold"]

@@ -1,0 +1,360 @@
+"""Blind cases of this arm: the solver's campaign, sealed truth, logs of every case, and their diagnosis."""
+
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from fsw.kinematics.transforms import Array
+from marsarm.common.pool import Runner, in_order, local_runner
+from marsarm.common.rates import rate_of
+from marsarm.diagnosis.arm.audit import load_checked_recordings
+from marsarm.diagnosis.arm.blind_case import record_blind, sample_background
+from marsarm.diagnosis.arm.case import (
+    CampaignModel,
+    FittedCase,
+    diagnose_fitted_case,
+    fit_case,
+    load_campaign_model,
+)
+from marsarm.diagnosis.arm.logs import NotForDiagnosis
+from marsarm.diagnosis.arm.record import record_campaign, split_logs
+from marsarm.diagnosis.arm.simulator import catalogue_effect
+from marsarm.diagnosis.problem import Hypothesis
+from marsarm.diagnosis.result import to_json as diagnosis_json
+from marsarm.diagnosis.sampling import DetectableEffect, SampledEffect, list_detectable
+from sim.arms import arm_named
+from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
+from sim.initialisation import true_reference
+from sim.params import nominal_params
+from sim.plant import PlantDiverged
+from sim.scenario.effects import effect_text
+from simgap.common.errors import BadRequest
+from simgap.common.progress import Progress, no_progress, part_of
+from simgap.common.report import to_json
+from validation.campaigns import Context, Document
+from validation.cases import sealed
+from validation.cases.arm_features import (
+    CLASSES_FILE,
+    CampaignSensitivities,
+    CaseFeatures,
+    CaseResiduals,
+    EquivalenceClasses,
+    ResultFile,
+    classes_json,
+    closure_of_truth,
+    load_classes,
+    read_case_parts,
+)
+from validation.cases.arm_score import NAMED_LEVELS, make_tables, score
+from validation.cases.arm_truth import (
+    PlannedCase,
+    SealedEffect,
+    TrueCase,
+    check_leakage,
+    find_contradictions,
+    list_uncatalogued,
+    load_outside_effects,
+    plan_cases,
+    resolve_effect,
+)
+from validation.cases.sealed import CaseScore, SealedTruth
+
+CAMPAIGN_FOLDER: Final = "campaign"
+DIAGNOSIS_SEED: Final = 1
+"""Seed of the diagnosis, independent of the seed of the cases."""
+RECORDING_SHARE: Final = 0.2
+"""Share of the time before the cases in which the campaign is recorded, for the progress."""
+SMALL_SESSIONS: Final = ("poses-rolled-1", "poses-level-5")
+"""Sessions of a small run; the last one is held out. At rest only: motions take hours."""
+SMALL_KINDS: Final = ("resolver-bias",)
+
+
+class NoDiagnosis(ValueError):
+    """Case that cannot be diagnosed; the message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmCases:
+    """Cases of this arm."""
+
+    sessions: tuple[str, ...] | None = None
+    """Names of the sessions of the campaign; None for all."""
+    kinds: tuple[str, ...] | None = None
+    """Effects of the catalogue; None for all, and effects outside the catalogue too."""
+
+    name: ClassVar[str] = "arm-cases"
+    suffix: ClassVar[str] = ""
+    truth_type: ClassVar[TypeAdapter[SealedTruth[TrueCase]]] = TypeAdapter(SealedTruth[TrueCase])
+    result_type: ClassVar[TypeAdapter[Any]] = TypeAdapter(ResultFile)
+
+    def draw(
+        self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress
+    ) -> tuple[TrueCase, ...]:
+        """Record the nominal arm, publish its classes, and draw effects by their detection limits."""
+        campaign = folder / CAMPAIGN_FOLDER
+        if not campaign.exists():
+            part = folder / (CAMPAIGN_FOLDER + sealed.PARTIAL_SUFFIX)
+            shutil.rmtree(part, ignore_errors=True)
+            arm, number = arm_named("nominal"), int(np.random.default_rng([seed, 7]).integers(2**31))
+            recording = part_of(progress, 0.0, RECORDING_SHARE)
+            record_campaign(part, choose_sessions(self.sessions), arm, true_reference(arm), number, recording)
+            part.rename(campaign)
+        model = load_model(campaign, self.kinds, run, part_of(progress, RECORDING_SHARE, 1.0)).model
+        sealed.write_json(campaign / CLASSES_FILE, classes_json(model))
+        limits = [one.limit for one in model.limits]
+        known = list_detectable(model.sensitivities.hypotheses, limits, model.label)
+        # The typical size stands for the limit, which takes a minute of CPU for each effect and place.
+        outside = [DetectableEffect(one.hypothesis, 1.0, None) for one in list_uncatalogued().values()]
+        return draw_truth(cases, seed, known, outside if self.kinds is None else [])
+
+    def check(self, cases: Sequence[TrueCase]) -> Iterator[str]:
+        """Yield how a truth contradicts itself."""
+        return find_contradictions(cases)
+
+    def record(self, path: Path, case: TrueCase) -> None:
+        """Record the sessions of a case; a session whose motion does not complete gets no log."""
+        effects = tuple(map(resolve_effect, (*case.background, *(one.spec for one in case.effects))))
+        record_blind(path, effects, choose_sessions(self.sessions), case.seed, no_progress)
+        for log in sorted(path.rglob("*.mcap")):
+            check_leakage(log, case)
+
+    def prepare(self, folder: Path, run: Runner, progress: Progress) -> None:
+        """Compute the model of the campaign."""
+        load_model(folder / CAMPAIGN_FOLDER, self.kinds, run, progress)
+
+    def load(self, folder: Path) -> None:
+        """Load the model of the campaign."""
+        load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds)
+
+    def sensitivities(self, folder: Path) -> CampaignSensitivities:
+        """Return the sensitivities of the campaign."""
+        found = load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds)
+        assert found.held_out is not None  # `load_model` refuses a campaign without held-out logs
+        return CampaignSensitivities(found.model.sensitivities, found.held_out)
+
+    def diagnose(self, folder: Path, case: Path, without: str = "") -> tuple[Document, CaseFeatures]:
+        """Diagnose a case; return result and residuals.
+
+        Args:
+            folder: Folder of the cases.
+            case: Folder of the logs.
+            without: Name of an effect that the catalogue does not have; "" for none.
+
+        Raises:
+            NoDiagnosis: A log cannot be compared, most motions are missing, or the plant diverges.
+        """
+        campaign = load_cached_model(folder / CAMPAIGN_FOLDER, self.kinds)
+        if without:
+            campaign = replace(campaign, model=replace(campaign.model, left_out_effect=without))
+        try:
+            fitted, held = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(case))
+            fitted_case = fit_case(fitted, held, campaign, DIAGNOSIS_SEED)
+            found = diagnosis_json(diagnose_fitted_case(fitted_case, campaign, DIAGNOSIS_SEED))
+        except (NotForDiagnosis, PlantDiverged) as error:
+            raise NoDiagnosis(str(error)) from error
+        return found, case_features(fitted_case)
+
+    def solve(self, folder: Path, case: Path) -> Document:
+        """Diagnose a case and keep its residuals; "unknown" without effects if it cannot be diagnosed."""
+        try:
+            found, features = self.diagnose(folder, case)
+        except NoDiagnosis as why:
+            return {"verdict": "unknown", "refused": str(why), "effects": [], "closure": None}
+        sealed.write_json(features_path(folder, case.name), features.document())
+        return found
+
+    def score(
+        self, folder: Path, solved: Sequence[tuple[TrueCase, Document]], progress: Progress
+    ) -> CaseScore:
+        """Score solved cases; a small run is in bounds if no name is wrong and the truth is in each set."""
+        sensitivities, done = self.sensitivities(folder), 0
+
+        def true_closure(case: TrueCase) -> float:
+            nonlocal done
+            progress(done, len(solved), case.name)
+            done += 1
+            parts = read_case_parts(features_path(folder, case.name), sensitivities)
+            return closure_of_truth(*parts, true_values(sensitivities, case), DIAGNOSIS_SEED).share
+
+        for case, result in solved:
+            check_result(case, result)
+        found = score(load_classes(folder / CAMPAIGN_FOLDER), solved, true_closure)
+        is_right = found.found.covered.hits == found.found.reported.of
+        in_bounds = found.false_alarm.hits == found.spurious.hits == 0 and is_right
+        return CaseScore(to_json(found), make_tables(found), in_bounds or self.kinds is None)
+
+
+@cache
+def choose_sessions(names: tuple[str, ...] | None) -> tuple[DiagnosisSession, ...]:
+    """Return the sessions of these names, or all of the campaign."""
+    every = campaign_sessions(arm_named("nominal").params)
+    return tuple(one for one in every if names is None or one.name in names)
+
+
+def load_model(
+    campaign: Path, kinds: tuple[str, ...] | None, run: Runner, progress: Progress
+) -> CampaignModel:
+    """Load the campaign model; compute and cache what is missing; BadRequest without its logs."""
+    fitted, held = split_logs(campaign)
+    if not fitted or not held:
+        raise BadRequest(f"{campaign}: lacks the campaign's logs; the step make records them")
+    return load_campaign_model(fitted, held, campaign, run, progress, *(() if kinds is None else (kinds,)))
+
+
+@cache
+def load_cached_model(campaign: Path, kinds: tuple[str, ...] | None) -> CampaignModel:
+    """Load the campaign model once in each process."""
+    return load_model(campaign, kinds, local_runner(1), no_progress)
+
+
+def case_features(fitted_case: FittedCase) -> CaseFeatures:
+    """Return the measured residuals of a case, as its diagnosis uses them."""
+    held_out = fitted_case.held_out
+    rows = np.zeros(0, np.intp) if held_out is None else held_out.rows
+    return CaseFeatures(
+        CaseResiduals(fitted_case.simulator.rows, fitted_case.residual),
+        CaseResiduals(rows, fitted_case.held_out_residual),
+    )
+
+
+def features_path(folder: Path, case: str) -> Path:
+    """Return the path of the residuals of a solved case."""
+    return sealed.result_path(folder, case).with_suffix(".features.json")
+
+
+def draw_truth(
+    cases: int, seed: int, known: Sequence[DetectableEffect], outside: Sequence[DetectableEffect]
+) -> tuple[TrueCase, ...]:
+    """Draw the truth; the same seed and detection limits give the same truth."""
+    plan = plan_cases(cases, known, outside, np.random.default_rng([seed, 8]))
+    return tuple(_true_case(number, case, seed) for number, case in enumerate(plan))
+
+
+def _true_case(number: int, plan: PlannedCase, seed: int) -> TrueCase:
+    rng = np.random.default_rng([seed, 10, number])
+    specs = tuple(effect_text(effect) for effect in sample_background(rng))
+    effects = tuple(_true_effect(one, plan.kind == "out-of-catalogue") for one in plan.effects)
+    return TrueCase(sealed.case_name(number), plan.kind, effects, specs, int(rng.integers(10**9, 2**31)))
+
+
+def _true_effect(one: SampledEffect, outside: bool) -> SealedEffect:
+    hypothesis = one.source.hypothesis
+    name = hypothesis.effect, hypothesis.place
+    if outside:
+        spec = list_uncatalogued()[name].spec(one.values)
+    else:
+        spec = effect_text(catalogue_effect(hypothesis, one.values))
+    values = {p.name: float(v) for p, v in zip(hypothesis.parameters, one.values, strict=True)}
+    return SealedEffect(*name, values, one.times_limit, spec)
+
+
+def check_result(case: TrueCase, result: Document) -> None:
+    """Raise BadRequest if a case or its result is of another version."""
+    for effect in case.effects if case.kind == "out-of-catalogue" else ():
+        if effect.name not in load_outside_effects():
+            raise BadRequest(
+                f"{case.name}: {effect.name} is none of today's effects outside the catalogue; score it with "
+                f"the marsarm that made it"
+            )
+    true = {(effect.name, effect.place): set(effect.values) for effect in case.effects}
+    for finding in result["effects"]:
+        sizes = {parameter["name"] for parameter in finding["parameters"] if parameter["is_amplitude"]}
+        for unknown in sizes - true.get((finding["name"], finding["place"]), sizes):
+            raise BadRequest(
+                f"{case.name}: {finding['name']} has no {unknown}; remove its result and solve again"
+            )
+
+
+def true_values(sensitivities: CampaignSensitivities, case: TrueCase) -> dict[Hypothesis, Array]:
+    """Return the values of the true effects, by hypothesis of the campaign; BadRequest if one has none."""
+    known = {(one.effect, one.place): one for one in sensitivities.fitted.hypotheses}
+    found = {}
+    for effect in case.effects:
+        one = known.get((effect.name, effect.place))
+        if one is None or {p.name for p in one.parameters} - effect.values.keys():
+            raise BadRequest(
+                f"{case.name}: {effect.name} at {effect.place} is not in today's catalogue as it was sealed; "
+                f"score it with the marsarm that made it"
+            )
+        found[one] = np.array([effect.values[p.name] for p in one.parameters])
+    return found
+
+
+def leave_out(context: Context, maker: ArmCases, cases: int) -> Document:
+    """Diagnose solved cases with one clear effect again, with a catalogue that lacks it.
+
+    Args:
+        context: Its folder holds the cases.
+        maker: Diagnoses them.
+        cases: Greatest number of cases; those with the largest effects are taken.
+    """
+    folder = context.out or Path(f"{maker.name}-{context.seed}")
+    truth, results = sealed.load_truth(folder, maker), sealed.load_results(folder, maker)
+    classes = load_classes(folder / CAMPAIGN_FOLDER)
+    chosen = list_clear_cases([case for case in truth.cases if case.name in results], classes)[:cases]
+    if not chosen:
+        raise BadRequest(f"{folder}: no solved case has one effect above its limit; solve all cases")
+    maker.prepare(folder, context.run, context.progress)
+    jobs = [(folder.absolute(), maker, case) for case in chosen]
+    documents = list(in_order(context.run, diagnose_without, jobs))
+    return score_left_out(classes, list(zip(chosen, documents, strict=True)))
+
+
+def list_clear_cases(cases: Sequence[TrueCase], classes: EquivalenceClasses) -> list[TrueCase]:
+    """List the cases with one effect from the limit of the selection on, the largest first."""
+
+    def size(case: TrueCase) -> float:
+        (one,) = case.effects
+        return one.times_limit / classes.family_wise_share(one.name, one.place)
+
+    single = [case for case in cases if case.kind == "single"]
+    return sorted((case for case in single if size(case) >= 1.0), key=size, reverse=True)
+
+
+def diagnose_without(folder: Path, maker: ArmCases, case: TrueCase) -> Document:
+    """Diagnose a case without its effect in the catalogue."""
+    try:
+        return maker.diagnose(folder, sealed.case_path(folder, maker, case.name), case.effects[0].name)[0]
+    except NoDiagnosis:
+        return {"verdict": "unknown", "effects": []}
+
+
+def score_left_out(classes: EquivalenceClasses, solved: Sequence[tuple[TrueCase, Document]]) -> Document:
+    """Count cases in which another effect is named, anything is reported, and a place is right."""
+    wrong, right = [], []
+    for case, document in solved:
+        (effect,) = case.effects
+        named = [f"{o['name']} at {o['place']}" for o in document["effects"] if o["level"] in NAMED_LEVELS]
+        if named:
+            wrong.append(f"{case.name}: {effect.name} at {effect.place}: {', '.join(named)}")
+        places = [set(one["places"]) for one in document["effects"] if one["places"]]
+        if places:
+            right.append(all(classes.locations(effect.name, effect.place) & one for one in places))
+    reported = [one["verdict"] != "none" for _, one in solved]
+    named_rate = rate_of([True] * len(wrong) + [False] * (len(solved) - len(wrong)))
+    rates = {"named": named_rate, "reported": rate_of(reported), "right_place": rate_of(right)}
+    return {**to_json(rates), "wrong": wrong}
+
+
+def campaign(
+    context: Context, cases: int = 200, step: str = "all", partial: bool = False, small: bool = False
+) -> Document:
+    """Make, solve and score blind cases.
+
+    Args:
+        context: Its folder holds the cases; arm-cases-SEED if it names none.
+        cases: Number of cases.
+        step: all, make, solve, score or leave-out.
+        partial: Score only cases that are solved.
+        small: Two sessions and one kind of effect, a minute in all.
+    """
+    maker = ArmCases(SMALL_SESSIONS, SMALL_KINDS) if small else ArmCases()
+    if step == "leave-out":
+        return leave_out(context, maker, cases)
+    return sealed.run_steps(context, maker, cases, step, partial, is_kept=not small)

@@ -1,0 +1,354 @@
+"""Score of blind cases of this arm: results compared with the truth, level by level, and its tables."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from marsarm.common.rates import Median, Rate, median_with_interval, rate_of
+from validation.cases.arm_features import EquivalenceClasses
+from validation.cases.arm_truth import SealedEffect, TrueCase, load_outside_effects, locate_outside
+from validation.cases.sealed import Table
+
+SIZE_BINS: Final = ((0.5, 1.0), (1.0, 1.5), (1.5, 2.0), (2.0, 4.0))
+"""Bins of true amplitudes in detection limits; the last bin includes its upper end."""
+NAMED_LEVELS: Final = ("size", "effect")
+"""Levels at which effects are named."""
+BOOTSTRAP_DRAWS: Final = 2000
+
+ResultDocument = Mapping[str, Any]
+"""Result document of a case (see `marsarm diagnose --json`), with `seconds`."""
+FindingDocument = Mapping[str, Any]
+SolvedCase = tuple[TrueCase, ResultDocument]
+
+
+@dataclass(frozen=True, slots=True)
+class DetectionRates:
+    """Rates at which true effects of the catalogue are found."""
+
+    reported: Rate
+    """Rate at which a finding stands for the effect."""
+    place: Rate
+    """Rate at which that finding, or what is the same here, has the location; of those reported."""
+    effect: Rate
+    """Rate at which that finding is of the right class; of those reported."""
+    covered: Rate
+    """Rate at which the set at the reported level holds the truth; of those reported with a place."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutsideRates:
+    """Rates of wrong statements about effects outside the catalogue, over cases.
+
+    Intervals of `by_effect` are from a bootstrap over effects.
+    """
+
+    wrong_place: Rate
+    wrong_family: Rate
+    wrong_effect: Rate
+    by_effect: Mapping[str, tuple[float, float]]
+    reported: Rate
+    """Cases with a finding, or with something that remains."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bin:
+    """Rates for true effects within a range of detection limits."""
+
+    least: float
+    most: float
+    found: DetectionRates
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Rates over cases."""
+
+    cases: int
+    false_alarm: Rate
+    """No-effect cases with a verdict other than "none"."""
+    related: OutsideRates
+    unrelated: OutsideRates
+    outside: OutsideRates
+    """Both together."""
+    found: DetectionRates
+    """Of effects from the detection limit of the selection on."""
+    set_size: float
+    """Mean number of effects in a set that names effects; NaN if there is none."""
+    most_members: int
+    """Largest set of places, families or effects."""
+    spurious: Rate
+    """Named effects that are not effects of the case, in cases with effects of the catalogue."""
+    interval: Rate
+    """True amplitudes within their 90 % intervals, where the effect itself is named."""
+    closure: Median
+    """Closure of reported effects on held-out motion."""
+    true_closure: Median
+    """Closure of the true effects of the same cases."""
+    closure_lost: Median
+    """Difference of the two, case by case."""
+    seconds: Median
+    """CPU seconds for a case."""
+    max_seconds: float
+    bins: tuple[Bin, ...]
+    levels: Mapping[str, Mapping[str, int]]
+    """Number of cases by kind and the coarsest level of their findings, or the verdict without one."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Assigned:
+    """A true effect, its size in limits of the selection, and the finding that stands for it, if any."""
+
+    effect: SealedEffect
+    times_family_wise: float
+    finding: FindingDocument | None
+
+
+def score(
+    classes: EquivalenceClasses, solved: Sequence[SolvedCase], true_closure: Callable[[TrueCase], float]
+) -> Score:
+    """Score all cases.
+
+    Args:
+        classes: Equivalence classes of the campaign.
+        solved: Cases with their results.
+        true_closure: Function that returns the closure of a case's true effects.
+    """
+    nothing = [result for true, result in solved if true.kind == "none"]
+    outside = [(true, result) for true, result in solved if true.kind == "out-of-catalogue"]
+    inside = [(true, result) for true, result in solved if true.kind in ("single", "pair")]
+    assigned = [one for true, result in inside for one in _assign(classes, true, result)]
+    named = [(true, one) for true, result in inside for one in _named(result)]
+    sets = [len(one["effects"]) for _, one in named]
+    closed = [(true, result) for true, result in inside if result["effects"] and _share(result) is not None]
+    shares = [(_share(result) or 0.0, true_closure(true)) for true, result in closed]
+    seconds = [float(result["seconds"]) for _, result in solved]
+    related = {name for name, one in load_outside_effects().items() if one.is_related}
+    members = [
+        len(one[level])
+        for _, result in solved
+        for one in result["effects"]
+        for level in ("places", "families", "effects")
+    ]
+    return Score(
+        len(solved),
+        rate_of(result["verdict"] != "none" for result in nothing),
+        _outside_rates([one for one in outside if one[0].effects[0].name in related]),
+        _outside_rates([one for one in outside if one[0].effects[0].name not in related]),
+        _outside_rates(outside),
+        _detection_rates(classes, [one for one in assigned if one.times_family_wise >= 1.0]),
+        float(np.mean(sets)) if sets else float("nan"),
+        max(members, default=0),
+        rate_of(_is_spurious(classes, true, one) for true, one in named),
+        rate_of(hit for true, result in inside for hit in _interval_hits(true, result)),
+        median_with_interval([ours for ours, _ in shares]),
+        median_with_interval([theirs for _, theirs in shares]),
+        median_with_interval([theirs - ours for ours, theirs in shares]),
+        median_with_interval(seconds),
+        max(seconds, default=float("nan")),
+        tuple(_bin(classes, least, most, assigned) for least, most in SIZE_BINS),
+        _levels(solved),
+    )
+
+
+def _assign(classes: EquivalenceClasses, true: TrueCase, result: ResultDocument) -> list[_Assigned]:
+    """Assign a finding to each true effect: one that names its class, else its place, else any other."""
+    free = list(result["effects"])
+    assigned: dict[int, FindingDocument] = {}
+    rules: tuple[Callable[[SealedEffect, FindingDocument], bool], ...] = (
+        lambda effect, one: _class(classes, effect) in _classes(classes, one),
+        lambda effect, one: bool(classes.locations(effect.name, effect.place) & set(one["places"])),
+        lambda effect, one: True,
+    )
+    order = sorted(range(len(true.effects)), key=lambda k: -true.effects[k].times_limit)
+    for rule in rules:
+        for k in order:
+            found = _first(free, rule, true.effects[k])
+            if k not in assigned and found is not None:
+                assigned[k] = found
+                free.remove(found)
+    return [
+        _Assigned(
+            effect, effect.times_limit / classes.family_wise_share(effect.name, effect.place), assigned.get(k)
+        )
+        for k, effect in enumerate(true.effects)
+    ]
+
+
+def _first(
+    free: Sequence[FindingDocument],
+    rule: Callable[[SealedEffect, FindingDocument], bool],
+    effect: SealedEffect,
+) -> FindingDocument | None:
+    return next((one for one in free if rule(effect, one)), None)
+
+
+def _detection_rates(classes: EquivalenceClasses, each: Sequence[_Assigned]) -> DetectionRates:
+    reported = [(one.effect, one.finding) for one in each if one.finding is not None]
+    return DetectionRates(
+        rate_of(one.finding is not None for one in each),
+        rate_of(
+            bool(classes.locations(one.name, one.place) & classes.locations(found["name"], found["place"]))
+            for one, found in reported
+        ),
+        rate_of(
+            _class(classes, one) == classes.of(found["name"], found["place"]) for one, found in reported
+        ),
+        rate_of(
+            _is_covered(classes, one, found) for one, found in reported if found["level"] != "unlocated"
+        ),
+    )
+
+
+def _is_covered(classes: EquivalenceClasses, one: SealedEffect, found: FindingDocument) -> bool:
+    """Check that the set at the level of a finding holds the truth."""
+    if found["level"] in NAMED_LEVELS:
+        return _class(classes, one) in {classes.of(e["name"], e["place"]) for e in found["effects"]}
+    has_place = bool(classes.locations(one.name, one.place) & set(found["places"]))
+    if found["level"] == "place":
+        return has_place
+    return has_place and bool(classes.families(one.name, one.place) & set(found["families"]))
+
+
+def _outside_rates(cases: Sequence[SolvedCase]) -> OutsideRates:
+    wrong = {
+        "place": [_says_wrong_place(true.effects[0], result) for true, result in cases],
+        "family": [_says_wrong_family(true.effects[0], result) for true, result in cases],
+        "effect": [any(one["effects"] for one in result["effects"]) for _, result in cases],
+    }
+    names = [true.effects[0].name for true, _ in cases]
+    return OutsideRates(
+        rate_of(wrong["place"]),
+        rate_of(wrong["family"]),
+        rate_of(wrong["effect"]),
+        {level: _bootstrap_over(names, hits) for level, hits in wrong.items()},
+        rate_of(result["verdict"] != "none" for _, result in cases),
+    )
+
+
+def _says_wrong_place(true: SealedEffect, result: ResultDocument) -> bool:
+    """Check that a finding has places, and not that of the effect."""
+    location = locate_outside(true.name, true.place)
+    return any(one["places"] and location not in one["places"] for one in result["effects"])
+
+
+def _says_wrong_family(true: SealedEffect, result: ResultDocument) -> bool:
+    """Check that a finding has families, and none that counts as right."""
+    right = load_outside_effects()[true.name].families
+    return any(one["families"] and not right & set(one["families"]) for one in result["effects"])
+
+
+def _bootstrap_over(names: Sequence[str], hits: Sequence[bool]) -> tuple[float, float]:
+    """Return the 95 % interval of a rate over draws of effects with replacement; NaN without a case."""
+    kinds, of = np.unique(list(names), return_inverse=True)
+    if not kinds.size:
+        return float("nan"), float("nan")
+    count, wrong = np.bincount(of), np.bincount(of, weights=np.asarray(hits, float))
+    drawn = np.random.default_rng(0).integers(kinds.size, size=(BOOTSTRAP_DRAWS, kinds.size))
+    rates = wrong[drawn].sum(axis=1) / count[drawn].sum(axis=1)
+    least, most = np.quantile(rates, (0.025, 0.975))
+    return float(least), float(most)
+
+
+def _bin(classes: EquivalenceClasses, least: float, most: float, assigned: Sequence[_Assigned]) -> Bin:
+    def within(times: float) -> bool:
+        return least <= times < most or (most == SIZE_BINS[-1][1] and times >= most)
+
+    mine = [one for one in assigned if within(one.effect.times_limit)]
+    return Bin(least, most, _detection_rates(classes, mine))
+
+
+def _levels(solved: Sequence[SolvedCase]) -> dict[str, dict[str, int]]:
+    order = ("unlocated", "place", "family", "effect", "size")
+    result: dict[str, dict[str, int]] = {}
+    for true, outcome in solved:
+        row = result.setdefault(true.kind, {})
+        said = {one["level"] for one in outcome["effects"]}
+        level = next((one for one in order if one in said), outcome["verdict"])
+        row[level] = row.get(level, 0) + 1
+    return result
+
+
+def _named(result: ResultDocument) -> list[FindingDocument]:
+    return [one for one in result["effects"] if one["level"] in NAMED_LEVELS]
+
+
+def _share(result: ResultDocument) -> float | None:
+    """Return the closure; None if there was too little to explain."""
+    closure = result["closure"]
+    return None if closure is None else closure["share"]
+
+
+def _class(classes: EquivalenceClasses, one: SealedEffect) -> int | None:
+    return classes.of(one.name, one.place)
+
+
+def _classes(classes: EquivalenceClasses, finding: FindingDocument) -> set[int | None]:
+    """Return the class of a finding and those of its set of effects."""
+    return {classes.of(one["name"], one["place"]) for one in (finding, *finding["effects"])}
+
+
+def _is_spurious(classes: EquivalenceClasses, true: TrueCase, finding: FindingDocument) -> bool:
+    return not _classes(classes, finding) & {_class(classes, one) for one in true.effects}
+
+
+def _interval_hits(true: TrueCase, document: ResultDocument) -> list[bool]:
+    """Return for every amplitude of every named true effect whether its interval contains the truth."""
+    found = {(one["name"], one["place"]): one for one in _named(document)}
+    hits = []
+    for effect in true.effects:
+        finding = found.get((effect.name, effect.place))
+        for parameter in finding["parameters"] if finding is not None else ():
+            if parameter["is_amplitude"]:
+                value = effect.values[parameter["name"]]
+                hits.append(bool(parameter["least"] <= value <= parameter["most"]))
+    return hits
+
+
+def make_tables(score: Score) -> tuple[Table, ...]:
+    """Return the tables of the page; intervals are exact, 95 %, those by effect from a bootstrap."""
+    found, parts = score.found, (score.outside, score.related, score.unrelated)
+    bars = (
+        ("no effect called one", "9 % or fewer", score.false_alarm),
+        ("reported, from the limit of the selection on", "85 %", found.reported),
+        ("right place, of those", "95 %", found.place),
+        ("right effect as first choice, of those", "88 %", found.effect),
+        ("in the set of the level that was reported", "95 %", found.covered),
+        ("effects in a set that names effects, mean", "", f"{score.set_size:.2f}"),
+        ("members of the largest set", "3", score.most_members),
+        ("named, but not of the case", "", score.spurious),
+        ("90 % intervals that cover", "85 to 95 %", score.interval),
+        ("closure, median", "", score.closure),
+        ("what the true effects achieve", "", score.true_closure),
+        ("lost against that, median", "5 points or fewer", score.closure_lost),
+        ("CPU seconds for a case, median", "10 or fewer", f"{score.seconds.median:.1f}"),
+        ("the longest", "", f"{score.max_seconds:.1f}"),
+    )
+    outside = [
+        (f"wrong {level}, {bar} % or fewer", *(_outside_text(one, level) for one in parts))
+        for level, bar in (("place", 8), ("family", 14), ("effect", 20))
+    ]
+    outside.append(("something is reported", *(str(one.reported) for one in parts)))
+    sizes = [
+        (f"{b.least:g} to {b.most:g}", *map(str, (f.reported, f.place, f.effect, f.covered)))
+        for b in score.bins
+        for f in (b.found,)
+    ]
+    names = ("size", "effect", "family", "place", "unlocated", "none", "unknown")
+    levels = [(kind, *(str(row.get(one, 0)) for one in names)) for kind, row in score.levels.items()]
+    of_sizes = ("detection limits", "reported", "right place", "right effect", "in the set")
+    rows = tuple((name, wanted, str(value)) for name, wanted, value in bars)
+    return (
+        Table(f"{score.cases} blind cases", ("", "wanted", "found"), rows),
+        Table("Outside the catalogue", ("", "all", "related", "unrelated"), tuple(outside)),
+        Table("By size", of_sizes, tuple(sizes)),
+        Table("Levels", ("truth", *names), tuple(levels)),
+    )
+
+
+def _outside_text(found: OutsideRates, level: str) -> str:
+    rate: Rate = getattr(found, f"wrong_{level}")
+    least, most = found.by_effect[level]
+    between = f"{100 * least:.1f} to {100 * most:.1f}"
+    return f"{100 * rate.share:.1f} % ({rate.hits} of {rate.of}; {between})" if rate.of else "no case"

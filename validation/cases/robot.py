@@ -1,0 +1,254 @@
+"""Sealed cases of any robot: drawn with their truth, written as the files that a user has, and diagnosed."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+
+from marsarm.common.pool import Runner
+from simgap.common.errors import BadRequest, RobotError
+from simgap.common.progress import Progress
+from simgap.common.report import to_json
+from simgap.diagnosis import diagnose
+from simgap.loading import load
+from simgap.logs import Logs
+from simgap.result import Diagnosis
+from simgap.robot import Robot
+from validation.campaigns import Context, Document
+from validation.cases import sealed
+from validation.cases.robot_draw import Kind, draw_truth, make_campaign, record_logs
+from validation.cases.robot_score import SealedCase, find_equivalents, score_cases
+from validation.cases.robot_setup import ARMS, HELD_OUT, PLAN, load_robot
+from validation.cases.sealed import CaseScore, SealedTruth
+
+ROBOTS_FOLDER: Final = "robots"
+ROBOT_FILE: Final = "robot.toml"
+INDEX_FILE: Final = "cases.json"
+"""Robot of each case: all that solving is told."""
+DIAGNOSIS_SEED: Final = 1
+"""Seed of the diagnosis, independent of that of the cases."""
+KIND_SHARES: Final[dict[Kind, float]] = {"none": 0.3, "single": 0.3, "pair": 0.2, "outside": 0.2}
+"""Shares of all cases: 36, 36, 24 and 24 of 120."""
+TUNING_SEEDS: Final = 1000
+"""Seeds of cases below this are for tuning."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRobotCase:
+    """Case before its effects are drawn."""
+
+    name: str
+    seed: int
+    kind: Kind
+    model: str
+
+
+@dataclass(frozen=True, slots=True)
+class RobotCases:
+    """Cases of some robots."""
+
+    models: tuple[str, ...] = tuple(ARMS)
+    test_rates: bool = True
+    """False if the cases are too few for rates: then only a false alarm counts."""
+
+    name: ClassVar[str] = "robot-cases"
+    suffix: ClassVar[str] = ".parquet"
+    truth_type: ClassVar[TypeAdapter[SealedTruth[SealedCase]]] = TypeAdapter(SealedTruth[SealedCase])
+    result_type: ClassVar[TypeAdapter[Any]] = TypeAdapter(dict[str, Any])
+
+    def draw(
+        self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress
+    ) -> tuple[SealedCase, ...]:
+        """Draw the cases, each in a draft of its own, and write the robots and the index."""
+        plans = plan_robot_cases(cases, seed, self.models)
+        jobs = [(_draft_path(folder, one.name), one) for one in plans]
+        for done, name in enumerate(run(_draw, [job for job in jobs if not job[0].exists()]), 1):
+            progress(done, len(jobs), f"drew {name}")
+        case_type = TypeAdapter(SealedCase)
+        drafts = tuple(case_type.validate_json(path.read_bytes()) for path, _ in jobs)
+        drawn = [(one.truth.seed, one.truth.kind) for one in drafts]
+        if drawn != [(one.seed, one.kind) for one in plans]:
+            raise BadRequest(f"out {folder}: holds drafts of another seed or number; give a new folder")
+        for model in self.models:
+            names = tuple(name for name, _ in PLAN)
+            write_robot(folder / ROBOTS_FOLDER / model, load_robot(model), HELD_OUT, names)
+        sealed.write_json(folder / INDEX_FILE, {case.name: case.truth.model for case in drafts})
+        return drafts
+
+    def check(self, cases: Sequence[SealedCase]) -> Iterator[str]:
+        """Find nothing: what pydantic reads has no contradictions."""
+        return iter(())
+
+    def record(self, path: Path, case: SealedCase) -> None:
+        """Simulate and write the log of a case."""
+        write_logs(path, record_logs(case.truth))
+
+    def prepare(self, folder: Path, run: Runner, progress: Progress) -> None:
+        """Do nothing: cases share nothing."""
+
+    def load(self, folder: Path) -> None:
+        """Do nothing."""
+
+    def solve(self, folder: Path, case: Path) -> Document:
+        """Diagnose a log as a user does: robot file, logs, split, diagnosis."""
+        model = json.loads((folder / INDEX_FILE).read_bytes())[case.stem]
+        try:
+            return to_document(diagnose_files(folder / ROBOTS_FOLDER / model / ROBOT_FILE, case))
+        except RobotError as why:
+            return {"findings": [], "remaining": [], "refused": str(why)}
+
+    def score(
+        self, folder: Path, solved: Sequence[tuple[SealedCase, Document]], progress: Progress
+    ) -> CaseScore:
+        """Compare results with the truth."""
+        found = score_cases(solved)
+        is_quiet = not found.document["bars"]["false alarms"]["hits"]
+        return found if self.test_rates else CaseScore(found.document, found.tables, is_quiet)
+
+
+def plan_robot_cases(count: int, seed: int, models: tuple[str, ...]) -> tuple[PlannedRobotCase, ...]:
+    """Plan the kinds and the models of cases, in random order; each kind has each model equally often."""
+    counts = {kind: round(share * count) for kind, share in KIND_SHARES.items()}
+    counts["single"] += count - sum(counts.values())
+    pairs = [(kind, models[k % len(models)]) for kind, many in counts.items() for k in range(many)]
+    order = np.random.default_rng([seed, 4]).permutation(count)
+    return tuple(
+        PlannedRobotCase(sealed.case_name(number), TUNING_SEEDS * seed + number, *pairs[k])
+        for number, k in enumerate(order)
+    )
+
+
+def _draft_path(folder: Path, case: str) -> Path:
+    return folder / sealed.SEALED_FOLDER / f"{case}.json"
+
+
+def _draw(job: tuple[Path, PlannedRobotCase]) -> str:
+    path, plan = job
+    truth = draw_truth(plan.seed, plan.kind, plan.model)
+    campaign = make_campaign(plan.seed, plan.model)
+    equivalents = tuple(find_equivalents(campaign, one) for one in truth.effects)
+    sealed.write_json(path, asdict(SealedCase(plan.name, truth, equivalents)))
+    return plan.name
+
+
+def diagnose_files(robot_file: Path, log: Path) -> Diagnosis:
+    """Diagnose a log."""
+    robot = Robot.from_toml(robot_file)
+    logs = load(robot, log)
+    return diagnose(robot, logs.fit, held_out=logs.judged, seed=DIAGNOSIS_SEED)
+
+
+def to_document(found: Diagnosis) -> Document:
+    """Return what the score needs of a diagnosis, and what a reader wants to know."""
+    names = ("findings", "remaining", "errors")
+    document = {name: to_json(getattr(found, name)) for name in names}
+    return {**document, "refused": "; ".join(one.reason for one in found.refused)}
+
+
+def write_robot(folder: Path, robot: Robot, held_out: frozenset[str], motions: tuple[str, ...]) -> None:
+    """Write robot file, model and split of a robot."""
+    folder.mkdir(parents=True, exist_ok=True)
+    step_s = float(robot.model.opt.timestep)
+    lines = [
+        f'name = "{robot.name}"',
+        'model = "model.xml"',
+        'split = "split.toml"',
+        f"time_step_s = {step_s:g}",
+        f"control_rate_Hz = {1.0 / robot.control_period_s:g}",
+        f'tool_site = "{robot.tool_site}"',
+        "",
+        "[time]",
+        'column = "t_s"',
+        'unit = "s"',
+        "",
+        "[motion]",
+        'columns = ["motion"]',
+        'repeat_column = "repeat"',
+    ]
+    for joint in robot.joints:
+        lines += [
+            "",
+            f"[joints.{joint.name}]",
+            'mode = "position"',
+            f"kp_Nm_rad = {joint.kp_Nm_rad!r}",
+            f"kd_Nms_rad = {joint.kd_Nms_rad!r}",
+            f"torque_limit_Nm = {joint.torque_limit_Nm!r}",
+            f"is_known = {str(joint.is_known).lower()}",
+            f'command = {{ column = "command_{joint.name}", unit = "rad" }}',
+            f'position = {{ column = "position_{joint.name}", unit = "rad" }}',
+            f'temperature = {{ column = "temperature_{joint.name}", unit = "degC" }}',
+        ]
+    fitted = [name for name in motions if name not in held_out]
+    split = [
+        'default = "fit"',
+        "",
+        "[parts]",
+        f"fit = {_strings(fitted)}",
+        f"held_out = {_strings(sorted(held_out))}",
+        "",
+        "[splits.fit]",
+        'fit = ["fit"]',
+        'held_out = ["held_out"]',
+    ]
+    texts = {
+        ROBOT_FILE: "\n".join(lines),
+        "split.toml": "\n".join(split),
+        "model.xml": robot.model_xml.strip(),
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text + "\n", encoding="utf-8")
+
+
+def _strings(names: list[str]) -> str:
+    return "[" + ", ".join(f'"{name}"' for name in names) + "]"
+
+
+def write_logs(path: Path, logs: Logs) -> None:
+    """Write all motions in one Parquet file."""
+    columns: dict[str, list[NDArray[Any]]] = {}
+
+    def add(name: str, values: NDArray[Any]) -> None:
+        columns.setdefault(name, []).append(values)
+
+    for motion in logs.motions:
+        first = next(iter(motion.joints.values())).position.time_s
+        add("motion", np.full(first.size, motion.name))
+        add("repeat", np.full(first.size, motion.repeat_of))
+        add("t_s", first)
+        for joint, log in motion.joints.items():
+            assert log.command is not None
+            assert log.temperature is not None
+            add(f"command_{joint}", log.command.value)
+            add(f"position_{joint}", log.position.value)
+            add(f"temperature_{joint}", log.temperature.value)
+    pq.write_table(pa.table({name: np.concatenate(parts) for name, parts in columns.items()}), path)
+
+
+def campaign(
+    context: Context,
+    cases: int = 120,
+    step: str = "all",
+    partial: bool = False,
+    robots: str = ",".join(ARMS),
+    test_rates: bool = True,
+) -> Document:
+    """Make, solve and score sealed cases; seed 0 becomes 1, for its cases are for tuning.
+
+    Args:
+        context: Its folder holds the cases; robot-cases-SEED if it names none.
+        cases: Number of cases.
+        step: all, make, solve or score.
+        partial: Score only cases that are solved.
+        robots: Names, with commas.
+        test_rates: False for few cases: then only a false alarm counts.
+    """
+    context = replace(context, seed=max(context.seed, 1))
+    maker = RobotCases(tuple(robots.split(",")), test_rates)
+    return sealed.run_steps(context, maker, cases, step, partial, is_kept=test_rates)

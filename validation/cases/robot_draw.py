@@ -1,0 +1,305 @@
+"""Draw cases: a robot, its logs, and the truth, in memory.
+
+Seeds below 1000 are for tuning; scores use others.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final, Literal
+
+import numpy as np
+
+from simgap.arrays import Array
+from simgap.logs import JointLog, Logs, Motion, Signal
+from simgap.robot import Robot
+from validation.cases.robot_outside import Outside
+from validation.cases.robot_setup import (
+    ARMS,
+    CORRELATION,
+    HELD_OUT,
+    NOISE_RAD,
+    PERIOD_S,
+    QUANTUM_RAD,
+    REPEATED,
+    Nuisance,
+    Plan,
+    draw_plan,
+    information,
+    limit_noncentrality,
+    load_robot,
+    lowest_m,
+    make_nuisance,
+    sample_times,
+    whiten,
+)
+from validation.cases.robot_table import ENTRIES, OUTSIDE, Entry, PlacedEntry, list_hypotheses
+from validation.cases.robot_truth import Nuisances, Plant, Scene, TrueEffect
+
+Kind = Literal["none", "single", "pair", "outside"]
+TIMES_LIMIT: Final = (0.5, 4.0)
+"""Range of the strength of an effect, in family-wise limits."""
+SPREADS: Final = {"damping": 0.2, "friction": 0.2, "armature": 0.1, "gain": 0.1}
+"""Standard deviations of the logarithms of the nuisances of joints whose numbers are not known."""
+START_S: Final = 1.0
+"""Time of a motion that does not count in the limits. Friction holds a joint anywhere near its first command,
+and a solver knows the start only from the log. After this time nothing is left of it."""
+UNKNOWN: Final = 1.0
+"""Prior of these nuisances in the limits: a robot file does not say how well it knows a number, so that who
+reads it has to allow for an error as large as the number."""
+LIMIT_STEP_S: Final = 0.001
+"""Step of the simulations that only give changes: differences of runs with the same step."""
+SIZE_ROUNDS: Final = 10
+"""Simulations in the search for a size; each divides its error by some five."""
+CLOSE: Final = 0.03
+"""Share by which the strength may miss what was drawn; the strength that is reached is recorded."""
+WARM_UP_K: Final = 15.0
+"""Rise of the temperature of the motors over all motions."""
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnEffect:
+    """True effect of a case."""
+
+    name: str
+    place: str
+    family: str
+    size: float
+    shape: float
+    times_limit: float
+    """Strength in family-wise limits."""
+    families: tuple[str, ...]
+    """Families that a verdict may give."""
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Truth of a case."""
+
+    model: str
+    kind: Kind
+    seed: int
+    effects: tuple[DrawnEffect, ...]
+    nuisances: dict[str, tuple[float, ...]]
+    """Factors on the nominal numbers, an entry a joint."""
+
+
+class NoSize(ValueError):
+    """No size within the bounds of the effect has the wanted strength."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CaseMotions:
+    """Motions of a case, and what their changes are compared with."""
+
+    robot: Robot
+    plan: Plan
+    fitted: tuple[int, ...]
+    nuisances: Nuisances
+    base: Array
+    """Shown positions of the fitted motions without effects, (n_fitted, n_joints, n) [rad]."""
+    nuisance: Nuisance
+    limit: float
+    """Strength at the family-wise limit."""
+
+
+def draw_case(seed: int, kind: Kind, model: str) -> tuple[Robot, Logs, Truth]:
+    """Draw a case.
+
+    Args:
+        seed: Seed of everything random; the same seed gives the same case.
+        kind: Number and origin of its effects.
+        model: Name of the robot, a key of `ARMS`.
+
+    Returns:
+        The nominal robot, its logs with the held-out motions, and the truth.
+    """
+    truth = draw_truth(seed, kind, model)
+    return load_robot(model), record_logs(truth), truth
+
+
+def draw_truth(seed: int, kind: Kind, model: str) -> Truth:
+    """Draw the effects and the nuisances of a case; two effects differ in place or in family."""
+    campaign = make_campaign(seed, model)
+    rng = np.random.default_rng([seed, 2, sorted(ARMS).index(model)])
+    drawn: list[DrawnEffect] = []
+    while len(drawn) < {"none": 0, "single": 1, "pair": 2, "outside": 1}[kind]:
+        try:
+            one = _draw_effect(campaign, OUTSIDE if kind == "outside" else ENTRIES, rng)
+        except (NoSize, FloatingPointError):
+            continue
+        if all((one.place, one.family) != (other.place, other.family) for other in drawn):
+            drawn.append(one)
+    factors = {name: tuple(np.asarray(getattr(campaign.nuisances, name)).tolist()) for name in SPREADS}
+    return Truth(model, kind, seed, tuple(drawn), factors)
+
+
+@lru_cache(maxsize=4)
+def make_campaign(seed: int, model: str) -> CaseMotions:
+    """Draw motions and nuisances of a case, and simulate what its effects are compared with."""
+    robot = load_robot(model)
+    rng = np.random.default_rng([seed, 1, sorted(ARMS).index(model)])
+    plan = draw_plan(robot, rng)
+    fitted = tuple(k for k, name in enumerate(plan.names) if name not in HELD_OUT)
+    known = np.array([joint.is_known for joint in robot.joints])
+    factors = {
+        name: np.where(known, 1.0, np.exp(spread * rng.standard_normal(known.size)))
+        for name, spread in SPREADS.items()
+    }
+    nuisances = Nuisances(**factors)
+    base = simulate_fitted(Plant(robot, nuisances, (), LIMIT_STEP_S), plan, fitted)
+    plan = replace(plan, scene=replace(plan.scene, lowest_m=lowest_m(robot, base)))
+    columns = []
+    for name, spread in SPREADS.items():
+        for j in np.flatnonzero(~known):
+            changed = factors[name].copy()
+            changed[j] *= np.exp(0.3 * spread)
+            moved = Nuisances(**{**factors, name: changed})
+            change = simulate_fitted(Plant(robot, moved, (), LIMIT_STEP_S), plan, fitted) - base
+            columns.append(whiten_later(change) * UNKNOWN / (0.3 * spread))
+    count = len(list_hypotheses(robot, ENTRIES))
+    stacked = np.array(columns).T if columns else np.zeros((whiten_later(base).size, 0))
+    limit = limit_noncentrality(len(fitted), count)
+    return CaseMotions(robot, plan, fitted, nuisances, base, make_nuisance(stacked), limit)
+
+
+def whiten_later(change_rad: Array) -> Array:
+    """Whiten changes of positions, (.., n), without the start of the motions, in one row."""
+    return np.asarray(whiten(change_rad)[..., round(START_S / PERIOD_S) :].ravel())
+
+
+def simulate_fitted(plant: Plant, plan: Plan, motions: tuple[int, ...]) -> Array:
+    """Return shown positions without noise, (n_motions, n_joints, n) [rad]."""
+    return np.array([plant.simulate(plan.commands[k], PERIOD_S, k, temperature_degC(k)) for k in motions])
+
+
+def temperature_degC(motion: int) -> tuple[float, float]:
+    """Return the temperature of the motors at the first and the last sample of a motion."""
+    first, last = (25.0 + WARM_UP_K * (motion + end) / 12.0 for end in (0, 1))
+    return first, last
+
+
+def change_of(campaign: CaseMotions, effect: TrueEffect, motions: Sequence[int] | None = None) -> Array:
+    """Return the whitened change of the fitted motions, or of some, given by their places, (n,)."""
+    chosen = range(len(campaign.fitted)) if motions is None else motions
+    plant = Plant(campaign.robot, campaign.nuisances, (effect,), LIMIT_STEP_S)
+    moved = simulate_fitted(plant, campaign.plan, tuple(campaign.fitted[k] for k in chosen))
+    return whiten_later(moved - campaign.base[list(chosen)])
+
+
+def strength(campaign: CaseMotions, effect: TrueEffect) -> float:
+    """Return the strength of an effect, without what the nuisances imitate; see `limits`.
+
+    A large imitation is no straight line, so the nuisances are simulated where the linear one leads.
+    """
+    change = change_of(campaign, effect)
+    known = np.array([joint.is_known for joint in campaign.robot.joints])
+    amounts = (campaign.nuisance.solve @ change).reshape(len(SPREADS), -1)
+    factors = {name: np.asarray(getattr(campaign.nuisances, name)).copy() for name in SPREADS}
+    for name, amount in zip(SPREADS, amounts, strict=True):
+        factors[name][~known] *= np.exp(UNKNOWN * amount)
+    plant = Plant(campaign.robot, Nuisances(**factors), (), LIMIT_STEP_S)
+    imitated = whiten_later(simulate_fitted(plant, campaign.plan, campaign.fitted) - campaign.base)
+    left = [change, change - imitated]
+    return float(np.sqrt(max(min(information(one, one, campaign.nuisance) for one in left), 0.0)))
+
+
+def _draw_effect(campaign: CaseMotions, entries: tuple[Entry, ...], rng: np.random.Generator) -> DrawnEffect:
+    """Draw an effect, then one of its places, then a strength; NoSize if its bounds do not allow it."""
+    everything = list_hypotheses(campaign.robot, entries)
+    names = sorted({one.entry.kind.name for one in everything})
+    name = names[int(rng.integers(len(names)))]
+    places = [one for one in everything if one.entry.kind.name == name]
+    one = places[int(rng.integers(len(places)))]
+    shape = float(rng.uniform())
+    sign = float(rng.choice((-1.0, 1.0))) if one.entry.is_signed else 1.0
+    times = float(np.exp(rng.uniform(*np.log(TIMES_LIMIT))))
+    effect, reached = find_size(campaign, one, sign, shape, times)
+    kind = one.entry.kind
+    families = kind.families if issubclass(kind, Outside) else frozenset({kind.family})
+    accepted = tuple(sorted(map(str, families)))
+    return DrawnEffect(kind.name, one.place, str(kind.family), effect.size, shape, reached, accepted)
+
+
+def make_effect(drawn: DrawnEffect, scene: Scene) -> TrueEffect:
+    """Make the effect of a drawn one."""
+    kind = next(one.kind for one in (*ENTRIES, *OUTSIDE) if one.kind.name == drawn.name)
+    return kind(scene, drawn.place, drawn.size, drawn.shape)
+
+
+def find_size(
+    campaign: CaseMotions, one: PlacedEntry, sign: float, shape: float, times: float
+) -> tuple[TrueEffect, float]:
+    """Search the size of an effect with a strength.
+
+    Args:
+        one: Effect and place.
+        sign: Sign of the size.
+        shape: Shape of the effect.
+        times: Wanted strength in family-wise limits.
+
+    Returns:
+        The effect, and its strength in family-wise limits.
+
+    Raises:
+        NoSize: No size within its bounds has a strength in the range of all strengths.
+        FloatingPointError: The truth diverged.
+    """
+    size, high = one.entry.typical, one.entry.high
+    below, above, best = 0.0, np.inf, (np.inf, 0.0, 0.0)
+    for _ in range(SIZE_ROUNDS):
+        effect = one.entry.kind(campaign.plan.scene, one.place, sign * size * one.scale, shape)
+        reached = strength(campaign, effect) / campaign.limit
+        best = min(best, (abs(np.log(max(reached, 1e-9) / times)), size, reached))
+        if best[0] < CLOSE:
+            break
+        below, above = (max(below, size), above) if reached < times else (below, min(above, size))
+        if below >= high:
+            break
+        guess = size * float(np.clip(times / max(reached, 1e-9), 0.1, 10.0))
+        size = min(guess if below < guess < above else _between(below, above, size), high)
+    _, size, reached = best
+    if not TIMES_LIMIT[0] <= reached <= TIMES_LIMIT[1]:
+        raise NoSize(one.key)
+    return one.entry.kind(campaign.plan.scene, one.place, sign * size * one.scale, shape), reached
+
+
+def _between(below: float, above: float, size: float) -> float:
+    if not np.isfinite(above):
+        return 2.0 * size
+    return float(np.sqrt(below * above)) if below > 0.0 else 0.3 * above
+
+
+def record_logs(truth: Truth) -> Logs:
+    """Record all motions of a case with noise, quantised."""
+    campaign, seed = make_campaign(truth.seed, truth.model), truth.seed
+    effects = [make_effect(one, campaign.plan.scene) for one in truth.effects]
+    plant = Plant(campaign.robot, campaign.nuisances, effects)
+    plan, times = campaign.plan, sample_times()
+    motions = []
+    for k, name in enumerate(plan.names):
+        shown = plant.simulate(plan.commands[k], PERIOD_S, seed * 100 + k, temperature_degC(k))
+        rng = np.random.default_rng([seed, 3, k])
+        measured = measure(shown, rng)
+        heat = Signal(times, np.interp(times, times[[0, -1]], temperature_degC(k)))
+        joints = {
+            joint.name: JointLog(
+                position=Signal(times, measured[j]),
+                command=Signal(times, plan.commands[k, j]),
+                temperature=heat,
+            )
+            for j, joint in enumerate(campaign.robot.joints)
+        }
+        repeat = REPEATED[0] if name in REPEATED else ""
+        motions.append(Motion(name, joints, dict.fromkeys(joints, 1.0), repeat))
+    return Logs(tuple(motions), HELD_OUT)
+
+
+def measure(shown_rad: Array, rng: np.random.Generator) -> Array:
+    """Add autocorrelated noise and quantise, (n_joints, n) [rad]."""
+    white = rng.standard_normal(shown_rad.shape)
+    noise = np.empty_like(shown_rad)
+    noise[:, 0] = white[:, 0]
+    for k in range(1, shown_rad.shape[1]):
+        noise[:, k] = CORRELATION * noise[:, k - 1] + np.sqrt(1.0 - CORRELATION**2) * white[:, k]
+    return np.asarray(QUANTUM_RAD * np.round((shown_rad + NOISE_RAD * noise) / QUANTUM_RAD))

@@ -1,0 +1,268 @@
+"""Score of cases of any robot: results against the sealed truth, with one-sided exact tests at 5 %.
+
+Equivalence classes: hypotheses that no data of a case can separate from its effect.
+
+Two hypotheses are equivalent if their changes of the fitted motions, whitened and without what nuisances
+imitate, have a cosine above 0.99. Then a fit of the wrong one leaves at most 2 % of the energy of the effect:
+at four detection limits of 8, that is (4 * 8)^2 * 0.02 = 20, less than the noncentrality of 64 that a
+hypothesis needs. Hypotheses at the place of the effect and at the base and the tool are compared. Those at
+other joints move other joints.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import permutations
+from statistics import mean, median
+from typing import Any, Final
+
+import numpy as np
+
+from marsarm.common.rates import RateBar, check_rate
+from simgap.arrays import Array
+from validation.cases import robot_inside as inside
+from validation.cases import robot_structure as structure
+from validation.cases.robot_draw import CaseMotions, DrawnEffect, Truth, change_of, make_effect
+from validation.cases.robot_setup import information, make_nuisance
+from validation.cases.robot_table import BASE, ENTRIES, SUPPLY, PlacedEntry, list_hypotheses
+from validation.cases.robot_truth import TrueEffect
+from validation.cases.sealed import CaseScore, Table
+
+SET_SIZE_BAR: Final = 2.0
+SECONDS_BAR: Final = 60.0
+BASE_NAMES: Final = frozenset({"base", "world"})
+
+Document = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class SealedCase:
+    """Case with its truth, and the hypotheses that no data separate from each of its effects."""
+
+    name: str
+    truth: Truth
+    equivalents: tuple[tuple[tuple[str, str], ...], ...]
+    """For each effect: names with places."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pairing:
+    """True effect of the catalogue with the finding that is best for it."""
+
+    effect: DrawnEffect
+    accepted: frozenset[tuple[str, str]]
+    """Names and places of its equivalence class."""
+    finding: Document | None
+
+
+def plain_name(text: str) -> str:
+    """Return the name of an effect without its place and without the order or neighbour after it."""
+    name = text.rpartition(": ")[2]
+    return name.split(" of order ")[0].split(" of many orders")[0].split(" to ")[0]
+
+
+def plain_place(text: str) -> str:
+    """Return the place; the base has two names."""
+    return "base" if text in BASE_NAMES else text
+
+
+def named(key: str, place: str) -> tuple[str, str]:
+    """Return the name and the place of a key "place: name"; the place of the finding where it has none."""
+    before = key.rpartition(": ")[0]
+    return plain_name(key), plain_place(before or place)
+
+
+def members(finding: Document) -> set[tuple[str, str]]:
+    """Return the names and places of the reported set."""
+    return {named(key, finding["place"]) for key in finding["effects"]}
+
+
+def first_choice(finding: Document) -> tuple[str, str]:
+    """Return the name and the place that a finding puts first."""
+    return named(finding["effect"], finding["place"])
+
+
+def places(finding: Document) -> set[str]:
+    """Return the places of the reported set."""
+    return {plain_place(one) for one in (finding["place"], *finding["places"])}
+
+
+def pair_up(case: SealedCase, findings: list[Document]) -> tuple[list[Pairing], list[Document]]:
+    """Give each true effect the finding that fits it best, and return the findings that are left."""
+    classes = [frozenset((name, plain_place(place)) for name, place in one) for one in case.equivalents]
+    slots: list[Document | None] = [*findings, *[None] * len(classes)]
+
+    def fit(accepted: frozenset[tuple[str, str]], finding: Document | None) -> int:
+        if finding is None:
+            return 0
+        is_place = plain_place(finding["place"]) in {place for _, place in accepted}
+        return 1 + 4 * (first_choice(finding) in accepted) + 2 * is_place
+
+    best = max(
+        permutations(range(len(slots)), len(classes)),
+        key=lambda order: sum(fit(one, slots[k]) for one, k in zip(classes, order, strict=True)),
+    )
+    pairs = [
+        Pairing(effect, accepted, slots[k])
+        for effect, accepted, k in zip(case.truth.effects, classes, best, strict=True)
+    ]
+    return pairs, [finding for k, finding in enumerate(findings) if k not in best]
+
+
+def is_covered(pair: Pairing) -> bool:
+    """Return whether the reported set holds the truth, at the lowest level that was reported."""
+    finding = pair.finding
+    assert finding is not None
+    if finding["effects"]:
+        return bool(members(finding) & pair.accepted)
+    if finding["families"]:
+        return pair.effect.family in finding["families"]
+    return bool(places(finding) & {place for _, place in pair.accepted})
+
+
+def has_wrong_place(case: SealedCase, findings: list[Document]) -> bool:
+    """Return whether a finding gives places without the true one."""
+    accepted = {plain_place(case.truth.effects[0].place), *(plain_place(p) for _, p in case.equivalents[0])}
+    return any(not places(finding) & accepted for finding in findings)
+
+
+def has_wrong_family(case: SealedCase, findings: list[Document]) -> bool:
+    """Return whether a finding gives families, none of which is right."""
+    accepted = set(case.truth.effects[0].families)
+    return any(finding["families"] and not accepted & set(finding["families"]) for finding in findings)
+
+
+def has_wrong_effect(case: SealedCase, findings: list[Document]) -> bool:
+    """Return whether a finding names an effect that the data can tell from the true one."""
+    accepted = {(name, plain_place(place)) for name, place in case.equivalents[0]}
+    return any(members(finding) - accepted for finding in findings)
+
+
+def score_cases(solved: Sequence[tuple[SealedCase, Document]]) -> CaseScore:
+    """Score solved cases."""
+    by_kind = {kind: [one for one in solved if one[0].truth.kind == kind] for kind in ("none", "outside")}
+    outside = [(case, list(result["findings"])) for case, result in by_kind["outside"]]
+    inside = [one for one in solved if one[0].truth.kind in ("single", "pair")]
+    paired = [pair_up(case, list(result["findings"])) for case, result in inside]
+    clear = [pair for pairs, _ in paired for pair in pairs if pair.effect.times_limit >= 1.0]
+    given = [pair for pair in clear if pair.finding is not None]
+    reports = [(pair, pair.finding) for pair in given if pair.finding is not None]
+    sets = [max(len(one["effects"]), 1) for _, one in reports]
+    bars = {
+        "false alarms": check_rate((bool(one["findings"]) for _, one in by_kind["none"]), 0.05, True),
+        "outside, wrong place": check_rate((has_wrong_place(*one) for one in outside), 0.05, True),
+        "outside, wrong family": check_rate((has_wrong_family(*one) for one in outside), 0.10, True),
+        "outside, wrong effect": check_rate((has_wrong_effect(*one) for one in outside), 0.15, True),
+        "reported": check_rate((pair.finding is not None for pair in clear), 0.85, False),
+        "right place": check_rate(
+            (plain_place(one["place"]) in {place for _, place in pair.accepted} for pair, one in reports),
+            0.95,
+            False,
+        ),
+        "right effect": check_rate(
+            (first_choice(one) in pair.accepted for pair, one in reports), 0.88, False
+        ),
+        "set coverage": check_rate((is_covered(pair) for pair in given), 0.95, False),
+    }
+    set_size = mean(sets) if sets else None
+    seconds = median(one["seconds"] for _, one in solved)
+    met = all(bar.is_met for bar in bars.values())
+    in_bounds = met and (set_size is None or set_size < SET_SIZE_BAR) and seconds <= SECONDS_BAR
+    document = {
+        "cases": len(solved),
+        "bars": {name: {**asdict(bar), "met": bar.is_met} for name, bar in bars.items()},
+        "mean set size": set_size,
+        "further findings in cases with effects": sum(len(rest) for _, rest in paired),
+        "refused": sum(bool(one.get("refused")) and not one["findings"] for _, one in solved),
+        "cpu seconds, median": seconds,
+    }
+    return CaseScore(document, (make_table(bars),), in_bounds)
+
+
+def make_table(bars: dict[str, RateBar]) -> Table:
+    """Return the bars as a table."""
+    rows = [
+        (name, f"at {'most' if bar.is_most else 'least'} {bar.rate:g}", f"{bar.hits} of {bar.of}",
+         "met" if bar.is_met else "missed")
+        for name, bar in bars.items()
+    ]  # fmt: skip
+    return Table("Cases of any robot", ("", "wanted", "found", ""), tuple(rows))
+
+
+LEAST_COSINE: Final = 0.99
+SHAPED: Final = (
+    inside.Integral,
+    inside.Stribeck,
+    structure.Spring,
+    structure.PositionTorque,
+    structure.PeriodicError,
+    structure.GravityDirection,
+)
+"""Effects with a shape; two shapes of each are tried beside that of the truth."""
+FAR: Final = 0.9
+"""Cosine of a change at about the right size below which no size makes it equal."""
+
+
+def find_equivalents(campaign: CaseMotions, drawn: DrawnEffect) -> tuple[tuple[str, str], ...]:
+    """Return the effects of the catalogue with their places that cannot be told from a true one.
+
+    Args:
+        drawn: The effect; one of the catalogue is its own equivalent.
+    """
+    true = change_of(campaign, make_effect(drawn, campaign.plan.scene))
+    near = {drawn.place, BASE, SUPPLY, campaign.robot.tool_site}
+    found = [
+        (one.entry.kind.name, one.place)
+        for one in list_hypotheses(campaign.robot, ENTRIES)
+        if one.place in near
+        and (
+            (one.entry.kind.name, one.place) == (drawn.name, drawn.place)
+            or _imitates(campaign, one, drawn, true)
+        )
+    ]
+    return tuple(found)
+
+
+def _imitates(campaign: CaseMotions, one: PlacedEntry, drawn: DrawnEffect, true: Array) -> bool:
+    shapes = (drawn.shape, 0.25, 0.75) if issubclass(one.entry.kind, SHAPED) else (drawn.shape,)
+    return any(abs(_cosine(campaign, one, shape, true)) > LEAST_COSINE for shape in shapes)
+
+
+def _cosine(campaign: CaseMotions, one: PlacedEntry, shape: float, true: Array) -> float:
+    """Return the cosine of two changes, the second at the size that gives about the strength of the first."""
+    strength = np.sqrt(max(information(true, true, campaign.nuisance), 0.0))
+    size = one.entry.typical
+    cosine = 0.0
+    for _ in range(2):
+        try:
+            change = _close_change(
+                campaign, one.entry.kind(campaign.plan.scene, one.place, size * one.scale, shape), true
+            )
+        except FloatingPointError:
+            return 0.0
+        if change is None:
+            return 0.0
+        own = np.sqrt(max(information(change, change, campaign.nuisance), 0.0))
+        cosine = information(change, true, campaign.nuisance) / max(own * strength, 1e-12)
+        size = min(size * float(np.clip(strength / max(own, 1e-9), 0.1, 10.0)), one.entry.high)
+    return float(cosine)
+
+
+def _close_change(campaign: CaseMotions, effect: TrueEffect, true: Array) -> Array | None:
+    """Return the change by an effect; None if its cosine with the true one is below FAR.
+
+    What some motions leave of the true change is a lower bound of what all leave: most effects need only few.
+    """
+    n_motions = len(campaign.fitted)
+    parts = true.reshape(n_motions, -1)
+    allowed = (1.0 - FAR**2) * information(true, true, campaign.nuisance)
+    columns = campaign.nuisance.columns.reshape(n_motions, parts.shape[1], -1)
+    order, changes = np.argsort(-np.sum(parts**2, axis=1)), np.zeros_like(parts)
+    for count, motion in enumerate(order, 1):
+        changes[motion] = change_of(campaign, effect, [motion])
+        seen = order[:count]
+        nuisance = make_nuisance(np.concatenate(columns[seen]))
+        one, other = changes[seen].ravel(), parts[seen].ravel()
+        imitated = information(one, other, nuisance) ** 2 / max(information(one, one, nuisance), 1e-12)
+        if information(other, other, nuisance) - imitated > allowed:
+            return None
+    return np.asarray(changes.ravel())

@@ -1,0 +1,379 @@
+"""Sealed cases of a diagnosis: planned and sealed by a digest, then made, solved and scored, for any robot.
+
+A folder holds `digest.txt`, `sealed/truth.json`, the logs in `cases` and the results in `solved`. The truth
+is sealed before a case is recorded, and solving never reads it. Whatever was interrupted goes on.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, ClassVar, Final, Generic, Protocol, TypeVar
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from marsarm.common.pool import Runner
+from simgap.common.errors import BadOutput, BadRequest
+from simgap.common.files import atomic_write, check_new_path
+from simgap.common.json_file import describe_first_problem
+from simgap.common.progress import Progress, part_of
+from validation.campaigns import Context, Document
+
+TRUTH: Final = "truth.json"
+DIGEST: Final = "digest.txt"
+SEALED_FOLDER: Final = "sealed"
+CASES_FOLDER: Final = "cases"
+SOLVED_FOLDER: Final = "solved"
+PARTIAL_SUFFIX: Final = ".part"
+MOST_CASES: Final = 1000
+DRAWING_SHARE: Final = 0.05
+"""Share of the time of making that drawing takes, for the progress."""
+STEPS: Final = ("all", "make", "solve", "score")
+
+
+class NamedCase(Protocol):
+    """Truth of a case."""
+
+    @property
+    def name(self) -> str:
+        """Name, case-000 for the first."""
+
+
+Case = TypeVar("Case", bound=NamedCase)
+
+
+@dataclass(frozen=True, slots=True)
+class SealedTruth(Generic[Case]):
+    """Truth of all cases; without the seed, the salt prevents that the digest confirms a guess."""
+
+    salt: str
+    cases: tuple[Case, ...]
+
+    def text(self) -> str:
+        """Return the text of the truth file."""
+        return json.dumps(asdict(self), indent=1, sort_keys=True) + "\n"
+
+    def digest(self) -> str:
+        """Return the SHA-256 of that text."""
+        return hashlib.sha256(self.text().encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Table of a score."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CaseScore:
+    """Score as a document and as tables."""
+
+    document: Document
+    tables: tuple[Table, ...]
+    in_bounds: bool
+
+    def markdown(self) -> str:
+        """Return the tables as a page."""
+        lines: list[str] = []
+        for one in self.tables:
+            lines += [f"# {one.title}", "", f"| {' | '.join(one.columns)} |", "|---" * len(one.columns) + "|"]
+            lines += [*(f"| {' | '.join(row)} |" for row in one.rows), ""]
+        return "\n".join(lines)
+
+
+class CaseMaker(Protocol[Case]):
+    """Robot of some cases: all that differs between robots. Objects go to other processes."""
+
+    name: ClassVar[str]
+    """Name of the campaign."""
+    suffix: ClassVar[str]
+    """Suffix of the file of a case's logs; empty for a folder."""
+    truth_type: ClassVar[TypeAdapter[Any]]
+    """Type of the sealed truth."""
+    result_type: ClassVar[TypeAdapter[Any]]
+
+    def draw(
+        self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress
+    ) -> tuple[Case, ...]:
+        """Draw the truth of all cases, and write what solving may know before them."""
+
+    def check(self, cases: Sequence[Case]) -> Iterator[str]:
+        """Yield how a sealed truth contradicts itself."""
+
+    def record(self, path: Path, case: Case) -> None:
+        """Record the logs of a case."""
+
+    def prepare(self, folder: Path, run: Runner, progress: Progress) -> None:
+        """Compute what all cases share, in parallel, before they are solved."""
+
+    def load(self, folder: Path) -> None:
+        """Load what all cases share, once in each process."""
+
+    def solve(self, folder: Path, case: Path) -> Document:
+        """Diagnose the logs of a case."""
+
+    def score(self, folder: Path, solved: Sequence[tuple[Case, Document]], progress: Progress) -> CaseScore:
+        """Compare results with the truth."""
+
+
+def run_steps(
+    context: Context, maker: CaseMaker[Any], cases: int, step: str, partial: bool, is_kept: bool = True
+) -> Document:
+    """Make, solve and score cases, or do one of these.
+
+    Args:
+        context: Its folder holds the cases.
+        maker: Robot of the cases.
+        cases: Number of cases.
+        step: One of STEPS.
+        partial: Score only cases that are solved, instead of refusing others.
+        is_kept: Keep the cases in a folder of the name and the seed if the context names none.
+    """
+    if step not in STEPS:
+        raise BadRequest(f"set step: {step} is none of {', '.join(STEPS)}")
+    with TemporaryDirectory() as scratch:
+        folder = context.out or Path(f"{maker.name}-{context.seed}" if is_kept else scratch)
+        run, progress, document = context.run, context.progress, Document()
+        if step in ("all", "make"):
+            digest, recorded = make_cases(folder, maker, cases, context.seed, run, progress)
+            document |= {"digest": digest, "cases": cases, "recorded": recorded}
+        if step in ("all", "solve"):
+            solved, every = solve_cases(folder, maker, run, progress)
+            document |= {"solved": solved, "cases": every}
+        if step in ("all", "score"):
+            found = score_cases(folder, maker, partial, progress)
+            (folder / "score.md").write_text(found.markdown(), encoding="utf-8")
+            document |= {**found.document, "in_bounds": found.in_bounds}
+        return document
+
+
+def make_cases(
+    folder: Path, maker: CaseMaker[Any], cases: int, seed: int, run: Runner, progress: Progress
+) -> tuple[str, int]:
+    """Draw and seal the truth, then record every case that is not there.
+
+    Returns:
+        The digest, and the number of cases that were recorded now.
+
+    Raises:
+        BadRequest: The folder holds something else, or cases of another seed or number.
+        BadOutput: A file cannot be written.
+    """
+    if not 1 <= cases <= MOST_CASES:
+        raise BadRequest(f"cases: {cases} is not within 1 .. {MOST_CASES}")
+    check_folder(folder)
+    folder.mkdir(exist_ok=True)
+    truth = load_existing_truth(folder, maker, salt(seed), cases)
+    if truth is None:
+        drawn = maker.draw(folder, cases, seed, run, part_of(progress, 0.0, DRAWING_SHARE))
+        truth = SealedTruth(salt(seed), drawn)
+        seal(folder, truth)
+    progress(DRAWING_SHARE, 1.0, f"SHA-256 of the truth {truth.digest()}")
+    jobs = [
+        (case_path(folder, maker, case.name).absolute(), maker, case)
+        for case in truth.cases
+        if not case_path(folder, maker, case.name).exists()
+    ]
+    of_cases = part_of(progress, DRAWING_SHARE, 1.0)
+    for done, name in enumerate(run(record_case, jobs), 1):
+        of_cases(done, len(jobs), f"recorded {name}")
+    return truth.digest(), len(jobs)
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder of something else, before anything is written."""
+    check_new_path(folder, "out")
+    if folder.exists() and not folder.is_dir():
+        raise BadRequest(f"out {folder}: this is a file; name a new folder, or one of cases")
+    there = set(os.listdir(folder)) if folder.exists() else set()
+    if there and not any(name.startswith(("digest", "campaign", SEALED_FOLDER)) for name in there):
+        raise BadRequest(f"out {folder}: holds something else; name a new folder, or one of cases")
+
+
+def record_case(job: tuple[Path, CaseMaker[Any], Any]) -> str:
+    """Record one case completely or not at all; return its name."""
+    path, maker, case = job
+    if path.exists():  # a worker recorded it and died before it could say so
+        return str(case.name)
+    part = path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
+    remove(part)
+    path.parent.mkdir(exist_ok=True)
+    try:
+        maker.record(part, case)
+    except BaseException:
+        remove(part)
+        raise
+    part.rename(path)
+    return str(case.name)
+
+
+def remove(path: Path) -> None:
+    """Remove a file, a folder or nothing."""
+    if path.is_dir():
+        shutil.rmtree(path)
+    path.unlink(missing_ok=True)
+
+
+def salt(seed: int) -> str:
+    """Return the salt of a seed; only who knows the seed can compute it."""
+    return np.random.default_rng([seed, 9]).bytes(16).hex()
+
+
+def case_name(number: int) -> str:
+    """Return the name of a case by its number from 0."""
+    return f"case-{number:03d}"
+
+
+def case_path(folder: Path, maker: CaseMaker[Any], name: str) -> Path:
+    """Return the path of the logs of a case."""
+    return folder / CASES_FOLDER / f"{name}{maker.suffix}"
+
+
+def result_path(folder: Path, name: str) -> Path:
+    """Return the path of the result of a case."""
+    return folder / SOLVED_FOLDER / f"{name}.json"
+
+
+def seal(folder: Path, truth: SealedTruth[Any]) -> str:
+    """Write the truth in a folder of its own, and its digest; return the digest."""
+    digest = truth.digest()
+    (folder / SEALED_FOLDER).mkdir(exist_ok=True)
+    for path, text in ((folder / SEALED_FOLDER / TRUTH, truth.text()), (folder / DIGEST, digest + "\n")):
+        with atomic_write(path, "out") as file:
+            file.write(text.encode())
+    return digest
+
+
+def load_existing_truth(
+    folder: Path, maker: CaseMaker[Case], salt: str, cases: int
+) -> SealedTruth[Case] | None:
+    """Load the truth of a folder; None if it has none; BadRequest if it has another salt or number."""
+    if not (folder / DIGEST).exists():
+        return None
+    truth = load_truth(folder, maker)
+    if (truth.salt, len(truth.cases)) != (salt, cases):
+        raise BadRequest(
+            f"out {folder}: holds {len(truth.cases)} cases"
+            f"{'' if truth.salt == salt else ' of another seed'}; give their seed and number, or a new folder"
+        )
+    return truth
+
+
+def load_truth(folder: Path, maker: CaseMaker[Case]) -> SealedTruth[Case]:
+    """Load the truth if it matches its digest.
+
+    Raises:
+        BadRequest: There is no truth, or it does not match.
+    """
+    path = folder / SEALED_FOLDER / TRUTH
+    if not path.exists():
+        path = folder / TRUTH  # of cases of this arm before 0.4
+    digest = read_digest(folder)
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise BadRequest(
+            f"{path}: cannot be read ({error.strerror}); without it nothing is scored"
+        ) from error
+    if hashlib.sha256(raw).hexdigest() != digest:
+        raise BadRequest(f"{path}: is not what was sealed: its SHA-256 is not that in {DIGEST}")
+    try:
+        truth: SealedTruth[Case] = maker.truth_type.validate_json(raw)
+    except ValidationError as error:
+        raise BadRequest(f"{path}: was sealed, but is no truth ({describe_first_problem(error)})") from error
+    if contradiction := next(maker.check(truth.cases), None):
+        raise BadRequest(f"{path}: was sealed, but is no truth ({contradiction})")
+    return truth
+
+
+def read_digest(folder: Path) -> str:
+    """Read the published digest; BadRequest if there is none."""
+    try:
+        return (folder / DIGEST).read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadRequest(f"{folder}: has no {DIGEST}: this is no folder of cases; make them first") from error
+
+
+def solve_cases(folder: Path, maker: CaseMaker[Any], run: Runner, progress: Progress) -> tuple[int, int]:
+    """Solve all cases without a result; never read the truth.
+
+    Returns:
+        Number of cases solved now, and number of all cases.
+    """
+    read_digest(folder)
+    cases = sorted(one for one in (folder / CASES_FOLDER).glob(f"case-*{maker.suffix}"))
+    if not cases:
+        raise BadRequest(f"{folder}: no case is recorded yet; the step make goes on")
+    jobs = [
+        (folder.absolute(), maker, one.absolute())
+        for one in cases
+        if not result_path(folder, one.stem).exists()
+    ]
+    if jobs:  # before the workers start, else each would compute it
+        maker.prepare(folder, run, progress)
+    for done, name in enumerate(run(solve_case, jobs), 1):
+        progress(done, len(jobs), name)
+    return len(jobs), len(cases)
+
+
+def solve_case(job: tuple[Path, CaseMaker[Any], Path]) -> str:
+    """Solve one case; its result is written last, so that an interrupted case is solved again."""
+    folder, maker, case = job
+    maker.load(folder)  # what is known before a case is no part of its time
+    began = time.process_time()
+    result = maker.solve(folder, case)
+    write_json(result_path(folder, case.stem), {**result, "seconds": time.process_time() - began})
+    return case.stem
+
+
+def score_cases(folder: Path, maker: CaseMaker[Any], partial: bool, progress: Progress) -> CaseScore:
+    """Score the cases of a folder; the truth must match its digest.
+
+    Raises:
+        BadRequest: The truth was changed, a case is not solved, or a result is damaged.
+    """
+    truth, results = load_truth(folder, maker), load_results(folder, maker)
+    missing = [case.name for case in truth.cases if case.name not in results]
+    if missing and (not partial or len(missing) == len(truth.cases)):
+        raise BadRequest(
+            f"{folder}: {len(missing)} of {len(truth.cases)} cases are not solved, {missing[0]} first; "
+            "the step solve goes on, partial=true scores those that are solved"
+        )
+    solved = [(case, results[case.name]) for case in truth.cases if case.name in results]
+    found = maker.score(folder, solved, progress)
+    return CaseScore({"digest": truth.digest(), **found.document}, found.tables, found.in_bounds)
+
+
+def load_results(folder: Path, maker: CaseMaker[Any]) -> dict[str, Document]:
+    """Load the results of all solved cases by name; BadRequest if one cannot be read."""
+    found = {}
+    if (folder / SOLVED_FOLDER).is_file():
+        raise BadRequest(f"{folder / SOLVED_FOLDER}: is a file; a folder of solved cases would be right")
+    for path in sorted((folder / SOLVED_FOLDER).glob("case-*[0-9].json")):
+        try:
+            raw = path.read_bytes()
+            maker.result_type.validate_json(raw, strict=True)
+            found[path.stem] = json.loads(raw)
+        except (OSError, ValidationError) as error:
+            why = describe_first_problem(error) if isinstance(error, ValidationError) else error.strerror
+            raise BadRequest(f"{path}: is no solved case ({why}); remove it and solve again") from error
+    return found
+
+
+def write_json(path: Path, document: Any) -> None:
+    """Write a document atomically; BadOutput if it cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadOutput(f"out {path}: cannot be written ({error.strerror or error})") from error
+    with atomic_write(path, "out") as file:
+        file.write((json.dumps(document, indent=1, allow_nan=False) + "\n").encode())

@@ -1,1 +1,0 @@
-"""Requirements of the arm, and the tests and campaigns that show them."""

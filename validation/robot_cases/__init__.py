@@ -1,1 +1,0 @@
-"""Sealed synthetic cases for the diagnosis of any robot: drawn, made, solved and scored."""

@@ -1,0 +1,292 @@
+"""Cost and worth of a diagnosis of a robot: CPU time, its simulation against bare MuJoCo, and simpler fits.
+
+Cost: cases of the pendulum and of the arm with two joints are drawn from tuning seeds; motions are left out
+at the end. Costs are CPU seconds of one process. docs/robot-cost.png shows them.
+
+Engine: steps in a second with Stribeck friction at every joint, which acts in every control period, are
+divided by those of `mujoco.rollout` with the same model, starts, commands and threads. Both are measured
+alternately; the median of the ratios counts. On a loaded machine the ratio is too low: the engine waits for
+all threads after every control period, rollouts wait at their end alone. The engine switches the profiler of
+MuJoCo off; bare rollouts keep it, as the Python package installs it.
+
+Baselines: every fit reads the same motions with the same loss; only the effects differ. Effects at a body
+take no part. The errors are mean absolute residuals of motions that took no part, by joint.
+"""
+
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import product
+from pathlib import Path
+from statistics import median
+from typing import Any, Final
+
+import mujoco
+import mujoco.rollout
+import numpy as np
+
+from marsarm.render.svg import save_figure
+from simgap.arrays import Array
+from simgap.assemble import simulate_models
+from simgap.catalogue.catalogue import base_effects, catalogue
+from simgap.checks.audit import audit
+from simgap.checks.records import Audit
+from simgap.diagnosis import diagnose
+from simgap.effects.actuation import GainError
+from simgap.effects.effect import Effect, joint_scales
+from simgap.effects.forces import CoulombFriction, LoadFriction, StribeckFriction, ViscousFriction
+from simgap.effects.inertia import Armature
+from simgap.loading import load
+from simgap.logs import JointLog, Logs, Motion, Signal
+from simgap.residuals.simulation_residuals import list_kinds
+from simgap.robot import Robot
+from simgap.selection.checkpoint import Meter, Progress
+from simgap.selection.context import start_context
+from simgap.selection.joint_fits import fit_base
+from simgap.simulation.compiled import Models, control_laws, nominal_gains
+from simgap.simulation.simulation import Engine
+from simgap.simulation.windows import cut_windows
+from validation.campaigns import Context, Document, keep_results
+from validation.cases.robot_draw import Kind, draw_case
+from validation.cases.robot_setup import PERIOD_S, SAMPLES
+
+MODELS: Final = {"pendulum": "pendulum", "two_joint": "arm with two joints"}
+KINDS: Final[tuple[Kind, ...]] = ("none", "single", "pair")
+FITTED: Final = (4, 6, 8)
+"""Numbers of fitted motions; a diagnosis needs four."""
+DIAGNOSIS_SEED: Final = 1
+"""Seed of the diagnosis, independent of that of the cases."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Case, and the number of its motions that are fitted."""
+
+    model: str
+    kind: Kind
+    motions: int
+
+    @property
+    def name(self) -> str:
+        return f"{self.model}, {self.kind}, {self.motions} motions"
+
+
+SETTINGS: Final = tuple(Setting(*one) for one in product(MODELS, KINDS, FITTED))
+
+
+def measure(setting: Setting, seed: int, progress: Progress) -> Document:
+    """Diagnose a case; return its cost."""
+    robot, logs, _ = draw_case(seed, setting.kind, setting.model)
+    began = time.process_time()
+    found = diagnose(
+        robot, logs.fit[: setting.motions], held_out=logs.judged, seed=DIAGNOSIS_SEED, progress=progress
+    )
+    return {
+        "model": setting.model,
+        "effects": KINDS.index(setting.kind),
+        "log_s": setting.motions * SAMPLES * PERIOD_S,
+        "cpu_s": time.process_time() - began,
+        "findings": len(found.findings),
+    }
+
+
+def plot(rows: list[dict[str, Any]], figure: Any) -> None:
+    """Plot a panel a model, and a line a number of effects."""
+    for model, axes in zip(MODELS, figure.subplots(1, len(MODELS), sharey=True), strict=True):
+        for effects in range(len(KINDS)):
+            mine = [row for row in rows if (row["model"], row["effects"]) == (model, effects)]
+            label = f"{effects} effect{'' if effects == 1 else 's'}"
+            if mine:
+                axes.plot([row["log_s"] for row in mine], [row["cpu_s"] for row in mine], "o-", label=label)
+        axes.set_title(MODELS[model])
+        axes.set_xlabel("fitted log [s]")
+        axes.set_xlim(0.0, 1.05 * FITTED[-1] * SAMPLES * PERIOD_S)
+        if axes.lines:
+            axes.legend(loc="upper left")
+        axes.grid(alpha=0.3)
+    figure.axes[0].set_ylabel("cost [CPU s]")
+    figure.axes[0].set_ylim(bottom=0.0)  # after the last panel, because it ends the common scaling
+
+
+def cost(context: Context, settings: int = len(SETTINGS)) -> Document:
+    """Measure the first settings.
+
+    Args:
+        context: Its file keeps results, from which an interrupted campaign goes on; the plot goes beside it.
+        settings: Number of settings.
+    """
+    rows = []
+    with keep_results(context.out, context.seed) as once:
+        for done, setting in enumerate(SETTINGS[:settings]):
+
+            def tell(share: float, text: str, done: int = done, name: str = setting.name) -> None:
+                context.progress(done + share, settings, f"{name}: {text}")
+
+            rows.append(once(setting.name, partial(measure, setting, context.seed, tell)))
+    if context.out is not None:
+        save_figure(context.out.with_suffix(".png"), (8.0, 3.4), 150, partial(plot, rows))
+    return {"costs": rows}
+
+
+ROBOT: Final = "models/robots/so101/robot.toml"
+LOG_S: Final = 10.0
+"""As long as the logs of the KR300; those of the XL330 last 6 s, those of the SO-101 a minute or two."""
+ENGINE_MOTIONS: Final = 8
+CANDIDATES: Final = (5, 20)
+"""Candidates in 8 motions: 40 simulations, the fewest for which the bar holds, and 160."""
+REPEATS: Final = 5
+LEAST_RATIO: Final = 0.6
+
+
+def engine(context: Context) -> Document:
+    """Measure with one thread and with all; in bounds if no ratio is below its bound."""
+    threads = os.cpu_count() or 1
+    results = [engine_speed(count, n) for n in sorted({1, threads}) for count in CANDIDATES]
+    return {"robot_engine": results, "in_bounds": all(result["in_bounds"] for result in results)}
+
+
+def engine_speed(candidates: int, threads: int) -> Document:
+    """Measure both with this number of candidates and threads."""
+    robot = Robot.from_toml(ROBOT)
+    motions = [_make_sines(robot, seed) for seed in range(ENGINE_MOTIONS)]
+    windows = [window for motion in motions for window in cut_windows(robot, motion, None, 0.02)]
+    models, scales = Models(robot), joint_scales(robot, motions)
+    names = [joint.name for joint in robot.joints]
+    effects: list[Effect] = [StribeckFriction.at(robot, name, scales) for name in names]
+    typical = np.array([size.typical for effect in effects for size in effect.sizes])
+    sizes = np.linspace(0.5, 1.5, candidates)[:, None] * typical
+    engine = Engine(models, effects, windows, threads)
+    model = _bare_model(models)
+    starts = np.repeat([window.q_rad for window in windows], candidates, axis=0)
+    commands = np.repeat([window.command[window.n_lead :] for window in windows], candidates, axis=0)
+    n_steps = commands.shape[0] * commands.shape[1]
+    times = []
+    for _ in range(REPEATS):
+        began = time.perf_counter()
+        engine.positions(sizes)
+        middle = time.perf_counter()
+        _rollout(model, starts, commands, threads)
+        times.append((middle - began, time.perf_counter() - middle))
+    ratio = median(bare / ours for ours, bare in times)
+    return {
+        "simulations": commands.shape[0],
+        "steps_each": commands.shape[1],
+        "effects_in_each_period": len(effects),
+        "threads": threads,
+        "steps_per_s": n_steps / median(ours for ours, _ in times),
+        "bare_steps_per_s": n_steps / median(bare for _, bare in times),
+        "ratio": ratio,
+        "least_ratio": LEAST_RATIO,
+        "in_bounds": ratio >= LEAST_RATIO,
+    }
+
+
+def _make_sines(robot: Robot, seed: int) -> Motion:
+    """Make sines at all joints, which begin at rest."""
+    random = np.random.default_rng(seed)
+    time_s = np.arange(0.0, LOG_S, 0.02)
+    joints = {}
+    for joint in robot.joints:
+        value = 0.5 * (1.0 - np.cos(random.uniform(1.0, 6.0) * time_s))
+        joints[joint.name] = JointLog(Signal(time_s, value), Signal(time_s, value))
+    return Motion(f"sines {seed}", joints, {})
+
+
+def _bare_model(models: Models) -> mujoco.MjModel:
+    """Return the model with its nominal gains, which the engine otherwise sets for each simulation."""
+    compiled = models.compiled([])
+    model = compiled.robot.model
+    kp, kd = nominal_gains(models.robot)
+    gain, bias = control_laws(models.robot, kp[None], kd[None])
+    limit = np.array([joint.torque_limit_Nm for joint in models.robot.joints])
+    model.actuator_gainprm[compiled.actuator, 0] = gain[0]
+    model.actuator_biasprm[compiled.actuator, :3] = bias[0]
+    model.actuator_forcerange[compiled.actuator] = np.stack([-limit, limit], axis=1)
+    return model
+
+
+def _rollout(model: mujoco.MjModel, starts: Array, commands: Array, threads: int) -> None:
+    """Simulate the same motions without effects."""
+    states = np.zeros((starts.shape[0], mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
+    states[:, 1 : 1 + model.nq] = starts
+    data = [mujoco.MjData(model) for _ in range(threads)]
+    with mujoco.rollout.Rollout(nthread=threads if threads > 1 else 0) as pool:
+        pool.rollout([model] * starts.shape[0], data, states, commands)
+
+
+BASE: Final = (GainError, Armature, ViscousFriction, CoulombFriction)
+LADDER: Final[dict[str, tuple[type[Effect], ...]]] = {
+    "gain alone": (GainError,),
+    "viscous friction": (GainError, Armature, ViscousFriction),
+    "base parameters": BASE,
+    "and Stribeck friction": (*BASE, StribeckFriction),
+    "and load-dependent friction": (*BASE, StribeckFriction, LoadFriction),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """Errors of one fit."""
+
+    name: str
+    mean_abs: dict[str, float]
+    """Mean absolute residual of held-out motions by joint, in the unit of the residual."""
+    cpu_s: float
+
+
+def fit_baselines(robot: Robot, logs: Logs, found: Audit) -> Iterator[Baseline]:
+    """Fit sets of effects without a selection.
+
+    Args:
+        logs: Motions that are fitted, and motions that judge.
+        found: Audit of all motions.
+
+    Yields:
+        The fits of the ladder, then the one with everything free.
+    """
+    (kind, *_) = list_kinds(robot, logs.fit, found.usable)
+    fitted, judged = kind.make(logs.fit, False), kind.make(logs.judged, True)
+    known = [*base_effects(robot, logs), *catalogue(robot, logs)]
+    shown = [one for one in known if kind.shows(one) and one.place in fitted.joints]
+    for name in (*LADDER, "everything free"):
+        effects = [one for one in shown if name not in LADDER or isinstance(one, LADDER[name])]
+        began = time.process_time()
+        context, present = fit_base(start_context(fitted, effects, (), 1, Meter()))
+        spent_s = time.process_time() - began
+        (rows,) = simulate_models(context, judged, [present.sizes])
+        error = {
+            joint: float(np.mean(np.abs(rows[judged.joint_of == j])))
+            for j, joint in enumerate(judged.joints)
+            if np.any(judged.joint_of == j)
+        }
+        yield Baseline(name, error, spent_s)
+
+
+def diagnose_baseline(robot: Robot, logs: Logs, found: Audit) -> tuple[Baseline, list[str]]:
+    """Diagnose, and return the errors and the keys of the findings."""
+    began = time.process_time()
+    result = diagnose(robot, logs.fit, held_out=logs.judged, audit=found, seed=1)
+    error = {one.joint: one.explained for one in result.errors}
+    keys = [f"{one.place}: {one.effect}" for one in result.findings]
+    return Baseline("diagnosis", error, time.process_time() - began), keys
+
+
+def baselines(context: Context, robot: Path, logs: str, split: str = "") -> Document:
+    """Compare a diagnosis with simpler fits on held-out motions.
+
+    Args:
+        context: Told of the progress.
+        robot: Robot file.
+        logs: Log files, with commas.
+        split: Split of the robot's split file; the default one if empty.
+    """
+    model = Robot.from_toml(robot)
+    read = load(model, [Path(one) for one in logs.split(",")], split=split)
+    found, fits = audit(model, read), list[Baseline]()
+    for one in fit_baselines(model, read, found):
+        context.progress(len(fits), len(LADDER) + 2, one.name)
+        fits.append(one)
+    last, keys = diagnose_baseline(model, read, found)
+    return {"robot": model.name, "fits": [asdict(one) for one in (*fits, last)], "findings": keys}

@@ -1,0 +1,299 @@
+"""Speed of the closed loop, of recording and of reading a log.
+
+The closed loop: as a ratio to a bare step of the model of commit 50fd31b, in one process.
+
+`plant-50fd31b.mjb` is that model as MuJoCo compiled it, without textures. It is a fixed reference, so that
+ratios of different days are comparable even if the plant becomes faster.
+
+Recording: processor time of the plant's truth and of the recorder in a cycle of `contact-science`. Opening
+and closing the log count once in the run. So would other processes of the recorder, which has none. The
+slowest writes are those that close a chunk.
+
+Reading: a log of ten minutes into numpy arrays, compared with the stock reader of MCAP. Sample logs of any
+length repeat the beginning of a hardstop initialisation.
+"""
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from itertools import cycle, islice
+from pathlib import Path
+from statistics import median
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from mcap.reader import make_reader
+
+import sim.loop
+from fsw.config import CYCLE_HZ, configure
+from fsw.cycle import step
+from fsw.dictionary.commands import CalibrateAll
+from fsw.estimate.reference import Reference
+from marsarm.telemetry.format import CHUNK_CYCLES
+from marsarm.telemetry.read import read_log
+from marsarm.telemetry.recorder import Recorder
+from sim.arms import arm_named
+from sim.initialisation import initial_reference
+from sim.loop import ClosedLoop, Setup
+from sim.placement import Placement, PlacementRun
+from sim.plant import JOINT_NAMES
+from sim.record import CycleRecord
+from sim.scenario.file import load_scenario
+from sim.scenario.run import ScenarioRun, scenario_setup
+from sim.world import Surface, World
+
+REPEATS = 5
+BARE_STEPS = 40_000
+SETTLING_STEPS = 4_096
+REFERENCE_MODEL = Path(__file__).with_name("plant-50fd31b.mjb")
+TARGET = Placement("apxs", (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
+
+
+@cache
+def nominal_reference() -> Reference:
+    """Return the reference of the nominal arm after its hardstop initialisation."""
+    return initial_reference(arm_named("nominal"))
+
+
+def placement_loop(with_truth: bool = False) -> ClosedLoop:
+    """Make a closed loop with the nominal arm in the ready pose in front of the target."""
+    arm = arm_named("nominal")
+    world = World(surface=Surface(TARGET.target_N_m, TARGET.normal_N))
+    return ClosedLoop(
+        Setup(arm, world, arm.params.poses.ready_rad, reference=nominal_reference()), with_truth
+    )
+
+
+@cache
+def _reference_model() -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Load the reference model at rest in the ready pose, held by its motors, brakes released."""
+    model = mujoco.MjModel.from_binary_path(str(REFERENCE_MODEL))
+    data = mujoco.MjData(model)
+    ready = arm_named("nominal").params.poses.ready_rad
+    data.qpos[[model.joint(f"{name}_motor").qposadr[0] for name in JOINT_NAMES]] = ready
+    data.ctrl[0::2] = ready
+    mujoco.mj_step(model, data, SETTLING_STEPS)
+    return model, data
+
+
+def bare_step_s() -> float:
+    """Measure the seconds of a bare mj_step of the reference model, to which every speed is a ratio."""
+    model, data = _reference_model()
+    began = time.perf_counter()
+    mujoco.mj_step(model, data, BARE_STEPS)
+    return (time.perf_counter() - began) / BARE_STEPS
+
+
+def _realtime_factor() -> float:
+    """Measure simulated time over wall time of a placement in the closed loop."""
+    loop = placement_loop()
+    began = time.perf_counter()
+    cycles = sum(1 for _ in PlacementRun(loop, TARGET))
+    return cycles / CYCLE_HZ / (time.perf_counter() - began)
+
+
+def time_calls(
+    function: Callable[..., Any], times_s: list[float], clock: Callable[[], float] = time.perf_counter
+) -> Callable[..., Any]:
+    """Wrap a function so that the duration of each call, by a clock, is appended to `times_s`."""
+
+    def run(*args: Any) -> Any:
+        began = clock()
+        result = function(*args)
+        times_s.append(clock() - began)
+        return result
+
+    return run
+
+
+def _part_times_us() -> dict[str, list[float]]:
+    """Measure the microseconds of each part of every cycle of a placement."""
+    parts: dict[str, list[float]] = {"fsw_step": [], "sense": [], "apply": [], "plant_step": []}
+    loop = placement_loop()
+    loop.avionics.sense = time_calls(loop.avionics.sense, parts["sense"])  # type: ignore[method-assign]
+    loop.avionics.apply = time_calls(loop.avionics.apply, parts["apply"])  # type: ignore[method-assign]
+    loop.plant.step = time_calls(loop.plant.step, parts["plant_step"])  # type: ignore[method-assign]
+    sim.loop.step = time_calls(step, parts["fsw_step"])  # type: ignore[attr-defined]
+    try:
+        for _ in PlacementRun(loop, TARGET):
+            pass
+    finally:
+        sim.loop.step = step  # type: ignore[attr-defined]
+    return {name: [1e6 * t for t in times_s] for name, times_s in parts.items()}
+
+
+def closed_loop() -> dict[str, Any]:
+    """Measure the speed of the closed loop; each ratio is the median of alternating pairs."""
+    pairs = [(bare_step_s(), _realtime_factor()) for _ in range(REPEATS)]
+    bare_us = 1e6 * median(bare for bare, _ in pairs)
+    step_s = _reference_model()[0].opt.timestep
+    times_us = _part_times_us()
+    fsw = np.array(times_us["fsw_step"])
+    means = {name: float(np.mean(times)) for name, times in times_us.items()}
+    ours_us = means["fsw_step"] + means["sense"] + means["apply"]
+    return {
+        "bare_step_us": bare_us,
+        "ratio": median(factor * bare / step_s for bare, factor in pairs),
+        "realtime_factor": median(factor for _, factor in pairs),
+        "bare_steps": {
+            "fsw_step_median": float(np.median(fsw)) / bare_us,
+            "software_and_avionics_mean": ours_us / bare_us,
+            "plant_step_mean": means["plant_step"] / bare_us,
+        },
+        "fsw_step_us": {
+            "median": float(np.median(fsw)),
+            "p99": float(np.percentile(fsw, 99)),
+            "max": float(fsw.max()),
+        },
+        "mean_us_per_cycle": means,
+    }
+
+
+SCENARIO: Final = "contact-science"
+STRETCH: Final = 1024
+"""Cycles in a stretch: whole chunks."""
+FIRST: Final = 500
+"""Cycles of warm-up."""
+CYCLES: Final = 50_000
+"""Cycles that are recorded, if the scenario has as many."""
+MOST_US: Final = 65.0
+"""Largest processor time of truth and recorder in a cycle, mean over a stretch."""
+MOST_WRITE_MS: Final = 1.0
+"""Largest processor time of the slowest write of 1,000."""
+
+
+def recording() -> dict[str, Any]:
+    """Measure processor times, all processes counted, and check their bounds."""
+    arm, scenario = arm_named("nominal"), load_scenario(SCENARIO)
+    loop = ClosedLoop(scenario_setup(scenario, arm, nominal_reference(), 0), with_truth=True)
+    truth_s = list[float]()
+    loop.plant.truth = time_calls(loop.plant.truth, truth_s, time.process_time)  # type: ignore[method-assign]
+    cycles = iter(ScenarioRun(loop, scenario))
+    list(islice(cycles, FIRST))
+    write_s = list[float]()
+    before, began_s = _children_s(), time.process_time()
+    with TemporaryDirectory() as folder:
+        recorder = Recorder(Path(folder) / "run.mcap", {}, loop.config)
+        ends_s = time.process_time() - began_s
+        write = time_calls(recorder.write, write_s, time.process_time)
+        truth_s.clear()
+        for record in islice(cycles, CYCLES):
+            write(record)
+        began_s = time.process_time()
+        recorder.close()
+        ends_s += time.process_time() - began_s
+    ends_us = 1e6 * (ends_s + _children_s() - before) / len(write_s)
+    truth_us, write_us = (_median_us(times_s) for times_s in (truth_s[: len(write_s)], write_s))
+    return {
+        "cycles": len(write_s),
+        "truth_us": truth_us,
+        "recorder_us": write_us + ends_us,
+        **judge_cost(truth_us + write_us + ends_us, 1e3 * float(np.percentile(write_s, 99.9))),
+        "load_average": os.getloadavg()[0],
+    }
+
+
+def _median_us(times_s: list[float]) -> float:
+    """Return the median over stretches of their mean: other programs slow some stretches down."""
+    whole = len(times_s) // STRETCH * STRETCH
+    return 1e6 * float(np.median(np.reshape(times_s[:whole], (-1, STRETCH)).mean(axis=1)))
+
+
+def _children_s() -> float:
+    """Return the processor time of the child processes that have ended."""
+    return os.times().children_user + os.times().children_system
+
+
+def judge_cost(both_us: float, write_ms: float) -> dict[str, Any]:
+    """Compare the cost of recording with its bounds.
+
+    Args:
+        both_us: Processor time of truth and recorder in a cycle.
+        write_ms: 99.9th percentile of the processor time of a write.
+    """
+    return {
+        "truth_and_recorder_us": both_us,
+        "write_p99.9_ms": write_ms,
+        "bounds": {"truth_and_recorder_us": MOST_US, "write_p99.9_ms": MOST_WRITE_MS},
+        "in_bounds": both_us <= MOST_US and write_ms <= MOST_WRITE_MS,
+    }
+
+
+PERIOD: Final = 8192
+"""Cycles after which the recorded cycles repeat."""
+
+
+@cache
+def hardstop_cycles(cycles: int) -> tuple[CycleRecord, ...]:
+    """Run the first cycles of a hardstop initialisation; the records contain the truth of the plant."""
+    arm = arm_named("nominal")
+    loop = ClosedLoop(Setup(arm, World(), arm.params.poses.ready_rad), with_truth=True)
+    return tuple(loop.cycle((CalibrateAll(),) if tick == 0 else ()) for tick in range(cycles))
+
+
+def record_log(path: Path, cycles: int, chunk_cycles: int = CHUNK_CYCLES) -> Path:
+    """Write a complete log of this many cycles."""
+    config = configure(arm_named("nominal").params)
+    with Recorder(path, {"seed": "0", "arm": "nominal"}, config, chunk_cycles) as recorder:
+        for tick, record in zip(range(cycles), cycle(hardstop_cycles(min(max(cycles, 1), PERIOD)))):
+            recorder.write(replace(record, tick=tick))
+    return path
+
+
+LOG_CYCLES: Final = 38_400
+"""Ten minutes at 64 Hz."""
+PART_NS: Final = (300 * 10**9, 310 * 10**9)
+"""Log times of a part that is read alone."""
+
+
+def stock(path: Path) -> int:
+    """Iterate over all messages with every CRC checked, without decoding them, and return their number."""
+    with path.open("rb") as file:
+        return sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages())
+
+
+def stock_to_numpy(path: Path) -> dict[str, Any]:
+    """Read all messages with every CRC checked, and return those of each topic as an array of bytes."""
+    bodies: dict[str, list[bytes]] = {}
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            bodies.setdefault(channel.topic, []).append(message.data)
+    return {topic: np.frombuffer(b"".join(found), np.uint8) for topic, found in bodies.items()}
+
+
+def seconds(job: Callable[[], Any]) -> float:
+    """Measure the processor time of a job, which other processes do not affect much."""
+    began = time.process_time()
+    job()
+    return time.process_time() - began
+
+
+def log_reading(cycles: int = LOG_CYCLES) -> dict[str, Any]:
+    """Measure processor times for all channels; each ratio is the median of alternating pairs."""
+    with TemporaryDirectory() as folder:
+        path = record_log(Path(folder) / "run.mcap", cycles)
+        jobs: tuple[Callable[[], Any], ...] = (
+            lambda: read_log(path),
+            lambda: stock(path),
+            lambda: stock_to_numpy(path),
+            lambda: read_log(path, start_ns=PART_NS[0], end_ns=PART_NS[1]),
+        )
+        times_s = np.array([[seconds(job) for job in jobs] for _ in range(REPEATS)])
+        log = read_log(path)
+        ours, iterated, to_numpy, part = np.median(times_s, axis=0).tolist()
+        return {
+            "cycles": cycles,
+            "bytes": path.stat().st_size,
+            "messages": stock(path),
+            "topics": len(log.time_ns),
+            "all_channels_s": ours,
+            "ten_seconds_s": part,
+            "stock_iterating_s": iterated,
+            "stock_to_numpy_s": to_numpy,
+            "ratio_to_stock_iterating": median((times_s[:, 1] / times_s[:, 0]).tolist()),
+            "ratio_to_stock_to_numpy": median((times_s[:, 2] / times_s[:, 0]).tolist()),
+        }
