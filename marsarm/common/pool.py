@@ -133,9 +133,7 @@ def attempt(work: Callable[[Any], Any], job: Any) -> Outcome:
         return Outcome(None, error)
 
 
-def _run_in_processes(
-    workers: int, work: Callable[[Job], Result], jobs: Sequence[Job]
-) -> Iterator[Result]:
+def _run_in_processes(workers: int, work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
     """Yield results as they come; jobs that were under way when a worker died are repeated."""
     from joblib.externals.loky.process_executor import TerminatedWorkerError  # joblib takes 0.2 s to load
 

@@ -226,9 +226,7 @@ def _check_taught(taught: list[TaughtPoint | None], findings: Findings) -> None:
         if point is None:
             continue
         if not point.name or point.name in names:
-            findings.report(
-                ("teach", k, "name"), f"{point.name!r} is empty or taken; give each its own"
-            )
+            findings.report(("teach", k, "name"), f"{point.name!r} is empty or taken; give each its own")
         names.append(point.name)
 
 

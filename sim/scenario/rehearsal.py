@@ -11,7 +11,7 @@ from typing import Final, get_args
 
 import numpy as np
 
-from fsw.collision.geometry import Surface as TargetSurface
+from fsw.collision.geometry import TargetSurface
 from fsw.config import Config, configure
 from fsw.dictionary.commands import (
     Calibrate,

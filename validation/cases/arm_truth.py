@@ -18,16 +18,16 @@ from mcap.stream_reader import StreamReader
 
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.arm_effects import locate
-from marsarm.diagnosis.arm.blind_case import nominal_reference
-from marsarm.diagnosis.arm.simulator import make_effect, to_hypothesis
-from marsarm.diagnosis.problem import Hypothesis
-from marsarm.diagnosis.sampling import (
+from marsarm.diagnosis.arm.blind_case import (
     DetectableEffect,
     SampledEffect,
     can_sample,
+    nominal_reference,
     sample_amplitude,
     sample_effect,
 )
+from marsarm.diagnosis.arm.simulator import make_effect, to_hypothesis
+from marsarm.diagnosis.problem import Hypothesis
 from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.format import CHANNELS_KEY
 from marsarm.telemetry.header import SESSION

@@ -101,9 +101,7 @@ class CaseMaker(Protocol[Case]):
     """Type of the sealed truth."""
     result_type: ClassVar[TypeAdapter[Any]]
 
-    def draw(
-        self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress
-    ) -> tuple[Case, ...]:
+    def draw(self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress) -> tuple[Case, ...]:
         """Draw the truth of all cases, and write what solving may know before them."""
 
     def check(self, cases: Sequence[Case]) -> Iterator[str]:

@@ -1,6 +1,5 @@
 """Files of arms, mappings and tables: content is read back, and errors are named with their key."""
 
-
 import numpy as np
 import pytest
 
