@@ -168,8 +168,8 @@ def _start_processes(
         parallel = Parallel(workers, return_as="generator_unordered", max_nbytes=None)
         found = parallel(delayed(numbered)((number, (job,))) for number, job in jobs)
     try:
-        for one in found:  # noqa: UP028  `yield from` would close it before the warning is silenced
-            yield one
+        for one in found:  # noqa: UP028
+            yield one  # `yield from` would close it before the warning is silenced
     finally:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that a run ended early, which the caller knows
