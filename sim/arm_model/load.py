@@ -4,7 +4,6 @@ import hashlib
 import json
 import math
 import os
-import tomllib
 from dataclasses import asdict, dataclass, fields
 from functools import cache
 from importlib.resources import files
@@ -28,7 +27,8 @@ from sim.arm_model.mjcf import BadLooks, arm_mjcf
 from sim.arm_model.validity import check_description, reserved_of_flight
 from sim.frames import PRIMARY, Workspace
 from sim.params_table import merge_tables, params_from_table
-from sim.text_file import UnreadableText, read_text
+from simgap.common.errors import RobotError
+from simgap.common.toml import read_text, read_toml
 
 ROUNDING: Final = 1e-18
 """Expansions below this, in m/K, are rounding errors of a right angle."""
@@ -47,7 +47,7 @@ def flight_params(arm: ArmDescription, hull: Hull, digest: str, defaults: Path, 
         BadArm: the table `[flight]` sets what another table sets.
         BadParams: flight software does not accept them; the message names every wrong value.
     """
-    shared = tomllib.loads(defaults.read_text(encoding="utf-8"))
+    shared = read_toml(defaults)
     del shared["default_arm"]
     own = {
         "arm_name": "nominal",
@@ -211,15 +211,15 @@ def load_arm(name: str) -> ArmModel:
 @cache
 def default_name() -> str:
     """Return the name of the arm that is meant if none is named."""
-    name: str = tomllib.loads(DEFAULTS.read_text(encoding="utf-8"))["default_arm"]
+    name: str = read_toml(DEFAULTS)["default_arm"]
     return name
 
 
 def _read(path: Path) -> str:
     try:
         return read_text(path)
-    except UnreadableText as error:
-        raise BadArm(f"{path}: {error}") from error
+    except RobotError as error:
+        raise BadArm(str(error)) from error
 
 
 @cache

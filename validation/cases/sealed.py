@@ -21,8 +21,8 @@ from pydantic import TypeAdapter, ValidationError
 from marsarm.common.pool import Runner
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.files import atomic_write, check_new_path
-from simgap.common.json_file import describe_first_problem
 from simgap.common.progress import Progress, part_of
+from simgap.common.toml import describe_first_problem
 from validation.campaigns import Context, Document
 
 TRUTH: Final = "truth.json"
