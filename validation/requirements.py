@@ -226,7 +226,6 @@ def shorten_commit(commit: str) -> str:
     return commit[:7] + commit[40:]
 
 
-
 def campaign(context: Context, measure_anew: bool = True, check: bool = False, only: str = "") -> Document:
     """Measure the requirements, and write their page; in bounds if there is no problem.
 

@@ -1,7 +1,10 @@
 """A kinematic stand-in for the plant: with power on and brakes off, encoders follow their set-points."""
 
+import atexit
+from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache, wraps
 
 import numpy as np
 
@@ -134,6 +137,12 @@ class Rig:
         if calibrated:
             self.cycle()
 
+    def fork(self) -> "Rig":
+        """Return a rig that goes on from here; the state of flight software is never changed in place."""
+        rig = copy(self)
+        rig.count, rig.evrs = self.count.copy(), list(self.evrs)
+        return rig
+
     def resolver_rad(self) -> np.ndarray:
         """The outputs where flight software takes them to be in their gears."""
         where = self.count * self.config.rad_per_count + self.state.joints.gear_rad[:, LIKELY]
@@ -192,6 +201,13 @@ class Rig:
     def touch(self, tool: str, travel_m: float) -> GuardedMove:
         X = self.tool_pose(tool)
         return GuardedMove(tool, floats(X.p + travel_m * X.R[:, 0]), floats(X.R[:, 0]))
+
+
+def made_once(make: Callable[..., Rig]) -> Callable[..., Rig]:
+    """Make a rig for the first test that asks for it, and give every test a fork."""
+    kept = cache(make)
+    atexit.register(kept.cache_clear)  # Ruckig complains of paths that outlive it
+    return wraps(make)(lambda *args, **kwargs: kept(*args, **kwargs).fork())
 
 
 def floats(values) -> tuple:

@@ -30,7 +30,7 @@ from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandRefused
 from fsw.dictionary.params import TeachPoint
 from fsw.motion.force_fit import MIN_CORRECTION_N
-from tests.fsw.rig import Rig, config_of, facing, floats, with_params
+from tests.fsw.rig import Rig, config_of, facing, floats, made_once, with_params
 from tests.tools import SWITCHES
 
 START = facing(config_of(), "apxs")
@@ -50,32 +50,38 @@ INF = float("inf")
 TOUCHED = {"switch_closed": np.isin(SWITCHES, ["apxs_1"])}
 
 
+@made_once
 def stowed():
     return Rig(CONFIG, Mode.STOWED, CONFIG.params.poses.stowed_rad)
 
 
+@made_once
 def uncalibrated():
     rig = Rig(CONFIG, start_rad=START, calibrated=False)
     rig.cycle()
     return rig
 
 
+@made_once
 def deployed():
     return Rig(CONFIG, start_rad=START)
 
 
+@made_once
 def moving_free():
     rig = deployed()
     rig.until_moving(MoveJoints(floats(START + 0.05)))
     return rig
 
 
+@made_once
 def guarded_moving():
     rig = deployed()
     rig.until_moving(rig.touch("apxs", 0.05))
     return rig
 
 
+@made_once
 def guarded_in_contact():
     rig = guarded_moving()
     rig.run(**TOUCHED)
@@ -83,30 +89,35 @@ def guarded_in_contact():
     return rig
 
 
+@made_once
 def retracting():
     rig = deployed()
     rig.until_moving(Retract("apxs", 0.05))
     return rig
 
 
+@made_once
 def calibrating():
     rig = deployed()
     rig.until_moving(Calibrate(Joint.TURRET))
     return rig
 
 
+@made_once
 def being_stopped_by_a_fault():
     rig = moving_free()
     rig.cycle(winding_C=[NAN] * 5)
     return rig
 
 
+@made_once
 def faulted():
     rig = being_stopped_by_a_fault()
     rig.run()
     return rig
 
 
+@made_once
 def preloading():
     rig = guarded_in_contact()
     rig.cycle(Preload("apxs", 50.0), **TOUCHED)
@@ -115,6 +126,7 @@ def preloading():
     return rig
 
 
+@made_once
 def preloaded():
     rig = preloading()
     rig.run(**TOUCHED)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.commands import ClearFault, MoveJoints
+from fsw.dictionary.commands import ClearFault
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, FaultResponse
 from fsw.dictionary.faults import (
@@ -19,20 +19,14 @@ from fsw.executive.protection import MoveOutcome, apply_decision
 from fsw.motion.move import Phase
 from fsw.protect.responses import StandingFault, decide
 from fsw.state import Sequence, last_setpoint
-from tests.fsw.rig import Rig, config_of, facing, floats
+from tests.fsw.executive.faults.lab import moving
+from tests.fsw.rig import config_of, facing
 
 CONFIG = config_of()
 START = facing(CONFIG, "apxs")
 RESPONDED = FaultResponse("BRAKE_AND_REFUSE")
 NO_NUMBER = {"current_A": [np.nan] * 5}
 NO_GRAVITY = {"gravity_R_m_s2": [0.0, 0.0, 0.0]}
-
-
-def moving():
-    rig = Rig(CONFIG, start_rad=START)
-    rig.until_moving(MoveJoints(floats(START + 0.05)))
-    rig.evrs.clear()
-    return rig
 
 
 def respond(rig, before, *found):

@@ -13,7 +13,7 @@ from fsw.kinematics.statics import settle_output
 from fsw.motion.force_fit import MIN_CORRECTION_N
 from fsw.motion.preload import PRIOR_RATIO_STD, anchor_contact, locate_by_resolvers, model_contact
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
-from tests.fsw.rig import Rig
+from tests.fsw.rig import Rig, made_once
 
 STAYS_M = 2e-5
 """Tolerance: encoder counts and bounds of the backlash move the tool by some micrometres."""
@@ -27,6 +27,7 @@ def tool_under_force(rig: Rig):
     return tool_pose(arm, here.frames, "apxs")
 
 
+@made_once
 def pressed_with(force_N: float) -> Rig:
     rig = guarded_in_contact()
     rig.run(Preload("apxs", force_N), **TOUCHED)

@@ -9,7 +9,7 @@ from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.evrs import FaultResponse
 from fsw.motion.paths import Setpoint
 from fsw.protect.responses import Response
-from tests.fsw.rig import Rig, config_of, facing, floats
+from tests.fsw.rig import Rig, config_of, facing, floats, made_once
 from tests.tools import SWITCHES
 
 CONFIG = config_of()
@@ -32,6 +32,7 @@ def currents(joint, ampere):
     return {"current_A": np.where(np.arange(5) == joint, ampere, 0.0)}
 
 
+@made_once
 def moving(command=None):
     rig = Rig(CONFIG, start_rad=START)
     rig.until_moving(command or MoveJoints(floats(START + 0.05)))
@@ -39,6 +40,7 @@ def moving(command=None):
     return rig
 
 
+@made_once
 def in_guarded_motion(tool="apxs"):
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
     rig.until_moving(rig.touch(tool, 0.05), cycles=240)  # past the crossing of the gaps

@@ -27,7 +27,7 @@ from tests.fsw.executive.faults.lab import (
     moving,
     resolver_off,
 )
-from tests.fsw.rig import MARS_R_m_s2, Rig, alive, floats
+from tests.fsw.rig import MARS_R_m_s2, Rig, alive, floats, made_once
 
 QUIET = {
     "resolver_rad": np.zeros(5),
@@ -51,6 +51,7 @@ def corrupted(name, place, value):
     return {name: values}
 
 
+@made_once
 def on_its_way(kind):
     rig = Rig(CONFIG, start_rad=START)
     rig.until_moving(MOVES[kind](rig))
