@@ -5,7 +5,7 @@ import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
@@ -18,12 +18,11 @@ from mcap.writer import MCAP0_MAGIC
 from pyarrow import csv, parquet
 
 from marsarm.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
-from marsarm.telemetry.imports.files import BadImport
-from marsarm.telemetry.imports.job import convert_table
-from marsarm.telemetry.imports.log_file import write_table_log
+from marsarm.telemetry.import_table import convert_table, write_table_log
 from marsarm.telemetry.log_writer import RECORD_HEAD, encode_records
 from marsarm.telemetry.mcap_columns import PARSE_ERRORS, unpack_chunk
 from marsarm.telemetry.read import read_log
+from simgap.common.errors import RobotError
 
 Random = np.random.Generator
 Mutator = Callable[[Random, bytearray], None]
@@ -149,30 +148,27 @@ def mutate_header(random: Random, data: bytes, metadata: dict[str, tuple[int, in
 
 BETWEEN: Final = b"\n#---\n"
 """Separator of mapping and table in an input."""
-CELLS: Final = 50_000
-"""Largest number of cells of an imported table."""
-NOWHERE: Final = "/nowhere/m.toml"
-"""Path of the mapping, in a folder that does not exist, so that no relative path leads to a file."""
 
 
 def import_once(data: bytes) -> bool:
     """Import an input, and return whether it was accepted; any exception is a bug."""
     mapping, _, table = data.partition(BETWEEN)
-    name = "t.parquet" if table.startswith(b"PAR1") else "t.csv"
-    try:
-        converted = convert_table(table, name, mapping, NOWHERE, cells=CELLS)
-    except BadImport as error:
-        if isinstance(error.__cause__, MemoryError):
-            raise MemoryError(str(error)) from error  # a small table must not use all memory
-        return False
-    file = io.BytesIO()
-    write_table_log(file, converted.header, converted.series, converted.commands)
-    with NamedTemporaryFile(suffix=".mcap") as log_file:
-        log_file.write(file.getvalue())
-        log_file.flush()
-        log = read_log(Path(log_file.name))
-    for one in converted.series:
-        assert log[one.topic].tobytes() == one.data.tobytes()
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "m.toml").write_bytes(mapping)
+        path = folder / ("t.parquet" if table.startswith(b"PAR1") else "t.csv")
+        path.write_bytes(table)
+        try:
+            made = convert_table(path, folder / "m.toml")
+        except RobotError as error:
+            if isinstance(error.__cause__, MemoryError):
+                raise MemoryError(str(error)) from error  # a small table must not use all memory
+            return False
+        with (folder / "log.mcap").open("wb") as file:
+            write_table_log(file, made)
+        log = read_log(folder / "log.mcap")
+    for one in made.series:
+        assert log[one.spec.topic].tobytes() == one.data.tobytes()
     return True
 
 
@@ -183,22 +179,17 @@ grid = "linear"
 sort = true
 [csv]
 separator = ","
-[[channel]]
-name = "/joint.motor_rad"
+[channels."/joint.motor_rad"]
 columns = ["a", "b", "c", "d", "e"]
 unit = "deg"
-gain = -1
-[[channel]]
-name = "/joint.mode"
+factor = -1
+[channels."/joint.mode"]
 columns = "mode"
-[[channel]]
-name = "/imported/arm.on"
+[channels."/imported/arm.on"]
 columns = "on"
 unit = "bool"
-[[channel]]
-name = "/imported/arm.steps_count"
+[channels."/imported/arm.steps_count"]
 columns = "n"
-unit = "count"
 """
 
 
@@ -262,18 +253,15 @@ sort = {one_of("true", "false")}
 tolerance_cycles = {one_of("0.01", "0.5", "0")}
 max_interval_s = {one_of("1", "60", "60", "0.001")}
 first_tick = {one_of("0", "5", "500000000000")}
-[[channel]]
-name = "{one_of("/joint.motor_rad", "/sensors.resolver_rad")}"
+[channels."{one_of("/joint.motor_rad", "/sensors.resolver_rad")}"]
 columns = ["a", "b", "c", "d", "e"]
 unit = "{one_of("rad", "deg", "turn")}"
-gain = {one_of("1", "-1", "1e300", "[1, 2, 3, 4, 5]")}
+factor = {one_of("1", "-1", "1e300", "[1, 2, 3, 4, 5]")}
 offset = {one_of("0", "1e300", "-1")}
-[[channel]]
-name = "/imported/x.{field}"
+[channels."/imported/x.{field}"]
 columns = "n"
 unit = "{unit}"
-[[channel]]
-name = "/joint.mode"
+[channels."/joint.mode"]
 {one_of('columns = "n"', *['value = "STOWED"'] * 4)}
 """
     file = io.BytesIO()

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.transforms import Array, Flags, Integers, Pose, select_targets
-from marsarm.common.bad_tables import describe_bad_table
-from marsarm.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
+from marsarm.common.bad_tables import describe_bad_table, read_table_file
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write
 
@@ -157,10 +156,10 @@ def read_campaign(path: Path) -> Campaign:
         BadData: The file cannot be read or is too large, or columns or values are wrong.
     """
     try:
-        data = BytesIO(read_file(path, MAX_TABLE_BYTES))
+        data = BytesIO(read_table_file(path))
         table = csv.read_csv(data) if path.suffix.lower() == ".csv" else parquet.read_table(data)
         problems = [f"{path}: {problem}" for problem in _problems(table)]
-    except BadImport as error:
+    except BadRequest as error:
         raise BadData(str(error)) from error
     except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
         raise BadData(f"{path}: {describe_bad_table(error, 'a table')}") from error

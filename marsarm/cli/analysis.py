@@ -175,7 +175,7 @@ def dictionary(
         if effects and (markdown or pattern is not None):
             raise BadRequest("dictionary: --effects lists all effects, with no GLOB and no --markdown")
     if effects:
-        from marsarm.dictionary.effect_tables import effects_json, effects_table
+        from marsarm.dictionary.tables import effects_json, effects_table
 
         print_result({"effects": effects_json()}, as_json, effects_table)
         return

@@ -71,8 +71,7 @@ def plot(
 
     Example: marsarm log plot run.mcap '/joint.motor_rad[2]' /drive.current_limit_A --out joints.png
     """
-    from marsarm.telemetry.figure import save_log_figure
-    from marsarm.telemetry.inspection import select_channels
+    from marsarm.telemetry.inspection import save_log_figure, select_channels
     from simgap.common.console import pluralize
     from simgap.common.files import check_distinct_files, check_output
 
@@ -139,7 +138,7 @@ def recover(
 def import_log(
     progress: Progress,
     table: Annotated[
-        Path, typer.Argument(help="Telemetry as .parquet, .csv, .tsv or .txt.", metavar="TABLE")
+        Path, typer.Argument(help="Telemetry as .parquet, .csv, .tsv, .txt, .npz or .mcap.", metavar="TABLE")
     ],
     mapping: Annotated[Path, typer.Argument(help="The channel of each column.", metavar="MAPPING.toml")],
     log: Annotated[
@@ -153,10 +152,11 @@ def import_log(
 
     Example: marsarm log import arm.csv arm.toml arm.mcap
     """
-    from marsarm.telemetry.imports.job import ImportRequest, import_json, import_table, import_tables
+    from marsarm.telemetry.import_table import ImportRequest, import_json, import_table, import_tables
 
-    report = import_table(ImportRequest(table, mapping, log), progress)
-    return VerbResult(import_json(report), lambda: import_tables(report))
+    request = ImportRequest(table, mapping, log)
+    made = import_table(request, progress)
+    return VerbResult(import_json(request, made), lambda: import_tables(request, made))
 
 
 def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) -> "Log":

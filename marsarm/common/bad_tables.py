@@ -1,9 +1,14 @@
-"""Descriptions of tables that cannot be read."""
+"""Tables as files: reading with a limit of size, and descriptions of those that cannot be read."""
 
+import os
 import re
+from pathlib import Path
 from typing import Final
 
 from sim.text_file import NOT_UTF8
+from simgap.common.errors import BadRequest
+
+MAX_TABLE_BYTES: Final = 1 << 32
 
 NO_UTF8: Final = ("utf-8", "utf8")
 WRONG_WIDTH: Final = re.compile(
@@ -29,3 +34,20 @@ def describe_bad_table(error: Exception, kind: str) -> str:
         row = f"row {width['row']}" if width["row"] else "a row"
         return f"cannot be read as {kind}: {row} has {width['n']} columns, the first has {width['right']}"
     return f"cannot be read as {kind}; it is damaged, cut short or of another format"
+
+
+def read_table_file(path: Path) -> bytes:
+    """Read the content of a file.
+
+    Raises:
+        BadRequest: it cannot be read, is not a regular file, or is larger than MAX_TABLE_BYTES.
+    """
+    if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe might never end
+        raise BadRequest(f"{path}: is not a regular file; give the path of one")
+    try:
+        size = path.stat().st_size
+        if size > MAX_TABLE_BYTES:
+            raise BadRequest(f"{path}: has {size} bytes, more than {MAX_TABLE_BYTES}; is it the right file?")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise BadRequest(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error

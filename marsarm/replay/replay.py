@@ -6,16 +6,24 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import mujoco
+
 from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.params import Params
 from fsw.messages import Outputs
 from fsw.state import boot, outputs_at_rest
-from marsarm.replay.behaviour import OUTPUT_TOPICS, Behaviour, behaviour_from_log, behaviour_from_outputs
 from marsarm.replay.compare import Differences, compare_behaviours
-from marsarm.replay.inputs import Inputs, inputs_from_log
+from marsarm.replay.inputs import (
+    OUTPUT_TOPICS,
+    Behaviour,
+    Inputs,
+    behaviour_from_log,
+    behaviour_from_outputs,
+    inputs_from_log,
+)
 from marsarm.telemetry.errors import LogError
-from marsarm.telemetry.header import cpu_features
-from marsarm.telemetry.json_codec import record_to_json
+from marsarm.telemetry.events import record_to_json
+from marsarm.telemetry.header import IMPORT, cpu_features
 from marsarm.telemetry.read import Log, read_log
 from marsarm.telemetry.topics import channel_matches, channel_name
 from sim.loop import step_flight_software
@@ -61,12 +69,22 @@ def replay(request: ReplayRequest, progress: Progress = no_progress) -> ReplayRe
     """
     try:
         log = read_log(request.log)
+        if f'"{IMPORT}"' in log.header.get("request", ""):
+            raise BadRequest(
+                f"log {log.path}: was imported, so its commands are unknown; give the log of a run"
+            )
         inputs = inputs_from_log(log)
         params = inputs.params if request.params is None else params_over(inputs.params, request.params)
     except (LogError, BadParams) as error:
         raise BadRequest(str(error)) from error
     recorded = behaviour_from_log(log, inputs.ticks)
     _check_channel(request.channel, recorded)
+    notes, theirs = inputs.notes, log.header.get("mujoco", mujoco.__version__)
+    if theirs != mujoco.__version__:
+        notes = (
+            *notes,
+            f"recorded with MuJoCo {theirs}, here is {mujoco.__version__}; a run made anew may differ",
+        )
     same = is_same_processor(log)
     differences = compare_behaviours(
         recorded,
@@ -80,7 +98,7 @@ def replay(request: ReplayRequest, progress: Progress = no_progress) -> ReplayRe
             f"holds no event and no channel of {', '.join(t.name for t in OUTPUT_TOPICS)} to compare with"
         )
     changed = tuple(_changed_values(record_to_json(inputs.params), record_to_json(params), ""))
-    return ReplayReport(request, dict(log.header), differences, changed, inputs.notes, same)
+    return ReplayReport(request, dict(log.header), differences, changed, notes, same)
 
 
 def run_flight_software(inputs: Inputs, params: Params, progress: Progress) -> list[Outputs]:

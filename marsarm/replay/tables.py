@@ -9,8 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from fsw.config import CYCLE_HZ
-from marsarm.replay.compare import ChannelDifference, Differences
-from marsarm.replay.compare_evrs import EvrDifference
+from marsarm.replay.compare import ChannelDifference, Differences, EvrDifference
 from marsarm.replay.replay import ReplayReport
 from marsarm.telemetry.events import EvrEntry
 from simgap.common.console import magnitude_sparkline, pluralize, value_sparklines

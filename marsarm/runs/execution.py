@@ -21,9 +21,9 @@ from fsw.dictionary.evrs import Evr, Severity
 from marsarm.render.picture import PictureResult, check_movie_path, save_movie, save_picture
 from marsarm.render.rover_scene import tilt_rover
 from marsarm.runs.request import RunFiles, WhenDiskFull
-from marsarm.telemetry.drawn_scene import draw_scene
 from marsarm.telemetry.errors import LogNotWritable
 from marsarm.telemetry.recorder import Recorder
+from marsarm.telemetry.robot_description import draw_scene
 from sim.arm_model.load import ArmModel
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect

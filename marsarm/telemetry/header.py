@@ -19,8 +19,8 @@ from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
+from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.format import WRITER_KEY
-from marsarm.telemetry.json_codec import record_to_json
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
 from sim.scenario.effects import effect_text
@@ -52,6 +52,8 @@ WORLD: Final = "world"
 """Key of the header: scene, tilt of the rover and surface as JSON, for viewers."""
 SESSION: Final = "session"
 """Key of the header: motion and conditions of a session as JSON, for the diagnosis."""
+IMPORT: Final = "import"
+"""Key of the request of a log that was made of a table: its files and their digests."""
 
 
 def run_header(

@@ -19,7 +19,7 @@ from fsw.dictionary.commands import Command
 from fsw.dictionary.validity import Wrong, read_arguments
 from fsw.executive.context import known_names
 from marsarm.telemetry.errors import LogNotWritable
-from marsarm.telemetry.events import command_entry, evr_entry, rosout_message
+from marsarm.telemetry.events import command_entry, evr_entry, record_to_json, rosout_message
 from marsarm.telemetry.format import (
     CHANNELS_KEY,
     CHUNK_CYCLES,
@@ -33,12 +33,12 @@ from marsarm.telemetry.format import (
     header_crc32,
 )
 from marsarm.telemetry.header import run_header
-from marsarm.telemetry.json_codec import record_to_json
 from marsarm.telemetry.log_writer import ChunkWriter, Packer, PacketSource, number_messages
 from marsarm.telemetry.robot_description import DrawnScene
-from marsarm.telemetry.ros_messages import JOINT_STATES_TOPIC, SAMPLE_CYCLES, RosEncoder
+from marsarm.telemetry.ros_messages import SAMPLE_CYCLES, RosEncoder
 from marsarm.telemetry.schema import arm_names
 from marsarm.telemetry.topics import (
+    JOINT_STATES_TOPIC,
     PACKET_TOPICS,
     ROSOUT_TOPIC,
     TopicSpec,

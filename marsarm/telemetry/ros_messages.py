@@ -1,4 +1,4 @@
-"""ROS 2 messages for other tools: their definitions, and the encoder of joints, transforms and shapes.
+"""ROS 2 messages for other tools: the encoder of joints, transforms and shapes.
 
 They are computed from flight channels. With them, a viewer shows the arm of a log without configuration.
 """
@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fsw.collision.geometry import TURRET_FRAME as TURRET_CARRIER
 from fsw.collision.geometry import RoundedBoxes
@@ -27,117 +28,17 @@ from marsarm.telemetry.robot_description import (
     robot_description,
 )
 from marsarm.telemetry.schema import ROS_TIME, CdrWriter, ros_time
+from marsarm.telemetry.topics import (
+    JOINT_STATES_TOPIC,
+    MARKERS_TOPIC,
+    ROBOT_DESCRIPTION_TOPIC,
+    TF_STATIC_TOPIC,
+    TF_TOPIC,
+)
 from sim.record import CycleRecord
-
-SEPARATOR: Final = "=" * 80
-
-ROS_TYPES: Final = {
-    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
-    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec\n",
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
-    "std_msgs/ColorRGBA": "float32 r\nfloat32 g\nfloat32 b\nfloat32 a\n",
-    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z\n",
-    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
-    "geometry_msgs/Quaternion": "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n",
-    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
-    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
-    "geometry_msgs/TransformStamped": (
-        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
-    ),
-    "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data\n",
-    "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v\n",
-    "visualization_msgs/MeshFile": "string filename\nuint8[] data\n",
-    "visualization_msgs/Marker": """\
-int32 ARROW=0
-int32 CUBE=1
-int32 SPHERE=2
-int32 CYLINDER=3
-int32 LINE_STRIP=4
-int32 LINE_LIST=5
-int32 CUBE_LIST=6
-int32 SPHERE_LIST=7
-int32 POINTS=8
-int32 TEXT_VIEW_FACING=9
-int32 MESH_RESOURCE=10
-int32 TRIANGLE_LIST=11
-int32 ARROW_STRIP=12
-int32 ADD=0
-int32 MODIFY=0
-int32 DELETE=2
-int32 DELETEALL=3
-std_msgs/Header header
-string ns
-int32 id
-int32 type
-int32 action
-geometry_msgs/Pose pose
-geometry_msgs/Vector3 scale
-std_msgs/ColorRGBA color
-builtin_interfaces/Duration lifetime
-bool frame_locked
-geometry_msgs/Point[] points
-std_msgs/ColorRGBA[] colors
-string texture_resource
-sensor_msgs/CompressedImage texture
-visualization_msgs/UVCoordinate[] uv_coordinates
-string text
-string mesh_resource
-visualization_msgs/MeshFile mesh_file
-bool mesh_use_embedded_materials
-""",
-}
-
-ROS_MESSAGES: Final = {
-    "sensor_msgs/msg/JointState": (
-        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
-    ),
-    "std_msgs/msg/String": "string data\n",
-    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
-    "visualization_msgs/msg/MarkerArray": "visualization_msgs/Marker[] markers\n",
-    "rcl_interfaces/msg/Log": """\
-byte DEBUG=10
-byte INFO=20
-byte WARN=30
-byte ERROR=40
-byte FATAL=50
-builtin_interfaces/Time stamp
-uint8 level
-string name
-string msg
-string file
-string function
-uint32 line
-""",
-}
-
-
-def nested_types(text: str) -> list[str]:
-    """List the types that a definition uses, each after the types that use it."""
-    found: list[str] = []
-    for line in text.splitlines():
-        part = line.split()[0].removesuffix("[]")
-        if part in ROS_TYPES:
-            found += [part, *nested_types(ROS_TYPES[part])]
-    return list(dict.fromkeys(found))
-
-
-def ros_schema(name: str) -> bytes:
-    """Return the definition of a message with all types that it uses, as a ros2msg schema."""
-    text = ROS_MESSAGES[name]
-    return "".join(
-        [text, *(f"{SEPARATOR}\nMSG: {part}\n{ROS_TYPES[part]}" for part in nested_types(text))]
-    ).encode()
-
 
 SAMPLE_CYCLES: Final = 8
 """Cycles between samples: 8 Hz; no joint turns by more than a degree between two samples."""
-
-JOINT_STATES_TOPIC: Final = "/joint_states"
-TF_TOPIC: Final = "/tf"
-TF_STATIC_TOPIC: Final = "/tf_static"
-MARKERS_TOPIC: Final = "/arm_markers"
-ROBOT_DESCRIPTION_TOPIC: Final = "/robot_description"
-"""Topic where Foxglove, Lichtblick and Rerun look for a URDF."""
 
 POSE_STRUCT: Final = struct.Struct("<7d")
 CUBE, SPHERE, CYLINDER = 1, 2, 3
@@ -316,29 +217,6 @@ def add_marker(
 
 
 def quaternion(R: Array) -> tuple[float, float, float, float]:
-    """Convert a rotation to a unit quaternion; dividing by its largest component avoids cancellation.
-
-    Args:
-        R: Rotation matrix, shape (3, 3).
-
-    Returns:
-        Quaternion x, y, z, w.
-    """
-    squares = np.array(
-        [
-            1 + R[0, 0] - R[1, 1] - R[2, 2],
-            1 - R[0, 0] + R[1, 1] - R[2, 2],
-            1 - R[0, 0] - R[1, 1] + R[2, 2],
-            1 + R[0, 0] + R[1, 1] + R[2, 2],
-        ]
-    )
-    turns = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    sums = np.array([R[1, 2] + R[2, 1], R[0, 2] + R[2, 0], R[0, 1] + R[1, 0]])
-    k = int(squares.argmax())
-    q = np.empty(4)
-    q[3] = squares[3] if k == 3 else turns[k]
-    for i in range(3):
-        q[i] = turns[i] if k == 3 else squares[i] if i == k else sums[3 - i - k]
-    q /= np.linalg.norm(q)
-    x, y, z, w = q.tolist()
+    """Convert a rotation, shape (3, 3), to a unit quaternion x, y, z, w."""
+    x, y, z, w = Rotation.from_matrix(R).as_quat().tolist()
     return x, y, z, w

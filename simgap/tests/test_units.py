@@ -19,6 +19,8 @@ from simgap.units import UNITS, Quantity, find_unit
         ("mA", Quantity.CURRENT, 5.0, 5e-3),
         ("K", Quantity.TEMPERATURE, 273.15, 0.0),
         ("us", Quantity.TIME, 1.0, 1e-6),
+        ("g0", Quantity.ACCELERATION, 1.0, 9.80665),
+        ("%", Quantity.RATIO, 50.0, 0.5),
     ],
 )
 def test_a_value_is_converted_to_si_units(name, quantity, logged, expected):
@@ -32,7 +34,7 @@ def test_every_quantity_has_its_si_unit():
 
 
 def test_a_unit_of_another_quantity_is_refused_with_the_nearest():
-    with pytest.raises(ValueError, match="'N m' is no unit of angle; write one of rad, mrad, deg"):
+    with pytest.raises(ValueError, match="'N m' is no unit of angle; write one of rad, mrad, urad, deg"):
         find_unit("N m", Quantity.ANGLE)
     with pytest.raises(ValueError, match="did you mean 'deg'"):
         find_unit("degs", Quantity.ANGLE)

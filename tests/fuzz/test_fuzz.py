@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import validation.fuzz
-from marsarm.telemetry.imports import table
+from simgap.files import log_file
 from validation import fuzz_inputs
 from validation.fuzz import TARGETS, FuzzTarget, fuzz
 
@@ -68,6 +68,6 @@ def test_a_table_that_asks_for_all_of_the_memory_is_seen(monkeypatch: pytest.Mon
     def bomb(*_: Any) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(table, "_from_text", bomb)
+    monkeypatch.setattr(log_file, "_open_csv", bomb)
     with pytest.raises(MemoryError):
         fuzz_inputs.import_once(fuzz_inputs.import_seeds()[0])

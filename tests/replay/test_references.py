@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from marsarm.replay.behaviour import behaviour_from_outputs
 from marsarm.replay.compare import compare_behaviours
-from marsarm.replay.inputs import inputs_from_log
+from marsarm.replay.inputs import behaviour_from_outputs, inputs_from_log
 from marsarm.replay.replay import OTHER_PROCESSOR_TOLERANCE, ReplayRequest, replay, run_flight_software
 from marsarm.replay.tables import verdict_line
 from marsarm.telemetry.header import cpu_features

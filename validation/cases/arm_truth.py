@@ -29,9 +29,9 @@ from marsarm.diagnosis.sampling import (
     sample_amplitude,
     sample_effect,
 )
+from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.format import CHANNELS_KEY
 from marsarm.telemetry.header import SESSION
-from marsarm.telemetry.json_codec import record_to_json
 from marsarm.telemetry.read import read_log
 from sim.effects import catalogue
 from sim.effects.effect import Effect

@@ -195,8 +195,7 @@ def load_recording(path: Path) -> Recording:
     if inputs.reference is None:
         raise NotForDiagnosis(
             f"log {path}: its header holds no zeros of the joints, so counts cannot be converted "
-            f"to angles; record it after an initialisation, or give boot.reference in the [start] of the "
-            f"import"
+            f"to angles; record it after an initialisation, or give the [reference] of the import"
         )
     ticks = min(inputs.ticks, len(_drive_packets(log)))
     drive = {f.name: _drive_packets(log)[f.name][:ticks] for f in fields(ActuatorCommand)}

@@ -16,8 +16,8 @@ from marsarm.common.params_toml import params_toml
 from marsarm.common.requests import fit_effects, parse_effects, select_arm
 from marsarm.diagnosis.arm.logs import TrackerPoses, no_tracker_poses, write_tracker_poses
 from marsarm.diagnosis.arm.request import RecordRequest
+from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.header import SESSION, flight_header
-from marsarm.telemetry.json_codec import record_to_json
 from marsarm.telemetry.recorder import Recorder
 from sim.arm_model.load import default_arm
 from sim.arms import BuiltArm, effects_of_run

@@ -19,6 +19,16 @@ class Quantity(StrEnum):
     TEMPERATURE = "temperature"
     TIME = "time"
     FLAG = "flag"
+    LINEAR_SPEED = "speed"
+    ACCELERATION = "acceleration"
+    ANGULAR_ACCELERATION = "angular acceleration"
+    FORCE = "force"
+    ENERGY = "energy"
+    POWER = "power"
+    PRESSURE = "pressure"
+    FREQUENCY = "frequency"
+    MASS = "mass"
+    RATIO = "pure number"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,14 +47,17 @@ FRACTION: Final = "fraction"
 UNITS: Final = {
     "rad": Unit(Quantity.ANGLE, 1.0),
     "mrad": Unit(Quantity.ANGLE, 1e-3),
+    "urad": Unit(Quantity.ANGLE, 1e-6),
     "deg": Unit(Quantity.ANGLE, math.pi / 180),
     "turn": Unit(Quantity.ANGLE, 2 * math.pi),
     "count": Unit(Quantity.ANGLE, 2 * math.pi),
     FRACTION: Unit(Quantity.ANGLE, 1.0),
     "m": Unit(Quantity.LENGTH, 1.0),
+    "cm": Unit(Quantity.LENGTH, 1e-2),
     "mm": Unit(Quantity.LENGTH, 1e-3),
     "um": Unit(Quantity.LENGTH, 1e-6),
     "rad/s": Unit(Quantity.SPEED, 1.0),
+    "mrad/s": Unit(Quantity.SPEED, 1e-3),
     "deg/s": Unit(Quantity.SPEED, math.pi / 180),
     "rpm": Unit(Quantity.SPEED, 2 * math.pi / 60),
     "turn/s": Unit(Quantity.SPEED, 2 * math.pi),
@@ -62,9 +75,35 @@ UNITS: Final = {
     "ms": Unit(Quantity.TIME, 1e-3),
     "us": Unit(Quantity.TIME, 1e-6),
     "ns": Unit(Quantity.TIME, 1e-9),
+    "min": Unit(Quantity.TIME, 60.0),
+    "h": Unit(Quantity.TIME, 3600.0),
     "flag": Unit(Quantity.FLAG, 1.0),
+    "m/s": Unit(Quantity.LINEAR_SPEED, 1.0),
+    "mm/s": Unit(Quantity.LINEAR_SPEED, 1e-3),
+    "m/s2": Unit(Quantity.ACCELERATION, 1.0),
+    "g0": Unit(Quantity.ACCELERATION, 9.80665),
+    "rad/s2": Unit(Quantity.ANGULAR_ACCELERATION, 1.0),
+    "deg/s2": Unit(Quantity.ANGULAR_ACCELERATION, math.pi / 180),
+    "N": Unit(Quantity.FORCE, 1.0),
+    "mN": Unit(Quantity.FORCE, 1e-3),
+    "kN": Unit(Quantity.FORCE, 1e3),
+    "J": Unit(Quantity.ENERGY, 1.0),
+    "mJ": Unit(Quantity.ENERGY, 1e-3),
+    "W": Unit(Quantity.POWER, 1.0),
+    "mW": Unit(Quantity.POWER, 1e-3),
+    "Pa": Unit(Quantity.PRESSURE, 1.0),
+    "hPa": Unit(Quantity.PRESSURE, 1e2),
+    "bar": Unit(Quantity.PRESSURE, 1e5),
+    "Hz": Unit(Quantity.FREQUENCY, 1.0),
+    "kg": Unit(Quantity.MASS, 1.0),
+    "g": Unit(Quantity.MASS, 1e-3),
+    "1": Unit(Quantity.RATIO, 1.0),
+    "%": Unit(Quantity.RATIO, 1e-2),
 }
-"""Every unit that a robot file may name. Temperatures are in degC; all other quantities are in SI units."""
+"""Every unit that a robot file or a mapping of a table may name.
+
+Temperatures are in degC; all other quantities are in SI units.
+"""
 
 
 def find_unit(name: str, quantity: Quantity) -> Unit:

@@ -293,9 +293,9 @@ CASES = {
     "ik --batch cut.parquet --out b.npz": "it is damaged, cut short or of another format",
     "ik --batch loop.npz --out b.npz": "Too many levels of symbolic links",
     "ik --batch folder.npz --out b.npz": "is not a regular file",
-    "log import few.csv utf16.toml out.mcap": "is not text in UTF-8; save it as UTF-8",
-    "log import few.csv empty.toml out.mcap": "channel: is missing",
-    "log import nosuch.csv empty.toml out.mcap": "No such file or directory",
+    "log import few.csv utf16.toml out.mcap": "is not UTF-8 text; name a TOML file",
+    "log import few.csv empty.toml out.mcap": "channels: is missing",
+    "log import few.csv nosuch.toml out.mcap": "cannot be read (No such file or directory)",
     # outputs
     "view none.mcap": "none.mcap",
     "view run.mcap --html run.htm": "must end in .html",

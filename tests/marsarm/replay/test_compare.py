@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from marsarm.replay.behaviour import Behaviour, TopicSeries
-from marsarm.replay.compare import MIN_DIFFERENCE, compare_behaviours
-from marsarm.replay.compare_evrs import EvrChange, evr_differences
+from marsarm.replay.compare import MIN_DIFFERENCE, EvrChange, compare_behaviours, evr_differences
+from marsarm.replay.inputs import Behaviour, TopicSeries
 from marsarm.telemetry.events import EvrEntry
 
 TICKS = 6

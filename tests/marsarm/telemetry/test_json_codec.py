@@ -3,7 +3,8 @@
 import json
 from dataclasses import fields, is_dataclass, replace
 from enum import IntEnum
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
@@ -13,10 +14,20 @@ from hypothesis import strategies as st
 from fsw.config import configure, digest
 from fsw.dictionary.commands import Command, MoveJoint, SetParam
 from fsw.dictionary.enums import Joint
+from fsw.dictionary.evrs import Evr
+from fsw.dictionary.faults import Fault
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference, no_reference
-from marsarm.telemetry.events import CommandEntry, command_entry
-from marsarm.telemetry.json_codec import BadJson, command_from_json, record_from_json, record_to_json
+from marsarm.telemetry.errors import SchemaError
+from marsarm.telemetry.events import (
+    BadJson,
+    CommandEntry,
+    command_entry,
+    command_from_json,
+    evr_entry,
+    record_from_json,
+    record_to_json,
+)
 from marsarm.telemetry.schema import strip_optional
 from sim.arms import arm_named
 
@@ -143,3 +154,47 @@ def test_an_array_with_an_integer_beyond_all_floats_is_a_sentence():
 def test_a_whole_number_where_a_float_may_be_stays_what_it_is():
     assert isinstance(command_from_json("SetParam", {"name": "a", "value": 3}, []).value, int)
     assert command_from_json("SetParam", {"name": "a", "value": 3}, []) == SetParam("a", 3)
+
+
+def some_value(hint: Any) -> Any:
+    if get_origin(hint) is tuple:
+        return tuple(some_value(item) for item in get_args(hint))
+    if get_origin(hint) is Literal:
+        return get_args(hint)[0]
+    if get_origin(hint) in (Union, UnionType):
+        return some_value(get_args(hint)[0])
+    values = {bool: True, int: 1, float: 0.5, str: "x"}
+    return values[hint] if hint in values else next(iter(hint))
+
+
+def some_event(kind: Any) -> Any:
+    hints = get_type_hints(kind)
+    return kind(**{f.name: some_value(hints[f.name]) for f in fields(kind)})
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [kind for kind in (*Evr.__subclasses__(), *Fault.__subclasses__()) if hasattr(kind, "text")],
+    ids=lambda kind: kind.__name__,
+)
+def test_every_evr_goes_into_a_log(kind: Any) -> None:
+    evr = some_event(kind)
+    entry = evr_entry(7, evr)
+    assert type(entry).decode(entry.encode()) == entry
+    assert (entry.name, entry.message, list(entry.fields)) == (
+        kind.__name__,
+        evr.message,
+        [f.name for f in fields(kind)],
+    )
+
+
+@pytest.mark.parametrize("kind", get_args(Command), ids=lambda kind: kind.__name__)
+def test_every_command_goes_into_a_log(kind: Any) -> None:
+    entry = command_entry(7, some_event(kind))
+    assert type(entry).decode(entry.encode()) == entry
+    assert list(entry.fields) == [f.name for f in fields(kind)]
+
+
+def test_a_field_without_a_json_type_is_refused() -> None:
+    with pytest.raises(SchemaError, match="object in a command or EVR"):
+        record_to_json(object())

@@ -3,7 +3,7 @@
 import matplotlib.figure
 import pytest
 
-from marsarm.telemetry import figure as log_figure
+from marsarm.telemetry import inspection as log_figure
 from marsarm.telemetry.inspection import select_channels
 from marsarm.telemetry.read import read_log
 from validation.speed import record_log

@@ -12,8 +12,7 @@ import pytest
 
 from fsw.config import configure
 from fsw.kinematics.transforms import Pose, rotation_x, rotation_y, rotation_z
-from marsarm.telemetry.drawn_scene import draw_scene, visuals_of
-from marsarm.telemetry.robot_description import roll_pitch_yaw
+from marsarm.telemetry.robot_description import draw_scene, roll_pitch_yaw, visuals_of
 from marsarm.telemetry.ros_messages import RosEncoder
 from sim.arm_model.load import arm_names
 from sim.arms import arm_named

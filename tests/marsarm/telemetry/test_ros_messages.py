@@ -13,9 +13,8 @@ from mcap.reader import make_reader
 from fsw.config import configure
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Pose
-from marsarm.telemetry.drawn_scene import draw_scene
 from marsarm.telemetry.read import read_log
-from marsarm.telemetry.ros_messages import quaternion
+from marsarm.telemetry.robot_description import draw_scene
 from sim.arms import arm_named
 from sim.record import CycleRecord
 from sim.world import Surface, World
@@ -187,16 +186,6 @@ def test_angles_that_are_not_finite_have_no_frames(make: Any, tmp_path: Path) ->
     assert "/robot_description" not in found
     assert [time_ns for time_ns, _ in found["/tf"]] == [250_000_000]
     assert len(found["/joint_states"]) == 3
-
-
-@pytest.mark.parametrize("turn", range(20))
-def test_a_quaternion_is_its_rotation(turn: int) -> None:
-    q = np.random.default_rng(turn).normal(size=4)
-    q = q / np.linalg.norm(q) if turn else np.array([1.0, 0.0, 0.0, 0.0])
-    rotation = dict(zip("xyzw", q, strict=True))
-    R = pose_of({"rotation": rotation, "translation": dict.fromkeys("xyz", 0.0)}).R
-    back = np.array(quaternion(R))
-    np.testing.assert_allclose(back * np.sign(back @ q), q, atol=1e-15)
 
 
 def test_derived_channels_are_marked_and_a_reader_of_ours_has_no_array_of_them(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Log files as columns: Parquet, CSV and npz here, MCAP in `mcap_log`."""
+"""Log files as columns: Parquet, CSV and npz here, MCAP in `mcap_log`; `open_log` chooses the format."""
 
 import csv
 import os
@@ -21,7 +21,11 @@ from simgap.files.columns import Column, LogFile, check_columns
 from simgap.files.mcap_log import open_mcap
 from simgap.files.robot_file import CsvTable
 
-SUFFIXES: Final = (".parquet", ".csv", ".txt", ".npz", ".mcap")
+SUFFIXES: Final = (".parquet", ".csv", ".tsv", ".txt", ".npz", ".mcap")
+MAX_VALUES: Final = 100_000_000
+"""Largest number of values that are read: a small file can claim any number of rows."""
+MAX_BYTES: Final = 1 << 32
+"""Largest size of a file of text."""
 
 
 def open_log(path: Path, numbers: Sequence[str], texts: Sequence[str], csv_table: CsvTable) -> LogFile:
@@ -46,14 +50,16 @@ def open_log(path: Path, numbers: Sequence[str], texts: Sequence[str], csv_table
         match path.suffix.lower():
             case ".parquet":
                 return _open_parquet(path, [*numbers, *texts])
-            case ".csv" | ".txt":
+            case ".csv" | ".tsv" | ".txt":
                 return _open_csv(path, numbers, texts, csv_table)
             case ".npz":
                 return _open_npz(path, [*numbers, *texts])
             case ".mcap":
                 return open_mcap(path, numbers)
-    except (OSError, pa.ArrowException, zipfile.BadZipFile) as error:
+    except (OSError, OverflowError, ValueError, pa.ArrowException, zipfile.BadZipFile) as error:
         raise RobotError(f"{path}: cannot be read: {' '.join(str(error).split())}") from error
+    except MemoryError as error:
+        raise RobotError(f"{path}: is too large for the memory; give it in parts") from error
     raise RobotError(
         f"{path}: is no log by its suffix; name a file that ends in one of {', '.join(SUFFIXES)}"
     )
@@ -67,10 +73,13 @@ class TableLog:
     table: pa.Table
 
     def numbers(self, name: str) -> Column:
-        """Return the numbers of a column; an empty cell is no number and no error."""
+        """Return the numbers of a column, timestamps in seconds; an empty cell is no number and no error."""
         column = self.table[name].combine_chunks()
         if pa.types.is_boolean(column.type):
             column = column.cast(pa.uint8())
+        if pa.types.is_timestamp(column.type):
+            microseconds = column.cast(pa.timestamp("us"), safe=False).cast(pa.int64())
+            column = pc.divide(microseconds.cast(pa.float64(), safe=False), 1e6)
         if not (pa.types.is_integer(column.type) or pa.types.is_floating(column.type)):
             raise RobotError(f"{self.path}: column {name!r} {_content(column)}; a signal needs numbers")
         is_present = column.is_valid().to_numpy(zero_copy_only=False) if column.null_count else None
@@ -136,6 +145,7 @@ def _is_number(text: str) -> bool:
 
 def _open_parquet(path: Path, wanted: Sequence[str]) -> TableLog:
     check_columns(path, wanted, pq.read_schema(path).names)
+    _check_size(path, pq.read_metadata(path).num_rows * len(wanted))
     return TableLog(path, _not_empty(path, pq.read_table(path, columns=list(dict.fromkeys(wanted)))))
 
 
@@ -148,6 +158,7 @@ def _open_csv(path: Path, numbers: Sequence[str], texts: Sequence[str], form: Cs
     except (csv.Error, TypeError) as error:
         raise RobotError(f"{path}: cannot be read as a table: {error}") from error
     check_columns(path, [*numbers, *texts], there)
+    _check_size(path, 0 if path.stat().st_size <= MAX_BYTES else MAX_VALUES + 1)
     convert = pacsv.ConvertOptions(
         column_types=dict.fromkeys((one for one in texts if one not in numbers), pa.string()),
         include_columns=list(dict.fromkeys([*numbers, *texts])),
@@ -173,6 +184,11 @@ def _open_npz(path: Path, wanted: Sequence[str]) -> ArrayLog:
     if any(array.size == 0 for array in arrays.values()):
         raise RobotError(f"{path}: has no rows; name a log with samples")
     return ArrayLog(path, arrays)
+
+
+def _check_size(path: Path, n_values: int) -> None:
+    if n_values > MAX_VALUES:
+        raise RobotError(f"{path}: has more than {MAX_VALUES} values; give it in parts")
 
 
 def _not_empty(path: Path, table: pa.Table) -> pa.Table:

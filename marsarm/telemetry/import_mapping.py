@@ -1,0 +1,314 @@
+"""Mapping of an import: a file in the form of a robot file, and the channels that it may name."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from enum import IntEnum
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Final, Literal, get_type_hints
+
+import numpy as np
+from pydantic import Field as Bounds
+from pydantic import model_validator
+
+from fsw.config import configure
+from fsw.dictionary.enums import Joint
+from fsw.dictionary.params import Params
+from fsw.dictionary.types import match_name
+from fsw.estimate.reference import Reference
+from marsarm.common.fields import unit_of
+from marsarm.telemetry.schema import (
+    ROS_NAME,
+    Field,
+    Layout,
+    arm_names,
+    is_tool_index,
+    packet_layout,
+    strip_annotated,
+)
+from marsarm.telemetry.topics import PACKET_TOPICS, Topic
+from sim.params import nominal_params, params_over_nominal
+from sim.params_table import BadParams
+from simgap.common.errors import RobotError
+from simgap.files.robot_file import CsvTable, TimeTable
+from simgap.files.toml_record import Record, parse_record, read_toml
+from simgap.units import UNITS, Unit, find_unit
+
+TICK: Final = "tick"
+"""Value of a mapping that stands for the number of the cycle."""
+MAX_TICK: Final = 1 << 39
+"""Limit of the first tick and of the span of a table, 272 years; more nanoseconds do not fit a log."""
+IMPORT_PREFIX: Final = "/imported/"
+"""Prefix of the topics that flight software does not have."""
+CUSTOM_NAME: Final = re.compile(r"/imported/([a-z](?:_?[a-z0-9]+)*)\.(\w+)")
+PLAIN_UNITS: Final = ("bool", "count", "cycle", "1")
+"""Units of the log that a mapping need not name, for nothing else could be meant."""
+TOPICS: Final[dict[str, Topic]] = {topic.name: topic for topic, _ in PACKET_TOPICS}
+Value = bool | int | float | str
+Number = float | list[float]
+
+
+class GridTime(TimeTable):
+    """Times of the rows, and what becomes of rows between two cycles."""
+
+    format: str = ""
+    """Format of a time column of text, as for strptime."""
+    rate_Hz: Annotated[float, Bounds(gt=0)] | None = None
+    """Rate of the rows of a table without a time column."""
+    sort: bool = False
+    """Sort the rows by time; else rows out of order are an error."""
+    first_tick: Annotated[int, Bounds(ge=0, lt=MAX_TICK)] = 0
+    """Cycle of the first row."""
+    grid: Literal["exact", "nearest", "hold", "linear"] = "exact"
+    tolerance_cycles: Annotated[float, Bounds(ge=0, le=0.5)] = 0.01
+    """Largest distance of a row from its cycle, with grid "exact"."""
+    max_interval_s: Annotated[float, Bounds(gt=0, le=60)] = 1.0
+    """Longest time without a row, with grids "hold" and "linear"."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "GridTime":
+        if self.rate_Hz is not None and (self.column or self.format):
+            raise ValueError("give column, or rate_Hz for rows at a fixed rate; one of the two")
+        return self
+
+
+class SessionTable(Record):
+    """Motion and conditions, for the diagnosis."""
+
+    name: str
+    block: str | None = None
+    """Name that all repeats of a motion share; absent: the name of the session."""
+    temperature_C: Annotated[float, Bounds(ge=-273.15, le=1000.0)] | None = None
+    """Temperature of the air; absent: that of the windings in the first row."""
+
+
+PerJoint = Annotated[list[float], Bounds(min_length=5, max_length=5)]
+
+
+class ReferenceTable(Record):
+    """Zeros of the joints and more that an initialisation finds, for the diagnosis; in the order of Joint."""
+
+    zero_rad: PerJoint
+    calibrated: Annotated[list[bool], Bounds(min_length=5, max_length=5)] = [True] * 5
+    half_backlash_rad: PerJoint | None = None
+    """Absent: of the parameters."""
+    resolver_bias_rad: PerJoint = [0.0] * 5
+    friction_Nm: PerJoint | None = None
+
+
+class ChannelTable(Record):
+    """Columns of one channel, or its constant."""
+
+    columns: str | list[str] = Bounds(default_factory=list)
+    """A column for each number of the channel."""
+    value: Value | list[Value] | None = None
+    """Constant in place of columns; `tick` is the number of the cycle."""
+    unit: str = ""
+    """Unit of factor * column + offset."""
+    factor: Number = 1.0
+    """Multiplies the columns: one number, or one for each."""
+    offset: Number = 0.0
+
+    @model_validator(mode="after")
+    def _check(self) -> "ChannelTable":
+        if bool(self.columns) == (self.value is not None):
+            raise ValueError("give columns, or value for what never changes; one of the two")
+        return self
+
+
+class MappingFile(Record):
+    """Content of a mapping."""
+
+    arm: str = "unknown"
+    time: GridTime = GridTime()
+    csv: CsvTable = CsvTable()
+    session: SessionTable | None = None
+    params: str = ""
+    """Parameters of the arm over the nominal ones, relative to the mapping; empty: the nominal ones."""
+    reference: ReferenceTable | None = None
+    channels: Annotated[dict[str, ChannelTable], Bounds(min_length=1)]
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelTarget:
+    """Field of a message to which columns are mapped."""
+
+    topic: str
+    field: Field
+    unit: str | None
+    """Unit in the log; None for a member of an enumeration."""
+    members: Mapping[str, int] | None = None
+    """Names of the values; None for numbers and flags."""
+
+    @property
+    def name(self) -> str:
+        """Name in a mapping."""
+        return f"{self.topic}.{self.field.name}"
+
+    @property
+    def size(self) -> int:
+        """Number of columns."""
+        return int(np.prod(self.field.shape or ()))
+
+    @property
+    def columns_text(self) -> str:
+        """Description of the columns, for messages."""
+        if self.field.shape == (len(Joint),):
+            return f"5, one for each joint: {', '.join(joint.name for joint in Joint)}"
+        return f"{self.size}, row by row" if self.size > 1 else "one"
+
+    def member(self, word: str) -> int | None:
+        """Return the value of a member by name or number; case does not matter; None if there is none."""
+        members = self.members or {}
+        name = match_name(word, members)
+        by_number = {str(value): value for value in members.values()}
+        return by_number.get(word) if name is None else members[name]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MappedChannel:
+    """Target, and the columns or the constant that give its values, with their conversion."""
+
+    target: ChannelTarget
+    columns: tuple[str, ...]
+    """Columns of the table; empty for a constant."""
+    constant: Value | list[Value] | None
+    factor: tuple[float, ...]
+    """One for each column; the offset too."""
+    offset: tuple[float, ...]
+    unit: Unit | None
+    """Conversion to the unit of the log; None for none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TableMapping:
+    """Checked mapping."""
+
+    file: MappingFile
+    channels: tuple[MappedChannel, ...]
+    params: Params
+    reference: Reference | None
+    """Stored reference of the joints; None if it is unknown."""
+
+
+def read_mapping(path: Path) -> TableMapping:
+    """Read a mapping.
+
+    Raises:
+        RobotError: it cannot be read, or a key or a value is wrong.
+    """
+    file = parse_record(MappingFile, read_toml(path), path)
+    try:
+        params = params_over_nominal(path.parent / file.params) if file.params else nominal_params()
+    except (BadParams, OSError, ValueError) as error:
+        raise RobotError(f"{path}: params: {error}") from error
+    channels = [_map_channel(f"{path}: channels.{name}", name, one) for name, one in file.channels.items()]
+    return TableMapping(file, tuple(channels), params, _reference(file.reference, params))
+
+
+def _reference(table: ReferenceTable | None, params: Params) -> Reference | None:
+    if table is None:
+        return None
+    backlash, friction = table.half_backlash_rad, table.friction_Nm
+    return Reference(
+        calibrated=np.array(table.calibrated),
+        known=np.array(table.calibrated),
+        zero_rad=np.array(table.zero_rad),
+        half_backlash_rad=configure(params).half_backlash_rad if backlash is None else np.array(backlash),
+        resolver_bias_rad=np.array(table.resolver_bias_rad),
+        friction_Nm=np.full(len(Joint), np.inf) if friction is None else np.array(friction),
+    )
+
+
+def _map_channel(where: str, name: str, table: ChannelTable) -> MappedChannel:
+    columns = (table.columns,) if isinstance(table.columns, str) else tuple(table.columns)
+    target = known_targets().get(name) or _custom_target(where, name, table)
+    if columns and len(columns) != target.size:
+        raise RobotError(f"{where}.columns: {len(columns)} given; {name} takes {target.columns_text}")
+    if len(set(columns)) < len(columns):
+        raise RobotError(f"{where}.columns: one is there twice; each number has a column of its own")
+    scales = {}
+    for key in ("factor", "offset"):
+        given = getattr(table, key)
+        numbers = given if isinstance(given, list) else [given] * target.size
+        if len(numbers) != target.size:
+            raise RobotError(
+                f"{where}.{key}: {len(numbers)} given; {name} takes one for all, or {target.columns_text}"
+            )
+        scales[key] = tuple(map(float, numbers))
+    if target.members is not None and (table.unit or (table.factor, table.offset) != (1.0, 0.0)):
+        raise RobotError(f"{where}: is a name or its number; it has no unit, factor or offset")
+    if isinstance(table.value, list) and len(table.value) != target.size:
+        raise RobotError(f"{where}.value: {len(table.value)} given; {name} takes {target.columns_text}")
+    unit = _conversion(where, target, table.unit)
+    return MappedChannel(target, columns, table.value, scales["factor"], scales["offset"], unit)
+
+
+def _conversion(where: str, target: ChannelTarget, name: str) -> Unit | None:
+    """Return the conversion of a unit to that of the log; None if they are the same."""
+    kept = target.unit
+    if kept is None or name == kept or (not name and kept in PLAIN_UNITS):
+        return None
+    if kept not in UNITS or kept == "count":
+        raise RobotError(f"{where}.unit: {name!r} does not fit; {target.name} is kept in {kept}, write that")
+    try:
+        unit = find_unit(name, UNITS[kept].quantity)
+    except ValueError as error:
+        raise RobotError(f"{where}.unit: {error}; {target.name} is kept in {kept}") from error
+    base = UNITS[kept]
+    return Unit(unit.quantity, unit.factor / base.factor, (unit.offset - base.offset) / base.factor)
+
+
+@cache
+def topic_layout(name: str) -> Layout:
+    """Return the layout of a flight topic, as the recorder writes it."""
+    return packet_layout(TOPICS[name].packet, TOPICS[name].field_names, arm_names(nominal_params()))
+
+
+@cache
+def known_targets() -> dict[str, ChannelTarget]:
+    """Return every flight channel by name."""
+    found = {}
+    for topic in TOPICS.values():
+        hints = get_type_hints(topic.packet, include_extras=True)
+        for field in topic_layout(topic.name).fields:
+            kind = strip_annotated(hints[field.name])
+            members: Mapping[str, int] | None = None
+            if isinstance(kind, type) and issubclass(kind, IntEnum):
+                members = {member.name: member.value for member in kind}
+            if is_tool_index(hints[field.name]):
+                members = {tool: k for k, tool in enumerate(nominal_params().tool_names)}
+            unit = None if members else "bool" if field.kind == "|b1" else unit_of(field.name)
+            target = ChannelTarget(topic.name, field, unit, members)
+            found[target.name] = target
+    return found
+
+
+def _custom_target(where: str, name: str, table: ChannelTable) -> ChannelTarget:
+    """Return a channel that only the table has; the end of its name is the unit in the log.
+
+    Raises:
+        RobotError: the name is wrong.
+    """
+    if not name.startswith(IMPORT_PREFIX):
+        near = get_close_matches(name, known_targets(), 1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise RobotError(
+            f"{where}: is not known; {hint}`marsarm dictionary '/*'` lists our channels; write "
+            f"{IMPORT_PREFIX}NAME.FIELD for one of your own"
+        )
+    match = CUSTOM_NAME.fullmatch(name)
+    if match is None or not ROS_NAME.fullmatch(match[2].lower()):
+        raise RobotError(
+            f"{where}: write /imported/NAME.FIELD, words of a-z and 0-9 joined by one _, as "
+            "/imported/arm.speed_m_s"
+        )
+    if f"/{match[1]}" in TOPICS:
+        raise RobotError(f"{where}: {IMPORT_PREFIX}{match[1]} is reserved for an incomplete /{match[1]}")
+    given = table.columns or table.value
+    shape = (len(given),) if isinstance(given, list) else None
+    kept = unit_of(match[2]) or ("bool" if table.unit in ("bool", "flag") else "1")
+    kind = {"bool": "|b1", "count": "<i8", "cycle": "<i8"}.get(kept, "<f8")
+    return ChannelTarget(IMPORT_PREFIX + match[1], Field(match[2], kind, shape), kept)

@@ -1,0 +1,368 @@
+"""Import of a table: its columns become the messages of a log, in the cycles of 64 Hz."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from heapq import merge
+from itertools import chain, count, groupby, repeat
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+from mcap.writer import Writer
+from numpy.typing import NDArray
+from rich.table import Table
+
+from fsw.dictionary.enums import Mode
+from marsarm.telemetry.format import (
+    CHANNELS_KEY,
+    FORMAT,
+    FORMAT_RECORD,
+    HEADER_RECORD,
+    LAYOUT_KEY,
+    TICK_NS,
+    TRUTH_KEY,
+    TRUTH_TEXT,
+    header_crc32,
+)
+from marsarm.telemetry.header import IMPORT, SESSION, commands_header, start_header, versions_header
+from marsarm.telemetry.import_mapping import (
+    IMPORT_PREFIX,
+    TICK,
+    TOPICS,
+    ChannelTarget,
+    GridTime,
+    MappedChannel,
+    read_mapping,
+    topic_layout,
+)
+from marsarm.telemetry.import_times import (
+    Rows,
+    RowSelection,
+    RowTimes,
+    check_grid,
+    interpolate,
+    pick_rows,
+    row_times,
+)
+from marsarm.telemetry.schema import ENCAPSULATION, Layout, ros_definition
+from marsarm.telemetry.topics import TopicSpec, encode_topics, schema_name
+from simgap.common.console import plain_console, pluralize
+from simgap.common.errors import RobotError
+from simgap.common.files import atomic_write, check_distinct_files, check_output
+from simgap.common.progress import Progress
+from simgap.files.columns import Column, LogFile
+from simgap.files.log_file import open_log
+
+UNKNOWN_CPU: Final = "[]"
+"""Value of `cpu` in the header: the processor that computed the table is unknown."""
+CHUNK_BYTES: Final = 1 << 18
+MAX_EXACT_INT: Final = 1 << 53
+"""Limit up to which every integer is exact as a float."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImportRequest:
+    """Request of an import: the table, its mapping and the new log."""
+
+    table: Path
+    mapping: Path
+    log: Path
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TopicMessages:
+    """Messages of one topic."""
+
+    spec: TopicSpec
+    layout: Layout
+    ticks: Rows
+    """Tick of each message, rising, shape (n,)."""
+    data: NDArray[np.void]
+    """Messages in the type of the layout, shape (n,)."""
+    missing_fields: tuple[str, ...]
+    """Fields of the flight topic that the mapping lacks."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImportedLog:
+    """Log of a table, in memory."""
+
+    rows: int
+    rows_moved: int
+    """Places where the file was not in order of time."""
+    series: tuple[TopicMessages, ...]
+    header: dict[str, str]
+
+
+def import_table(request: ImportRequest, progress: Progress) -> ImportedLog:
+    """Write the log of a table.
+
+    Raises:
+        BadRequest: the path of the log is wrong; nothing was written.
+        RobotError: the table or the mapping is wrong; nothing was written.
+    """
+    check_distinct_files({"table": request.table, "mapping": request.mapping, "OUT": request.log})
+    check_output(request.log, (".mcap",), "OUT")
+    progress(0, 2, "reading the table")
+    made = convert_table(request.table, request.mapping)
+    progress(1, 2, "writing the log")
+    with atomic_write(request.log, "OUT") as file:
+        write_table_log(file, made)
+    return made
+
+
+def convert_table(table: Path, mapping: Path) -> ImportedLog:
+    """Convert a table to a log in memory.
+
+    Raises:
+        RobotError: the table or the mapping is wrong.
+    """
+    parsed = read_mapping(mapping)
+    time = parsed.file.time
+    numbers = [n for one in parsed.channels if one.target.members is None for n in one.columns]
+    texts = [n for one in parsed.channels if one.target.members is not None for n in one.columns]
+    if not numbers and not texts:
+        raise RobotError(f"{mapping}: channels: none has columns; there is nothing to take from the table")
+    if time.column:
+        (texts if time.format else numbers).append(time.column)
+    log = open_log(table, numbers, texts, parsed.file.csv)
+    groups = [list(some) for _, some in groupby(sorted(parsed.channels, key=_topic_of), key=_topic_of)]
+    made = [_build_topic(log, time, channels, k + 1) for k, channels in enumerate(groups)]
+    series, times = tuple(one for one, _ in made), made[0][1]
+    session = parsed.file.session
+    about = {"table": str(table), "mapping": str(mapping)} | {
+        f"{name}_sha256": hashlib.sha256(path.read_bytes()).hexdigest()
+        for name, path in (("table", table), ("mapping", mapping))
+    }
+    start = start_header(parsed.params, Mode.DEPLOYED, parsed.reference)
+    header = {
+        **versions_header(),
+        **({} if parsed.reference is None else start),
+        **commands_header(()),
+        **({} if session is None else {SESSION: json.dumps(session.model_dump())}),
+        "cpu": UNKNOWN_CPU,
+        "arm": parsed.file.arm,
+        "seed": "unknown",
+        "request": json.dumps({IMPORT: about}, sort_keys=True),
+        "mjcf_sha256": "unknown",
+    }
+    moved = int(np.count_nonzero(np.diff(times.order) != 1))
+    return ImportedLog(times.order.size, moved, series, header)
+
+
+def _topic_of(channel: MappedChannel) -> str:
+    return channel.target.topic
+
+
+def _read(log: LogFile, target: ChannelTarget, name: str) -> Column:
+    """Read a column as numbers; a name becomes its number, -1 if it is unknown."""
+    if target.members is None:
+        return log.numbers(name)
+    words, index = np.unique(np.char.strip(log.texts(name)), return_inverse=True)
+    known = [target.member(word.removesuffix(".0")) for word in words.tolist()]
+    for word, number in zip(words.tolist(), known, strict=True):
+        if word and number is None:
+            raise RobotError(
+                f"{log.path}: column {name!r}: {word!r:.60} is not known; there are "
+                f"{', '.join(target.members)}"
+            )
+    values = np.array([-1 if number is None else number for number in known], np.float64)[index]
+    return Column(values, None if (values >= 0).all() else values >= 0)
+
+
+def _build_topic(
+    log: LogFile, time: GridTime, channels: Sequence[MappedChannel], number: int
+) -> tuple[TopicMessages, RowTimes]:
+    """Build the messages of a topic, which becomes the channel with this number."""
+    columns = [[_read(log, one.target, name) for name in one.columns] for one in channels]
+    names = [name for one in channels for name in one.columns]
+    named = [*zip(names, chain.from_iterable(columns), strict=True)]
+    topic = channels[0].target.topic
+    if not named:
+        raise RobotError(f"{log.path}: all of {topic} is constant; give a column of it, or leave it out")
+    times = row_times(log, time, named[0][1])
+    check_grid(times, time)
+    rows = _complete_rows(times, topic, named)
+    chosen = pick_rows(times, time, rows)
+    given = {one.target.field.name for one in channels}
+    fields = TOPICS[topic].field_names if topic in TOPICS else ()
+    missing = tuple(name for name in fields if name not in given)
+    is_whole = topic in TOPICS and not missing
+    layout = topic_layout(topic) if is_whole else Layout(tuple(one.target.field for one in channels))
+    data = np.zeros(chosen.ticks.size, layout.dtype)
+    data.view(np.uint8).reshape(data.size, -1)[:, : len(ENCAPSULATION)] = list(ENCAPSULATION)
+    for one, some in zip(channels, columns, strict=True):
+        if one.constant == TICK and one.target.unit == "cycle":
+            data[one.target.field.name] = chosen.ticks
+            continue
+        values = _values(times, one, [column.value[times.order[rows]] for column in some], rows)
+        held = RowSelection(chosen.ticks, chosen.rows, None) if one.target.members else chosen
+        data[one.target.field.name] = interpolate(values, held)
+    name = topic if is_whole or topic not in TOPICS else IMPORT_PREFIX + topic[1:]
+    return TopicMessages(_spec(number, name, topic, layout), layout, chosen.ticks, data, missing), times
+
+
+def _complete_rows(times: RowTimes, topic: str, columns: Sequence[tuple[str, Column]]) -> Rows:
+    """Return the rows that have a value in all columns of a topic, in order of time, shape (k,)."""
+    n = times.order.size
+    for name, column in columns:
+        if column.value.size != n:
+            raise times.error_at(f"has {column.value.size} values, {columns[0][0]!r} has {n}", column=name)
+        own_s, first_s = column.time_s, columns[0][1].time_s
+        if own_s is not None and first_s is not None and not np.array_equal(own_s, first_s):
+            raise times.error_at(
+                f"has other times than {columns[0][0]!r}; map it to a topic of its own", column=name
+            )
+    masks = [np.ones(n, bool) if c.is_present is None else c.is_present[times.order] for _, c in columns]
+    given = np.stack(masks)
+    is_any = given.any(axis=0)
+    partial = np.flatnonzero(is_any & ~given.all(axis=0))
+    if partial.size:
+        row = int(partial[0])
+        name = columns[int(np.flatnonzero(~given[:, row])[0])][0]
+        raise times.error_at(
+            f"has no value; a message of {topic} needs all of its columns, or none", row, name
+        )
+    if not is_any.any():
+        raise times.error_at(
+            f"no row has a value for {topic}; leave it out of the mapping", column=columns[0][0]
+        )
+    return np.flatnonzero(is_any)
+
+
+def _values(
+    times: RowTimes, one: MappedChannel, columns: Sequence[NDArray[np.float64]], rows: Rows
+) -> NDArray[Any]:
+    """Convert the columns of a channel, or its constant, to the type of the log, shape (k, *shape of it)."""
+    target = one.target
+    if not columns:
+        listed = one.constant if isinstance(one.constant, list) else [one.constant] * target.size
+        columns = [np.full(rows.size, _constant(times, target, value)) for value in listed]
+    parts = []
+    for k, column in enumerate(columns):
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = _scale(column, one.factor[k], one.offset[k])
+            if one.unit is not None:
+                values = _scale(values, one.unit.factor, one.unit.offset)
+        what = _fault(target, column, values, one.factor[k] == 1.0 and one.offset[k] == 0.0)
+        if what is not None:
+            name = one.columns[k] if one.columns else ""
+            raise times.error_at(what[1], int(rows[what[0]]), name)
+        kind = np.dtype(target.field.kind)
+        parts.append(np.rint(values).astype(kind) if kind.kind == "i" else values.astype(kind))
+    return np.stack(parts, axis=1).reshape(rows.size, *(target.field.shape or ()))
+
+
+def _constant(times: RowTimes, target: ChannelTarget, value: Any) -> float:
+    number = target.member(str(value)) if target.members is not None else value
+    if number is None or isinstance(number, str):
+        words = f"one of {', '.join(target.members)}" if target.members else "a number"
+        raise RobotError(f"channels.{target.name}.value: {value!r:.60} is not {words}")
+    return float(number)
+
+
+def _scale(values: NDArray[np.float64], factor: float, offset: float) -> NDArray[np.float64]:
+    """Scale values; a step that changes nothing is left out, so that every bit is kept."""
+    scaled = values * factor if factor != 1.0 else values
+    return scaled + offset if offset != 0.0 else scaled
+
+
+def _fault(
+    target: ChannelTarget, read: NDArray[np.float64], values: NDArray[np.float64], is_plain: bool
+) -> tuple[int, str] | None:
+    """Return the first value that the channel cannot hold, and why; None if it holds all."""
+    match target.field.kind:
+        case "|b1":
+            bad, why = (values != 0.0) & (values != 1.0), "is neither true nor false, 1 nor 0"
+        case "<i8":
+            bad = ~(np.abs(values) <= MAX_EXACT_INT) | (is_plain & (values != np.rint(values)))
+            why = "is no whole number that is exact"
+        case _:
+            bad, why = (
+                np.isfinite(read) & ~np.isfinite(values),
+                "is too large for its factor, offset and unit",
+            )
+    found = np.flatnonzero(bad)
+    return (int(found[0]), f"{read[found[0]]:.17g} {why}, for {target.name}") if found.size else None
+
+
+def _spec(number: int, name: str, topic: str, layout: Layout) -> TopicSpec:
+    """Return the channel of a topic that has a name in the log."""
+    is_truth = topic in TOPICS and TOPICS[topic].is_truth
+    schema, doc = "Imported" + name.removeprefix(IMPORT_PREFIX).title().replace("_", ""), "Of a table."
+    if name in TOPICS:
+        schema, doc = TOPICS[name].packet.__name__, TOPICS[name].packet.__doc__ or ""
+    metadata = {LAYOUT_KEY: layout.to_json(), **({TRUTH_KEY: TRUTH_TEXT} if is_truth else {})}
+    return TopicSpec(
+        number, name, schema_name(schema), ros_definition(doc, layout.ros_text), metadata, layout
+    )
+
+
+def write_table_log(file: BinaryIO, made: ImportedLog) -> None:
+    """Write a closed log, messages in order of time; it has no channel for commands, which are unknown.
+
+    Raises:
+        OSError: the disk is full or gone.
+    """
+    specs = tuple(one.spec for one in made.series)
+    header = {**made.header, CHANNELS_KEY: encode_topics(specs)}
+    writer = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
+    writer.start(profile="", library="marsarm")
+    writer.add_metadata(FORMAT_RECORD, {"version": FORMAT, "header_crc32": header_crc32(header)})
+    writer.add_metadata(HEADER_RECORD, header)
+    for spec in specs:
+        schema = writer.register_schema(spec.schema, "ros2msg", spec.text)
+        writer.register_channel(spec.topic, "cdr", schema, dict(spec.metadata))
+    for tick, sequence, one in _in_order(made.series):
+        time_ns = tick * TICK_NS
+        writer.add_message(one.spec.id, time_ns, one.data[sequence].tobytes(), time_ns, sequence)
+    writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates only part of itself
+
+
+def _in_order(series: Sequence[TopicMessages]) -> Iterator[tuple[int, int, TopicMessages]]:
+    """Yield tick and number of each message, with its series, in order of tick, then of series."""
+    numbers = [zip(one.ticks.tolist(), repeat(k), count(), strict=False) for k, one in enumerate(series)]
+    for tick, k, sequence in merge(*numbers):
+        yield tick, sequence, series[k]
+
+
+def import_json(request: ImportRequest, made: ImportedLog) -> dict[str, Any]:
+    """Return an import as a JSON document."""
+    return {
+        "log": str(request.log),
+        "rows": made.rows,
+        "rows_moved": made.rows_moved,
+        "topics": [
+            {
+                "topic": one.spec.topic,
+                "messages": one.ticks.size,
+                "first_tick": int(one.ticks[0]),
+                "last_tick": int(one.ticks[-1]),
+                "missing_ticks": int(one.ticks[-1] - one.ticks[0] + 1) - one.ticks.size,
+                "missing_fields": one.missing_fields,
+            }
+            for one in made.series
+        ],
+    }
+
+
+def import_tables(request: ImportRequest, made: ImportedLog) -> None:
+    """Print an import: a row for each topic, and the missing fields of incomplete topics."""
+    console, document = plain_console(), import_json(request, made)
+    table = Table(title=f"{request.log}: {pluralize(made.rows, 'row')}", title_justify="left")
+    for name in ("topic", "messages", "first tick", "last tick", "ticks without"):
+        table.add_column(name, justify="left" if name == "topic" else "right")
+    for topic in document["topics"]:
+        table.add_row(*(str(value) for key, value in topic.items() if key != "missing_fields"))
+    console.print(table)
+    if made.rows_moved:
+        places = pluralize(made.rows_moved, "place")
+        console.print(f"sorted    in {places} the file was not in order of time")
+    for one in made.series:
+        if one.missing_fields:
+            lacks = ", ".join(one.missing_fields)
+            console.print(
+                f"{one.spec.topic} is kept apart from flight topics, for it is incomplete; it lacks {lacks}"
+            )

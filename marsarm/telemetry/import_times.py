@@ -1,0 +1,207 @@
+"""Times of the rows of a table on the grid of 64 Hz: checks, selection of rows and interpolation."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from fsw.config import CYCLE_HZ
+from marsarm.telemetry.import_mapping import MAX_TICK, GridTime
+from simgap.common.errors import RobotError
+from simgap.files.columns import Column, LogFile
+from simgap.units import UNITS
+
+CYCLE_ROUNDING: Final = 1e-4
+"""Share of a cycle by which a row may miss a cycle and still belong to it; stamps of today have 1e-5."""
+RATE_TOLERANCE: Final = 0.02
+"""Relative distance from 64 Hz from which an error is about the rate, not about a row."""
+MAX_MESSAGES: Final = 100_000_000
+Rows = NDArray[np.int64]
+Cycles = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowTimes:
+    """Rows of a table in order of time."""
+
+    path: Path
+    column: str
+    """Name of the time column, for messages; empty without one."""
+    order: Rows
+    """Row of the file of each row here, shape (n,)."""
+    cycles: Cycles
+    """Cycles since the first row, rising, shape (n,)."""
+
+    def error_at(self, what: str, row: int | None = None, column: str = "") -> RobotError:
+        """Return an error that names file, row and column; row 1 is the first below the header."""
+        places = [] if row is None else [f"row {self.order[row] + 1}"]
+        places += [f"column {column or self.column!r}"] if column or self.column else []
+        return RobotError(": ".join([str(self.path), *([", ".join(places)] if places else []), what]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowSelection:
+    """Rows that become the messages of a topic, each shape (m,)."""
+
+    ticks: Rows
+    """Tick of each message."""
+    rows: Rows
+    """Index of the row of each message, among the rows with a value."""
+    fraction: Cycles | None
+    """Fraction of the way to the next row, for grid "linear"; None without interpolation."""
+
+
+def row_times(log: LogFile, time: GridTime, column: Column) -> RowTimes:
+    """Return the times of the rows of a column.
+
+    Raises:
+        RobotError: a row has no time, or its time is not after that of the row before.
+    """
+    time_s = _times_s(log, time, column)
+    if time_s.size != column.value.size:
+        raise RobotError(
+            f"{log.path}: has {column.value.size} values and {time_s.size} times; give one for each"
+        )
+    order = np.argsort(time_s, kind="stable") if time.sort else np.arange(time_s.size)
+    time_s = time_s[order]
+    is_known = np.isfinite(time_s)
+    since_s = np.where(is_known, time_s, 0.0) - (time_s[0] if is_known[0] else 0.0)
+    times = RowTimes(log.path, time.column, order, since_s * CYCLE_HZ)
+    if not is_known.all():
+        raise times.error_at("has no time; every row needs one", int(np.argmin(is_known)))
+    late = np.flatnonzero(np.diff(times.cycles) <= 0)
+    if late.size:
+        k = int(late[0])
+        before = f"that of row {order[k] + 1}"
+        if times.cycles[k + 1] == times.cycles[k]:
+            raise times.error_at(f"its time is {before} too; give each row its own, or rate_Hz", k + 1)
+        raise times.error_at(
+            f"its time is before {before}; sort the table, or write sort = true in [time]", k + 1
+        )
+    if times.cycles[-1] >= MAX_TICK:
+        raise times.error_at(f"the times span {times.cycles[-1] / CYCLE_HZ:.3g} s; is the unit right?")
+    return times
+
+
+def _times_s(log: LogFile, time: GridTime, column: Column) -> Cycles:
+    if time.rate_Hz is not None:
+        return np.arange(column.value.size) / time.rate_Hz
+    if not time.column:
+        if column.time_s is None:
+            raise RobotError(f"{log.path}: has no times of its own; name its time column in time.column")
+        return column.time_s
+    if time.format:
+        texts = pc.utf8_trim_whitespace(pa.array(log.texts(time.column)))
+        stamps = pc.strptime(texts, time.format, "s", error_is_null=True)
+        bad = np.flatnonzero(~stamps.is_valid().to_numpy(zero_copy_only=False))
+        if bad.size:
+            row = int(bad[0])
+            raise RobotError(
+                f"{log.path}: row {row + 1}, column {time.column!r}: {texts[row].as_py()!r:.60} is no time "
+                f"as {time.format!r} has it"
+            )
+        return np.asarray(stamps.cast(pa.int64()).to_numpy(), np.float64)
+    clock = log.numbers(time.column)
+    known = clock.value if clock.is_present is None else np.where(clock.is_present, clock.value, np.nan)
+    return known * UNITS[time.unit].factor
+
+
+def check_grid(times: RowTimes, time: GridTime) -> None:
+    """Check that each cycle has one row, if the grid is "exact".
+
+    Raises:
+        RobotError: a row is missing or not on the grid; the message says what to write under [time].
+    """
+    if time.grid != "exact":
+        return
+    ticks = np.rint(times.cycles)
+    distance, skipped = np.abs(times.cycles - ticks), np.diff(ticks) != 1
+    bad = distance[1:] > time.tolerance_cycles
+    if not bad.any() and not skipped.any():
+        return
+    row = int(np.flatnonzero(bad | skipped)[0]) + 1
+    step = float(np.median(np.diff(times.cycles)))
+    if abs(step - 1) > RATE_TOLERANCE:
+        raise times.error_at(
+            f"rows come at {CYCLE_HZ / step:.6g} Hz, the log has {CYCLE_HZ} Hz; if the unit is right, write "
+            'grid = "linear" or "hold" under [time] to resample, or "nearest" to keep the rows as they are'
+        )
+    if skipped[row - 1] and not bad[row - 1]:
+        raise times.error_at(
+            f"{ticks[row] - ticks[row - 1]:.0f} cycles after the row before; under [time] write "
+            'grid = "nearest" to leave the gap, or "hold" or "linear" to bridge it',
+            row,
+        )
+    raise times.error_at(
+        f"is {distance[row]:.3g} of a cycle beside the grid of {CYCLE_HZ} Hz, {time.tolerance_cycles:g} is "
+        "allowed; under [time] write a larger tolerance_cycles, or another grid",
+        row,
+    )
+
+
+def pick_rows(times: RowTimes, time: GridTime, rows: Rows) -> RowSelection:
+    """Select the rows that become the messages of a topic.
+
+    Args:
+        rows: One or more rows with values, shape (k,).
+
+    Raises:
+        RobotError: two rows are in one cycle or too far apart, or there are too many messages.
+    """
+    at = times.cycles[rows]
+    if time.grid in ("exact", "nearest"):
+        ticks = np.rint(at).astype(np.int64)
+        twice = np.flatnonzero(np.diff(ticks) == 0)
+        if twice.size:
+            raise times.error_at(
+                "is in the same cycle as the row before; a channel has one message a cycle: under [time] "
+                'write grid = "hold" or "linear"',
+                int(rows[twice[0] + 1]),
+            )
+        return RowSelection(ticks + time.first_tick, np.arange(rows.size), None)
+    wide = np.flatnonzero(np.diff(at) > time.max_interval_s * CYCLE_HZ + CYCLE_ROUNDING)
+    if wide.size:
+        k = int(wide[0])
+        raise times.error_at(
+            f"{(at[k + 1] - at[k]) / CYCLE_HZ:.6g} s after the row before; grid {time.grid!r} bridges at "
+            f'most max_interval_s = {time.max_interval_s:g}: set it, or write grid = "nearest"',
+            int(rows[k + 1]),
+        )
+    first, last = np.ceil(at[0] - CYCLE_ROUNDING), np.floor(at[-1] + CYCLE_ROUNDING)
+    if not 0 <= last - first < MAX_MESSAGES:
+        raise times.error_at(f"its rows span {last - first + 1:.0f} cycles; give it in parts, or more rows")
+    ticks = np.arange(int(first), int(last) + 1)
+    below = np.clip(np.searchsorted(at, ticks + CYCLE_ROUNDING, side="right") - 1, 0, None)
+    fraction = None
+    if time.grid == "linear":
+        above = np.minimum(below + 1, rows.size - 1)
+        width = at[above] - at[below]
+        fraction = np.divide(ticks - at[below], width, out=np.zeros(ticks.size), where=width > 0)
+        fraction[np.abs(ticks - at[below]) < CYCLE_ROUNDING] = 0.0
+    return RowSelection(ticks + time.first_tick, below, fraction)
+
+
+def interpolate(values: NDArray[Any], chosen: RowSelection) -> NDArray[Any]:
+    """Return the values of the messages; flags keep the value of the last row.
+
+    Args:
+        values: Values of the rows that have one, shape (k, ...).
+        chosen: Rows of the m messages.
+
+    Returns:
+        Values, shape (m, ...).
+    """
+    found = values[chosen.rows]
+    if chosen.fraction is None or values.dtype == np.bool_:
+        return found
+    inside = np.flatnonzero(chosen.fraction)
+    rows = chosen.rows[inside]
+    fraction = chosen.fraction[inside].reshape(-1, *(1,) * (values.ndim - 1))
+    # Not low + fraction * (high - low): the difference of two finite numbers may be infinite.
+    between = (1 - fraction) * values[rows] + fraction * values[rows + 1]
+    found[inside] = np.rint(between) if values.dtype.kind == "i" else between
+    return found
