@@ -16,7 +16,7 @@ from setuptools import build_meta
 ROOT: Final = Path(__file__).resolve().parents[1]
 PRODUCTS: Final = ("simgap", ".")
 """Folders with a `pyproject.toml`."""
-NOT_SOURCE: Final = (".*", "*.egg-info", "__pycache__", "build", "dist", "out", "mutants", "blind-*")
+NOT_SOURCE: Final = (".*", "*.egg-info", "__pycache__", "build", "dist", "out", "mutants", "*-cases-*")
 
 
 def main(folder: Path) -> None:

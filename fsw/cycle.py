@@ -30,9 +30,6 @@ def step(
     Args:
         config: Configuration at boot; `state.changed_config` replaces it if there is one.
         state: State after the cycle before.
-
-    Returns:
-        The state and the outputs after this cycle.
     """
     before, config = state, state.changed_config or config
     unusable = check_readings(config.protection, sensors)
@@ -149,7 +146,7 @@ def _move(
     evrs: tuple[Evr, ...] = ()
     if move is not None and (usable or move.phase is Phase.BRAKE):
         result = advance_move(config, move, joints, load, sensors)
-        if move.preload_change is not None:
+        if move.plan.preload_change is not None:
             preload = move_preload(result.move or move)
         move, evrs = result.move, result.evrs
         mode = mode if result.end_mode is None else result.end_mode

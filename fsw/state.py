@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fsw.collision.geometry import Surface
+from fsw.collision.geometry import TargetSurface
 from fsw.config import Config
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
@@ -63,7 +63,7 @@ class State:
     """Filtered temperature of the structure; without a meaning before the first usable reading."""
     structure_readings: int = 0
     """Number of usable readings in it."""
-    surface: Surface | None = None
+    surface: TargetSurface | None = None
     """Surface of the last target, from the last touch if there was one; None after an unstow."""
     changed_config: Config | None = None
     """Configuration with the present temperature and parameters; None if it is that at boot."""
@@ -73,11 +73,7 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
     """Build the state before the first cycle: brakes on, power off.
 
     Args:
-        mode: Mode to begin in.
         reference: Result of an earlier hardstop initialisation; None if there was none.
-
-    Returns:
-        The state.
     """
     n = config.rad_per_count.size
     off = np.zeros(n, bool)
@@ -118,9 +114,6 @@ def joint_channels(tick: int, state: State, backlash_state: Array) -> JointChann
     Args:
         state: State that the cycle left.
         backlash_state: Rows of `JointEstimate.backlash_state`: angle, side, uncertainty; shape (3, 5).
-
-    Returns:
-        The channels.
     """
     joints = state.joints
     # positional arguments, because they are faster and this runs in every cycle

@@ -139,9 +139,6 @@ def equalise_loads(params: Params, gravity_R_m_s2: Array, wanted_Nm: Array) -> P
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
         wanted_Nm: Torques at the hardstops, shape (5,).
 
-    Returns:
-        The parameters with these poses.
-
     Raises:
         NoPlan: the free angles cannot give these torques.
     """

@@ -117,7 +117,7 @@ def pose_sessions() -> list[DiagnosisSession]:
     """List sessions with two poses on every branch, level and rolled; the first of each is repeated."""
     sessions = []
     for attitude, pairs, roll_rad in (("level", POSES, 0.0), ("rolled", TILTED_POSES, ROLL_RAD)):
-        for number, (start, goal) in enumerate(pairs, 1):
+        for number, (start, end) in enumerate(pairs, 1):
             for suffix in ("", "-again") if number == 1 else ("",):
                 block = f"poses-{attitude}-{number}"
                 sessions.append(
@@ -127,7 +127,7 @@ def pose_sessions() -> list[DiagnosisSession]:
                         World("mars", roll_rad),
                         WARM_C,
                         _radians(start),
-                        (MoveJoints(joints5(np.radians(goal)), "off"),),
+                        (MoveJoints(joints5(np.radians(end)), "off"),),
                         tracked=True,
                     )
                 )
@@ -270,9 +270,6 @@ def round_to_counts(motor_rad: Array, zero_rad: Array, rad_per_count: Array) -> 
 
 def run_session(loop: ClosedLoop, session: DiagnosisSession) -> Iterator[SessionCycle]:
     """Run a session with a rest before the first command and after each.
-
-    Yields:
-        Every cycle.
 
     Raises:
         SessionFailed: a command was refused or ended in a fault.

@@ -100,11 +100,7 @@ class InitialisationRun:
         self._current_share = np.zeros(len(Joint))
 
     def __iter__(self) -> Iterator[CycleRecord]:
-        """Run all cycles.
-
-        Yields:
-            Every cycle.
-        """
+        """Run all cycles."""
         self._outcome = yield from observe_cycles(run_sequence(self.loop, (self._command,)), self._note)
 
     def _note(self, record: CycleRecord) -> None:
@@ -199,9 +195,6 @@ def initialise_joints(
     """Home every joint from a start near its hardstop; stop after the first failure.
 
     The reference of each result includes the joints before it: encoders count without power too.
-
-    Yields:
-        The result of each joint.
     """
     reference = None
     for joint in HARDSTOP_ORDER:

@@ -238,9 +238,6 @@ class OpenLoopArm:
     def readings(self, drives: Iterable[ActuatorCommand]) -> Iterator[Sensors]:
         """Step the arm through actuator commands.
 
-        Yields:
-            The readings before each command.
-
         Raises:
             PlantDiverged: MuJoCo counted a warning.
         """

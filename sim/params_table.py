@@ -1,7 +1,7 @@
 """Tables of flight parameters, as they stand in a TOML file; all errors are in one message."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import asdict
 from datetime import date, time
@@ -12,22 +12,9 @@ from pydantic import TypeAdapter, ValidationError
 
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
-from sim.text_file import UnreadableText, load_toml, read_text
+from simgap.common.errors import RobotError
+from simgap.common.toml import KeyPath, describe_fault, key_path, read_toml, toml_text
 
-WANTED: Final = {
-    "missing": "is missing",
-    "dataclass": "must be a table",
-    "model": "must be a table",
-    "dict": "must be a table",
-    "float": "must be a number",
-    "finite_number": "must be a finite number",
-    "int": "must be a whole number",
-    "bool": "must be true or false",
-    "string": "must be text in quotes",
-    "tuple": "must be values in brackets",
-    "list": "must be values in brackets",
-}
-"""What a value must be, by the start of the kind of pydantic's error."""
 NAMED: Final = ("tools", "switches", "collision.rover")
 """Tables of a parameter file whose keys are names of records."""
 
@@ -44,6 +31,28 @@ def params_table(params: Params) -> dict[str, Any]:
         owner[key] = {record.pop("name"): record for record in owner[key]}
     table["switches"] = {name: record["tool"] for name, record in table["switches"].items()}
     return table
+
+
+def params_toml(base: Params, params: Params, comments: Sequence[str]) -> str:
+    """Write the parameters that differ from `base` as TOML, below comment lines, with their drawing."""
+    table = params_table(params)
+    return toml_text(_changed_values(params_table(base), table) | {"model": table["model"]}, comments)
+
+
+def full_params_toml(params: Params, comments: Sequence[str]) -> str:
+    """Write all parameters as TOML, below comment lines."""
+    return toml_text(params_table(params), comments)
+
+
+def _changed_values(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    changed: dict[str, Any] = {}
+    for key, value in new.items():
+        if isinstance(value, dict):
+            if inner := _changed_values(old.get(key, {}), value):
+                changed[key] = inner
+        elif key not in old or value != old[key]:
+            changed[key] = value
+    return changed
 
 
 def check_params(params: Params, name: str) -> None:
@@ -63,11 +72,9 @@ def read_params_toml(path: Path) -> dict[str, Any]:
         BadParams: the file cannot be read.
     """
     try:
-        return load_toml(read_text(path))
-    except UnreadableText as error:
-        raise BadParams(f"{path}: {error}") from error
-    except ValueError as error:
-        raise BadParams(f"{path}: is not TOML: {error}") from error
+        return read_toml(path)
+    except RobotError as error:
+        raise BadParams(str(error)) from error
 
 
 def merge_tables(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
@@ -90,8 +97,8 @@ def params_from_table(table: dict[str, Any], name: str) -> Params:
     try:
         params = _ADAPTER.validate_json(json.dumps(listed), strict=True, extra="forbid")
     except ValidationError as error:
-        lines = [f"{name}: {_place(table, e['loc'])}: {describe_error(e)}" for e in error.errors()]
-        raise BadParams("\n".join(lines)) from error
+        faults = [f"{name}: {_place(table, e['loc'])}: {describe_fault(Params, e)}" for e in error.errors()]
+        raise BadParams("\n".join(faults)) from error
     check_params(params, name)
     return params
 
@@ -125,35 +132,21 @@ def _named_record(place: str, name: str, value: Any) -> Any:
     return {**value, "name": name}
 
 
-def _place(table: dict[str, Any], location: tuple[int | str, ...]) -> str:
-    """Return the dotted place of an error, with the names of named records in place of their indices."""
-    names = [str(key) for key in location]
+def _place(table: dict[str, Any], location: KeyPath) -> str:
+    """Return the place of an error, with the names of named records in place of their indices."""
+    names = [*location]
     for place in NAMED:
         depth = place.count(".") + 1
         owner, key = _owner(table, place)
         if names[:depth] == place.split(".") and len(names) > depth and isinstance(owner.get(key), dict):
             names[depth] = list(owner[key])[int(names[depth])]
-    return ".".join(names)
+    return key_path(tuple(names))
 
 
 def _refuse(name: str, problems: Iterator[str]) -> None:
     lines = [f"{name}: {problem}" for problem in problems]
     if lines:
         raise BadParams("\n".join(lines))
-
-
-def describe_error(error: Any) -> str:
-    """Return an error, as pydantic lists it, in words of this project."""
-    kind, context = error["type"], error.get("ctx", {})
-    if kind in ("unexpected_keyword_argument", "extra_forbidden"):
-        return "is not a parameter"
-    if kind in ("too_short", "too_long"):
-        wanted = context.get("min_length", context.get("max_length"))
-        return f"has {context['actual_length']} values; {wanted} are right"
-    if kind == "literal_error":
-        return f"{error['input']!r} is not known; there are {context['expected']}"
-    wanted = next((text for start, text in WANTED.items() if kind.startswith(start)), None)
-    return f"has a wrong value ({kind})" if wanted is None else wanted
 
 
 def _find_dates(value: Any, place: str = "") -> Iterator[str]:

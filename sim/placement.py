@@ -35,7 +35,7 @@ class Placement:
     """Placement in RNAV; the normal points out of the surface."""
 
     tool: str
-    target_N_m: Vector3
+    p_N_m: Vector3
     normal_N: Vector3
     standoff_m: float = 0.10
     overtravel_m: float = 0.05
@@ -75,7 +75,7 @@ class PlacementResult:
 def place_command(placement: Placement) -> PlaceTool:
     """Make the command of a placement, along the inward normal."""
     normal = normalize(placement.normal_N)
-    target = p_R_from_N(np.array(placement.target_N_m))
+    target = p_R_from_N(np.array(placement.p_N_m))
     return PlaceTool(
         placement.tool,
         vector3(target),
@@ -106,19 +106,11 @@ class PlacementRun:
         self._touched = False
 
     def __iter__(self) -> Iterator[CycleRecord]:
-        """Run the commands.
-
-        Yields:
-            Every cycle.
-        """
+        """Run the commands."""
         self._outcome = yield from observe_cycles(run_sequence(self._loop, self.commands), self._note)
 
     def stopping(self) -> Iterator[CycleRecord]:
-        """Stop the arm in place of the remaining commands.
-
-        Yields:
-            Every cycle.
-        """
+        """Stop the arm in place of the remaining commands."""
         self._outcome = yield from observe_cycles(stop_sequence(self._loop), self._note)
 
     def _note(self, record: CycleRecord) -> None:
@@ -133,7 +125,7 @@ class PlacementRun:
     def _error(self, record: CycleRecord, height_m: float) -> PlacementError:
         placement, plant = self._placement, self._loop.plant
         normal = normalize(placement.normal_N)
-        target = p_R_from_N(np.array(placement.target_N_m)) + height_m * normal
+        target = p_R_from_N(np.array(placement.p_N_m)) + height_m * normal
         truth, tool = plant.truth(), plant.tools.index(placement.tool)
         error = truth.p_RoTo_R_m[tool] - target
         along = float(error @ normal)

@@ -1,4 +1,4 @@
-"""Pose sequences in free air: estimated and true rest positions, and random goals."""
+"""Pose sequences in free air: estimated and true rest positions, and random poses."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -62,7 +62,7 @@ def _run_idle(loop: ClosedLoop, duration_s: float) -> None:
 class RestState:
     """Arm at rest after a move; joint arrays in the order of Joint, positions in RMECH."""
 
-    goal_rad: Array
+    pose_rad: Array
     output_rad: Array
     """True value."""
     gear_rad: Array
@@ -88,46 +88,43 @@ class RestState:
         return side
 
 
-def describe_no_way(arm: BuiltArm, goal_rad: Array, problem: str) -> str:
+def describe_no_way(arm: BuiltArm, pose_rad: Array, problem: str) -> str:
     """Say that an arm did not come to a pose, shape (5,), and why."""
-    return f"{arm.name}: no way to {np.degrees(goal_rad).round(1)} deg: {problem}"
+    return f"{arm.name}: no way to {np.degrees(pose_rad).round(1)} deg: {problem}"
 
 
 def visit_poses(
     arm: BuiltArm,
     reference: Reference,
     world: World,
-    goals: Sequence[Array],
+    poses: Sequence[Array],
     backlash: BacklashMode,
     seed: int,
 ) -> Iterator[RestState]:
-    """Move the arm to each goal, from the ready pose on.
+    """Move the arm to each pose, from the ready pose on.
 
     Args:
         reference: Reference in the memory of flight software.
         world: World of the run; only its gravity acts.
-        goals: Output angles [rad], each of shape (5,).
+        poses: Output angles [rad], each of shape (5,).
         backlash: Compensation of the backlash in every move.
-
-    Yields:
-        The arm at rest at each goal.
 
     Raises:
         RuntimeError: a move was not completed.
     """
     loop = free_air_loop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference))
-    for goal in goals:
-        problem = run_and_rest(loop, MoveJoints(joints5(goal), backlash))
+    for pose in poses:
+        problem = run_and_rest(loop, MoveJoints(joints5(pose), backlash))
         if problem is not None:
-            raise RuntimeError(describe_no_way(arm, goal, problem))
-        yield _rest_state(loop, goal)
+            raise RuntimeError(describe_no_way(arm, pose, problem))
+        yield _rest_state(loop, pose)
 
 
-def _rest_state(loop: ClosedLoop, goal_rad: Array) -> RestState:
+def _rest_state(loop: ClosedLoop, pose_rad: Array) -> RestState:
     plant, state = loop.plant, loop.state
     joints, truth, tool = state.joints, plant.truth(), loop.config.farthest_tool
     return RestState(
-        goal_rad=goal_rad,
+        pose_rad=pose_rad,
         output_rad=truth.output_rad,
         gear_rad=truth.output_rad - truth.motor_rad,
         half_backlash_rad=plant.half_backlash_rad,
@@ -142,27 +139,27 @@ def _rest_state(loop: ClosedLoop, goal_rad: Array) -> RestState:
     )
 
 
-def random_goals(config: Config, rng: np.random.Generator, count: int) -> list[Array]:
-    """Draw goals within the limits, over the workspace on any branch, near the last goal, or back.
+def random_poses(config: Config, rng: np.random.Generator, count: int) -> list[Array]:
+    """Draw poses within the limits, over the workspace on any branch, near the last pose, or back.
 
     Returns:
         Output angles [rad], each of shape (5,).
     """
-    goals = [np.array(config.params.poses.ready_rad)]
-    while len(goals) <= count:
+    poses = [np.array(config.params.poses.ready_rad)]
+    while len(poses) <= count:
         match rng.integers(10):
             case 0:
-                goals.append(_random_pose(config, rng))
+                poses.append(_random_pose(config, rng))
             case 1 | 2:
                 tools = config.params.tool_names
                 tool = tools[int(rng.integers(len(tools)))]
-                goals.append(pose_in_workspace(config, rng, tool, BRANCHES))
+                poses.append(pose_in_workspace(config, rng, tool, BRANCHES))
             case 3:
-                goals.append(goals[-2] if len(goals) > 1 else goals[-1])
+                poses.append(poses[-2] if len(poses) > 1 else poses[-1])
             case _:
                 step = rng.uniform(-MAX_STEP_RAD, MAX_STEP_RAD, 5) * rng.integers(0, 2, 5)
-                goals.append(_clip_to_limits(config, goals[-1] + step))
-    return goals[1:]
+                poses.append(_clip_to_limits(config, poses[-1] + step))
+    return poses[1:]
 
 
 def _random_pose(config: Config, rng: np.random.Generator) -> Array:
@@ -195,6 +192,6 @@ def pose_in_workspace(
             return _clip_to_limits(config, np.asarray(solutions.output_rad[:, rng.choice(valid)]))
 
 
-def _clip_to_limits(config: Config, pose: Array) -> Array:
+def _clip_to_limits(config: Config, q: Array) -> Array:
     arm = config.arm
-    return np.clip(pose, arm.soft_min_rad + SOFT_LIMIT_MARGIN_RAD, arm.soft_max_rad - SOFT_LIMIT_MARGIN_RAD)
+    return np.clip(q, arm.soft_min_rad + SOFT_LIMIT_MARGIN_RAD, arm.soft_max_rad - SOFT_LIMIT_MARGIN_RAD)

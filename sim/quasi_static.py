@@ -43,7 +43,7 @@ class QuasiStaticMove:
 def solve_quasi_static_move(
     arm: StaticArm,
     start_rad: Array,
-    goal_rad: Array,
+    pose_rad: Array,
     tool: str,
     gravity_R_m_s2: Array,
     backlash: BacklashMode,
@@ -56,13 +56,13 @@ def solve_quasi_static_move(
     Args:
         arm: True arm and what flight software knows about it.
         start_rad: Estimated output angles before the move, shape (5,).
-        goal_rad: Commanded output angles, shape (5,).
+        pose_rad: Commanded output angles, shape (5,).
         tool: Tool of the returned pose.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
         disturbance: Displacements of frames, gears and motors in this move.
     """
     believed, true, reference = arm.believed, arm.true, arm.reference
-    deflected = settle_output(believed.arm, goal_rad, gravity_R_m_s2)
+    deflected = settle_output(believed.arm, pose_rad, gravity_R_m_s2)
     loads = bound_loads(believed, deflected.torque_Nm, gravity_R_m_s2)
     gear_bounds = bound_gear(believed, reference.half_backlash_rad, loads)
     start = JointPositions(start_rad - gear_bounds.lowest_rad[:, LIKELY], gear_bounds.lowest_rad[:, LIKELY])
@@ -72,10 +72,10 @@ def solve_quasi_static_move(
         motor_rad=start.motor_rad,
         imu_R_m_s2=gravity_R_m_s2,
     )
-    plan = plan_joint_move(believed, joints, start, goal_rad, deflected.torque_Nm, Compensation(backlash))
+    plan = plan_joint_move(believed, joints, start, pose_rad, deflected.torque_Nm, Compensation(backlash))
     off_rad = arm.off_rad + disturbance.motor_rad
     motor = start.motor_rad + off_rad
-    torque = settle_output(true.arm, goal_rad, gravity_R_m_s2).torque_Nm
+    torque = settle_output(true.arm, pose_rad, gravity_R_m_s2).torque_Nm
     gear = start.gear_rad
     bounds = bound_gear(true, true.half_backlash_rad, torque)
     for waypoint_rad in (*(path.at(path.duration_s).motor_rad for path in plan.paths), plan.end.motor_rad):

@@ -81,13 +81,7 @@ def run_sequence(loop: ClosedLoop, commands: Sequence[Command]) -> Generator[Cyc
 
     A fault does not end it if the next command clears it.
     A fault that only stopped the arm does not end it if the next command is Stop: there is nothing to clear.
-    Every move ends by contact, at its goal or by a monitor; so a sequence always ends.
-
-    Yields:
-        Every cycle.
-
-    Returns:
-        The outcome.
+    Every move ends by contact, at its end or by a monitor; so a sequence always ends.
     """
     faulted = False
     for number, command in enumerate(commands):
@@ -113,14 +107,7 @@ def run_sequence(loop: ClosedLoop, commands: Sequence[Command]) -> Generator[Cyc
 
 
 def stop_sequence(loop: ClosedLoop) -> Generator[CycleRecord, None, Outcome]:
-    """Run a commanded stop until the arm rests on its brakes.
-
-    Yields:
-        Every cycle.
-
-    Returns:
-        The outcome.
-    """
+    """Run a commanded stop until the arm rests on its brakes."""
     record = loop.cycle((Stop(),))
     while True:
         yield record

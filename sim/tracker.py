@@ -146,9 +146,6 @@ def measure_targets(
         plant: Plant, whose geometry hides targets.
         X_GN: Pose of RNAV in the ground frame.
         X_RF: Pose of the interface of the turret in RMECH.
-
-    Returns:
-        Readings of ground, rover and turret.
     """
     X_GF = X_GN @ Pose(np.eye(3), P_NR_M) @ X_RF
     return (

@@ -11,6 +11,7 @@ from typer.main import get_command
 
 from marsarm.cli.app import app as marsarm_app
 from simgap.command.app import app as simgap_app
+from validation.campaigns import TABLE
 
 ROOT = Path(__file__).resolve().parents[1]
 FIRST = ROOT / "README.md"
@@ -19,6 +20,7 @@ PAGES = sorted(
 )
 CODE = re.compile(r"```.*?```", re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
+PARTS: Final = ("fsw", "sim", "marsarm", "simgap", "tests", "validation", "examples")
 PRODUCTS: Final = {"marsarm": get_command(marsarm_app), "simgap": get_command(simgap_app)}
 
 
@@ -80,6 +82,12 @@ def test_every_file_that_a_page_names_exists() -> None:
     assert {name: files for name, files in gone.items() if files} == {}
 
 
+def test_every_module_that_a_page_names_without_its_folder_exists() -> None:
+    modules = {path.name for part in PARTS for path in (ROOT / part).rglob("*.py")}
+    named = {name for page in PAGES for name in re.findall(r"`(\w+\.py)`", page.read_text())}
+    assert named <= modules
+
+
 def commands_in(text: str) -> list[list[str]]:
     """Return the words of each command of `marsarm` or `simgap`, in blocks and lines of a page."""
     in_blocks = [line for block in CODE.findall(text) for line in block.splitlines()]
@@ -108,6 +116,16 @@ def test_every_command_of_a_page_has_a_verb_and_options_that_exist(page: Path) -
     if page.name != "CHANGELOG.md":  # it names what is gone
         unknown = {" ".join(words): find_unknown(words) for words in commands_in(page.read_text())}
         assert {command: words for command, words in unknown.items() if words} == {}
+
+
+def test_every_campaign_and_target_of_a_page_exists() -> None:
+    campaign = re.compile(r"(?:NAME=|[Cc]ampaigns? `|python -m validation )([a-z][a-z0-9-]*)")
+    target = re.compile(r"(?:`|^)make ([a-z-]+)", re.MULTILINE)
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    for page in PAGES:
+        text = page.read_text()
+        assert set(campaign.findall(text)) <= {one.name for one in TABLE}, page
+        assert set(target.findall(text)) <= set(targets), page
 
 
 def test_an_unknown_verb_and_an_unknown_option_are_found() -> None:

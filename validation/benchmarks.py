@@ -55,9 +55,7 @@ def campaign(context: Context) -> Document:
         "log_reading": log_reading(),
         "budget": budget_speed(),
         "memory": memory(),
-        "kinematics_campaign": kinematics.campaign(
-            Context(context.seed), CAMPAIGN_TARGETS, CAMPAIGN_TARGETS
-        ),
+        "kinematics_campaign": kinematics.campaign(Context(context.seed), CAMPAIGN_TARGETS, CAMPAIGN_TARGETS),
     }
     return {**results, "in_bounds": all(one.get("in_bounds", True) for one in results.values())}
 

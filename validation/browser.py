@@ -204,7 +204,7 @@ def view(context: Context, log: Path | None = None) -> Document:
     """Measure the frames a second of the page that plays a run, without a GPU, and its size.
 
     Args:
-        context: Its folder takes the pictures of docs/view.md.
+        context: Its folder takes the pictures of docs/logs.md.
         log: The log to play; a placement of as-built:7 if there is none.
     """
     if find_chromium() is None:

@@ -38,7 +38,7 @@ from marsarm.calibration.verify import (
 from marsarm.common.rates import clopper_pearson
 from sim.arms import arm_named
 from sim.params import nominal_params
-from simgap.command.tracker import calibration_json
+from simgap.command.diagnosis import calibration_json
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress
 from simgap.serial_arm.calibrate import periodic_error_rad

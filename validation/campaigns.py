@@ -5,7 +5,6 @@ A campaign is a function of a `Context` and of keyword arguments, its sizes. It 
 """
 
 import inspect
-import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from marsarm.common.checkpoint import Checkpoint
 from marsarm.common.pool import Runner, in_order, run_here
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress, no_progress
+from simgap.common.toml import read_toml
 from simgap.selection.checkpoint import digest_code
 
 Document = dict[str, Any]
@@ -80,7 +80,7 @@ class Campaign:
 
 def load_table() -> tuple[Campaign, ...]:
     """Read campaigns.toml."""
-    document = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+    document = read_toml(Path(__file__).with_suffix(".toml"))
     return tuple(Campaign(name, **fields) for name, fields in document.items())
 
 

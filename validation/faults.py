@@ -260,11 +260,11 @@ class _Observer:
     def _note_tracking_error(self) -> None:
         """Count the cycles in which a driven motor is truly off its set-point by over twice the bound."""
         move, bounds = self._loop.state.move, self._loop.config.params.monitors
-        driven = move is not None and move.phase is Phase.RUN and not move.stopped
+        driven = move is not None and move.phase is Phase.RUN and not move.plan.stopped
         off_rad = 0.0
         if move is not None and driven:
             apart = np.abs(self._loop.plant.motor_rad() - move.setpoint.motor_rad)
-            off_rad = float(np.where(move.active, apart, 0.0).max())
+            off_rad = float(np.where(move.plan.active, apart, 0.0).max())
         self._cycles_off = self._cycles_off + 1 if off_rad > 2 * bounds.following_error_rad else 0
         self.has_tracking_error |= self._cycles_off > 2 * bounds.following_persistence
 

@@ -214,9 +214,7 @@ def run_atheris(target: FuzzTarget, seed: int, arguments: list[str]) -> None:
     atheris.Fuzz()
 
 
-def campaign(
-    context: Context, seconds: float = 60.0, target: str = "", blind: bool = False
-) -> Document:
+def campaign(context: Context, seconds: float = 60.0, target: str = "", blind: bool = False) -> Document:
     """Fuzz all targets, or one; in bounds if no bug was found.
 
     Args:

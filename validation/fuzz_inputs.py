@@ -2,7 +2,7 @@
 
 import io
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,19 +25,8 @@ from marsarm.telemetry.read import read_log
 from simgap.common.errors import RobotError
 
 Random = np.random.Generator
-NUMBERS: Final = (
-    0,
-    1,
-    0x7F,
-    0x80,
-    0xFF,
-    0xFFFF,
-    0x7FFFFFFF,
-    0xFFFFFFFF,
-    1 << 40,
-    (1 << 63) - 1,
-    (1 << 64) - 1,
-)
+Mutator = Callable[[Random, bytearray], None]
+NUMBERS: Final = (0, 1, 0x80, 1 << 40, *((1 << bits) - 1 for bits in (7, 8, 16, 31, 32, 63, 64)))
 """Values that lengths and offsets are likely to mishandle."""
 LONGEST: Final = 1 << 20
 """Inputs of this length are not extended."""
@@ -83,14 +72,27 @@ def noise(random: Random, data: bytearray) -> None:
     data[at : at + 16] = random.bytes(int(random.integers(1, 32)))
 
 
-MUTATORS: Final[tuple[Callable[[Random, bytearray], None], ...]] = (flip, number, cut, repeat, noise)
+MUTATORS: Final[tuple[Mutator, ...]] = (flip, number, cut, repeat, noise)
 
 
-def mutate_bytes(random: Random, data: bytes) -> bytes:
+WORDS: Final = (b"nan", b"inf", b"-1", b"1e308", b"99999999999999999999", b"true", b"\xff", b"\0", b"0", b'"')
+"""Texts that tables and mappings are likely to mishandle."""
+
+
+def word(random: Random, data: bytearray) -> None:
+    """Insert a text."""
+    at = max(0, place(random, data))
+    data[at:at] = WORDS[int(random.integers(len(WORDS)))]
+
+
+TEXT_MUTATORS: Final = (*MUTATORS, word)
+
+
+def mutate_bytes(random: Random, data: bytes, mutators: Sequence[Mutator] = MUTATORS) -> bytes:
     """Return the bytes with one to three random mutations."""
     out = bytearray(data)
     for _ in range(int(random.integers(1, 4))):
-        MUTATORS[int(random.integers(len(MUTATORS)))](random, out)
+        mutators[int(random.integers(len(mutators)))](random, out)
     return bytes(out)
 
 
@@ -189,7 +191,6 @@ unit = "bool"
 [channels."/imported/arm.steps_count"]
 columns = "n"
 """
-WORDS = [b"nan", b"inf", b"-1", b"1e308", b"99999999999999999999", b"true", b"", b"\xff", b"\0", b"0", b'"']
 
 
 def tables() -> list[bytes]:
@@ -207,28 +208,6 @@ def tables() -> list[bytes]:
     parquet.write_table(table, binary)
     parquet.write_table(table, plain, compression="none", use_dictionary=False, version="1.0")
     return [text.getvalue(), binary.getvalue(), plain.getvalue()]
-
-
-def mutate_part(data: bytes, rng: np.random.Generator) -> bytes:
-    """Return the bytes with one to four mutations."""
-    mutated = bytearray(data)
-    for _ in range(rng.integers(1, 5)):
-        at = int(rng.integers(len(mutated) + 1))
-        end = min(len(mutated), at + int(rng.integers(1, 40)))
-        match int(rng.integers(6)):
-            case 0 if at < len(mutated):
-                mutated[at] ^= 1 << int(rng.integers(8))
-            case 1:
-                mutated[at:end] = b""
-            case 2:
-                mutated[at:at] = mutated[at:end]
-            case 3:
-                mutated[at:at] = WORDS[int(rng.integers(len(WORDS)))]
-            case 4:
-                mutated[at:end] = rng.bytes(end - at)
-            case 5:
-                del mutated[at:]
-    return bytes(mutated)
 
 
 ODD: list[Any] = [0.0, -0.0, 1.5, -1e308, 1e308, 5e-324, np.nan, np.inf, -np.inf, 2.0**53, 2.0**63, 1e-9]
@@ -300,8 +279,8 @@ def mutate_import(rng: np.random.Generator, data: bytes) -> bytes:
     mapping, _, table = data.partition(BETWEEN)
     match int(rng.integers(3)):
         case 0:
-            return mutate_part(mapping, rng) + BETWEEN + table
+            return mutate_bytes(rng, mapping, TEXT_MUTATORS) + BETWEEN + table
         case 1:
-            return mapping + BETWEEN + mutate_part(table, rng)
+            return mapping + BETWEEN + mutate_bytes(rng, table, TEXT_MUTATORS)
         case _:
             return random_case(rng)

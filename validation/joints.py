@@ -20,7 +20,7 @@ from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
 from sim.arms import BuiltArm, arm_named, without_turret
 from sim.initialisation import InitialisationResult, initial_reference, prepare_random_homing
-from sim.pose_sequence import RestState, random_goals, visit_poses
+from sim.pose_sequence import RestState, random_poses, visit_poses
 from sim.sequence import Outcome
 from sim.world import World
 from simgap.common.errors import BadRequest
@@ -209,12 +209,12 @@ LEAST_RATIO: Final = 10.0
 def one_tour(
     arm_name: str, reference: Reference, backlash: BacklashMode, poses: int, seed: int
 ) -> list[RestState]:
-    """Visit the poses of a tour, with tilt and goals from the seed."""
+    """Visit the poses of a tour, with tilt and poses from the seed."""
     arm = arm_named(arm_name)
     rng = np.random.default_rng([seed, 4])
     tilt, heading = rng.uniform(0.0, MAX_TILT_RAD), rng.uniform(-np.pi, np.pi)
     world = World("mars", float(tilt * np.cos(heading)), float(tilt * np.sin(heading)))
-    goals = random_goals(configure(arm.params), rng, poses)
+    goals = random_poses(configure(arm.params), rng, poses)
     return list(visit_poses(arm, reference, world, goals, backlash, seed))
 
 
@@ -228,7 +228,7 @@ def summary(friction_Nm: np.ndarray, settled: Sequence[RestState]) -> dict[str, 
     claimed = np.array([s.side for s in settled])
     true = np.array([s.true_side for s in settled])
     loaded = np.abs([s.load_Nm for s in settled]) > friction_Nm
-    error = np.array([s.output_rad - s.goal_rad for s in settled])
+    error = np.array([s.output_rad - s.pose_rad for s in settled])
     known = claimed != 0
     shift = np.linalg.norm([s.backlash_shift_m for s in settled], axis=1)
     believed = np.array([s.gear_rad - s.believed_gear_rad for s in settled])

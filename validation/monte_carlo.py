@@ -60,9 +60,7 @@ def against_budget(context: Context, case: str, statics: int, closed_loop: int) 
 
 def run_calibrated(context: Context, arms: int) -> Document:
     """Run calibrated arms on Mars."""
-    request = MonteCarloRequest(
-        case="mars", built="calibrated", arms=arms, places=PLACES, seed=context.seed
-    )
+    request = MonteCarloRequest(case="mars", built="calibrated", arms=arms, places=PLACES, seed=context.seed)
     report = _run(context, request)
     if report.three_sigma is None:
         return {"failed": dict(report.failed), "in_bounds": False}

@@ -8,7 +8,6 @@ import json
 import shlex
 import subprocess
 import sys
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from importlib import import_module
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from simgap.common.origin import git_revision
+from simgap.common.toml import read_toml
 from validation.campaigns import Context, Document
 
 ROOT: Final = Path(__file__).parents[1]
@@ -29,10 +29,9 @@ SI_TO: Final = {("m", "mm"): 1e3, ("rad", "deg"): degrees(1.0)}
 HEAD: Final = """# Requirements
 Each requirement of Collins and Robinson (2013; see [README](../README.md#where-the-numbers-come-from)).
 The campaign measures the number. The tests check the method, or a smaller case. The margin is the distance
-from the bound as a share of it. `validation/requirements.toml` is the source of this page. `make lint` checks
-it: every named test exists, {constants} bounds equal those of the code, and the command below measured every
-number. The other bounds stand only here. `make campaign NAME=requirements` measures all numbers anew.
-`make test-all` repeats the four shortest campaigns.
+from the bound as a share of it. `make lint` checks this page: every test exists, {constants} bounds equal
+those of the code, and the command below measured every number. The other bounds stand only here.
+`make campaign NAME=requirements` measures all numbers anew.
 """
 
 
@@ -44,7 +43,6 @@ class MeasuringCampaign:
     command: str
     """Command line of Python, which prints a JSON document."""
     about: str
-    sample: str
     """Arms and poses that the numbers rest on."""
 
 
@@ -97,7 +95,7 @@ class RequirementTable:
 
 def load_table(path: Path = SOURCE) -> RequirementTable:
     """Read the file of requirements."""
-    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    content = read_toml(path)
     campaigns = tuple(MeasuringCampaign(name, **fields) for name, fields in content["campaign"].items())
     rows = tuple(
         RequirementRow(**{**fields, "value": tuple(fields["value"]), "tests": tuple(fields["tests"])})
@@ -181,15 +179,15 @@ def make_page(table: RequirementTable, measured: dict[str, Any]) -> str:
     """Make the page."""
     lines = [
         HEAD.format(constants=sum(bool(row.constant) for row in table.rows)),
-        "| requirement | source | bound | measured | margin | campaign, sample | tests of the method |",
+        "| requirement | source | bound | measured | margin | campaign | tests of the method |",
         "|---|---|---|---|---|---|---|",
     ]
     values = {row.name: measured[row.campaign]["values"][row.name] for row in table.rows}
-    samples = {campaign.name: campaign.sample for campaign in table.campaigns}
     for row in table.rows:
-        tests = ", ".join(f"[{_short(test)}](../{test.partition('::')[0]})" for test in row.tests)
-        shown = f"[{row.campaign}](#campaigns): {samples[row.campaign]} | {tests}"
-        lines.append(f"| {row.name} | {row.source} | {_result(row, values[row.name])} | {shown} |")
+        files = dict.fromkeys(test.partition("::")[0] for test in row.tests)
+        tests = ", ".join(f"[{Path(file).stem}](../{file})" for file in files)
+        result = _result(row, values[row.name])
+        lines.append(f"| {row.name} | {row.source} | {result} | [{row.campaign}](#campaigns) | {tests} |")
     lines += [
         "",
         "## Tables 3 and 4 of the paper",
@@ -227,10 +225,6 @@ def shorten_commit(commit: str) -> str:
     """Shorten a commit to seven digits; "-dirty" stays, because nobody can repeat such a number."""
     return commit[:7] + commit[40:]
 
-
-def _short(test: str) -> str:
-    path, _, name = test.partition("::")
-    return (name or Path(path).stem).removeprefix("test_").replace("_", " ")
 
 
 def campaign(context: Context, measure_anew: bool = True, check: bool = False, only: str = "") -> Document:

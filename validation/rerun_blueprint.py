@@ -1,5 +1,4 @@
-"""Make the blueprint for Rerun, `docs/marsarm.rbl`: the arm, its events, angles, rates and torques.
-"""
+"""Make the blueprint for Rerun, `docs/marsarm.rbl`: the arm, its events, angles, rates and torques."""
 
 from pathlib import Path
 from typing import Final

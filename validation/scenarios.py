@@ -24,8 +24,7 @@ from sim.arms import arm_named
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop
 from sim.scenario.file import built_in_scenarios, load_scenario
-from sim.scenario.run import ScenarioRun, scenario_setup
-from sim.scenario.teaching import teach
+from sim.scenario.run import ScenarioRun, scenario_setup, teach
 from sim.sequence import Outcome
 from simgap.common.errors import BadRequest
 from simgap.common.progress import no_progress

@@ -1,4 +1,4 @@
-"""Logs and pictures of docs/robot-so101.md; the published logs become what its robot file reads.
+"""Logs and pictures of docs/results.md; the published logs become what its robot file reads.
 
 Upstream has a folder a motion: control.csv with the commands and state_motor.csv with the measured state, a
 row each for the same time stamp, in microseconds. Motions that the split file does not name are left out.

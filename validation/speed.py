@@ -62,7 +62,7 @@ def nominal_reference() -> Reference:
 def placement_loop(with_truth: bool = False) -> ClosedLoop:
     """Make a closed loop with the nominal arm in the ready pose in front of the target."""
     arm = arm_named("nominal")
-    world = World(surface=Surface(TARGET.target_N_m, TARGET.normal_N))
+    world = World(surface=Surface(TARGET.p_N_m, TARGET.normal_N))
     return ClosedLoop(
         Setup(arm, world, arm.params.poses.ready_rad, reference=nominal_reference()), with_truth
     )

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.collision.geometry import GROUND, SURFACE, SURFACE_FRAME, CollisionGeometry, Surface
+from fsw.collision.geometry import GROUND, SURFACE, SURFACE_FRAME, CollisionGeometry, TargetSurface
 from fsw.kinematics.chain import Frames
 from fsw.kinematics.transforms import Array, Pose, dot, inverse, rotate_back
 
@@ -68,12 +68,8 @@ class ClearanceViolation:
         )
 
 
-def find_violation(
-    geometry: CollisionGeometry,
-    frames: Frames,
-    padding_m: float,
-    touching: str | None = None,
-    surface: Surface | None = None,
+def judge_clearances(
+    geometry: CollisionGeometry, clearance: Array, padding_m: float, touching: str | None = None
 ) -> ClearanceViolation | None:
     """Find the first pose of a path at which a part of the arm is too close to an obstacle.
 
@@ -81,20 +77,10 @@ def find_violation(
     where a tool touches may a part start below the surface.
 
     Args:
-        frames: Frames of the links in RMECH along the path, batch (n).
+        clearance: Distances of `compute_clearances`, shape (parts, obstacles, n).
+        padding_m: Distance to be kept.
         touching: Tool that is to touch; no distance is required of it.
-
-    Returns:
-        The violation, or None if there is none.
     """
-    clearance = compute_clearances(geometry, frames, padding_m, touching, surface)
-    return judge_clearances(geometry, clearance, padding_m, touching)
-
-
-def judge_clearances(
-    geometry: CollisionGeometry, clearance: Array, padding_m: float, touching: str | None = None
-) -> ClearanceViolation | None:
-    """Find the first pose that is too close, as `find_violation`, from distances (parts, obstacles, n)."""
     least = np.minimum(padding_m, clearance[..., :1] - ROUNDING_M)
     if touching is None:
         least[:, SURFACE] = np.maximum(least[:, SURFACE], 0.0)
@@ -120,7 +106,7 @@ def compute_clearances(
     frames: Frames,
     within_m: float,
     touching: str | None = None,
-    surface: Surface | None = None,
+    surface: TargetSurface | None = None,
 ) -> Array:
     """Compute the distance of each part of the arm to each obstacle.
 
@@ -134,7 +120,7 @@ def compute_clearances(
     """
     arm, rover, X_RS = geometry.arm, geometry.rover, place_shapes(geometry, frames)
     clearance = np.full((len(geometry.parts), len(geometry.obstacles), X_RS.p.shape[-1]), np.inf)
-    ground = Surface(np.array([0.0, 0.0, geometry.ground_z_m]), UP)
+    ground = TargetSurface(np.array([0.0, 0.0, geometry.ground_z_m]), UP)
     planes = {GROUND: _compute_heights(geometry, X_RS, ground)}
     if surface is not None:
         planes[SURFACE] = _compute_surface_distances(geometry, X_RS, surface)
@@ -171,7 +157,7 @@ def _collect_carriers(frames: Frames) -> Pose:
     )
 
 
-def _compute_heights(geometry: CollisionGeometry, X_RS: Pose, plane: Surface) -> Array:
+def _compute_heights(geometry: CollisionGeometry, X_RS: Pose, plane: TargetSurface) -> Array:
     """Compute the height of the lowest point of each shape of the arm above a plane, (m, n)."""
     arm, down = geometry.arm, -plane.normal_R
     extent = np.abs(np.einsum("i,ikmn->kmn", down, X_RS.R))
@@ -184,7 +170,7 @@ def _compute_heights(geometry: CollisionGeometry, X_RS: Pose, plane: Surface) ->
     return height
 
 
-def _compute_surface_distances(geometry: CollisionGeometry, X_RS: Pose, surface: Surface) -> Array:
+def _compute_surface_distances(geometry: CollisionGeometry, X_RS: Pose, surface: TargetSurface) -> Array:
     """Bound the distances of the shapes of the arm, (m, n), to the half ball of rock below a surface."""
     beside = _compute_distances_beside(geometry, X_RS, surface) - surface.radius_m
     distance = np.maximum(_compute_heights(geometry, X_RS, surface), beside)
@@ -192,13 +178,13 @@ def _compute_surface_distances(geometry: CollisionGeometry, X_RS: Pose, surface:
     return distance
 
 
-def _compute_distances_beside(geometry: CollisionGeometry, X_RS: Pose, surface: Surface) -> Array:
+def _compute_distances_beside(geometry: CollisionGeometry, X_RS: Pose, surface: TargetSurface) -> Array:
     """Compute the distances of the shapes of the arm, (m, n), to the point of a surface."""
     p_S = rotate_back(X_RS.R, surface.p_R_m.reshape(3, 1, -1) - X_RS.p)
     return point_distance(p_S, geometry.arm.half_m[:, :, None]) - geometry.arm.radius_m[:, None]
 
 
-def limit_surface(geometry: CollisionGeometry, frames: Frames, surface: Surface) -> Surface:
+def limit_surface(geometry: CollisionGeometry, frames: Frames, surface: TargetSurface) -> TargetSurface:
     """Limit the radius of a surface by the parts of the arm that start below it, where no rock can be.
 
     Args:

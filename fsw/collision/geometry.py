@@ -37,7 +37,7 @@ SURFACE_FRAME: Final = FRAME_OF["link4"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
+class TargetSurface:
     """Plane surface of a target in RMECH; the rock is below it."""
 
     p_R_m: Array

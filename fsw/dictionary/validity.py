@@ -239,9 +239,6 @@ def read_arguments(command: C, names: Names) -> C | Wrong:
 
     Args:
         command: Command; it may be any object.
-
-    Returns:
-        The command with plain values, or the first problem.
     """
     kind: type = type(command)
     if not any(kind is one for one in COMMAND_TYPES):  # a class itself may have no hash

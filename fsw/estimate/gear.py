@@ -45,10 +45,6 @@ class GearBounds:
 def bound_gear(config: Config, half_backlash_rad: Array, load_Nm: Array) -> GearBounds:
     """Compute the bounds of the gear angles under loads.
 
-    Args:
-        half_backlash_rad: Half the width of the backlash, shape (5,).
-        load_Nm: Torques of the load, positive towards positive angles, shape (5, ...).
-
     Returns:
         The bounds in rad, shape (5, ...) each.
     """
@@ -65,8 +61,6 @@ def bound_loads(config: Config, load_Nm: Array, gravity_R_m_s2: Array, more_Nm: 
     """Compute the lowest, likely and highest loads.
 
     Args:
-        load_Nm: Modelled loads, shape (5,).
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
         more_Nm: Further uncertainty of the loads, shape (5,).
 
     Returns:
@@ -82,9 +76,6 @@ def bound_loads(config: Config, load_Nm: Array, gravity_R_m_s2: Array, more_Nm: 
 def load_error(config: Config, gravity_R_m_s2: Array) -> Array:
     """Compute the error bound of modelled loads, in proportion to gravity, which causes most of it.
 
-    Args:
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
-
     Returns:
         Error bounds in N m, shape (5,).
     """
@@ -96,7 +87,6 @@ def gear_after_motor_turn(gear_rad: Array, motion_rad: Array, bounds: GearBounds
     """Compute the gear angles after a turn of the motors.
 
     Args:
-        gear_rad: Lowest, likely and highest gear angles, shape (5, 3).
         motion_rad: Turn of the motors on the output side, shape (5,).
         bounds: Bounds of the gear angles, shape (5, 3).
 
@@ -112,7 +102,6 @@ def gear_after_output_turn(gear_rad: Array, moved_rad: Array, bounds: GearBounds
     """Compute the gear angles after a motion of the outputs, for the compensation of set-points.
 
     Args:
-        gear_rad: Gear angles, shape (5, ...).
         moved_rad: Motion of the outputs, shape (5, ...).
         bounds: Bounds of the gear angles, shape (5, ...).
 
@@ -127,10 +116,6 @@ def gear_after_output_turn(gear_rad: Array, moved_rad: Array, bounds: GearBounds
 
 def locate_in_backlash(half_backlash_rad: Array, gear_rad: Array) -> Array:
     """Locate the outputs inside their backlash.
-
-    Args:
-        half_backlash_rad: Half the width of the backlash, shape (5,).
-        gear_rad: Lowest, likely and highest gear angles, shape (5, 3).
 
     Returns:
         Three rows, shape (3, 5): likely position inside the backlash in rad, without wind-up; side, +1 or -1
@@ -154,10 +139,6 @@ def _locate_again(half_backlash: bytes, gear: bytes) -> Array:
 
 def clip_to_backlash(half_backlash_rad: Array, gear_rad: Array) -> Array:
     """Compute the part of gear angles that is backlash: half its width on a flank.
-
-    Args:
-        half_backlash_rad: Half the width of the backlash, shape (5,).
-        gear_rad: Gear angles, shape (5, ...).
 
     Returns:
         Position inside the backlash in rad, shape (5, ...).

@@ -80,12 +80,6 @@ class JointEstimate:
         return locate_in_backlash(self.reference.half_backlash_rad, self.gear_rad)
 
     @property
-    def backlash_rad(self) -> Array:
-        """Likely position of each output inside its backlash, without wind-up, (5,)."""
-        position: Array = self.backlash_state[0]
-        return position
-
-    @property
     def side(self) -> Array:
         """Side of the backlash, +1 or -1 if it is certain, else 0, (5,)."""
         side: Array = self.backlash_state[1]
@@ -162,9 +156,6 @@ def apply_calibration(
 
     The gear must just have dragged the joint off its hardstop, to positive angles.
 
-    Args:
-        load_Nm: Modelled loads, shape (5,).
-
     Returns:
         The estimate after the calibration.
     """
@@ -200,7 +191,6 @@ def apply_load(
 
     Args:
         joints: Estimate under the previous loads.
-        load_Nm: Modelled loads, shape (5,).
         more_Nm: Further uncertainty of the loads, shape (5,).
 
     Returns:

@@ -113,7 +113,6 @@ def fit_contact_line(config: Config, joint: int, load_Nm: float, towards: Readin
     The line begins where the gear takes up torque again.
 
     Args:
-        load_Nm: Torque of the load, positive towards positive angles.
         towards: Readings of the run.
 
     Returns:
@@ -158,7 +157,6 @@ def measure_backlash(
     """Measure the width of the backlash on the way back from the hardstop.
 
     Args:
-        load_Nm: Torque of the load, positive towards positive angles.
         press: Line of the run towards the hardstop.
         away: Readings of the way back.
 
@@ -197,7 +195,6 @@ def locate_hardstop(
     """Compute the output angle at the hardstop from the line and the backlash.
 
     Args:
-        load_Nm: Torque of the load, positive towards positive angles.
         press: Line of the run towards the hardstop.
         width_rad: Measured width of the backlash, or None.
 

@@ -4,11 +4,11 @@ A command is checked completely before anything moves.
 """
 
 from dataclasses import replace
-from typing import assert_never
+from typing import Any, assert_never
 
 import numpy as np
 
-from fsw.collision.geometry import Surface
+from fsw.collision.geometry import TargetSurface
 from fsw.config import Config
 from fsw.dictionary.commands import (
     Calibrate,
@@ -44,6 +44,7 @@ from fsw.dictionary.evrs import (
 )
 from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.types import vector3
+from fsw.estimate.joints import JointEstimate
 from fsw.estimate.reference import forget_joint
 from fsw.executive.context import (
     EVENT_OF,
@@ -74,9 +75,10 @@ from fsw.executive.expansion import (
 from fsw.executive.planning import SingleMoveCommand, plan_command, plan_sequence
 from fsw.executive.poses import check_homing, check_homing_all
 from fsw.executive.settings import set_param, set_tilt
+from fsw.messages import Flags
 from fsw.motion import homing
 from fsw.motion.force_fit import ForceFit
-from fsw.motion.move import Move, stop_early
+from fsw.motion.move import ALL_JOINTS, NO_JOINTS, Move, MovePlan, stop_early
 from fsw.motion.paths import HoldPath, Setpoint
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import (
@@ -215,17 +217,15 @@ def _begin_sequence(config: Config, context: CommandContext, command: CompoundCo
     planned = plan_sequence(config, state.joints, state.tool, command, surface)
     if isinstance(planned, Refusal):
         return refuse(context, command, planned.reason)
-    evrs: tuple[Evr, ...] = (CommandAccepted(command_name(command)),)
+    evrs: tuple[Evr, ...] = ()
     if isinstance(command, ToolChange):
-        evrs = (
-            *evrs,
-            SpotSet(state.tool, *vector3(locate_spot(config, state.joints, state.tool, command).p_m)),
-        )
+        spot = locate_spot(config, state.joints, state.tool, command)
+        evrs = (SpotSet(state.tool, *vector3(spot.p_m)),)
     sequence = Sequence(command_name(command), planned.commands)
-    return with_events(replace(context, state=replace(state, sequence=sequence, surface=surface)), *evrs)
+    return _accept(context, command, *evrs, sequence=sequence, surface=surface)
 
 
-def known_surface(config: Config, context: CommandContext) -> Surface | None:
+def known_surface(config: Config, context: CommandContext) -> TargetSurface | None:
     """Return the surface of the last target; through the tip of the tool if that touches now."""
     state = context.state
     if not in_contact(config, context, state.tool):
@@ -257,8 +257,7 @@ def _begin_calibrate_all(config: Config, context: CommandContext, command: Calib
     )
     if problem is not None:
         return refuse(context, command, problem)
-    state = replace(context.state, sequence=expand_calibrate_all(config.params, command.accept_moved))
-    return with_events(replace(context, state=state), CommandAccepted(command_name(command)))
+    return _accept(context, command, sequence=expand_calibrate_all(config.params, command.accept_moved))
 
 
 def _begin_calibrate(config: Config, context: CommandContext, command: Calibrate) -> CommandContext:
@@ -270,16 +269,14 @@ def _begin_calibrate(config: Config, context: CommandContext, command: Calibrate
     problem = problem or check_homing(config, context.state.joints, Joint(command.joint))
     if problem is not None:
         return refuse(context, command, problem)
-    joints, mode = context.state.joints, TRANSITIONS[context.state.mode, ModeEvent.MOVE_FREE]
-    move = _new_move(config, context, command, TRANSITIONS[mode, ModeEvent.DONE])
+    joint, joints = Joint(command.joint), context.state.joints
+    mode = TRANSITIONS[context.state.mode, ModeEvent.MOVE_FREE]
+    plan = MovePlan(command_name(command), TRANSITIONS[mode, ModeEvent.DONE], _only(joint))
     move = replace(
-        move,
-        active=np.arange(joints.motor_rad.size) == command.joint,
-        homing=homing.begin_homing(Joint(command.joint), joints, command.accept_moved),
+        _new_move(config, joints, plan), homing=homing.begin_homing(joint, joints, command.accept_moved)
     )
-    joints = replace(joints, reference=forget_joint(joints.reference, command.joint))
-    state = replace(context.state, mode=mode, move=move, joints=joints)
-    return with_events(replace(context, state=state), CommandAccepted(command_name(command)))
+    joints = replace(joints, reference=forget_joint(joints.reference, joint))
+    return _accept(context, command, mode=mode, move=move, joints=joints)
 
 
 def _begin_move(config: Config, context: CommandContext, command: SingleMoveCommand) -> CommandContext:
@@ -299,29 +296,26 @@ def _begin_move(config: Config, context: CommandContext, command: SingleMoveComm
     mode = TRANSITIONS[context.state.mode, EVENT_OF[type(command)]]
     done = ModeEvent.DONE_STOWED if isinstance(command, Stow) else ModeEvent.DONE
     tool = command.tool if isinstance(command, MoveTool | GuardedMove | Retract) else context.state.tool
-    move = replace(
-        _new_move(config, context, command, TRANSITIONS[mode, done]),
-        paths=plan.paths,
+    move = MovePlan(
+        command_name(command),
+        TRANSITIONS[mode, done],
+        _only(command.joint) if isinstance(command, MoveJoint) else ALL_JOINTS,
+        plan.paths,
         guarded_tool=tool if isinstance(command, GuardedMove) else None,
     )
-    if isinstance(command, MoveJoint):
-        move = replace(move, active=np.arange(move.active.size) == command.joint)
-    evrs: tuple[Evr, ...] = (CommandAccepted(command_name(command)),)
-    if plan.branch is not None:
-        evrs = (*evrs, BranchChosen(tool, plan.branch))
     # a guarded move of a tool already in contact ends at once: the preload stays as it is
     is_kept = isinstance(command, GuardedMove) and in_contact(config, context, tool)
-    preload = tool_preload(context, tool) if is_kept else None
-    state = replace(
-        context.state,
+    return _accept(
+        context,
+        command,
+        *(() if plan.branch is None else (BranchChosen(tool, plan.branch),)),
         mode=mode,
         tool=tool,
-        move=move,
-        preload=preload,
+        move=_new_move(config, joints, move),
+        preload=tool_preload(context, tool) if is_kept else None,
         planned_backlash_rad=plan.backlash_rad,
         surface=surface,
     )
-    return with_events(replace(context, state=state), *evrs)
 
 
 def _begin_preload(config: Config, context: CommandContext, command: Preload) -> CommandContext:
@@ -348,25 +342,28 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
         return refuse(context, command, planned.reason)
     plan, change = planned
     done = ModeEvent.DONE_RELEASED if command.force_N == 0 else ModeEvent.DONE
+    end_mode = TRANSITIONS[Mode.PRELOAD, done]
+    press = MovePlan(command_name(command), end_mode, ALL_JOINTS, plan.paths, preload_change=change)
     move = replace(
-        _new_move(config, context, command, TRANSITIONS[Mode.PRELOAD, done]),
-        paths=plan.paths,
-        preload_change=change,
+        _new_move(config, state.joints, press),
         force_fit=ForceFit(preload),
         current_limit_A=preload_limit_A(config, state.joints, change),
     )
-    state = replace(
-        state, mode=Mode.PRELOAD, move=move, preload=preload, planned_backlash_rad=plan.backlash_rad
+    return _accept(
+        context,
+        command,
+        mode=Mode.PRELOAD,
+        move=move,
+        preload=preload,
+        planned_backlash_rad=plan.backlash_rad,
     )
-    return with_events(replace(context, state=state), CommandAccepted(command_name(command)))
 
 
 def _finish_release(context: CommandContext, command: Preload, preload: PreloadState) -> CommandContext:
     """Complete a release that was stopped near its end: the remaining force is that of a touch at most."""
-    name, mode = command_name(command), TRANSITIONS[Mode.PRELOAD, ModeEvent.DONE_RELEASED]
-    preloaded = Preloaded(preload.tool, preload.force_N)
-    context = replace(context, state=replace(context.state, mode=mode))
-    return with_events(context, CommandAccepted(name), preloaded, CommandCompleted(name))
+    preloaded, completed = Preloaded(preload.tool, preload.force_N), CommandCompleted(command_name(command))
+    mode = TRANSITIONS[Mode.PRELOAD, ModeEvent.DONE_RELEASED]
+    return _accept(context, command, preloaded, completed, mode=mode)
 
 
 def _begin_hold(config: Config, context: CommandContext, command: Hold) -> CommandContext:
@@ -374,27 +371,22 @@ def _begin_hold(config: Config, context: CommandContext, command: Hold) -> Comma
     if problem is not None:
         return refuse(context, command, problem)
     mode = TRANSITIONS[context.state.mode, ModeEvent.MOVE_FREE]
-    move = _new_move(config, context, command, TRANSITIONS[mode, ModeEvent.DONE])
-    move = replace(
-        move,
-        active=np.zeros_like(move.active),
-        paths=(HoldPath(command.duration_s, move.setpoint.motor_rad),),
-        vibrate=command.vibrate,
-    )
-    return with_events(
-        replace(context, state=replace(context.state, mode=mode, move=move)),
-        CommandAccepted(command_name(command)),
-    )
+    path = HoldPath(command.duration_s, context.state.joints.motor_rad)
+    end_mode = TRANSITIONS[mode, ModeEvent.DONE]
+    plan = MovePlan(command_name(command), end_mode, NO_JOINTS, (path,), vibrate=command.vibrate)
+    return _accept(context, command, mode=mode, move=_new_move(config, context.state.joints, plan))
 
 
-def _new_move(config: Config, context: CommandContext, command: SequenceStep, end_mode: Mode) -> Move:
-    """Build a move of all joints that has no paths yet."""
-    motor = context.state.joints.motor_rad
-    return Move(
-        command=command_name(command),
-        end_mode=end_mode,
-        active=np.ones(motor.size, bool),
-        current_limit_A=config.current_limit_A,
-        paths=(),
-        setpoint=Setpoint(motor, np.zeros_like(motor)),
-    )
+def _only(joint: int) -> Flags:
+    only: Flags = np.arange(ALL_JOINTS.size) == joint
+    return only
+
+
+def _new_move(config: Config, joints: JointEstimate, plan: MovePlan) -> Move:
+    return Move(plan, Setpoint(joints.motor_rad, np.zeros_like(joints.motor_rad)), config.current_limit_A)
+
+
+def _accept(context: CommandContext, command: SequenceStep, *evrs: Evr, **changes: Any) -> CommandContext:
+    """Accept a command, which changes these fields of the state."""
+    context = replace(context, state=replace(context.state, **changes))
+    return with_events(context, CommandAccepted(command_name(command)), *evrs)

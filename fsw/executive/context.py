@@ -172,7 +172,7 @@ def check_ready(context: CommandContext) -> str | None:
     if context.state.mode is Mode.FAULTED:
         return "a fault stands; clear it first"
     if context.state.move is not None:
-        return f"{context.state.move.command} is under way"
+        return f"{context.state.move.plan.command} is under way"
     if context.state.sequence is not None:
         return f"{context.state.sequence.command} is under way"
     return None if context.usable else "a reading is unusable"
@@ -207,11 +207,7 @@ def known_names(params: Params) -> Names:
 
 
 def check_arguments(params: Params, command: Command) -> str | None:
-    """Check the arguments of a command, as far as the state does not matter.
-
-    Returns:
-        The first problem as a sentence, or None.
-    """
+    """Check the arguments of a command, as far as the state does not matter."""
     match command:
         case MoveTool(straight=True, branch=branch) if branch != AUTO:
             return f"a straight move stays on the branch that the arm is on; leave branch {AUTO}"

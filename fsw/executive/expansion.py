@@ -4,7 +4,7 @@ from typing import Final, assert_never
 
 import numpy as np
 
-from fsw.collision.geometry import Surface
+from fsw.collision.geometry import TargetSurface
 from fsw.config import Config
 from fsw.dictionary.commands import (
     AUTO,
@@ -43,7 +43,7 @@ def expand_command(
     joints: JointEstimate,
     tool: str,
     command: CompoundCommand,
-    surface: Surface | None = None,
+    surface: TargetSurface | None = None,
     farther_m: float = 0.0,
 ) -> tuple[SequenceStep, ...] | Refusal:
     """Expand a compound command into single moves from the present joint angles.
@@ -51,9 +51,6 @@ def expand_command(
     Args:
         surface: Surface of `locate_surface`; None if there is none.
         farther_m: Distance from the standoff to a way point farther from the surface; 0 for none.
-
-    Returns:
-        The steps, or the reason for a refusal.
     """
     match command:
         case PlaceTool():
@@ -117,8 +114,8 @@ def _locate_target(
 
 
 def locate_surface(
-    config: Config, joints: JointEstimate, tool: str, command: SequenceStep, known: Surface | None
-) -> Surface | None:
+    config: Config, joints: JointEstimate, tool: str, command: SequenceStep, known: TargetSurface | None
+) -> TargetSurface | None:
     """Return the surface that a command is to keep away from.
 
     Args:
@@ -137,16 +134,16 @@ def locate_surface(
         case _:
             return known
     normal = -approach if command.normal_R is None else normalize(command.normal_R)
-    return Surface(p, normal, config.collision_geometry.surface_radius_m)
+    return TargetSurface(p, normal, config.collision_geometry.surface_radius_m)
 
 
 def locate_touched_surface(
-    config: Config, joints: JointEstimate, touching: str, known: Surface | None
-) -> Surface:
+    config: Config, joints: JointEstimate, touching: str, known: TargetSurface | None
+) -> TargetSurface:
     """Return the surface through the tip of a touching tool, with the normal of the known one."""
     contact = start_line(config, joints, touching, Compensation())
     normal = -contact.axis if known is None else known.normal_R
-    return Surface(contact.p_m, normal, config.collision_geometry.surface_radius_m)
+    return TargetSurface(contact.p_m, normal, config.collision_geometry.surface_radius_m)
 
 
 def _expand_tool_change(
@@ -154,7 +151,7 @@ def _expand_tool_change(
     joints: JointEstimate,
     touching: str,
     command: ToolChange,
-    surface: Surface | None,
+    surface: TargetSurface | None,
     farther_m: float,
 ) -> tuple[SequenceStep, ...]:
     """Expand a tool change: retract, and place the other tool at the estimated contact point of this one.

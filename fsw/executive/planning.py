@@ -6,7 +6,7 @@ from typing import Final, assert_never
 import numpy as np
 
 from fsw.collision.distance import limit_surface
-from fsw.collision.geometry import Surface
+from fsw.collision.geometry import TargetSurface
 from fsw.config import Config
 from fsw.dictionary.commands import (
     AUTO,
@@ -45,7 +45,7 @@ class PlannedSequence:
     """Estimate of the joints at the end."""
     tool: str
     """Tool of the last tool command."""
-    surface: Surface | None
+    surface: TargetSurface | None
     """Surface of the last target."""
 
     @property
@@ -59,7 +59,7 @@ def plan_command(
     joints: JointEstimate,
     tool: str,
     command: SingleMoveCommand,
-    surface: Surface | None,
+    surface: TargetSurface | None,
 ) -> Plan | Refusal:
     """Plan the move of a command, and check its paths for collisions with rover, ground and surface.
 
@@ -86,7 +86,11 @@ def plan_command(
 
 
 def _plan_checked(
-    config: Config, joints: JointEstimate, tool: str, command: SingleMoveCommand, surface: Surface | None
+    config: Config,
+    joints: JointEstimate,
+    tool: str,
+    command: SingleMoveCommand,
+    surface: TargetSurface | None,
 ) -> Plan | Refusal:
     """Plan the move of a command as it is, and check its paths."""
     plan = _plan_motion(config, joints, tool, command, surface)
@@ -113,7 +117,11 @@ def _plan_checked(
 
 
 def _plan_motion(
-    config: Config, joints: JointEstimate, tool: str, command: SingleMoveCommand, surface: Surface | None
+    config: Config,
+    joints: JointEstimate,
+    tool: str,
+    command: SingleMoveCommand,
+    surface: TargetSurface | None,
 ) -> Plan | Refusal:
     match command:
         case Unstow():
@@ -141,16 +149,12 @@ def _plan_motion(
 
 
 def plan_sequence(
-    config: Config, joints: JointEstimate, tool: str, command: CompoundCommand, surface: Surface | None
+    config: Config, joints: JointEstimate, tool: str, command: CompoundCommand, surface: TargetSurface | None
 ) -> PlannedSequence | Refusal:
     """Plan a compound command; each step is planned from the end of the step before it.
 
     Args:
         joints: Estimate of the joints, from which the first step starts.
-        surface: Surface that the steps keep away from; None if there is none.
-
-    Returns:
-        The steps and their plans, or the reason for a refusal.
     """
     steps = expand_command(config, joints, tool, command)
     if isinstance(steps, Refusal):
@@ -166,7 +170,7 @@ def _plan_fastest(
     joints: JointEstimate,
     tool: str,
     command: PlaceTool | ToolChange,
-    surface: Surface | None,
+    surface: TargetSurface | None,
     standoff: MoveTool,
 ) -> PlannedSequence | Refusal:
     """Plan a placement or tool change on the fastest branch on which every step is clear.
@@ -205,7 +209,7 @@ def plan_steps(
     joints: JointEstimate,
     tool: str,
     steps: tuple[SequenceStep, ...],
-    surface: Surface | None,
+    surface: TargetSurface | None,
 ) -> PlannedSequence | Refusal:
     """Plan each step from the end of the step before it, or return the reason that one is refused."""
     plans = []

@@ -71,27 +71,22 @@ def describe_arm(
 
 
 def _describe_move(move: Move, preload: PreloadState | None) -> MoveStatus:
-    press = None
-    if move.preload_change is not None and not move.stopped and preload is not None:
+    plan, press = move.plan, None
+    if plan.preload_change is not None and not plan.stopped and preload is not None:
         press = PressStatus(
-            preload.tool, preload.force_N, move.preload_change.torque_per_N, preload.resolver_offset_rad
+            preload.tool, preload.force_N, plan.preload_change.torque_per_N, preload.resolver_offset_rad
         )
+    # a guarded tool approaches while it moves along its line and has not touched
+    on_line = move.phase is Phase.RUN and not plan.touched and plan.guarded_tool is not None
     return MoveStatus(
         move.setpoint.motor_rad,
         move.setpoint.rate_rad_s,
-        move.stopped,
+        plan.stopped,
         move.phase is Phase.RELEASE,
         None if move.homing is None else move.homing.joint,
-        move.guarded_tool if _is_approaching(move) else None,
+        plan.guarded_tool if on_line and isinstance(plan.paths[0], LinePath) else None,
         press,
     )
-
-
-def _is_approaching(move: Move) -> bool:
-    """Return whether a guarded tool moves along its line and has not touched yet."""
-    if move.guarded_tool is None or move.contact_travel is not None or move.phase is not Phase.RUN:
-        return False
-    return isinstance(move.paths[0], LinePath)
 
 
 def apply_decision(
@@ -120,7 +115,7 @@ def _stop(config: Config, before: MoveOutcome, decision: Decision, joints: Joint
     sequence, move, evrs = before.sequence, before.move, decision.evrs
     if sequence is not None:
         evrs = (*evrs, CommandAborted(sequence.command))
-    if move is not None and not move.stopped:
+    if move is not None and not move.plan.stopped:
         move = stop_early(config, move, TRANSITIONS[before.mode, stop_event(config, before.mode, joints)])
         if move.phase is Phase.SETTLE:
             move = replace(move, phase=Phase.BRAKE, ticks=0)
@@ -129,14 +124,18 @@ def _stop(config: Config, before: MoveOutcome, decision: Decision, joints: Joint
 
 def _brake(move: Move, decision: Decision) -> Move:
     """Apply the brakes in this cycle, with the set-point that protection decided."""
-    return replace(
-        move,
-        active=NO_JOINTS if decision.response is Response.POWER_OFF else move.active,
-        phase=Phase.BRAKE,
+    plan = replace(
+        move.plan,
+        active=NO_JOINTS if decision.response is Response.POWER_OFF else move.plan.active,
         travelled=distance_travelled(move),
-        ticks=0 if move.phase is not Phase.BRAKE else move.ticks,
-        setpoint=Setpoint(decision.hold_rad, np.zeros_like(decision.hold_rad)),
         end_mode=Mode.FAULTED,
         guarded_tool=None,
         stopped=True,
+    )
+    return replace(
+        move,
+        plan=plan,
+        phase=Phase.BRAKE,
+        ticks=0 if move.phase is not Phase.BRAKE else move.ticks,
+        setpoint=Setpoint(decision.hold_rad, np.zeros_like(decision.hold_rad)),
     )

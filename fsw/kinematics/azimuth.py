@@ -8,6 +8,11 @@ rho and heading are the polar coordinates of the foot: the point of the boresigh
 a_xy and bearing are those of the approach. bz is the cosine of boresight and turret axis. A negative sine
 means wrist up. A radial tool has offset 0 and needs one step. For any other tool, the azimuths of both wrists
 are the four roots of one trigonometric polynomial.
+
+In all functions, `foot` is that point in m and `a` the approach, a unit vector, in frame Arm1, (3, ...). They
+return azimuths in rad, constant turn included, sines of the wrist and missing distances in m: of both
+shoulders and wrists, (shoulder, wrist, ...), or, from a near azimuth and the sign of the wrist sine, of one
+root each, (n,).
 """
 
 from typing import Final
@@ -32,15 +37,7 @@ WRISTS: Final = np.array([-1.0, 1.0])
 
 
 def solve_azimuths(s: OrthogonalArm, foot: Array, a: Array) -> tuple[Array, Array, Array]:
-    """Solve the azimuths of a radial tool.
-
-    Args:
-        foot: Point on the target's boresight nearest to the turret axis, in m in frame Arm1, shape (3, ...).
-        a: Approach direction, unit vector in frame Arm1, shape (3, ...).
-
-    Returns:
-        Azimuths in rad, sines of the wrist and missing distances in m, shape (shoulder, wrist, ...) each.
-    """
+    """Solve the azimuths of a radial tool."""
     lean, heading, missing = _lean(s, foot)
     q1 = np.stack([heading + lean, heading + np.pi - lean])[:, None]
     wrist = WRISTS.reshape(1, 2, *(1,) * heading.ndim)
@@ -51,17 +48,7 @@ def solve_azimuths(s: OrthogonalArm, foot: Array, a: Array) -> tuple[Array, Arra
 def solve_azimuth_near(
     s: OrthogonalArm, foot: Array, a: Array, wrist: Array, near_rad: Array
 ) -> tuple[Array, Array, Array]:
-    """Solve the azimuth of a radial tool on a given side of the shoulder and the wrist.
-
-    Args:
-        foot: Point on the target's boresight nearest to the turret axis, in m in frame Arm1, shape (3, n).
-        a: Approach direction, unit vector in frame Arm1, shape (3, n).
-        wrist: Signs of the wrist sine, unitless, shape (n,).
-        near_rad: Azimuths with constant turn, shape (n,).
-
-    Returns:
-        Azimuths in rad, sines of the wrist and missing distances in m, shape (n,) each.
-    """
+    """Solve the azimuth of a radial tool on a given side of the shoulder and the wrist."""
     lean, heading, missing = _lean(s, foot)
     ahead = foot[0] * np.cos(near_rad) + foot[1] * np.sin(near_rad) >= 0
     q1 = heading + np.where(ahead, lean, np.pi - lean)
@@ -80,13 +67,6 @@ def solve_offset_azimuths(s: OrthogonalArm, foot: Array, a: Array) -> tuple[Arra
 
     The squared condition is a trigonometric polynomial of degree two. Its four roots, for both wrists, are
     eigenvalues of a companion matrix. Newton steps polish those on the unit circle.
-
-    Args:
-        foot: Point on the target's boresight nearest to the turret axis, in m in frame Arm1, shape (3, ...).
-        a: Approach direction, unit vector in frame Arm1, shape (3, ...).
-
-    Returns:
-        Azimuths in rad, sines of the wrist and missing distances in m, shape (shoulder, wrist, ...) each.
     """
     z = np.linalg.eigvals(_companion(s, foot, a))
     q1: Array = np.moveaxis(np.angle(z), -1, 0).astype(np.float64)
@@ -106,17 +86,7 @@ def solve_offset_azimuths(s: OrthogonalArm, foot: Array, a: Array) -> tuple[Arra
 def solve_offset_azimuth_near(
     s: OrthogonalArm, foot: Array, a: Array, wrist: Array, near_rad: Array
 ) -> tuple[Array, Array, Array]:
-    """Solve the azimuth of a tool with an offset by Newton steps from a given azimuth.
-
-    Args:
-        foot: Point on the target's boresight nearest to the turret axis, in m in frame Arm1, shape (3, n).
-        a: Approach direction, unit vector in frame Arm1, shape (3, n).
-        wrist: Signs of the wrist sine, unitless, shape (n,).
-        near_rad: Azimuths with constant turn, shape (n,).
-
-    Returns:
-        Azimuths in rad, sines of the wrist and missing distances in m, shape (n,) each.
-    """
+    """Solve the azimuth of a tool with an offset by Newton steps from a given azimuth."""
     q1 = near_rad
     for _ in range(POLISHING_STEPS):
         q1 = q1 - np.clip(_newton_step(s, foot, a, wrist, q1), -0.1, 0.1)

@@ -38,10 +38,6 @@ class Frames:
 def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     """Compute all frames of the arm: equation 2 of the paper, with a transform for the spring of each link.
 
-    Args:
-        output_rad: Output angles, shape (5, ...).
-        strain: Spring displacements in rad and m, links second, shape (6, 6, ...); None for the rigid arm.
-
     Returns:
         The frames.
     """
@@ -89,10 +85,6 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
 def place_pose(arm: Arm, output_rad: Array, strain: Array | None) -> list[LinkPose]:
     """Place the links of a single pose.
 
-    Args:
-        output_rad: Output angles, shape (5,).
-        strain: Spring displacements in rad and m, links second, shape (6, 6); None for the rigid arm.
-
     Returns:
         The poses of the links.
     """
@@ -114,9 +106,6 @@ def spring_pose(arm: Arm, strain: Array) -> Pose:
 
     A spring translates, then turns about x, y and z in this order; each turn carries the later axes. The
     spring of the plant does the same. At 45 mrad the order matters by a tenth of a millimetre.
-
-    Args:
-        strain: Spring displacements in rad and m, links second, shape (6, 6, ...).
 
     Returns:
         The poses, batch (6, ...).
@@ -215,7 +204,6 @@ def load_links(
 
     Args:
         placed: Their poses.
-        gravity_R_m_s2: Gravity in the rover frame.
         push: Contact force on the arm in N and the point at which it acts in m, in the rover frame.
 
     Returns:
@@ -252,18 +240,9 @@ def load_links(
 def spring_turn(
     cx: Number, cy: Number, cz: Number, sx: Number, sy: Number, sz: Number
 ) -> tuple[Number, Number, Number, Number, Number, Number, Number, Number, Number]:
-    """Compute the rotation of springs that turn about x, y and z; each turn carries the later axes.
+    """Compute the rotation of springs, row by row, from cosines and sines of their turns about x, y and z.
 
-    Args:
-        cx: Cosine of the turn about x, unitless; then those about y and z.
-        cy: See cx.
-        cz: See cx.
-        sx: Sine of the turn about x, unitless; then those about y and z.
-        sy: See sx.
-        sz: See sx.
-
-    Returns:
-        The matrices row by row.
+    Each turn carries the later axes.
     """
     sxsy, cxsy = sx * sy, cx * sy
     row_x = cy * cz, -cy * sz, sy

@@ -4,6 +4,10 @@ The plane of the arm holds the three parallel joints. The turret axis is normal 
 fixed angle with the approach. This gives two directions: wrist down and up. The wrist centre has a known
 lateral offset from the plane. This gives two azimuths: shoulder out and in. The rest is a planar two-link
 arm, with two elbows.
+
+In all functions, `q1` are azimuths in rad, constant turn included, `sine` the sines of the wrist, `t_e` and
+`t_z` the forward and downward components of the turret axis, a unit vector; shape (...). Vectors in the rover
+frame and in frame Arm1 have shape (3, ...); in the plane of the arm they are `InPlane`.
 """
 
 from dataclasses import dataclass
@@ -37,9 +41,6 @@ def fold_distances(s: OrthogonalArm, output_rad: Array) -> Array:
     behind the azimuth axis. The elbow's value is the sine of its bend, negative above the line from shoulder
     to wrist. The wrist's value is the sine of the turret axis against the approach. The elbow also changes
     its name, without a fold, where the wrist joint passes over or under the elevation joint.
-
-    Args:
-        output_rad: Output angles, shape (5, ...).
 
     Returns:
         Distances of shoulder [m], elbow and wrist [sine], shape (3, ...).
@@ -100,8 +101,6 @@ def closed_form(
     The roots are exact for an orthogonal arm with any tool. For a calibrated arm they are starting points.
 
     Args:
-        p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).
-        approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
         least_bend_rad: Least distance of the elbow from straight and folded, where two roots meet.
 
     Returns:
@@ -158,8 +157,6 @@ def closed_form_branch(
     """Compute the root of each target on the branch of a given pose.
 
     Args:
-        p_RoTo_R_m: Target positions in the rover frame, shape (3, n).
-        approach_R: Approach directions, unit vectors in the rover frame, shape (3, n).
         near_rad: Output angles that name the branch, shape (5, n).
 
     Returns:
@@ -184,10 +181,6 @@ def closed_form_branch(
 def to_shoulder_frame(s: OrthogonalArm, p_R_m: Array, v_R: Array) -> tuple[Array, Array]:
     """Transform points and directions into frame Arm1, in which the azimuth turns about z.
 
-    Args:
-        p_R_m: Points in the rover frame, shape (3, ...).
-        v_R: Directions in the rover frame, unit vectors, shape (3, ...).
-
     Returns:
         Points in m and directions in frame Arm1, shape (3, ...) each.
     """
@@ -198,10 +191,6 @@ def to_shoulder_frame(s: OrthogonalArm, p_R_m: Array, v_R: Array) -> tuple[Array
 
 def to_arm_plane(q1: Array, *vectors: Array) -> tuple[InPlane, ...]:
     """Resolve vectors in the plane of the arm.
-
-    Args:
-        q1: Azimuths in rad, constant turn included, shape (...).
-        vectors: Vectors of any unit in frame Arm1, shape (3, ...).
 
     Returns:
         Components forward, along the pitch axis and down of each vector, unit of the vector.
@@ -215,10 +204,6 @@ def turret_axis(s: OrthogonalArm, a: InPlane, sine: Array) -> tuple[Array, Array
 
     The axis is z5 = (bz a_flat + sine n x a) / flat^2. n is the pitch axis, a_flat the part of the approach
     in the plane, and bz the cosine of boresight and turret axis.
-
-    Args:
-        a: Approach direction in the plane of the arm.
-        sine: Sines of the wrist, unitless, shape (...).
 
     Returns:
         Forward and downward components of a unit vector, and the cosine by which no axis exists, shape (...)
@@ -252,12 +237,6 @@ class Reach:
 def locate_wrist(s: OrthogonalArm, foot: InPlane, b: InPlane, t_e: Array, t_z: Array) -> Reach:
     """Locate the wrist joint and compute the bend of the elbow without its sign.
 
-    Args:
-        foot: Foot of the tool's offset in the plane of the arm, in m.
-        b: Boresight in the plane of the arm.
-        t_e: Forward components of the turret axis, part of a unit vector, shape (...).
-        t_z: Downward components of the turret axis, likewise of a unit vector, shape (...).
-
     Returns:
         Position of the wrist joint and bend of the elbow.
     """
@@ -288,14 +267,6 @@ def joint_angles(
     s: OrthogonalArm, b_n: Array, q1: Array, t_e: Array, t_z: Array, sine: Array, reach: Reach
 ) -> Array:
     """Compute the output angles from the geometry in the plane of the arm.
-
-    Args:
-        b_n: Boresight along the pitch axis, unitless, shape (...).
-        q1: Azimuths in rad, constant turn included, shape (...).
-        t_e: Forward components of the turret axis, part of a unit vector, shape (...).
-        t_z: Downward components of the turret axis, likewise of a unit vector, shape (...).
-        sine: Boresight in the plane and normal to the turret axis, unitless, shape (...).
-        reach: Wrist joint, and bend of the elbow with its sign.
 
     Returns:
         Output angles in rad, shape (5, ...).

@@ -143,8 +143,6 @@ def inverse_kinematics(
     next to double roots by the tolerance of the forward check.
 
     Args:
-        p_RoTo_R_m: Target positions in the rover frame RMECH, shape (3, ...).
-        approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,); None for the rigid arm.
         near_rad: Output angles to stay near if the limits allow two turns of a joint, shape (5,); None for
             the middle of the limits.
@@ -269,8 +267,6 @@ def find_regular_approach(arm: Arm, tool: str, p_RoTo_R_m: Array, approach_R: Ar
     """Find the approach nearest to that of a target which is clear of the pitch axes.
 
     Args:
-        p_RoTo_R_m: Target position in the rover frame, shape (3,).
-        approach_R: Approach direction of the target, unit vector in the rover frame, shape (3,).
         slot: Branch, which gives the azimuth.
 
     Returns:

@@ -66,9 +66,6 @@ def refine_roots(
     learns the part of the Jacobian that the load causes. Without it, double roots do not converge.
 
     Args:
-        p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).
-        approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,); zero for the rigid arm.
         start_rad: Output angles to start from, shape (5, ...); starts that are not finite do not converge.
 
     Returns:
@@ -270,7 +267,6 @@ def solve_fixed_point(
     Args:
         p: Target positions in m in the rover frame, shape (3, n).
         a: Approach directions, unit vectors in the rover frame, shape (3, n).
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
         start_rad: Output angles of the orthogonal arm's roots, shape (5, n).
         fold_distance: Distance of these roots from the nearest fold, in m or as a unitless sine, shape (n,).
         selected: Boolean flags of the roots to solve, shape (n,).
@@ -292,9 +288,6 @@ def solve_fixed_point(
 
 def root_tolerance(gravity_R_m_s2: Array) -> float:
     """Return the tolerance of a root.
-
-    Args:
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,); zero for the rigid arm.
 
     Returns:
         Bound of position error [m], axis error [rad] and change of strain.
@@ -384,7 +377,6 @@ def solve_straight(
     Args:
         p: Target positions in m in the rover frame, shape (3, n).
         a: Approach directions, unit vectors in the rover frame, shape (3, n).
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
         straight: Boolean flags of the roots of the orthogonal arm, shape (8, n).
 
     Returns:

@@ -69,10 +69,8 @@ def settle(
     """Find the static equilibrium for given motor angles: output = motor + backlash + torque / stiffness.
 
     Args:
-        motor_rad: Motor angles on the output side, shape (5, ...).
         backlash_rad: Position of each output inside its backlash, shape (5, ...).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
-        push: Contact force on a tool.
 
     Returns:
         The equilibrium, batch (...).
@@ -86,9 +84,7 @@ def settle_output(
     """Find the static equilibrium for given output angles.
 
     Args:
-        output_rad: Output angles, shape (5, ...).
         gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
-        push: Contact force on a tool.
 
     Returns:
         The equilibrium, batch (...).
@@ -124,10 +120,7 @@ def load_arm(
     The load is taken at the deflected pose.
 
     Args:
-        output_rad: Output angles, shape (5, ...).
-        strain: Strain at this pose in rad and m, shape (6, 6, ...); None for the rigid arm.
         gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
-        push: Contact force on a tool.
 
     Returns:
         Frames under the given strain, new strain in rad and m, shape (6, 6, ...), and torque of the load in
@@ -225,9 +218,6 @@ def relative_target(
     Args:
         reference_tool: Name of the tool at the reference pose.
         reference_rad: Output angles of the reference pose, shape (5,).
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
-        p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).
-        approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
 
     Returns:
         Positions in m and unit approach vectors to give to the inverse kinematics, shape (3, ...) each.
@@ -247,7 +237,6 @@ def held_on_flank(
     """Return which outputs their load holds on a flank of the backlash.
 
     Args:
-        half_backlash_rad: Half the width of the backlash, shape (5,).
         lowest_rad: Lowest gear angle, output less motor, at which friction can hold the output, shape (5,).
         highest_rad: Highest such gear angle, shape (5,).
         margin_rad: Wind-up that the load must have to spare, shape (5,).
@@ -285,11 +274,6 @@ def evaluate_pose(
 ) -> PoseEvaluation:
     """Evaluate load and deflection once at given angles.
 
-    Args:
-        output_rad: Output angles, shape (5, n).
-        strain: Assumed strain in rad and m, shape (6, 6, n); None for the rigid arm.
-        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
-
     Returns:
         Tool pose, new strain and joint torques.
     """
@@ -318,11 +302,6 @@ def _deflect_tool(frames: Frames, change: Array, X_RT: Pose) -> Pose:
 def task_error(X_RT: Pose, p_RoTo_R_m: Array, approach_R: Array) -> Array:
     """Compute the task error of tool poses.
 
-    Args:
-        X_RT: Poses of the tool, batch (...).
-        p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).
-        approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
-
     Returns:
         Position error in m, then the approach along the y and z axes of the tool in rad, shape (5, ...).
     """
@@ -336,10 +315,6 @@ def task_error(X_RT: Pose, p_RoTo_R_m: Array, approach_R: Array) -> Array:
 def task_jacobian(frames: Frames, X_RT: Pose, approach_R: Array) -> Array:
     """Compute the derivative of task_error by the joint angles, with the springs held.
 
-    Args:
-        X_RT: Poses of the tool, batch (...).
-        approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
-
     Returns:
         The derivative, m/rad and rad/rad, shape (5, 5, ...).
     """
@@ -352,9 +327,6 @@ def task_jacobian(frames: Frames, X_RT: Pose, approach_R: Array) -> Array:
 
 def approach_jacobian(frames: Frames, X_RT: Pose) -> Array:
     """Compute the derivative of position and approach of a tool by the joint angles, with the springs held.
-
-    Args:
-        X_RT: Poses of the tool, batch (...).
 
     Returns:
         The derivative, m/rad and then 1/rad, shape (6, 5, ...).

@@ -1,11 +1,12 @@
 """Rotations, poses and screws, single or in batches: components lead, batch axes trail.
 
 A vector has shape (3, ...), a rotation (3, 3, ...), a screw (6, ...) with the rotation first. With the
-components leading, the inner loops of numpy run over the batch.
+components leading, the inner loops of numpy run over the batch. The functions take all of these.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -36,11 +37,7 @@ class Pose:
 
 
 def stack_poses(poses: Sequence[Pose]) -> Pose:
-    """Stack poses of one batch shape along a new last axis.
-
-    Returns:
-        The poses, with one batch axis more.
-    """
+    """Stack poses of one batch shape along a new last axis."""
     return Pose(np.stack([X.R for X in poses], -1), np.stack([X.p for X in poses], -1))
 
 
@@ -48,66 +45,30 @@ IDENTITY = Pose(np.eye(3), np.zeros(3))
 
 
 def compose(R: Array, S: Array) -> Array:
-    """Multiply rotations.
-
-    Args:
-        R: Left rotations, shape (3, 3, ...), unitless.
-        S: Right rotations, shape (3, 3, ...), unitless.
-
-    Returns:
-        The rotations R S, shape (3, 3, ...).
-    """
+    """Multiply rotations: R S."""
     product: Array = np.einsum("ik...,kj...->ij...", R, S)
     return product
 
 
 def rotate(R: Array, v: Array) -> Array:
-    """Rotate vectors.
-
-    Args:
-        R: Matrices of rotations, shape (3, 3, ...).
-        v: Vectors of any unit, shape (3, ...).
-
-    Returns:
-        The vectors R v, shape (3, ...), unit of v.
-    """
+    """Rotate vectors: R v, in the unit of v."""
     turned: Array = np.einsum("ij...,j...->i...", R, v)
     return turned
 
 
 def rotate_back(R: Array, v: Array) -> Array:
-    """Rotate vectors by the transposes of rotations.
-
-    Args:
-        R: Matrices of rotations, shape (3, 3, ...).
-        v: Vectors of any unit, shape (3, ...).
-
-    Returns:
-        The vectors R^T v, shape (3, ...), unit of v.
-    """
+    """Rotate vectors by the transposes of rotations: R^T v, in the unit of v."""
     turned: Array = np.einsum("ji...,j...->i...", R, v)
     return turned
 
 
 def inverse(X: Pose) -> Pose:
-    """Invert poses, X_AB to X_BA.
-
-    Returns:
-        The poses X_BA.
-    """
+    """Invert poses: X_AB to X_BA."""
     return Pose(np.swapaxes(X.R, 0, 1), -rotate_back(X.R, X.p))
 
 
 def dot(a: Array, b: Array) -> Array:
-    """Compute scalar products.
-
-    Args:
-        a: Vectors of any unit, shape (n, ...).
-        b: Vectors of any unit, shape (n, ...).
-
-    Returns:
-        The products, shape (...).
-    """
+    """Compute scalar products of vectors, (n, ...)."""
     product: Array = np.einsum("i...,i...->...", a, b)
     return product
 
@@ -117,15 +78,7 @@ NEXT, LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Compute vector products.
-
-    Args:
-        a: Vectors of any unit, shape (3, ...).
-        b: Vectors of any unit, shape (3, ...).
-
-    Returns:
-        The products, shape (3, ...).
-    """
+    """Compute vector products."""
     product: Array = a.take(NEXT, 0) * b.take(LAST, 0) - a.take(LAST, 0) * b.take(NEXT, 0)
     return product
 
@@ -149,26 +102,14 @@ def multiply_per_link(M: Array, v: Array) -> Array:
 
 
 def norm(v: Array) -> Array:
-    """Compute the Euclidean norm of vectors.
-
-    Args:
-        v: Vectors of any unit, shape (n, ...).
-
-    Returns:
-        The norms, shape (...), unit of v.
-    """
+    """Compute the Euclidean norm of vectors, (n, ...), in their unit."""
     return np.sqrt(dot(v, v))
 
 
 def gravity_direction(roll_rad: float, pitch_rad: float) -> Array:
-    """Compute the direction of gravity in the rover frame from the attitude of the rover.
+    """Compute the direction of gravity in RMECH, a unit vector, for a rover that is pitched and then rolled.
 
-    Args:
-        roll_rad: Roll, right side down, applied after the pitch.
-        pitch_rad: Pitch, nose up.
-
-    Returns:
-        Unit vector in the rover frame RMECH, shape (3,).
+    Roll is positive with the right side down, pitch with the nose up.
     """
     R_WR = rotation_y(np.array(pitch_rad)) @ rotation_x(np.array(roll_rad))
     down: Array = R_WR.T @ np.array([0.0, 0.0, 1.0])
@@ -176,68 +117,17 @@ def gravity_direction(roll_rad: float, pitch_rad: float) -> Array:
 
 
 def normalize(v: Array | tuple[float, float, float]) -> Array:
-    """Scale a vector to unit length.
-
-    Args:
-        v: Vector of any unit, shape (3,).
-
-    Returns:
-        Unit vector of the same direction, shape (3,).
-    """
+    """Scale a vector, (3,), to unit length."""
     along: Array = np.asarray(v) / np.linalg.norm(v)
     return along
 
 
 def angle_between(a: Array, b: Array) -> float:
-    """Compute the angle between two vectors, without loss of digits near 0 and pi.
-
-    Args:
-        a: Vector of any unit, shape (3,).
-        b: Vector of any unit, shape (3,).
-
-    Returns:
-        The angle in radians.
-    """
+    """Compute the angle between two vectors, without loss of digits near 0 and pi."""
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
-def rotation_x(angle_rad: Array) -> Array:
-    """Build rotations about the x axis.
-
-    Args:
-        angle_rad: Angles, shape (...).
-
-    Returns:
-        The rotations, shape (3, 3, ...).
-    """
-    return _plane_rotation(angle_rad, 1, 2)
-
-
-def rotation_y(angle_rad: Array) -> Array:
-    """Build rotations about the y axis.
-
-    Args:
-        angle_rad: Angles, shape (...).
-
-    Returns:
-        The rotations, shape (3, 3, ...).
-    """
-    return _plane_rotation(angle_rad, 2, 0)
-
-
-def rotation_z(angle_rad: Array) -> Array:
-    """Build rotations about the z axis.
-
-    Args:
-        angle_rad: Angles, shape (...).
-
-    Returns:
-        The rotations, shape (3, 3, ...).
-    """
-    return _plane_rotation(angle_rad, 0, 1)
-
-
-def _plane_rotation(angle_rad: Array, i: int, j: int) -> Array:
+def _plane_rotation(i: int, j: int, angle_rad: Array) -> Array:
     """Build rotations that turn axis i towards axis j."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     R = np.zeros((3, 3, *np.shape(c)))
@@ -248,15 +138,12 @@ def _plane_rotation(angle_rad: Array, i: int, j: int) -> Array:
     return R
 
 
+rotation_x, rotation_y, rotation_z = (partial(_plane_rotation, *axes) for axes in ((1, 2), (2, 0), (0, 1)))
+"""Build rotations, (3, 3, ...), about an axis by angles in rad, (...)."""
+
+
 def skew(v: Array) -> Array:
-    """Build the matrices [v] of the vector product: [v] w = v x w.
-
-    Args:
-        v: Vectors of any unit, shape (3, ...).
-
-    Returns:
-        The matrices, shape (3, 3, ...), unit of v.
-    """
+    """Build the matrices [v] of the vector product: [v] w = v x w."""
     K = np.zeros((3, *v.shape))
     K[0, 1], K[0, 2], K[1, 2] = -v[2], v[1], -v[0]
     K[1, 0], K[2, 0], K[2, 1] = v[2], -v[1], v[0]
@@ -267,9 +154,6 @@ def adjoint(X: Pose) -> Array:
     """Build the matrices [[R, 0], [[p] R, R]] of poses X_AB, which transform a screw from frame B to frame A.
 
     Equation 3 of the paper prints [p] alone in the lower left. Finite differences confirm [p] R.
-
-    Returns:
-        The matrices, shape (6, 6, ...).
     """
     J = np.zeros((6, 6, *X.R.shape[2:]))
     J[:3, :3] = J[3:, 3:] = X.R
@@ -307,14 +191,7 @@ def _exp_coefficients(angle2: Array) -> tuple[Array, Array, Array]:
 
 
 def wrap_angle(angle_rad: Array) -> Array:
-    """Wrap angles into [-pi, pi).
-
-    Args:
-        angle_rad: Angles, shape (...).
-
-    Returns:
-        The wrapped angles, shape (...).
-    """
+    """Wrap angles into [-pi, pi)."""
     # the operator % takes three times as long
     wrapped: Array = angle_rad - 2 * np.pi * np.floor(angle_rad / (2 * np.pi) + 0.5)
     return wrapped
@@ -324,40 +201,18 @@ Record = TypeVar("Record")
 
 
 def record_arrays(record: Any) -> tuple[NDArray[Any], ...]:
-    """Return the arrays of a record.
-
-    Args:
-        record: Data class of arrays.
-
-    Returns:
-        Its arrays, in the order of the fields.
-    """
+    """Return the arrays of a data class, in the order of the fields."""
     return tuple(getattr(record, field.name) for field in fields(record))
 
 
 def select_targets(record: Record, where: Any) -> Record:
-    """Select some targets of a record.
-
-    Args:
-        record: Data class of arrays, shape (..., n).
-        where: Index of the last axis.
-
-    Returns:
-        The record at these targets.
-    """
+    """Select targets of a data class of arrays, (..., n), by an index of the last axis."""
     # an index alone leaves the values of a target next to each other, and all that follows is slower
     return type(record)(*(np.ascontiguousarray(values[..., where]) for values in record_arrays(record)))
 
 
 def concatenate_records(parts: Sequence[Record]) -> Record:
-    """Concatenate records along the last axis.
-
-    Args:
-        parts: Data classes of arrays, shape (..., n); at least one.
-
-    Returns:
-        One record with the targets of all parts in order.
-    """
+    """Concatenate one or more data classes of arrays, (..., n), along the last axis."""
     if len(parts) == 1:
         return parts[0]
     columns = zip(*(record_arrays(part) for part in parts), strict=True)

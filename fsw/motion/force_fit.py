@@ -102,9 +102,6 @@ class ForceFit:
             push_Nm: Loads by the force as measured by the currents, shape (5,).
             direction: Directions of the motors, shape (5,).
             counts: Joints whose currents show the load, shape (5,).
-
-        Returns:
-            The fit with this cycle.
         """
         knots = self.knots
         if not knots or model_N >= knots[-1].begin_N + step_N:
@@ -145,9 +142,6 @@ def update_force_fit(
 
     Args:
         rate_N_s: Rate of the overdrive.
-
-    Returns:
-        The fit with this cycle.
     """
     params = config.params.preload
     if rate_N_s <= MIN_RATE_SHARE * params.rate_N_s:
@@ -248,12 +242,8 @@ def report_miss(target_N: float, preload: PreloadState, refused: Refusal | None)
     """Report a press that ends far from its target, or with an unknown force.
 
     Args:
-        target_N: Commanded force.
         preload: Preload at the end, with the standard deviation of its force ratio.
         refused: Reason for which it is not corrected, if there is one.
-
-    Returns:
-        The event, or none if the force is near the target.
     """
     error_N, max_N = preload.force_ratio_std * preload.model_N, MAX_ERROR_SHARE * target_N
     if error_N > max_N:

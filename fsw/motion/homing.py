@@ -139,9 +139,6 @@ def begin_homing(joint: Joint, joints: JointEstimate, accept_moved: bool) -> Hom
 
     Args:
         accept_moved: True if the hardstop may be elsewhere than before.
-
-    Returns:
-        Homing in its first stage.
     """
     known, motor_rad = (
         bool(joints.reference.known[joint]) and not accept_moved,
@@ -177,10 +174,6 @@ def advance_homing(
 
     Args:
         setpoint: Set-point of all joints in the cycle before.
-        load_Nm: Estimated loads, shape (5,).
-
-    Returns:
-        The update; homing has ended if `found` is set or there is an event.
     """
     j = homing.joint
     inputs = HomingInputs(
@@ -273,7 +266,7 @@ def _free(inputs: HomingInputs, homing: Homing) -> HomingUpdate:
     running_A = max(0.0, homing.running_A - _load_current_A(inputs.config, homing))
     return HomingUpdate(
         replace(_enter_stage(inputs, homing, HomingStage.COARSE), running_A=running_A),
-        _zero_rate(inputs.setpoint),
+        inputs.setpoint.at_rest(),
     )
 
 
@@ -283,9 +276,9 @@ def _search_coarse(inputs: HomingInputs, homing: Homing) -> HomingUpdate:
     stop = inputs.params.hardstop_rad
     if inputs.resolver_rad > stop + inputs.config.params.hardstop.window_rad:
         return _fail(inputs, homing, StalledEarly(homing.joint, inputs.resolver_rad, stop))
-    goal = inputs.setpoint.motor_rad.copy()
-    goal[homing.joint] = inputs.motor_rad + inputs.config.params.hardstop.retreat_rad
-    back = joint_path(inputs.config, inputs.setpoint.motor_rad, goal)
+    end_rad = inputs.setpoint.motor_rad.copy()
+    end_rad[homing.joint] = inputs.motor_rad + inputs.config.params.hardstop.retreat_rad
+    back = joint_path(inputs.config, inputs.setpoint.motor_rad, end_rad)
     return _retreat(inputs, replace(_enter_stage(inputs, homing, HomingStage.RETREAT), retreat=back))
 
 
@@ -293,7 +286,7 @@ def _retreat(inputs: HomingInputs, homing: Homing) -> HomingUpdate:
     path, time_s = homing.retreat, homing.ticks * CYCLE_S
     assert path is not None  # _search_coarse sets it
     if time_s >= path.duration_s + STEADY_S:
-        return HomingUpdate(_enter_stage(inputs, homing, HomingStage.FINE), _zero_rate(inputs.setpoint))
+        return HomingUpdate(_enter_stage(inputs, homing, HomingStage.FINE), inputs.setpoint.at_rest())
     return HomingUpdate(homing, path.at(time_s))
 
 
@@ -336,7 +329,7 @@ def _release(inputs: HomingInputs, homing: Homing) -> HomingUpdate:
     bound_rad = inputs.config.params.hardstop.moved_rad
     if homing.known and abs(moved_rad) > bound_rad:
         return _fail(inputs, homing, HardstopMoved(j, moved_rad, bound_rad))
-    return HomingUpdate(replace(homing, found=result), _zero_rate(inputs.setpoint))
+    return HomingUpdate(replace(homing, found=result), inputs.setpoint.at_rest())
 
 
 def _is_stalled(inputs: HomingInputs, homing: Homing) -> bool:
@@ -359,11 +352,7 @@ def _run(inputs: HomingInputs, homing: Homing, rate_rad_s: float) -> HomingUpdat
 
 
 def _fail(inputs: HomingInputs, homing: Homing, evr: Evr) -> HomingUpdate:
-    return HomingUpdate(homing, _zero_rate(inputs.setpoint), (evr,))
-
-
-def _zero_rate(setpoint: Setpoint) -> Setpoint:
-    return Setpoint(setpoint.motor_rad, np.zeros_like(setpoint.rate_rad_s))
+    return HomingUpdate(homing, inputs.setpoint.at_rest(), (evr,))
 
 
 def _enter_stage(inputs: HomingInputs, homing: Homing, stage: HomingStage) -> Homing:

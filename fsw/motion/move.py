@@ -36,7 +36,7 @@ from fsw.motion.force_fit import (
 )
 from fsw.motion.homing import Homing, advance_homing, homing_limit_A
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
-from fsw.motion.plan import Refusal
+from fsw.motion.plan import Plan, Refusal
 from fsw.motion.preload import (
     ESTIMATED_RATIO_STD,
     PreloadChange,
@@ -46,6 +46,10 @@ from fsw.motion.preload import (
     plan_preload,
     preload_limit_A,
 )
+
+NO_JOINTS: Final[Flags] = np.zeros(len(Joint), bool)
+ALL_JOINTS: Final[Flags] = ~NO_JOINTS
+NO_JOINTS.flags.writeable = ALL_JOINTS.flags.writeable = False
 
 
 class Phase(IntEnum):
@@ -58,35 +62,42 @@ class Phase(IntEnum):
 
 
 @cycle_record
-class Move:
-    """Move: paths in sequence, each from rest to rest, or the homing of a joint."""
+class MovePlan:
+    """Plan of a move; only an event changes it: the end of a path, a contact, a leg of a press, a stop."""
 
     command: str
     end_mode: Mode
     active: Flags
     """Joints that are released; the others stay on their brakes, without power."""
-    current_limit_A: Array
-    paths: tuple[Path, ...]
-    setpoint: Setpoint
-    """Set-point of this cycle."""
+    paths: tuple[Path, ...] = ()
+    """Paths that are left, in sequence, each from rest to rest; none where a joint is homed."""
+    travelled: float = 0.0
+    """Travel along the completed paths over knots, in metres, or in newtons of a preload."""
     guarded_tool: str | None = None
     """Tool whose contact ends the move; None for a move that is not to touch."""
-    contact_travel: float | None = None
-    """Travel of a guarded move in metres when a switch closed; None before."""
-    homing: Homing | None = None
+    touched: bool = False
+    """True once a switch of the guarded tool has closed."""
     preload_change: PreloadChange | None = None
-    force_fit: ForceFit | None = None
-    """Fit of the motor currents while a preload changes; None once the preload is corrected."""
     vibrate: bool = False
     stopped: bool = False
     """True if a command or a fault stopped the move: it ends early and is reported as aborted."""
+
+
+@cycle_record
+class Move:
+    """Move under way: its plan, and how far it has come in this cycle."""
+
+    plan: MovePlan
+    setpoint: Setpoint
+    current_limit_A: Array
     phase: Phase = Phase.RELEASE
     ticks: int = 0
     """Cycles in this phase; in RUN, cycles in this path."""
+    homing: Homing | None = None
+    force_fit: ForceFit | None = None
+    """Fit of the motor currents while a preload changes; None once the preload is corrected."""
     settled_ticks: int = 0
     """Cycles in a row in which the motors were at rest at their set-points."""
-    travelled: float = 0.0
-    """Travel along the completed paths over knots, in metres, or in newtons of a preload."""
 
 
 @cycle_record
@@ -105,11 +116,7 @@ class MoveUpdate:
 def advance_move(
     config: Config, move: Move, joints: JointEstimate, load: LoadEstimate, sensors: Sensors
 ) -> MoveUpdate:
-    """Advance a move by one cycle.
-
-    Returns:
-        The update; its move is None if the move has ended.
-    """
+    """Advance a move by one cycle."""
     match move.phase:
         case Phase.RELEASE:
             if move.ticks < config.brake_ticks:
@@ -118,35 +125,28 @@ def advance_move(
         case Phase.RUN:
             if move.homing is not None:
                 return _advance_homing(config, move, move.homing, joints, load.torque_Nm, sensors)
-            if move.preload_change is not None:
-                return _advance_preload(config, move, move.preload_change, joints, load, sensors)
+            if move.plan.preload_change is not None:
+                return _advance_preload(config, move, move.plan.preload_change, joints, load, sensors)
             return _follow_paths(config, move, joints, sensors)
         case Phase.SETTLE:
             return _settle(config, move, joints)
         case Phase.BRAKE:
             if move.ticks < config.brake_ticks:
                 return MoveUpdate(_next_cycle(move, move.setpoint))
-            if move.stopped:
-                return MoveUpdate(None, (CommandAborted(move.command),), move.end_mode)
-            return MoveUpdate(
-                None,
-                (*_preload_events(move), CommandCompleted(move.command)),
-                move.end_mode,
-                _homing_result(move),
-            )
+            return _end(move)
 
 
-def _preload_events(move: Move) -> tuple[Evr, ...]:
-    if move.preload_change is None or move.guarded_tool is not None:
-        return ()
-    preload = move.preload_change.state_after(distance_travelled(move))
-    return (Preloaded(preload.tool, preload.force_N),)
-
-
-def _homing_result(move: Move) -> tuple[Joint, HardstopFit] | None:
-    if move.homing is None or move.homing.found is None:
-        return None
-    return move.homing.joint, move.homing.found
+def _end(move: Move) -> MoveUpdate:
+    plan, found = move.plan, None
+    if plan.stopped:
+        return MoveUpdate(None, (CommandAborted(plan.command),), plan.end_mode)
+    evrs: tuple[Evr, ...] = (CommandCompleted(plan.command),)
+    if plan.preload_change is not None and plan.guarded_tool is None:
+        preload = plan.preload_change.state_after(distance_travelled(move))
+        evrs = (Preloaded(preload.tool, preload.force_N), *evrs)
+    if move.homing is not None and move.homing.found is not None:
+        found = move.homing.joint, move.homing.found
+    return MoveUpdate(None, evrs, plan.end_mode, found)
 
 
 def stop_early(config: Config, move: Move, end_mode: Mode) -> Move:
@@ -154,15 +154,16 @@ def stop_early(config: Config, move: Move, end_mode: Mode) -> Move:
 
     A joint in homing is slow and may be stalled, so it is braked at once.
     """
-    stopped = replace(move, stopped=True, end_mode=end_mode, guarded_tool=None)
+    plan = replace(move.plan, stopped=True, end_mode=end_mode, guarded_tool=None)
+    stopped = replace(move, plan=plan)
     if move.phase is Phase.RELEASE:
         return _enter_phase(stopped, Phase.BRAKE)
     if move.phase is Phase.RUN and move.homing is not None:
-        held = Setpoint(move.setpoint.motor_rad, np.zeros_like(move.setpoint.rate_rad_s))
-        return _enter_phase(replace(stopped, setpoint=held), Phase.BRAKE)
+        return _enter_phase(replace(stopped, setpoint=move.setpoint.at_rest()), Phase.BRAKE)
     if move.phase is Phase.RUN:
+        path = stop_path(config, move.setpoint)
         return replace(
-            stopped, paths=(stop_path(config, move.setpoint),), ticks=0, travelled=distance_travelled(move)
+            stopped, plan=replace(plan, paths=(path,), travelled=distance_travelled(move)), ticks=0
         )
     return stopped
 
@@ -180,7 +181,7 @@ def _advance_homing(
     j, limit = homing.joint, homing_limit_A(config, update.homing)
     limits = move.current_limit_A
     if limits[j] != limit:  # an unchanged limit is the same array, see command_actuators
-        limits = np.where(move.active, limit, limits)
+        limits = np.where(move.plan.active, limit, limits)
     move = replace(
         move, homing=update.homing, setpoint=update.setpoint, current_limit_A=limits, ticks=move.ticks + 1
     )
@@ -188,22 +189,24 @@ def _advance_homing(
 
 
 def _follow_paths(config: Config, move: Move, joints: JointEstimate, sensors: Sensors) -> MoveUpdate:
-    if move.guarded_tool is not None and move.contact_travel is None:
-        switch = find_closed_switch(config, move.guarded_tool, sensors.switch_closed)
+    plan = move.plan
+    awaited = None if plan.touched else plan.guarded_tool
+    if awaited is not None:
+        switch = find_closed_switch(config, awaited, sensors.switch_closed)
         if switch is not None:
             return _press_on_contact(
-                config, move, move.guarded_tool, joints, ContactMade(switch, distance_travelled(move))
+                config, move, awaited, joints, ContactMade(switch, distance_travelled(move))
             )
-    path, time_s = move.paths[0], (move.ticks + 1) * CYCLE_S
+    path, time_s = plan.paths[0], (move.ticks + 1) * CYCLE_S
     running = _next_cycle(move, path.at(time_s))
     if time_s < path.duration_s:
         return MoveUpdate(running)
-    running = replace(running, travelled=_travel(move, path.duration_s))
-    if len(move.paths) > 1:
-        return MoveUpdate(replace(running, paths=move.paths[1:], ticks=0))
-    if move.guarded_tool is not None and move.contact_travel is None:
+    done = replace(plan, travelled=_travel(move, path.duration_s))
+    if len(plan.paths) > 1:
+        return MoveUpdate(replace(running, plan=replace(done, paths=plan.paths[1:]), ticks=0))
+    if awaited is not None:
         return MoveUpdate(move, (NoContact(_travel(move, time_s)),))
-    return MoveUpdate(_enter_phase(running, Phase.SETTLE))
+    return MoveUpdate(_enter_phase(replace(running, plan=done), Phase.SETTLE))
 
 
 def _press_on_contact(
@@ -214,8 +217,8 @@ def _press_on_contact(
     A tool that touched before it moved is not preloaded further. If no preload can be planned, the tool stays
     where its switch closed.
     """
-    at_rest = Setpoint(move.setpoint.motor_rad, np.zeros_like(move.setpoint.rate_rad_s))
-    move = replace(move, setpoint=at_rest, contact_travel=made.travel_m)
+    at_rest = move.setpoint.at_rest()
+    move = replace(move, plan=replace(move.plan, touched=True), setpoint=at_rest)
     settling = MoveUpdate(_enter_phase(move, Phase.SETTLE), (made,))
     if made.travel_m == 0:
         return settling
@@ -228,14 +231,15 @@ def _press_on_contact(
         return settling
     plan, change = planned
     pressing = replace(
-        move,
+        _begin_leg(move, plan, replace(change, start=touch)),
         current_limit_A=preload_limit_A(config, stopped_joints, change),
-        paths=plan.paths,
-        preload_change=replace(change, start=touch),
-        ticks=0,
-        travelled=0.0,
     )
     return MoveUpdate(pressing, (made,), backlash_rad=plan.backlash_rad)
+
+
+def _begin_leg(move: Move, plan: Plan, change: PreloadChange) -> Move:
+    leg = replace(move.plan, paths=plan.paths, preload_change=change, travelled=0.0)
+    return replace(move, plan=leg, phase=Phase.RUN, ticks=0)
 
 
 def _advance_preload(
@@ -248,12 +252,12 @@ def _advance_preload(
 ) -> MoveUpdate:
     """Advance a change of preload; when a leg ends, correct the force by the motor currents."""
     fit = move.force_fit
-    if fit is not None and not move.stopped:
+    if fit is not None and not move.plan.stopped:
         preload, rate_N_s = preload_change.state_after(distance_travelled(move)), _travel_rate(move)
         fit = update_force_fit(config, fit, preload, rate_N_s, move.setpoint, joints, load, sensors)
         move = replace(move, force_fit=fit)
     done = _follow_paths(config, move, joints, sensors)
-    if done.move is None or done.move.phase is not Phase.SETTLE or fit is None or move.stopped:
+    if done.move is None or done.move.phase is not Phase.SETTLE or fit is None or move.plan.stopped:
         return done
     return _correct_force(config, done.move, preload_change, fit, joints)
 
@@ -274,38 +278,33 @@ def _correct_force(
     planned = plan_correction(config, change, fit, joints, preload, planned_for)
     if planned is None or isinstance(planned, Refusal):
         evrs = (*evrs, *report_miss(change.target_N, preload, planned))
-        return MoveUpdate(replace(move, preload_change=completed, force_fit=None), evrs)
+        return MoveUpdate(
+            replace(move, plan=replace(move.plan, preload_change=completed), force_fit=None), evrs
+        )
     plan, next_change = planned
-    next_leg = replace(
-        move,
-        phase=Phase.RUN,
-        paths=plan.paths,
-        preload_change=next_change,
-        force_fit=fit.next_leg(),
-        ticks=0,
-        travelled=0.0,
-    )
+    next_leg = replace(_begin_leg(move, plan, next_change), force_fit=fit.next_leg())
     return MoveUpdate(next_leg, evrs, backlash_rad=plan.backlash_rad)
 
 
 def distance_travelled(move: Move) -> float:
     """Compute the travel of a move on its paths over knots, in metres, or in newtons of a preload."""
-    running = move.phase is Phase.RUN and bool(move.paths)
-    return _travel(move, move.ticks * CYCLE_S) if running else move.travelled
+    running = move.phase is Phase.RUN and bool(move.plan.paths)
+    return _travel(move, move.ticks * CYCLE_S) if running else move.plan.travelled
 
 
 def move_preload(move: Move) -> PreloadState | None:
     """Return the preload that a move has reached, or None if it changes none."""
-    return None if move.preload_change is None else move.preload_change.state_after(distance_travelled(move))
+    change = move.plan.preload_change
+    return None if change is None else change.state_after(distance_travelled(move))
 
 
 def _travel(move: Move, time_s: float) -> float:
-    path = move.paths[0]
-    return move.travelled + (path.travel_at(time_s)[0] if isinstance(path, LinePath) else 0.0)
+    path = move.plan.paths[0]
+    return move.plan.travelled + (path.travel_at(time_s)[0] if isinstance(path, LinePath) else 0.0)
 
 
 def _travel_rate(move: Move) -> float:
-    path = move.paths[0]
+    path = move.plan.paths[0]
     return path.travel_at(move.ticks * CYCLE_S)[1] if isinstance(path, LinePath) else 0.0
 
 
@@ -329,28 +328,14 @@ def _enter_phase(move: Move, phase: Phase) -> Move:
 def _next_cycle(move: Move, setpoint: Setpoint) -> Move:
     """Advance a move by one cycle in its phase; a constructor is faster than `replace`."""
     return Move(
-        move.command,
-        move.end_mode,
-        move.active,
-        move.current_limit_A,
-        move.paths,
-        setpoint,
-        move.guarded_tool,
-        move.contact_travel,
-        move.homing,
-        move.preload_change,
-        move.force_fit,
-        move.vibrate,
-        move.stopped,
-        move.phase,
-        move.ticks + 1,
-        move.settled_ticks,
-        move.travelled,
+        plan=move.plan,
+        setpoint=setpoint,
+        current_limit_A=move.current_limit_A,
+        phase=move.phase,
+        ticks=move.ticks + 1,
+        homing=move.homing,
+        force_fit=move.force_fit,
     )
-
-
-NO_JOINTS: Final[Flags] = np.zeros(len(Joint), bool)
-NO_JOINTS.flags.writeable = False
 
 
 def command_actuators(
@@ -361,7 +346,6 @@ def command_actuators(
     Args:
         move: Move under way; without one, all brakes are on and all power is off.
         joints: Estimate of the joints, of which the encoder zero is used.
-        last: Command of the cycle before.
 
     Returns:
         The command; it is `last` itself while nothing moves.
@@ -378,11 +362,11 @@ def command_actuators(
             vibrate=False,
         )
     # unchanged flags and limits are the same arrays, so no reader needs to compare them
-    release = NO_JOINTS if move.phase is Phase.BRAKE else move.active
+    release = NO_JOINTS if move.phase is Phase.BRAKE else move.plan.active
     count = np.rint((move.setpoint.motor_rad - joints.reference.zero_rad) / config.rad_per_count).astype(
         np.int64
     )
-    vibrate = move.vibrate and move.phase is Phase.RUN
+    vibrate = move.plan.vibrate and move.phase is Phase.RUN
     return ActuatorCommand(
-        count, move.setpoint.rate_rad_s, move.current_limit_A, move.active, release, vibrate
+        count, move.setpoint.rate_rad_s, move.current_limit_A, move.plan.active, release, vibrate
     )

@@ -10,7 +10,7 @@ import numpy as np
 from ruckig import InputParameter, Result, Ruckig, Trajectory
 
 from fsw.collision.distance import compute_clearances, judge_clearances, limit_surface
-from fsw.collision.geometry import SURFACE, Surface
+from fsw.collision.geometry import SURFACE, TargetSurface
 from fsw.config import CYCLE_S, Config
 from fsw.dictionary.types import cycle_record
 from fsw.estimate.gear import bound_gear
@@ -29,6 +29,10 @@ class Setpoint:
 
     motor_rad: Array
     rate_rad_s: Array
+
+    def at_rest(self) -> "Setpoint":
+        """Return the same angles, at rest."""
+        return Setpoint(self.motor_rad, np.zeros_like(self.rate_rad_s))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,9 +123,6 @@ def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
     Args:
         start_rad: Motor angles at the start, shape (5,).
         end_rad: Motor angles at the end, shape (5,).
-
-    Returns:
-        The path, from rest to rest.
     """
     speed_rad_s = config.speed_rad_s * _speed_share(config, start_rad, end_rad)
     trajectory = _plan_trajectory(
@@ -153,9 +154,6 @@ def line_path(config: Config, knots_rad: Array, travel: Travel) -> LinePath:
     Args:
         knots_rad: Motor angles at equal steps of the travel, shape (k, 5).
         travel: Length of the path, and bounds of its speed, acceleration and jerk.
-
-    Returns:
-        The path, from rest to rest.
     """
     step = travel.length / (len(knots_rad) - 1)
     coefficients = _cubics(knots_rad)
@@ -226,7 +224,7 @@ def check_paths(
     paths: tuple[Path, ...],
     padding_m: float,
     touching: str | None = None,
-    surface: Surface | None = None,
+    surface: TargetSurface | None = None,
 ) -> str | None:
     """Check that the deflected arm stays clear of rover, ground and surface along paths.
 
@@ -234,13 +232,8 @@ def check_paths(
 
     Args:
         joints: Estimate of the joints, of which gravity and backlash are used.
-        paths: Paths of the motors, one after the other.
         padding_m: Distance to be kept.
         touching: Tool that is to touch; no distance is required of it.
-        surface: Surface of a target; None if there is none.
-
-    Returns:
-        The reason for a refusal, or None if the paths are clear.
     """
     motor = sample_paths(config, paths, COARSE_STEP_M)
     coarse = compute_deflected_frames(config, joints, motor)
@@ -274,7 +267,6 @@ def check_touch(
     Args:
         joints: Estimate of the joints, of which gravity and backlash are used.
         paths: Paths of the motors on the line, one after the other.
-        touching: Tool that is to touch.
         normal_R: Unit normal of the surface, (3,).
 
     Returns:
@@ -282,7 +274,7 @@ def check_touch(
     """
     geometry, padding_m = config.collision_geometry, config.params.collision.padding_m
     frames = compute_deflected_frames(config, joints, sample_paths(config, paths, COARSE_STEP_M))
-    surface = Surface(tool_pose(config.arm, frames, touching).p, normal_R)
+    surface = TargetSurface(tool_pose(config.arm, frames, touching).p, normal_R)
     height_m = compute_clearances(geometry, frames, padding_m, touching, surface)[:, SURFACE].min(axis=1)
     part = int(height_m.argmin())
     if height_m[part] >= padding_m:
@@ -299,7 +291,6 @@ def sample_paths(config: Config, paths: tuple[Path, ...], step_m: float) -> Arra
     """Sample motor angles along paths so finely that no point of the arm moves farther than a step.
 
     Args:
-        paths: Paths of the motors, one after the other.
         step_m: Farthest that a point of the rigid arm may move between two samples.
 
     Returns:
@@ -326,10 +317,6 @@ def compute_deflected_frames(config: Config, joints: JointEstimate, motor_rad: A
 
     Args:
         joints: Estimate of the joints, of which gravity and backlash are used.
-        motor_rad: Motor angles on the output side, shape (5, n).
-
-    Returns:
-        Frames of the links in RMECH, batch (n).
     """
     # one pass is within 0.4 mm of the equilibrium on Mars, 3 mm on Earth; the padding covers that
     _, strain, torque_Nm = load_arm(config.arm, motor_rad, None, joints.gravity_R_m_s2)

@@ -43,9 +43,6 @@ class Compensation:
     def allowance(self, joints: JointEstimate, gear_rad: Array) -> Array:
         """Compute the part of the gear angles by which set-points are shifted.
 
-        Args:
-            gear_rad: Gear angles, output less motor, shape (5, ...).
-
         Returns:
             Backlash and wind-up in radians, each 0 if not compensated; same shape.
         """
@@ -68,11 +65,6 @@ class Compensation:
 
         Args:
             reference: Tool whose present deflection counts.
-            p_RoTo_R_m: Position of the tool in RMECH, shape (3, ...).
-            approach_R: Unit direction of the tool axis, same shape.
-
-        Returns:
-            Position and approach, same shapes.
         """
         if self.deflection != "relative":
             return p_RoTo_R_m, approach_R
@@ -89,7 +81,6 @@ def final_direction(config: Config, load_Nm: Array, gravity_R_m_s2: Array) -> Ar
 
     Args:
         load_Nm: Loads at the end of the move, shape (5,).
-        gravity_R_m_s2: Gravity in RMECH, shape (3,).
 
     Returns:
         1, -1, or 0 if the load decides the side; shape (5,).
@@ -186,9 +177,6 @@ def plan_joint(
 
     Args:
         angle_rad: Output angle at the end.
-
-    Returns:
-        The plan, or the reason for a refusal.
     """
     pose = joints.output_rad.copy()
     pose[joint] = angle_rad
@@ -219,14 +207,10 @@ def plan_joint_move(
     short for that, a first move makes room for the run-up.
 
     Args:
-        start: Positions at the start.
         output_rad: Output angles at the end, shape (5,).
         load_Nm: Loads at the end, shape (5,).
         on_known_side: False to move directly, whatever the side at the end.
         only: Joint that moves while the other motors stay; None if all move.
-
-    Returns:
-        The plan.
     """
     moving = np.array([only in (None, joint) for joint in Joint])
     bounds = bound_gear(config, joints.reference.half_backlash_rad, load_Nm)
@@ -256,9 +240,6 @@ def _reverse_at_limits(config: Config, output_rad: Array, run_up_rad: Array, dir
 
 def worst_limit_excess(config: Config, output_rad: Array) -> Array:
     """Compute the largest excess of a joint over its soft limit.
-
-    Args:
-        output_rad: Output angles, shape (5, ...).
 
     Returns:
         Excess in radians, shape (...); negative inside all limits.
@@ -290,9 +271,6 @@ def plan_over_knots(
         output_rad: Output angles at the knots, shape (5, k).
         load_Nm: Loads at the knots, shape (5, k).
         travel: Length of all knots together, and bounds of speed, acceleration and jerk.
-
-    Returns:
-        The plan.
     """
     step = travel.length / (output_rad.shape[1] - 1)
     stiffness = config.arm.gear_stiffness_Nm_rad

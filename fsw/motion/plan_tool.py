@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.collision.geometry import Surface
+from fsw.collision.geometry import TargetSurface
 from fsw.config import Config
 from fsw.dictionary.commands import AUTO, ROVER, GuardedMove, MoveTool, Retract
 from fsw.dictionary.enums import Frame, Joint
@@ -77,19 +77,14 @@ def plan_tool(
     joints: JointEstimate,
     command: MoveTool,
     reference: str | None = None,
-    surface: Surface | None = None,
+    surface: TargetSurface | None = None,
 ) -> Plan | Refusal:
     """Plan a move to a target: straight, or a joint move to the fastest valid branch with a clear path.
 
     A branch is valid if the target and the end of the straight travel after it are within limits.
 
     Args:
-        command: Command with the target, the branch and the compensation.
         reference: Tool whose present deflection relative compensation uses; None for that of the command.
-        surface: Surface of a target to keep away from; None if there is none.
-
-    Returns:
-        The plan, or the reason for a refusal.
     """
     if command.straight:
         plan = _plan_straight(config, joints, command, reference)
@@ -118,11 +113,7 @@ def find_branches(
     A branch is valid if the target and the end of the straight travel after it are within limits.
 
     Args:
-        command: Command with the target, the branch and the compensation.
         reference: Tool whose present deflection relative compensation uses; None for that of the command.
-
-    Returns:
-        The branches, or the reason that there is none.
     """
     compensation = Compensation(command.backlash, command.deflection)
     targets, approaches = _target(config, joints, command, reference, np.array([0.0, command.line_m]))
@@ -140,7 +131,7 @@ def find_branches(
 
 
 def _refuse_blocked(
-    config: Config, joints: JointEstimate, plan: Plan, surface: Surface | None
+    config: Config, joints: JointEstimate, plan: Plan, surface: TargetSurface | None
 ) -> Plan | Refusal:
     """Return the plan, or a refusal if its paths are not clear."""
     collision = check_paths(config, joints, plan.paths, config.params.collision.padding_m, surface=surface)
@@ -217,9 +208,6 @@ def _plan_straight(
     line = start_line(config, joints, command.tool, Compensation(command.backlash, command.deflection))
     p_m, approach = _target(config, joints, command, reference, np.zeros(1))
     line = replace(line, end_p_m=p_m[:, 0], end_axis=approach[:, 0])
-    problem = _check_line_length(config, line)
-    if problem is not None:
-        return Refusal(problem)
     return _plan_line(config, joints, line, config.params.motion.guarded_speed_m_s)
 
 
@@ -228,9 +216,6 @@ def plan_retract(config: Config, joints: JointEstimate, command: Retract) -> Pla
     compensation = Compensation(command.backlash, command.deflection)
     line = start_line(config, joints, command.tool, compensation)
     line = replace(line, end_p_m=line.p_m - command.distance_m * line.axis)
-    problem = _check_line_length(config, line)
-    if problem is not None:
-        return Refusal(problem)
     return _plan_line(config, joints, line, config.params.motion.retract_speed_m_s)
 
 
@@ -270,6 +255,9 @@ def _check_line_direction(config: Config, line: Line) -> str | None:
 
 def _plan_line(config: Config, joints: JointEstimate, line: Line, speed_m_s: float) -> Plan | Refusal:
     """Plan the paths along a line, within the reach and the soft limits of the arm."""
+    problem = _check_line_length(config, line)
+    if problem is not None:
+        return Refusal(problem)
     share = np.linspace(0.0, 1.0, int(np.ceil(line.length_m / config.params.motion.line_step_m)) + 1)
     roots = _follow_line(config, line, share)
     excess = worst_limit_excess(config, roots.output_rad)

@@ -161,10 +161,6 @@ def plan_preload(
     Each knot compensates the deflection of the arm in position and direction, so the tool does not need
     friction to stay in place.
 
-    Args:
-        preload: Preload at the start.
-        force_N: Commanded force.
-
     Returns:
         The plan and its change of force, or the reason for a refusal. While the stiffness of the arm is not
         known, both end short of the commanded force.

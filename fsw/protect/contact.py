@@ -62,10 +62,6 @@ def check_contact_kept(
 
     Args:
         count: Cycles in a row in which no switch was closed.
-        closed: Switches that are closed, one flag each.
-
-    Returns:
-        The count with this cycle, and the fault.
     """
     is_firm = press.force_N > bounds.press_step_N
     if not is_firm or any(closed[k] for k in bounds.tool_switches[press.tool]):
@@ -81,9 +77,6 @@ def check_press_force(
 
     Args:
         count: Cycles in a row in which the force was beyond its bound.
-
-    Returns:
-        The count with this cycle, and the fault.
     """
     monitors = bounds.monitors
     error_N, lever_m = estimate_force_error(bounds, arm, press)

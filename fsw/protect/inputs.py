@@ -163,14 +163,7 @@ class ProtectionBounds:
 
 
 def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds:
-    """Compute the bounds of protection.
-
-    Args:
-        cycle_s: Duration of a control cycle.
-
-    Returns:
-        The bounds.
-    """
+    """Compute the bounds of protection."""
     joints, monitors = params.joints.in_order(), params.monitors
     lowest = np.array([j.soft_min_rad - monitors.soft_limit_margin_rad for j in joints])
     highest = np.array([j.soft_max_rad + monitors.soft_limit_margin_rad for j in joints])
@@ -316,9 +309,6 @@ def check_tilt(
         count: Cycles in a row in which the direction was beyond its bound.
         planned_R: Gravity when the move began, in the rover frame, shape (3,); any length.
         read_R: Gravity as it is read, in the rover frame, shape (3,); any length.
-
-    Returns:
-        The count with this cycle, and the fault.
     """
     monitors, planned = bounds.monitors, planned_R.tolist()
     # vectors this close cannot differ more in direction

@@ -98,9 +98,7 @@ def protect(
 
     Args:
         last: State of the monitors after the cycle before.
-        fault: Fault that stands already.
         arm: Arm with its joints and move in this cycle.
-        last_rad: Set-point that went out last, shape (5,).
         unusable: What `check_readings` found in these readings.
         of_move: Events of the move in this cycle, among them its own faults.
 
@@ -118,11 +116,7 @@ def protect(
 def run_monitors(
     bounds: ProtectionBounds, last: MonitorState, arm: ArmStatus, sensors: Sensors, usable: bool
 ) -> tuple[MonitorState, tuple[Evr, ...]]:
-    """Run the monitors on this cycle; unusable readings are only counted.
-
-    Returns:
-        The state for the next cycle, and what was found.
-    """
+    """Run the monitors on this cycle; unusable readings are only counted."""
     evrs = check_cycle_count(bounds, last.cycle, sensors.cycle)
     planned = None
     if arm.move is not None:
@@ -192,10 +186,6 @@ def check_setpoint(bounds: ProtectionBounds, move: MoveStatus, last_rad: Array) 
     """Check that a set-point is finite, inside the limits and no jump, whatever planned it.
 
     Outside the limits it may still move inward: that is the way back.
-
-    Args:
-        move: Move whose set-point is about to go out.
-        last_rad: Set-point that went out last, shape (5,).
 
     Returns:
         The fault of the first joint whose set-point must not go out.
@@ -270,9 +260,6 @@ def check_stall(
         count: Cycles in a row in which a motor was too slow.
         error_rad: Distance of each motor from its set-point, shape (5,).
         rate_rad_s: Rate of each motor on the output side, shape (5,).
-
-    Returns:
-        The count with this cycle, and the fault.
     """
     monitors = bounds.monitors
     if move.homing is not None:

@@ -309,7 +309,6 @@ def describe_contact(
 
     Args:
         torque_Nm: Torques of the obstacle on the outputs, 0 where nothing is known, shape (5,).
-        joint: Index of the joint.
 
     Returns:
         The fault. The force is the least-squares fit to the torques.

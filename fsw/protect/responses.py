@@ -135,15 +135,6 @@ def decide(
 
     Motors are held at their measured angles, so a motor that lags is not driven on. These angles are clipped
     to the following error around the last set-point, so a wrong reading is not followed far.
-
-    Args:
-        fault: Fault that stands already.
-        found: Events of this cycle.
-        motor_rad: Motor angles, shape (5,).
-        last_rad: Set-point that went out last, shape (5,).
-
-    Returns:
-        The decision.
     """
     lag = bounds.monitors.following_error_rad
     hold_rad = np.clip(motor_rad, last_rad - lag, last_rad + lag)

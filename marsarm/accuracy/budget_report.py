@@ -14,7 +14,7 @@ from marsarm.accuracy.propagation import COVERAGE
 from marsarm.accuracy.sources import sources_sha256
 from marsarm.render import svg
 from marsarm.render.svg import ReportFigure
-from simgap.common.json_digest import json_sha256
+from simgap.common.files import json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin, Requirement
 from simgap.common.report import Heading, ReportPage, ReportTable, file_lines, to_json

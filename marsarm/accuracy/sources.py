@@ -3,13 +3,11 @@
 An error stays within plus or minus its magnitude; its distribution describes it there.
 """
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from hashlib import sha256
 from importlib import resources
-from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -18,7 +16,10 @@ from pydantic import TypeAdapter
 from fsw.dictionary.enums import Frame
 from fsw.dictionary.types import Vector3
 from fsw.kinematics.transforms import Array
+from simgap.common.files import file_sha256
+from simgap.common.toml import read_toml
 
+SOURCES_FILE: Final = Path(str(resources.files("marsarm.accuracy") / "sources.toml"))
 Distribution = Literal["normal", "uniform", "either side"]
 
 CUMULANTS: Final[dict[Distribution, tuple[float, float, float]]] = {
@@ -113,15 +114,10 @@ def is_compensated(backlash: float) -> bool:
 @cache
 def load_error_model() -> ErrorModel:
     """Load the error sources and cases of the project, once in a process."""
-    text = _sources_file().read_text(encoding="utf-8")
-    model: ErrorModel = TypeAdapter(ErrorModel).validate_python(tomllib.loads(text))
+    model: ErrorModel = TypeAdapter(ErrorModel).validate_python(read_toml(SOURCES_FILE))
     return model
 
 
 def sources_sha256() -> str:
     """Compute the SHA-256 of the file of error sources and cases."""
-    return sha256(_sources_file().read_bytes()).hexdigest()
-
-
-def _sources_file() -> Traversable:
-    return resources.files("marsarm.accuracy").joinpath("sources.toml")
+    return file_sha256(SOURCES_FILE)

@@ -17,9 +17,9 @@ from marsarm.calibration.arm_parameters import FRAME_SCREWS, arm_parameters, mov
 from marsarm.calibration.campaign_data import Campaign
 from marsarm.calibration.consensus import OutlierRejection, reject_outliers
 from marsarm.calibration.residual_model import residual_model
-from marsarm.common.params_toml import params_toml
 from sim.arm_model.description import BuiltTolerances
 from sim.arms import own_name
+from sim.params_table import params_toml
 from simgap import (
     Fit,
     FitParameter,

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.transforms import Array, Flags, Integers, Pose, select_targets
-from marsarm.common.bad_tables import describe_bad_table, read_table_file
+from marsarm.common.requests import describe_bad_table, read_table_file
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write
 

@@ -8,19 +8,16 @@ import json
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, Final
 
 from simgap.common.errors import BadRequest
 
 REQUEST: Final = "request"
+NEW_FILE: Final = "give the path of a new file"
 
 
 class Checkpoint:
-    """Open file of results; a context manager.
-
-    Raises:
-        BadRequest: the file cannot be read or written, has another format, or belongs to another request.
-    """
+    """Open file of results; a context manager."""
 
     def __init__(
         self, path: Path, request: Mapping[str, Any], read: Callable[[dict[str, Any]], object] = dict
@@ -31,14 +28,20 @@ class Checkpoint:
             path: The file; it is made if it is not there.
             request: The request, comparable after a round trip through JSON.
             read: Parser of one result, which raises KeyError, TypeError or ValueError for anything else.
+
+        Raises:
+            BadRequest: The file cannot be read or written, has another format, or belongs to another request.
         """
         self._path = path
-        self._parse_result = read
         self._request = json.loads(json.dumps(request))
         self.done: list[dict[str, Any]] = []
         """Results that the file held when it was opened."""
         try:
-            self._file = self._open()
+            complete_bytes = self._read(read) if os.path.exists(path) else 0
+            self._file = path.open("ab")
+            self._file.truncate(complete_bytes)
+            if complete_bytes == 0:
+                self.add({REQUEST: self._request})
         except OSError as error:
             raise BadRequest(f"results {path}: cannot be written ({error.strerror or error})") from error
 
@@ -54,53 +57,36 @@ class Checkpoint:
         self._file.flush()
         os.fsync(self._file.fileno())
 
-    def _open(self) -> BinaryIO:
-        if os.path.exists(self._path) and not os.path.isfile(self._path):
-            raise BadRequest(f"results {self._path}: this is not a regular file; give the path of a new file")
-        complete_bytes = self._read() if os.path.exists(self._path) else 0
-        file = self._path.open("ab")
-        file.truncate(complete_bytes)
-        if complete_bytes == 0:
-            self._file = file
-            self.add({REQUEST: self._request})
-        return file
-
-    def _read(self) -> int:
+    def _read(self, read: Callable[[dict[str, Any]], object]) -> int:
         """Read the complete lines into `done`, and return their length in bytes."""
+        if not os.path.isfile(self._path):
+            raise self._refuse("this is not a regular file")
         text = self._path.read_bytes()
-        complete_bytes = text.rfind(b"\n") + 1
-        complete = text[:complete_bytes].splitlines()
-        lines = [self._parse_line(number, line) for number, line in enumerate(complete, start=1)]
-        if not lines:
-            if text and not f'{{"{REQUEST}"'.encode().startswith(text[: len(REQUEST) + 3]):
-                raise BadRequest(f"results {self._path}: holds something else; give the path of a new file")
+        head, *lines = text.splitlines(keepends=True) or [b""]
+        begin = f'{{"{REQUEST}"'.encode()
+        if not head.startswith(begin) and not begin.startswith(text):
+            raise self._refuse("holds something else")
+        if not head.endswith(b"\n"):
             return 0
-        if REQUEST not in lines[0]:
-            raise BadRequest(f"results {self._path}: holds something else; give the path of a new file")
-        self._check_request(lines[0][REQUEST])
-        for number, line in enumerate(lines[1:], start=2):
-            self._check_result(number, line)
-        self.done = lines[1:]
-        return complete_bytes
+        self._check_request(self._parse(1, head)[REQUEST])
+        if lines and not lines[-1].endswith(b"\n"):
+            lines.pop()
+        for number, line in enumerate(lines, start=2):
+            result = self._parse(number, line)
+            try:
+                read(result)
+            except (KeyError, TypeError, ValueError) as error:
+                raise self._refuse(f"line {number} is no result") from error
+            self.done.append(result)
+        return sum(map(len, (head, *lines)))
 
-    def _parse_line(self, number: int, line: bytes) -> dict[str, Any]:
+    def _parse(self, number: int, line: bytes) -> dict[str, Any]:
         try:
-            document = json.loads(line)
+            return dict(json.loads(line))
         except ValueError as error:
-            raise BadRequest(
-                f"results {self._path}: line {number} is not JSON; mend it, or give the path of a new file"
-            ) from error
-        if not isinstance(document, dict):
-            raise BadRequest(f"results {self._path}: line {number} is no result; give the path of a new file")
-        return document
-
-    def _check_result(self, number: int, line: dict[str, Any]) -> None:
-        try:
-            self._parse_result(line)
-        except (KeyError, TypeError, ValueError) as error:
-            raise BadRequest(
-                f"results {self._path}: line {number} is no result; give the path of a new file"
-            ) from error
+            raise self._refuse(f"line {number} is not JSON") from error
+        except TypeError as error:
+            raise self._refuse(f"line {number} is no result") from error
 
     def _check_request(self, recorded: Any) -> None:
         if recorded == self._request:
@@ -108,6 +94,7 @@ class Checkpoint:
         old = recorded if isinstance(recorded, dict) else {}
         names = [name for name in self._request if old.get(name) != self._request[name]]
         changes = ", ".join(f"{name} {old.get(name)} there, {self._request[name]} now" for name in names)
-        raise BadRequest(
-            f"results {self._path}: of another request ({changes}); give that one, or the path of a new file"
-        )
+        raise self._refuse(f"of another request ({changes})")
+
+    def _refuse(self, why: str) -> BadRequest:
+        return BadRequest(f"results {self._path}: {why}; {NEW_FILE}")

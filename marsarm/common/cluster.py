@@ -1,7 +1,8 @@
-"""Workers of a Ray cluster.
+"""Jobs as tasks of a Ray cluster.
 
 Each node must have the software of this machine, and compute the same bits; each worker is asked with its
-first task. Ray is optional, and imported only here.
+first task. Ray is optional, and imported only here. Its backend of joblib is not used: it returns no result
+before the last job has ended, so that an interrupted run would leave nothing.
 """
 
 import atexit
@@ -12,26 +13,29 @@ import os
 import platform
 import signal
 import socket
+import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass
 from functools import cache, partial
 from importlib import import_module
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from marsarm.common.pool import Executor, TaskOutcome, carry_out
+from marsarm.common.pool import MOST_DEATHS, Outcome, Runner, WorkersDied, attempt
 from simgap.common.errors import BadRequest, RobotError, UserError
 
 PACKAGES: Final = ("numpy", "scipy", "mujoco-core", "ruckig", "ray")
 """Packages whose version changes results, or how they are sent."""
 SOURCES: Final = ("fsw", "sim", "simgap", "marsarm")
 SUFFIXES: Final = (".py", ".toml", ".xml")
-COUNT_PERIOD_S: Final = 1.0
-"""Time after which the processors of the cluster are counted again."""
+TASK_S: Final = 0.5
+"""Time of work that a task should have. Ray spends up to 5 ms on a task, a hundredth of this."""
 CONNECT_S: Final = 5.0
 """Time in which the head of a cluster has to answer."""
 QUEUED: Final = 2
@@ -46,8 +50,19 @@ class ClusterFailed(UserError):
     exit_status = 1
 
 
-def connect(address: str) -> Callable[[], Executor]:
-    """Connect to a cluster; return a function that makes an executor on it.
+@dataclass(frozen=True, slots=True, eq=False)
+class TaskOutcome:
+    """Outcomes of the jobs of a task, and the time that they took."""
+
+    host: str
+    outcomes: list[Outcome]
+    busy_s: float
+    difference: str = ""
+    """How the node differs from the machine that asks; then no job was carried out."""
+
+
+def connect(address: str) -> Runner:
+    """Connect to a cluster; return a runner on it.
 
     Raises:
         BadRequest: Ray is not installed, or no cluster answers at the address.
@@ -62,9 +77,7 @@ def connect(address: str) -> Callable[[], Executor]:
     if not ray.is_initialized():
         before = signal.getsignal(signal.SIGTERM)
         try:
-            _check_answers(_find_head(address))
-            # Ray writes the logs of a node that died to standard output, where JSON documents go.
-            ray._private.worker.listen_error_messages = lambda *_: None
+            _check_answers(os.environ.get("RAY_ADDRESS", address) if address == "auto" else address)
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
             atexit.register(ray.shutdown)  # that of ray itself first sleeps for half a second
         except (ConnectionError, ValueError, RuntimeError) as error:
@@ -74,21 +87,13 @@ def connect(address: str) -> Callable[[], Executor]:
             ) from error
         finally:
             signal.signal(signal.SIGTERM, before)  # ray replaces it
-    return partial(ClusterWorkers, ray)
-
-
-def _find_head(address: str) -> str:
-    """Find host and port of the head, as ray does."""
-    from ray._private.services import canonicalize_bootstrap_address
-
-    found: str | None = canonicalize_bootstrap_address(address)
-    if found is None:
-        raise ConnectionError("no cluster runs on this machine, and RAY_ADDRESS names none")
-    return found
+    return partial(_run, ray)
 
 
 def _check_answers(head: str) -> None:
     """Raise a ConnectionError if nothing listens there; ray would try for minutes."""
+    if head == "auto":
+        return
     host, _, port = head.rpartition(":")
     try:
         socket.create_connection((host.strip("[]"), int(port)), CONNECT_S).close()
@@ -100,93 +105,95 @@ def _first_line(error: Exception) -> str:
     return str(error).partition("\n")[0].rstrip(".")
 
 
-class ClusterWorkers:
-    """Executor on the cluster to which this process is connected."""
-
-    def __init__(self, ray: Any) -> None:
-        self._ray = ray
-        self._task = ray.remote(num_cpus=1, max_retries=0)(carry_out_there)
-        self._running: dict[Future[Any], tuple[int, Any]] = {}
-        """Number and reference of a task. Ray's own wait is not used: it holds back signals."""
-        self._workers, self._counted_s = 1, -math.inf
-
-    @property
-    def workers(self) -> int:
-        """Return the number of processors of the nodes that are alive; at least 1, as a node may come."""
-        now_s = time.monotonic()
-        if now_s > self._counted_s + COUNT_PERIOD_S:
-            self._counted_s = now_s
-            self._workers = max(1, int(self._ray.cluster_resources().get("CPU", 0)))
-        return self._workers
-
-    @property
-    def room(self) -> int:
-        """Return the number of tasks that may be submitted now."""
-        return QUEUED * self.workers - len(self._running)
-
-    def submit(self, number: int, work: Callable[[Any], Any], jobs: Sequence[Any]) -> None:
-        """Send a task to the cluster."""
-        description = describe_computer(_list_packages(work))
-        reference = self._task.remote(description, work, jobs)
-        self._running[reference.future()] = number, reference
-
-    def wait(self) -> list[tuple[int, TaskOutcome | None]]:
-        """Wait until tasks end; None for the outcome of one whose worker or node died."""
-        done, _ = wait(self._running, return_when=FIRST_COMPLETED)
-        return [(self._running.pop(one)[0], self._fetch(one)) for one in done]
-
-    def stop(self) -> None:
-        """Kill all tasks."""
-        for _, reference in self._running.values():
-            self._ray.cancel(reference, force=True)
-        self._running.clear()
-
-    def _fetch(self, one: Future[Any]) -> TaskOutcome | None:
-        """Fetch an outcome.
-
-        Returns:
-            The outcome, with an error if Ray cannot carry out the task; None if its worker or node died.
-
-        Raises:
-            BadRequest: A node cannot load the software, or differs from this machine.
-        """
-        errors = self._ray.exceptions
-        died = (
-            errors.WorkerCrashedError, errors.NodeDiedError, errors.OutOfMemoryError, errors.ObjectLostError,
-        )  # fmt: skip
-        try:
-            host, found = one.result()
-        except errors.RayTaskError as error:
-            raise BadRequest(
-                f"cluster: a node cannot load a task ({_first_line(error.cause or error)}); install the "
-                "software of this machine on it"
-            ) from error
-        except died:
-            return None
-        except errors.RayError as error:
-            sentence = f"cluster: Ray cannot carry out a task ({_first_line(error)}); see `ray status`"
-            return TaskOutcome([], 0.0, ClusterFailed(sentence))
-        if isinstance(found, str):
-            raise BadRequest(f"cluster: node {host} {found}; make it equal to this machine")
-        assert isinstance(found, TaskOutcome)
-        if isinstance(found.error, UserError | RobotError):
-            return TaskOutcome(found.results, found.busy_s, BadRequest(f"node {host}: {found.error}"))
-        return found
+def _run(ray: Any, work: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
+    """Keep the processors busy, and yield results as they come."""
+    task = ray.remote(num_cpus=1, max_retries=0)(carry_out_there)
+    expected = describe_computer(_list_packages(work))
+    fresh, left, size = iter(jobs), len(jobs), 1
+    again: list[tuple[Any, int]] = []
+    # Ray's own wait is not used: it holds back signals.
+    running: dict[Future[Any], tuple[Any, Sequence[Any], int]] = {}
+    try:
+        while True:
+            processors = max(1, int(ray.cluster_resources().get("CPU", 0)))  # a node may come
+            size = min(size, math.ceil(left / (2 * processors)))  # else the last tasks would be late
+            while len(running) < QUEUED * processors:
+                job, deaths = again.pop() if again else (None, 0)
+                part: Sequence[Any] = [job] if deaths else list(islice(fresh, size))
+                if not part:
+                    break
+                left -= 0 if deaths else len(part)
+                reference = task.remote(expected, work, part)
+                running[reference.future()] = reference, part, deaths
+            if not running:
+                return
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            lost = 0
+            for one in done:
+                _, part, deaths = running.pop(one)
+                found = _fetch(ray, one)
+                if found is None:
+                    lost += 1
+                    if deaths + 1 >= MOST_DEATHS:
+                        raise WorkersDied
+                    again += [(job, deaths + 1) for job in part]
+                    continue
+                job_s = found.busy_s / len(part)
+                size = max(1, min(int(TASK_S / max(job_s, 1e-9)), 2 * len(part)))
+                for outcome in found.outcomes:
+                    yield outcome.unwrap()
+            if lost:
+                print("workers died; their work items are repeated", file=sys.stderr, flush=True)
+    finally:
+        for reference, *_ in running.values():
+            ray.cancel(reference, force=True)
 
 
-def carry_out_there(
-    expected: Description, work: Callable[[Any], Any], jobs: Sequence[Any]
-) -> tuple[str, TaskOutcome | str]:
-    """Carry out a task in a worker of the cluster.
+def _fetch(ray: Any, one: Future[Any]) -> TaskOutcome | None:
+    """Fetch what came of a task; None if its worker or node died.
 
-    Returns:
-        The name of the node, and the outcome, or how the node differs from the machine that asks.
+    Raises:
+        BadRequest: A node cannot load the software, or differs from this machine.
+        ClusterFailed: Ray cannot carry out the task.
     """
-    found = describe_computer(_list_packages(work))
+    errors = ray.exceptions
+    try:
+        found: TaskOutcome = one.result()
+    except errors.RayTaskError as error:
+        raise BadRequest(
+            f"cluster: a node cannot load a task ({_first_line(error.cause or error)}); install the "
+            "software of this machine on it"
+        ) from error
+    except (
+        errors.WorkerCrashedError, errors.NodeDiedError, errors.OutOfMemoryError, errors.ObjectLostError,
+    ):  # fmt: skip
+        return None
+    except errors.RayError as error:
+        raise ClusterFailed(
+            f"cluster: Ray cannot carry out a task ({_first_line(error)}); see `ray status`"
+        ) from error
+    if found.difference:
+        raise BadRequest(f"cluster: node {found.host} has {found.difference}; make it equal to this machine")
+    return found
+
+
+def carry_out_there(expected: Description, work: Callable[[Any], Any], jobs: Sequence[Any]) -> TaskOutcome:
+    """Carry out the jobs of a task in a worker of the cluster, up to the first that raises an error."""
+    found, host = describe_computer(_list_packages(work)), platform.node()
     wrong = [
         f"{name} {found[name]} and not {expected[name]}" for name in expected if found[name] != expected[name]
     ]
-    return platform.node(), f"has {', '.join(wrong)}" if wrong else carry_out(work, jobs)
+    if wrong:
+        return TaskOutcome(host, [], 0.0, ", ".join(wrong))
+    began_s, outcomes = time.perf_counter(), []
+    for job in jobs:
+        outcomes.append(attempt(work, job))
+        error = outcomes[-1].error
+        if isinstance(error, UserError | RobotError):
+            outcomes[-1] = Outcome(None, BadRequest(f"node {host}: {error}"))
+        if error is not None:
+            break
+    return TaskOutcome(host, outcomes, time.perf_counter() - began_s)
 
 
 def _list_packages(work: Callable[[Any], Any]) -> tuple[str, ...]:

@@ -1,37 +1,42 @@
-"""One pool for many independent jobs: on the cores of this machine, or on a Ray cluster.
+"""Many independent jobs in parallel: in processes of this machine by joblib, or on a Ray cluster.
 
-Jobs go to the workers in tasks of about TASK_S, so that the cost of sending is small. Results come as tasks
-complete. A worker that dies costs the jobs of its task, which are repeated. A result depends on its job
-alone, so it is the same wherever the job runs.
+A result depends on its job alone, so it is the same wherever the job runs. A worker that dies costs the jobs
+that were under way, which are repeated.
 """
 
-import math
 import os
 import sys
-import time
 import traceback
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+import warnings
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
 from functools import partial
-from itertools import count, islice
+from multiprocessing import resource_tracker
 from typing import Any, Final, Protocol, TypeVar
 
 from simgap.common.errors import UserError
+from simgap.common.interruption import block_signals, defer_interrupts
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
-TASK_S: Final = 0.5
-"""Time of work that a task should have. Ray spends up to 5 ms on a task, a hundredth of this."""
 MOST_DEATHS: Final = 3
-"""Number of workers that may die at a job before the run ends."""
+"""Number of times that workers may die before the run ends: on a cluster at a job, here in all."""
+IDLE_S: Final = 30.0
+"""Time after which a worker without a job ends, also if the command was killed."""
 
 
 class WorkersDied(UserError):
     """Error for a job at which one worker after the other dies."""
 
     exit_status = 1
+
+    def __init__(self) -> None:
+        super().__init__(
+            f"workers: {MOST_DEATHS} of them died one after the other at the same work items, as when the "
+            "memory is full; use fewer workers, or machines with more memory"
+        )
 
 
 class Runner(Protocol):
@@ -42,34 +47,17 @@ class Runner(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TaskOutcome:
-    """Results of the jobs of a task, up to the first that raised an error."""
+class Outcome:
+    """Result of a job, or its error."""
 
-    results: list[Any]
-    busy_s: float
-    """Time that the jobs took."""
+    result: Any
     error: Exception | None = None
 
-
-class Executor(Protocol):
-    """Workers that carry out tasks; a number names a task."""
-
-    @property
-    def workers(self) -> int:
-        """Return the number of tasks that run at the same time."""
-
-    @property
-    def room(self) -> int:
-        """Return the number of tasks that may be submitted now."""
-
-    def submit(self, number: int, work: Callable[[Any], Any], jobs: Sequence[Any]) -> None:
-        """Send a task to a worker."""
-
-    def wait(self) -> list[tuple[int, TaskOutcome | None]]:
-        """Wait until tasks end; return their numbers, and their outcomes or None if the worker died."""
-
-    def stop(self) -> None:
-        """Kill all tasks at once."""
+    def unwrap(self) -> Any:
+        """Return the result, or raise the error of the job."""
+        if self.error is not None:
+            raise self.error
+        return self.result
 
 
 def select_runner(workers: int | None, cluster: str | None) -> Runner:
@@ -86,12 +74,8 @@ def select_runner(workers: int | None, cluster: str | None) -> Runner:
 
 
 def local_runner(workers: int) -> Runner:
-    """Make a runner with this many processes, reused by the next call; one worker runs in this process."""
-    if workers == 1:
-        return run_here
-    from marsarm.common.local_workers import LocalWorkers
-
-    return _reuse(partial(LocalWorkers, workers))
+    """Make a runner with this many processes, which serve the next call too; one works in this process."""
+    return run_here if workers == 1 else partial(_run_in_processes, workers)
 
 
 def run_here(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
@@ -108,9 +92,9 @@ def cluster_runner(address: str = "auto") -> Runner:
     Raises:
         BadRequest: Ray is not installed, or no cluster answers at the address.
     """
-    from marsarm.common.cluster import connect
+    from marsarm.common.cluster import connect  # loaded late: most commands use no cluster
 
-    return _reuse(connect(address))
+    return connect(address)
 
 
 def in_order(run: Runner, work: Callable[..., Result], jobs: Iterable[tuple[Any, ...]]) -> Iterator[Result]:
@@ -140,118 +124,53 @@ class _NumberedCall:
         return job[0], self.work(*job[1])
 
 
-def carry_out(work: Callable[[Any], Any], jobs: Sequence[Any]) -> TaskOutcome:
-    """Carry out the jobs of a task, in a worker."""
-    began, results = time.perf_counter(), []
-    error: Exception | None = None
-    for job in jobs:
+def attempt(work: Callable[[Any], Any], job: Any) -> Outcome:
+    """Carry out a job in a worker."""
+    try:
+        return Outcome(work(job))
+    except Exception as error:
+        error.add_note(f"in a worker:\n{traceback.format_exc()}")
+        return Outcome(None, error)
+
+
+def _run_in_processes(workers: int, work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
+    """Yield results as they come; jobs that were under way when a worker died are repeated."""
+    from joblib.externals.loky.process_executor import TerminatedWorkerError  # joblib takes 0.2 s to load
+
+    left = dict(enumerate(jobs))
+    for deaths in range(1, MOST_DEATHS + 1):
         try:
-            results.append(work(job))
-        except Exception as raised:
-            raised.add_note(f"in a worker:\n{traceback.format_exc()}")
-            error = raised
-            break
-    return TaskOutcome(results, time.perf_counter() - began, error)
-
-
-def _reuse(start: Callable[[], Executor]) -> Runner:
-    """Make a runner whose executor serves the next call too; a call that ends early stops its executor."""
-    idle: list[Executor] = []
-
-    def run(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
-        if not jobs:
+            with closing(_start_processes(workers, work, list(left.items()))) as outcomes:
+                for number, outcome in outcomes:
+                    del left[number]
+                    yield outcome.unwrap()
             return
-        executor = idle.pop() if idle else start()
-        try:
-            yield from _schedule(executor, work, jobs)
-        except BaseException:  # GeneratorExit and interruptions too
-            executor.stop()
-            raise
-        idle.append(executor)
-
-    return run
+        except TerminatedWorkerError:
+            if deaths < MOST_DEATHS:
+                print("a worker died; its work items are repeated", file=sys.stderr, flush=True)
+    raise WorkersDied
 
 
-@dataclass(frozen=True, slots=True)
-class _Attempt:
-    """Job that waits or runs."""
+def _start_processes(
+    workers: int, work: Callable[[Any], Any], jobs: Sequence[tuple[int, Any]]
+) -> Generator[tuple[int, Outcome], None, None]:
+    from joblib import Parallel, cpu_count, delayed, parallel_config
 
-    job: Any
-    deaths: int = 0
-    """Number of workers that died at it."""
-
-
-def _schedule(executor: Executor, work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
-    """Keep the workers busy, and yield results; the workers go on while the caller has one."""
-    queue, numbers = _Queue(jobs), count()
-    running: dict[int, list[_Attempt]] = {}
-    ready: list[Result] = []
-    error: Exception | None = None
-    while True:
-        while error is None and executor.room > 0 and (task := queue.take(executor.workers)):
-            number = next(numbers)
-            executor.submit(number, work, [attempt.job for attempt in task])
-            running[number] = task
-        yield from ready
-        if error is not None:
-            raise error
-        if not running:
-            return
-        ready, lost = [], 0
-        for number, outcome in executor.wait():
-            task = running.pop(number)
-            if outcome is None:
-                lost += 1
-                queue.put_back(task)
-                continue
-            queue.update_time(outcome)
-            ready += outcome.results
-            error = error or outcome.error
-        if lost:
-            workers = "a worker died; its" if lost == 1 else f"{lost} workers died; their"
-            print(f"{workers} work items are repeated", file=sys.stderr, flush=True)
-
-
-class _Queue:
-    """Jobs that wait, and the number of them that make a task."""
-
-    def __init__(self, jobs: Sequence[Any]) -> None:
-        self._fresh = iter(jobs)
-        self._left = len(jobs)
-        self._again: deque[_Attempt] = deque()
-        self._job_s: float | None = None
-        self._most = 1
-
-    def take(self, workers: int) -> list[_Attempt]:
-        """Take the jobs of the next task; none if no job waits. A job whose worker died is alone."""
-        if self._again:
-            return [self._again.popleft()]
-        size = 1
-        if self._job_s is not None:
-            wanted = TASK_S / max(self._job_s, 1e-9)
-            share = math.ceil(self._left / (2 * workers))  # else the last tasks would be late
-            size = max(1, int(min(wanted, share, self._most)))
-            self._most = max(self._most, 2 * size)
-        task = [_Attempt(job) for job in islice(self._fresh, size)]
-        self._left -= len(task)
-        return task
-
-    def update_time(self, outcome: TaskOutcome) -> None:
-        """Estimate the time of a job; the first one of a worker takes longer, so old values lose weight."""
-        if outcome.results:
-            job_s = outcome.busy_s / len(outcome.results)
-            self._job_s = job_s if self._job_s is None else (self._job_s + job_s) / 2
-
-    def put_back(self, task: Sequence[_Attempt]) -> None:
-        """Put back the jobs of a worker that died.
-
-        Raises:
-            WorkersDied: Too many workers have died at a job.
-        """
-        for attempt in task:
-            if attempt.deaths + 1 >= MOST_DEATHS:
-                raise WorkersDied(
-                    f"workers: {MOST_DEATHS} of them died one after the other at the same work item, as "
-                    "when the memory is full; use fewer workers, or machines with more memory"
-                )
-            self._again.append(replace(attempt, deaths=attempt.deaths + 1))
+    numbered = _NumberedCall(partial(attempt, work))
+    options = {
+        # Linear algebra has as many threads as here, so that it rounds alike.
+        "inner_max_num_threads": int(os.environ.get("OPENBLAS_NUM_THREADS") or cpu_count()),
+        "idle_worker_timeout": IDLE_S,
+    }
+    resource_tracker.ensure_running()  # which unblocks signals when it starts
+    # Ctrl-C goes to all processes of a terminal, and only the command itself must answer it.
+    with block_signals(), defer_interrupts, parallel_config("loky", **options):
+        parallel = Parallel(workers, return_as="generator_unordered", max_nbytes=None)
+        found = parallel(delayed(numbered)((number, (job,))) for number, job in jobs)
+    try:
+        for one in found:  # noqa: UP028  `yield from` would close it before the warning is silenced
+            yield one
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that a run ended early, which the caller knows
+            found.close()

@@ -1,6 +1,8 @@
-"""Checks and conversions of request fields that several verbs share, made before any work begins."""
+"""Checks and conversions of requests and tables that several verbs share, made before any work begins."""
 
 import math
+import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal, cast, get_args
@@ -15,10 +17,10 @@ from sim.arms import BuiltArm, UnknownArm, arm_named, own_name
 from sim.effects.effect import Effect, EffectMisfit
 from sim.params import params_over
 from sim.params_table import BadParams
-from sim.scenario.effect_file import read_effect_file
-from sim.scenario.effects import BadEffect, parse_effect_text
+from sim.scenario.effects import BadEffect, parse_effect_text, read_effect_file
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
 from simgap.common.errors import BadRequest
+from simgap.common.toml import NOT_UTF8
 
 MAX_TARGET_DISTANCE_M: Final[float] = get_args(Position)[1].high
 """Largest distance of a target, that of a command; the squares of farther ones may overflow."""
@@ -215,3 +217,47 @@ def _format_beyond(value: float, limit: float) -> str:
     """Format a number with three digits, or with as many as show that it exceeds its limit."""
     texts = (f"{value:.{digits}g}" for digits in range(3, 17))
     return next((text for text in texts if float(text) > limit), f"{value!r}")
+
+
+MAX_TABLE_BYTES: Final = 1 << 32
+NO_UTF8: Final = ("utf-8", "utf8")
+WRONG_WIDTH: Final = re.compile(
+    r"(?:Row #(?P<row>[0-9]+): )?Expected (?P<right>[0-9]+) columns, got (?P<n>[0-9]+)"
+)
+"""Error of pyarrow about a row with another number of columns than the first."""
+
+
+def describe_bad_table(error: Exception, kind: str) -> str:
+    """Describe why a table cannot be read, in place of the words and bytes that a library gives.
+
+    Args:
+        error: Error of the library.
+        kind: Expected format.
+    """
+    text = str(error)
+    if "pickle" in text:
+        return "holds Python objects; only arrays of numbers are read"
+    if isinstance(error, UnicodeDecodeError) or any(name in text.lower() for name in NO_UTF8):
+        return NOT_UTF8
+    width = WRONG_WIDTH.search(text)
+    if width is not None:
+        row = f"row {width['row']}" if width["row"] else "a row"
+        return f"cannot be read as {kind}: {row} has {width['n']} columns, the first has {width['right']}"
+    return f"cannot be read as {kind}; it is damaged, cut short or of another format"
+
+
+def read_table_file(path: Path) -> bytes:
+    """Read the content of a file.
+
+    Raises:
+        BadRequest: it cannot be read, is not a regular file, or is larger than MAX_TABLE_BYTES.
+    """
+    if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe might never end
+        raise BadRequest(f"{path}: is not a regular file; give the path of one")
+    try:
+        size = path.stat().st_size
+        if size > MAX_TABLE_BYTES:
+            raise BadRequest(f"{path}: has {size} bytes, more than {MAX_TABLE_BYTES}; is it the right file?")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise BadRequest(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error

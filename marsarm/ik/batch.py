@@ -21,8 +21,13 @@ from fsw.dictionary.enums import Joint
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, IkResult
 from fsw.kinematics.transforms import Array
-from marsarm.common.bad_tables import describe_bad_table
-from marsarm.common.requests import MAX_TARGET_DISTANCE_M, MIN_COMPONENT, NEAR_HINT, format_numbers
+from marsarm.common.requests import (
+    MAX_TARGET_DISTANCE_M,
+    MIN_COMPONENT,
+    NEAR_HINT,
+    describe_bad_table,
+    format_numbers,
+)
 from marsarm.ik.request import BATCH_SUFFIXES
 from sim.frames import p_R_from_N
 from simgap.common.errors import BadRequest

@@ -29,7 +29,7 @@ from marsarm.telemetry.topics import channel_matches, channel_name
 from sim.loop import step_flight_software
 from sim.params import params_over
 from sim.params_table import BadParams
-from sim.scenario.names import did_you_mean
+from sim.scenario.records import did_you_mean
 from simgap.common.errors import BadRequest
 from simgap.common.progress import Progress, no_progress
 

@@ -10,7 +10,7 @@ from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.evrs import Evr, JointCalibrated, Severity
 from marsarm.telemetry.events import json_fields
 from sim.scenario.effects import effect_text
-from sim.scenario.names import upper_snake
+from sim.scenario.records import upper_snake
 from simgap.common.report import Emphasis, ReportTable, file_lines
 
 if TYPE_CHECKING:  # a placement loads neither scenarios nor the homing of joints

@@ -23,8 +23,7 @@ from sim.loop import ClosedLoop
 from sim.scenario.data import Scenario
 from sim.scenario.file import BadScenario, load_scenario
 from sim.scenario.rehearsal import find_impossible
-from sim.scenario.run import ScenarioResult, ScenarioRun, scenario_setup
-from sim.scenario.teaching import NotTaught, teach
+from sim.scenario.run import NotTaught, ScenarioResult, ScenarioRun, scenario_setup, teach
 from sim.sequence import Outcome
 from simgap.common.errors import BadRequest
 from simgap.common.files import reserve

@@ -32,8 +32,8 @@ from marsarm.telemetry.topics import PACKET_TOPICS, Topic
 from sim.params import nominal_params, params_over_nominal
 from sim.params_table import BadParams
 from simgap.common.errors import RobotError
+from simgap.common.toml import Record, parse_record, read_toml
 from simgap.files.robot_file import CsvTable, TimeTable
-from simgap.files.toml_record import Record, parse_record, read_toml
 from simgap.units import UNITS, Unit, find_unit
 
 TICK: Final = "tick"

@@ -19,7 +19,7 @@ from marsarm.telemetry.events import EvrEntry
 from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.read import Log
 from marsarm.telemetry.topics import PACKET_TOPICS, channel_matches
-from sim.scenario.names import suggest_name
+from sim.scenario.records import suggest_name
 from simgap.common.errors import BadRequest
 
 MAX_LOG_S: Final = 9e9

@@ -4,7 +4,6 @@ The arrangement is fixed: azimuth, elevation, elbow, wrist, turret. Everything e
 """
 
 import json
-import tomllib
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -19,8 +18,8 @@ from fsw.dictionary.types import Angle, Joints5, Limits, Vector3, vector3
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Array
 from sim.frames import P_NR_M, Workspace
-from sim.params_table import describe_error
-from sim.text_file import load_toml
+from simgap.common.errors import RobotError
+from simgap.common.toml import describe_faults, parse_toml, read_toml
 
 Expansion = Annotated[float, Limits(-1e-4, 1e-4)]
 Gain = Annotated[float, Limits(0.0, 1e9)]
@@ -295,20 +294,20 @@ def read_description(text: str, path: str) -> ArmDescription:
         BadArm: fields in it are missing, not known or of a wrong type; the message names each.
     """
     try:
-        table = load_toml(text)
-    except ValueError as error:
-        raise BadArm(f"{path}: is not TOML: {error}") from error
+        table = parse_toml(text, path)
+    except RobotError as error:
+        raise BadArm(str(error)) from error
     try:
         return _ADAPTER.validate_json(json.dumps(table, default=str), strict=True, extra="forbid")
     except ValidationError as error:
-        lines = [f"{path}: {'.'.join(map(str, e['loc']))}: {describe_error(e)}" for e in error.errors()]
-        raise BadArm("\n".join(lines)) from error
+        faults = describe_faults(ArmDescription, error)
+        raise BadArm("\n".join(f"{path}: {fault}" for fault in faults)) from error
 
 
 @cache
 def default_rover(path: Path) -> RoverDescription:
     """Read the rover of the arms whose file gives none."""
-    return TypeAdapter(RoverDescription).validate_python(tomllib.loads(path.read_text(encoding="utf-8")))
+    return TypeAdapter(RoverDescription).validate_python(read_toml(path))
 
 
 def on_rover(arm: ArmDescription, rover: RoverDescription) -> tuple[ArmDescription, Hull]:

@@ -4,14 +4,13 @@ import hashlib
 import json
 import math
 import os
-import tomllib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from fsw.dictionary.params import Params, Transform6
+from fsw.dictionary.params import Box, Capsule, JointParams, Params, PointMass, PoseParams, Transform6
 from sim.arm_model.description import (
     LINK_PARTS,
     VISCOUS_COLD,
@@ -19,7 +18,6 @@ from sim.arm_model.description import (
     BadArm,
     Hull,
     LinkDescription,
-    Lump,
     Shape,
     default_rover,
     on_rover,
@@ -29,7 +27,8 @@ from sim.arm_model.mjcf import BadLooks, arm_mjcf
 from sim.arm_model.validity import check_description, reserved_of_flight
 from sim.frames import PRIMARY, Workspace
 from sim.params_table import merge_tables, params_from_table
-from sim.text_file import UnreadableText, read_text
+from simgap.common.errors import RobotError
+from simgap.common.toml import read_text, read_toml
 
 ROUNDING: Final = 1e-18
 """Expansions below this, in m/K, are rounding errors of a right angle."""
@@ -48,7 +47,7 @@ def flight_params(arm: ArmDescription, hull: Hull, digest: str, defaults: Path, 
         BadArm: the table `[flight]` sets what another table sets.
         BadParams: flight software does not accept them; the message names every wrong value.
     """
-    shared = tomllib.loads(defaults.read_text(encoding="utf-8"))
+    shared = read_toml(defaults)
     del shared["default_arm"]
     own = {
         "arm_name": "nominal",
@@ -61,7 +60,7 @@ def flight_params(arm: ArmDescription, hull: Hull, digest: str, defaults: Path, 
             name: getattr(arm.poses, f"hardstop_{name}")
             for name in ("start_rad", "park_rad", "second_start_rad")
         },
-        "poses": {name: getattr(arm.poses, name) for name in ("stowed_rad", "unstow_via_rad", "ready_rad")},
+        "poses": _values_of(PoseParams, arm.poses),
         "collision": {
             "arm": {part: _shape_tables(arm.shapes[part]) for part in LINK_PARTS},
             "rover": {part: _shape_tables(shapes) for part, shapes in hull.items()},
@@ -79,19 +78,15 @@ def _link_table(link: LinkDescription) -> dict[str, Any]:
         "transform": asdict(link.transform),
         "expansion_1_K": _expansion(link.transform, link.expansion_1_K),
         "elastic_centre_m": link.elastic_centre_m,
-        "far": _mass_table(link.far),
+        "far": _values_of(PointMass, link.far),
     }
     if link.near is not None:
-        table["near"] = _mass_table(link.near)
+        table["near"] = _values_of(PointMass, link.near)
     if any(link.stiffness):
         table["compliance"] = [
             [1 / k if row == column else 0.0 for column in range(6)] for row, k in enumerate(link.stiffness)
         ]
     return table
-
-
-def _mass_table(lump: Lump) -> dict[str, Any]:
-    return {"mass_kg": lump.mass_kg, "com_m": lump.com_m}
 
 
 def _expansion(X: Transform6, per_K: float) -> list[float]:
@@ -113,42 +108,24 @@ def _tool_table(arm: ArmDescription, name: str) -> dict[str, Any]:
 
 def _joint_table(arm: ArmDescription, name: str) -> dict[str, Any]:
     joint, actuator = arm.joints.by_name()[name], arm.actuator_of(name)
-    return {
-        "gear_ratio": actuator.gear_ratio,
-        "encoder_counts_per_turn": actuator.encoder_counts_per_turn,
-        "backlash_rad": actuator.backlash_rad,
-        "gear_stiffness_Nm_rad": actuator.gear_stiffness_Nm_rad,
-        "output_friction_Nm": actuator.output_friction_Nm,
-        "damping_Nms_rad": VISCOUS_COLD * actuator.damping_Nms_rad,
-        "load_error_Nm": joint.load_error_Nm,
-        "torque_constant_Nm_A": actuator.torque_constant_Nm_A,
-        "hardstop_rad": joint.hardstops_rad[0],
-        "hardstop_stiffness_Nm_rad": joint.hardstop_stiffness_Nm_rad,
-        "hardstop_press_Nm": joint.hardstop_press_Nm,
-        "hardstop_rated_Nm": joint.hardstop_rated_Nm,
-        "soft_min_rad": joint.soft_limits_rad[0],
-        "soft_max_rad": joint.soft_limits_rad[1],
-        "speed_rad_s": joint.speed_rad_s,
-        "acceleration_rad_s2": joint.acceleration_rad_s2,
-        "jerk_rad_s3": joint.jerk_rad_s3,
-        "current_limit_A": actuator.current_limit_A,
-    }
+    soft_min_rad, soft_max_rad = joint.soft_limits_rad
+    given = asdict(actuator) | asdict(joint) | {"soft_min_rad": soft_min_rad, "soft_max_rad": soft_max_rad}
+    given["damping_Nms_rad"] *= VISCOUS_COLD
+    given["hardstop_rad"] = joint.hardstops_rad[0]
+    return {field.name: given[field.name] for field in fields(JointParams)}
 
 
 def _shape_tables(shapes: tuple[Shape, ...]) -> dict[str, Any]:
     seen = [shape for shape in shapes if shape.of != "plant"]
     return {
-        "capsules": [
-            {"from_m": shape.from_m, "to_m": shape.to_m, "radius_m": shape.radius_m}
-            for shape in seen
-            if shape.kind == "capsule"
-        ],
-        "boxes": [
-            {"centre_m": shape.centre_m, "half_m": shape.half_m, "turn_rad": shape.turn_rad}
-            for shape in seen
-            if shape.kind == "box"
-        ],
+        table: [_values_of(record, shape) for shape in seen if shape.kind == kind]
+        for table, kind, record in (("capsules", "capsule", Capsule), ("boxes", "box", Box))
     }
+
+
+def _values_of(record: type, source: object) -> dict[str, Any]:
+    """Return the values of a record of flight software, by their names, from the description."""
+    return {field.name: getattr(source, field.name) for field in fields(record)}
 
 
 MODELS: Final = Path(str(files("sim") / "models"))
@@ -234,15 +211,15 @@ def load_arm(name: str) -> ArmModel:
 @cache
 def default_name() -> str:
     """Return the name of the arm that is meant if none is named."""
-    name: str = tomllib.loads(DEFAULTS.read_text(encoding="utf-8"))["default_arm"]
+    name: str = read_toml(DEFAULTS)["default_arm"]
     return name
 
 
 def _read(path: Path) -> str:
     try:
         return read_text(path)
-    except UnreadableText as error:
-        raise BadArm(f"{path}: {error}") from error
+    except RobotError as error:
+        raise BadArm(str(error)) from error
 
 
 @cache

@@ -359,9 +359,15 @@ def joint_of(params: Params, joint: Joint) -> JointParams:
     return found
 
 
-def with_joint(params: Params, joint: Joint, changed: JointParams) -> Params:
-    """Return the parameters with those of one joint replaced."""
+def with_joint(params: Params, joint: Joint, **values: Any) -> Params:
+    """Return the parameters with some of those of one joint replaced."""
+    changed = replace(joint_of(params, joint), **values)
     return replace(params, joints=replace(params.joints, **{joint.name.lower(): changed}))
+
+
+def scale_joint(params: Params, joint: Joint, name: str, factor: float) -> Params:
+    """Return the parameters with one of those of one joint multiplied by a factor."""
+    return with_joint(params, joint, **{name: getattr(joint_of(params, joint), name) * factor})
 
 
 def link_of(params: Params, frame: Frame) -> LinkParams:
@@ -375,25 +381,14 @@ def with_link(params: Params, frame: Frame, changed: LinkParams) -> Params:
     return replace(params, links=replace(params.links, **{frame.name.lower(): changed}))
 
 
-def scale_matrix(matrix: Matrix6, factor: float) -> Matrix6:
-    """Multiply every element by a factor."""
-    return _matrix6(np.array(matrix) * factor)
-
-
 def rotate_matrix(matrix: Matrix6, R: Array) -> Matrix6:
     """Rotate a matrix for screws by R: its rotation and its translation parts."""
     R6 = np.zeros((6, 6))
     R6[:3, :3] = R6[3:, 3:] = R
-    return _matrix6(R6 @ np.array(matrix) @ R6.T)
+    return matrix6(R6 @ np.array(matrix) @ R6.T)
 
 
-def add_compliance(matrix: Matrix6, axis: int, added: float) -> Matrix6:
-    """Add a compliance to one element of the diagonal."""
-    values = np.array(matrix)
-    values[axis, axis] += added
-    return _matrix6(values)
-
-
-def _matrix6(values: Array) -> Matrix6:
+def matrix6(values: Array) -> Matrix6:
+    """Return a matrix as six tuples of six numbers."""
     a, b, c, d, e, f = (row6(row) for row in values.tolist())
     return (a, b, c, d, e, f)

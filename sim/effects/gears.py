@@ -3,7 +3,7 @@
 Torques and speeds are those of the output side.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import mujoco
@@ -167,9 +167,8 @@ class OutputFriction(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Set the true friction of the output."""
-        joint = joint_of(params, self.joint)
-        friction_Nm = max(joint.output_friction_Nm + self.torque_Nm, 0.0)
-        return with_joint(params, self.joint, replace(joint, output_friction_Nm=friction_Nm))
+        friction_Nm = max(joint_of(params, self.joint).output_friction_Nm + self.torque_Nm, 0.0)
+        return with_joint(params, self.joint, output_friction_Nm=friction_Nm)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,9 +188,8 @@ class GearHysteresis(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Add to the friction of the output, which holds an output at rest in the same way."""
-        joint = joint_of(params, self.joint)
-        friction_Nm = joint.output_friction_Nm + self.torque_Nm
-        return with_joint(params, self.joint, replace(joint, output_friction_Nm=friction_Nm))
+        friction_Nm = joint_of(params, self.joint).output_friction_Nm + self.torque_Nm
+        return with_joint(params, self.joint, output_friction_Nm=friction_Nm)
 
 
 @dataclass(frozen=True, slots=True)

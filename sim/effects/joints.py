@@ -19,6 +19,7 @@ from sim.effects.effect import (
     ParameterSpec,
     SmallAngle,
     joint_of,
+    scale_joint,
     with_joint,
 )
 from sim.mujoco_settings import BUS_V, GAINS, MOTOR_CONSTANT
@@ -89,10 +90,8 @@ class HardstopAngle(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Set the true angle of the hardstop."""
-        joint = joint_of(params, self.joint)
-        return with_joint(
-            params, self.joint, replace(joint, hardstop_rad=joint.hardstop_rad + self.shift_rad)
-        )
+        hardstop_rad = joint_of(params, self.joint).hardstop_rad + self.shift_rad
+        return with_joint(params, self.joint, hardstop_rad=hardstop_rad)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,9 +108,7 @@ class HardstopStiffness(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Set the true stiffness."""
-        joint = joint_of(params, self.joint)
-        stiffness = joint.hardstop_stiffness_Nm_rad * self.factor
-        return with_joint(params, self.joint, replace(joint, hardstop_stiffness_Nm_rad=stiffness))
+        return scale_joint(params, self.joint, "hardstop_stiffness_Nm_rad", self.factor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +138,7 @@ class BacklashWidth(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Set the true width."""
-        joint = joint_of(params, self.joint)
-        return with_joint(params, self.joint, replace(joint, backlash_rad=joint.backlash_rad * self.factor))
+        return scale_joint(params, self.joint, "backlash_rad", self.factor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,9 +156,7 @@ class GearStiffness(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Set the true stiffness."""
-        joint = joint_of(params, self.joint)
-        stiffness = joint.gear_stiffness_Nm_rad * self.factor
-        return with_joint(params, self.joint, replace(joint, gear_stiffness_Nm_rad=stiffness))
+        return scale_joint(params, self.joint, "gear_stiffness_Nm_rad", self.factor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,9 +193,7 @@ class MotorConstant(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Set the true constant."""
-        joint = joint_of(params, self.joint)
-        constant = joint.torque_constant_Nm_A * self.factor
-        return with_joint(params, self.joint, replace(joint, torque_constant_Nm_A=constant))
+        return scale_joint(params, self.joint, "torque_constant_Nm_A", self.factor)
 
 
 @dataclass(frozen=True, slots=True)

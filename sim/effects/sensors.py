@@ -16,11 +16,10 @@ from sim.effects.effect import (
     ParameterSpec,
     ReadingError,
     SmallAngle,
-    joint_of,
     link_of,
     refuse_first_joint,
+    scale_joint,
     with_element,
-    with_joint,
     with_link,
 )
 from sim.effects.gears import WaveAmplitude
@@ -88,9 +87,7 @@ class EncoderScale(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Set the true ratio."""
-        joint = joint_of(params, self.joint)
-        ratio = joint.gear_ratio * (1.0 + self.error)
-        return with_joint(params, self.joint, replace(joint, gear_ratio=ratio))
+        return scale_joint(params, self.joint, "gear_ratio", 1.0 + self.error)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,9 +17,8 @@ from sim.effects.effect import (
     Factor,
     Hardware,
     ParameterSpec,
-    add_compliance,
     link_of,
-    scale_matrix,
+    matrix6,
     with_link,
 )
 from sim.plant import SCREW_AXES as SPRING_AXES
@@ -66,9 +65,8 @@ class LinkStiffness(Effect):
     def on_params(self, params: Params) -> Params:
         """Divide the compliance by the factor."""
         link = link_of(params, self.frame)
-        return with_link(
-            params, self.frame, replace(link, compliance=scale_matrix(link.compliance, 1 / self.factor))
-        )
+        compliance = matrix6(np.array(link.compliance) * (1 / self.factor))
+        return with_link(params, self.frame, replace(link, compliance=compliance))
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +85,9 @@ class _AddedCompliance(Effect):
         """Add to one element of the compliance."""
         frame, axis, compliance_rad_Nm = self.added_compliance()
         link = link_of(params, frame)
-        changed = replace(link, compliance=add_compliance(link.compliance, axis, compliance_rad_Nm))
-        return with_link(params, frame, changed)
+        compliance = np.array(link.compliance)
+        compliance[axis, axis] += compliance_rad_Nm
+        return with_link(params, frame, replace(link, compliance=matrix6(compliance)))
 
     def added_compliance(self) -> tuple[Frame, int, float]:
         """Return the frame of the spring, the index of its axis, and the added compliance [rad/(N m)]."""

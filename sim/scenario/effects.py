@@ -20,13 +20,25 @@ from sim.effects.catalogue import (
     effect_place_text,
     parameters_of,
     place_fields_of,
+    place_word,
 )
-from sim.effects.effect import Effect
-from sim.scenario.names import did_you_mean, field_keys, list_choices, shorten
-from sim.scenario.toml_record import Findings, read_record
-from sim.text_file import load_toml
+from sim.effects.effect import Effect, Timed
+from sim.effects.environment import PowerLoss
+from sim.scenario.records import (
+    TYPE_KEY,
+    Findings,
+    did_you_mean,
+    field_keys,
+    list_choices,
+    list_tables,
+    read_record,
+    shorten,
+)
+from simgap.common.errors import RobotError
+from simgap.common.toml import KeyPath, parse_toml, read_toml, toml_text
 
 FILE_PATTERN: Final = re.compile(r"(?P<file>.+?\.py):(?P<rest>.*)", re.DOTALL)
+TABLE_NAME: Final = "effect"
 COMMA_PATTERN: Final = re.compile(r",(?![^\[]*\])")
 """Comma outside of brackets."""
 
@@ -114,11 +126,74 @@ def effect_from_fields(
     Raises:
         BadEffect: a field is missing, not known, or has a wrong value.
     """
-    findings = Findings({(): 0}, tuple(tools))
+    findings = Findings(tuple(tools))
     effect = read_record(kind, dict(table), (), findings)
     if effect is None:
-        raise BadEffect("\n".join(f"effect {name}: {problem.text}" for problem in findings.problems))
+        raise BadEffect("\n".join(f"effect {name}: {problem}" for problem in findings.problems))
     return effect
+
+
+def read_effect(table: dict[str, Any], place: KeyPath, findings: Findings) -> Effect | None:
+    """Read an effect that lasts for the whole run, or return None and report problems."""
+    if not isinstance(table.get(TYPE_KEY), str):
+        findings.report(
+            (*place, TYPE_KEY), 'is missing; write the name of an effect, such as "coulomb-friction"'
+        )
+        return None
+    try:
+        kind = find_effect_class(table[TYPE_KEY])
+    except BadEffect as error:
+        findings.report((*place, TYPE_KEY), str(error))
+        return None
+    if issubclass(kind, Timed | PowerLoss):
+        findings.report((*place, TYPE_KEY), f"{table[TYPE_KEY]} comes at a moment; write it as [[fault]]")
+        return None
+    rest = {key: value for key, value in table.items() if key != TYPE_KEY}
+    return read_record(kind, rest, place, findings)
+
+
+def read_effect_file(path: Path, tools: Sequence[str]) -> tuple[Effect, ...]:
+    """Read the effects of a file, for an arm with these tools.
+
+    Raises:
+        BadEffect: the file cannot be read or is wrong; the message has a line for each problem.
+    """
+    try:
+        data = read_toml(path)
+    except RobotError as error:
+        raise BadEffect(str(error)) from error
+    findings = Findings(tuple(tools))
+    for key in data:
+        if key != TABLE_NAME:
+            findings.report(
+                (shorten(key),), f"does not belong in a file of effects; there is only [[{TABLE_NAME}]]"
+            )
+    found = [read_effect(table, place, findings) for place, table in list_tables(data, TABLE_NAME, findings)]
+    if findings.problems:
+        raise BadEffect("\n".join(f"{path}: {problem}" for problem in findings.problems))
+    return tuple(effect for effect in found if effect is not None)
+
+
+def effect_file_text(effects: Sequence[Effect], comments: Sequence[str]) -> str:
+    """Write a file of these effects, which reads back exactly, below comments."""
+    return toml_text({TABLE_NAME: [effect_table(effect) for effect in effects]}, comments)
+
+
+def effect_table(effect: Effect) -> dict[str, Any]:
+    """Return the table of an effect, which reads back exactly."""
+    kind = type(effect)
+    name = effect_name(kind)
+    if catalogue().get(name) is not kind:
+        name = f"{sys.modules[kind.__module__].__file__}:{kind.__name__}"
+    places = {place.field: getattr(effect, place.field) for place in place_fields_of(kind)}
+    words = {field: _place_name(kind, field, value) for field, value in places.items() if value is not None}
+    values = {p.field: getattr(effect, p.field) for p in parameters_of(kind)}
+    numbers = {parameter_key(kind, field): value for field, value in values.items() if value is not None}
+    return {TYPE_KEY: name, **words, **numbers}
+
+
+def _place_name(kind: type[Effect], field: str, value: Any) -> str:
+    return place_word(next(place for place in place_fields_of(kind) if place.field == field), value)
 
 
 def effect_classes_in_file(path: str) -> tuple[type[Effect], ...]:
@@ -243,14 +318,14 @@ def _parse_parameters(name: str, text: str) -> dict[str, Any]:
             )
         if key in found:
             raise BadEffect(f"effect {name}: {key} is given twice; give it once")
-        found[key] = _parse_value(value)
+        found[key] = _parse_value(name, value)
     return found
 
 
-def _parse_value(text: str) -> Any:
+def _parse_value(name: str, text: str) -> Any:
     try:
-        return load_toml(f"value = {text}")["value"]
-    except ValueError:
+        return parse_toml(f"value = {text}", name)["value"]
+    except RobotError:
         return text
 
 

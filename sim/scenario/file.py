@@ -1,6 +1,6 @@
-"""Scenarios from TOML, checked strictly: one message has every problem, its line, and what would be right."""
+"""Scenarios from TOML, checked strictly: one message has every problem, its key, and what would be right."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from importlib import resources
 from itertools import takewhile
@@ -19,21 +19,19 @@ from sim.arms import UnknownArm, arm_named
 from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.scenario.data import Check, Done, Faulted, Injection, Recovered, Scenario, StartPose, TaughtPoint
-from sim.scenario.mode_check import find_refusals
-from sim.scenario.names import did_you_mean, shorten
-from sim.scenario.toml_lines import NotToml, parse_toml
-from sim.scenario.toml_record import Findings, Problem, read_record, require_table
-from sim.scenario.toml_tables import (
-    list_tables,
+from sim.scenario.effects import read_effect
+from sim.scenario.records import Findings, did_you_mean, list_tables, read_record, require_table, shorten
+from sim.scenario.rehearsal import find_refusals
+from sim.scenario.tables import (
     prevents_completion,
     read_check,
     read_command,
-    read_effect,
     read_fault,
     read_taught_point,
 )
-from sim.text_file import UnreadableText, read_text
 from sim.world import MAX_TILT_RAD, WARM_C, Scene, Surface, World
+from simgap.common.errors import RobotError
+from simgap.common.toml import parse_toml, read_text
 
 T = TypeVar("T")
 
@@ -44,11 +42,11 @@ MAX_SHOWN: Final = 50
 
 
 class BadScenario(ValueError):
-    """Scenario that is refused; the message has a line for every problem, with file and line number."""
+    """Scenario that is refused; the message has a line for every problem, with file and path of the key."""
 
-    def __init__(self, file: str, problems: list[Problem]):
-        self.problems = tuple(sorted(problems))
-        lines = [f"{file}:{p.line}: {p.text}" if p.line else f"{file}: {p.text}" for p in self.problems]
+    def __init__(self, file: str, problems: Sequence[str]):
+        self.problems = tuple(problems)
+        lines = [f"{file}: {problem}" for problem in self.problems]
         more = len(lines) - MAX_SHOWN
         if more > 0:
             lines = [*lines[:MAX_SHOWN], f"{file}: and {more} more"]
@@ -104,11 +102,11 @@ def load_scenario(name: str, arm: str | None = None) -> Scenario:
     path = Path(name)
     if path.suffix.lower() != ".toml":
         hint = f"{did_you_mean(name, texts)}, or give the path of a .toml file"
-        raise BadScenario(name, [Problem(0, f"there is no such scenario; {hint}")])
+        raise BadScenario(name, [f"there is no such scenario; {hint}"])
     try:
         text = read_text(path)
-    except UnreadableText as error:
-        raise BadScenario(name, [Problem(0, str(error))]) from error
+    except RobotError as error:
+        raise BadScenario(name, [str(error).removeprefix(f"{name}: ")]) from error
     return parse_scenario(text, path.stem, name, arm)
 
 
@@ -121,14 +119,14 @@ def parse_scenario(text: str, name: str, file: str, arm: str | None = None) -> S
         arm: Arm in place of that of the scenario.
 
     Raises:
-        BadScenario: something is wrong; the message has every problem, by line.
+        BadScenario: something is wrong; the message has every problem.
     """
     try:
-        data, lines = parse_toml(text)
-    except NotToml as error:
-        raise BadScenario(file, [Problem(error.line, str(error))]) from error
+        data = parse_toml(text, file)
+    except RobotError as error:
+        raise BadScenario(file, [str(error).removeprefix(f"{file}: ")]) from error
     params = _drawing_params(arm or data.get("arm"))
-    findings = Findings(lines, params.tool_names)
+    findings = Findings(params.tool_names)
     scenario = _read_scenario(data, name, params, findings)
     if scenario is None or findings.problems:
         raise BadScenario(file, findings.problems)
@@ -194,18 +192,18 @@ def _read_head(data: dict[str, Any], findings: Findings) -> _ScenarioHead | None
     known = (*own, "world", *TABLE_LISTS)
     for key in data:
         if key not in known:
-            findings.report((key,), f"{shorten(key)}: is not known here; {did_you_mean(key, known)}")
+            findings.report((shorten(key),), f"is not known here; {did_you_mean(key, known)}")
     for what in REQUIRED_LISTS:
         if not data.get(what):
-            findings.report((), f"{what}: is missing; write [[{what}]] and its keys below, once for each")
+            findings.report((what,), f"is missing; write [[{what}]] and its keys below, once for each")
     head = read_record(_ScenarioHead, {key: data[key] for key in own if key in data}, (), findings)
     if head is not None:
         if not head.title.strip():
-            findings.report(("title",), "title: is empty; give the scenario a name for people")
+            findings.report(("title",), "is empty; give the scenario a name for people")
         try:
             arm_named(head.arm)
         except UnknownArm as error:
-            findings.report(("arm",), f"arm: {error}")
+            findings.report(("arm",), str(error))
     return head
 
 
@@ -217,7 +215,7 @@ def _read_world(data: dict[str, Any], findings: Findings) -> _WorldTable | None:
     most = max(abs(world.tilt_roll_rad), abs(world.tilt_pitch_rad), world.built.tilt_rad)
     if most > MAX_TILT_RAD + 1e-12:
         most_deg, limit_deg = np.degrees(most), np.degrees(MAX_TILT_RAD)
-        text = f"world: tilts the rover by {most_deg:.4g} deg; the arm is used up to {limit_deg:g} deg"
+        text = f"tilts the rover by {most_deg:.4g} deg; the arm is used up to {limit_deg:g} deg"
         findings.report(("world",), text)
     return world
 
@@ -228,9 +226,7 @@ def _check_taught(taught: list[TaughtPoint | None], findings: Findings) -> None:
         if point is None:
             continue
         if not point.name or point.name in names:
-            findings.report(
-                ("teach", k, "name"), f"name: {point.name!r} is empty or taken; give each its own"
-            )
+            findings.report(("teach", k, "name"), f"{point.name!r} is empty or taken; give each its own")
         names.append(point.name)
 
 
@@ -252,11 +248,11 @@ def _check_ending(checks: list[Check | None], findings: Findings) -> None:
         return
     ends = {type(check) for check in checks} & {Done, Faulted, Recovered}
     if not ends:
-        text = 'check: none says how the scenario ends; add one of type "done", "faulted" or "recovered"'
-        findings.report(("check", 0), text)
+        text = 'none says how the scenario ends; add one of type "done", "faulted" or "recovered"'
+        findings.report(("check",), text)
     elif Done in ends and len(ends) > 1:
-        text = 'check: "done" asks for no fault; write "recovered" for a sequence that goes on after one'
-        findings.report(("check", 0), text)
+        text = '"done" asks for no fault; write "recovered" for a sequence that goes on after one'
+        findings.report(("check",), text)
 
 
 def _check_sequence(
@@ -277,11 +273,9 @@ def _check_sequence(
     during = [fault.during for fault in read_faults if fault.during is not None]
     troubled = range(1, len(read_commands) + 1) if timed else during
     mode = Mode.STOWED if start == "stowed" else Mode.DEPLOYED
-    for number, problem in (
-        *find_refusals(read_commands, mode, faulting, troubled),
-        *_invalid_commands(params, read_commands),
-    ):
-        findings.report(("command", number - 1), f"command {number}: {problem}")
+    refused = find_refusals(read_commands, mode, faulting, troubled)
+    for number, problem in sorted([*refused, *_invalid_commands(params, read_commands)]):
+        findings.report(("command", number - 1), problem)
 
 
 def _invalid_commands(params: Params, commands: tuple[Command, ...]) -> Iterator[tuple[int, str]]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.marks import slow_but
 from helpers.planar_arm import RATE_HZ, TABLE_M, commands, planar_arm, record, slow_logs, with_joint
 from helpers.real_robots import robot_path
 from simgap.checks.audit import audit
@@ -23,6 +24,7 @@ TABLE_MOTIONS = {
     *("oscillation_med_freq", "single_joint_elbow", "workspace_sweep"),
 }
 """Motions of the SO-101 whose commands go below the table, as the data's description lists them."""
+SLOW = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +63,9 @@ def test_the_same_motions_without_a_table_get_no_remark():
     assert audit(planar_arm(), slow_logs(planar_arm(), low=-0.5, high=1.0)).remarks == ()
 
 
-@pytest.mark.parametrize(("joint", "clamp", "sign"), [("elbow", 0.35, 1.0), ("shoulder", 0.2, 1.0)])
+@pytest.mark.parametrize(
+    ("joint", "clamp", "sign"), [("elbow", 0.35, 1.0), pytest.param("shoulder", 0.2, 1.0, marks=SLOW)]
+)
 def test_a_command_that_is_cut_off_is_named_with_its_value(joint, clamp, sign):
     motions = []
     for k in range(4):
@@ -78,7 +82,7 @@ def test_a_command_that_is_cut_off_is_named_with_its_value(joint, clamp, sign):
     assert found.is_usable("motion 3", other).all()
 
 
-@pytest.mark.parametrize("limit_Nm", [1.3, 1.4, 1.5])
+@pytest.mark.parametrize("limit_Nm", slow_but([1.3, 1.4, 1.5], 1.4))
 def test_a_motor_that_is_too_weak_is_no_command_that_is_cut_off(limit_Nm):
     weak = planar_arm(torque_limit_Nm=limit_Nm)
     found = audit(planar_arm(), slow_logs(weak, low=-1.2, high=0.4))
@@ -163,7 +167,7 @@ def test_positions_that_are_no_numbers_are_refused(clean):
     assert not found.is_usable("motion 0", "elbow")[10:20].any()
 
 
-@pytest.mark.parametrize("factor", [180.0 / np.pi, np.pi / 180.0, 1000.0, 1e-3])
+@pytest.mark.parametrize("factor", slow_but([180.0 / np.pi, np.pi / 180.0, 1000.0, 1e-3], 180.0 / np.pi))
 def test_commands_in_another_unit_are_named(clean, factor):
     def scale(log):
         return replace(log, command=Signal(log.command.time_s, log.command.value * factor))

@@ -63,6 +63,7 @@ def blocks():
     return Blocks(model(), np.array([[3, 2], [2, 1]]))
 
 
+@pytest.mark.slow
 def test_blocks_are_longer_than_the_correlation_time_of_their_joint():
     residuals = nominal()
     cut = cut_into_blocks(model(), residuals)

@@ -5,6 +5,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import chi2, norm
 
+from helpers.marks import slow_but
 from simgap.arrays import orthonormal
 from simgap.selection.chance import (
     ASYMPTOTIC_FROM,
@@ -43,7 +44,7 @@ def most_of(n, level):
     return n * level + 3.1 * np.sqrt(n * level * (1.0 - level))
 
 
-@pytest.mark.parametrize("n_motions", [4, 6, 8])
+@pytest.mark.parametrize("n_motions", slow_but([4, 6, 8], 4))
 @pytest.mark.parametrize("columns", [[0], [0, 1], [2]], ids=["one size", "two sizes", "in few samples"])
 def test_an_absent_effect_is_as_rare_as_its_probability_says(n_motions, columns):
     random = np.random.default_rng(n_motions)
@@ -82,7 +83,7 @@ def stationary(random, columns, strength=0.0):
     return beside, wald_p(basis, best, residual, cluster, len(columns))
 
 
-@pytest.mark.parametrize("columns", [[0], [0, 1], [2]], ids=["one size", "two sizes", "in few samples"])
+@pytest.mark.parametrize("columns", slow_but([[0], [0, 1], [2]], [0]))
 def test_in_stationary_noise_an_absent_effect_is_as_rare_as_its_probability_says(columns):
     random = np.random.default_rng(len(columns))
     found = np.array([stationary(random, columns)[0] for _ in range(200)])
@@ -134,7 +135,7 @@ def alternative(random, n_motions, strength, others):
     return is_cause, alternative_p(wrong[0], [cause], cluster, 1)
 
 
-@pytest.mark.parametrize("others", [(1,), (2,), (1, 2)])
+@pytest.mark.parametrize("others", slow_but([[1], [2], [1, 2]], [1, 2]))
 def test_the_cause_is_excluded_as_rarely_as_its_probability_says(others):
     random = np.random.default_rng(others[-1])
     found = np.array(

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.marks import slow_but
 from helpers.planar_arm import planar_arm, slow_logs, with_joint
 from helpers.toy import BASE, CATALOGUE, Toy, ToyResiduals, draw_toy
 from simgap.arrays import Array
@@ -67,7 +68,7 @@ def whole() -> tuple[list[bytes], int]:
     return bits(find(model, None)), model.calls
 
 
-@pytest.mark.parametrize("share", [0.02, 0.35, 0.65, 0.95])
+@pytest.mark.parametrize("share", slow_but([0.02, 0.35, 0.65, 0.95], 0.65))
 def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_bits(
     whole: tuple[list[bytes], int], tmp_path: Path, share: float
 ) -> None:
@@ -80,6 +81,7 @@ def test_a_run_that_was_killed_goes_on_and_ends_with_the_same_bits(
     assert not (tmp_path / "steps").exists()
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_again_and_again_comes_to_its_end(
     whole: tuple[list[bytes], int], tmp_path: Path
 ) -> None:
@@ -103,6 +105,7 @@ def test_a_step_that_was_torn_is_carried_out_again(whole: tuple[list[bytes], int
     assert bits(find(mortal(), tmp_path / "steps")) == expected
 
 
+@pytest.mark.slow
 def test_the_progress_goes_on_from_where_it_was(whole: tuple[list[bytes], int], tmp_path: Path) -> None:
     shares: list[float] = []
     with pytest.raises(Killed):
@@ -124,6 +127,7 @@ def test_an_error_leaves_no_steps_because_it_would_come_again(tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_made_stops_no_diagnosis(
     whole: tuple[list[bytes], int], tmp_path: Path
 ) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from helpers.marks import slow_but
 from helpers.pendulum import (
     ARMATURE_kgm2,
     INERTIA_kgm2,
@@ -91,7 +92,7 @@ def exact(torque: Torque, inertia_kgm2: float = INERTIA_kgm2) -> Array:
     return np.asarray(found.y[0])
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", slow_but(KINDS, *KINDS[::3]))
 def test_a_size_of_0_changes_no_bit_beside_candidates_that_have_the_effect(kind: type[JointEffect]) -> None:
     robot = pendulum(limit_Nm=0.6)
     heat = Signal(TIME_s, np.full(TIME_s.size, 30.0))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from helpers.marks import slow_but
 from helpers.pendulum import (
     INERTIA_kgm2,
     LENGTH_m,
@@ -184,7 +185,7 @@ STEADY: list[Effect] = [
 ]
 
 
-@pytest.mark.parametrize("limit_Nm", [0.6, float("inf")])
+@pytest.mark.parametrize("limit_Nm", slow_but([0.6, float("inf")], 0.6))
 def test_many_periods_in_one_call_give_the_bits_of_single_ones(
     limit_Nm: float, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -89,6 +89,7 @@ def test_a_step_without_a_fold_goes_as_far_as_a_fit_without_it() -> None:
     assert step == pytest.approx(sizes[int(np.argmin(loss))], rel=0.05)
 
 
+@pytest.mark.slow
 def test_an_effect_at_a_body_has_an_interval_that_holds_its_size() -> None:
     body, held = Toy("base", "square of all", np.square), 0
     for seed in range(10):

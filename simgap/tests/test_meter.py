@@ -4,13 +4,16 @@ from itertools import pairwise
 
 import pytest
 
+from helpers.marks import slow_but
 from helpers.toy import BASE, CATALOGUE, draw_toy
 from simgap.selection.checkpoint import Meter
 from simgap.selection.selection import select_effects
 from simgap.selection.verdict import find_confidence_sets
 
+TRUTHS = ({"near: square": 0.1}, {"near: square": 0.1, "far: sine": 0.05})
 
-@pytest.mark.parametrize("truth", [{"near: square": 0.1}, {"near: square": 0.1, "far: sine": 0.05}])
+
+@pytest.mark.parametrize("truth", slow_but(TRUTHS, TRUTHS[1]))
 def test_the_share_of_a_selection_is_never_far_from_that_of_its_candidates(truth: dict[str, float]) -> None:
     model = draw_toy(1, truth)
     reports: list[tuple[float, int]] = []

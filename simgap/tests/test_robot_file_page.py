@@ -3,6 +3,7 @@
 import pytest
 
 from helpers.real_robots import repository_file
+from simgap.common.toml import Record
 from simgap.files.robot_file import (
     CsvTable,
     JointTable,
@@ -12,7 +13,6 @@ from simgap.files.robot_file import (
     SignalColumn,
     TimeTable,
 )
-from simgap.files.toml_record import Record
 from simgap.loading import SplitFile, SplitTable
 
 TABLES = {

@@ -87,7 +87,7 @@ def test_a_wrapper_holds_what_it_does_not_change(tmp_path):
 
 def test_sizes_of_another_effect_are_refused_by_their_names(tmp_path):
     patch = make_patch(ROBOT, *made({LoadFriction: 0.1}))
-    text = patch.runtime.replace("size = { friction_per_load", "size = { friction_per_weight")
+    text = patch.runtime.replace("friction_per_load =", "friction_per_weight =")
     with pytest.raises(RobotError, match="size has friction_per_weight; it takes friction_per_load"):
         read(tmp_path, text, patch.model_xml)
 

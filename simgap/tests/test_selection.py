@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from helpers.marks import slow_but
 from helpers.toy import BASE, CATALOGUE, NAMES, Toy, ToyResiduals, draw_toy
 from simgap.assemble import (
     describe_finding,
@@ -37,7 +38,7 @@ def test_without_an_effect_a_name_is_as_rare_as_its_probability_says() -> None:
     assert binom.sf(len(false) - 1, 20, FALSE_ALARM) > 0.05
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", slow_but(range(5), 0))
 def test_three_effects_at_two_joints_are_named_and_no_other(seed: int) -> None:
     assert named(draw_toy(seed, TRUTH)) == sorted(TRUTH)
 
@@ -123,6 +124,7 @@ def test_an_interval_holds_the_size_although_a_twin_of_another_cause_takes_a_par
     assert low < 0.1 < high
 
 
+@pytest.mark.slow
 def test_all_that_the_data_cannot_separate_is_in_the_set() -> None:
     twins = [Toy("near", f"twin {k}", lambda x, k=k: x**2 + 0.002 * k * x**3) for k in range(1, 7)]
     selection = select_effects(draw_toy(1, {"near: square": 0.1}), BASE, (*CATALOGUE, *twins), seed=1)
@@ -130,7 +132,7 @@ def test_all_that_the_data_cannot_separate_is_in_the_set() -> None:
     assert {one.effect.key for one in one_set.alternatives} == {"near: square", *(one.key for one in twins)}
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", slow_but(range(5), 0))
 def test_a_cause_near_the_noise_is_called_a_cause(seed: int) -> None:
     selection = select_effects(draw_toy(seed, {"near: square": 0.025}), BASE, CATALOGUE, seed=1)
     assert "near: square" in {one.key for one in selection.chosen.effects}

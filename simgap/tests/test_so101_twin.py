@@ -1,16 +1,10 @@
-"""What was put into a synthetic twin of the SO-101 is found: table, clamp, gain, friction."""
+"""What was put into a synthetic twin of the SO-101 is found: gains and friction, also of the load."""
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from helpers.so101_twin import (
-    REST,
-    CLAMP_rad,
-    COUNT_rad,
-    ROW_s,
-    TABLE_m,
     Truth,
     record,
     smooth_command,
@@ -19,8 +13,6 @@ from helpers.so101_twin import (
 )
 from simgap.assemble import list_base
 from simgap.catalogue.catalogue import base_effects
-from simgap.checks.audit import audit
-from simgap.checks.records import RemarkKind
 from simgap.diagnosis import diagnose
 from simgap.logs import Logs
 from simgap.residuals.simulation_residuals import SimulationResiduals
@@ -32,45 +24,7 @@ LIFT, ELBOW, ROLL = "shoulder_lift", "elbow_flex", "wrist_roll"
 REACH_rad = {LIFT: 0.3, ELBOW: 0.4}
 
 
-def swing(joint: str, low_rad: float, high_rad: float, duration_s: float = 12.0) -> dict:
-    """Return commands in which one joint swings slowly from the high to the low end and back, twice."""
-    time_s = np.arange(0.0, duration_s, ROW_s)
-    found = {one.name: np.full(time_s.size, REST.get(one.name, 0.0)) for one in so101().joints}
-    share = 0.5 - 0.5 * np.cos(4 * np.pi * time_s / duration_s)
-    return found | {joint: high_rad + (low_rad - high_rad) * share}
-
-
-def slow_logs(truth: Truth) -> Logs:
-    """Return slow motions: the lift goes down to the table, the wrist roll beyond its clamp."""
-    lifts = [swing(LIFT, low_rad, 0.0) for low_rad in (0.50, 0.56)]
-    rolls = [swing(ROLL, -1.6, 0.2), swing(ROLL, -1.5, 0.1)]
-    return Logs(tuple(record(so101(), truth, f"slow {k}", one, k) for k, one in enumerate((*lifts, *rolls))))
-
-
-def test_table_and_clamp_of_the_twin_are_named_and_their_samples_are_refused():
-    found = audit(so101(), slow_logs(Truth(has_table=True, has_clamp=True)))
-    assert [(one.kind, one.joint) for one in found.remarks] == [
-        (RemarkKind.CONTACT, ""),
-        (RemarkKind.CUT_OFF, ROLL),
-    ]
-    contact, cut_off = found.remarks
-    assert contact.value == pytest.approx(TABLE_m, abs=0.005)
-    assert contact.motions == ("slow 0", "slow 1")
-    roll = so101().joint(ROLL)
-    held_rad = (
-        so101().model.dof_frictionloss[roll.dof_index] / roll.kp_Nm_rad
-    )  # friction holds it so far away
-    assert cut_off.value == pytest.approx(CLAMP_rad, abs=held_rad + COUNT_rad)
-    assert not found.is_usable("slow 1", LIFT).all()
-    assert not found.is_usable("slow 2", ROLL).all()
-    assert found.is_usable("slow 2", LIFT).all()
-
-
-def test_a_twin_without_table_and_clamp_gets_no_remark():
-    found = audit(so101(), slow_logs(Truth()))
-    assert found.remarks == found.refused == ()
-
-
+@pytest.mark.slow
 def test_base_parameters_of_the_twin_are_found():
     truth = Truth(gain_ratio={LIFT: 0.4, ELBOW: 0.15}, coulomb_Nm={LIFT: 0.39})
     robot = so101()

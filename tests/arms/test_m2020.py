@@ -43,10 +43,6 @@ MARS, EARTH = World(), World("earth")
 MOST_HOMING_ERROR_RAD = 0.3e-3
 
 
-def quiet(*_: object) -> None:
-    """Ignore progress."""
-
-
 @cache
 def bare() -> BuiltArm:
     return without_turret(arm_named(NAME), on_earth=True)
@@ -147,7 +143,7 @@ def test_each_joint_of_a_built_arm_finds_its_hardstop(joint: Joint) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", [NAME, f"{NAME}/calibrated:1"])
 def test_it_places_its_instrument(arm: str) -> None:
-    report = place(PlaceRequest(arm=arm, files=RunFiles()), quiet)
+    report = place(PlaceRequest(arm=arm, files=RunFiles()))
     result = report.execution.result
     assert report.tool == MODEL.description.instrument
     assert result.outcome is Outcome.DONE

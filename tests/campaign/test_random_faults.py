@@ -3,7 +3,7 @@
 import numpy as np
 
 from sim.effects.faults import SensorFault
-from sim.scenario.toml_tables import FAULT_CLASSES
+from sim.scenario.tables import FAULT_CLASSES
 from validation.faults import random_fault
 
 

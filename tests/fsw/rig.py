@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from fsw.collision.distance import compute_clearances, judge_clearances
 from fsw.config import Config, configure
 from fsw.cycle import step
 from fsw.dictionary.commands import Command, GuardedMove, MoveTool
@@ -195,3 +196,9 @@ class Rig:
 
 def floats(values) -> tuple:
     return tuple(float(v) for v in values)
+
+
+def find_violation(geometry, frames, padding_m, touching=None, surface=None):
+    """Find the first pose of a path at which a part of the arm is too close to an obstacle."""
+    clearance = compute_clearances(geometry, frames, padding_m, touching, surface)
+    return judge_clearances(geometry, clearance, padding_m, touching)

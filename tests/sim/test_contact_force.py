@@ -1,11 +1,11 @@
-"""Contact forces of a tool that meets a rock, expected or not."""
+"""Contact forces of a tool that meets a rock, expected or not, and that rests on it."""
 
 import mujoco
 import numpy as np
 import pytest
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.commands import GuardedMove, MoveJoints
+from fsw.dictionary.commands import GuardedMove, MoveJoints, PlaceTool
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import ContactMade
 from fsw.dictionary.faults import (
@@ -21,13 +21,16 @@ from sim.effects.faults import (
     SensorFault,
 )
 from sim.frames import P_NR_M
+from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
+from sim.placement import Placement, placement_commands
 from sim.world import Surface, World
 from tests.fsw.rig import MARS_R_m_s2, config_of, facing, floats
 from tests.marks import slow_but
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest
 from tests.tools import TOOL_SWITCHES, TOOLS, switch_index
+from validation.contacts import ContactRest, rest_after
 
 CONFIG = config_of()
 NOW_S = 0.0
@@ -137,3 +140,24 @@ def test_a_rock_that_is_gone_is_not_touched_any_more():
     assert here.switch_closed.any()
     assert not there.switch_closed.any()
     assert gone.plant._contact_force() == 0.0
+
+
+POINT_N_M, NORMAL_N = (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arm_name", ["nominal", "calibrated:1"])
+@pytest.mark.parametrize("tool", ["apxs", "drill"])
+def test_a_touch_rests_half_a_second_after_the_last_set_point(tool: str, arm_name: str) -> None:
+    """The force is within 20 % of the mean of the last second, and within 5 % from 2 s or the brakes on."""
+    arm = arm_named(arm_name)
+    world = World(surface=Surface(POINT_N_M, NORMAL_N))
+    loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, reference=true_reference(arm)))
+    commands = placement_commands(Placement(tool, POINT_N_M, NORMAL_N), stowed=False)[:-1]
+    assert isinstance(commands[-1], PlaceTool)
+    rest = rest_after(loop, commands, tool)
+    assert isinstance(rest, ContactRest)
+    assert rest.mean_N > 5.0
+    assert rest.force_error_0_5_s < 0.2
+    assert rest.force_error_2_s < 0.05
+    assert rest.lost == rest.switched == 0

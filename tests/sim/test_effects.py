@@ -26,7 +26,6 @@ from sim.effects.joints import (
     GearStiffness,
     HardstopAngle,
     HardstopStiffness,
-    ResolverBias,
 )
 from sim.effects.structure import LinkMass, LinkStiffness, StandInTurret
 from sim.params import nominal_params
@@ -181,13 +180,6 @@ def test_a_hardstop_of_other_stiffness_presses_back_as_flight_software_then_says
     np.testing.assert_allclose(plant.stop_torque_Nm(), 1e-3 * believed, rtol=1e-9)
     drawn = np.array([one.hardstop_stiffness_Nm_rad for one in PARAMS.joints.in_order()])
     np.testing.assert_allclose(believed / drawn, np.where(np.arange(5) == joint, 0.6, 1.0))
-
-
-@pytest.mark.parametrize("joint", Joint)
-def test_a_resolver_bias_is_in_the_reading_of_its_resolver(joint: Joint) -> None:
-    hardware = ResolverBias(joint, 0.003).on_hardware(nominal_hardware())
-    np.testing.assert_array_equal(hardware.resolver_bias_rad, 0.003 * (np.arange(5) == joint))
-    assert params_with(ResolverBias(joint, 0.003)) == PARAMS
 
 
 @pytest.mark.parametrize("frame", SPRING_FRAMES)

@@ -44,6 +44,7 @@ from sim.frames import FLIP, gravity_in_rover
 from sim.loop import ClosedLoop, Setup
 from sim.world import World
 from tests.fsw.rig import config_of
+from tests.marks import slow_but
 from tests.sim import lab
 from tests.sim.lab import is_at_rest, run_to_rest
 from tests.tools import SWITCHES, switch_index
@@ -249,7 +250,7 @@ def test_power_that_is_lost_in_a_move_leaves_the_arm_on_its_brakes():
 
 
 @pytest.mark.parametrize("fault", [JointSeized, BrakeStuck])
-@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("joint", slow_but(Joint, Joint.AZIMUTH))
 def test_a_joint_that_does_not_come_off_its_brake_stalls_at_the_start_of_the_next_move(fault, joint):
     arm = arm_named("nominal")
     loop = ClosedLoop(Setup(arm, World(), joints5(lab.READY_RAD), reference=lab.true_reference(arm)))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sim.plant import Plant
+from tests.marks import slow_but
 from tests.sim import lab
 
 SLOW_RAD_S = np.radians(0.1)
@@ -41,7 +42,7 @@ def test_output_friction_is_there_in_full_at_a_tenth_of_a_degree_per_second(dire
     np.testing.assert_allclose(np.mean(transmitted, axis=0), -direction * lab.OUTPUT_FRICTION_NM, rtol=0.02)
 
 
-@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("side", slow_but([1, -1], 1))
 def test_below_the_friction_an_output_in_its_gap_does_not_creep(side: int) -> None:
     plant = weightless()
     gears = [plant.model.joint(f"{name}_gear").dofadr[0] for name in lab.JOINT_NAMES]
@@ -69,7 +70,7 @@ def flanks(gear_rad: lab.Array, joint: int) -> list[int]:
     return [int(s) for k, s in enumerate(side) if k == 0 or s != side[k - 1]]
 
 
-@pytest.mark.parametrize("held", ["brakes", "motors"])
+@pytest.mark.parametrize("held", slow_but(["brakes", "motors"], "motors"))
 def test_the_gap_is_crossed_once_when_gravity_changes_side(held: str) -> None:
     """Turn gravity over a horizontal line in 40 s; every joint but the azimuth changes flank, each once.
 
@@ -97,6 +98,7 @@ def test_the_gap_is_crossed_once_when_gravity_changes_side(held: str) -> None:
         assert -onward[onward < 0].sum() < 0.01 * lab.HALF_BACKLASH_RAD[joint]
 
 
+@pytest.mark.slow
 def test_the_gap_is_crossed_once_when_a_joint_carries_its_load_over_the_vertical() -> None:
     """The wrist swings the turret at 1 deg/s through the pose of zero load."""
     plant = lab.plant()

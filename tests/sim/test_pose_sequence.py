@@ -10,7 +10,7 @@ from fsw.dictionary.types import joints5
 from sim.arms import arm_named
 from sim.effects.faults import JointSeized
 from sim.loop import Setup
-from sim.pose_sequence import RestState, free_air_loop, random_goals, run_and_rest, visit_poses
+from sim.pose_sequence import RestState, free_air_loop, random_poses, run_and_rest, visit_poses
 from sim.world import World
 from tests.sim import lab
 
@@ -24,7 +24,7 @@ POSES = 14
 
 def visit(backlash: str, arm_name: str = "nominal", poses: int = POSES) -> list[RestState]:
     arm = arm_named(arm_name)
-    goals = random_goals(configure(arm.params), np.random.default_rng(41), poses)
+    goals = random_poses(configure(arm.params), np.random.default_rng(41), poses)
     return list(visit_poses(arm, lab.true_reference(arm), TILTED, goals, backlash, seed=41))
 
 
@@ -39,7 +39,7 @@ def uncompensated() -> list[RestState]:
 
 
 def error_rad(poses: list[RestState]) -> np.ndarray:
-    return np.array([pose.output_rad - pose.goal_rad for pose in poses])
+    return np.array([pose.output_rad - pose.pose_rad for pose in poses])
 
 
 def rms(values: np.ndarray) -> float:

@@ -133,6 +133,7 @@ def test_the_drill_presses_with_the_force_and_neither_slips_nor_leans():
     assert slip.max() < 1e-3
 
 
+@pytest.mark.slow
 def test_the_drill_presses_with_the_force_to_one_percent():
     *_, pressed = press_and_release()
     assert pressed[0] == pytest.approx(300.0, rel=0.01)

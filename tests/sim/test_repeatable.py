@@ -67,6 +67,7 @@ def test_the_same_seed_gives_the_same_bits_in_every_cycle(first: list[CycleRecor
         assert bits(one) == bits(other), f"tick {one.tick}"
 
 
+@pytest.mark.slow
 def test_another_process_gives_the_same_bits(first: list[CycleRecord]) -> None:
     program = "from tests.sim.test_repeatable import digest, records; print(digest(records()))"
     run = subprocess.run(

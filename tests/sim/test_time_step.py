@@ -1,4 +1,4 @@
-"""Plant at its own time step: it behaves as at the reference step."""
+"""Plant at its own time step and with the settings of a library: it behaves as at the reference step."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -9,8 +9,9 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from sim.effects.environment import Ambient
-from sim.mujoco_settings import REFERENCE_STEP_S
+from sim.mujoco_settings import REFERENCE_STEP_S, apply_settings
 from sim.plant import Plant
+from tests.marks import slow_but
 from tests.sim import lab
 
 SIDEWAYS = lab.tilted_world(20, -15)
@@ -74,7 +75,7 @@ def to_and_fro(joint: Joint, rate_rad_s: float, time_step_s: float | None) -> Wa
     return Way(motor, current, output)
 
 
-JOINTS = pytest.mark.parametrize("joint", [Joint.AZIMUTH, Joint.WRIST])
+JOINTS = pytest.mark.parametrize("joint", slow_but([Joint.AZIMUTH, Joint.WRIST], Joint.AZIMUTH))
 
 
 def rms(values: lab.Array) -> float:
@@ -146,3 +147,14 @@ def test_a_gap_is_crossed_as_often_and_in_the_same_time() -> None:
     half = lab.HALF_BACKLASH_RAD[Joint.WRIST]
     cycles = [np.count_nonzero(np.abs(gears[:, Joint.WRIST]) < half) for gears in (own, reference)]
     assert cycles[0] == pytest.approx(cycles[1], rel=0.05)
+
+
+def test_the_profiler_of_mujoco_is_off() -> None:
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    seconds = []
+    for switch in (lambda: mujoco.set_mjcb_time(None), apply_settings):
+        switch()
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data)
+        seconds.append(data.timer[0].duration)
+    assert seconds[0] > 0.0 == seconds[1]

@@ -14,7 +14,13 @@ from fsw.kinematics.transforms import Array
 from marsarm.common.pool import Runner, in_order, local_runner
 from marsarm.common.rates import rate_of
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.blind_case import record_blind, sample_background
+from marsarm.diagnosis.arm.blind_case import (
+    DetectableEffect,
+    SampledEffect,
+    list_detectable,
+    record_blind,
+    sample_background,
+)
 from marsarm.diagnosis.arm.case import (
     CampaignModel,
     FittedCase,
@@ -27,7 +33,6 @@ from marsarm.diagnosis.arm.record import record_campaign, split_logs
 from marsarm.diagnosis.arm.simulator import catalogue_effect
 from marsarm.diagnosis.problem import Hypothesis
 from marsarm.diagnosis.result import to_json as diagnosis_json
-from marsarm.diagnosis.sampling import DetectableEffect, SampledEffect, list_detectable
 from sim.arms import arm_named
 from sim.diagnosis_campaign import DiagnosisSession, campaign_sessions
 from sim.initialisation import true_reference

@@ -20,7 +20,7 @@ from marsarm.diagnosis.problem import Hypothesis, Ints
 from marsarm.diagnosis.result import finite_or_none
 from marsarm.diagnosis.sensitivity import Sensitivities
 from simgap.common.errors import BadRequest
-from simgap.common.json_file import read_json
+from simgap.common.toml import read_json
 
 CLASSES_FILE: Final = "classes.json"
 NO_FEATURES: Final = "holds no features"

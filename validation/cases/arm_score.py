@@ -192,12 +192,8 @@ def _detection_rates(classes: EquivalenceClasses, each: Sequence[_Assigned]) -> 
             bool(classes.locations(one.name, one.place) & classes.locations(found["name"], found["place"]))
             for one, found in reported
         ),
-        rate_of(
-            _class(classes, one) == classes.of(found["name"], found["place"]) for one, found in reported
-        ),
-        rate_of(
-            _is_covered(classes, one, found) for one, found in reported if found["level"] != "unlocated"
-        ),
+        rate_of(_class(classes, one) == classes.of(found["name"], found["place"]) for one, found in reported),
+        rate_of(_is_covered(classes, one, found) for one, found in reported if found["level"] != "unlocated"),
     )
 
 

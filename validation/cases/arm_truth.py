@@ -6,7 +6,6 @@ The leakage check unpacks all bytes of a log. It searches them for names, number
 import json
 import re
 import struct
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -19,16 +18,16 @@ from mcap.stream_reader import StreamReader
 
 from fsw.kinematics.transforms import Array
 from marsarm.diagnosis.arm.arm_effects import locate
-from marsarm.diagnosis.arm.blind_case import nominal_reference
-from marsarm.diagnosis.arm.simulator import make_effect, to_hypothesis
-from marsarm.diagnosis.problem import Hypothesis
-from marsarm.diagnosis.sampling import (
+from marsarm.diagnosis.arm.blind_case import (
     DetectableEffect,
     SampledEffect,
     can_sample,
+    nominal_reference,
     sample_amplitude,
     sample_effect,
 )
+from marsarm.diagnosis.arm.simulator import make_effect, to_hypothesis
+from marsarm.diagnosis.problem import Hypothesis
 from marsarm.telemetry.events import record_to_json
 from marsarm.telemetry.format import CHANNELS_KEY
 from marsarm.telemetry.header import SESSION
@@ -38,6 +37,7 @@ from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.scenario.effects import BadEffect, effect_classes_in_file, effect_text, parse_effect_text
 from simgap.common.errors import BadRequest, UserError
+from simgap.common.toml import read_toml
 
 CaseKind = Literal["none", "single", "pair", "out-of-catalogue"]
 KIND_SHARES: Final[dict[CaseKind, float]] = {"none": 0.25, "out-of-catalogue": 0.35, "pair": 0.15}
@@ -220,7 +220,7 @@ class OutsideEffect:
 @cache
 def load_outside_effects() -> Mapping[str, OutsideEffect]:
     """Load the families and locations of the effects outside the catalogue, by name."""
-    document = tomllib.loads((EFFECTS_FOLDER / "families.toml").read_text(encoding="utf-8"))
+    document = read_toml(EFFECTS_FOLDER / "families.toml")
     return {
         name: OutsideEffect(kind == "related", frozenset(one["families"]), one.get("location", ""))
         for kind, effects in document.items()

@@ -68,11 +68,11 @@ class RobotCases:
     ) -> tuple[SealedCase, ...]:
         """Draw the cases, each in a draft of its own, and write the robots and the index."""
         plans = plan_robot_cases(cases, seed, self.models)
-        jobs = [(_draft_path(folder, one.name), one) for one in plans]
+        jobs = [(_draft_path(folder, one.name), one, self.test_rates) for one in plans]
         for done, name in enumerate(run(_draw, [job for job in jobs if not job[0].exists()]), 1):
             progress(done, len(jobs), f"drew {name}")
         case_type = TypeAdapter(SealedCase)
-        drafts = tuple(case_type.validate_json(path.read_bytes()) for path, _ in jobs)
+        drafts = tuple(case_type.validate_json(path.read_bytes()) for path, *_ in jobs)
         drawn = [(one.truth.seed, one.truth.kind) for one in drafts]
         if drawn != [(one.seed, one.kind) for one in plans]:
             raise BadRequest(f"out {folder}: holds drafts of another seed or number; give a new folder")
@@ -129,11 +129,12 @@ def _draft_path(folder: Path, case: str) -> Path:
     return folder / sealed.SEALED_FOLDER / f"{case}.json"
 
 
-def _draw(job: tuple[Path, PlannedRobotCase]) -> str:
-    path, plan = job
+def _draw(job: tuple[Path, PlannedRobotCase, bool]) -> str:
+    """Draw a case and write its draft, with the equivalents of its effects if rates are tested."""
+    path, plan, test_rates = job
     truth = draw_truth(plan.seed, plan.kind, plan.model)
     campaign = make_campaign(plan.seed, plan.model)
-    equivalents = tuple(find_equivalents(campaign, one) for one in truth.effects)
+    equivalents = tuple(find_equivalents(campaign, one) if test_rates else () for one in truth.effects)
     sealed.write_json(path, asdict(SealedCase(plan.name, truth, equivalents)))
     return plan.name
 

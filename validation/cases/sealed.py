@@ -21,8 +21,8 @@ from pydantic import TypeAdapter, ValidationError
 from marsarm.common.pool import Runner
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.files import atomic_write, check_new_path
-from simgap.common.json_file import describe_first_problem
 from simgap.common.progress import Progress, part_of
+from simgap.common.toml import describe_first_problem
 from validation.campaigns import Context, Document
 
 TRUTH: Final = "truth.json"
@@ -101,9 +101,7 @@ class CaseMaker(Protocol[Case]):
     """Type of the sealed truth."""
     result_type: ClassVar[TypeAdapter[Any]]
 
-    def draw(
-        self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress
-    ) -> tuple[Case, ...]:
+    def draw(self, folder: Path, cases: int, seed: int, run: Runner, progress: Progress) -> tuple[Case, ...]:
         """Draw the truth of all cases, and write what solving may know before them."""
 
     def check(self, cases: Sequence[Case]) -> Iterator[str]:

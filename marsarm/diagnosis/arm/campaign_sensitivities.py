@@ -53,8 +53,8 @@ from sim.params import nominal_params
 from sim.world import World, build
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_write
-from simgap.common.json_file import read_json
 from simgap.common.progress import Progress, part_of
+from simgap.common.toml import read_json
 
 Logs = tuple[Path, ...]
 Names = tuple[str, ...]

@@ -16,7 +16,14 @@ from fsw.config import digest
 from marsarm.common.pool import select_runner
 from marsarm.diagnosis.arm import record
 from marsarm.diagnosis.arm.audit import load_checked_recordings
-from marsarm.diagnosis.arm.blind_case import record_blind, sample_background
+from marsarm.diagnosis.arm.blind_case import (
+    can_sample,
+    list_detectable,
+    record_blind,
+    sample_amplitude,
+    sample_background,
+    sample_effect,
+)
 from marsarm.diagnosis.arm.campaign_sensitivities import check_cache_folder, list_sources
 from marsarm.diagnosis.arm.case import CampaignModel, diagnose_case, load_campaign_model
 from marsarm.diagnosis.arm.record import HELD_OUT_FOLDER, record_logs, split_logs
@@ -25,7 +32,6 @@ from marsarm.diagnosis.arm.simulator import catalogue_effect
 from marsarm.diagnosis.diagnose import Finding
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.result import DiagnosisResult, to_json
-from marsarm.diagnosis.sampling import can_sample, list_detectable, sample_amplitude, sample_effect
 from marsarm.telemetry.header import model_digest
 from sim.arms import arm_named
 from sim.diagnosis_campaign import campaign_sessions

@@ -1,6 +1,5 @@
 """Command `diagnose`: checks a request, loads logs and campaign model, and diagnoses the case."""
 
-import hashlib
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -23,9 +22,9 @@ from marsarm.diagnosis.result import DiagnosisResult
 from sim.arm_model.load import default_arm
 from sim.effects.catalogue import catalogue, effect_name
 from sim.effects.effect import Effect
-from sim.scenario.names import shorten
+from sim.scenario.records import shorten
 from simgap.common.errors import BadRequest
-from simgap.common.files import cache_folder
+from simgap.common.files import cache_folder, file_sha256
 from simgap.common.options import check_options
 from simgap.common.progress import Progress, no_progress, part_of
 
@@ -113,12 +112,6 @@ def _check_different(fitted: tuple[Path, ...], held_out: tuple[Path, ...]) -> No
                 f"held-out log {path}: this is log {same} too; what is held out takes no part in fitting"
             )
         raise BadRequest(f"log {path}: is the same as {same}; give each once")
-
-
-def file_sha256(path: Path) -> str:
-    """Compute the SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _parse_effects(names: str) -> tuple[str, ...]:

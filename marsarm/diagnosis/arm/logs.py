@@ -27,10 +27,9 @@ from marsarm.telemetry.errors import LogError
 from marsarm.telemetry.header import SESSION
 from marsarm.telemetry.read import Log, read_log
 from sim.loop import RecordedStart
-from sim.text_file import UnreadableText, decode_text
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
-from simgap.common.errors import BadRequest
-from simgap.common.json_file import describe_first_problem
+from simgap.common.errors import BadRequest, RobotError
+from simgap.common.toml import decode_text, describe_first_problem
 
 DRIVE: Final = "/drive"
 COUNTS: Final = "setpoint_count"
@@ -89,12 +88,12 @@ def read_tracker_poses(path: Path) -> TrackerPoses:
         BadTracker: It cannot be read, a column is missing, or a value is wrong or repeated.
     """
     try:
-        table = csv.DictReader(StringIO(decode_text(path.read_bytes()), newline=""))
+        table = csv.DictReader(StringIO(decode_text(path.read_bytes(), str(path)), newline=""))
         rows, missing = list(table), {*POSE_COLUMNS, *SIGMA_COLUMNS} - set(table.fieldnames or ())
     except OSError as error:
         raise BadTracker(f"{path}: cannot be read ({error.strerror or error})") from error
-    except UnreadableText as error:
-        raise BadTracker(f"{path}: {error}") from error
+    except RobotError as error:
+        raise BadTracker(str(error)) from error
     except csv.Error as error:
         raise BadTracker(f"{path}: is not a table in CSV; it is damaged or of another format") from error
     if missing:

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from fsw.config import digest
 from fsw.dictionary.params import Params
-from marsarm.common.params_toml import params_toml
-from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, file_sha256, flight_params
+from marsarm.diagnosis.arm.diagnose_logs import DiagnoseJob, flight_params
 from marsarm.diagnosis.arm.request import DiagnoseRequest
 from marsarm.diagnosis.arm.simulator import catalogue_effect
 from marsarm.diagnosis.page import save_diagnosis_page
@@ -15,11 +14,9 @@ from marsarm.diagnosis.result import DiagnosisResult, to_json
 from sim.effects.catalogue import effect_name, has_flight_parameter
 from sim.effects.effect import Effect
 from sim.params import nominal_params
-from sim.params_table import BadParams, check_params
-from sim.scenario.effect_file import effect_file_text
-from sim.scenario.effects import effect_text
-from simgap.common.files import atomic_write
-from simgap.common.json_digest import json_sha256
+from sim.params_table import BadParams, check_params, params_toml
+from sim.scenario.effects import effect_file_text, effect_text
+from simgap.common.files import atomic_write, file_sha256, json_sha256
 from simgap.common.options import command_text
 from simgap.common.page import Origin
 

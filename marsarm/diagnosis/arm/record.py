@@ -12,7 +12,6 @@ import numpy as np
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, Pose, stack_poses
 from marsarm.calibration.campaign import TooFewTargets, measure_pose
-from marsarm.common.params_toml import params_toml
 from marsarm.common.requests import fit_effects, parse_effects, select_arm
 from marsarm.diagnosis.arm.logs import TrackerPoses, no_tracker_poses, write_tracker_poses
 from marsarm.diagnosis.arm.request import RecordRequest
@@ -33,8 +32,9 @@ from sim.effects.effect import Effect
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop
 from sim.params import nominal_params
+from sim.params_table import params_toml
 from sim.plant import PlantDiverged
-from sim.scenario.names import did_you_mean
+from sim.scenario.records import did_you_mean
 from sim.tracker import TYPICAL_TRACKER, turret_pose
 from simgap.common.errors import BadRequest
 from simgap.common.files import atomic_path, check_new_path

@@ -9,10 +9,10 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from simgap.common.errors import RobotError
+from simgap.common.toml import Record, parse_record, read_toml
 from simgap.files.log_file import open_log
 from simgap.files.motion_rows import MotionRows
 from simgap.files.robot_file import RobotFile
-from simgap.files.toml_record import Record, parse_record, read_toml
 from simgap.logs import JointLog, Logs, Motion, Signal
 from simgap.robot import Robot
 

@@ -1,6 +1,7 @@
 """A planar arm of two joints over a table, simulated in place of a real one, and its slow motions."""
 
 from dataclasses import replace
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -94,7 +95,13 @@ def motion(number, time_s, position, command) -> Motion:
 
 
 def slow_logs(real: Robot, low: float = -0.6, high: float = 0.4, count: int = 4) -> Logs:
-    """Return slow motions of the real arm."""
+    """Return slow motions of the real arm; the same ones are recorded once."""
+    return _slow_logs(real.model.ngeom > 0, real.joints[0].torque_limit_Nm, low, high, count)
+
+
+@cache
+def _slow_logs(table: bool, torque_limit_Nm: float, low: float, high: float, count: int) -> Logs:
+    real = planar_arm(table, torque_limit_Nm)
     return Logs(tuple(record(real, k, commands(k, low, high)) for k in range(count)))
 
 

@@ -19,11 +19,6 @@ COUNT_rad = 2 * np.pi / 4096
 NOISE_rad = 0.3e-3
 """Standard deviation of a position before it is rounded to counts: a fifth of a count."""
 STEP_s = 0.0005
-TABLE_m = -0.045
-"""Height of the gripper's frame when the fingertip lies on the table."""
-CLAMP_rad = -1.034
-"""Least command of the wrist roll that reaches the servo."""
-FINGERTIP_m = 0.005
 REST = {"elbow_flex": 0.5, "gripper": 0.785}
 """Command from which all motions start [rad]; 0 at the other joints. The gripper is half open."""
 
@@ -38,8 +33,6 @@ class Truth:
     """Dry friction beside that of the model."""
     friction_per_load: Mapping[str, float] = field(default_factory=dict)
     """Dry friction per torque that the gear carries: of gravity, and of the inertia behind it."""
-    has_table: bool = False
-    has_clamp: bool = False
 
 
 def so101() -> Robot:
@@ -97,13 +90,9 @@ def _positions(robot: Robot, truth: Truth, sent: Array) -> Array:
     dof = [int(model.joint(name).dofadr[0]) for name in names]
     share = np.array([truth.friction_per_load.get(name, 0.0) for name in names])
     friction_Nm, load_Nm = model.dof_frictionloss[dof], np.zeros(model.nv)
-    arrived = sent.copy()
-    if truth.has_clamp:
-        roll = names.index("wrist_roll")
-        arrived[:, roll] = np.maximum(arrived[:, roll], CLAMP_rad)
     data, rows, settle = mujoco.MjData(model), [], round(1.0 / ROW_s)
-    data.qpos[dof] = arrived[0]
-    for row, command in enumerate((*(arrived[:1].repeat(settle, 0)), *arrived)):
+    data.qpos[dof] = sent[0]
+    for row, command in enumerate((*(sent[:1].repeat(settle, 0)), *sent)):
         if row >= settle:
             rows.append(data.qpos[dof])
         data.ctrl[:] = command
@@ -116,17 +105,11 @@ def _positions(robot: Robot, truth: Truth, sent: Array) -> Array:
 
 
 def _model(robot: Robot, truth: Truth) -> mujoco.MjModel:
-    """Compile the twin: its servos, its friction, a table if there is one."""
+    """Compile the twin: its servos and its friction."""
     spec = mujoco.MjSpec.from_string(robot.model_xml)
     for joint in robot.joints:
         kp_Nm_rad = joint.kp_Nm_rad * (1.0 + truth.gain_ratio.get(joint.name, 0.0))
         spec.actuator(joint.name).set_to_position(kp=kp_Nm_rad)
-    if truth.has_table:
-        tip = spec.site("gripperframe")
-        tip.parent.add_geom(pos=tip.pos, size=[FINGERTIP_m, 0, 0], mass=0, friction=[0.2, 0.005, 0.0001])
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 1], pos=[0, 0, TABLE_m - FINGERTIP_m]
-        )
     for name, more_Nm in truth.coulomb_Nm.items():
         spec.joint(name).frictionloss += more_Nm
     spec.option.timestep = STEP_s

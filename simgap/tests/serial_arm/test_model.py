@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.marks import slow_but
 from helpers.serial_synthetic import POSITION_M, built_arm, drawn_arm, series, setup
 from simgap.serial_arm.calibrate import calibrate_series, estimate_setup, held_out_ratio, pose_errors
 from simgap.serial_arm.chain import Pose
@@ -14,7 +15,7 @@ from simgap.serial_arm.model import TERMS, serial_model
 NOISE_RMS_M = POSITION_M * np.sqrt(3)
 
 
-@pytest.mark.parametrize("joints", [1, 3, 6])
+@pytest.mark.parametrize("joints", slow_but([1, 3, 6], 3))
 def test_the_derivatives_are_those_of_finite_differences(joints):
     arm = built_arm(drawn_arm(joints), 0)
     model = serial_model(arm, setup(1), series(arm, setup(1), 4, 2), TERMS)

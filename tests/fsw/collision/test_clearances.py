@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.collision.distance import compute_clearances, find_violation
+from fsw.collision.distance import compute_clearances
 from fsw.collision.geometry import GROUND, SURFACE
 from fsw.config import configure
 from fsw.kinematics.chain import forward
 from fsw.kinematics.statics import settle_output
 from tests.fsw.collision.mujoco_reference import FAR_M, mujoco_clearances, obstacle_of, part_of, plant
-from tests.fsw.rig import MARS_R_m_s2, beside_the_rover, in_limits, with_params
+from tests.fsw.rig import MARS_R_m_s2, beside_the_rover, find_violation, in_limits, with_params
 from tests.tools import TOOLS
 
 CONFIG = beside_the_rover()

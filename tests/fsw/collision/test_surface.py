@@ -6,15 +6,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from fsw.collision.distance import UP, compute_clearances, find_violation, limit_surface
-from fsw.collision.geometry import GROUND, SURFACE, SURFACE_FRAME, Surface
+from fsw.collision.distance import UP, compute_clearances, limit_surface
+from fsw.collision.geometry import GROUND, SURFACE, SURFACE_FRAME, TargetSurface
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
 from sim.frames import FLIP, P_NR_M
 from sim.plant import Plant
 from sim.world import World, build
 from tests.fsw.collision.mujoco_reference import part_of
-from tests.fsw.rig import MARS_R_m_s2, beside_the_rover, in_limits
+from tests.fsw.rig import MARS_R_m_s2, beside_the_rover, find_violation, in_limits
 
 CONFIG = beside_the_rover()
 GEOMETRY = CONFIG.collision_geometry
@@ -28,7 +28,7 @@ def random_surfaces(seed, count):
     rng = np.random.default_rng(seed)
     normals = rng.normal(size=(count, 3))
     for normal, p in zip(normals, rng.uniform((1.0, -0.6, -0.2), (2.4, 0.6, 1.2), (count, 3)), strict=True):
-        yield Surface(p, normal / np.linalg.norm(normal))
+        yield TargetSurface(p, normal / np.linalg.norm(normal))
 
 
 def heights(frames, surface):
@@ -37,7 +37,7 @@ def heights(frames, surface):
 
 def test_level_ground_as_a_surface_has_the_distances_of_the_ground_to_the_last_bit():
     frames = forward(CONFIG.arm, in_limits(CONFIG, np.random.default_rng(1), 200))
-    ground = Surface(np.array([0.0, 0.0, GEOMETRY.ground_z_m]), UP)
+    ground = TargetSurface(np.array([0.0, 0.0, GEOMETRY.ground_z_m]), UP)
     clearance = compute_clearances(GEOMETRY, frames, FAR_M, surface=ground)
     np.testing.assert_array_equal(clearance[COUNTED, SURFACE], clearance[COUNTED, GROUND])
 
@@ -84,7 +84,7 @@ def test_what_is_clear_of_a_surface_is_clear_of_a_plane_in_mujoco():
 
 def test_the_rock_ends_half_way_to_a_part_that_starts_below_its_surface():
     X_RT = tool_pose(CONFIG.arm, READY, "apxs")
-    above = Surface(X_RT.p[:, 0] - 0.6 * UP, UP, radius_m=0.65)
+    above = TargetSurface(X_RT.p[:, 0] - 0.6 * UP, UP, radius_m=0.65)
     far_below = replace(above, p_R_m=above.p_R_m + 1.2 * UP)
     assert limit_surface(GEOMETRY, READY, above).radius_m == 0.65
     limited = limit_surface(GEOMETRY, READY, far_below)
@@ -97,6 +97,6 @@ def test_only_a_touching_tool_may_start_below_the_surface(touching, said):
     X_RT = tool_pose(CONFIG.arm, READY, "apxs")
     normal = -X_RT.R[:, 0, 0]
     found = find_violation(
-        GEOMETRY, READY, PADDING_M, touching, Surface(X_RT.p[:, 0] + 0.002 * normal, normal, 0.65)
+        GEOMETRY, READY, PADDING_M, touching, TargetSurface(X_RT.p[:, 0] + 0.002 * normal, normal, 0.65)
     )
     assert (found.reason if found else None) == (f"the APXS {said}" if said else None)

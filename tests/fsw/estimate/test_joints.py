@@ -94,7 +94,7 @@ def test_the_likely_output_is_the_motor_with_its_likely_gear_angle():
     joints, _ = resting()
     np.testing.assert_array_equal(joints.output_rad, joints.motor_rad + joints.gear_rad[:, LIKELY])
     np.testing.assert_array_equal(joints.side, [0, -1, -1, 0, 0])
-    np.testing.assert_allclose(joints.backlash_rad, 0.9 * HALF * joints.side)
+    np.testing.assert_allclose(joints.backlash_state[0], 0.9 * HALF * joints.side)
     stiffness = CONFIG.arm.gear_stiffness_Nm_rad
     known = joints.side != 0
     unknown_Nm = CONFIG.load_error_Nm + 2 * CONFIG.output_friction_Nm

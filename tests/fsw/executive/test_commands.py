@@ -13,12 +13,9 @@ from fsw.dictionary.commands import (
     MoveJoint,
     MoveJoints,
     MoveTool,
-    PlaceTool,
     Preload,
-    Process,
     Retract,
     Stop,
-    ToolChange,
     Unstow,
 )
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint, Mode
@@ -28,7 +25,6 @@ from fsw.dictionary.evrs import (
     CommandAccepted,
     CommandCompleted,
     CommandRefused,
-    ContactMade,
     FaultCleared,
     FaultResponse,
     ModeChanged,
@@ -60,50 +56,28 @@ NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its
 IN_STOWED, IN_GUARDED = (f"not allowed in mode {name}" for name in ("STOWED", "GUARDED"))
 
 
-@pytest.mark.parametrize("bad", [NAN, INF, -INF])
-@pytest.mark.parametrize("place", range(3))
-def test_numbers_of_a_command_that_are_not_finite_are_refused(bad, place):
-    rig = deployed()
-    not_finite = floats(np.where(np.arange(3) == place, bad, 1.0))
-    five = floats(np.where(np.arange(5) == place, bad, 1.0))
-    fine = (1.0, 0.0, 0.0)
-    where = f"number {place + 1}: {bad} is outside"
-    assert refusal(rig, MoveJoints(five)) == f"angle_rad: {where} -7 .. 7"
-    assert refusal(rig, MoveJoint(Joint(place), bad)) == f"angle_rad: {bad} is outside -7 .. 7"
-    assert refusal(rig, MoveTool("apxs", not_finite, fine)) == f"p_FoTo_F_m: {where} -20 .. 20"
-    assert refusal(rig, MoveTool("apxs", fine, not_finite)) == f"approach_F: {where} -1e+09 .. 1e+09"
-    assert refusal(rig, GuardedMove("apxs", not_finite, fine)) == f"end_p_RoTo_R_m: {where} -20 .. 20"
-    assert refusal(rig, GuardedMove("apxs", fine, not_finite)) == f"approach_R: {where} -1e+09 .. 1e+09"
+AHEAD = (1.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("kind", [MoveTool, GuardedMove])
-def test_an_approach_without_length_is_refused(kind):
-    assert ": has no length; " in refusal(deployed(), kind("apxs", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-
-
-@pytest.mark.parametrize("distance", [0.0, -0.1, 1.01, NAN, INF])
-def test_a_retraction_is_a_millimetre_at_least_and_a_metre_at_most(distance):
-    words = f"distance_m: {distance} is outside 0.001 .. 1"
-    assert refusal(deployed(), Retract("apxs", distance)) == words
-
-
-@pytest.mark.parametrize("joint", [-1, 5, 2.5, 2.0])
-def test_a_joint_that_does_not_exist_is_refused_and_the_joints_there_are_are_told(joint):
-    reason = f"joint: {joint} is not known; there are azimuth, elevation, elbow, wrist, turret"
-    assert refusal(deployed(), Calibrate(joint)) == reason
-    assert refusal(deployed(), MoveJoint(joint, 0.0)) == reason
-
-
-@pytest.mark.parametrize("tool", [-1, 3, 99, "apx", None])
 @pytest.mark.parametrize(
-    "kind",
-    [MoveTool, GuardedMove, PlaceTool, Preload, ToolChange, Process, Retract],
-    ids=lambda k: k.__name__,
+    ("command", "reason"),
+    [
+        (MoveJoints((1.0, INF, 1.0, 1.0, 1.0)), "angle_rad: number 2: inf is outside -7 .. 7"),
+        (MoveJoint(Joint.WRIST, NAN), "angle_rad: nan is outside -7 .. 7"),
+        (MoveTool("apxs", AHEAD, (0.0, 0.0, 0.0)), "approach_F: has no length; "),
+        (MoveTool("apxs", AHEAD, AHEAD, line_m=1.001), "line_m: 1.001 is outside 0 .. 1"),
+        (MoveTool("apxs", AHEAD, AHEAD, branch="up"), "branch: 'up' is not known; there are auto, "),
+        (GuardedMove("apxs", (20.1, 0.0, 0.0), AHEAD), "end_p_RoTo_R_m: number 1: 20.1 is outside -20 .. 20"),
+        (GuardedMove("apxs", AHEAD, (0.0, 1e10, 0.0)), "approach_R: number 2: 10000000000.0 is outside"),
+        (Retract("apxs", 0.0), "distance_m: 0.0 is outside 0.001 .. 1"),
+        (Retract("apxs", 0.1, backlash="some"), "backlash: 'some' is not known; there are off, on"),
+        (Retract("apx", 0.1), "tool: 'apx' is not known; there are drill, drt, mahli, apxs, portion"),
+        (Calibrate(2.0), "joint: 2.0 is not known; there are azimuth, elevation, elbow, wrist, turret"),
+    ],
+    ids=str,
 )
-def test_what_is_no_tool_is_refused_and_the_tools_there_are_are_told(kind, tool):
-    rig = deployed()
-    command = replace(COMMANDS[kind](rig), tool=tool)
-    assert refusal(rig, command) == f"tool: {tool!r} is not known; there are drill, drt, mahli, apxs, portion"
+def test_a_command_with_a_wrong_argument_is_refused_with_what_would_be_right(command, reason):
+    assert refusal(deployed(), command).startswith(reason)
 
 
 def test_a_joint_may_be_given_by_its_number():
@@ -116,13 +90,6 @@ def test_a_joint_may_be_given_by_its_number():
     assert rig.state.move.homing.joint is Joint.ELBOW
 
 
-def test_a_joint_that_may_not_be_calibrated_where_it_is_may_be_given_by_its_number_too():
-    start = np.array(START)
-    start[Joint.ELBOW] -= 0.9
-    number: int = int(Joint.AZIMUTH)
-    assert "where azimuth may be calibrated" in refusal(Rig(CONFIG, start_rad=start), Calibrate(number))
-
-
 def test_what_cannot_be_planned_is_refused_with_the_plan_s_own_sentence():
     rig = deployed()
     joints = MoveJoints((0.0, -1.0, 3.0, 1.0, 1.0))
@@ -133,66 +100,11 @@ def test_what_cannot_be_planned_is_refused_with_the_plan_s_own_sentence():
     assert "m long, the longest allowed is" in refusal(rig, rig.touch("apxs", 3.0))
 
 
-@pytest.mark.parametrize("line_m", [NAN, INF, -INF, -0.001, 1.001, 1e6])
-def test_a_line_length_is_at_least_nothing_and_at_most_a_metre(line_m):
-    rig = deployed()
-    words = f"line_m: {line_m} is outside 0 .. 1"
-    assert refusal(rig, rig.here("apxs", line_m=line_m)) == words
-
-
-def test_a_branch_that_does_not_exist_is_refused_by_its_name_and_the_names_there_are_are_told():
-    for name in ("sideways", "", "elbow-up", "shoulder-out elbow-up wrist-upright"):
-        rig = deployed()
-        reason = refusal(rig, rig.here("apxs", branch=name))
-        assert reason == f"branch: {name!r} is not known; there are auto, {', '.join(BRANCHES)}"
-
-
-@pytest.mark.parametrize("kind", [MoveTool, GuardedMove, Retract])
-def test_a_deflection_that_does_not_exist_is_refused_by_its_name(kind):
-    rig = deployed()
-    command = replace(COMMANDS[kind](rig), deflection="some")
-    assert refusal(rig, command) == "deflection: 'some' is not known; there are off, absolute, relative"
-
-
-@pytest.mark.parametrize("kind", [MoveJoint, MoveJoints, MoveTool, GuardedMove, Retract])
-def test_a_backlash_mode_that_does_not_exist_is_refused_by_its_name(kind):
-    rig = deployed()
-    command = replace(COMMANDS[kind](rig), backlash="some")
-    assert refusal(rig, command) == "backlash: 'some' is not known; there are off, on"
-
-
-@pytest.mark.parametrize("kind", [MoveTool, GuardedMove])
-@pytest.mark.parametrize("length", [1e-10, 1e10, 1e300])
-def test_an_approach_of_no_believable_length_is_refused(kind, length):
-    reason = refusal(deployed(), kind("apxs", (1.0, 0.0, 0.0), (0.0, length, 0.0)))
-    assert ": has no length; " in reason if length < 1.0 else f"number 2: {length} is outside" in reason
-
-
-@pytest.mark.parametrize("far", [20.1, 1e3, 1e150, 1e308])
-def test_a_target_beyond_belief_is_refused_as_such(far):
-    rig = deployed()
-    for kind in (MoveTool, GuardedMove):
-        reason = refusal(rig, kind("apxs", (far, far, -far), (1.0, 0.0, 0.0)))
-        assert reason.endswith(f"_m: number 1: {far} is outside -20 .. 20")
-
-
 @pytest.mark.parametrize("far", [5.0, 20.0])
 def test_a_target_beyond_reach_is_refused_without_a_warning(far):
     rig = deployed()
     assert "out of reach" in refusal(rig, MoveTool("apxs", (far, far, -far), (1.0, 0.0, 0.0)))
     assert "m long" in refusal(rig, GuardedMove("apxs", (far, far, -far), (1.0, 0.0, 0.0)))
-
-
-def test_a_named_branch_is_refused_for_its_own_reason():
-    reasons = {}
-    for name in BRANCHES:
-        rig = deployed()
-        rig.cycle(rig.here("apxs", branch=name))
-        reasons.update((name, evr.reason) for evr in rig.evrs if isinstance(evr, CommandRefused))
-    assert reasons
-    for name, reason in reasons.items():
-        assert reason.startswith(f"apxs: the target: {name}: ")
-        assert "soft limit" in reason or "out of reach" in reason
 
 
 def test_a_tool_move_says_which_branch_it_takes():
@@ -342,17 +254,6 @@ def test_after_a_fault_and_its_clearing_the_calibration_of_all_joints_does_not_g
     assert rig.state.mode is Mode.DEPLOYED
 
 
-def test_contact_then_retraction_is_a_placement_without_a_fault():
-    rig = guarded_in_contact()
-    assert any(isinstance(evr, ContactMade) and evr.switch == "apxs_1" for evr in rig.evrs)
-    rig.cycle(Retract("apxs", 0.02), **TOUCHED)
-    for _ in range(30):
-        rig.cycle(**TOUCHED)
-    evrs = rig.run()
-    assert CommandCompleted("Retract") in evrs
-    assert rig.state.mode is Mode.DEPLOYED
-
-
 @pytest.mark.parametrize(
     ("moving", "command", "end"),
     [
@@ -427,7 +328,8 @@ def test_a_stowed_arm_only_unstows():
     rig = stowed()
     for kind in (Calibrate, CalibrateAll, MoveJoint, MoveJoints, MoveTool, GuardedMove, Retract):
         assert refusal(rig, COMMANDS[kind](rig)) == IN_STOWED
-    assert CommandCompleted("Unstow") in rig.run(Unstow())
+    rig.cycle(Unstow())
+    assert rig.state.mode is Mode.FREE_SPACE
 
 
 @pytest.mark.parametrize("mode", [Mode.STOWED, Mode.DEPLOYED])
@@ -451,20 +353,6 @@ def test_how_close_to_stowed_an_arm_is_stowed_is_a_parameter():
         rig.cycle(winding_C=[NAN] * 5)
         rig.cycle(ClearFault())
         assert rig.state.mode is mode
-
-
-@pytest.mark.parametrize("joint", range(5))
-@pytest.mark.parametrize("end", ["min", "max"])
-def test_an_arm_found_beyond_a_soft_limit_is_moved_back_in_without_a_fault(joint, end):
-    outward, limit = (1 if end == "max" else -1), getattr(CONFIG.arm, f"soft_{end}_rad")[joint]
-    pose = START.copy()
-    pose[joint] = limit + outward * 0.05
-    rig = Rig(CONFIG, start_rad=pose)
-    pose[joint] = limit - outward * 0.05
-    evrs = rig.run(MoveJoints(floats(pose)))
-    assert CommandCompleted("MoveJoints") in evrs
-    assert not any(isinstance(evr, FaultResponse) for evr in evrs)
-    assert rig.state.mode is Mode.DEPLOYED
 
 
 @pytest.mark.parametrize(
@@ -540,14 +428,6 @@ def test_after_a_fault_where_it_may_touch_the_arm_retracts_before_it_moves_freel
     assert rig.state.mode is Mode.DEPLOYED
 
 
-def test_a_fault_cleared_at_the_stowed_pose_leaves_the_arm_stowed():
-    rig = stowed()
-    rig.cycle(winding_C=[NAN] * 5)
-    assert rig.state.mode is Mode.FAULTED
-    rig.cycle(ClearFault())
-    assert rig.state.mode is Mode.STOWED
-
-
 def test_a_fault_cleared_with_joints_not_calibrated_does_not_take_the_arm_for_stowed():
     rig = Rig(CONFIG, Mode.STOWED, CONFIG.params.poses.stowed_rad, calibrated=False)
     rig.cycle(winding_C=[NAN] * 5)
@@ -603,15 +483,6 @@ def test_a_stop_before_the_arm_has_left_its_stow_leaves_it_stowed():
     assert rig.state.mode is Mode.STOWED
     rig.cycle(Unstow())
     assert CommandAccepted("Unstow") in rig.evrs
-
-
-def test_a_fault_on_contact_clears_to_where_the_arm_may_touch_though_the_switch_opened():
-    rig = moving_free()
-    rig.cycle(**TOUCHED)
-    assert rig.state.mode is Mode.FAULTED
-    rig.run(at_most=60)
-    rig.cycle(ClearFault())
-    assert rig.state.mode is Mode.GUARDED
 
 
 def test_after_an_unforeseen_contact_the_tool_that_touched_is_the_one_to_retract():

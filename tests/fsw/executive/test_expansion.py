@@ -166,7 +166,7 @@ def test_the_turret_vibrates_on_its_brakes_while_it_is_held_against_gravity():
     assert CommandCompleted("Process") in rig.evrs
 
 
-def test_an_arm_stows_by_way_of_its_ready_pose_and_unstows_again():
+def test_an_arm_stows_by_way_of_its_ready_pose():
     rig = Rig(CONFIG)
     evrs = rig.run(Stow(), at_most=60_000)
     assert CommandCompleted("Stow") in evrs

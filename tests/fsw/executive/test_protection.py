@@ -55,8 +55,8 @@ def test_a_stop_leaves_the_mode_to_the_end_of_the_move_and_drops_the_sequence(mo
     sequence, lost = Sequence("CalibrateAll", ()), ContactLost("drill")
     after = respond(rig, MoveOutcome(mode, rig.state.move, sequence, None, ()), lost)
     assert (after.mode, after.sequence, after.fault) == (mode, None, None)
-    assert after.move.stopped
-    assert after.move.end_mode is TRANSITIONS[mode, ModeEvent.STOP]
+    assert after.move.plan.stopped
+    assert after.move.plan.end_mode is TRANSITIONS[mode, ModeEvent.STOP]
     assert after.evrs == (lost, FaultResponse("STOP_AND_BRAKE"), CommandAborted("CalibrateAll"))
 
 
@@ -65,8 +65,8 @@ def test_power_off_is_a_brake_without_power():
     before = MoveOutcome(Mode.FREE_SPACE, rig.state.move, None, None, ())
     braked = respond(rig, before, NoContact(0.1))
     after = respond(rig, before, OverTemperature(Joint.WRIST, 100.0, 90.0))
-    assert braked.move.active.all()
-    assert not after.move.active.any()
+    assert braked.move.plan.active.all()
+    assert not after.move.plan.active.any()
     assert after.move.phase is braked.move.phase is Phase.BRAKE
     assert after.mode is Mode.FAULTED
     assert after.evrs[-1] == FaultResponse("POWER_OFF")

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.collision.distance import find_violation, limit_surface
-from fsw.collision.geometry import Surface
+from fsw.collision.distance import limit_surface
+from fsw.collision.geometry import TargetSurface
 from fsw.config import configure
 from fsw.dictionary.commands import GuardedMove, MoveTool, PlaceTool, Retract, Stow, Unstow
 from fsw.dictionary.types import vector3
@@ -21,7 +21,7 @@ from fsw.motion.plan import Plan, Refusal, estimate_at
 from fsw.motion.plan_tool import plan_retract
 from sim.arms import arm_named
 from sim.frames import p_R_from_N
-from tests.fsw.rig import MARS_R_m_s2
+from tests.fsw.rig import MARS_R_m_s2, find_violation
 
 PARAMS = arm_named("nominal").params
 CONFIG = configure(PARAMS)
@@ -105,7 +105,7 @@ def test_a_tool_that_touches_may_retract_wherever_a_close_look_finds_the_way_cle
     for lean_rad in np.radians(np.arange(0.0, 60.0, 4.0)):
         for across in (sideways, -sideways, np.cross(axis, sideways), -np.cross(axis, sideways)):
             normal = -np.cos(lean_rad) * axis + np.sin(lean_rad) * across
-            surface = limit_surface(geometry, frames, Surface(tip_m, normal, geometry.surface_radius_m))
+            surface = limit_surface(geometry, frames, TargetSurface(tip_m, normal, geometry.surface_radius_m))
             close = find_violation(geometry, frames, padding_m, "apxs", surface)
             if close is None:
                 assert check_paths(CONFIG, joints, paths, padding_m, "apxs", surface) is None

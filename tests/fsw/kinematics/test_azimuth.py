@@ -107,13 +107,3 @@ def test_a_foot_nearer_than_the_lateral_offset_is_missing_the_difference():
     s = DRAWING.orthogonal["drill"]
     _, _, missing = solve_azimuths(s, np.array([0.03, 0.04, 0.5]), np.array([1.0, 0.0, 0.0]))
     np.testing.assert_allclose(missing, abs(s.lateral_m) - 0.05, atol=1e-15)
-
-
-@ARMS
-def test_a_batch_of_feet_is_its_single_feet(arm, find):
-    s, foot, a, *_ = feet(arm, hard(arm)[:, :60])
-    many = find(s, foot.reshape(3, 5, 12), a.reshape(3, 5, 12))
-    for k, index in enumerate(np.ndindex(5, 12)):
-        one = find(s, foot[:, k], a[:, k])
-        for several, single in zip(many, one, strict=True):
-            np.testing.assert_allclose(several[..., *index], single, rtol=0, atol=1e-13)

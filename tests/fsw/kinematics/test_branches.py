@@ -81,14 +81,3 @@ def test_the_roots_of_the_orthogonal_arm_are_on_the_branches_of_their_slots(tool
     assert clear.mean() > 0.5
     slot = np.broadcast_to(np.arange(8)[:, None], clear.shape)
     np.testing.assert_array_equal(branch_index(signs)[clear], slot[clear])
-
-
-def test_a_batch_of_poses_is_on_the_branches_of_its_single_poses():
-    q, s = poses(24), config_of("calibrated:3").arm.orthogonal["drt"]
-    many = branch_index(fold_distances(s, q.reshape(5, 2, 3, 4)))
-    assert many.shape == (2, 3, 4)
-    for k, index in enumerate(np.ndindex(2, 3, 4)):
-        one = branch_index(fold_distances(s, q[:, k]))
-        assert one.shape == ()
-        assert one == many[index]
-    assert branch_index(np.zeros((3, 0))).shape == (0,)

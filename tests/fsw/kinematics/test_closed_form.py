@@ -170,22 +170,3 @@ def test_on_the_branch_of_a_pose_is_the_pose_that_made_the_target(arm):
     at, missing = closed_form_branch(s, p[:, clear], a[:, clear], near[:, clear])
     assert np.abs(wrap_angle(at - q[:, clear])).max() < SAME_RAD
     assert missing.max() < MEETS
-
-
-def test_no_targets_have_no_roots():
-    for arm in (ARM, skew_tool(3)):
-        roots = closed_form(arm, TOOL, np.zeros((3, 0)), np.zeros((3, 0)))
-        assert roots.output_rad.shape == (5, 8, 0)
-
-
-@pytest.mark.parametrize(("arm", "bound"), [(ARM, 0.0), (skew_tool(3), 1e-13)], ids=["drawing", "skew"])
-def test_a_batch_of_targets_is_its_single_targets(arm, bound):
-    """Radial tools agree bit for bit, others up to the last digits of complex arithmetic."""
-    q = in_limits(config_of(), np.random.default_rng(6), 24)
-    p, a, _ = targets_of(arm, q)
-    many = closed_form(arm, TOOL, p.reshape(3, 4, 6), a.reshape(3, 4, 6))
-    for k, index in enumerate(np.ndindex(4, 6)):
-        one = closed_form(arm, TOOL, p[:, k], a[:, k])
-        for name in ("output_rad", "missing_m", "wrist_sine"):
-            several, single = getattr(many, name)[..., *index], getattr(one, name)
-            np.testing.assert_allclose(several, single, rtol=0, atol=bound)

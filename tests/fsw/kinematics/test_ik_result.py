@@ -11,20 +11,9 @@ from fsw.kinematics.ik import (
     IkResult,
     describe_slot,
 )
-from fsw.kinematics.transforms import select_targets
 from tests.fsw.rig import config_of
 
 ARM = config_of().arm
-
-
-def result_of(n, seed=0):
-    """Build a result of distinct numbers, batch (n,)."""
-    rng = np.random.default_rng(seed)
-    whole = (8, n)
-    return IkResult(
-        rng.normal(size=(5, *whole)), rng.normal(size=(5, *whole)), rng.integers(0, 4, whole),
-        rng.integers(0, 5, whole), rng.random(whole), rng.random(whole),
-    )  # fmt: skip
 
 
 def one(verdict, joint=Joint.AZIMUTH, excess=0.0, error=np.nan, angle=np.nan):
@@ -78,11 +67,3 @@ def test_every_verdict_has_its_sentence(result, reason):
 
 def test_no_verdict_is_without_a_sentence():
     assert {int(result.verdict[2]) for result, _ in SENTENCES} == set(BranchVerdict)
-
-
-def test_one_target_is_selected_from_a_batch():
-    result = result_of(5)
-    for k in range(5):
-        single = select_targets(result, k)
-        for name in IkResult.__slots__:
-            np.testing.assert_array_equal(getattr(single, name), getattr(result, name)[..., k])

@@ -9,7 +9,7 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.roots import refine_roots
 from fsw.kinematics.statics import relative_target
-from tests.fsw.kinematics.test_newton import RIGID, deflected_targets, deflected_tool
+from tests.fsw.kinematics.test_roots import RIGID, deflected_targets, deflected_tool
 from tests.fsw.rig import MARS_R_m_s2, config_of
 from tests.tools import TOOLS
 
@@ -74,17 +74,6 @@ def test_over_one_spot_the_shifts_of_two_tools_relative_to_each_other_cancel():
         shifts.append(tool_pose(arm, forward(arm, found.output_rad), tool).p - p)
     assert np.linalg.norm(shifts[0]) > 2e-7
     np.testing.assert_allclose(shifts[0], -shifts[1], atol=2e-3 * np.linalg.norm(shifts[0]))
-
-
-def test_relative_targets_come_in_batches():
-    config = config_of()
-    _, p, a = deflected_targets(config, "apxs", 6, MARS_R_m_s2)
-    batch = (v.reshape(3, 2, 3) for v in (p, a))
-    many = relative_target(config.arm, "drill", REFERENCE, MARS_R_m_s2, *batch)
-    for k in range(6):
-        one = relative_target(config.arm, "drill", REFERENCE, MARS_R_m_s2, p[:, k], a[:, k])
-        for several, single in zip(many, one, strict=True):
-            np.testing.assert_allclose(several.reshape(3, 6)[:, k], single, rtol=0, atol=2e-15)
 
 
 def test_with_springs_half_as_stiff_the_relative_shift_doubles():

@@ -50,7 +50,7 @@ def test_every_root_meets_its_target_and_no_root_is_there_twice(name, gravity, t
     assert_no_root_twice(solved.result)
 
 
-@radial
+@every
 def test_every_slot_is_consistent_and_has_its_sentence(name, gravity, tool):
     solved = near_double_roots(name, gravity, tool, N)
     assert_consistent(solved.trial.arm, solved.result)
@@ -101,9 +101,3 @@ def test_targets_that_once_had_the_same_root_in_two_slots_have_different_ones(na
     assert claimed_roots(result).sum() >= 2
     assert_no_root_twice(result)
     assert_consistent(trial.arm, result)
-
-
-@pytest.mark.parametrize(("name", "gravity", "tool"), SKEW)
-def test_every_slot_of_a_deflected_skew_tool_is_consistent(name, gravity, tool):
-    solved = near_double_roots(name, gravity, tool, N)
-    assert_consistent(solved.trial.arm, solved.result)

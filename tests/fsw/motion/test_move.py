@@ -8,7 +8,16 @@ import pytest
 from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.estimate.joints import no_load
-from fsw.motion.move import Move, Phase, advance_move, command_actuators, find_closed_switch, stop_early
+from fsw.motion.move import (
+    ALL_JOINTS,
+    Move,
+    MovePlan,
+    Phase,
+    advance_move,
+    command_actuators,
+    find_closed_switch,
+    stop_early,
+)
 from fsw.motion.paths import Setpoint, StopPath, joint_path
 from fsw.state import boot
 from tests.fsw.rig import Rig, config_of, quiet_sensors
@@ -24,10 +33,10 @@ def resting() -> Setpoint:
     return Setpoint(READY, np.zeros(5))
 
 
-def move_by(angle_rad: float, **fields) -> Move:
+def move_by(angle_rad: float, phase: Phase = Phase.RELEASE, **fields) -> Move:
     path = joint_path(CONFIG, READY, READY + angle_rad)
-    every, limit_A = np.ones(5, bool), CONFIG.current_limit_A
-    return Move("MoveJoints", Mode.DEPLOYED, every, limit_A, (path,), resting(), **fields)
+    plan = MovePlan("MoveJoints", Mode.DEPLOYED, **({"active": ALL_JOINTS, "paths": (path,)} | fields))
+    return Move(plan, resting(), CONFIG.current_limit_A, phase)
 
 
 AT_READY = Rig(CONFIG).state.joints
@@ -64,7 +73,7 @@ def test_the_set_point_goes_from_the_start_to_the_end_of_the_path_without_a_jump
 
 def test_paths_run_one_after_the_other_each_to_its_end():
     there, back = joint_path(CONFIG, READY, READY + 0.01), joint_path(CONFIG, READY + 0.01, READY)
-    move = replace(move_by(0.0), paths=(there, back))
+    move = move_by(0.0, paths=(there, back))
     highest = -np.inf
     while move is not None:
         highest = max(highest, move.setpoint.motor_rad[0] - READY[0])
@@ -76,14 +85,14 @@ def test_paths_run_one_after_the_other_each_to_its_end():
 
 @pytest.mark.parametrize("phase", Phase)
 def test_a_stop_in_any_phase_ends_early_and_forgets_the_contact(phase):
-    stopped = stop_early(CONFIG, move_by(0.5, phase=phase, guarded_tool="apxs"), Mode.GUARDED)
-    assert stopped.stopped
-    assert stopped.guarded_tool is None
-    assert stopped.end_mode is Mode.GUARDED
+    stopped = stop_early(CONFIG, move_by(0.5, phase, guarded_tool="apxs"), Mode.GUARDED)
+    assert stopped.plan.stopped
+    assert stopped.plan.guarded_tool is None
+    assert stopped.plan.end_mode is Mode.GUARDED
     expected = {Phase.RELEASE: Phase.BRAKE}.get(phase, phase)
     assert stopped.phase is expected
     if phase is Phase.RUN:
-        (path,) = stopped.paths
+        (path,) = stopped.plan.paths
         assert isinstance(path, StopPath)
 
 
@@ -105,7 +114,7 @@ def test_without_a_move_brakes_are_on_and_power_is_off():
 @pytest.mark.parametrize("joint", Joint)
 def test_the_joints_that_a_move_does_not_take_stay_braked_without_power(phase, joint):
     rig, alone = Rig(CONFIG), np.arange(5) == joint
-    move = replace(move_by(0.1, phase=phase), active=alone)
+    move = move_by(0.1, phase, active=alone)
     drive = command_actuators(CONFIG, move, rig.state.joints, rig.state.drive)
     np.testing.assert_array_equal(drive.power_on, alone)
     np.testing.assert_array_equal(drive.brake_release, alone & (phase is not Phase.BRAKE))
@@ -114,7 +123,7 @@ def test_the_joints_that_a_move_does_not_take_stay_braked_without_power(phase, j
 @pytest.mark.parametrize("phase", Phase)
 def test_power_is_on_in_every_phase_and_the_brakes_are_off_in_all_but_the_last(phase):
     rig = Rig(CONFIG)
-    drive = command_actuators(CONFIG, move_by(0.1, phase=phase), rig.state.joints, rig.state.drive)
+    drive = command_actuators(CONFIG, move_by(0.1, phase), rig.state.joints, rig.state.drive)
     assert drive.power_on.all()
     assert (drive.brake_release == (phase is not Phase.BRAKE)).all()
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsw.collision.distance import compute_clearances, find_violation
+from fsw.collision.distance import compute_clearances
 from fsw.collision.geometry import GROUND
 from fsw.dictionary.commands import MoveJoints, MoveTool, Retract
 from fsw.dictionary.enums import Joint
@@ -28,7 +28,16 @@ from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
 from sim.arm_check import sweep_poses
 from sim.clearance import MAX_CLEARANCE_M, ClearanceModel
 from sim.world import World
-from tests.fsw.rig import MARS_R_m_s2, Rig, beside_the_rover, config_of, facing, floats, in_limits
+from tests.fsw.rig import (
+    MARS_R_m_s2,
+    Rig,
+    beside_the_rover,
+    config_of,
+    facing,
+    find_violation,
+    floats,
+    in_limits,
+)
 
 CONFIG = beside_the_rover()
 GEOMETRY = CONFIG.collision_geometry
@@ -203,7 +212,7 @@ def test_where_the_arm_goes_by_command_is_what_is_looked_at():
     rig = Rig(CONFIG)
     goal = READY + np.array([0.1, 0.05, -0.1, 0.1, 0.2])
     rig.until_moving(MoveJoints(floats(goal)), cycles=8)
-    checked = points_of_arm(forward(CONFIG.arm, sample_paths(CONFIG, rig.state.move.paths, FINE_STEP_M)))
+    checked = points_of_arm(forward(CONFIG.arm, sample_paths(CONFIG, rig.state.move.plan.paths, FINE_STEP_M)))
     while rig.outputs.joint.busy:
         rig.cycle()
         motor = rig.state.joints.motor_rad[:, None]

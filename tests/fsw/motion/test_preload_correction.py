@@ -13,6 +13,7 @@ from fsw.motion.move import Phase
 from fsw.motion.plan import Refusal
 from fsw.motion.preload import model_contact, plan_preload
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
+from tests.marks import slow_but
 
 FRICTION_NM = np.array([170.0, 170.0, 170.0, 39.0, 39.0])
 
@@ -63,8 +64,8 @@ def currents(rig, stiffness: float, friction: float, offset_Nm: float, across) -
     move = state.move
     if move.phase is not Phase.RUN:
         return np.full(5, 1e-9 * state.tick)
-    of_model = move.preload_change.torque_per_N * state.preload.model_N
-    per_N = (stiffness - 1.0) * move.preload_change.torque_per_N + levers_across(rig) @ np.array(across)
+    of_model = move.plan.preload_change.torque_per_N * state.preload.model_N
+    per_N = (stiffness - 1.0) * move.plan.preload_change.torque_per_N + levers_across(rig) @ np.array(across)
     # the estimated load contains the estimated reaction already
     extra = per_N * state.preload.model_N + (1 - state.preload.force_ratio) * of_model
     resisting = friction * FRICTION_NM * np.sign(move.setpoint.rate_rad_s)
@@ -80,7 +81,7 @@ def levers_across(rig) -> np.ndarray:
     return joint_jacobian(frames, X_RT.p)[3:].T @ X_RT.R[:, 1:]
 
 
-@pytest.mark.parametrize("stiffness", [0.8, 0.9, 1.15])
+@pytest.mark.parametrize("stiffness", slow_but([0.8, 0.9, 1.15], 0.8))
 @pytest.mark.parametrize(("friction", "offset_Nm"), [(1.0, 0.0), (1.05, 5.0)])
 def test_the_share_of_the_force_is_felt_and_made_up_for(stiffness, friction, offset_Nm):
     rig = pressed(stiffness, friction, offset_Nm)
@@ -90,7 +91,7 @@ def test_the_share_of_the_force_is_felt_and_made_up_for(stiffness, friction, off
     assert preloads(rig) == [pytest.approx(200.0, abs=MIN_CORRECTION_N)]
 
 
-@pytest.mark.parametrize("stiffness", [0.8, 1.15])
+@pytest.mark.parametrize("stiffness", slow_but([0.8, 1.15], 1.15))
 def test_what_was_felt_is_remembered_by_the_presses_that_follow(stiffness):
     rig = pressed(stiffness, force_N=100.0)
     for force_N in (200.0, 300.0, 150.0):
@@ -107,7 +108,7 @@ def test_an_arm_as_stiff_as_believed_is_pressed_once():
     assert rig.state.preload.model_N == pytest.approx(200.0, abs=MIN_CORRECTION_N)
 
 
-@pytest.mark.parametrize("across", [(0.15, 0.0), (0.0, -0.2)])
+@pytest.mark.parametrize("across", [(0.15, 0.0), pytest.param((0.0, -0.2), marks=pytest.mark.slow)])
 def test_a_force_across_is_told_from_the_one_along(across):
     rig = pressed(0.85, across=across)
     for event in force_events(rig):

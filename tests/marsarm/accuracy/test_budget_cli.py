@@ -13,13 +13,9 @@ from simgap.common.report import save_report_page, to_json
 from tests.marsarm.command import marsarm
 
 
-def quiet(*_) -> None:
-    """Ignore progress."""
-
-
 @pytest.fixture(scope="module")
 def report() -> BudgetReport:
-    return run_budget(BudgetRequest(poses=1500, reproduce=True), quiet)
+    return run_budget(BudgetRequest(poses=1500, reproduce=True))
 
 
 def test_every_row_of_the_papers_tables_is_there(report):
@@ -65,7 +61,7 @@ def test_the_document_holds_shares_that_add_up_to_the_mean_total(report):
 
 def test_the_page_is_one_file_with_its_pictures_in_it(report, tmp_path):
     page = tmp_path / "budget.html"
-    rows = tuple(one for one in report.rows if one[0].case == "accuracy")
+    rows = tuple((row, value) for row, value in report.rows if row.case == "accuracy")
     report = replace(report, budgets={"accuracy": report.budgets["accuracy"]}, rows=rows)
     save_report_page(budget_page(report), page)
     text = page.read_text()
@@ -76,7 +72,7 @@ def test_the_page_is_one_file_with_its_pictures_in_it(report, tmp_path):
 
 def test_few_poses_show_nothing(tmp_path):
     page = tmp_path / "budget.html"
-    report = run_budget(BudgetRequest(case="mars", tool="apxs", poses=1000), quiet)
+    report = run_budget(BudgetRequest(case="mars", tool="apxs", poses=1000))
     save_report_page(budget_page(report), page)
     assert "Not shown: 0 of 3 requirements are met, 3 are not shown." in page.read_text()
     assert "1000 of 1365 poses" in page.read_text()
@@ -84,7 +80,7 @@ def test_few_poses_show_nothing(tmp_path):
 
 @pytest.fixture(scope="module")
 def mars() -> BudgetReport:
-    return run_budget(BudgetRequest(case="mars", tool="apxs", poses=2000), quiet)
+    return run_budget(BudgetRequest(case="mars", tool="apxs", poses=2000))
 
 
 @pytest.mark.parametrize(

@@ -26,13 +26,9 @@ from tests.marsarm.command import marsarm
 STATICS = MonteCarloRequest(arms=150, move_model="statics", seed=3, workers=1)
 
 
-def quiet(*_) -> None:
-    """Ignore progress."""
-
-
 @pytest.fixture(scope="module")
 def report() -> MonteCarloReport:
-    return run_monte_carlo(STATICS, quiet)
+    return run_monte_carlo(STATICS)
 
 
 @pytest.mark.slow
@@ -82,13 +78,13 @@ def test_errors_are_of_the_same_size_in_every_component_as_their_bounds(report):
 
 @pytest.mark.slow
 def test_an_arm_alone_is_what_it_is_among_others(report):
-    alone = run_monte_carlo(replace(STATICS, only=7), quiet)
+    alone = run_monte_carlo(replace(STATICS, only=7))
     assert np.array_equal(alone.trials[0][0].error, report.trials[7][0].error)
 
 
 @pytest.mark.slow
 def test_two_processes_measure_what_one_does(report):
-    two = run_monte_carlo(replace(STATICS, arms=6, workers=2), quiet)
+    two = run_monte_carlo(replace(STATICS, arms=6, workers=2))
     for trial, same in zip(two.trials, report.trials[:6], strict=True):
         assert np.array_equal(trial[0].error, same[0].error)
 
@@ -96,7 +92,7 @@ def test_two_processes_measure_what_one_does(report):
 @pytest.mark.slow
 def test_a_run_that_was_killed_goes_on_where_it_was(report, tmp_path):
     path = tmp_path / "r.jsonl"
-    run_monte_carlo(replace(STATICS, arms=4, results=path), quiet)
+    run_monte_carlo(replace(STATICS, arms=4, results=path))
     path.write_bytes(path.read_bytes()[:-30])
     done = []
     more = run_monte_carlo(replace(STATICS, arms=8, results=path), lambda done_now, *_: done.append(done_now))
@@ -107,25 +103,21 @@ def test_a_run_that_was_killed_goes_on_where_it_was(report, tmp_path):
 
 def test_results_of_another_case_are_refused(tmp_path):
     path = tmp_path / "r.jsonl"
-    run_monte_carlo(replace(STATICS, arms=1, results=path), quiet)
+    run_monte_carlo(replace(STATICS, arms=1, results=path))
     with pytest.raises(BadRequest, match="case accuracy there, mars now"):
-        run_monte_carlo(replace(STATICS, case="mars", results=path), quiet)
+        run_monte_carlo(replace(STATICS, case="mars", results=path))
 
 
 def test_without_ray_a_cluster_is_refused_and_nothing_is_written(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(BadRequest, match="ray is not installed"):
-        run_monte_carlo(replace(STATICS, cluster="auto", results=tmp_path / "r.jsonl"), quiet)
+        run_monte_carlo(replace(STATICS, cluster="auto", results=tmp_path / "r.jsonl"))
     assert not list(tmp_path.iterdir())
 
 
 def test_the_closed_loop_measures_what_statics_do():
-    loop = run_monte_carlo(
-        MonteCarloRequest("mars", arms=2, move_model="closed-loop", seed=5, workers=1), quiet
-    )
-    statics = run_monte_carlo(
-        MonteCarloRequest("mars", arms=2, move_model="statics", seed=5, workers=1), quiet
-    )
+    loop = run_monte_carlo(MonteCarloRequest("mars", arms=2, move_model="closed-loop", seed=5, workers=1))
+    statics = run_monte_carlo(MonteCarloRequest("mars", arms=2, move_model="statics", seed=5, workers=1))
     for a, b in zip(loop.trials, statics.trials, strict=True):
         # an output rests anywhere within its friction: 10 N m wind a gear by 0.1 mrad, 2 m from the tool
         assert np.linalg.norm((a[0].error - b[0].error)[3:]) < 2e-4
@@ -133,8 +125,7 @@ def test_the_closed_loop_measures_what_statics_do():
 
 def test_an_arm_of_its_own_has_what_the_case_adds():
     found = run_monte_carlo(
-        MonteCarloRequest("mars", "calibrated", arms=3, places=3, move_model="statics", seed=1, workers=1),
-        quiet,
+        MonteCarloRequest("mars", "calibrated", arms=3, places=3, move_model="statics", seed=1, workers=1)
     )
     assert 1e-4 < found.coverage.percentile["total_m"] < 1e-2
     assert found.three_sigma["total_m"].accuracy.upper > found.three_sigma["total_m"].accuracy.estimate > 0
@@ -151,7 +142,7 @@ def test_the_page_holds_its_picture(report, tmp_path):
 
 @pytest.mark.parametrize("arms", [1, 3])
 def test_a_sample_that_is_too_small_for_a_bound_shows_nothing(arms):
-    small = run_monte_carlo(replace(STATICS, case="mars", arms=arms, places=1), quiet)
+    small = run_monte_carlo(replace(STATICS, case="mars", arms=arms, places=1))
     moved, *rows = monte_carlo_requirements(small)
     assert moved.passed
     assert len(rows) == 4
@@ -160,7 +151,7 @@ def test_a_sample_that_is_too_small_for_a_bound_shows_nothing(arms):
 
 
 def test_a_sample_that_is_large_enough_shows_what_it_bounds():
-    few = run_monte_carlo(replace(STATICS, case="mars", arms=5, places=1), quiet)
+    few = run_monte_carlo(replace(STATICS, case="mars", arms=5, places=1))
     trials = few.trials * 273
     found = check_coverage(few.model, "mars", configure(nominal_params()), World().gravity_N_m_s2, trials)
     enough = replace(few, trials=trials, coverage=found)
@@ -181,20 +172,20 @@ def test_every_built_arm_has_the_parameters_of_a_file_of_its_own(tmp_path):
     wanted = replace(
         STATICS, case="mars", built="as-built", arms=2, places=2, seed=7, params=tmp_path / "{seed}.toml"
     )
-    assert len(run_monte_carlo(wanted, quiet).trials) == 2
+    assert len(run_monte_carlo(wanted).trials) == 2
     (tmp_path / "8.toml").write_text('arm_name = "as-built:7"\n')
     with pytest.raises(BadRequest, match="these are of the arm as-built:7, not of as-built:8"):
-        run_monte_carlo(wanted, quiet)
+        run_monte_carlo(wanted)
 
 
 @pytest.mark.parametrize("line", ['{"x": 1}', '{"arm": 0, "params_sha256": "0", "places": [{}]}', "[]"])
 def test_a_line_that_is_no_result_is_named(tmp_path, line):
     wanted = replace(STATICS, arms=1, results=tmp_path / "r.jsonl")
-    run_monte_carlo(wanted, quiet)
+    run_monte_carlo(wanted)
     with wanted.results.open("a") as file:
         file.write(f"{line}\n")
     with pytest.raises(BadRequest, match="line 3 is no result"):
-        run_monte_carlo(wanted, quiet)
+        run_monte_carlo(wanted)
 
 
 def test_results_of_other_parameter_files_are_not_mixed_in(tmp_path):
@@ -208,10 +199,10 @@ def test_results_of_other_parameter_files_are_not_mixed_in(tmp_path):
         params=tmp_path / "{seed}.toml",
         results=tmp_path / "r.jsonl",
     )
-    run_monte_carlo(wanted, quiet)
+    run_monte_carlo(wanted)
     own.write_text('arm_name = "as-built:7"\n[joints.elbow]\nspeed_rad_s = 0.01\n')
     with pytest.raises(BadRequest, match="arm 0 in it was run with other parameters"):
-        run_monte_carlo(wanted, quiet)
+        run_monte_carlo(wanted)
 
 
 def test_the_command_prints_one_document(tmp_path):

@@ -30,9 +30,5 @@ def truth(seed: int):
     return build_arm(true_params(arm_named(f"as-built:{seed}")))
 
 
-def quiet(*_) -> None:
-    """Ignore progress."""
-
-
 def moved(X: Pose, by: np.ndarray) -> Pose:
     return Pose(X.R, X.p + by)

@@ -17,7 +17,7 @@ from marsarm.common.requests import select_arm
 from sim.params import params_over_nominal
 from simgap.common.errors import BadRequest
 from simgap.common.report import save_report_page, to_json
-from tests.marsarm.calibration.lab import calibration, campaign, quiet
+from tests.marsarm.calibration.lab import calibration, campaign
 from tests.marsarm.command import marsarm
 
 
@@ -55,7 +55,7 @@ def test_the_parameter_file_says_where_it_comes_from_and_is_always_the_same(tabl
 
 @pytest.mark.slow
 def test_the_page_is_one_file_with_its_pictures_in_it(table, tmp_path):
-    report = run_calibration(CalibrateRequest(data=table), quiet)
+    report = run_calibration(CalibrateRequest(data=table))
     save_report_page(calibration_page(report), tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     assert page.count("<svg ") == 3
@@ -68,7 +68,7 @@ def test_parameters_of_another_arm_are_refused(table, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text('arm_name = "as-built:9"\n')
     with pytest.raises(BadRequest, match="of the arm as-built:9, not of as-built:1"):
-        run_calibration(CalibrateRequest(data=table, params=other), quiet)
+        run_calibration(CalibrateRequest(data=table, params=other))
     with pytest.raises(BadRequest, match="of the arm as-built:9, not of as-built:3"):
         select_arm("as-built:3", other)
 
@@ -84,10 +84,10 @@ def test_parameters_that_no_built_arm_has_are_refused_before_the_fit(table, tmp_
     far = tmp_path / "far.toml"
     far.write_text("[links.arm3.transform]\na_m = 0.9\n")
     with pytest.raises(BadRequest, match="no built arm is so far from its drawing"):
-        run_calibration(CalibrateRequest(data=table, params=far), quiet)
+        run_calibration(CalibrateRequest(data=table, params=far))
 
 
 def test_data_of_an_arm_that_is_not_known_are_refused(tmp_path):
     save_campaign(replace(campaign(), arm_name="flight-unit"), tmp_path / "poses.csv")
     with pytest.raises(BadRequest, match="column arm: arm 'flight-unit' is not known"):
-        run_calibration(CalibrateRequest(data=tmp_path / "poses.csv"), quiet)
+        run_calibration(CalibrateRequest(data=tmp_path / "poses.csv"))

@@ -15,8 +15,9 @@ from marsarm.calibration.verify import simulate_campaign, true_poses, zero_error
 from sim.arm_check import NoPlan
 from sim.arms import arm_named
 from simgap.common.errors import BadRequest
+from simgap.common.progress import no_progress
 from simgap.serial_arm.chain import error_screw
-from tests.marsarm.calibration.lab import campaign, quiet
+from tests.marsarm.calibration.lab import campaign
 
 ZERO_RAD = 3e-4
 """Tolerance of an encoder zero from a hardstop; at two metres it is 0.6 mm."""
@@ -40,7 +41,7 @@ def test_an_arm_whose_loads_on_earth_cannot_be_those_on_mars_is_refused(monkeypa
 
     monkeypatch.setattr("marsarm.calibration.campaign.without_turret", find_no_plan)
     with pytest.raises(BadRequest, match="arm: no poses for Earth without a turret: the best torques differ"):
-        earth_reference(arm_named("nominal"), lambda done, total, what: None)
+        earth_reference(arm_named("nominal"), no_progress)
 
 
 def test_the_same_seed_gives_the_same_campaign():
@@ -52,8 +53,8 @@ def test_the_same_seed_gives_the_same_campaign():
 @pytest.mark.slow
 def test_in_the_closed_loop_the_true_arm_is_measured():
     arm = arm_named("as-built:5")
-    reference = earth_reference(arm, quiet)
-    found = run_campaign(arm, reference, CampaignPlan(resize_groups(PAPER_GROUPS, 4)), quiet)
+    reference = earth_reference(arm, no_progress)
+    found = run_campaign(arm, reference, CampaignPlan(resize_groups(PAPER_GROUPS, 4)), no_progress)
     assert found.count == 4
     assert np.all(found.targets_seen >= 3)
     assert np.all(found.misfit_m < 1.5e-4)

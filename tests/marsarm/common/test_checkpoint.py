@@ -51,10 +51,11 @@ def test_results_of_another_request_are_refused_and_kept(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("arm,error\n0,1\n", "line 1 is not JSON"),
+        ("arm,error\n0,1\n", "holds something else"),
+        ('{"request": 1\n', "line 1 is not JSON"),
         ("hello", "holds something else"),
         ('{"arm": 0}\n', "holds something else"),
-        ("[1]\n", "line 1 is no result"),
+        ('{"request": {"case": "mars", "seed": 1}}\n[1]\n', "line 2 is no result"),
         ('{"request": {"case": "mars", "seed": 1}}\n{"ar\n{"arm": 1}\n', "line 2 is not JSON"),
     ],
 )

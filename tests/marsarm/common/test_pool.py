@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from marsarm.common.local_workers import LocalWorkers
 from marsarm.common.pool import WorkersDied, cluster_runner, in_order, local_runner
 from simgap.common.errors import BadRequest
 from tests.marsarm.command import ROOT
@@ -74,50 +73,32 @@ def die_once(folder: Path) -> int:
     raise AssertionError
 
 
-def test_a_worker_that_dies_costs_its_jobs_only(tmp_path):
+def test_a_worker_that_dies_costs_the_jobs_under_way_only(tmp_path, capfd):
     assert len(list(local_runner(2)(die_once, [tmp_path] * 20))) == 20
+    assert capfd.readouterr().err == "a worker died; its work items are repeated\n"
 
 
-def die_together(folder: Path) -> int:
-    """Kill the workers that do this first, when there are two."""
-    mark = folder / str(os.getpid())
-    mark.touch()
-    while len(marks := list(folder.iterdir())) < 2:
-        time.sleep(0.01)
-    if len(marks) == 2:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return 1
-
-
-def test_workers_that_die_together_are_reported_in_one_line(tmp_path, capfd, monkeypatch):
-    wait = LocalWorkers.wait
-
-    def wait_for_both(workers: LocalWorkers) -> list:
-        ended = []
-        while workers._running:
-            ended += wait(workers)
-        return ended
-
-    monkeypatch.setattr(LocalWorkers, "wait", wait_for_both)
-    assert list(local_runner(2)(die_together, [tmp_path] * 2)) == [1, 1]
-    assert capfd.readouterr().err == "2 workers died; their work items are repeated\n"
-
-
-SLOW_TO_START = """
+SLOW_TO_LOAD = """
 import os, pathlib, time
-from simgap.common.interruption import report_interruption
-from marsarm.common.pool import local_runner
-if __name__ == "__main__":
-    with report_interruption():
-        list(local_runner(2)(abs, [1] * 4))
-else:
+if "IN_A_WORKER" in os.environ:
     pathlib.Path("starts").touch()
     time.sleep(30)
+def work(_): ...
+"""
+MAIN = """
+import os
+from simgap.common.interruption import report_interruption
+from marsarm.common.pool import local_runner
+from slow import work
+os.environ["IN_A_WORKER"] = "1"
+with report_interruption():
+    list(local_runner(2)(work, [1] * 4))
 """
 
 
 def test_ctrl_c_while_workers_start_gives_one_sentence(tmp_path):
-    (tmp_path / "main.py").write_text(SLOW_TO_START)
+    (tmp_path / "slow.py").write_text(SLOW_TO_LOAD)
+    (tmp_path / "main.py").write_text(MAIN)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # which the process inherits
     try:
         process = subprocess.Popen(
@@ -138,7 +119,7 @@ def die(_: int) -> None:
 
 
 def test_a_job_at_which_every_worker_dies_ends_the_run():
-    with pytest.raises(WorkersDied, match="3 of them died one after the other at the same work item"):
+    with pytest.raises(WorkersDied, match="3 of them died one after the other"):
         list(local_runner(2)(die, [1]))
 
 

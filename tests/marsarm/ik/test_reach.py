@@ -12,17 +12,14 @@ from marsarm.ik.reach import reach, reach_document, sample_workspace
 from marsarm.ik.request import ModelRequest, ReachRequest
 from marsarm.ik.solve import build_ik_model
 from sim.frames import approach_from, random_surface, random_targets
+from simgap.common.progress import no_progress
 from simgap.common.report import to_json
 from tests.marsarm.command import marsarm
 
 
-def quiet(*_) -> None:
-    """Ignore progress."""
-
-
 @pytest.fixture(scope="module")
 def document():
-    return to_json(reach_document(reach(ReachRequest(samples=4000, picture=None), quiet)))
+    return to_json(reach_document(reach(ReachRequest(samples=4000, picture=None))))
 
 
 def test_nearly_every_target_of_the_workspace_has_a_branch_and_at_most_four(document):
@@ -46,7 +43,7 @@ def test_the_elevation_limit_is_what_stands_in_the_way(document):
 
 def test_the_same_seed_is_the_same_map_and_another_is_not():
     model = build_ik_model(ModelRequest(compensate="off"))
-    first, again, other = (sample_workspace(model, 300, seed, run_here, quiet)[0] for seed in (1, 1, 2))
+    first, again, other = (sample_workspace(model, 300, seed, run_here, no_progress)[0] for seed in (1, 1, 2))
     assert np.array_equal(first.valid, again.valid)
     assert np.array_equal(first.p_NoTo_N_m, again.p_NoTo_N_m)
     assert not np.array_equal(first.p_NoTo_N_m, other.p_NoTo_N_m)
@@ -84,14 +81,14 @@ def test_the_picture_is_drawn_and_named(tmp_path, monkeypatch):
 
 def test_a_map_of_one_target_is_drawn_too(tmp_path):
     path = tmp_path / "few.png"
-    report = reach(ReachRequest(ModelRequest(tool="portion"), 1, picture=path), quiet)
+    report = reach(ReachRequest(ModelRequest(tool="portion"), 1, picture=path))
     assert report.picture_problem is None
     assert path.stat().st_size > 10_000
 
 
 def test_without_matplotlib_there_is_a_message_and_no_picture(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    report = reach(ReachRequest(samples=50, picture=tmp_path / "reach.png"), quiet)
+    report = reach(ReachRequest(samples=50, picture=tmp_path / "reach.png"))
     document = to_json(reach_document(report))
     assert document["picture"] is None
     assert "pip install matplotlib" in document["picture_problem"]

@@ -17,7 +17,7 @@ from marsarm.diagnosis.page import save_diagnosis_page
 from simgap.common.page import Origin
 from simgap.common.report import save_report_page
 from tests.marks import slow_but
-from tests.marsarm.calibration.lab import campaign, quiet
+from tests.marsarm.calibration.lab import campaign
 from tests.marsarm.diagnosis import results
 from tests.marsarm.diagnosis.worlds import found, modelled, world
 from validation.browser import LOADED, MISSING, Browser, find_chromium
@@ -49,20 +49,20 @@ CONTRAST = """
 
 
 def save_budget(path):
-    save_report_page(budget_page(run_budget(BudgetRequest(case="mars", poses=100), quiet)), path)
+    save_report_page(budget_page(run_budget(BudgetRequest(case="accuracy", poses=100))), path)
 
 
 def save_monte_carlo(path):
     request = MonteCarloRequest(
         "mars", "calibrated", arms=2, places=2, move_model="statics", seed=1, workers=1
     )
-    save_report_page(monte_carlo_page(run_monte_carlo(request, quiet)), path)
+    save_report_page(monte_carlo_page(run_monte_carlo(request)), path)
 
 
 def save_calibration(path):
     poses = path.with_suffix(".parquet")
     save_campaign(campaign(), poses)
-    save_report_page(calibration_page(run_calibration(CalibrateRequest(data=poses), quiet)), path)
+    save_report_page(calibration_page(run_calibration(CalibrateRequest(data=poses))), path)
 
 
 def save_diagnosis(path):

@@ -14,10 +14,6 @@ from simgap.common.report import to_json
 from tests.marsarm.command import marsarm
 
 
-def quiet(*_) -> None:
-    """Ignore progress."""
-
-
 def test_one_joint_is_found_and_drawn(tmp_path):
     picture = tmp_path / "turret.png"
     done = marsarm(tmp_path, "hardstop", "--joint", "turret", "--picture", str(picture), "--json")
@@ -43,7 +39,7 @@ def test_people_see_a_table_and_what_was_said(tmp_path):
 @pytest.mark.slow
 def test_repetitions_are_of_other_days_and_the_same_again():
     request = HardstopRequest(joint="turret", repeat=3, arm="as-built:2")
-    first, again = (to_json(hardstop_document(hardstop(request, quiet))) for _ in range(2))
+    first, again = (to_json(hardstop_document(hardstop(request))) for _ in range(2))
     assert first == again
     turret = first["joints"]["turret"]
     assert turret["found"] == 3
@@ -85,7 +81,7 @@ def test_a_hardstop_outside_the_limits_is_refused(tmp_path, text, sentence):
     file = tmp_path / "bad.toml"
     file.write_text(text)
     with pytest.raises(BadRequest, match=sentence.replace(".", r"\.").replace("[", r"\[")):
-        hardstop(HardstopRequest(joint="elbow", params=file), quiet)
+        hardstop(HardstopRequest(joint="elbow", params=file))
 
 
 def test_an_unsafe_pose_is_refused_without_any_motion(tmp_path):

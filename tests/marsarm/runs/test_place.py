@@ -15,7 +15,7 @@ def test_an_arm_that_finds_no_hardstop_is_not_placed_and_its_log_is_said_not_to_
     arm = arm_named("nominal")
     in_the_way = tuple(HardstopAngle(joint, 0.03) for joint in Joint)
     monkeypatch.setattr("marsarm.common.requests.arm_named", lambda *_: replace(arm, effects=in_the_way))
-    report = place(PlaceRequest(files=RunFiles(log=tmp_path / "run.mcap")), lambda done, total, what: None)
+    report = place(PlaceRequest(files=RunFiles(log=tmp_path / "run.mcap")))
     result = report.execution.result
     assert result.outcome is Outcome.FAULTED
     assert any(isinstance(evr, StalledEarly) for _, evr in result.evrs)

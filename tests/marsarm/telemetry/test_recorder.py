@@ -24,9 +24,9 @@ from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder, record_commands
 from sim.arms import BuiltArm, arm_named
 from sim.initialisation import start_loop
-from validation import killed
+from validation import broken_logs
+from validation.broken_logs import Kill
 from validation.campaigns import Context
-from validation.killed import Kill
 
 ROOT = Path(__file__).parents[3]
 
@@ -299,8 +299,8 @@ def test_the_container_is_that_of_the_stock_writer(make: Any, tmp_path: Path) ->
 @pytest.mark.slow
 def test_killed_process_groups_leave_nothing_wrong() -> None:
     done = python(
-        "import json; from validation.campaigns import Context; from validation.killed import campaign;"
-        "print(json.dumps(campaign(Context(3), 5)))"
+        "import json; from validation.campaigns import Context; from validation.broken_logs import killed;"
+        "print(json.dumps(killed(Context(3), 5)))"
     )
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
@@ -320,8 +320,8 @@ def test_killed_process_groups_leave_nothing_wrong() -> None:
 def test_a_campaign_of_kills_ends_with_its_verdict(
     outcomes: list[Kill], in_bounds: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(killed, "kill_runs", lambda number, seed: outcomes)
-    assert killed.campaign(Context(), 2)["in_bounds"] is in_bounds
+    monkeypatch.setattr(broken_logs, "kill_runs", lambda number, seed: outcomes)
+    assert broken_logs.killed(Context(), 2)["in_bounds"] is in_bounds
 
 
 PARAMS = arm_named("nominal").params

@@ -11,7 +11,7 @@ from marsarm.telemetry.format import TICK_NS
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recover import RecoveryReport, recover
 from simgap.common.errors import BadRequest
-from validation.damage import CUT_EVERY, flip_bits, is_part, original, truncate_file
+from validation.broken_logs import CUT_EVERY, flip_bits, is_part, original, truncate_file
 
 N_CYCLES = 12
 PACKETS = ["/sensors", "/drive", "/joint", "/tool", "/truth"]

@@ -86,14 +86,14 @@ WRONG = {
         "approach_R = [0.0, 0.0, 0.0]",
         "teach.0.approach_R: (0.0, 0.0, 0.0) has no direction",
     ),
-    "a shape of nobody": ('of = "plant"', 'of = "moon"', "'moon' is not known; there are "),
+    "a shape of nobody": ('of = "plant"', 'of = "moon"', "should be 'both', 'plant' or 'flight', not 'moon'"),
     "a gear that flight software refuses": (
         "gear_ratio = 7520.0",
         "gear_ratio = 0.0",
         "arm.toml: joints.azimuth.gear_ratio: 0.0 is outside",
     ),
     "a missing field": ("gear_ratio = 7520.0\n", "", "actuators.lphta.gear_ratio: is missing"),
-    "an unknown field": ("resistance_Ohm = 2.0", "ohm = 2.0", "actuators.lphta.ohm: is not a parameter"),
+    "an unknown field": ("resistance_Ohm = 2.0", "ohm = 2.0", "actuators.lphta.ohm: is not known"),
     "an unknown actuator": (
         'actuator = "water"',
         'actuator = "air"',

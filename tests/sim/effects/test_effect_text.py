@@ -33,8 +33,8 @@ WRONG = {
     "coulomb-friction:elbow:torque=3": "effect coulomb-friction:elbow: torque: has no unit; write torque_Nm",
     "coulomb-friction:elbow:torqe_Nm=3": r"torqe_Nm: is not known here; did you mean torque_Nm\?",
     "coulomb-friction:elbow:torque_Nm=3000": "coulomb-friction:elbow: torque_Nm: 3000 is outside -100 .. 400",
-    "coulomb-friction:elbow:torque_Nm=nan": "torque_Nm: nan is not a finite number",
-    "coulomb-friction:elbow:torque_Nm=much": "torque_Nm: 'much' is not a number",
+    "coulomb-friction:elbow:torque_Nm=nan": "torque_Nm: should be a finite number, not nan",
+    "coulomb-friction:elbow:torque_Nm=much": "torque_Nm: should be a valid number, not 'much'",
     "coulomb-friction:elbow:torque_Nm": "is no parameter and its value; write coulomb-friction:PLACE",
     "coulomb-friction:elbow:torque_Nm=1,torque_Nm=2": "torque_Nm is given twice",
     "coulomb-friction:elbow.x:torque_Nm=1": "place 'elbow.x' has too many words; it sits at a joint",
@@ -46,9 +46,9 @@ WRONG = {
     "link-torsion:arm1:compliance_rad_Nm=1e-6": "the spring of arm1 is the rover's; take rover-compliance",
     "link-length:tool.x:length_m=0.001": "tool is no link; take tool-offset",
     "frame-error:tool:screw=[0,0,0,0,0,0]": "tool: an effect at frame tool names its tool; write tool.NAME",
-    "frame-error:arm3:screw=[0,0,0]": "is not 6 numbers in brackets",
+    "frame-error:arm3:screw=[0,0,0]": "screw[4]: is missing",
     "frame-error:arm3:screw=[0,0,0,0,0,9]": "screw: 9 is outside -0.1 .. 0.1",
-    "transmission-error:elbow:cosine_rad=0,sine_rad=0,turns=1.5": "turns: 1.5 is not a whole number",
+    "transmission-error:elbow:cosine_rad=0,sine_rad=0,turns=1.5": "turns: should be a valid integer, not 1.5",
     "": "effect '' is not known",
 }
 
@@ -97,14 +97,14 @@ def test_a_scenario_switches_effects_on_from_the_beginning_or_once_the_run_begin
         (
             "offset_deg = 0.1",
             "offset_mrad = 1",
-            "12: offset_mrad: has another unit; write offset_rad or offset_deg",
+            r"effect\[2\].offset_mrad: has another unit; write offset_rad or offset_deg",
         ),
         (
             '"encoder-zero"',
             '"encoder-zeros"',
-            r"10: type: effect 'encoder-zeros' is not known; did you mean encoder-zero\?",
+            r"effect\[2\].type: effect 'encoder-zeros' is not known; did you mean encoder-zero\?",
         ),
-        ('"wrist"', '"neck"', "11: joint: 'neck' is not known; there are azimuth"),
+        ('"wrist"', '"neck"', r"effect\[2\].joint: 'neck' is not known; there are azimuth"),
         (
             'type = "encoder-zero"',
             'type = "joint-seized"',
@@ -113,7 +113,7 @@ def test_a_scenario_switches_effects_on_from_the_beginning_or_once_the_run_begin
         ('type = "encoder-zero"', "", r"type: is missing; write the name of an effect"),
     ],
 )
-def test_an_effect_in_a_scenario_is_refused_by_its_line(wrong: str, right: str, expected: str) -> None:
+def test_an_effect_in_a_scenario_is_refused_with_its_key(wrong: str, right: str, expected: str) -> None:
     text = SCENARIO.lstrip().replace("offset_mrad = 1", "offset_deg = 0.1")
     with pytest.raises(BadScenario, match=expected):
         parse_scenario(text.replace(wrong, right), "still", "still.toml")

@@ -1,17 +1,21 @@
-"""Surfaces that the tools touch: nearer than measured, or with another stiffness."""
+"""Surroundings of the arm: surfaces nearer or stiffer than measured, and other numerical settings."""
 
 import numpy as np
 import pytest
 
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.types import vector3
+from sim.effects.catalogue import hypotheses
 from sim.effects.effect import Effect
-from sim.effects.environment import ContactStiffness, SurfacePosition
+from sim.effects.environment import ContactStiffness, Numerics, SurfacePosition
 from sim.frames import P_NR_M
 from sim.plant import Plant
+from sim.scenario.effects import effect_text, parse_effect_text
 from sim.world import Surface, World
+from tests.marks import slow_but
 from tests.sim import lab
 from tests.sim.effects import bench
-from tests.tools import tool_index
+from tests.tools import TOOLS, tool_index
 
 DEEP_M = 2e-4
 
@@ -55,3 +59,26 @@ def test_what_is_stiffer_gives_way_less_under_the_same_force(factor: float) -> N
 
 def test_where_there_is_no_rock_there_is_nothing_to_shift() -> None:
     bench.build_arm(SurfacePosition(1e-3))
+
+
+FINER = 6
+
+
+def test_it_is_no_hypothesis() -> None:
+    assert Numerics not in {one.kind for one in hypotheses()}
+
+
+def test_it_comes_back_from_what_is_written_of_it() -> None:
+    for one in (Numerics("implicit", 2), Numerics("explicit", 6)):
+        assert parse_effect_text(effect_text(one), TOOLS) == one
+
+
+@pytest.mark.parametrize("scheme", slow_but(["implicit", "explicit"], "implicit"))
+def test_the_arm_hangs_where_it_hangs_whatever_computes_it(scheme: str) -> None:
+    drawn, other = (bench.build_arm(*effects)[0] for effects in ((), (Numerics(scheme, FINER),)))
+    for plant in (drawn, other):
+        plant.place(lab.READY_RAD, 16.0)
+    assert other.steps_per_cycle == FINER * drawn.steps_per_cycle
+    np.testing.assert_allclose(other.output_rad(), drawn.output_rad(), atol=2e-6)
+    held = other.gear_torque_Nm()[Joint.ELEVATION]
+    assert held == pytest.approx(drawn.gear_torque_Nm()[Joint.ELEVATION], rel=0.02)

@@ -27,8 +27,7 @@ from sim.scenario.data import (
     Stowed,
     TaughtPoint,
 )
-from sim.scenario.judge import CheckResult, evaluate_checks, note_snapshot
-from sim.scenario.trace import Ending, Snapshot, Trace
+from sim.scenario.judge import CheckResult, Ending, Snapshot, Trace, evaluate_checks, note_snapshot
 from sim.sequence import Outcome
 from sim.world import Surface, World
 from tests.tools import TOOL_SWITCHES, TOOLS

@@ -25,9 +25,8 @@ from sim.frames import P_NR_M
 from sim.params import nominal_params
 from sim.scenario.data import Check, Docked, GravityHeld, Injection, Placed, Scenario, TaughtPoint
 from sim.scenario.file import built_in_scenarios, load_scenario, parse_scenario
-from sim.scenario.names import UNIT_FACTORS, field_keys, upper_snake
-from sim.scenario.toml_record import Findings, read_record
-from sim.scenario.toml_tables import (
+from sim.scenario.records import UNIT_FACTORS, Findings, field_keys, read_record, upper_snake
+from sim.scenario.tables import (
     CHECK_CLASSES,
     COMMAND_CLASSES,
     FAULT_CLASS_BY_NAME,
@@ -38,7 +37,6 @@ from sim.world import Surface
 from tests.tools import TOOLS
 
 HEAD = 'title = "T"\nsummary = "S."\nstart = "ready"\n'
-NOTHING_FOUND = {(): 1}
 SAMPLES = {
     "tool": "apxs",
     "first_tool": "drill",
@@ -61,7 +59,7 @@ def scenario(text: str) -> Scenario:
 
 
 def command(**table: object) -> Command:
-    findings = Findings(NOTHING_FOUND, TOOLS)
+    findings = Findings(TOOLS)
     found = read_command(table, (), findings, {"inlet": "drill"}, nominal_params())
     assert not findings.problems
     assert found is not None
@@ -103,7 +101,7 @@ def test_every_field_of_every_dataclass_can_be_said_and_comes_back(kind, unit):
             wanted[field.name] = tuple(value * factor for value in expected)
         else:
             wanted[field.name] = expected * factor if isinstance(expected, float) else expected
-    findings = Findings(NOTHING_FOUND, TOOLS)
+    findings = Findings(TOOLS)
     assert read_record(kind, table, (), findings) == kind(**wanted)
     assert not findings.problems
 

@@ -10,7 +10,7 @@ from sim.effects.environment import NothingToTouch
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop, Setup
 from sim.scenario.data import TaughtPoint
-from sim.scenario.teaching import NotTaught, teach
+from sim.scenario.run import NotTaught, teach
 from sim.sequence import run_sequence
 from sim.world import World
 from tests.sim import lab

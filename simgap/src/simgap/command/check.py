@@ -15,8 +15,7 @@ from simgap.checks.records import Audit, Remark, hold
 from simgap.command.request import CheckRequest
 from simgap.common.console import plain_console, pluralize
 from simgap.common.errors import RobotError
-from simgap.common.files import digest_files
-from simgap.common.json_digest import json_sha256
+from simgap.common.files import digest_files, json_sha256
 from simgap.common.options import check_options, command_text
 from simgap.common.page import Origin, heading, paragraph, save_page, table
 from simgap.common.progress import Progress, no_progress

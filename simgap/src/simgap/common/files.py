@@ -1,7 +1,8 @@
-"""Checks of output paths, and files that are written completely or not at all."""
+"""Checks of output paths, files that are written completely or not at all, and digests."""
 
 import fcntl
 import hashlib
+import json
 import os
 import secrets
 import shutil
@@ -9,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import combinations
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from simgap.common.errors import BadOutput, BadRequest
 from simgap.common.interruption import defer_interrupts
@@ -76,21 +77,15 @@ def _same_file(one: Path, other: Path) -> bool:
     return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
 
 
+def file_sha256(path: Path) -> str:
+    """Compute the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def digest_files(files: Mapping[str, Iterable[Path]]) -> dict[str, str]:
-    """Compute the SHA-256 of files.
-
-    Args:
-        files: Files of each kind.
-
-    Returns:
-        Digest by kind and path, as the user gave it.
-    """
-    digests = {}
-    for kind, paths in files.items():
-        for path in paths:
-            with path.open("rb") as file:
-                digests[f"{kind} {path}"] = hashlib.file_digest(file, "sha256").hexdigest()
-    return digests
+    """Compute the SHA-256 of files, by kind and path, as the user gave it."""
+    return {f"{kind} {path}": file_sha256(path) for kind, paths in files.items() for path in paths}
 
 
 def cache_folder(program: str, name: str) -> Path:
@@ -217,3 +212,9 @@ def atomic_path(target: Path) -> Iterator[Path]:
                 with suppress(OSError):
                     part.unlink()
         raise
+
+
+def json_sha256(document: dict[str, Any]) -> str:
+    """Compute the SHA-256 of a document, whatever its order and spaces."""
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from simgap.common.errors import RobotError
-from simgap.files.toml_record import Record, parse_record, read_toml
+from simgap.common.toml import Record, parse_record, read_toml
 from simgap.units import COUNTS, FRACTION, Quantity, find_unit
 
 Text = Annotated[str, Field(min_length=1)]

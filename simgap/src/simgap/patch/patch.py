@@ -14,6 +14,7 @@ import numpy as np
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
+from simgap.common.toml import toml_text
 from simgap.effects.effect import RUN_HOOKS, Effect, Fields, Rotor, mjcf_joint
 from simgap.patch.text import (
     BODY_OF,
@@ -23,7 +24,6 @@ from simgap.patch.text import (
     law_attributes,
     model_law,
     number_text,
-    toml_text,
 )
 from simgap.result import Diagnosis
 from simgap.robot import Robot
@@ -339,8 +339,8 @@ def _runtime_text(robot: Robot, left: Sequence[tuple[Effect, Array]], rotors: Ma
         "effects": [effect_table(effect, size.tolist()) for effect, size in left],
     }
     runtime = "simgap.patch.runtime"
-    head = f"# Effects of {robot.name} that {MODEL_FILE} cannot express; {runtime} applies them.\n"
-    return head + toml_text(tables)
+    head = f"Effects of {robot.name} that {MODEL_FILE} cannot express; {runtime} applies them."
+    return toml_text(tables, [head])
 
 
 def _field(model: mujoco.MjModel, name: str) -> Any:

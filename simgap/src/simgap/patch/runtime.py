@@ -20,8 +20,8 @@ import numpy as np
 
 from simgap.arrays import Array, Integers
 from simgap.common.errors import RobotError
+from simgap.common.toml import read_toml
 from simgap.effects.effect import HISTORY_S, Effect, State, Tick
-from simgap.files.toml_record import read_toml
 from simgap.patch.patch import FORMAT
 from simgap.patch.text import read_effect
 from simgap.robot import ControlMode

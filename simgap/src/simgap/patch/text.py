@@ -1,10 +1,8 @@
 """Text of a patch: elements and control laws of an MJCF file, and tables of effects of a TOML file."""
 
 import importlib
-import json
-import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from math import inf
@@ -225,11 +223,6 @@ def read_effect(table: Mapping[str, Any], path: Path) -> tuple[Effect, Array]:
     return effect, np.array([float(size[name]) for name in names])
 
 
-def toml_text(tables: Mapping[str, Any]) -> str:
-    """Write values and lists of tables as TOML; a table within another is written in one line."""
-    return "\n".join(_lines(tables)) + "\n"
-
-
 def _effect_class(table: Mapping[str, Any]) -> type[Effect]:
     if "file" in table:
         module: Any = _module_of_file(Path(table["file"]))
@@ -277,31 +270,3 @@ def _build(kind: Any, value: Any) -> Any:
         each = [inner[0]] * len(value) if inner[1:] == (...,) else inner
         return tuple(_build(one, part) for one, part in zip(each, value, strict=True))
     return float(value) if kind is float else value
-
-
-def _lines(table: Mapping[str, Any]) -> Iterator[str]:
-    """Yield values first, because they would belong to a table above them."""
-    for key, value in table.items():
-        if not _is_list_of_tables(value):
-            yield f"{_key(key)} = {_value(value)}"
-    for key, value in table.items():
-        for one in value if _is_list_of_tables(value) else ():
-            yield from ("", f"[[{_key(key)}]]", *_lines(one))
-
-
-def _is_list_of_tables(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and isinstance(value[0], Mapping)
-
-
-def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return f"{{ {', '.join(f'{_key(key)} = {_value(one)}' for key, one in value.items())} }}"
-    if isinstance(value, list):
-        return f"[{', '.join(map(_value, value))}]"
-    if isinstance(value, str):
-        return json.dumps(value)  # a JSON string is a basic string of TOML
-    return repr(value).lower() if isinstance(value, bool) else repr(value)

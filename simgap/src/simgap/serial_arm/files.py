@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from simgap.arrays import Array, Integers
 from simgap.common.errors import RobotError
+from simgap.common.toml import Record, parse_record, read_toml, toml_text
 from simgap.files.columns import LogFile
 from simgap.files.log_file import open_log
 from simgap.files.robot_file import CsvTable, Text
-from simgap.files.toml_record import Record, parse_record, read_toml
 from simgap.serial_arm.chain import Pose, PoseSeries, move_directions
 from simgap.serial_arm.model import Link, Repeatability, SerialArm, Uncertainty, UPRIGHT_B_m_s2, Vector
 from simgap.units import COUNTS, FRACTION, Quantity, Unit, find_unit
@@ -96,37 +96,15 @@ def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
     Returns:
         The content of the file.
     """
-    lines = [f"# {line}".rstrip() for line in about]
-    lines += [
-        "",
-        f"name = {_toml_value(arm.name)}",
-        f"gravity_B_m_s2 = {_toml_value(arm.gravity_B_m_s2)}",
-        "",
-    ]
-    for one in arm.links:
-        lines += ["[[link]]", *_fields(one), ""]
-    for name, record in (("uncertainty", arm.uncertainty), ("repeatability", arm.repeatability)):
-        lines += [f"[{name}]", *_fields(record), ""]
-    return "\n".join(lines)
+    table: dict[str, Any] = {"name": arm.name, "gravity_B_m_s2": arm.gravity_B_m_s2}
+    table |= {"link": [_set_fields(one) for one in arm.links]}
+    table |= {"uncertainty": _set_fields(arm.uncertainty), "repeatability": _set_fields(arm.repeatability)}
+    return toml_text(table, about)
 
 
-def _fields(record: Any) -> list[str]:
-    values = ((f.name, getattr(record, f.name)) for f in fields(record))
-    return [f"{name} = {_toml_value(value)}" for name, value in values if value is not None]
-
-
-def _toml_value(value: Any) -> str:
-    if isinstance(value, str):
-        return '"' + "".join(_escape(letter) for letter in value) + '"'
-    if isinstance(value, tuple):
-        return f"[{', '.join(_toml_value(item) for item in value)}]"
-    return repr(value if isinstance(value, int) else float(value))
-
-
-def _escape(letter: str) -> str:
-    if letter in '"\\':
-        return f"\\{letter}"
-    return letter if letter.isprintable() else f"\\U{ord(letter):08x}"
+def _set_fields(record: Any) -> dict[str, Any]:
+    values = ((one.name, getattr(record, one.name)) for one in fields(record))
+    return {name: value for name, value in values if value is not None}
 
 
 MIN_STALE_ROWS: Final = 3

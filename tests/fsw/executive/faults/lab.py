@@ -1,9 +1,13 @@
 """An arm in the middle of what it does, and the readings that trouble it."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 
 from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.evrs import FaultResponse
+from fsw.motion.paths import Setpoint
 from fsw.protect.responses import Response
 from tests.fsw.rig import Rig, config_of, facing, floats
 from tests.tools import SWITCHES
@@ -72,3 +76,10 @@ def toward(joint, sign):
 
 def resolver_off(rig, joint, off_rad):
     return {"resolver_rad": rig.resolver_rad() + off_rad * (np.arange(5) == joint)}
+
+
+def misplanned(rig, setpoint_rad):
+    """The state with a path that asks for this: an error of planning."""
+    wrong = SimpleNamespace(duration_s=10.0, at=lambda _: Setpoint(setpoint_rad, np.zeros(5)))
+    move = rig.state.move
+    return replace(rig.state, move=replace(move, plan=replace(move.plan, paths=(wrong,)), ticks=0))

@@ -8,11 +8,8 @@ from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted
 from fsw.dictionary.faults import (
     Fault,
-    FollowingErrorHigh,
     MotorStalled,
     NotSettled,
-    OverCurrent,
-    OverTemperature,
     SoftLimitPassed,
     UnderTemperature,
 )
@@ -23,9 +20,7 @@ from tests.fsw.executive.faults.lab import (
     REFUSED,
     START,
     STOPPED,
-    UNPOWERED,
     braked,
-    currents,
     encoders_at,
     found,
     in_guarded_motion,
@@ -36,64 +31,6 @@ from tests.fsw.executive.faults.lab import (
     windings,
 )
 from tests.fsw.rig import Rig, floats
-
-
-@pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("sign", [1, -1])
-def test_over_current_is_said_after_exactly_its_persistence(joint, sign):
-    rig = moving()
-    bound = BOUNDS.over_current_fraction * CONFIG.current_limit_A[joint]
-    for _ in range(BOUNDS.over_current_persistence - 1):
-        rig.cycle(**currents(joint, sign * bound * 1.001))
-        assert rig.state.mode is Mode.FREE_SPACE
-    rig.cycle(**currents(joint, sign * bound * 1.001))
-    assert rig.evrs[:2] == [OverCurrent(joint, sign * bound * 1.001, bound), UNPOWERED]
-    assert rig.state.mode is Mode.FAULTED
-    assert braked(rig)
-    assert not rig.outputs.drive.power_on.any()
-
-
-def test_over_current_with_a_gap_counts_from_the_start():
-    rig = moving()
-    high = currents(Joint.ELBOW, 4.9)
-    for _ in range(3):
-        for _ in range(BOUNDS.over_current_persistence - 1):
-            rig.cycle(**high)
-        rig.cycle()
-    assert not found(rig, OverCurrent)
-
-
-def test_current_at_the_bound_is_no_fault():
-    rig = moving()
-    at_bound = {"current_A": BOUNDS.over_current_fraction * CONFIG.current_limit_A}
-    for _ in range(2 * BOUNDS.over_current_persistence):
-        rig.cycle(**at_bound)
-    assert not found(rig, OverCurrent)
-
-
-@pytest.mark.parametrize("joint", Joint)
-def test_a_following_error_is_said_after_exactly_its_persistence(joint):
-    rig = moving()
-    for _ in range(BOUNDS.following_persistence - 1):
-        rig.cycle(**off_set_point(rig, joint, -1.5 * BOUNDS.following_error_rad))
-        assert rig.state.mode is Mode.FREE_SPACE
-    rig.cycle(**off_set_point(rig, joint, -1.5 * BOUNDS.following_error_rad))
-    (evr,) = found(rig, FollowingErrorHigh)
-    assert evr.joint is joint
-    assert evr.bound_rad == BOUNDS.following_error_rad
-    assert evr.error_rad > evr.bound_rad
-    assert REFUSED in rig.evrs
-    assert rig.state.mode is Mode.FAULTED
-    assert braked(rig)
-
-
-def test_a_following_error_with_a_gap_counts_from_the_start():
-    rig = moving()
-    for _ in range(3):
-        for _ in range(BOUNDS.following_persistence - 1):
-            rig.cycle(**off_set_point(rig, Joint.WRIST, -2 * BOUNDS.following_error_rad))
-        rig.cycle()
-    assert not found(rig, FollowingErrorHigh)
 
 
 def seize(rig, joint):
@@ -129,31 +66,6 @@ def test_a_joint_that_seizes_is_stalled_before_it_is_too_far_behind_however_slow
     assert braked(rig)
 
 
-def slowed(rig, share):
-    """The arm turns this share of what it is commanded, from a lag that is beyond the bound already."""
-    commanded = rig.state.move.setpoint.rate_rad_s
-    rig.slowed = getattr(rig, "slowed", rig.count - 400.0) + share * commanded / 64 / CONFIG.rad_per_count
-    return {"encoder_count": np.rint(rig.slowed).astype(int)}
-
-
-@pytest.mark.parametrize(("share", "said"), [(-0.5, True), (0.05, True), (0.2, False)])
-def test_a_stalled_motor_turns_slower_than_its_share_of_what_is_asked_or_the_wrong_way(share, said):
-    rig = moving(MoveJoints(floats(START + 0.3)))
-    rig.until_moving(cycles=60)
-    for _ in range(BOUNDS.stall_persistence + 1):
-        rig.cycle(**slowed(rig, share))
-    assert bool(found(rig, MotorStalled)) is said
-
-
-def test_a_motor_that_is_behind_but_catches_up_has_not_stalled():
-    rig = moving()
-    for _ in range(3):
-        for _ in range(BOUNDS.stall_persistence - 1):
-            rig.cycle(**off_set_point(rig, Joint.ELBOW, -0.95 * BOUNDS.following_error_rad))
-        rig.cycle()
-    assert not found(rig, MotorStalled)
-
-
 @pytest.mark.parametrize("joint", Joint)
 def test_a_motor_that_lags_by_what_friction_takes_has_not_stalled(joint):
     """From the very start of the motion to its end, and on the way to a contact."""
@@ -174,22 +86,6 @@ def test_a_motor_that_lags_by_what_friction_takes_has_not_stalled(joint):
 
 
 @pytest.mark.parametrize("joint", Joint)
-@pytest.mark.parametrize("start", [moving, lambda: Rig(CONFIG, start_rad=START)], ids=["moving", "resting"])
-def test_a_hot_winding_takes_the_power_off_after_exactly_its_persistence_moving_or_not(joint, start):
-    rig, hot = start(), windings(joint, BOUNDS.winding_max_C + 0.1)
-    for _ in range(BOUNDS.winding_persistence - 1):
-        rig.cycle(**hot)
-        assert not found(rig, OverTemperature)
-    rig.cycle(**hot)
-    (evr,) = found(rig, OverTemperature)
-    assert evr == OverTemperature(joint, BOUNDS.winding_max_C + 0.1, BOUNDS.winding_max_C)
-    assert UNPOWERED in rig.evrs
-    assert rig.state.mode is Mode.FAULTED
-    assert not rig.outputs.drive.power_on.any()
-    assert not rig.outputs.drive.brake_release.any()
-
-
-@pytest.mark.parametrize("joint", Joint)
 def test_a_cold_winding_stops_a_move_after_exactly_its_persistence_without_a_standing_fault(joint):
     rig, cold = moving(), windings(joint, BOUNDS.winding_min_C - 0.1)
     for _ in range(BOUNDS.winding_persistence - 1):
@@ -203,21 +99,6 @@ def test_a_cold_winding_stops_a_move_after_exactly_its_persistence_without_a_sta
     assert len(found(rig, UnderTemperature)) == 1
     assert rig.state.mode is Mode.DEPLOYED
     assert not rig.outputs.drive.power_on.any()
-
-
-def test_an_arm_at_rest_may_be_as_cold_as_it_gets_and_any_arm_as_warm_as_its_bound():
-    rig = Rig(CONFIG, start_rad=START)
-    for _ in range(3 * BOUNDS.winding_persistence):
-        rig.cycle(winding_C=np.full(5, -130.0))
-    assert not found(rig, Fault)
-    rig = moving()
-    for _ in range(3 * BOUNDS.winding_persistence):
-        rig.cycle(winding_C=np.full(5, BOUNDS.winding_max_C))
-    for _ in range(3):
-        for _ in range(BOUNDS.winding_persistence - 1):
-            rig.cycle(winding_C=np.full(5, 200.0))
-        rig.cycle()
-    assert not found(rig, Fault)
 
 
 @pytest.mark.parametrize("joint", Joint)

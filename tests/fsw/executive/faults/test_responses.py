@@ -31,7 +31,6 @@ from fsw.dictionary.faults import (
     UnderTemperature,
 )
 from fsw.motion.move import Phase
-from fsw.motion.paths import Setpoint
 from fsw.protect.responses import RESPONSE_TO, Response
 from fsw.state import Sequence
 from tests.fsw.executive.faults.lab import (
@@ -46,6 +45,7 @@ from tests.fsw.executive.faults.lab import (
     currents,
     encoders_at,
     found,
+    misplanned,
     moving,
     off_set_point,
     resolver_off,
@@ -68,16 +68,8 @@ LATEST = 3
 
 
 def tamper(rig):
-    """Replace the path by one that asks for a jump: an error of planning."""
-
-    class Wrong:
-        duration_s = 10.0
-
-        @staticmethod
-        def at(time_s):
-            return Setpoint(rig.state.move.setpoint.motor_rad + 0.1, np.zeros(5))
-
-    rig.state = replace(rig.state, move=replace(rig.state.move, paths=(Wrong(),), ticks=0))
+    """Replace the path by one that asks for a jump."""
+    rig.state = misplanned(rig, rig.state.move.setpoint.motor_rad + 0.1)
     return {}
 
 
@@ -215,7 +207,7 @@ def test_stop_and_brake_of_a_move_that_is_being_stopped_changes_nothing_but_says
     rig.cycle(Stop())
     stopping = rig.state.move
     skip(rig)
-    assert rig.state.move.paths == stopping.paths
+    assert rig.state.move.plan.paths == stopping.plan.paths
     assert rig.evrs[-2:] == [CyclesMissed(BOUNDS.missed_cycles + 1, BOUNDS.missed_cycles), STOPPED]
 
 
@@ -324,3 +316,24 @@ def test_a_fault_holds_what_is_read_but_no_farther_from_the_set_point_than_a_mot
     bound = BOUNDS.following_error_rad
     assert held[joint] == pytest.approx(np.clip(off_rad, -bound, bound), abs=2e-5)
     assert braked(rig)
+
+
+@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("wrong", ["nan", "jump"])
+def test_a_wrong_path_ends_at_the_brakes_in_the_same_cycle_and_never_reaches_the_motors(joint, wrong):
+    rig = moving()
+    before = rig.outputs.drive.setpoint_count
+    last = rig.state.move.setpoint.motor_rad
+    wanted = np.nan if wrong == "nan" else last[joint] + 0.1
+    rig.state = misplanned(rig, np.where(np.arange(5) == joint, wanted, last))
+    drive = rig.cycle().drive
+    assert isinstance(rig.evrs[0], SetpointUnsafe)
+    assert rig.evrs[0].joint is joint
+    assert rig.evrs[1] == REFUSED
+    assert rig.state.mode is Mode.FAULTED
+    assert not drive.brake_release.any()
+    assert not drive.setpoint_rate_rad_s.any()
+    assert np.abs(drive.setpoint_count - before).max() <= 2
+    rig.run()
+    assert CommandAborted("MoveJoints") in rig.evrs
+    assert not rig.outputs.drive.power_on.any()

@@ -147,16 +147,3 @@ def test_no_contact_to_the_end_of_the_travel_is_a_fault_with_brakes():
     assert not rig.outputs.drive.power_on.any()
     rig.run(ClearFault())
     assert CommandCompleted("Retract") in rig.run(Retract("apxs", 0.02))
-
-
-def test_an_arm_that_faulted_in_contact_can_be_cleared_and_then_retracted():
-    rig = in_guarded_motion()
-    contact = closed("apxs_1")
-    rig.run(**contact)
-    rig.cycle(**contact, current_A=[np.nan] * 5)
-    rig.cycle(ClearFault(), **contact)
-    assert rig.state.mode is Mode.GUARDED
-    rig.cycle(Retract("apxs", 0.02), **contact)
-    for _ in range(30):
-        rig.cycle(**contact)
-    assert CommandCompleted("Retract") in rig.run()

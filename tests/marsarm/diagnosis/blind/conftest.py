@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from marsarm.diagnosis.arm.blind_case import DetectableEffect
 from marsarm.diagnosis.model import DiagnosisModel
 from marsarm.diagnosis.problem import Residuals
 from marsarm.diagnosis.result import DiagnosisResult, to_json
-from marsarm.diagnosis.sampling import DetectableEffect
 from tests.marsarm.diagnosis.worlds import World, found, select_and_diagnose
 from validation.cases.arm import CAMPAIGN_FOLDER, ArmCases
 from validation.cases.arm_features import (

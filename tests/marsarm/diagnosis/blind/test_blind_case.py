@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from marsarm.diagnosis.arm.blind_case import BOUND_SHARE, LIMIT_MULTIPLES, DetectableEffect, can_sample
 from marsarm.diagnosis.problem import Hypothesis, Parameter
-from marsarm.diagnosis.sampling import BOUND_SHARE, LIMIT_MULTIPLES, DetectableEffect, can_sample
 from simgap.common.errors import BadRequest
 from validation.cases.arm import ArmCases
 from validation.cases.arm_truth import SealedEffect, TrueCase, plan_cases

@@ -9,11 +9,10 @@ import pytest
 
 from fsw.dictionary.enums import Joint
 from marsarm.diagnosis.arm import blind_case
-from marsarm.diagnosis.arm.blind_case import sample_background
+from marsarm.diagnosis.arm.blind_case import DetectableEffect, sample_background
 from marsarm.diagnosis.arm.logs import load_recording
 from marsarm.diagnosis.arm.record import session_json
 from marsarm.diagnosis.arm.simulator import list_candidates, to_hypothesis
-from marsarm.diagnosis.sampling import DetectableEffect
 from marsarm.telemetry.header import SESSION, flight_header, run_header
 from marsarm.telemetry.read import read_log
 from marsarm.telemetry.recorder import Recorder

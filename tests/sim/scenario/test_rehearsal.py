@@ -24,7 +24,7 @@ from fsw.dictionary.commands import (
     Unstow,
 )
 from fsw.dictionary.enums import Joint, Mode
-from sim.scenario.mode_check import COMMAND_EVENTS, find_refusals, modes_after
+from sim.scenario.rehearsal import COMMAND_EVENTS, find_refusals, modes_after
 
 UP = (0.0, 0.0, 1.0)
 HERE = (2.0, 0.0, 0.8)

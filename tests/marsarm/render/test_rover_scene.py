@@ -1,19 +1,39 @@
-"""Tests of pictures of a tilted rover, on a slope with a level horizon, and of a level one."""
+"""Pictures of the rover: its collision shapes, tilted on a slope with a level horizon, and level."""
 
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+import PIL.Image
 import pytest
 
-from marsarm.render.picture import PictureResult
+from marsarm.render.picture import PictureError, PictureResult
 from marsarm.render.rays import Rays
-from marsarm.render.rover_scene import tilt_rover
+from marsarm.render.rover_scene import save_collision_picture, tilt_rover
 from marsarm.runs import execution
 from marsarm.runs.execution import DrawnPoses, RunLog, save_artifacts
 from marsarm.runs.request import RunFiles
+from sim.params import nominal_params
 from sim.world import Scene, Surface, World, build
+
+PARAMS = nominal_params()
+READY = np.array(PARAMS.poses.ready_rad)
+
+
+def test_the_shapes_of_arm_and_rover_are_in_the_picture(tmp_path: Path) -> None:
+    drawn = save_collision_picture(PARAMS, READY, tmp_path / "shapes.png", size=(160, 90))
+    image = np.asarray(PIL.Image.open(tmp_path / "shapes.png").convert("RGB")).astype(int)
+    assert image.shape == (90, 160, 3)
+    if drawn.renderer == "opengl":  # rays do not hit transparent geoms
+        bluish = image[..., 2] > image[..., 0] + 30
+        assert 0.005 < bluish.mean() < 0.5
+
+
+def test_a_camera_that_there_is_not_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PictureError, match="there is no camera 'nowhere'"):
+        save_collision_picture(PARAMS, READY, tmp_path / "shapes.png", "nowhere", (16, 9))
+
 
 ROCK = Surface((2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
 LOW_ROCK = Surface((2.05, 0.1, 0.2), (0.0, 0.0, -1.0))

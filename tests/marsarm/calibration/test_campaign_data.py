@@ -1,4 +1,4 @@
-"""Campaign tables: content is read back, and errors are named with a remedy."""
+"""Campaign data: whitened noise, tables that are read back, and errors that are named with a remedy."""
 
 from dataclasses import replace
 
@@ -13,6 +13,16 @@ from marsarm.calibration.campaign_data import BadData, MeasuredPoses, read_campa
 from marsarm.calibration.execution import check_data
 from sim.frames import P_NR_M
 from tests.marsarm.calibration.lab import NOMINAL, campaign
+
+RNG = np.random.default_rng(0)
+
+
+def test_whitened_noise_has_variance_one():
+    n = 20_000
+    root = RNG.standard_normal((6, 6))
+    measured = MeasuredPoses(Pose(np.zeros((3, 3, n)), np.zeros((3, n))), np.tile(root @ root.T, (n, 1, 1)))
+    noise = np.einsum("nij,jk,nk->ni", measured.whitener, root, RNG.standard_normal((n, 6)))
+    np.testing.assert_allclose(np.cov(noise.T), np.eye(6), atol=0.05)
 
 
 @pytest.mark.parametrize("suffix", [".parquet", ".csv"])

@@ -1,6 +1,6 @@
 """Tables of a scenario file: commands, faults, effects, checks and taught places."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, Final, get_args
 
@@ -13,15 +13,21 @@ from fsw.dictionary.types import Limits, NameMark, match_name, vector3
 from fsw.dictionary.validity import Wrong, read_arguments
 from fsw.executive.context import check_arguments, known_names
 from fsw.kinematics.closed_form import BRANCHES
-from sim.effects.effect import Effect, Timed
 from sim.effects.environment import PowerLoss
 from sim.effects.faults import InjectedFault, RockGone, SensorFault
 from sim.frames import p_R_from_N
 from sim.scenario.data import Check, Injection, Placed, Preloaded, SameSpot, TaughtPoint
-from sim.scenario.effects import BadEffect, find_effect_class
-from sim.scenario.names import did_you_mean, field_keys, is_position, upper_snake
-from sim.scenario.toml_lines import TomlPath
-from sim.scenario.toml_record import TYPE_KEY, Findings, read_kind, read_record
+from sim.scenario.records import (
+    TYPE_KEY,
+    Findings,
+    did_you_mean,
+    field_keys,
+    is_position,
+    read_kind,
+    read_record,
+    upper_snake,
+)
+from simgap.common.toml import KeyPath
 
 FAULT_CLASSES: Final[tuple[type[InjectedFault], ...]] = get_args(InjectedFault)
 """Frozen dataclasses with a time `at_s`; a file sets it and the other fields."""
@@ -59,26 +65,14 @@ class _DuringCommand:
     after_s: Annotated[float, Limits(0.0, 1e5)]
 
 
-def list_tables(
-    data: dict[str, Any], what: str, findings: Findings
-) -> Iterator[tuple[TomlPath, dict[str, Any]]]:
-    """List each table of a list of tables, with its place."""
-    found = data.get(what, [])
-    if isinstance(found, list) and all(isinstance(table, dict) for table in found):
-        yield from (((what, k), table) for k, table in enumerate(found))
-    else:
-        text = f"{what}: is no list of tables; write [[{what}]] and its keys below, once for each"
-        findings.report((what,), text)
-
-
-def read_taught_point(table: dict[str, Any], place: TomlPath, findings: Findings) -> TaughtPoint | None:
+def read_taught_point(table: dict[str, Any], place: KeyPath, findings: Findings) -> TaughtPoint | None:
     """Read a taught place, or return None and report problems."""
     return read_record(TaughtPoint, table, place, findings, {"branch": (AUTO, *BRANCHES)})
 
 
 def read_command(
     table: dict[str, Any],
-    place: TomlPath,
+    place: KeyPath,
     findings: Findings,
     points: Mapping[str, str],
     params: Params,
@@ -103,7 +97,7 @@ def read_command(
     command = read_record(kind, rest, place, findings, {"branch": (AUTO, *BRANCHES), "point": tuple(points)})
     where = match_name(frame, frames)
     if frame is not None and where is None:
-        findings.report((*place, "frame"), f"frame: {frame!r} is not known; {did_you_mean(frame, frames)}")
+        findings.report((*place, "frame"), f"{frame!r} is not known; {did_you_mean(frame, frames)}")
         return None
     if command is None:
         return None
@@ -117,8 +111,7 @@ def read_command(
     if isinstance(read, Wrong):
         field, _, wrong = read.text.partition(": ")
         key = next(key for key in field_keys(field, tuple).factors if key in table)
-        note = "in RMECH, " if field in positions else ""
-        findings.report((*place, key), f"{key}: {note}{wrong}")
+        findings.report((*place, key), f"in RMECH, {wrong}" if field in positions else wrong)
         return None
     command, problem = read, check_arguments(params, read)
     if isinstance(command, Dock) and not params.tool_switches[points[command.point]]:
@@ -129,7 +122,7 @@ def read_command(
 
 
 def read_fault(
-    table: dict[str, Any], place: TomlPath, findings: Findings, commands: int, has_surface: bool
+    table: dict[str, Any], place: KeyPath, findings: Findings, commands: int, has_surface: bool
 ) -> Injection | None:
     """Read a fault and its time, or return None and report problems.
 
@@ -144,8 +137,7 @@ def read_fault(
     rest = {key: value for key, value in table.items() if key != TYPE_KEY}
     when: dict[str, Any] = {key: rest.pop(key) for key in ("during", "after_s") if key in rest}
     if "at_s" in rest and when:
-        text = "at_s: counts from the beginning; give it alone, or during and after_s"
-        findings.report((*place, "at_s"), text)
+        findings.report((*place, "at_s"), "counts from the beginning; give it alone, or during and after_s")
         return None
     at: _AtTime | _DuringCommand | None
     if "at_s" in rest:
@@ -153,7 +145,8 @@ def read_fault(
     elif when:
         at = read_record(_DuringCommand, when, place, findings)
     else:
-        findings.report(place, "at_s: is missing; or give during, the number of a command, and after_s")
+        text = "is missing; or give during, the number of a command, and after_s"
+        findings.report((*place, "at_s"), text)
         return None
     fault = read_record(kind, {**rest, "at_s": 0.0}, place, findings)
     if isinstance(fault, RockGone) and not has_surface:
@@ -167,30 +160,9 @@ def read_fault(
     return Injection(replace(fault, at_s=at.at_s))
 
 
-def read_effect(table: dict[str, Any], place: TomlPath, findings: Findings) -> Effect | None:
-    """Read an effect that lasts for the whole run, or return None and report problems."""
-    if not isinstance(table.get(TYPE_KEY), str):
-        findings.report(
-            place, f'{TYPE_KEY}: is missing; write the name of an effect, such as "coulomb-friction"'
-        )
-        return None
-    try:
-        kind = find_effect_class(table[TYPE_KEY])
-    except BadEffect as error:
-        findings.report((*place, TYPE_KEY), f"{TYPE_KEY}: {error}")
-        return None
-    if issubclass(kind, Timed | PowerLoss):
-        findings.report(
-            (*place, TYPE_KEY), f"{TYPE_KEY}: {table[TYPE_KEY]} comes at a moment; write it as [[fault]]"
-        )
-        return None
-    rest = {key: value for key, value in table.items() if key != TYPE_KEY}
-    return read_record(kind, rest, place, findings)
-
-
 def read_check(
     table: dict[str, Any],
-    place: TomlPath,
+    place: KeyPath,
     findings: Findings,
     points: tuple[str, ...],
     commands: int,
@@ -213,7 +185,6 @@ def read_check(
     return check
 
 
-def _check_number(name: str, number: int, commands: int, place: TomlPath, findings: Findings) -> None:
+def _check_number(name: str, number: int, commands: int, place: KeyPath, findings: Findings) -> None:
     if not 1 <= number <= commands:
-        text = f"{name}: there is no command {number}; they are numbered 1 to {commands}"
-        findings.report((*place, name), text)
+        findings.report((*place, name), f"there is no command {number}; they are numbered 1 to {commands}")

@@ -1,15 +1,16 @@
-"""`marsarm arm`: the frames of an arm are those of its kinematics, and the picture names them."""
+"""`marsarm arm`: frames are those of the kinematics, and files that are stale are made anew."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fsw.config import configure
 from fsw.kinematics.chain import forward, tool_pose
-from marsarm.arms.arm import layout_document, save_layout_picture, show_arm
+from marsarm.arms.arm import build_arms, layout_document, save_layout_picture, show_arm
 from marsarm.arms.request import ArmRequest
-from sim.arm_model.load import arm_names
+from sim.arm_model.load import ARMS, arm_names, default_arm
 from simgap.common.errors import BadRequest
 from simgap.common.report import to_json
 from tests.marsarm.command import marsarm
@@ -44,3 +45,22 @@ def test_the_command_prints_one_document(tmp_path):
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["name"] == "m2020"
     assert [path.name for path in tmp_path.iterdir()] == ["arm.png"]
+
+
+def test_a_file_that_is_not_text_is_stale_and_written_anew(tmp_path: Path) -> None:
+    (tmp_path / "arm.toml").write_bytes((ARMS / default_arm().name / "arm.toml").read_bytes())
+    (tmp_path / "arm.xml").write_bytes(b"\xff\xfe")
+    with pytest.raises(BadRequest, match=r"arm\.xml: is not what arm\.toml says"):
+        build_arms(ArmRequest(str(tmp_path), check=True))
+    build_arms(ArmRequest(str(tmp_path)))
+    assert (tmp_path / "arm.xml").read_text().startswith("<!-- Made from arm.toml")
+    build_arms(ArmRequest(str(tmp_path), check=True))
+
+
+def test_an_arm_that_mujoco_does_not_accept_is_not_built(tmp_path: Path) -> None:
+    (tmp_path / "arm.toml").write_bytes((ARMS / default_arm().name / "arm.toml").read_bytes())
+    looks = "<visual><asset><material name='arm_titanium'/></asset><body name='link2'><geom/></body></visual>"
+    (tmp_path / "visual.xml").write_text(looks)
+    with pytest.raises(BadRequest, match="MuJoCo does not accept its plant"):
+        build_arms(ArmRequest(str(tmp_path)))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["arm.toml", "visual.xml"]

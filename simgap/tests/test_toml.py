@@ -1,0 +1,107 @@
+"""The one reader and the one writer of TOML."""
+
+import os
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from simgap.common.errors import RobotError
+from simgap.common.toml import (
+    Record,
+    describe_faults,
+    key_path,
+    parse_record,
+    parse_toml,
+    read_toml,
+    toml_text,
+)
+
+TABLE = {
+    "name": 'a "quoted" line\nand \u0007 another',
+    "flag": True,
+    "vector": [1.0 / 3.0, -0.0, 1e-300, 2],
+    "matrix": [[1.0, 2.0], [3.0, 4.0]],
+    "none": [],
+    "group": {"a key": {"value": 1e22}, "list": [{"x": 1}, {"x": 2, "y": {"z": "w"}}]},
+}
+
+
+def test_every_bit_of_a_table_comes_back_below_its_comments():
+    text = toml_text(TABLE, ["about", ""])
+    assert text.startswith("# about\n#\n\n")
+    assert repr(tomllib.loads(text)) == repr(parse_toml(text, "t.toml"))
+    assert parse_toml(text, "t.toml") == TABLE
+    assert str(parse_toml(text, "t.toml")["vector"][1]) == "-0.0"
+    assert "matrix = [\n    [1.0, 2.0],\n" in text
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"[joints", "is not TOML: Expected"),
+        (b"x = " + b"9" * 5000, "is not TOML: a whole number has more than"),
+        (b"x = 0x" + b"f" * 5000, "is not TOML: a whole number has more than"),
+        (b"x = " + b"[" * 100_000, "is not TOML: lists or tables are nested too deeply"),
+        (b"\xff\xfe", "is not text in UTF-8"),
+        (b" " * 1_000_001, "has 1000001 bytes, more than 1000000"),
+    ],
+    ids=["torn", "a long number", "a long hexadecimal number", "a deep list", "binary", "large"],
+)
+def test_a_file_that_is_no_toml_is_refused(tmp_path: Path, content: bytes, expected: str):
+    path = tmp_path / "bad.toml"
+    path.write_bytes(content)
+    with pytest.raises(RobotError, match=rf"bad\.toml: {expected}"):
+        read_toml(path)
+
+
+def test_a_file_that_is_not_there_or_would_be_waited_for_is_refused(tmp_path: Path):
+    with pytest.raises(RobotError, match=r"none\.toml: cannot be read \(No such file"):
+        read_toml(tmp_path / "none.toml")
+    os.mkfifo(tmp_path / "pipe.toml")
+    with pytest.raises(RobotError, match=r"pipe\.toml: is not a regular file"):
+        read_toml(tmp_path / "pipe.toml")
+    with pytest.raises(RobotError, match="cannot be read"):
+        read_toml(tmp_path / "zero\0byte.toml")
+
+
+def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path):
+    (tmp_path / "mark.toml").write_bytes(b"\xef\xbb\xbfx = 1\n")
+    assert read_toml(tmp_path / "mark.toml") == {"x": 1}
+
+
+@dataclass(frozen=True)
+class Wheel:
+    radius_m: float
+
+
+class Rover(Record):
+    name: str
+    wheel: tuple[Wheel, ...] = ()
+    limits: dict[str, tuple[float, float]] | None = None
+
+
+def faults(**content: object) -> list[str]:
+    with pytest.raises(ValidationError) as caught:
+        Rover.model_validate(content, strict=False)
+    return describe_faults(Rover, caught.value)
+
+
+def test_faults_name_the_path_of_the_key_and_what_would_be_right():
+    assert faults(nam="R") == ["nam: is not known; did you mean name?", "name: is missing; add it"]
+    wheels = [{"radius_m": 0.2}, {"radius_m": []}, {"radus_m": 0.2}]
+    assert faults(name="R", wheel=wheels) == [
+        "wheel[2].radius_m: should be a valid number",
+        "wheel[3].radus_m: is not known; did you mean radius_m?",
+        "wheel[3].radius_m: is missing; add it",
+    ]
+    assert faults(name="R", limits={"roll": [1.0]}) == ["limits.roll[2]: is missing; add it"]
+    with pytest.raises(RobotError, match=r"rover\.toml: name: should be a valid string, not 3"):
+        parse_record(Rover, {"name": 3}, Path("rover.toml"))
+
+
+def test_lists_count_from_1():
+    assert key_path(("command", 0, "position_m", 2)) == "command[1].position_m[3]"
+    assert key_path(()) == ""

@@ -1,0 +1,327 @@
+"""What is done about readings that are no number, frozen, missed or turned, and resolvers that disagree."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import ClearFault, MoveJoints, Retract
+from fsw.dictionary.enums import Joint, Mode
+from fsw.dictionary.evrs import CommandAborted, CommandRefused, CyclesSkipped, FaultResponse, ModeChanged
+from fsw.dictionary.faults import (
+    CycleCountWrong,
+    CyclesMissed,
+    Fault,
+    GravityImplausible,
+    ResolverDisagrees,
+    SensorFrozen,
+    SensorNotFinite,
+    TiltChanged,
+)
+from tests.fsw.executive.faults.lab import (
+    BOUNDS,
+    CONFIG,
+    REFUSED,
+    START,
+    STOPPED,
+    braked,
+    found,
+    moving,
+    resolver_off,
+)
+from tests.fsw.rig import MARS_R_m_s2, Rig, alive, floats
+
+QUIET = {
+    "resolver_rad": np.zeros(5),
+    "current_A": np.zeros(5),
+    "winding_C": np.full(5, -40.0),
+    "gravity_R_m_s2": MARS_R_m_s2,
+    "structure_C": np.full(1, 20.0),
+}
+BAD = [float("nan"), float("inf"), float("-inf")]
+PLACES = [(name, k) for name, values in QUIET.items() for k in range(values.size)]
+MOVES = {
+    "joints": lambda rig: MoveJoints(floats(START + 0.05)),
+    "guarded": lambda rig: rig.touch("apxs", 0.1),
+    "retract": lambda rig: Retract("apxs", 0.1),
+}
+
+
+def corrupted(name, place, value):
+    values = QUIET[name].copy()
+    values[place] = value
+    return {name: values}
+
+
+def on_its_way(kind):
+    rig = Rig(CONFIG, start_rad=START)
+    rig.until_moving(MOVES[kind](rig))
+    return rig
+
+
+def finite(drive):
+    return bool(np.isfinite(drive.setpoint_rate_rad_s).all() and np.isfinite(drive.current_limit_A).all())
+
+
+@pytest.mark.parametrize("value", BAD)
+@pytest.mark.parametrize(("name", "place"), PLACES)
+def test_one_bad_element_stops_the_arm_in_the_same_cycle(name, place, value):
+    rig = moving()
+    follow = rig.outputs.drive.setpoint_count
+    rig.evrs.clear()
+    out = rig.cycle(**corrupted(name, place, value))
+    assert out.evrs == (
+        SensorNotFinite(name),
+        FaultResponse("BRAKE_AND_REFUSE"),
+        ModeChanged(Mode.FREE_SPACE, Mode.FAULTED),
+    )
+    assert not out.drive.brake_release.any()
+    assert not out.drive.setpoint_rate_rad_s.any()
+    assert finite(out.drive)
+    # held where the motors were last seen: no farther than the cycle just passed
+    step = np.ceil(CONFIG.speed_rad_s / 64 / CONFIG.rad_per_count)
+    assert (np.abs(out.drive.setpoint_count - follow) <= step).all()
+
+
+@pytest.mark.parametrize("kind", MOVES)
+@pytest.mark.parametrize("value", BAD)
+def test_the_set_point_is_frozen_from_the_bad_reading_on(kind, value):
+    rig = on_its_way(kind)
+    held = rig.cycle(**corrupted("current_A", 2, value)).drive.setpoint_count
+    for k in range(60):
+        out = rig.cycle(**(corrupted("winding_C", k % 5, value) if k % 3 == 0 else {}))
+        np.testing.assert_array_equal(out.drive.setpoint_count, held)
+        assert not out.drive.setpoint_rate_rad_s.any()
+        assert not out.drive.brake_release.any()
+        assert finite(out.drive)
+    assert not out.drive.power_on.any()
+    assert rig.state.mode is Mode.FAULTED
+
+
+@pytest.mark.parametrize("kind", MOVES)
+def test_the_aborted_move_is_reported_and_later_moves_are_refused_until_cleared(kind):
+    rig = on_its_way(kind)
+    name = rig.state.move.plan.command
+    rig.evrs.clear()
+    rig.cycle(**corrupted("resolver_rad", 0, BAD[0]))
+    rig.run()
+    assert CommandAborted(name) in rig.evrs
+    rig.evrs.clear()
+    rig.cycle(MoveJoints(floats(START)))
+    assert rig.evrs == [CommandRefused("MoveJoints", "a fault stands; clear it first")]
+    rig.cycle(ClearFault())
+    assert rig.state.mode is (Mode.DEPLOYED if kind == "joints" else Mode.GUARDED)
+
+
+def test_a_standing_fault_is_said_once():
+    rig = moving()
+    rig.evrs.clear()
+    for _ in range(20):
+        rig.cycle(**corrupted("gravity_R_m_s2", 1, BAD[0]))
+    assert sum(isinstance(evr, SensorNotFinite) for evr in rig.evrs) == 1
+    assert sum(isinstance(evr, FaultResponse) for evr in rig.evrs) == 1
+
+
+def test_clearing_while_the_reading_is_still_bad_faults_again():
+    rig = moving()
+    rig.cycle(**corrupted("current_A", 0, BAD[0]))
+    rig.run()
+    rig.evrs.clear()
+    rig.cycle(ClearFault(), MoveJoints(floats(START)), **corrupted("current_A", 0, BAD[0]))
+    assert rig.state.mode is Mode.FAULTED
+    assert SensorNotFinite("current_A") in rig.evrs
+    assert not rig.outputs.drive.brake_release.any()
+
+
+def test_a_bad_reading_leaves_the_last_good_estimate():
+    rig = moving()
+    before = rig.state.joints
+    rig.cycle(**corrupted("gravity_R_m_s2", 0, BAD[0]))
+    after = rig.state.joints
+    for name in ("motor_rad", "gear_rad", "gravity_R_m_s2", "resolver_error_rad"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+
+
+MIN_m_s2, MAX_m_s2 = CONFIG.params.monitors.gravity_min_m_s2, CONFIG.params.monitors.gravity_max_m_s2
+
+
+@pytest.mark.parametrize("reads_m_s2", [0.0, 25.0])
+@pytest.mark.parametrize("kind", MOVES)
+def test_an_implausible_gravity_stops_the_arm_in_the_same_cycle_and_is_not_learnt(kind, reads_m_s2):
+    rig = on_its_way(kind)
+    before, mode = rig.state.joints.gravity_R_m_s2, rig.state.mode
+    out = rig.cycle(gravity_R_m_s2=[0.0, 0.0, reads_m_s2])
+    assert out.evrs == (
+        GravityImplausible(reads_m_s2, MIN_m_s2, MAX_m_s2),
+        FaultResponse("BRAKE_AND_REFUSE"),
+        ModeChanged(mode, Mode.FAULTED),
+    )
+    assert not out.drive.brake_release.any()
+    assert not out.drive.setpoint_rate_rad_s.any()
+    np.testing.assert_array_equal(rig.state.joints.gravity_R_m_s2, before)
+
+
+@pytest.mark.parametrize("name", [*QUIET, "gravity_min", "gravity_max"])
+def test_the_arm_comes_to_its_brakes_and_power_off_while_the_reading_stays_bad(name):
+    rig = moving()
+    finite_but_bad = {"gravity_min": 0.0, "gravity_max": 99.0}
+    if name in finite_but_bad:
+        bad = {"gravity_R_m_s2": [0, 0, finite_but_bad[name]]}
+    else:
+        bad = corrupted(name, 0, BAD[0])
+    rig.run(**bad, at_most=CONFIG.brake_ticks + 2)
+    assert not rig.outputs.drive.power_on.any()
+    assert CommandAborted("MoveJoints") in rig.evrs
+
+
+@pytest.mark.parametrize("name", QUIET)
+def test_with_bad_readings_nothing_is_known_until_the_first_good_ones(name):
+    rig = Rig(CONFIG, start_rad=START, calibrated=False)
+    for _ in range(3):
+        rig.cycle(**corrupted(name, 0, BAD[0]))
+        assert not rig.state.joints.initialised
+    rig.cycle()
+    np.testing.assert_allclose(rig.state.joints.motor_rad, START, atol=1e-5)
+
+
+LIVELY = {"resolver_rad": 5, "current_A": 5, "gravity_R_m_s2": 3}
+
+
+def test_a_sensor_that_freezes_in_a_move_stops_the_arm():
+    rig = moving(MoveJoints(floats(START + 0.2)))
+    for _ in range(BOUNDS.frozen_persistence + 1):
+        rig.cycle(current_A=np.full(5, 0.4))
+    assert found(rig, SensorFrozen) == [SensorFrozen("current_A", BOUNDS.frozen_persistence)]
+    assert braked(rig)
+
+
+def test_all_frozen_sensors_are_named_once_each_and_again_after_clearing():
+    rig = Rig(CONFIG, start_rad=START)
+    frozen = {name: np.ones(size) for name, size in LIVELY.items()}
+    frozen["gravity_R_m_s2"] = MARS_R_m_s2
+    for _ in range(2 * BOUNDS.frozen_persistence):
+        rig.cycle(**frozen)
+    assert [evr.sensor for evr in found(rig, SensorFrozen)] == list(LIVELY)
+    rig.evrs.clear()
+    rig.cycle(ClearFault(), **frozen)
+    assert [evr.sensor for evr in found(rig, SensorFrozen)] == list(LIVELY)
+    assert rig.state.mode is Mode.FAULTED
+
+
+def test_windings_and_encoders_that_read_the_same_may_be_alive():
+    """Nothing flows, nothing turns."""
+    rig = Rig(CONFIG, start_rad=START)
+    for _ in range(3 * BOUNDS.frozen_persistence):
+        rig.cycle()
+    assert not found(rig, Fault)
+
+
+def skip(rig, cycles):
+    rig.cycles += cycles
+    return rig.cycle()
+
+
+@pytest.mark.parametrize("cycles", [1, BOUNDS.missed_cycles])
+def test_a_few_missed_cycles_are_reported_and_the_move_goes_on(cycles):
+    rig = moving()
+    skip(rig, cycles)
+    assert rig.evrs == [CyclesSkipped(cycles)]
+    rig.run()
+    assert not found(rig, Fault)
+    assert rig.state.mode is Mode.DEPLOYED
+
+
+def test_more_missed_cycles_stop_the_move_which_may_be_commanded_again():
+    rig = moving()
+    skip(rig, BOUNDS.missed_cycles + 1)
+    assert rig.evrs == [CyclesMissed(BOUNDS.missed_cycles + 1, BOUNDS.missed_cycles), STOPPED]
+    rig.run()
+    assert CommandAborted("MoveJoints") in rig.evrs
+    assert rig.state.mode is Mode.DEPLOYED
+    assert not rig.outputs.drive.power_on.any()
+    rig.evrs.clear()
+    rig.run(MoveJoints(floats(START)))
+    assert not found(rig, Fault)
+
+
+def test_cycles_missed_at_rest_are_reported_and_stop_nothing():
+    rig = Rig(CONFIG, start_rad=START)
+    rig.evrs.clear()
+    skip(rig, 20)
+    assert rig.evrs == [CyclesMissed(20, BOUNDS.missed_cycles), STOPPED]
+    assert rig.state.mode is Mode.DEPLOYED
+
+
+@pytest.mark.parametrize("back", [0, 1, 50])
+def test_a_count_of_cycles_that_repeats_or_goes_back_stops_the_move_which_may_be_commanded_again(back):
+    rig = moving()
+    last = rig.cycles
+    rig.cycles -= back + 1
+    rig.cycle()
+    assert rig.evrs == [CycleCountWrong(last - back, last), STOPPED]
+    rig.run()
+    assert CommandAborted("MoveJoints") in rig.evrs
+    assert rig.state.mode is Mode.DEPLOYED
+    rig.evrs.clear()
+    rig.run(MoveJoints(floats(START)))
+    assert not found(rig, Fault)
+
+
+def test_cycles_are_counted_while_readings_are_bad():
+    rig = moving()
+    for _ in range(10):
+        rig.cycle(current_A=np.full(5, np.nan))
+    rig.cycle()
+    assert not found(rig, CyclesSkipped | CyclesMissed)
+
+
+LONG = MoveJoints(floats(START + 0.3))
+
+
+def turned(angle_rad, about):
+    """Gravity turned about a level axis of the rover."""
+    level = np.array([np.cos(about), np.sin(about), 0.0])
+    down = np.array([0.0, 0.0, 1.0])
+    return np.linalg.norm(MARS_R_m_s2) * (np.cos(angle_rad) * down + np.sin(angle_rad) * level)
+
+
+@pytest.mark.parametrize("about", [1.0, 4.0])
+def test_gravity_that_turns_during_a_move_by_more_than_its_bound_stops_the_arm(about):
+    for share, said in ((0.98, False), (1.05, True)):
+        rig = moving(LONG)
+        for k in range(600):
+            rig.cycle(gravity_R_m_s2=turned(share * BOUNDS.tilt_rad, about) + alive(k))
+        assert bool(found(rig, Fault)) is said
+        if said:
+            (evr,) = found(rig, TiltChanged)
+            assert BOUNDS.tilt_rad < evr.turned_rad < share * BOUNDS.tilt_rad
+            assert evr.bound_rad == BOUNDS.tilt_rad
+            assert REFUSED in rig.evrs
+            assert rig.state.mode is Mode.FAULTED
+            assert braked(rig)
+
+
+def test_gravity_may_turn_between_moves_and_the_next_move_begins_from_there():
+    rig = Rig(CONFIG, start_rad=START)
+    rig.run(MoveJoints(floats(START + 0.01)))
+    for k in range(600):
+        rig.cycle(gravity_R_m_s2=turned(0.2, 0.3) + alive(k))
+    rig.cycle(MoveJoints(floats(START)), gravity_R_m_s2=turned(0.2, 0.3))
+    while rig.outputs.joint.busy:
+        rig.cycle(gravity_R_m_s2=turned(0.2, 0.3) + alive(rig.cycles))
+    assert not found(rig, Fault)
+
+
+@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize(("sign", "start"), [(1, moving), (-1, lambda: Rig(CONFIG, start_rad=START))])
+def test_a_resolver_may_be_off_by_its_bound_and_what_is_unknown_of_the_gap_and_no_more(joint, sign, start):
+    for more_rad, said in ((-2e-4, False), (2e-4, True)):
+        rig = start()
+        for _ in range(300):
+            bound = BOUNDS.resolver_error_rad + rig.state.joints.uncertainty_rad[joint]
+            rig.cycle(**resolver_off(rig, joint, sign * (bound + more_rad)))
+        assert bool(found(rig, ResolverDisagrees)) is said
+        if said:
+            (evr,) = found(rig, ResolverDisagrees)
+            assert evr.joint is joint
+            assert sign * evr.error_rad > evr.bound_rad >= BOUNDS.resolver_error_rad
+            assert REFUSED in rig.evrs
+            assert rig.state.mode is Mode.FAULTED

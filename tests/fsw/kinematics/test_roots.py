@@ -1,0 +1,326 @@
+"""Roots of the deflected arm: Newton steps, the task and its error, fixed points, straight elbows."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.enums import Joint
+from fsw.kinematics.arm import limit_excess, wrap_into_limits
+from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.closed_form import closed_form, fold_distances
+from fsw.kinematics.ik import BranchVerdict
+from fsw.kinematics.roots import (
+    BEND,
+    DEFLECTED_TOLERANCE,
+    MOST_MISSING_M,
+    RIGID_TOLERANCE,
+    TASK_TOLERANCE,
+    find_straight,
+    refine_roots,
+    root_tolerance,
+    solve_fixed_point,
+    solve_straight,
+)
+from fsw.kinematics.statics import (
+    ROOT_TOLERANCE,
+    evaluate_pose,
+    settle,
+    settle_output,
+    task_error,
+    task_jacobian,
+)
+from fsw.kinematics.transforms import dot, wrap_angle
+from tests.fsw.kinematics.lab import GRAVITIES, assert_no_root_twice, solve_poses, trial_of
+from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
+from tests.tools import TOOLS, tool_index
+from validation.kinematics_trials import CLEAR_OF_FOLDS, CLEAR_SIGMA, SAME_RAD, root_distances
+
+ARMS = ["nominal", "as-built:3", "calibrated:3", "calibrated:11"]
+TILTED_R_m_s2 = np.array([0.9, -1.2, 3.4])
+RIGID = np.zeros(3)
+
+
+def deflected_targets(config, tool, n, gravity):
+    """Compute targets that the deflected arm reaches well inside its limits: outputs, positions, axes."""
+    q = in_limits(config, np.random.default_rng(200 + tool_index(tool)), n, shrink=0.1)
+    q[2, np.abs(q[2]) < 0.3] = 0.5
+    here = settle(config.arm, q, np.zeros_like(q), gravity)
+    X = tool_pose(config.arm, here.frames, tool)
+    return here.output_rad, X.p, X.R[:, 0]
+
+
+def deflected_tool(config, output_rad, gravity, tool):
+    return tool_pose(config.arm, settle_output(config.arm, output_rad, gravity).frames, tool)
+
+
+@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("tool", TOOLS)
+def test_the_settled_arm_meets_the_target_that_newton_was_given(name, tool):
+    config = config_of(name)
+    _, p, a = deflected_targets(config, tool, 60, MARS_R_m_s2)
+    p, a = (np.repeat(v[:, None], 8, axis=1) for v in (p, a))
+    start = wrap_into_limits(config.arm, closed_form(config.arm, tool, p[:, 0], a[:, 0]).output_rad)
+    found = refine_roots(config.arm, tool, p, a, MARS_R_m_s2, start)
+    valid = limit_excess(config.arm, start).max(axis=0) <= 0
+    assert (found.converged & valid).any(axis=0).mean() > 0.9
+    ok = found.converged
+    motor = found.output_rad - found.torque_Nm / config.arm.gear_stiffness_Nm_rad[:, None, None]
+    motor = motor[:, ok]
+    here = settle(config.arm, motor, np.zeros_like(motor), MARS_R_m_s2)
+    X = tool_pose(config.arm, here.frames, tool)
+    assert here.converged.all()
+    assert np.abs(X.p - p[:, ok]).max() < 1e-8
+    assert np.abs(X.R[:, 0] - a[:, ok]).max() < 1e-8
+    np.testing.assert_allclose(here.output_rad, found.output_rad[:, ok], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_without_gravity_newton_solves_the_rigid_arm(name):
+    config = config_of(name)
+    q, p, a = deflected_targets(config, "apxs", 40, RIGID)
+    found = refine_roots(config.arm, "apxs", p, a, RIGID, q + 0.01)
+    assert found.converged.all()
+    assert not found.torque_Nm.any()
+    X = tool_pose(config.arm, forward(config.arm, found.output_rad), "apxs")
+    assert np.abs(X.p - p).max() < 1e-9
+    np.testing.assert_allclose(X.R[:, 0], a, atol=1e-9)
+
+
+def test_the_error_is_what_is_left_at_the_tool_and_the_torque_that_of_the_arm_at_rest():
+    config = config_of("calibrated:3")
+    q, p, a = deflected_targets(config, "mahli", 30, TILTED_R_m_s2)
+    found = refine_roots(config.arm, "mahli", p, a, TILTED_R_m_s2, q + 0.02)
+    assert found.converged.all()
+    assert (found.error < TASK_TOLERANCE).all()
+    X = deflected_tool(config, found.output_rad, TILTED_R_m_s2, "mahli")
+    assert np.abs(task_error(X, p, a)).max() < 1e-10
+    at_rest = settle_output(config.arm, found.output_rad, TILTED_R_m_s2)
+    np.testing.assert_allclose(found.torque_Nm, at_rest.torque_Nm, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
+@pytest.mark.parametrize("gravity", [RIGID, MARS_R_m_s2, TILTED_R_m_s2], ids=["rigid", "mars", "tilted"])
+def test_next_to_a_double_root_what_converges_meets_its_target(name, gravity):
+    """A converged root has a true error below the tolerance, and nearly every start converges."""
+    config, rng = config_of(name), np.random.default_rng(15)
+    q = in_limits(config_of(), rng, 200, shrink=0.1)
+    q[2] = 10.0 ** rng.uniform(-6, -2, 200) * rng.choice([-1, 1], 200)
+    X = deflected_tool(config, q, gravity, "apxs")
+    found = refine_roots(config.arm, "apxs", X.p, X.R[:, 0], gravity, q + 0.03)
+    assert found.converged.mean() > 0.9
+    np.testing.assert_array_equal(found.converged, found.error < ROOT_TOLERANCE)
+    ok = found.converged
+    here = deflected_tool(config, found.output_rad[:, ok], gravity, "apxs")
+    assert np.abs(task_error(here, X.p[:, ok], X.R[:, 0][:, ok])).max() < 2 * ROOT_TOLERANCE
+
+
+def test_a_tool_that_points_the_other_way_is_no_root():
+    config = config_of()
+    q, p, a = deflected_targets(config, "drill", 30, RIGID)
+    found = refine_roots(config.arm, "drill", p, -a, RIGID, q)
+    X = tool_pose(config.arm, forward(config.arm, found.output_rad), "drill")
+    faces = dot(X.R[:, 0], -a) > 0.999
+    assert not (found.converged & ~faces).any()
+    assert (np.abs(task_error(X, p, X.R[:, 0])[3:]) < 1e-15).all()
+    assert (np.abs(task_error(X, p, -X.R[:, 0])[3:]).max(axis=0) >= 1.0).all()
+
+
+@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("gravity", [RIGID, MARS_R_m_s2], ids=["rigid", "mars"])
+def test_a_target_out_of_reach_does_not_converge_and_raises_nothing(name, gravity):
+    config = config_of(name)
+    q, p, a = deflected_targets(config, "apxs", 20, MARS_R_m_s2)
+    for far in (p + 3.0, p + np.array([[0], [0], [50.0]]), 1e4 * p):
+        found = refine_roots(config.arm, "apxs", far, a, gravity, q)
+        assert not found.converged.any()
+        assert (found.error[np.isfinite(found.error)] > 0.1).all()
+
+
+def test_a_start_that_is_not_finite_does_not_converge_and_leaves_its_neighbours_alone():
+    config = config_of()
+    q, p, a = deflected_targets(config, "apxs", 10, MARS_R_m_s2)
+    start = q.copy()
+    start[:, 3] = np.nan
+    start[2, 5] = np.inf
+    found = refine_roots(config.arm, "apxs", p, a, MARS_R_m_s2, start)
+    np.testing.assert_array_equal(np.flatnonzero(~found.converged), [3, 5])
+    assert np.isinf(found.error[[3, 5]]).all()
+    assert not found.torque_Nm[:, [3, 5]].any()
+
+
+def test_unreachable_neighbours_do_not_change_what_converges():
+    config = config_of()
+    q, p, a = deflected_targets(config, "apxs", 12, MARS_R_m_s2)
+    mixed = p.copy()
+    mixed[:, ::3] += 2.0
+    found = refine_roots(config.arm, "apxs", mixed, a, MARS_R_m_s2, q + 0.01)
+    np.testing.assert_array_equal(found.converged, np.arange(12) % 3 != 0)
+    alone = refine_roots(config.arm, "apxs", p, a, MARS_R_m_s2, q + 0.01)
+    np.testing.assert_allclose(
+        found.output_rad[:, found.converged], alone.output_rad[:, found.converged], atol=1e-9
+    )
+
+
+def test_the_task_jacobian_agrees_with_finite_differences():
+    config, h = config_of("calibrated:3"), 1e-6
+    q, _, _ = deflected_targets(config, "mahli", 20, MARS_R_m_s2)
+    rng = np.random.default_rng(3)
+    for angles in q.T:
+        X = tool_pose(config.arm, forward(config.arm, angles), "mahli")
+        p = X.p + rng.normal(0, 0.01, 3)
+        a = X.R[:, 0] + rng.normal(0, 0.05, 3)
+        a /= np.linalg.norm(a)
+
+        def error(angles, p=p, a=a):
+            return task_error(tool_pose(config.arm, forward(config.arm, angles), "mahli"), p, a)
+
+        J = task_jacobian(forward(config.arm, angles), X, a)
+        for joint in range(5):
+            e = h * np.eye(5)[joint]
+            np.testing.assert_allclose(
+                (error(angles + e) - error(angles - e)) / (2 * h), J[:, joint], atol=1e-8
+            )
+
+
+@pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
+@pytest.mark.parametrize("gravity", [MARS_R_m_s2, TILTED_R_m_s2], ids=["mars", "tilted"])
+def test_repeated_evaluation_with_the_strain_that_was_found_leads_to_the_arm_at_rest(name, gravity):
+    """Every pass leaves a small share of the strain change; the pose is first order in it."""
+    arm = config_of(name).arm
+    q = in_limits(config_of(), np.random.default_rng(6), 50)
+    at_rest = settle_output(arm, q, gravity)
+    there = tool_pose(arm, at_rest.frames, "apxs").p
+    tried, strain, off = None, None, []
+    for _ in range(8):
+        tried = evaluate_pose(arm, "apxs", q, strain, gravity)
+        strain = tried.strain
+        off.append((tried.strain_change.max(), np.abs(tried.X_RT.p - there).max()))
+    for before, after in pairwise(off[:5]):
+        assert after[0] < 0.15 * before[0]
+    assert off[0][1] < 2e-3
+    assert off[-1][0] < 1e-9
+    assert off[-1][1] < 1e-9
+    np.testing.assert_allclose(tried.torque_Nm, at_rest.torque_Nm, atol=1e-6)
+
+
+def test_without_gravity_the_evaluation_is_of_the_rigid_arm():
+    arm = config_of("calibrated:3").arm
+    q = in_limits(config_of(), np.random.default_rng(7), 20)
+    tried = evaluate_pose(arm, "mahli", q, None, RIGID)
+    rigid = tool_pose(arm, forward(arm, q), "mahli")
+    np.testing.assert_array_equal(tried.X_RT.p, rigid.p)
+    np.testing.assert_array_equal(tried.X_RT.R, rigid.R)
+    assert not tried.strain.any()
+    assert not tried.torque_Nm.any()
+    assert not tried.strain_change.any()
+
+
+CLEAR = [("nominal", "mars"), ("calibrated:3", "rigid"), ("calibrated:3", "tilted")]
+N_CLEAR = 200
+FAR, ALL = np.ones(N_CLEAR), np.ones(N_CLEAR, bool)
+
+
+def clear_targets(name, gravity):
+    trial = trial_of(name, gravity, "apxs")
+    q = in_limits(config_of(), np.random.default_rng(1), N_CLEAR, shrink=0.1)
+    q[2] = np.where(np.abs(q[2]) < 0.6, 0.8, q[2])
+    boresight = trial.arm.orthogonal["apxs"].clock_rad
+    q[4] = np.random.default_rng(2).uniform(0.2, 1.0, N_CLEAR) - boresight
+    X = trial.tool_pose(q)
+    pull = np.zeros(3) if trial.gravity_R_m_s2 is None else trial.gravity_R_m_s2
+    return trial, pull, q, X.p, X.R[:, 0]
+
+
+@pytest.mark.parametrize(("name", "gravity"), CLEAR)
+def test_from_beside_a_clear_pose_iterations_lead_to_it(name, gravity):
+    trial, pull, q, p, a = clear_targets(name, gravity)
+    roots = solve_fixed_point(trial.arm, "apxs", p, a, pull, q + 0.005, FAR, ALL)
+    good = roots.followed & (roots.error < root_tolerance(pull))
+    assert good.mean() > 0.9
+    X = trial.tool_pose(roots.output_rad[:, good])
+    assert np.abs(task_error(X, p[:, good], a[:, good])).max() < 5 * root_tolerance(pull)
+    assert np.quantile(np.abs(wrap_angle(roots.output_rad - q)).max(axis=0)[good], 0.95) < 1e-5
+
+
+def test_roots_that_are_not_selected_stay_as_they_were():
+    trial, pull, q, p, a = clear_targets("nominal", "mars")
+    selected = np.arange(N_CLEAR) % 2 == 0
+    roots = solve_fixed_point(trial.arm, "apxs", p, a, pull, q + 0.005, FAR, selected)
+    np.testing.assert_array_equal(roots.output_rad[:, ~selected], q[:, ~selected] + 0.005)
+    assert np.isinf(roots.error[~selected]).all()
+    assert not roots.followed[~selected].any()
+    assert not roots.torque_Nm[:, ~selected].any()
+
+
+def test_a_root_far_outside_the_limits_is_given_up_after_the_first_iteration():
+    trial, pull, q, *_ = clear_targets("nominal", "mars")
+    q = q.copy()
+    q[0] = trial.arm.soft_max_rad[0] + 0.3
+    X = trial.tool_pose(q)
+    roots = solve_fixed_point(trial.arm, "apxs", X.p, X.R[:, 0], pull, q, FAR, ALL)
+    assert not roots.followed.any()
+    # the first iteration gives a rough estimate
+    assert np.quantile(np.abs(wrap_angle(roots.output_rad - q)).max(axis=0), 0.9) < 0.05
+
+
+def test_the_tolerance_is_tighter_for_the_rigid_arm():
+    assert root_tolerance(np.zeros(3)) == RIGID_TOLERANCE < root_tolerance(MARS_R_m_s2) == DEFLECTED_TOLERANCE
+
+
+N_STRAIGHT = 300
+CASES = pytest.mark.parametrize(
+    ("name", "gravity"), [("nominal", "mars"), ("calibrated:3", "rigid"), ("calibrated:16", "tilted")]
+)
+
+
+def straight_poses(name, gravity):
+    """Solve targets of poses with a nearly straight elbow, clear of the folds of shoulder and wrist."""
+    trial, rng = trial_of(name, gravity, "drill"), np.random.default_rng(54)
+    q = in_limits(config_of(), rng, 4 * N_STRAIGHT)
+    q[Joint.ELBOW] = rng.uniform(-0.2, 0.2, 4 * N_STRAIGHT)
+    shoulder, _, wrist = np.abs(fold_distances(trial.arm.orthogonal["drill"], q))
+    return solve_poses(trial, q[:, np.minimum(shoulder, wrist) > CLEAR_OF_FOLDS][:, :N_STRAIGHT])
+
+
+@CASES
+def test_a_pose_with_a_nearly_straight_elbow_is_among_the_roots_of_its_target(name, gravity):
+    solved = straight_poses(name, gravity)
+    found = root_distances(solved.result, solved.q).min(axis=0) < SAME_RAD
+    single = solved.sigma > CLEAR_SIGMA
+    assert single.sum() > 0.9 * N_STRAIGHT
+    assert found[single].mean() > 0.99
+    assert_no_root_twice(solved.result)
+
+
+@CASES
+def test_poses_that_the_orthogonal_arm_does_not_reach_are_found(name, gravity):
+    solved = straight_poses(name, gravity)
+    missing = closed_form(solved.trial.arm, "drill", solved.p, solved.a).missing_m
+    beyond = (solved.result.verdict == BranchVerdict.VALID) & (missing > 0)
+    assert beyond.sum() > 5
+    assert missing[beyond].max() < MOST_MISSING_M
+
+
+@CASES
+def test_a_root_keeps_the_shoulder_and_the_wrist_of_its_start(name, gravity):
+    solved, pull = straight_poses(name, gravity), GRAVITIES[gravity]
+    roots = closed_form(solved.trial.arm, "drill", solved.p, solved.a)
+    straight = find_straight(roots)
+    assert (np.abs(roots.from_fold[1][straight]) < BEND).all()
+    gravity_R = np.zeros(3) if pull is None else pull
+    found = solve_straight(solved.trial.arm, "drill", solved.p, solved.a, gravity_R, straight)
+    assert found.converged.sum() > N_STRAIGHT
+    shape = solved.trial.arm.orthogonal["drill"]
+    before, after = (
+        fold_distances(shape, q[:, found.converged])[[0, 2]] >= 0
+        for q in (roots.output_rad[:, straight], found.output_rad)
+    )
+    np.testing.assert_array_equal(before, after)
+
+
+def test_without_a_straight_elbow_nothing_is_solved():
+    solved = straight_poses("nominal", "mars")
+    none = np.zeros((8, solved.p.shape[1]), bool)
+    found = solve_straight(solved.trial.arm, "drill", solved.p, solved.a, GRAVITIES["mars"], none)
+    assert found.output_rad.shape == (5, 0)
