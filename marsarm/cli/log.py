@@ -49,7 +49,7 @@ def info(
     from marsarm.telemetry.inspection import select_channels
 
     selected = select_channels(read, glob)
-    return VerbResult(channels_json(read, selected), lambda: channels_table(selected))
+    return VerbResult(channels_json(read, selected), lambda: channels_table(read, selected))
 
 
 @log_app.command()

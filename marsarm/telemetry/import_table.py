@@ -12,7 +12,6 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 from mcap.writer import Writer
 from numpy.typing import NDArray
-from rich.table import Table
 
 from fsw.dictionary.enums import Mode
 from marsarm.telemetry.format import (
@@ -48,10 +47,11 @@ from marsarm.telemetry.import_times import (
 )
 from marsarm.telemetry.schema import ENCAPSULATION, Layout, ros_definition
 from marsarm.telemetry.topics import TopicSpec, encode_topics, schema_name
-from simgap.common.console import plain_console, pluralize
+from simgap.common.console import pluralize
 from simgap.common.errors import RobotError
 from simgap.common.files import atomic_write, check_distinct_files, check_output
 from simgap.common.progress import Progress
+from simgap.common.report import ReportTable, print_parts
 from simgap.files.columns import Column, LogFile
 from simgap.files.log_file import open_log
 
@@ -350,19 +350,19 @@ def import_json(request: ImportRequest, made: ImportedLog) -> dict[str, Any]:
 
 def import_tables(request: ImportRequest, made: ImportedLog) -> None:
     """Print an import: a row for each topic, and the missing fields of incomplete topics."""
-    console, document = plain_console(), import_json(request, made)
-    table = Table(title=f"{request.log}: {pluralize(made.rows, 'row')}", title_justify="left")
-    for name in ("topic", "messages", "first tick", "last tick", "ticks without"):
-        table.add_column(name, justify="left" if name == "topic" else "right")
-    for topic in document["topics"]:
-        table.add_row(*(str(value) for key, value in topic.items() if key != "missing_fields"))
-    console.print(table)
-    if made.rows_moved:
-        places = pluralize(made.rows_moved, "place")
-        console.print(f"sorted    in {places} the file was not in order of time")
-    for one in made.series:
-        if one.missing_fields:
-            lacks = ", ".join(one.missing_fields)
-            console.print(
-                f"{one.spec.topic} is kept apart from flight topics, for it is incomplete; it lacks {lacks}"
-            )
+    topics = import_json(request, made)["topics"]
+    rows = [[str(value) for key, value in one.items() if key != "missing_fields"] for one in topics]
+    head = ("topic", "messages", "first tick", "last tick", "ticks without")
+    moved = f"sorted    in {pluralize(made.rows_moved, 'place')} the file was not in order of time"
+    print_parts(
+        [
+            ReportTable(head, rows, f"{request.log}: {pluralize(made.rows, 'row')}"),
+            *([moved] if made.rows_moved else []),
+            *(
+                f"{one['topic']} is kept apart from flight topics, for it is incomplete; it lacks "
+                f"{', '.join(one['missing_fields'])}"
+                for one in topics
+                if one["missing_fields"]
+            ),
+        ]
+    )

@@ -1,28 +1,20 @@
-"""Output of the verbs of `marsarm log`: tables for people and JSON documents."""
+"""Output of the verbs of `marsarm log`: JSON documents, and tables and sentences for people."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from rich.console import Console
-from rich.table import Table
-
-from marsarm.telemetry.errors import (
-    LostMessages,
-    span_text,
-    trailing_bytes_text,
-)
+from marsarm.telemetry.errors import LostMessages, span_text, trailing_bytes_text
 from marsarm.telemetry.format import FORMAT
-from marsarm.telemetry.inspection import ChannelSeries, LogInfo, Range, range_of, summarize_log
+from marsarm.telemetry.inspection import ChannelSeries, range_of, summarize_log
 from marsarm.telemetry.read import Log
 from marsarm.telemetry.recover import RecoveryReport
-from simgap.common.console import plain_console, pluralize
+from simgap.common.console import pluralize
+from simgap.common.report import ReportTable, print_parts
 
 OMITTED_KEYS: Final = ("channels", "commands", "params")
 """Keys of the header that are too long for people."""
-PIPE_WIDTH: Final = 120
-"""Width of a table that goes into a file or a pipe."""
 JSON_KEYS: Final = ("boot", "cpu", "request")
 """Keys of the header whose values are JSON."""
 
@@ -51,7 +43,7 @@ def info_json(log: Log) -> dict[str, Any]:
         ],
         "evrs": info.evrs,
         "commands": [command.name for command in log.commands],
-        "lost": lost_json(log.lost),
+        "lost": _lost_json(log.lost),
     }
 
 
@@ -62,7 +54,7 @@ def _parse_header_value(name: str, text: str) -> Any:
         return text
 
 
-def lost_json(lost: Sequence[LostMessages]) -> list[dict[str, Any]]:
+def _lost_json(lost: Sequence[LostMessages]) -> list[dict[str, Any]]:
     """Return losses as a JSON document; times in seconds of log time, null for unknown."""
     return [
         {
@@ -77,71 +69,68 @@ def lost_json(lost: Sequence[LostMessages]) -> list[dict[str, Any]]:
 
 def info_table(log: Log) -> None:
     """Print a log: header, duration, topics and event reports."""
-    console, info = plain_console(), summarize_log(log)
-    for name, text in sorted(log.header.items()):
-        if name not in OMITTED_KEYS:
-            console.print(f"{name:<16}  {text}", markup=False, soft_wrap=True)
-    console.print(f"{'format':<16}  {FORMAT}")
-    console.print(f"{'duration':<16}  {_duration(info)}")
+    info = summarize_log(log)
     state = log.end_note or log.end
     if log.trailing_bytes:
         state += f"; {trailing_bytes_text(log.trailing_bytes)}"
-    console.print(f"{'end':<16}  {state}", soft_wrap=True)
-    table = Table()
-    for name in ("topic", "messages", "rate Hz", ""):
-        table.add_column(name, justify="left" if name in ("topic", "") else "right")
-    for one in info.topics:
-        table.add_row(one.name, str(one.messages), f"{one.rate_hz:.2f}", "truth" if one.is_truth else "")
-    console.print(table)
+    duration = "nothing was recorded"
+    if info.first_s is not None:
+        duration = f"{info.duration_s:.3f} s from {info.first_s:.3f} s on, {info.cycles} cycles"
+    about = {name: log.header[name] for name in sorted(log.header) if name not in OMITTED_KEYS}
+    about |= {"format": FORMAT, "duration": duration, "end": state}
+    rows = [
+        (one.name, str(one.messages), f"{one.rate_hz:.2f}", "truth" if one.is_truth else "")
+        for one in info.topics
+    ]
     evrs = ", ".join(f"{count} {name}" for name, count in info.evrs.items())
-    console.print(f"EVRs: {evrs or 'none'}")
-    if log.lost:
-        console.print("This log was recovered from a damaged one.")
-        _lost_table(console, log.lost)
-
-
-def _duration(info: LogInfo) -> str:
-    if info.first_s is None:
-        return "nothing was recorded"
-    return f"{info.duration_s:.3f} s from {info.first_s:.3f} s on, {info.cycles} cycles"
+    recovered: list[str | ReportTable] = ["This log was recovered from a damaged one.", _lost_table(log.lost)]
+    topics = [ReportTable(("topic", "messages", "rate Hz", ""), rows)] if rows else []
+    print_parts(
+        [
+            *(f"{name:<16}  {text}" for name, text in about.items()),
+            *topics,
+            f"EVRs: {evrs or 'none'}",
+            *recovered,
+        ]
+    )
 
 
 def channels_json(log: Log, channels: Sequence[ChannelSeries]) -> dict[str, Any]:
     """Return the channels of a log as a JSON document."""
-    return {"log": str(log.path), "channels": [_channel_json(one, range_of(one)) for one in channels]}
-
-
-def _channel_json(channel: ChannelSeries, values: Range) -> dict[str, Any]:
-    return {
-        "channel": channel.name,
-        "type": channel.type_name,
-        "unit": channel.unit,
-        "truth": channel.is_truth,
-        "messages": len(channel.time_ns),
-        "min": values.low,
-        "max": values.high,
-        "not_finite": values.not_finite,
-    }
-
-
-def channels_table(channels: Sequence[ChannelSeries]) -> None:
-    """Print the channels of a log, one in each line."""
-    table = Table(box=None, pad_edge=False)
-    for name in ("channel", "type", "unit", "count", "min", "max", "NaN, inf"):
-        is_text = name in ("channel", "type", "unit")
-        table.add_column(name, justify="left" if is_text else "right", no_wrap=True)
+    found = []
     for one in channels:
         values = range_of(one)
-        table.add_row(
-            one.name,
-            one.type_name,
-            one.unit or "",
-            str(len(one.time_ns)),
-            _number(values.low),
-            _number(values.high),
-            str(values.not_finite or ""),
+        found.append(
+            {
+                "channel": one.name,
+                "type": one.type_name,
+                "unit": one.unit,
+                "truth": one.is_truth,
+                "messages": len(one.time_ns),
+                "min": values.low,
+                "max": values.high,
+                "not_finite": values.not_finite,
+            }
         )
-    plain_console(None if Console().is_terminal else PIPE_WIDTH).print(table)
+    return {"log": str(log.path), "channels": found}
+
+
+def channels_table(log: Log, channels: Sequence[ChannelSeries]) -> None:
+    """Print the channels of a log, one in each line."""
+    rows = [
+        (
+            one["channel"],
+            one["type"],
+            one["unit"] or "",
+            str(one["messages"]),
+            _number(one["min"]),
+            _number(one["max"]),
+            str(one["not_finite"] or ""),
+        )
+        for one in channels_json(log, channels)["channels"]
+    ]
+    head = ("channel", "type", "unit", "count", "min", "max", "NaN, inf")
+    print_parts([ReportTable(head, rows, is_whole=True)])
 
 
 def _number(value: float | int | None) -> str:
@@ -155,48 +144,49 @@ def recovery_json(bad: Path, good: Path, recovered: RecoveryReport) -> dict[str,
         "good": str(good),
         "header_lost": recovered.header_lost,
         "saved": dict(recovered.saved),
-        "lost": lost_json(recovered.lost),
+        "lost": _lost_json(recovered.lost),
         "notes": list(recovered.notes),
     }
 
 
 def recovery_table(good: Path, recovered: RecoveryReport) -> None:
     """Print the saved and the lost messages."""
-    console = plain_console()
-    console.print(f"{sum(recovered.saved.values())} messages saved in {good}", soft_wrap=True)
-    if recovered.header_lost:
-        console.print("The header is lost: versions, parameters and commands of the run.")
-    for note in recovered.notes:
-        console.print(f"{note[0].upper()}{note[1:]}.", soft_wrap=True)
-    if recovered.lost:
-        _lost_table(console, recovered.lost)
-    else:
-        console.print("Nothing was lost.")
+    header = ["The header is lost: versions, parameters and commands of the run."] * recovered.header_lost
+    print_parts(
+        [
+            f"{sum(recovered.saved.values())} messages saved in {good}",
+            *header,
+            *(f"{note[0].upper()}{note[1:]}." for note in recovered.notes),
+            _lost_table(recovered.lost) if recovered.lost else "Nothing was lost.",
+        ]
+    )
 
 
-def _lost_table(console: Console, lost: Sequence[LostMessages]) -> None:
-    table = Table(title="lost", title_justify="left")
-    table.add_column("topic")
-    table.add_column("messages", justify="right")
-    table.add_column("log time")
-    for one in lost:
-        count = "unknown" if one.count is None else str(one.count)
-        table.add_row(one.topic or "all", count, span_text(one.after_ns, one.before_ns))
-    console.print(table)
-
-
-def export_json(log: Log, files: dict[str, Path]) -> dict[str, Any]:
-    """Return an export as a JSON document."""
-    rows = {topic: len(log.time_ns[topic]) for topic in files}
-    return {
-        "log": str(log.path),
-        "files": [{"topic": topic, "file": str(path), "rows": rows[topic]} for topic, path in files.items()],
-    }
-
-
-def export_table(log: Log, files: dict[str, Path]) -> None:
-    """Print the files that were written."""
-    for topic, path in files.items():
-        plain_console().print(
-            f"{topic:<16} {pluralize(len(log.time_ns[topic]), 'row')} in {path}", soft_wrap=True
+def _lost_table(lost: Sequence[LostMessages]) -> ReportTable:
+    rows = [
+        (
+            one.topic or "all",
+            "unknown" if one.count is None else str(one.count),
+            span_text(one.after_ns, one.before_ns),
         )
+        for one in lost
+    ]
+    return ReportTable(("topic", "messages", "log time"), rows, "lost")
+
+
+def export_json(log: Log, files: Mapping[str, Path]) -> dict[str, Any]:
+    """Return an export as a JSON document."""
+    rows = [
+        {"topic": topic, "file": str(path), "rows": len(log.time_ns[topic])} for topic, path in files.items()
+    ]
+    return {"log": str(log.path), "files": rows}
+
+
+def export_table(log: Log, files: Mapping[str, Path]) -> None:
+    """Print the files that were written."""
+    print_parts(
+        [
+            f"{topic:<16} {pluralize(len(log.time_ns[topic]), 'row')} in {path}"
+            for topic, path in files.items()
+        ]
+    )
