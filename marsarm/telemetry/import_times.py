@@ -75,7 +75,7 @@ def row_times(log: LogFile, time: GridTime, column: Column) -> RowTimes:
     if not is_known.all():
         raise times.error_at("has no time; every row needs one", int(np.argmin(is_known)))
     if not np.abs(times.cycles).max() < MAX_TICK:
-        raise times.error_at(f"the times span {np.ptp(time_s):.3g} s; is the unit right?")
+        raise times.error_at(f"the times reach {np.abs(time_s).max():.3g} s; is the unit right?")
     late = np.flatnonzero(np.diff(times.cycles) <= 0)
     if late.size:
         k = int(late[0])
