@@ -70,9 +70,12 @@ def row_times(log: LogFile, time: GridTime, column: Column) -> RowTimes:
     time_s = time_s[order]
     is_known = np.isfinite(time_s)
     since_s = np.where(is_known, time_s, 0.0) - (time_s[0] if is_known[0] else 0.0)
-    times = RowTimes(log.path, time.column, order, since_s * CYCLE_HZ)
+    with np.errstate(over="ignore"):  # a time that becomes infinite is refused below
+        times = RowTimes(log.path, time.column, order, since_s * CYCLE_HZ)
     if not is_known.all():
         raise times.error_at("has no time; every row needs one", int(np.argmin(is_known)))
+    if not np.abs(times.cycles).max() < MAX_TICK:
+        raise times.error_at(f"the times reach {np.abs(time_s).max():.3g} s; is the unit right?")
     late = np.flatnonzero(np.diff(times.cycles) <= 0)
     if late.size:
         k = int(late[0])
@@ -82,8 +85,6 @@ def row_times(log: LogFile, time: GridTime, column: Column) -> RowTimes:
         raise times.error_at(
             f"its time is before {before}; sort the table, or write sort = true in [time]", k + 1
         )
-    if times.cycles[-1] >= MAX_TICK:
-        raise times.error_at(f"the times span {times.cycles[-1] / CYCLE_HZ:.3g} s; is the unit right?")
     return times
 
 

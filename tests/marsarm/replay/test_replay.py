@@ -55,7 +55,7 @@ def test_the_parameters_of_the_log_stay_where_the_file_says_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("toml", "message"),
     [
-        ("[joints.turret]\nspeed = 1\n", "joints.turret.speed: is not a parameter"),
+        ("[joints.turret]\nspeed = 1\n", "joints.turret.speed: is not known"),
         ("[joints.turret]\nspeed_rad_s = 9.0\n", "joints.turret.speed_rad_s: 9.0 is outside"),
         ("[joints", "is not TOML"),
     ],

@@ -16,7 +16,7 @@ BAD = {
     "no log": (("other.toml",), "other.toml: not an MCAP file"),
     "no such channel": ((LOG, "--channel", "/motor*"), "channel: nothing is called '/motor*'"),
     "no such parameters": ((LOG, "--params", "none.toml"), "none.toml: cannot be read"),
-    "parameters of another kind": ((LOG, "--params", "wrong.toml"), "speed: is not a parameter"),
+    "parameters of another kind": ((LOG, "--params", "wrong.toml"), "speed: is not known"),
 }
 
 
