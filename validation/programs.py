@@ -48,7 +48,7 @@ class BriefResult:
     """Exit status."""
     core_s: float
     """Processor time."""
-    stderr: str
+    output: str
 
     @property
     def skipped(self) -> bool:
@@ -72,10 +72,7 @@ def run_brief(campaign: Campaign, seed: int) -> BriefResult:
     """Run a campaign in a separate process."""
     command = [sys.executable, "-m", "validation", campaign.name, "--brief", "--workers", "1"]
     with TemporaryFile() as file:
-        streams = (
-            (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0),
-            (os.POSIX_SPAWN_DUP2, file.fileno(), 2),
-        )
+        streams = tuple((os.POSIX_SPAWN_DUP2, file.fileno(), stream) for stream in (1, 2))
         command += ["--seed", str(seed)]
         process = os.posix_spawn(sys.executable, command, os.environ, file_actions=streams, setpgroup=0)
         timeout = Timer(TIMEOUT_S, os.killpg, (process, 9))
@@ -83,8 +80,8 @@ def run_brief(campaign: Campaign, seed: int) -> BriefResult:
         _, status, usage = os.wait4(process, 0)
         timeout.cancel()
         file.seek(0)
-        stderr = file.read().decode(errors="replace")
-    return BriefResult(campaign, os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime, stderr)
+        output = file.read().decode(errors="replace")
+    return BriefResult(campaign, os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime, output)
 
 
 def brief(context: Context, only: str = "") -> Document:
@@ -105,7 +102,7 @@ def brief(context: Context, only: str = "") -> Document:
             document[ended.campaign.name] = ended.line().partition(" ")[2].strip()
             document["in_bounds"] = document.get("in_bounds", True) and not ended.failed
             if ended.failed:
-                print(ended.stderr, file=sys.stderr, flush=True)
+                print(ended.output, file=sys.stderr, flush=True)
     return document
 
 
