@@ -123,8 +123,9 @@ def check_arguments(node: Function) -> Iterator[tuple[int, str]]:
                 yield node.lineno, f"{node.name}: Args gives no shape of {name}"
             if not NAME_UNIT.search(name) and not TEXT_UNIT.search(entry):
                 yield node.lineno, f"{node.name}: Args gives no unit of {name}"
-    if returned != "None" and not said["Returns"] and not said["Yields"]:
-        yield node.lineno, f"{node.name}: the docstring has no Returns"
+    in_summary = "Pose" in returned or SHAPE.search(text.partition("\n")[0])
+    if ARRAYS.search(returned) and not (in_summary or said["Returns"] or said["Yields"]):
+        yield node.lineno, f"{node.name}: neither summary nor Returns gives the shape that is returned"
 
 
 def check_restated(node: Function) -> Iterator[tuple[int, str]]:

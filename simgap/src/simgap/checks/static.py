@@ -85,14 +85,10 @@ def find_rest(robot: Robot, motions: Sequence[Motion]) -> Rest:
 
 
 def predict_free(robot: Robot, motions: Sequence[Motion], rest: Rest, is_held: Flags) -> Free:
-    """Predict free positions.
+    """Predict free positions, also at fast samples, where they are less exact.
 
     Args:
-        rest: Their samples.
         is_held: Samples that something is known to hold back, (n, n_joints); the fit leaves them out.
-
-    Returns:
-        Free positions, also at fast samples, where they are less exact.
     """
     free, offset = np.full_like(rest.measured, np.nan), np.zeros_like(rest.measured)
     friction = np.zeros(len(rest.joints))
@@ -237,9 +233,6 @@ def find_lower_stop(free: Array, measured: Array, motion: Integers, least_sigma:
         measured: Measured values, (n,), in the same unit.
         motion: Index of the motion of each sample, (n,); an excursion ends with its motion.
         least_sigma: Least standard deviation of the prediction to assume, in the same unit.
-
-    Returns:
-        The stop, or None.
     """
     known = np.isfinite(free) & np.isfinite(measured)
     if known.sum() < LEAST_EXCURSIONS:

@@ -17,15 +17,7 @@ SPARKLINE_WIDTH: Final = 40
 
 
 def magnitude_sparkline(size: NDArray[np.float64], width: int = SPARKLINE_WIDTH) -> str:
-    """Draw magnitudes over time as a line of block characters.
-
-    Args:
-        size: Magnitudes, not negative, shape (n,), any unit.
-        width: Largest number of characters; each shows the maximum of its part.
-
-    Returns:
-        The line; a dot where the maximum is zero.
-    """
+    """Draw magnitudes, (n,), in at most `width` blocks: each shows the maximum of its part, a dot zero."""
     if not size.size:
         return ""
     columns = [part.max() for part in np.array_split(size, min(width, len(size)))]

@@ -169,9 +169,6 @@ def command_text(command: str, request: Any) -> str:
     """Return the command line of a request, without options that have their defaults.
 
     Files that are written are left out: the name of a report is not part of its content.
-
-    Args:
-        command: Program and verb.
     """
     return shlex.join([*command.split(), *_words(request, MISSING)])
 

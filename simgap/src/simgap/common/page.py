@@ -48,12 +48,9 @@ def save_page(
     """Write a page.
 
     Args:
-        title: Plain text.
         verdict: Sentence about the result; empty for a count of the requirements that are met.
-        requirements: Requirements, shown before everything else.
         origin: Origin of the result; None for a page without it, the same at any time.
         parts: Further parts in HTML, as the other functions here make them.
-        path: The HTML file.
 
     Raises:
         BadOutput: the file cannot be written.

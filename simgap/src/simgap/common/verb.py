@@ -85,14 +85,7 @@ def shown(
     is_done: bool = True,
     view: Playable | None = None,
 ) -> VerbResult:
-    """Make the result of a verb.
-
-    Args:
-        document: Values for programs, as `to_json` takes them.
-        parts: Sentences and tables for people.
-        is_done: False if the arm refused or faulted and is safe.
-        view: View that plays the result after it was printed.
-    """
+    """Make the result of a verb from values that `to_json` takes, and from sentences and tables."""
     from simgap.common.report import print_parts, to_json
 
     return VerbResult(

@@ -39,12 +39,7 @@ class Trace:
 
 
 def make_traces(model: ResidualModel, diagnosis: Diagnosis) -> tuple[Trace, ...]:
-    """Predict the motions of a residual model without and with what a diagnosis has found.
-
-    Args:
-        model: Residuals of the motions to show.
-        diagnosis: Diagnosis with its effects and sizes.
-    """
+    """Predict the motions of a residual model without and with what a diagnosis has found."""
     effects, sizes = diagnosis.fitted_to(model.kind)
     found = np.concatenate([np.zeros(0), *(np.asarray(size, float) for size in sizes)])
     nominal, explained = model.residuals(effects, np.stack([np.zeros_like(found), found]))
@@ -61,9 +56,6 @@ def trace_motions(
     """Predict motions without and with what a diagnosis has found, by each kind of residual that it used.
 
     Args:
-        robot: Robot that was diagnosed.
-        motions: Motions to show.
-        diagnosis: Diagnosis with its effects and sizes.
         usable: By names of motion and joint, flags over the position samples to show, (n,); all if absent.
 
     Returns:
@@ -119,10 +111,7 @@ def thin(one: Trace) -> Trace:
 
 
 def extreme_rows(series: Iterable[Array]) -> Integers:
-    """Return the rows with the smallest and the largest value of each series in many equal parts.
-
-    Args:
-        series: Values of any unit, (n,) each.
+    """Return the rows with the smallest and the largest value of each series, (n,), in many equal parts.
 
     Returns:
         Indices in order, at most MAX_POINTS of each series; all where there are no more.

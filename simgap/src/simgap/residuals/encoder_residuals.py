@@ -42,13 +42,10 @@ def shows(effect: Effect) -> bool:
 
 
 def why_refused(robot: Robot, effect: Effect) -> str:
-    """Say why an effect has no name, whatever the fit says.
+    """Say why an effect has no name, whatever the fit says; empty if it may be named.
 
     Without gravity the load of a gear is inertia times acceleration. Two encoders whose filters differ in the
     second order differ in proportion to the acceleration too, so the two are one.
-
-    Returns:
-        A sentence; empty if it may be named.
     """
     names = {joint.name for joint in robot.joints}
     if not effect.overrides("deflection_rad") or effect.place not in names:
@@ -123,14 +120,9 @@ class EncoderResiduals:
         self.time_s: Array = np.concatenate([one.time_s for one in self._parts])
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Return the residuals of candidates.
+        """Return measured minus predicted differences without their means, (n_candidates, n) [rad].
 
-        Args:
-            effects: Union of the effects of all candidates. Those that `shows` refuses change nothing.
-            sizes: Sizes of all effects one after the other, (n_candidates, total sizes); zeros where absent.
-
-        Returns:
-            Measured minus predicted differences without their means, (n_candidates, n) [rad].
+        Effects that `shows` refuses change nothing.
         """
         sizes = np.asarray(sizes, float)
         starts = np.cumsum([0, *(len(effect.sizes) for effect in effects)])
@@ -148,29 +140,14 @@ class EncoderResiduals:
         )
 
     def select(self, motions: Sequence[str]) -> "EncoderResiduals":
-        """Return the residuals of these motions alone.
-
-        Args:
-            motions: Names; the order of the motions stays.
-
-        Returns:
-            A model with fewer motions and the same loads.
-        """
+        """Return the residuals of these motions alone, in their old order, with the same loads."""
         kept = [k for k, motion in enumerate(self._logs) if motion.name in set(motions)]
         chosen = copy(self)
         chosen._fill([self._logs[k] for k in kept], [self._states[k] for k in kept])
         return chosen
 
     def explain(self, name: str) -> Array:
-        """Return a variable on which a residual may depend, at the filtered motion of the motor.
-
-        Args:
-            name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC] or
-                "command".
-
-        Returns:
-            Its value at each residual, (n,); NaN where it is not logged.
-        """
+        """Return a variable at the filtered motion of the motor, (n,); NaN where it is not logged."""
         if name not in ("position", "velocity", "load"):
             return measured_variable(
                 self._robot, self._logs, name, self.motion_of, self.joint_of, self.time_s

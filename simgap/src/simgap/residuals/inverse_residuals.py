@@ -127,14 +127,9 @@ class InverseResiduals:
         return thinned.reshape(*thinned.shape[:-2], -1)[..., self._usable[one.name]]
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Return the residuals of candidates.
+        """Return measured minus needed torques, (n_candidates, n) [N m].
 
-        Args:
-            effects: Union of the effects of all candidates. Those that `shows` refuses change nothing.
-            sizes: Sizes of all effects one after the other, (n_candidates, total sizes); zeros where absent.
-
-        Returns:
-            Measured minus needed torques, (n_candidates, n) [N m].
+        Effects that `shows` refuses change nothing.
         """
         acting = self._acting(effects, np.asarray(sizes, float))
         candidates = _Candidates(self._robot, acting, len(sizes))
@@ -201,29 +196,14 @@ class InverseResiduals:
         return np.asarray(total + self.low_pass(np.maximum(dry, 0.0) * sign))
 
     def select(self, motions: Sequence[str]) -> "InverseResiduals":
-        """Return the residuals of these motions alone.
-
-        Args:
-            motions: Names; the order of the motions stays.
-
-        Returns:
-            A model with fewer motions and the same filter.
-        """
+        """Return the residuals of these motions alone, in their old order, with the same filter."""
         kept = [k for k, motion in enumerate(self._logs) if motion.name in set(motions)]
         chosen = copy(self)
         chosen._fill([self._logs[k] for k in kept], [self._filtered[k] for k in kept])
         return chosen
 
     def explain(self, name: str) -> Array:
-        """Return a variable on which a residual may depend, at the filtered motion.
-
-        Args:
-            name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC] or
-                "command".
-
-        Returns:
-            Its value at each residual, (n,); NaN where it is not logged.
-        """
+        """Return a variable at the filtered motion, (n,); NaN where it is not logged."""
         if name not in ("position", "velocity", "load"):
             return measured_variable(
                 self._robot, self._logs, name, self.motion_of, self.joint_of, self.time_s

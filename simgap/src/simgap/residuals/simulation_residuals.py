@@ -130,16 +130,11 @@ class SimulationResiduals:
         self._bases = [(part, orthonormal(starts[part])) for part in parts]
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Return the residuals of candidates.
+        """Return measured minus simulated positions, (n_candidates, n) [rad]; `PENALTY_rad` where it blew up.
 
         Args:
-            effects: Union of the effects of all candidates.
             sizes: Sizes of all effects one after the other, (n_candidates, n_sizes) or
                 (n_candidates, n_motions, n_sizes), in their units; zeros where absent.
-
-        Returns:
-            Measured minus simulated positions, (n_candidates, n) [rad]; `PENALTY_rad` in a window whose
-            simulation blew up.
         """
         engine = Engine(self._models, effects, self._windows, self._n_threads)
         sizes = np.asarray(sizes, dtype=float)
@@ -151,14 +146,7 @@ class SimulationResiduals:
         return np.where(np.isfinite(residual), residual, PENALTY_rad)
 
     def select(self, motions: Sequence[str]) -> "SimulationResiduals":
-        """Return the residuals of these motions alone.
-
-        Args:
-            motions: Names; the order of the motions stays.
-
-        Returns:
-            A model with fewer motions.
-        """
+        """Return the residuals of these motions alone, in their old order."""
         chosen, names = copy(self), set(motions)
         kept = np.isin(self.motion_of, [self.motions.index(name) for name in names])
         chosen._fill(
@@ -170,15 +158,7 @@ class SimulationResiduals:
         return chosen
 
     def explain(self, name: str) -> Array:
-        """Return a variable on which a residual may depend, at the measured motion.
-
-        Args:
-            name: "position" [rad], "velocity" [rad/s], "load" [N m], "time" [s], "temperature" [degC] or
-                "command" [rad].
-
-        Returns:
-            Its value at each residual, (n,); NaN where it is not logged.
-        """
+        """Return a variable at the measured motion, (n,); NaN where it is not logged."""
         return measured_variable(self._robot, self._logs, name, self.motion_of, self.joint_of, self.time_s)
 
 
@@ -215,12 +195,7 @@ def start_windows(models: Models, windows: Sequence[Window], n_threads: int) -> 
     A joint that falls or is pulled from rest has the speed of its first samples only after them.
 
     Args:
-        models: Models of the robot.
         windows: Windows whose joints start at the position and speed of their first samples.
-        n_threads: Threads of the simulation; 0: as many as there are processors.
-
-    Returns:
-        The windows; a joint that starts at rest starts where its first samples fit best.
     """
     resting = [_rest(window, 0.0) for window in windows]
     shifted = [_rest(window, SHIFT_rad) for window in windows]
@@ -286,11 +261,7 @@ def list_kinds(
     is always compared with the first.
 
     Args:
-        motions: Motions that are fitted.
         usable: Position samples that take part, (n,) flags; all where absent.
-
-    Returns:
-        The kinds.
 
     Raises:
         RobotError: There are neither torques nor commands nor a second encoder.

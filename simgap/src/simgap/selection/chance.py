@@ -19,7 +19,7 @@ DRAWS: Final = 2000
 
 
 def wald_p(basis: Array, change: Array, residual: Array, cluster: Integers, n_sizes: int) -> float:
-    """Test whether the change that an effect makes is due to noise.
+    """Test whether the change that an effect makes is due to noise; return the p-value.
 
     The errors are CR2 (Bell and McCaffrey 2002): those of a cluster are enlarged by as much as the fit has
     followed it, and the degrees of freedom fall where few clusters decide. The change is that of the best
@@ -31,9 +31,6 @@ def wald_p(basis: Array, change: Array, residual: Array, cluster: Integers, n_si
         residual: Residuals before the effect, orthogonal to the basis, (n_rows,), without a unit.
         cluster: Cluster of each residual, (n_rows,), index from 0.
         n_sizes: Number of fitted sizes.
-
-    Returns:
-        Probability of the statistic, or a larger one, if the sizes are 0.
     """
     length = float(np.linalg.norm(change))
     if length == 0.0:
@@ -78,9 +75,6 @@ def stationary_p(n_base: int, change: Array, residual: Array, cluster: Integers,
         residual: Residuals before the effect, orthogonal to base changes, (n_rows,), without a unit.
         cluster: Cluster of each residual, (n_rows,), index from 0.
         n_sizes: Number of fitted sizes.
-
-    Returns:
-        Probability of the statistic, or a larger one, if the sizes are 0.
     """
     length = float(np.linalg.norm(change))
     sums = np.bincount(cluster)
@@ -99,10 +93,6 @@ def chi_square_log_p(statistic: float, freedom: float) -> float:
 
     Far in the tail the probability underflows; there the leading term of the incomplete gamma function is
     used, so that the order of strong effects is kept.
-
-    Args:
-        statistic: The statistic, without a unit.
-        freedom: Degrees of freedom.
     """
     x, half = max(statistic, 0.0) / 2.0, freedom / 2.0
     if x <= ASYMPTOTIC_FROM:
@@ -111,16 +101,13 @@ def chi_square_log_p(statistic: float, freedom: float) -> float:
 
 
 def known_noise_log_p(before: Array, after: Array, n_sizes: int) -> float:
-    """Test whether an effect decreases the sum of squares by chance, where the noise is known (Wilks 1938).
+    """Return the log p of an effect's decrease of the sum of squares, where the noise is known (Wilks 1938).
 
     Args:
         before: Residuals without the effect over the standard deviation of the noise, (n_rows,), without a
             unit.
         after: The same with it, (n_rows,), without a unit.
         n_sizes: Number of fitted sizes.
-
-    Returns:
-        Natural logarithm of the probability of the decrease, or a larger one, if the sizes are 0.
     """
     return chi_square_log_p(float(before @ before - after @ after), n_sizes)
 
@@ -153,7 +140,7 @@ def alternative_p(
     seed: int,
     noise_std: float = 0.0,
 ) -> float:
-    """Test whether a model may be right although another fits better (Cox 1961).
+    """Test whether a model may be right although another fits better (Cox 1961); return the p-value.
 
     Data are drawn from the model: its prediction with its residuals, whose sign changes at random from
     cluster to cluster. All models are refitted to them, along their derivatives. The better model is the best
@@ -168,9 +155,6 @@ def alternative_p(
         seed: Seed of the draws.
         noise_std: Standard deviation of the noise in the same unit, if it is known; it is then drawn instead
             of the signs.
-
-    Returns:
-        Probability of so large an advantage, or a larger one, in the sum of squares.
     """
     theirs, their_basis = other
     if noise_std:

@@ -192,15 +192,6 @@ def calibrate_series(
     A series may hold thousands of poses, so similarly bad outliers are left out together. Poses that agree
     with the next fit are included again.
 
-    Args:
-        arm: Arm before the calibration.
-        setup: Initial base and target frames.
-        series: Measured poses.
-        terms: Terms to fit, of TERMS.
-
-    Returns:
-        The calibration.
-
     Raises:
         RobotError: Too many poses do not agree.
     """
@@ -235,15 +226,8 @@ def fit_poses(
     """Fit an arm to selected poses of a series.
 
     Args:
-        arm: Arm before the calibration.
-        setup: Initial base and target frames.
-        series: Measured poses.
-        terms: Terms to fit, of TERMS.
         used: Boolean flags of the poses to fit, shape (n,).
         start: Initial values in the units of the parameters, shape (p,); zeros by default.
-
-    Returns:
-        The calibration.
     """
     model = serial_model(arm, setup, series, terms)
     return SerialCalibration(model, fit(model.parameters, model, start, used))
@@ -323,14 +307,11 @@ def joint_errors(found: SerialCalibration) -> tuple[JointTerms, ...]:
 
 
 def periodic_error_rad(features: Array, amplitudes: Array) -> Array:
-    """Compute the periodic error of a joint.
+    """Compute the periodic error of a joint, (n,) [rad].
 
     Args:
         features: Cosines and sines, unitless, shape (n, k), k twice the number of orders.
         amplitudes: Amplitudes of cosines and sines [rad], shape (2, orders).
-
-    Returns:
-        Errors [rad], shape (n,).
     """
     waves: Array = features @ amplitudes.ravel()
     return waves

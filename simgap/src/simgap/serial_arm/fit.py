@@ -61,9 +61,6 @@ class Linearisation:
 
         Args:
             poses: Selection as flags, shape (n,).
-
-        Returns:
-            Linearisation at the selected poses.
         """
         return Linearisation(self.residual[poses], self.jacobian[poses])
 
@@ -137,12 +134,8 @@ def fit(
     """Fit parameters by damped Gauss-Newton iteration.
 
     Args:
-        parameters: Parameters with scales and priors.
         start: Initial values in the units of the parameters, shape (p,); zeros by default.
         used: Boolean flags of the poses to fit, shape (n,); all by default.
-
-    Returns:
-        The fit.
     """
     scale, prior = _scale(parameters), _prior_weights(parameters)
     x = np.zeros(scale.size) if start is None else start
@@ -166,13 +159,9 @@ def cost(at: Linearisation, used: Flags, x: Array, prior: Array) -> float:
     """Compute the sum of squares that the fit minimises.
 
     Args:
-        at: Linearisation at the values.
         used: Boolean flags of the poses to fit, shape (n,).
         x: Parameter values in their units, shape (p,).
         prior: Inverse prior sigmas in inverse units of the parameters, shape (p,).
-
-    Returns:
-        Sum of the squared whitened residuals and of the squared priors.
     """
     return float(np.sum(at.residual[used] ** 2) + np.sum((x * prior) ** 2))
 
@@ -301,12 +290,7 @@ def assess_identifiability(
     """Assess which combinations of parameters some poses identify.
 
     Args:
-        parameters: Parameters with their scales.
-        at: Linearisation of all poses.
         used: Boolean flags of the poses to use, shape (n,); all by default.
-
-    Returns:
-        Singular values and combinations.
     """
     jacobian = at.jacobian if used is None else at.jacobian[used]
     scale = np.array([parameter.scale for parameter in parameters])
@@ -346,9 +330,6 @@ def leave_one_out_distance(fitted: Fit) -> Array:
     """Compute the squared distance of each pose from the prediction of a fit to the other poses.
 
     For poses that were not fitted, the fit itself predicts.
-
-    Args:
-        fitted: Fit with its linearisation.
 
     Returns:
         Squared distances over their variances, unitless, shape (n,).

@@ -76,9 +76,6 @@ class CrossValidation:
 
         Args:
             more: Additional whitened columns of the Jacobian, in units of prior sigmas, shape (n, 6, m).
-
-        Returns:
-            The squared errors.
         """
         square = np.empty(self._r.shape[0])
         for k in range(BLOCKS):
@@ -148,17 +145,6 @@ def fit_nested_models(
     """Fit each set of terms to one part of a series, and compare it with the other part.
 
     Outliers of the largest model are left out of all fits.
-
-    Args:
-        arm: Arm before the calibration.
-        setup: Initial base and target frames.
-        part: Poses to fit.
-        fresh: Poses to compare with.
-        steps: Sets of terms; the last one is the largest.
-        progress: Callback for progress.
-
-    Returns:
-        One model for each set of terms.
 
     Raises:
         RobotError: Too many poses do not agree.

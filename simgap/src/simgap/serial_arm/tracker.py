@@ -110,10 +110,8 @@ def fit_tracker(
 
     Args:
         arm: Arm of the file; sizes are differences from it.
-        series: Measured poses in order of time.
         terms: Terms to fit, of TERMS and in their order; none fits base and target alone.
         fit_share: Share of the poses that are fitted.
-        progress: Called with the amount done, the total amount and the current activity.
 
     Raises:
         RobotError: There are too few poses, or they do not determine base and target.

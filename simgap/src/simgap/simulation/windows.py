@@ -63,14 +63,9 @@ def cut_windows(
     A new window begins after a stretch of samples that are not used, if it is longer than LEAD_S.
 
     Args:
-        robot: Robot that moved.
-        motion: Its log.
         window_s: Length of a window [s]; None: until the next stretch that is not used.
         spacing_s: Least time between two samples of a joint that are kept [s].
         keep: By names of motion and joint, which position samples are used, (n,); all where it is absent.
-
-    Returns:
-        The windows in the order of time.
 
     Raises:
         RobotError: A joint has no log, no command, or too few positions.
@@ -189,14 +184,11 @@ def held_means(signal: Signal, edges_s: Array) -> Array:
 
 
 def local_line(signal: Signal, time_s: float) -> tuple[float, float]:
-    """Fit a straight line to the samples nearest to a time.
+    """Fit a straight line to the samples nearest to a time; return value and slope [1/s] there.
 
     Args:
         signal: Signal with at least `SLOPE_SAMPLES` samples.
         time_s: Time [s].
-
-    Returns:
-        Value and slope [1/s] at this time.
     """
     nearest = np.searchsorted(signal.time_s, time_s)
     first = int(np.clip(nearest - SLOPE_SAMPLES // 2, 0, signal.time_s.size - SLOPE_SAMPLES))
