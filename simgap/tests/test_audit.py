@@ -1,4 +1,4 @@
-"""The audit names what is wrong with logs, and is silent where nothing is."""
+"""The audit and the nominal model name what is wrong with logs, and are silent where nothing is."""
 
 from dataclasses import replace
 
@@ -6,13 +6,23 @@ import numpy as np
 import pytest
 
 from helpers.marks import slow_but
-from helpers.planar_arm import RATE_HZ, TABLE_M, commands, planar_arm, record, slow_logs, with_joint
+from helpers.pendulum import motion, pendulum
+from helpers.planar_arm import (
+    COUNT_RAD,
+    RATE_HZ,
+    TABLE_M,
+    commands,
+    planar_arm,
+    record,
+    slow_logs,
+    with_joint,
+)
 from helpers.real_robots import robot_path
-from simgap.checks.audit import audit
+from simgap.checks.audit import NominalModel, audit
 from simgap.checks.records import RemarkKind
 from simgap.checks.static import find_lower_stop, median_interval
 from simgap.common.errors import RobotError
-from simgap.diagnosis import diagnose
+from simgap.diagnosis import check_motions, count_foreign_commands, diagnose
 from simgap.loading import load
 from simgap.logs import Logs, Signal
 from simgap.result import Refusal
@@ -327,3 +337,58 @@ def test_logs_of_which_nothing_is_usable_are_not_diagnosed(clean):
     refused = (Refusal("motion 0", "contact with a plane", 9),)
     with pytest.raises(RobotError, match=r"no sample .* can be used \(contact with a plane\)"):
         diagnose(planar_arm(), clean.motions, audit=replace(found, usable=nothing, refused=refused))
+
+
+def test_the_model_repeats_what_it_recorded_to_a_count():
+    motion = record(planar_arm(), 1, commands(1, -0.6, 0.4))
+    found = NominalModel(planar_arm()).simulate(motion)
+    assert max(found.mean_abs_rad.values()) < COUNT_RAD
+
+
+def test_a_motor_that_is_off_lets_the_arm_fall():
+    motion = record(planar_arm(), 1, commands(1, -0.6, 0.4))
+    shoulder = motion.joints["shoulder"]
+    time_s = shoulder.position.time_s
+    off = replace(shoulder, enabled=Signal(time_s, (time_s < 6.0).astype(float)))
+    found = NominalModel(planar_arm()).simulate(replace(motion, joints={**motion.joints, "shoulder": off}))
+    error = np.abs(found.position["shoulder"] - shoulder.position.value)
+    assert error[time_s < 6.0].max() < 0.05
+    assert error[time_s > 7.0].max() > 0.5
+
+
+def test_a_simulation_that_blows_up_has_no_error():
+    robot = planar_arm()
+    stiff = replace(robot, joints=tuple(replace(one, kp_Nm_rad=1e12) for one in robot.joints))
+    motion = record(robot, 1, commands(1, -0.6, 0.4))
+    found = NominalModel(
+        replace(stiff, joints=tuple(replace(o, torque_limit_Nm=np.inf) for o in stiff.joints))
+    )
+    assert np.isnan(found.simulate(motion).mean_abs_rad["shoulder"])
+
+
+TIME_s = np.arange(0.0, 8.0, 0.02)
+COMMANDS = [0.5 * np.sin((1.0 + 0.4 * k) * TIME_s) for k in range(6)]
+
+
+@pytest.mark.parametrize(("gain", "offset_rad"), [(1.0, 0.0), (0.3, -0.8), (1.2, 0.4)])
+def test_a_shift_of_all_commands_is_counted_and_their_own_are_not(gain, offset_rad):
+    random = np.random.default_rng(1)
+    positions = [
+        Signal(TIME_s, offset_rad + gain * one + random.normal(0.0, 0.01, one.size)) for one in COMMANDS
+    ]
+    own = [Signal(TIME_s, one) for one in COMMANDS]
+    assert count_foreign_commands([*zip(positions, own, strict=True)]) == 0
+    assert count_foreign_commands([*zip(positions, own[1:] + own[:1], strict=True)]) == 6
+
+
+def test_a_command_that_is_too_short_is_no_rival():
+    positions = [Signal(TIME_s, one) for one in COMMANDS[:2]]
+    short = [Signal(TIME_s[:100], COMMANDS[1][:100]), Signal(TIME_s[:100], COMMANDS[0][:100])]
+    assert count_foreign_commands([*zip(positions, short, strict=True)]) == 0
+
+
+def test_a_motion_that_is_fitted_twice_is_refused():
+    robot = pendulum()
+    one = motion(np.arange(0.0, 1.0, 0.01), np.zeros(100), np.zeros(100))
+    with pytest.raises(RobotError, match="motion m: is fitted twice"):
+        check_motions(robot, [one, one], [])

@@ -21,13 +21,7 @@ from simgap.selection.context import (
     resume_step,
     simulate,
 )
-from simgap.selection.fit import (
-    Hypothesis,
-    JointFit,
-    gather_residuals,
-    scale_residuals,
-    select_rows,
-)
+from simgap.selection.fit import Hypothesis, JointFit, gather_residuals, scale_residuals, select_rows
 from simgap.selection.screening import share_simulations
 from simgap.selection.sharing import ALL_JOINTS
 

@@ -16,16 +16,7 @@ from scipy.stats import t as student
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
 from simgap.effects.effect import Family
-from simgap.result import (
-    MIN_REMAINDER,
-    Base,
-    Diagnosis,
-    Finding,
-    JointError,
-    Refusal,
-    Rejected,
-    Remainder,
-)
+from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Refusal, Rejected, Remainder
 from simgap.serial_arm.calibrate import (
     LEAST_POSES,
     PoseErrors,
