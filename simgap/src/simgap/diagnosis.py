@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -113,19 +113,12 @@ def choose_shown(
 
 def join_parts(parts: Sequence[Diagnosis]) -> Diagnosis:
     """Join the results of several kinds of residual."""
-    return replace(
-        parts[0],
-        kind=" and ".join(part.kind for part in parts),
-        method=" ".join(part.method for part in parts),
-        findings=tuple(one for part in parts for one in part.findings),
-        base=tuple(one for part in parts for one in part.base),
-        errors=tuple(one for part in parts for one in part.errors),
-        remaining=tuple(one for part in parts for one in part.remaining),
-        rejected=tuple(one for part in parts for one in part.rejected),
-        effects=tuple(one for part in parts for one in part.effects),
-        sizes=tuple(one for part in parts for one in part.sizes),
-        effect_kinds=tuple(one for part in parts for one in part.effect_kinds),
-    )
+    lists = ("findings", "base", "errors", "remaining", "rejected", "effects", "sizes", "effect_kinds")
+    joined: dict[str, Any] = {
+        name: tuple(one for part in parts for one in getattr(part, name)) for name in lists
+    }
+    kinds, methods = [part.kind for part in parts], [part.method for part in parts]
+    return replace(parts[0], kind=" and ".join(kinds), method=" ".join(methods), **joined)
 
 
 def check_motions(robot: Robot, motions: Sequence[Motion], held_out: Sequence[Motion]) -> None:

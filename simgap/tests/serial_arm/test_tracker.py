@@ -24,6 +24,11 @@ from simgap.serial_arm.tracker import diagnose_tracker
 COUNT = 500
 WAVES = (0.0, 3e-4, 0.0, 0.0, 0.0, 0.0)
 FLAT = (0.0,) * 6
+THREE = {
+    "joint0": {"hysteresis_rad": 2e-4},
+    "joint1": {"compliance_rad_per_Nm": 4e-5},
+    "joint2": {"sin_rad": WAVES},
+}
 
 
 def built_with(**effects):
@@ -41,13 +46,7 @@ def diagnose(arm, count=COUNT, seed=5):
 @pytest.fixture(scope="module")
 def three():
     """Diagnose an arm with one effect at each joint."""
-    return diagnose(
-        built_with(
-            joint0={"hysteresis_rad": 2e-4},
-            joint1={"compliance_rad_per_Nm": 4e-5},
-            joint2={"sin_rad": WAVES},
-        )
-    )
+    return diagnose(built_with(**THREE))
 
 
 def test_each_effect_is_named_at_its_joint_and_no_other(three):
@@ -85,16 +84,7 @@ def test_the_error_comes_back_without_a_finding(three):
 
 def test_the_patched_arm_predicts_as_the_diagnosis_says(three):
     arm = patch_arm(drawn_arm(3), three.effects, three.sizes)
-    poses = series(
-        built_with(
-            joint0={"hysteresis_rad": 2e-4},
-            joint1={"compliance_rad_per_Nm": 4e-5},
-            joint2={"sin_rad": WAVES},
-        ),
-        setup(2),
-        COUNT,
-        5,
-    )
+    poses = series(built_with(**THREE), setup(2), COUNT, 5)
     part, fresh = poses.at(np.arange(COUNT) < COUNT // 2), poses.at(np.arange(COUNT) >= COUNT // 2)
     placed = calibrate_series(arm, estimate_setup(arm, part), part, ())
     assert pose_errors(placed.arm, placed.setup, fresh).rms_m == pytest.approx(

@@ -1,4 +1,4 @@
-"""Text for the terminal: consoles, styled cells, plurals and sparklines."""
+"""Text for the terminal: consoles, plurals and sparklines."""
 
 import re
 from typing import Final
@@ -6,7 +6,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.text import Text
 
 NUMBER: Final = re.compile(r"[-+±]? ?\d.{0,23}|never|-")
 """Cell that is a number with its unit or an interval; a column of these is aligned right and not wrapped."""
@@ -54,8 +53,3 @@ WARNING_STYLE: Final = "bold"
 def plain_console(width: int | None = None) -> Console:
     """Make a console that interprets no markup: titles, paths and messages may contain brackets."""
     return Console(highlight=False, markup=False, width=width)
-
-
-def styled_cell(text: str, style: str) -> Text:
-    """Make a cell of a table with its own style."""
-    return Text(text, style=style)

@@ -53,8 +53,7 @@ class WhitenedResiduals:
             residuals: (n_candidates, n), in the unit of the model.
         """
         before = np.concatenate([residuals[..., :1], residuals[..., :-1]], axis=-1)
-        white: Array = (residuals - self._decay * before) * self._scale
-        return white
+        return np.asarray((residuals - self._decay * before) * self._scale)
 
     def select(self, motions: Sequence[str]) -> ResidualModel:
         """Return the whitened residuals of these motions alone."""

@@ -92,8 +92,8 @@ def residuals_by_motion(model: ResidualModel, effects: Sequence[Effect], sizes: 
 def pseudo_huber(z: Array) -> Array:
     """Compute the loss, (n,), of residuals over their scale: the square, or twice the value of large ones."""
     square = z * z
-    loss: Array = 2.0 * square / (np.sqrt(1.0 + square) + 1.0)  # exact for small residuals too
-    return loss
+    # exact for small residuals too
+    return np.asarray(2.0 * square / (np.sqrt(1.0 + square) + 1.0))
 
 
 def half_loss_derivatives(z: Array) -> tuple[Array, Array]:
@@ -103,8 +103,7 @@ def half_loss_derivatives(z: Array) -> tuple[Array, Array]:
 
 def root_weight(z: Array) -> Array:
     """Compute roots of weights, (n,), with which squares act as the pseudo-Huber loss near residuals."""
-    weight: Array = (1.0 + z * z) ** -0.25
-    return weight
+    return np.asarray((1.0 + z * z) ** -0.25)
 
 
 SMOOTH_SAMPLES = 5

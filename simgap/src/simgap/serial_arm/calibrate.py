@@ -91,8 +91,7 @@ def _solve_rotations(R_TM: Array, R_BF: Array) -> tuple[Array, Array]:
 
 def _nearest_rotation(M: Array) -> Array:
     U, _, Vt = np.linalg.svd(M)
-    R: Array = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    return R
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
 
 
 def _solve_translations(series: PoseSeries, X_BF: Pose, R_TB: Array, R_FM: Array) -> TrackerSetup:
@@ -119,18 +118,15 @@ def _scale_words(series: PoseSeries, X_BF: Pose) -> str:
 
 
 def _product(R_TB: Array, R_BF: Array, R_FM: Array) -> Array:
-    product: Array = np.einsum("ij,jkn,kl->iln", R_TB, R_BF, R_FM)
-    return product
+    return np.asarray(np.einsum("ij,jkn,kl->iln", R_TB, R_BF, R_FM))
 
 
 def _angle(R: Array) -> Array:
-    angle: Array = np.arccos(np.clip((np.trace(R) - 1) / 2, -1.0, 1.0))
-    return angle
+    return np.asarray(np.arccos(np.clip((np.trace(R) - 1) / 2, -1.0, 1.0)))
 
 
 def _log(R: Array) -> Array:
-    turns: Array = Rotation.from_matrix(np.moveaxis(R, -1, 0)).as_rotvec().T
-    return turns
+    return np.asarray(Rotation.from_matrix(np.moveaxis(R, -1, 0)).as_rotvec().T)
 
 
 COMPONENTS: Final = 6
@@ -313,5 +309,4 @@ def periodic_error_rad(features: Array, amplitudes: Array) -> Array:
         features: Cosines and sines, unitless, shape (n, k), k twice the number of orders.
         amplitudes: Amplitudes of cosines and sines [rad], shape (2, orders).
     """
-    waves: Array = features @ amplitudes.ravel()
-    return waves
+    return np.asarray(features @ amplitudes.ravel())

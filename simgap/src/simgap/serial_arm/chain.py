@@ -65,8 +65,7 @@ def compose(R: Array, S: Array) -> Array:
         R: Left rotations, shape (3, 3, ...), unitless.
         S: Right rotations, shape (3, 3, ...), unitless.
     """
-    product: Array = np.einsum("ik...,kj...->ij...", R, S)
-    return product
+    return np.asarray(np.einsum("ik...,kj...->ij...", R, S))
 
 
 def rotate(R: Array, v: Array) -> Array:
@@ -76,8 +75,7 @@ def rotate(R: Array, v: Array) -> Array:
         R: Matrices of rotations, shape (3, 3, ...).
         v: Vectors of any unit, shape (3, ...).
     """
-    turned: Array = np.einsum("ij...,j...->i...", R, v)
-    return turned
+    return np.asarray(np.einsum("ij...,j...->i...", R, v))
 
 
 def rotate_back(R: Array, v: Array) -> Array:
@@ -87,8 +85,7 @@ def rotate_back(R: Array, v: Array) -> Array:
         R: Matrices of rotations, shape (3, 3, ...).
         v: Vectors of any unit, shape (3, ...).
     """
-    turned: Array = np.einsum("ji...,j...->i...", R, v)
-    return turned
+    return np.asarray(np.einsum("ji...,j...->i...", R, v))
 
 
 def norm(v: Array) -> Array:
@@ -97,8 +94,7 @@ def norm(v: Array) -> Array:
     Args:
         v: Vectors of any unit, shape (3, n).
     """
-    lengths: Array = np.sqrt(np.einsum("in,in->n", v, v))
-    return lengths
+    return np.asarray(np.sqrt(np.einsum("in,in->n", v, v)))
 
 
 def skew(v: Array) -> Array:
@@ -161,8 +157,7 @@ def _inverse_left_jacobian(T: Array) -> Array:
     ad[3:, :3] = skew(T[3:])
     ad2 = np.einsum("ikn,kjn->ijn", ad, ad)
     second_order = np.eye(6)[:, :, None] - ad / 2 + ad2 / 12
-    result: Array = second_order - np.einsum("ikn,kjn->ijn", ad2, ad2) / 720
-    return result
+    return np.asarray(second_order - np.einsum("ikn,kjn->ijn", ad2, ad2) / 720)
 
 
 LinkGeometry = Array

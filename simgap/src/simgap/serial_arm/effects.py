@@ -209,8 +209,7 @@ def jackknife_sigma(by_block: Array) -> Array:
         by_block: Numbers in any unit, shape (b, k).
     """
     b = by_block.shape[0]
-    sigma: Array = np.sqrt((b - 1) * np.var(by_block, axis=0))
-    return sigma
+    return np.asarray(np.sqrt((b - 1) * np.var(by_block, axis=0)))
 
 
 FALSE_ALARM: Final = 0.05
@@ -326,5 +325,4 @@ def effect_size(
 def wave_features(found: SerialCalibration, effect: PeriodicJointError) -> Array:
     """Select the features of a joint's periodic error at the fitted poses, unitless, shape (n, k)."""
     joint = [one.name for one in found.model.arm.links].index(effect.place)
-    waves: Array = found.model.features[joint][found.fit.used, len(NON_PERIODIC) :]
-    return waves
+    return np.asarray(found.model.features[joint][found.fit.used, len(NON_PERIODIC) :])

@@ -60,11 +60,7 @@ class Link:
     sin_rad: tuple[Number, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Check that cosines and sines are equally many.
-
-        Raises:
-            ValueError: They are not.
-        """
+        """Refuse cosines and sines that are not equally many."""
         if len(self.cos_rad or ()) != len(self.sin_rad or ()):
             raise ValueError(f"{self.name}: cos and sin are not equally many; give both, one for each order")
 
@@ -181,8 +177,7 @@ def joint_errors_rad(arm: SerialArm, features: Array) -> Array:
         features: Factors of the coefficients [N m, unitless], shape (joints, n, k).
     """
     orders = (features.shape[2] - len(NON_PERIODIC)) // 2
-    errors: Array = np.einsum("jnk,jk->jn", features, joint_coefficients(arm, orders))
-    return errors
+    return np.asarray(np.einsum("jnk,jk->jn", features, joint_coefficients(arm, orders)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

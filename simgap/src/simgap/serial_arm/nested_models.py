@@ -89,8 +89,7 @@ class CrossValidation:
         factor, g = self._factor[k], self._pull + self._g.sum(axis=0) - self._g[k]
         if more is None:
             step = -cho_solve(factor, g)
-            change: Array = self._J[in_block] @ step
-            return change
+            return np.asarray(self._J[in_block] @ step)
         others = ~in_block
         E = more[others].reshape(-1, more.shape[2])
         B = self._J[others].reshape(E.shape[0], -1).T @ E
@@ -98,13 +97,11 @@ class CrossValidation:
         corner = E.T @ E + np.eye(E.shape[1]) - B.T @ solved[:, :-1]
         extra = -np.linalg.solve(corner, E.T @ self._r[others].ravel() - B.T @ solved[:, -1])
         step = -solved[:, -1] - solved[:, :-1] @ extra
-        both: Array = self._J[in_block] @ step + more[in_block] @ extra
-        return both
+        return np.asarray(self._J[in_block] @ step + more[in_block] @ extra)
 
     def _against(self, J: Array, k: int) -> Array:
         in_block = self.block == k
-        along: Array = J[in_block].reshape(-1, J.shape[2]).T @ self._r[in_block].ravel()
-        return along
+        return np.asarray(J[in_block].reshape(-1, J.shape[2]).T @ self._r[in_block].ravel())
 
     @staticmethod
     def _square(J: Array) -> Array:
