@@ -23,7 +23,17 @@ NUMERIC: Final = (
     ),
 )
 """Folders whose public functions say shapes and units."""
-SAID_ONCE: Final = tuple(f"fsw/kinematics/{name}.py" for name in ("transforms", "azimuth", "closed_form"))
+SAID_ONCE: Final = (
+    *(f"fsw/kinematics/{name}.py" for name in ("transforms", "azimuth", "closed_form")),
+    *(
+        f"simgap/src/simgap/{name}.py"
+        for name in (
+            *("assemble", "residuals/noise", "serial_arm/calibrate", "serial_arm/chain", "serial_arm/fit"),
+            *("serial_arm/model", "selection/acceptance", "selection/chance", "selection/fit"),
+            *("selection/joint_fits", "selection/screening", "selection/selection", "selection/sharing"),
+        )
+    ),
+)
 """Modules whose own docstring says the shapes and units of all their functions."""
 ARRAYS: Final = re.compile(r"\b(Array|Flags|Integers|Indices|NDArray|Pose)\b")
 SHAPE: Final = re.compile(r"\((?:\d+|[a-z]\w*|\.\.\.)(?:, ?(?:\d+|[a-z]\w*|\.\.\.))*,?\)")

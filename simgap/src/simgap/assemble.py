@@ -1,4 +1,8 @@
-"""Assemble a diagnosis from what was selected, and judge it by motions that took no part."""
+"""Assemble a diagnosis from what was selected, and judge it by motions that took no part.
+
+Residuals are arrays (n,) in the unit of their model; of several models, (n_models, n). Rows of a model are
+indices, (n_rows,).
+"""
 
 from collections.abc import Sequence
 from typing import Final
@@ -78,11 +82,7 @@ def assemble(
 
 
 def simulate_models(context: Context, model: ResidualModel, sizes: Sequence[Array]) -> Array:
-    """Return the residuals of some motions, (n_models, n), with models that were found on others.
-
-    Args:
-        sizes: Sizes of each model, (n_sizes,), in their own units.
-    """
+    """Return the residuals of some motions, (n_models, n), with models that were found on others."""
     union, points = context.union, np.array(sizes)
     part = [one for one in union.effects if np.any(points[:, union.columns([one])])]
     return model.residuals(part, points[:, union.columns(part)])
@@ -198,12 +198,7 @@ def list_base(
 
 
 def list_errors(raw: ResidualModel, fitted: Array, held_out: ResidualModel, rows: Array) -> list[JointError]:
-    """List the mean absolute residual of each joint.
-
-    Args:
-        fitted: Their residuals with the chosen model, (n,), in the unit of the model.
-        rows: Their residuals with nominal, base and chosen model, (3, n), in the unit of the model.
-    """
+    """List the mean absolute residual of each joint, with nominal, base and chosen model."""
     found = []
     for j, name in enumerate(held_out.joints):
         if not np.any(held_out.joint_of == j):
@@ -220,10 +215,6 @@ def list_remainders(
     raw: ResidualModel, fitted: Array, held_out: ResidualModel, residuals: Array
 ) -> list[Remainder]:
     """Say what no effect explains: joint, regime of speed, variable on which it depends.
-
-    Args:
-        fitted: Their residuals with the chosen model, (n,), in the unit of the model.
-        residuals: Their residuals with the chosen model, (n_held,), in the unit of the model.
 
     Returns:
         A record for each joint whose error is above its noise, or follows a variable where noise is unknown.
@@ -248,10 +239,6 @@ def find_dependence(model: ResidualModel, rows: Integers, residuals: Array) -> t
 
     Of few motions, blocks as long as the correlation time of the residual count. The variable is empty if
     none explains MIN_DEPENDENCE.
-
-    Args:
-        rows: Its rows of one joint, (n_rows,) indices.
-        residuals: Their residuals with the chosen model, (n_rows,), in the unit of the model.
     """
     group = model.motion_of[rows]
     if len(np.unique(group)) < MIN_MOTIONS:
@@ -269,12 +256,7 @@ def find_dependence(model: ResidualModel, rows: Integers, residuals: Array) -> t
 
 
 def find_regime(speed_rad_s: Array, residuals: Array) -> str:
-    """Return "slow" or "fast" if over two thirds of the sum of squares lie there, else "all motion".
-
-    Args:
-        speed_rad_s: (n,).
-        residuals: (n,), in any unit.
-    """
+    """Return "slow" or "fast" if over two thirds of the sum of squares lie there, else "all motion"."""
     slow = np.abs(speed_rad_s) < SLOW * np.quantile(np.abs(speed_rad_s), 0.99)
     total, part = float(np.sum(residuals**2)), float(np.sum(residuals[slow] ** 2))
     if total == 0.0 or 1.0 < 3.0 * part / total < 2.0:

@@ -1,4 +1,8 @@
-"""Noise from motions that repeat one another, and blocks that count as motions where these are few."""
+"""Noise from motions that repeat one another, and blocks that count as motions where these are few.
+
+Residuals are arrays (n,) in the unit of their model, or those of rows, which are indices, (n_rows,). Scales
+are (n_joints,) in the same unit.
+"""
 
 from collections.abc import Sequence
 from copy import copy
@@ -39,19 +43,11 @@ class WhitenedResiduals:
         self._scale = 1.0 / np.sqrt(1.0 - self._decay**2)
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Return whitened residuals of candidates, (n_candidates, n), in the unit of the model.
-
-        Args:
-            sizes: Sizes of all effects one after the other, (n_candidates, n_sizes), in their own units.
-        """
+        """Return whitened residuals of candidates, (n_candidates, n), in the unit of the model."""
         return self.whiten(self.raw.residuals(effects, sizes))
 
     def whiten(self, residuals: Array) -> Array:
-        """Subtract what noise predicts from the sample before, (n_candidates, n), in the unit of the model.
-
-        Args:
-            residuals: (n_candidates, n), in the unit of the model.
-        """
+        """Subtract what noise predicts from the sample before, (n_candidates, n)."""
         before = np.concatenate([residuals[..., :1], residuals[..., :-1]], axis=-1)
         return np.asarray((residuals - self._decay * before) * self._scale)
 
@@ -90,9 +86,6 @@ def noise_residuals(model: ResidualModel, residuals: Array, joint: int) -> Array
     """Return the residuals that noise alone leaves, (n_noise,); empty without repeats.
 
     The model moves alike in motions that repeat one another, so that their difference is that of two noises.
-
-    Args:
-        residuals: (n,), in the unit of the model.
     """
     pairs = repeat_pairs(model, joint)
     return np.concatenate([np.empty(0), *((residuals[a] - residuals[b]) / np.sqrt(2.0) for a, b in pairs)])
@@ -103,10 +96,6 @@ def noise_losses(model: ResidualModel, residuals: Array, scales: Array) -> Array
 
     Known noise has a loss of squares, as `scale_residuals` chooses.
     Otherwise the motions that repeat one another show the loss.
-
-    Args:
-        residuals: (n,), in the unit of the model.
-        scales: (n_joints,), in the unit of the model.
     """
     if model.noise_std:
         return np.asarray((model.noise_std / scales) ** 2)
@@ -118,11 +107,7 @@ def noise_losses(model: ResidualModel, residuals: Array, scales: Array) -> Array
 
 
 def whiten_noise(model: ResidualModel, residuals: Array) -> ResidualModel:
-    """Whiten a model by the noise that its repeated motions show; the model itself without repeats.
-
-    Args:
-        residuals: Residuals of its base model, (n,), in the unit of the model.
-    """
+    """Whiten a model by the noise that its repeated motions show; the model itself without repeats."""
     correlation = np.zeros(len(model.joints))
     for joint in range(len(model.joints)):
         product, energy = 0.0, 0.0
@@ -187,11 +172,7 @@ class Blocks:
         self.time_s: Array = model.time_s[rows]
 
     def residuals(self, effects: Sequence[Effect], sizes: Array) -> Array:
-        """Compute the residuals of candidates as the whole motions have them, (n_candidates, n).
-
-        Args:
-            sizes: Sizes of the effects, (n_candidates, n_sizes), in their units.
-        """
+        """Compute the residuals of candidates as the whole motions have them, (n_candidates, n)."""
         return self._model.residuals(effects, sizes)[:, self._rows]
 
     def select(self, motions: Sequence[str]) -> "Blocks":
@@ -216,11 +197,7 @@ class Blocks:
 
 
 def cut_into_blocks(model: ResidualModel, residuals: Array) -> Blocks:
-    """Cut motions into blocks that are at least as long as the correlation time of the residuals.
-
-    Args:
-        residuals: Residuals with the base effects fitted, (n,), in any unit.
-    """
+    """Cut motions into blocks that are at least as long as the correlation time of the residuals."""
     counts = np.zeros((len(model.motions), len(model.joints)), dtype=np.int64)
     for m, j in np.ndindex(counts.shape):
         rows = (model.motion_of == m) & (model.joint_of == j)
@@ -241,12 +218,7 @@ def _whole_motion_of(model: ResidualModel) -> Integers:
 
 
 def count_independent(model: ResidualModel, rows: Integers, residuals: Array) -> int:
-    """Count the independent residuals that scatter like those of some rows, at least 1 a joint and motion.
-
-    Args:
-        rows: Rows of the model, (n_rows,) indices.
-        residuals: Residuals in these rows, (n_rows,), in any unit.
-    """
+    """Count the independent residuals that scatter like those of some rows, at least 1 a joint and motion."""
     cell = _whole_motion_of(model)[rows] * len(model.joints) + model.joint_of[rows]
     parts = [cell == k for k in np.unique(cell)]
     return int(sum(_independent(model.time_s[rows][part], residuals[part]) for part in parts))
@@ -263,7 +235,6 @@ def correlation_time_s(time_s: Array, residuals: Array) -> float:
 
     Args:
         time_s: Times, (n,), increasing and about evenly spaced [s].
-        residuals: Residuals, (n,), in any unit.
     """
     if residuals.size < 2 or float(np.ptp(residuals)) == 0.0:
         return 0.0
@@ -277,12 +248,7 @@ def correlation_time_s(time_s: Array, residuals: Array) -> float:
 
 
 def cut_rows(model: ResidualModel, rows: Integers, residuals: Array) -> Integers:
-    """Cut whole motions into blocks, (n_rows,) from 0, as long as the correlation time of residuals.
-
-    Args:
-        rows: Rows of the model, (n_rows,) indices.
-        residuals: Residuals in these rows, (n_rows,), in any unit. Of joints, the longest memory counts.
-    """
+    """Cut whole motions into blocks, (n_rows,) from 0, as long as the longest memory of a joint in them."""
     time_s, joint = model.time_s[rows], model.joint_of[rows]
     motion = _whole_motion_of(model)[rows]
     block, n_blocks = np.zeros(rows.size, dtype=np.int64), 0

@@ -1,4 +1,8 @@
-"""Accept an effect: it predicts motions that took no part better, in pairs, and harms no other joint."""
+"""Accept an effect: it predicts motions that took no part better, in pairs, and harms no other joint.
+
+Rows are indices into the residual model, (n_rows,). `before` and `after` are residuals of two models in these
+rows when their motion was left out, over their scales, without a unit, or the losses of these.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,13 +20,7 @@ from simgap.selection.sharing import ALL_JOINTS
 
 
 def improvement_share(context: Context, rows: Integers, before: Array, after: Array) -> float:
-    """Return the mean improvement of left-out losses as a share, -1 to 1, of what can be explained.
-
-    Args:
-        rows: Rows of the residual model, (n_rows,) indices.
-        before: Their residuals when their motion was left out, over their scales, (n_rows,), without a unit.
-        after: The same of another model, (n_rows,), without a unit.
-    """
+    """Return the mean improvement of left-out losses as a share, -1 to 1, of what can be explained."""
     loss = pseudo_huber(before)
     mean = float(np.mean(loss - pseudo_huber(after)))
     explainable = float(np.mean(loss - context.noise_loss[context.model.joint_of[rows]]))
@@ -34,11 +32,6 @@ def improvement_z(context: Context, rows: Integers, before: Array, after: Array)
 
     Where repeats show the noise, the standard error is what that noise can do: an effect counts although it
     acts in few motions, such as a limit. Else it is the scatter from motion to motion, which counts a misfit.
-
-    Args:
-        rows: Rows of the residual model, (n_rows,) indices.
-        before: Their residuals when their motion was left out, over their scales, (n_rows,), without a unit.
-        after: The same of another model, (n_rows,), without a unit.
     """
     if knows_noise(context, rows):
         return compare_with_noise(context, rows, before, after)
@@ -46,11 +39,7 @@ def improvement_z(context: Context, rows: Integers, before: Array, after: Array)
 
 
 def knows_noise(context: Context, rows: Integers) -> bool:
-    """Return whether the noise of all joints is known, or shown by repeated motions.
-
-    Args:
-        rows: Rows of the joints in the residual model, (n_rows,) indices.
-    """
+    """Return whether the noise of all joints is known, or shown by repeated motions."""
     return bool(context.model.noise_std) or bool(
         np.all(context.noise_loss[np.unique(context.model.joint_of[rows])] > 0.0)
     )
@@ -61,11 +50,6 @@ def compare_motions(motion: Integers, before: Array, after: Array) -> float:
 
     The improvement is that of differences or of logarithms of ratios, whichever says more. Motions of very
     different strength scatter in differences; motions that an effect does not touch scatter in ratios.
-
-    Args:
-        motion: Motion of each loss, (n_rows,), index.
-        before: Losses, (n_rows,), without a unit.
-        after: Losses of another model, (n_rows,), without a unit.
     """
     _, motion = np.unique(motion, return_inverse=True)
     count = np.bincount(motion)
@@ -87,11 +71,6 @@ def compare_with_noise(context: Context, rows: Integers, before: Array, after: A
 
     Where two models differ, noise makes one of them the better by chance: to first order, by the slope of
     the loss times the difference. Its totals over blocks of the noise are independent.
-
-    Args:
-        rows: Rows of the residual model, (n_rows,) indices.
-        before: Their residuals over their scales, (n_rows,), without a unit.
-        after: The same of another model, (n_rows,), without a unit.
     """
     slope, _ = half_loss_derivatives(after)
     totals = np.bincount(cut_rows(context.model, rows, after), weights=2.0 * slope * (before - after))

@@ -1,4 +1,9 @@
-"""Chance: the probability of an effect if it is absent, also with few motions."""
+"""Chance: the probability of an effect if it is absent, also with few motions.
+
+Residuals and changes are arrays (n_rows,) without a unit, orthogonal to the changes by the base parameters:
+`change` is that by the fitted sizes, `n_sizes` of them; `before` and `after` are residuals without and with
+the effect. `cluster` is the cluster of each row, an index from 0.
+"""
 
 from collections.abc import Sequence
 from typing import Final
@@ -27,10 +32,6 @@ def wald_p(basis: Array, change: Array, residual: Array, cluster: Integers, n_si
 
     Args:
         basis: Orthonormal changes by the base parameters, (n_rows, n_base), without a unit.
-        change: Change by the fitted sizes, (n_rows,), orthogonal to the basis, without a unit.
-        residual: Residuals before the effect, orthogonal to the basis, (n_rows,), without a unit.
-        cluster: Cluster of each residual, (n_rows,), index from 0.
-        n_sizes: Number of fitted sizes.
     """
     length = float(np.linalg.norm(change))
     if length == 0.0:
@@ -71,10 +72,6 @@ def stationary_p(n_base: int, change: Array, residual: Array, cluster: Integers,
 
     Args:
         n_base: Number of base parameters that the residuals have followed.
-        change: Change by the fitted sizes, (n_rows,), orthogonal to base changes, without a unit.
-        residual: Residuals before the effect, orthogonal to base changes, (n_rows,), without a unit.
-        cluster: Cluster of each residual, (n_rows,), index from 0.
-        n_sizes: Number of fitted sizes.
     """
     length = float(np.linalg.norm(change))
     sums = np.bincount(cluster)
@@ -101,14 +98,7 @@ def chi_square_log_p(statistic: float, freedom: float) -> float:
 
 
 def known_noise_log_p(before: Array, after: Array, n_sizes: int) -> float:
-    """Return the log p of an effect's decrease of the sum of squares, where the noise is known (Wilks 1938).
-
-    Args:
-        before: Residuals without the effect over the standard deviation of the noise, (n_rows,), without a
-            unit.
-        after: The same with it, (n_rows,), without a unit.
-        n_sizes: Number of fitted sizes.
-    """
+    """Return the log p of an effect's decrease of the sum of squares in known noise (Wilks 1938)."""
     return chi_square_log_p(float(before @ before - after @ after), n_sizes)
 
 
@@ -117,9 +107,6 @@ def count_distinct(directions: Sequence[Array]) -> float:
 
     Tests of effects that look alike, such as a payload and a heavier link, are right or wrong together. The
     count is that of Li and Ji (2005), from the eigenvalues of the correlations.
-
-    Args:
-        directions: Change of the residuals by each effect, (n_rows,) each, in any unit.
 
     Returns:
         Number from 1 to that of the directions which are not 0; 0 if there is none.
@@ -151,8 +138,6 @@ def alternative_p(
             (n_rows, n_sizes), without a unit.
         rivals: The same of all models that might have been found, (n_rows,) and (n_rows, n_sizes), without a
             unit, with the same weights, better one first.
-        cluster: Cluster of each residual, (n_rows,), index from 0.
-        seed: Seed of the draws.
         noise_std: Standard deviation of the noise in the same unit, if it is known; it is then drawn instead
             of the signs.
     """

@@ -3,6 +3,8 @@
 Each hypothesis frees a few sizes and reads the residuals of one joint, or of all. scipy fits one problem at
 a time; here all advance together, because an engine simulates a hundred candidates at the price of ten.
 Hypotheses at different joints share a candidate where one joint scarcely moves another (`sharing.py`).
+
+Residuals are arrays (n,) in the unit of the model, scales (n_joints,) too; columns are indices, (n_sizes,).
 """
 
 from collections.abc import Callable, Sequence
@@ -48,11 +50,7 @@ class Union:
         return np.repeat(np.arange(len(self.effects)), [len(effect.sizes) for effect in self.effects])
 
     def sizes_at(self, columns: Integers) -> list[Size]:
-        """Return the sizes in these columns.
-
-        Args:
-            columns: Indices of columns, (n_sizes,), without a unit.
-        """
+        """Return the sizes in these columns."""
         sizes = self.sizes
         return [sizes[c] for c in columns]
 
@@ -114,9 +112,6 @@ def scale_residuals(model: ResidualModel, residuals: Array) -> Array:
     """Return a robust deviation for each joint, (n_joints,): 1.4826 times the median absolute residual.
 
     Known noise is normal, and its loss is a sum of squares: that of a scale which no residual comes near.
-
-    Args:
-        residuals: (n,), in the unit of the model.
     """
     scales = np.ones(len(model.joints))
     if model.noise_std:
@@ -141,7 +136,6 @@ def fit_hypotheses(
     """Fit hypotheses together by Levenberg-Marquardt with a pseudo-Huber loss.
 
     Args:
-        scales: Scale of the residuals of each joint, (n_joints,), in the unit of the model.
         sharing: Joints whose hypotheses may share a candidate.
         report: Called with the number of candidates after each call of the model.
     """

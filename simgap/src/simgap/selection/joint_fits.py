@@ -1,4 +1,7 @@
-"""Fit the base parameters and the accepted effects of every joint, with all motions and without some."""
+"""Fit the base parameters and the accepted effects of every joint, with all motions and without some.
+
+Sizes are those of the union, each in its own unit, (n_sizes,); a fit starts from them.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -117,11 +120,7 @@ def recut_blocks(
 
 
 def fit_all_joints(context: Context, sizes: Array) -> tuple[Array, Array, tuple[JointFit, ...]]:
-    """Fit the base parameters of all joints; return sizes (n_sizes,), all residuals (n,), and the fits.
-
-    Args:
-        sizes: Sizes from which the fits start, (n_sizes,), in their own units.
-    """
+    """Fit the base parameters of all joints; return sizes (n_sizes,), all residuals (n,), and the fits."""
     fits = resume_step(fit_joints, context, (), sizes)
     return fits[0].sizes, gather_residuals(fits, len(context.model.joint_of)), fits
 
@@ -138,7 +137,6 @@ def start_fit(
     """Return the hypothesis of base and effects at a joint, with the derivatives that are known.
 
     Args:
-        sizes: Sizes from which the fit starts, (n_sizes,), in their own units.
         known: Fits of the same residual model at sizes that are near.
     """
     columns = free_columns(context, effects, joint)
@@ -159,7 +157,6 @@ def fit_joints(
     The residuals are those with the new sizes of all joints: a joint was fitted with the others as they were.
 
     Args:
-        sizes: Sizes from which the fits start, (n_sizes,), in their own units.
         known: Fits of the same residual model at sizes that are near.
     """
     joints = [*range(len(context.model.joints))]
@@ -192,11 +189,7 @@ def fits_at(context: Context, present: FittedModel, joint: int) -> tuple[JointFi
 
 
 def merge_sizes(context: Context, sizes: Array, fits: Sequence[JointFit]) -> Array:
-    """Return the sizes, (n_sizes,), with those that each fit has found.
-
-    Args:
-        sizes: (n_sizes,), in their own units.
-    """
+    """Return the sizes, (n_sizes,), with those that each fit has found."""
     merged = sizes.copy()
     for fit in fits:
         merged[fit.columns] = fit.sizes[fit.columns]

@@ -2,6 +2,9 @@
 
 Each effect is simulated at several sizes: the derivative at size 0 says nothing of a velocity limit. Its
 change, cleared of what the base parameters can do, is held against the residual motion by motion.
+
+Sizes, and `at`, are those of the union in the present model, each in its own unit, (n_sizes,). Residuals are
+(n,) in the unit of the model, and scales (n_joints,).
 """
 
 from collections.abc import Sequence
@@ -36,11 +39,7 @@ class Trial:
 
 
 def list_trials(union: Union, effect: Effect, at: Array) -> list[Trial]:
-    """List the trials of an effect: one direction for each of its sizes, for each factor.
-
-    Args:
-        at: Sizes of the present model, (n_sizes,), in their own units.
-    """
+    """List the trials of an effect: one direction for each of its sizes, for each factor."""
     columns = union.columns([effect])
     trials = []
     for factor in FACTORS:
@@ -83,11 +82,7 @@ class Whitened:
         return together
 
     def clear(self, change: Array) -> Array:
-        """Weight a change of the residuals and clear it like the residuals, (n_rows, n_points).
-
-        Args:
-            change: (n_rows, n_points), in the unit of the model.
-        """
+        """Weight a change of the residuals and clear it like the residuals, (n_rows, n_points)."""
         cleared = np.empty_like(change)
         for rows, weight, basis in self.parts:
             part = np.where(np.isfinite(change[rows]), change[rows], 0.0) * weight[:, None]
@@ -96,11 +91,7 @@ class Whitened:
 
 
 def whiten(fits: Sequence[JointFit], model: ResidualModel, scales: Array) -> Whitened:
-    """Weight the residuals of some joints and clear them of what their free sizes can do.
-
-    Args:
-        scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
-    """
+    """Weight the residuals of some joints and clear them of what their free sizes can do."""
     parts, residuals, begin = [], [], 0
     for fit in fits:
         scale = scales[model.joint_of[fit.rows]]
@@ -129,7 +120,6 @@ def score_effect(
     Args:
         changes: For each trial the change of the residuals at its points, (n_rows, n_points), in the unit of
             the fit.
-        at: Sizes of the present model, (n_sizes,), in their own units.
 
     Returns:
         The score of the best trial; its change and what it leaves, (n_rows,) each, without a unit. With
@@ -203,9 +193,6 @@ def refit_p(
     """Test whether a fit without an effect is worse by chance: p-value of `stationary_p` or `wald_p`.
 
     Args:
-        own: Columns of the effect, (n_sizes,) indices.
-        without: Residuals of a fit without it, (n,), in the unit of the model.
-        scales: Scale of the residuals of each joint of the model, (n_joints,), in their unit.
         is_stationary: True if repeats show the noise.
     """
     base = []
@@ -233,7 +220,6 @@ def share_simulations(context: Context, sizes: Array, effects: Sequence[Effect])
     """Measure which joints effects move, and choose what shares simulations and what is judged at all joints.
 
     Args:
-        sizes: Present sizes, (n_sizes,), in their own units.
         effects: Effects to measure. Those of the base decide which joints share; all do where no base is.
     """
     union, model = context.union, context.model
@@ -260,7 +246,6 @@ def measure_reach(context: Context, sizes: Array, columns: Sequence[tuple[Intege
     """Measure how much effects of typical size move each joint, in the motions in which joints move most.
 
     Args:
-        sizes: Present sizes, (n_sizes,), in their own units.
         columns: For each effect the columns of its sizes and its typical sizes, (n_own,), in their units.
 
     Returns:

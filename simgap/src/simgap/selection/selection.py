@@ -1,6 +1,8 @@
 """Select the effects that the motions need: screen, refit a shortlist, accept by motions that were left out.
 
 Effects at different joints are selected side by side. An effect at a body competes with them for all joints.
+
+`without` has the residuals of a model without an effect, (n,), in the unit of the residual model.
 """
 
 from collections.abc import Sequence
@@ -243,11 +245,7 @@ def find_winners(
 
 
 def explain_loss(context: Context, fit: JointFit, without: Array) -> float:
-    """Return by how much a fit decreases the loss of its joints.
-
-    Args:
-        without: Residuals of the present model, (n,), in the unit of the model.
-    """
+    """Return by how much a fit decreases the loss of its joints."""
     scale = context.scales[context.model.joint_of[fit.rows]]
     return float(np.sum(pseudo_huber(without[fit.rows] / scale) - pseudo_huber(fit.residuals / scale)))
 
@@ -330,9 +328,6 @@ def drop_needless(
 
 def find_log_chance(context: Context, fits: Sequence[JointFit], effect: Effect, without: Array) -> float:
     """Return the logarithm of the probability of so strong an effect, beside all others, if none is present.
-
-    Args:
-        without: Residuals of a fit without it, (n,), in the unit of the model.
 
     Returns:
         Probability by a Wald test, or that of a decrease of known noise, times the number of distinct effects

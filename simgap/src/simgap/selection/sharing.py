@@ -1,4 +1,8 @@
-"""Share simulations: hypotheses at joints that scarcely move one another are put into one candidate."""
+"""Share simulations: hypotheses at joints that scarcely move one another are put into one candidate.
+
+`joint_of_column` is the joint of each size, or ALL_JOINTS, (n_sizes,); `reach` has changes at all joints,
+(n_joints,), without a unit.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -70,11 +74,7 @@ class Sharing:
 
 
 def share_nothing(n_joints: int, joint_of_column: Integers) -> Sharing:
-    """Return the sharing in which each joint has candidates of its own.
-
-    Args:
-        joint_of_column: Joint of each size, (n_sizes,), index or ALL_JOINTS.
-    """
+    """Return the sharing in which each joint has candidates of its own."""
     none = np.empty(0, np.int64)
     return Sharing(tuple((j,) for j in range(n_joints)), none, none, joint_of_column)
 
@@ -124,11 +124,7 @@ def find_sharing(
 
 
 def relative_reach(joint: int, reach: Array) -> Array:
-    """Return the changes at other joints over that at a joint, (n_joints,); 0 at the joint itself.
-
-    Args:
-        reach: Changes at all joints, (n_joints,), without a unit.
-    """
+    """Return the changes at other joints over that at a joint, (n_joints,); 0 at the joint itself."""
     ratios: Array = reach / max(float(reach[joint]), 1e-12)
     ratios[joint] = 0.0
     return ratios

@@ -1,4 +1,7 @@
-"""Calibration of a serial arm from a series of poses: first estimate of base and target, fit, error terms."""
+"""Calibration of a serial arm from a series of poses: first estimate of base and target, fit, error terms.
+
+`used` flags the poses that are fitted, (n,); values of parameters are (p,) in their units, by default 0.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -219,12 +222,7 @@ def fit_poses(
     used: Flags,
     start: Array | None = None,
 ) -> SerialCalibration:
-    """Fit an arm to selected poses of a series.
-
-    Args:
-        used: Boolean flags of the poses to fit, shape (n,).
-        start: Initial values in the units of the parameters, shape (p,); zeros by default.
-    """
+    """Fit an arm to selected poses of a series."""
     model = serial_model(arm, setup, series, terms)
     return SerialCalibration(model, fit(model.parameters, model, start, used))
 

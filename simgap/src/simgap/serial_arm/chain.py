@@ -1,7 +1,8 @@
 """Poses in batches, error screws, forward kinematics of a serial arm, and series of measured poses.
 
 Components lead, the batch axis trails: a vector has shape (3, n), a rotation (3, 3, n), so that the inner
-loops of numpy run over the batch.
+loops of numpy run over the batch. Parameters of links are (6,) or (joints, 6), in radians and metres; joint
+angles are (n,) or (joints, n), vectors of any unit.
 """
 
 from dataclasses import dataclass
@@ -59,50 +60,27 @@ def relative_pose(X_AB: AnyPose, X_AC: AnyPose) -> Pose:
 
 
 def compose(R: Array, S: Array) -> Array:
-    """Multiply rotations: R S, shape (3, 3, ...).
-
-    Args:
-        R: Left rotations, shape (3, 3, ...), unitless.
-        S: Right rotations, shape (3, 3, ...), unitless.
-    """
+    """Multiply rotations: R S, shape (3, 3, ...)."""
     return np.asarray(np.einsum("ik...,kj...->ij...", R, S))
 
 
 def rotate(R: Array, v: Array) -> Array:
-    """Rotate vectors: R v, shape (3, ...), unit of v.
-
-    Args:
-        R: Matrices of rotations, shape (3, 3, ...).
-        v: Vectors of any unit, shape (3, ...).
-    """
+    """Rotate vectors: R v, shape (3, ...), unit of v."""
     return np.asarray(np.einsum("ij...,j...->i...", R, v))
 
 
 def rotate_back(R: Array, v: Array) -> Array:
-    """Rotate vectors by the transposes of rotations: R^T v, shape (3, ...), unit of v.
-
-    Args:
-        R: Matrices of rotations, shape (3, 3, ...).
-        v: Vectors of any unit, shape (3, ...).
-    """
+    """Rotate vectors by the transposes of rotations: R^T v, shape (3, ...), unit of v."""
     return np.asarray(np.einsum("ji...,j...->i...", R, v))
 
 
 def norm(v: Array) -> Array:
-    """Compute the Euclidean norm of vectors, shape (n,), unit of v.
-
-    Args:
-        v: Vectors of any unit, shape (3, n).
-    """
+    """Compute the Euclidean norm of vectors, shape (n,), unit of v."""
     return np.asarray(np.sqrt(np.einsum("in,in->n", v, v)))
 
 
 def skew(v: Array) -> Array:
-    """Build the matrices [v], shape (3, 3, n), of the vector product: [v] w = v x w.
-
-    Args:
-        v: Vectors of any unit, shape (3, n).
-    """
+    """Build the matrices [v], shape (3, 3, n), of the vector product: [v] w = v x w."""
     K = np.zeros((3, *v.shape))
     K[0, 1], K[0, 2], K[1, 2] = -v[2], v[1], -v[0]
     K[1, 0], K[2, 0], K[2, 1] = v[2], -v[1], v[0]
@@ -193,12 +171,7 @@ class LinkAxes:
 
 
 def link_transform(X: Pose, turn_rad: Array, geometry: LinkGeometry) -> tuple[Pose, LinkAxes]:
-    """Compute the frame at the end of a link (paper equation 1), batch (n,), and the axes of its parameters.
-
-    Args:
-        turn_rad: Joint angles, shape (n,).
-        geometry: Parameters of the link, angles in radians, lengths in metres, shape (6,).
-    """
+    """Compute the frame at the end of a link (paper equation 1), and the axes of its parameters."""
     theta, d, beta, b, alpha, a = geometry
     x, y, z = X.R[:, 0], X.R[:, 1], X.R[:, 2]
     x_theta, y_theta = _turn(x, y, turn_rad + theta)
@@ -217,12 +190,7 @@ def _turn(u: Array, v: Array, angle_rad: Array) -> tuple[Array, Array]:
 
 
 def forward_kinematics(X: Pose, link_geometry: Array, turn_rad: Array) -> tuple[list[Pose], list[LinkAxes]]:
-    """Compute the frames at the ends of all links, the last one the flange, and the axes of each link.
-
-    Args:
-        link_geometry: Parameters of the links, angles in radians, lengths in metres, shape (joints, 6).
-        turn_rad: Joint angles, shape (joints, n).
-    """
+    """Compute the frames at the ends of all links, the last one the flange, and the axes of each link."""
     ends, axes = [], []
     for geometry, turn in zip(link_geometry, turn_rad, strict=True):
         X, link_axes = link_transform(X, turn, geometry)
@@ -280,11 +248,7 @@ class PoseSeries:
         return self.row.size
 
     def at(self, poses: Flags | Integers) -> "PoseSeries":
-        """Select some of the poses; directions of moves stay those of the whole series.
-
-        Args:
-            poses: Flags, shape (n,), or indices, shape (k,).
-        """
+        """Select some of the poses; directions of moves stay those of the whole series."""
         air = None if self.air_C is None else self.air_C[poses]
         return PoseSeries(
             self.name,
@@ -297,10 +261,6 @@ class PoseSeries:
 
 
 def move_directions(joint_rad: Array) -> Array:
-    """Compute the direction of each joint's last move: +1, -1 or 0, shape (joints, n).
-
-    Args:
-        joint_rad: Joint angles in order of time, shape (joints, n).
-    """
+    """Compute the direction of each joint's last move in order of time: +1, -1 or 0, shape (joints, n)."""
     motion = np.diff(joint_rad, axis=1, prepend=joint_rad[:, :1])
     return np.where(np.abs(motion) > STILL_RAD, np.sign(motion), 0.0)

@@ -1,4 +1,8 @@
-"""Weighted least squares with priors; identifiability, outliers, and validation on held-out poses."""
+"""Weighted least squares with priors; identifiability, outliers, and validation on held-out poses.
+
+Values of parameters are arrays (p,) in their units, and 0 where a fit starts by default. `used` flags the
+poses to fit, (n,), by default all.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -57,11 +61,7 @@ class Linearisation:
         return np.asarray(np.any(self.jacobian != 0.0, axis=-1))
 
     def at(self, poses: Flags) -> "Linearisation":
-        """Select some of the poses.
-
-        Args:
-            poses: Selection as flags, shape (n,).
-        """
+        """Select some of the poses."""
         return Linearisation(self.residual[poses], self.jacobian[poses])
 
 
@@ -131,12 +131,7 @@ def fit(
     start: Array | None = None,
     used: Flags | None = None,
 ) -> Fit:
-    """Fit parameters by damped Gauss-Newton iteration.
-
-    Args:
-        start: Initial values in the units of the parameters, shape (p,); zeros by default.
-        used: Boolean flags of the poses to fit, shape (n,); all by default.
-    """
+    """Fit parameters by damped Gauss-Newton iteration."""
     scale, prior = _scale(parameters), _prior_weights(parameters)
     x = np.zeros(scale.size) if start is None else start
     at = model(x)
@@ -159,8 +154,6 @@ def cost(at: Linearisation, used: Flags, x: Array, prior: Array) -> float:
     """Compute the sum of squares that the fit minimises.
 
     Args:
-        used: Boolean flags of the poses to fit, shape (n,).
-        x: Parameter values in their units, shape (p,).
         prior: Inverse prior sigmas in inverse units of the parameters, shape (p,).
     """
     return float(np.sum(at.residual[used] ** 2) + np.sum((x * prior) ** 2))
@@ -287,11 +280,7 @@ class Identifiability:
 def assess_identifiability(
     parameters: Sequence[FitParameter], at: Linearisation, used: Flags | None = None
 ) -> Identifiability:
-    """Assess which combinations of parameters some poses identify.
-
-    Args:
-        used: Boolean flags of the poses to use, shape (n,); all by default.
-    """
+    """Assess which combinations of parameters some poses identify."""
     jacobian = at.jacobian if used is None else at.jacobian[used]
     scale = np.array([parameter.scale for parameter in parameters])
     J = jacobian.reshape(-1, scale.size) * scale

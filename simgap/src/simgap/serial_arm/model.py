@@ -1,4 +1,7 @@
-"""Serial arm with any number of joints, and measured poses as a function of the parameters to fit."""
+"""Serial arm with any number of joints, and measured poses as a function of the parameters to fit.
+
+Values of parameters are arrays (p,) in their units.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -171,11 +174,7 @@ def features(arm: SerialArm, series: PoseSeries, orders: int) -> Array:
 
 
 def joint_errors_rad(arm: SerialArm, features: Array) -> Array:
-    """Compute the joint errors, true less read angles [rad], shape (joints, n).
-
-    Args:
-        features: Factors of the coefficients [N m, unitless], shape (joints, n, k).
-    """
+    """Compute the joint errors, true less read angles [rad], shape (joints, n)."""
     orders = (features.shape[2] - len(NON_PERIODIC)) // 2
     return np.asarray(np.einsum("jnk,jk->jn", features, joint_coefficients(arm, orders)))
 
@@ -233,11 +232,7 @@ class SerialModel:
         return [*non_periodic, *(waves if PERIODIC in self.terms else ())]
 
     def at(self, values: Array) -> tuple[SerialArm, TrackerSetup]:
-        """Apply parameter values.
-
-        Args:
-            values: Values in the units of the parameters, shape (p,).
-        """
+        """Apply parameter values."""
         shape = (len(self.arm.links), 6)
         geometry, rest = np.zeros(shape), values[12:]
         if GEOMETRY in self.terms:
@@ -251,11 +246,7 @@ class SerialModel:
         return replace(self.arm, links=tuple(links)), setup
 
     def poses(self, values: Array) -> Pose:
-        """Compute X_TM, the modelled poses of the target in the tracker's frame, batch (n,).
-
-        Args:
-            values: Values in the units of the parameters, shape (p,).
-        """
+        """Compute X_TM, the modelled poses of the target in the tracker's frame, batch (n,)."""
         return self._chain(values)[0]
 
     def _chain(self, values: Array) -> tuple[Pose, list[LinkAxes]]:

@@ -248,10 +248,7 @@ class Sampling:
         """Find the control period of each sample.
 
         Args:
-            windows: Windows in the order of the simulations.
-            order: For each of them, its place in the order of the values.
             late_s: Delays of the samples, (n_windows, n_candidates, n_joints) [s].
-            period_s: Control period [s].
         """
         n_candidates = late_s.shape[1]
         counts = np.zeros((len(windows), late_s.shape[2]), dtype=np.int64)
@@ -276,8 +273,6 @@ class Sampling:
 
         Args:
             path: Positions at the ends of control periods, (more than last - first, n_sims, n_joints) [rad].
-            first: First control period of the path.
-            last: End of the control periods that are simulated.
         """
         for one in self._series:
             n_candidates = one.sims.stop - one.sims.start
