@@ -17,16 +17,14 @@ from helpers.planar_arm import (
     slow_logs,
     with_joint,
 )
-from helpers.real_robots import robot_path
+from helpers.real_robots import load_real
 from simgap.checks.audit import NominalModel, audit
 from simgap.checks.records import RemarkKind
 from simgap.checks.static import find_lower_stop, median_interval
 from simgap.common.errors import RobotError
 from simgap.diagnosis import check_motions, count_foreign_commands, diagnose
-from simgap.loading import load
 from simgap.logs import Logs, Signal
 from simgap.result import Refusal
-from simgap.robot import Robot
 
 TABLE_MOTIONS = {
     *("boundary_exploration", "diagonal_sweep", "dual_joint_elbow_wrist", "figure_eight"),
@@ -220,8 +218,7 @@ def test_the_interval_of_a_median_holds_it_as_often_as_it_says():
 
 @pytest.mark.real_data
 def test_table_and_clamp_of_the_measured_so101_are_named(real_data):
-    robot = Robot.from_toml(robot_path("so101"))
-    found = audit(robot, load(robot, real_data / "so101" / "so101.parquet"))
+    found = audit(*load_real(real_data, "so101"))
     contact, cut_off = found.remarks
     assert contact.kind is RemarkKind.CONTACT
     assert contact.text.startswith("gripperframe")
@@ -235,16 +232,9 @@ def test_table_and_clamp_of_the_measured_so101_are_named(real_data):
 
 
 @pytest.mark.real_data
-@pytest.mark.parametrize(
-    ("robot", "logs"),
-    [
-        ("pendulum", ["xl330/xl330.parquet"]),
-        ("kr300", ["kr300/kr300_A.parquet", "kr300/kr300_B.parquet"]),
-    ],
-)
-def test_logs_of_other_robots_lose_no_sample(real_data, robot, logs):
-    loaded = Robot.from_toml(robot_path(robot))
-    assert audit(loaded, load(loaded, [real_data / one for one in logs])).refused == ()
+@pytest.mark.parametrize("robot", ["pendulum", "kr300"])
+def test_logs_of_other_robots_lose_no_sample(real_data, robot):
+    assert audit(*load_real(real_data, robot)).refused == ()
 
 
 def test_joints_without_commands_are_audited_for_the_rest(clean):

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.real_robots import robot_path
+from helpers.real_robots import load_real, robot_path
 from simgap.catalogue.catalogue import catalogue
 from simgap.diagnosis import diagnose
 from simgap.effects.effect import Family
@@ -124,8 +124,7 @@ def test_no_compliance_is_named_at_axis_1_which_gravity_does_not_load(batch, req
 
 
 def test_three_effects_predict_the_gain_that_was_held_out(real_data):
-    robot = Robot.from_toml(robot_path("pendulum"))
-    logs = load(robot, [real_data / "xl330" / "xl330.parquet"])
+    robot, logs = load_real(real_data, "pendulum")
     result = diagnose(robot, logs.fit, held_out=logs.judged, seed=1)
     (error,) = result.errors
     assert {motion.condition for motion in logs.judged} == {"400"}
