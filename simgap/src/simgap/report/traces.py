@@ -1,13 +1,13 @@
 """Traces of held-out motions: measured, predicted by the model as it is, and predicted with the findings."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Flags, Integers
-from simgap.logs import Motion
+from simgap.arrays import Array, Integers
+from simgap.logs import Motion, Usable
 from simgap.residuals.residuals import ResidualModel
 from simgap.residuals.simulation_residuals import SimulationResiduals, list_kinds
 from simgap.result import Diagnosis
@@ -51,12 +51,9 @@ def trace_motions(
     robot: Robot,
     motions: Sequence[Motion],
     diagnosis: Diagnosis,
-    usable: Mapping[tuple[str, str], Flags] | None = None,
+    usable: Usable | None = None,
 ) -> tuple[Trace, ...]:
     """Predict motions without and with what a diagnosis has found, by each kind of residual that it used.
-
-    Args:
-        usable: By names of motion and joint, flags over the position samples to show, (n,); all if absent.
 
     Returns:
         The traces; none by simulation of a motion in which a joint has no command.

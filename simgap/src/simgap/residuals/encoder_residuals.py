@@ -14,16 +14,16 @@ that depends on position out of the friction; only the first two are subtracted.
 so that the load of held-out motions is as measured as their angles.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from simgap.arrays import Array, Flags, Integers
+from simgap.arrays import Array, Integers
 from simgap.common.errors import RobotError
 from simgap.effects.effect import ENCODER_HOOKS, Effect, State
-from simgap.logs import Motion
+from simgap.logs import Motion, Usable
 from simgap.residuals.filtered_motion import (
     FilteredMotion,
     LowPass,
@@ -67,14 +67,11 @@ class EncoderResiduals:
     step_s = 0.0
     noise_std = 0.0
 
-    def __init__(
-        self, robot: Robot, motions: Sequence[Motion], keep: Mapping[tuple[str, str], Flags] | None = None
-    ) -> None:
+    def __init__(self, robot: Robot, motions: Sequence[Motion], keep: Usable | None = None) -> None:
         """Compare the encoders, and compute the loads.
 
         Args:
             motions: Motions; joints with a second encoder that moves have residuals.
-            keep: By names of motion and joint, which position samples are used, (n,); all where absent.
 
         Raises:
             RobotError: there is no second encoder that can be used, or a motion is too short for a filter.
@@ -163,9 +160,7 @@ class EncoderResiduals:
 class _Part:
     """The two encoders of one joint in one motion."""
 
-    def __init__(
-        self, motion: Motion, name: str, m: int, j: int, keep: Mapping[tuple[str, str], Flags]
-    ) -> None:
+    def __init__(self, motion: Motion, name: str, m: int, j: int, keep: Usable) -> None:
         log = motion.joints[name]
         assert log.secondary is not None
         position = log.position

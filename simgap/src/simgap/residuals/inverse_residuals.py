@@ -8,7 +8,7 @@ speed at which it is certain: tanh(v / v_s), with v_s three times the noise of t
 period of the cut-off are left out, because there the filter guesses what was before and after.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Final
@@ -19,7 +19,7 @@ import numpy as np
 from simgap.arrays import Array, Flags, Integers
 from simgap.common.errors import RobotError
 from simgap.effects.effect import TORQUE_HOOKS, Effect, State
-from simgap.logs import Motion
+from simgap.logs import Motion, Usable
 from simgap.residuals.filtered_motion import (
     FilteredMotion,
     choose_filter,
@@ -62,15 +62,12 @@ class InverseResiduals:
     step_s = 0.0
     noise_std = 0.0
 
-    def __init__(
-        self, robot: Robot, motions: Sequence[Motion], keep: Mapping[tuple[str, str], Flags] | None = None
-    ) -> None:
+    def __init__(self, robot: Robot, motions: Sequence[Motion], keep: Usable | None = None) -> None:
         """Filter the motions.
 
         Args:
             motions: Motions; joints with a logged torque have residuals.
-            keep: By names of motion and joint, which position samples are used, (n,); all where absent.
-                Nothing is compared within a period of the cut-off from others.
+            keep: Nothing is compared within a period of the cut-off from samples that take no part.
 
         Raises:
             RobotError: no torque is logged or usable, or a motion is too short for a filter.

@@ -1,7 +1,7 @@
 """Residuals of forward simulation, and the kinds of residual that the logs of a robot allow."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -9,12 +9,12 @@ from typing import Final
 
 import numpy as np
 
-from simgap.arrays import Array, Flags, Integers, orthonormal
+from simgap.arrays import Array, Integers, orthonormal
 from simgap.common.errors import RobotError
 from simgap.effects.actuation import DampingGain, GainError, TorqueConstant, TorqueLimit
 from simgap.effects.effect import SIMULATION_HOOKS, Effect
 from simgap.effects.transmission import PeriodicError, SmoothPeriodicError
-from simgap.logs import Motion
+from simgap.logs import Motion, Usable
 from simgap.residuals import encoder_residuals, inverse_residuals
 from simgap.residuals.encoder_residuals import EncoderResiduals
 from simgap.residuals.inverse_residuals import InverseResiduals
@@ -56,7 +56,7 @@ class SimulationResiduals:
         robot: Robot,
         motions: Sequence[Motion],
         spacing_s: float = SPACING_s,
-        keep: Mapping[tuple[str, str], Flags] | None = None,
+        keep: Usable | None = None,
         n_threads: int = 0,
         most_steps: float = math.inf,
         fit_starts: bool = False,
@@ -66,7 +66,6 @@ class SimulationResiduals:
         Args:
             motions: Motions, with the commands of all joints.
             spacing_s: Least time between residuals of a joint [s].
-            keep: By names of motion and joint, which position samples are used, (n,); all where absent.
             n_threads: Threads of the simulation; 0: as many as there are processors.
             most_steps: Steps of a candidate. Where all motions take more, evenly spaced windows of each are
                 simulated instead.
@@ -173,7 +172,7 @@ def _cut(
     robot: Robot,
     motions: Sequence[Motion],
     spacing_s: float,
-    keep: Mapping[tuple[str, str], Flags] | None,
+    keep: Usable | None,
     most_periods: float,
 ) -> list[Window]:
     """Cut motions into windows; of too many control periods, keep evenly spaced windows of each motion."""
@@ -251,17 +250,12 @@ class ResidualKind:
     """False if the base parameters of a joint do not move it."""
 
 
-def list_kinds(
-    robot: Robot, motions: Sequence[Motion], usable: Mapping[tuple[str, str], Flags] | None
-) -> list[ResidualKind]:
+def list_kinds(robot: Robot, motions: Sequence[Motion], usable: Usable | None) -> list[ResidualKind]:
     """List the kinds of residual that the logs allow.
 
     Logged torques are compared with inverse dynamics, which needs no controller. Where a joint has a command
     and no torque, the commands are simulated instead: else nothing would look at this joint. A second encoder
     is always compared with the first.
-
-    Args:
-        usable: Position samples that take part, (n,) flags; all where absent.
 
     Raises:
         RobotError: There are neither torques nor commands nor a second encoder.

@@ -26,9 +26,9 @@ import mujoco
 import numpy as np
 import scipy
 
-from simgap.arrays import Array, Flags
+from simgap.arrays import Array
 from simgap.effects.effect import Effect
-from simgap.logs import Motion
+from simgap.logs import Motion, Usable
 from simgap.robot import Robot
 
 Progress = Callable[[float, str], None]
@@ -238,14 +238,11 @@ def digest_code() -> str:
 def digest_inputs(
     robot: Robot,
     motions: Sequence[Motion],
-    usable: Mapping[tuple[str, str], Flags] | None,
+    usable: Usable | None,
     effects: Sequence[Effect],
     seed: int,
 ) -> str | None:
     """Return the digest of all that the steps of a diagnosis depend on.
-
-    Args:
-        usable: By names of motion and joint, which samples take part, (n,) flags.
 
     Returns:
         SHA-256 as hexadecimal text; None if an effect has no file, so that its code is not known.
@@ -262,7 +259,7 @@ def digest_inputs(
 def _inputs(
     robot: Robot,
     motions: Sequence[Motion],
-    usable: Mapping[tuple[str, str], Flags] | None,
+    usable: Usable | None,
     effects: Sequence[Effect],
     seed: int,
 ) -> Iterator[bytes]:

@@ -23,11 +23,10 @@ from simgap.serial_arm.model import (
     SerialArm,
     coefficient_names,
 )
-from simgap.serial_arm.nested_models import NestedModel
+from simgap.serial_arm.nested_models import LENGTHS, NestedModel
 
 MAX_SIZE: Final = 1.0
 """Largest size in radians, metres or rad/(N m): that of an arm file."""
-LENGTHS: Final = ("d", "b", "a")
 
 
 class TrackerEffect(Effect):

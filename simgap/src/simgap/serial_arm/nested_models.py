@@ -1,6 +1,6 @@
 """Models of an arm, term by term, cross-validated; and the test of the air temperature against placebos."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from simgap.arrays import Array, Flags, Integers
+from simgap.common.progress import Progress
 from simgap.serial_arm.calibrate import (
     PoseErrors,
     SerialCalibration,
@@ -19,8 +20,6 @@ from simgap.serial_arm.chain import PoseSeries
 from simgap.serial_arm.fit import MIN_SENSITIVITY, Fit
 from simgap.serial_arm.model import GEOMETRY, GEOMETRY_NAMES, SerialArm, TrackerSetup, serial_model
 
-Progress = Callable[[float, float, str], None]
-"""Function of the amount done, the total amount, and the name of the current activity."""
 BLOCKS: Final = 5
 """Number of blocks of time in the cross-validation."""
 

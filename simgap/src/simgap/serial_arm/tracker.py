@@ -15,6 +15,7 @@ from scipy.stats import t as student
 
 from simgap.arrays import Array
 from simgap.common.errors import RobotError
+from simgap.common.progress import Progress, no_progress
 from simgap.effects.effect import Family
 from simgap.result import MIN_REMAINDER, Base, Diagnosis, Finding, JointError, Refusal, Rejected, Remainder
 from simgap.serial_arm.calibrate import (
@@ -49,7 +50,6 @@ from simgap.serial_arm.fit import assess_identifiability
 from simgap.serial_arm.model import GEOMETRY, TERMS, SerialArm
 from simgap.serial_arm.nested_models import (
     NestedModel,
-    Progress,
     TemperatureTest,
     drift_gain,
     fit_nested_models,
@@ -95,7 +95,7 @@ def fit_tracker(
     *,
     terms: Sequence[str] = TERMS,
     fit_share: float = 0.5,
-    progress: Progress = lambda *_: None,
+    progress: Progress = no_progress,
 ) -> TrackerFit:
     """Fit an arm to the earliest poses of a series, term by term.
 

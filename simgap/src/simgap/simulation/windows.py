@@ -1,6 +1,6 @@
 """Windows: parts of a motion that are simulated from a measured start, and sampled at the measured times."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -9,7 +9,7 @@ import numpy as np
 
 from simgap.arrays import Array, Flags, Integers
 from simgap.common.errors import RobotError
-from simgap.logs import JointLog, Motion, Signal
+from simgap.logs import JointLog, Motion, Signal, Usable
 from simgap.robot import Robot
 
 LEAD_S: Final = 0.25
@@ -56,7 +56,7 @@ def cut_windows(
     motion: Motion,
     window_s: float | None,
     spacing_s: float,
-    keep: Mapping[tuple[str, str], Flags] | None = None,
+    keep: Usable | None = None,
 ) -> list[Window]:
     """Cut a motion into windows.
 
@@ -65,7 +65,6 @@ def cut_windows(
     Args:
         window_s: Length of a window [s]; None: until the next stretch that is not used.
         spacing_s: Least time between two samples of a joint that are kept [s].
-        keep: By names of motion and joint, which position samples are used, (n,); all where it is absent.
 
     Raises:
         RobotError: A joint has no log, no command, or too few positions.
